@@ -212,7 +212,7 @@ def read_bounded(
 def read_part(
     path: Path, offset: int, size_bytes: int, *, opener: Opener = open_without_waiting
 ) -> bytes:
-    """That many bytes of the regular file at `path`, from `offset` on.
+    """`size_bytes` bytes of the regular file at `path`, from `offset` on.
 
     Raises CorruptError if it cannot be read, or ends before them.
     """

@@ -93,8 +93,8 @@ class Similarity:
 
     @staticmethod
     def of(matrix: Doubles) -> Similarity:
-        """That of a (4, 4) affine matrix. Raises InvalidError for one that does more, or nothing
-        that can be undone."""
+        """The similarity of a (4, 4) affine matrix. Raises InvalidError for one that does more, or
+        nothing that can be undone."""
         linear = matrix[:3, :3]
         with np.errstate(all="ignore"):
             scale = float(np.sqrt((linear**2).sum() / 3))

@@ -29,7 +29,7 @@ from codec.storage.openstorage import Target, is_url
 from .errors import CaptureError
 
 COPIED_SUFFIXES = frozenset({".json", ".txt", ".npy", ".npz", ".ply", ".bin"})
-"""What is neither picture nor video and is read whole as a capture is opened."""
+"""Suffixes of files that are neither picture nor video, read whole as a capture is opened."""
 
 MAX_COPIED_BYTES = 1 << 30
 """Largest size of all of them together."""
@@ -51,7 +51,7 @@ class StoredFiles:
     store: StorePrefix
     folder: Path
     sizes: dict[str, int]
-    """Of the files that are empty in the folder, in bytes, by their paths."""
+    """Sizes of the files that are empty in the folder, in bytes, by their paths."""
 
     def renamed(self, error: CaptureError) -> CaptureError:
         """The error with the URL in place of the folder."""
@@ -201,7 +201,7 @@ def block_file(path: Path) -> io.BufferedReader | None:
 
 @contextmanager
 def translated() -> Iterator[None]:
-    """What a store says in the block is a CaptureError."""
+    """Translates a store's errors in the block into CaptureError."""
     try:
         yield
     except CodecError as error:

@@ -56,7 +56,7 @@ class Crop(Edit):
         self._region, self._outside = options.region(), options.outside
 
     def manifest(self, source: Manifest) -> Manifest:
-        """That of the source, with bounds that reach no farther than the region."""
+        """The result's manifest: `source` with bounds that reach no farther than the region."""
         if self._outside:
             return source
         low, high = self._region.box()

@@ -73,7 +73,7 @@ class Colour(Edit):
             raise InvalidError(f"colour: {error}") from error
 
     def manifest(self, source: Manifest) -> Manifest:
-        """That of the source with other steps of the colours."""
+        """The result's manifest: `source` with other steps of the colours."""
         return replace(source, lattice=self._lattices)
 
     def states(self, layer: int, states: States, before: States | None) -> tuple[States, Flags]:

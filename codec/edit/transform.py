@@ -95,7 +95,7 @@ class Transform(Edit):
         return (f"moved        {x:+.3g} {y:+.3g} {z:+.3g} m beside what was asked: whole steps",)
 
     def manifest(self, source: Manifest) -> Manifest:
-        """That of the source with the lattices, cameras, bounds and near plane mapped."""
+        """The result's manifest: `source` with lattices, cameras, bounds and near plane mapped."""
         cameras = tuple(map(self._camera, source.cameras))
         corners = np.array(list(itertools.product(*np.transpose(source.bounds))))
         mapped = self._places(corners)

@@ -96,7 +96,7 @@ class CompressedLayout:
 def compressed_layout(
     head: bytes, file_bytes: int, max_gaussians: int = MAX_GAUSSIANS
 ) -> CompressedLayout:
-    """What the header says of the Gaussians of a compressed PLY of `file_bytes` in all.
+    """The layout of the Gaussians, by the header of a compressed PLY of `file_bytes` in all.
 
     Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
     """

@@ -1,4 +1,4 @@
-"""What a glTF file keeps its numbers in: buffers, views of them, accessors (glTF 2.0, section 3.6).
+"""The numbers of a glTF file: buffers, views of them, accessors (glTF 2.0, section 3.6).
 
 A .glb is a header, a chunk of JSON and a chunk of bytes, which is the first buffer. A .gltf is the
 JSON by itself; its buffers are data URIs, or files beside it.
@@ -24,7 +24,7 @@ from .jsonfields import MAX_JSON_BYTES, Fields
 
 MAGIC = b"glTF"
 SPACE = b"\xef\xbb\xbf \t\r\n"
-"""What may stand before JSON, a byte order mark included."""
+"""Bytes that may stand before JSON, a byte order mark included."""
 HEADER = struct.Struct("<4sII")
 CHUNK = struct.Struct("<I4s")
 JSON_CHUNK, BIN_CHUNK = b"JSON", b"BIN\0"
@@ -117,7 +117,7 @@ class Document:
 
     @staticmethod
     def read(data: bytes, beside: Beside) -> Document:
-        """That of a .glb or .gltf. Raises CorruptError, or UnsupportedError."""
+        """The document of a .glb or .gltf. Raises CorruptError, or UnsupportedError."""
         chunk, payloads = memoryview(b""), list[bytes]()
         if data.startswith(MAGIC):
             text, chunk = split_glb(data)
@@ -132,7 +132,7 @@ class Document:
 
     @property
     def num_bytes(self) -> int:
-        """What there is of numbers, as far as it is loaded."""
+        """Size of the numbers that are loaded so far."""
         return len(self._chunk) + sum(map(len, self._loaded.values()))
 
     def _buffer(self, index: int) -> memoryview:

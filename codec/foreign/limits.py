@@ -1,4 +1,4 @@
-"""What a foreign file may claim: bounds that hold before anything is allocated."""
+"""Limits of foreign files: bounds that hold before anything is allocated."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class PlyLayout:
 
 
 def ply_layout(head: bytes, file_bytes: int, max_gaussians: int = MAX_GAUSSIANS) -> PlyLayout:
-    """What the header says of the Gaussians of an uncompressed PLY of `file_bytes` in all.
+    """The layout of the Gaussians, by the header of an uncompressed PLY of `file_bytes` in all.
 
     Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
     """

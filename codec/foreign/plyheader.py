@@ -69,7 +69,7 @@ class PlyElement:
 
 @dataclass(frozen=True, slots=True)
 class PlyHeader:
-    """What the header says; the counts are claims."""
+    """Elements and properties of the header; the counts are claims."""
 
     layout: str
     """How the rows are written: BINARY, TEXT, or what else it says."""

@@ -189,7 +189,7 @@ def _low_and_high(values: npt.NDArray[np.integer]) -> tuple[Bytes, Bytes]:
 def _encode_harmonics(
     rest: Floats, sh_degree: int, sheet: _Sheet
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """What meta.json says of (N, K - 1, 3) harmonics, and their pictures."""
+    """Entries of meta.json for (N, K - 1, 3) harmonics, and their pictures."""
     count, coefficients, _ = rest.shape
     # As many rows as the largest power of two of Gaussians that there are.
     size = min(MAX_PALETTE, 1 << count.bit_length() - 1)

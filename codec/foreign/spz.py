@@ -57,7 +57,7 @@ FLAG_ANTIALIAS = 1
 MAX_FRACTIONAL_BITS = 23
 """Position bits after the point: the sign takes one of 24."""
 DEFAULT_FRACTIONAL_BITS = 12
-"""What other writers use: steps of 0.24 mm, up to 2048 m from the origin."""
+"""The scale of other writers: steps of 0.24 mm, up to 2048 m from the origin."""
 COLOUR_SCALE = 0.15
 ZSTD_LEVEL = 12
 GZIP_LEVEL = 9
@@ -76,7 +76,7 @@ _log = logging.getLogger(__name__)
 
 
 class SpzVersion(IntEnum):
-    """What can be written: 2 and 3 are read by most programs, 4 is smallest."""
+    """Versions that can be written: 2 and 3 are read by most programs, 4 is smallest."""
 
     V2 = 2
     V3 = 3
@@ -85,7 +85,7 @@ class SpzVersion(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class SpzHeader:
-    """What all versions say first."""
+    """The fields with which every version begins."""
 
     version: int
     count: int
@@ -109,7 +109,7 @@ class SpzHeader:
 def _header(
     data: bytes, versions: tuple[int, ...], file_bytes: int, max_gaussians: int
 ) -> SpzHeader:
-    """What a header says that may lie in a file of `file_bytes`."""
+    """The header of a file of `file_bytes`, checked."""
     magic, version, count, sh_degree, fractional_bits, flags, _ = HEADER.unpack_from(data)
     if magic != MAGIC:
         raise CorruptError("SPZ: does not start with NGSP")

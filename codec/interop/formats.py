@@ -23,7 +23,7 @@ from codec.foreign.spz import SpzVersion, decode_spz, encode_spz, spz_header
 from codec.splats import Splats
 
 HEAD_BYTES = MAX_HEADER_BYTES
-"""What is read of a file before the rest; the other formats have shorter headers than PLY."""
+"""Bytes of a file that are read first; the headers of formats other than PLY are shorter."""
 MAX_FILE_BYTES = MAX_GAUSSIANS * 248 + (1 << 20)
 """Longest file read: the most Gaussians as a PLY of SH degree 3, 248 bytes each."""
 READ = ".ply, compressed .ply, .spz, .splat, bundled .sog, .glb and .gltf"
@@ -31,7 +31,7 @@ READ = ".ply, compressed .ply, .spz, .splat, bundled .sog, .glb and .gltf"
 
 
 class SplatFormat(StrEnum):
-    """What can be written."""
+    """Formats that can be written."""
 
     PLY = "ply"
     SPLAT = "splat"

@@ -140,7 +140,7 @@ class States:
         )
 
     def take(self, rows: npt.NDArray[np.integer] | npt.NDArray[np.bool_] | slice) -> States:
-        """Those at `rows`, in that order."""
+        """The states at `rows`, in that order."""
         if isinstance(rows, slice):
             return States(self.positions[rows], self.attributes[rows])
         if rows.dtype == np.bool_:

@@ -91,7 +91,7 @@ class Followed:
     num_bytes: int
     """Size of all objects."""
     troubles: str
-    """What was wrong with the files, counted; empty if nothing was."""
+    """Problems of the files, counted; empty without any."""
     median_delay_s: float | None
     """Median time from the last write of a file until its segment stood; None without any."""
 

@@ -108,7 +108,7 @@ class ImportOptions:
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """What `import_stream` made."""
+    """The stream that `import_stream` wrote, in numbers."""
 
     manifest: Manifest
     num_frames: int

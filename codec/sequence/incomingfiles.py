@@ -97,7 +97,7 @@ class Arrivals:
 
     @property
     def next_name(self) -> str:
-        """What is waited for, for people."""
+        """The file that is awaited, for messages."""
         if self.next_number is None:
             return f"the first file in {self._folder}"
         path = self._files.get(self.next_number)

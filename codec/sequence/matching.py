@@ -117,7 +117,7 @@ def _equal_pairs(before: Splats, after: Splats) -> Rows:
 
 
 def _rest(count: int, rows: Rows) -> Rows:
-    """Those of 0..count-1 that are not in `rows`."""
+    """The numbers of 0..count-1 that are not in `rows`."""
     rest = np.ones(count, np.bool_)
     rest[rows] = False
     return np.flatnonzero(rest)
@@ -215,7 +215,7 @@ def _pair_by_place(before: Splats, after: Splats, left: Rows, right: Rows, conti
 
 @dataclass(frozen=True, slots=True)
 class _Cloud:
-    """What is compared of N Gaussians."""
+    """The compared attributes of N Gaussians."""
 
     means_m: Doubles  # (N, 3)
     guesses_m: Doubles  # (N, 3) where they are thought to be in the other file
@@ -236,7 +236,7 @@ class _Cloud:
 
 
 def _mutual(old: _Cloud, new: _Cloud, asking: Rows) -> tuple[Rows, Rows]:
-    """Those of the rows `asking` of `old`, and rows of `new`, that are each other's best."""
+    """Pairs of a row in `asking` of `old` and a row of `new` that are each other's best match."""
     asked = old.take(asking)
     to_new = _best(asked, new, asked.guesses_m, new.means_m, asked.reach_m[:, None])
     rows, to_new = asking[to_new >= 0], to_new[to_new >= 0]

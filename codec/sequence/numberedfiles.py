@@ -58,7 +58,7 @@ def find_files(source: Path) -> list[Path]:
 
 
 def _missing(gaps: list[tuple[int, int]], step: int) -> str:
-    """What is missing in `gaps` between two numbers each, the first of them last."""
+    """Names the numbers that are missing in `gaps`, each given by the two numbers around it."""
     ranges = [f"{a + step}" if b - a <= 2 * step else f"{a + step} to {b - step}" for a, b in gaps]
     if len(gaps) == 1 and gaps[0][1] - gaps[0][0] <= 2 * step:
         return f"number {ranges[0]} is missing"

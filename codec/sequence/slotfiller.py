@@ -51,7 +51,7 @@ Counts = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class SlotPlan:
-    """What must be known of all files before the first one becomes slots."""
+    """Facts about all files that are needed before the first one becomes slots."""
 
     slots: tuple[int, ...]
     """Slots of each layer; their sum is the Gaussian count of the fullest file, or more."""
@@ -59,7 +59,7 @@ class SlotPlan:
     """Share of a file's Gaussians, by importance, in each layer."""
     sh_degree: int
     lattices: tuple[Lattice, ...]
-    """Of each layer."""
+    """The lattice of each layer."""
     bounds: Doubles  # (L, 5) most that each of KINDS may be off in a layer; of positions in metres
     lower: Doubles  # (3,) metres, of the box along which newcomers are ordered
     upper: Doubles  # (3,)

@@ -1,4 +1,4 @@
-"""What must be known of all files before the first one is written: they are read twice."""
+"""The survey of all files, made before the first one is written: they are read twice."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Survey:
     reach: float = 0.0
     """The largest magnitude of Y, Co, Cg of a harmonic coefficient, in all but very few."""
     lattice: Lattice | None = None
-    """That the Gaussians of the first file that has any lie on already."""
+    """The lattice on which the Gaussians of the first file that has any lie already."""
     num_moved: int = 0
     """Gaussians that are not, bit by bit, in the file before; the first file does not count."""
     num_later: int = 0

@@ -32,7 +32,7 @@ Model = npt.NDArray[np.int64]
 
 
 def new_model(contexts: int) -> Model:
-    """What is known of bits at the start of a body."""
+    """A model of bits as it stands at the start of a body."""
     model = np.zeros((contexts, 3), np.int64)
     model[:, 0] = FIRST_PROBABILITY
     return model

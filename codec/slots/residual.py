@@ -39,7 +39,7 @@ def encode_predicted(before: States, predicted: States) -> tuple[Bytes, Ints]:
 def decode_predicted(
     planes: Bytes, longs: Ints, before: States, known: Flags, opacity_levels: int
 ) -> States:
-    """What `encode_predicted` took apart; zeros where `before` is not known.
+    """The states that `encode_predicted` took apart; zeros where `before` is not known.
 
     Raises CorruptError for a wrong number of long residuals and for what leaves the lattice.
     """
@@ -74,7 +74,7 @@ def encode_new(new: States, escaped: Flags) -> tuple[Bytes, bytes]:
 def decode_new(
     planes: Bytes, low_bits: bytes | memoryview, sh_degree: int, opacity_levels: int
 ) -> States:
-    """What `encode_new` took apart.
+    """The states that `encode_new` took apart.
 
     Raises CorruptError for a wrong amount of bits, a bit set behind them, and for what is not on
     the lattice.

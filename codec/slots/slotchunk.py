@@ -24,7 +24,7 @@ KIND_AT, LAYER_AT, FLAGS_AT, ZERO_AT, BIRTH_AT = 4, 5, 6, 7, 8
 
 
 class Kind(IntEnum):
-    """What a chunk says of slots."""
+    """The kinds of chunks of slots."""
 
     MASK = 0
     CHANGE = 1
@@ -49,7 +49,7 @@ class SlotHeader:
 
     @property
     def name(self) -> str:
-        """What the chunk is, in a message."""
+        """The chunk's kind, in messages."""
         return self.kind.name.lower()
 
     @staticmethod

@@ -45,7 +45,7 @@ changes 30 % of the slots in each keeps about 4 times their bytes."""
 
 
 class SlotDecoder:
-    """What a reader holds of the slots of layers 0..num_layers-1, from one frame to the next.
+    """A reader's slots of layers 0..num_layers-1, from one frame to the next.
 
     Load the snapshots of a segment's first frame, then apply the slices born after it one by one.
     Layers that were not loaded are unknown, and hidden.
@@ -69,7 +69,7 @@ class SlotDecoder:
             [Slots(count, layout.sh_degree, UNKNOWN) for count in layout.slots[: self.num_layers]]
             for _ in range(layout.swin_size)
         ]
-        """What the slots hold, lane after lane, layer after layer."""
+        """The values of the slots, lane after lane, layer after layer."""
         self.history = MaskHistory(layout)
         self._logs: dict[tuple[int, int], SlotLog] = {}
         """By lane and layer, the oldest first."""
@@ -219,7 +219,7 @@ class SlotDecoder:
         return log_bytes > MIN_LOG_BYTES and log_bytes > LOG_SHARE * self._state_bytes()
 
     def _changed(self, birth: int, changed: list[Flags]) -> Slice:
-        """What has changed in the lane of `birth` since it was handed out last: in each layer what
+        """Changes to the lane of `birth` since they were handed out last: in each layer those that
         its slice has `changed`, and what waited to be handed out."""
         lane = self.layout.lane(birth)
         for layer in range(self.num_layers):
@@ -304,7 +304,7 @@ class SlotDecoder:
         since: dict[int, tuple[Bytes, bytes | None]],
         checked: int | None = None,
     ) -> Slots:
-        """What `since` makes of the slots `before`; see `_replay`."""
+        """The slots `before` after the changes `since`; see `_replay`."""
         if before is None:
             slots = Slots(self.layout.slots[layer], self.layout.sh_degree, UNKNOWN)
         else:
@@ -402,7 +402,7 @@ class SlotDecoder:
 
     @property
     def said_bytes(self) -> int:
-        """What is held only because snapshots may come late."""
+        """Bytes held only because snapshots may come late."""
         return len(self._said) * self.layout.num_slots
 
     def _state_bytes(self) -> int:

@@ -23,7 +23,7 @@ from .update import ENDED, NEW, PREDICTED, Update
 
 @dataclass(frozen=True, slots=True)
 class EncodedSlice:
-    """What a slice is in a stream, before the entropy coder."""
+    """A slice before the entropy coder."""
 
     birth: int
     mask: EncodedChunk
@@ -33,7 +33,7 @@ class EncodedSlice:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """What an update says of one layer."""
+    """The part of an update that concerns one layer."""
 
     layer: int
     slots: Slots
@@ -59,7 +59,7 @@ class SlotEncoder:
             [Slots(count, layout.sh_degree, EMPTY) for count in layout.slots]
             for _ in range(layout.swin_size)
         ]
-        """What the slots hold, lane after lane, layer after layer."""
+        """The values of the slots, lane after lane, layer after layer."""
         self.history = MaskHistory(layout)
 
     @staticmethod
@@ -156,7 +156,7 @@ class SlotEncoder:
                 )
 
     def _parts(self, update: Update) -> Iterator[_Part]:
-        """What `update`, which is checked, says of each layer."""
+        """The parts of `update`, which is checked, one for each layer."""
         lane = self.lanes[self.layout.lane(update.birth)]
         edges = self.layout.row_edges
         coded_before = escapes_before = 0
@@ -186,7 +186,7 @@ class SlotEncoder:
 
 
 def _delta(part: _Part) -> Delta:
-    """What `part` makes of its slots."""
+    """The changes that `part` makes to its slots."""
     first_new = len(part.predicted)
     count, num_ended = first_new + len(part.new), len(part.ended_rows)
     conditions = np.full(count + num_ended, ON_LATTICE, np.uint8)

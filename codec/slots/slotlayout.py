@@ -42,8 +42,8 @@ MAX_SLOT_CHUNK_BYTES = 64 + 248_512_560
 
 @dataclass(frozen=True, slots=True)
 class SlotLayout:
-    """What a mask, a change and a snapshot are read with. Raises InvalidError for what the format
-    does not allow."""
+    """Layout by which masks, changes and snapshots are read. Raises InvalidError for a layout that
+    the format does not allow."""
 
     swin_size: int
     """Lanes, and frames that a lease lasts."""

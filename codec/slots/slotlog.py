@@ -1,4 +1,4 @@
-"""What a decoder keeps of a layer of a lane while something of it is missing."""
+"""The log that a decoder keeps of a layer of a lane while something of it is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a reader or a writer holds of slots, and what a slice makes of it (codec/FORMAT.md,
+"""The state of slots in a reader or a writer, and its changes by a slice (codec/FORMAT.md,
 section 7).
 
 Rule: what a change would make is found out first, as a `Delta`; so bytes that break a rule leave
@@ -34,7 +34,7 @@ def holds(conditions: Bytes) -> npt.NDArray[np.bool_]:
 
 @dataclass(frozen=True, slots=True)
 class Delta:
-    """What becomes of some slots."""
+    """Changes to some slots."""
 
     rows: Rows  # (D,) the slots, in any order
     conditions: Bytes  # (D,)
@@ -67,7 +67,7 @@ class Slots:
 
     @property
     def num_bytes(self) -> int:
-        """What the slots take in memory."""
+        """Size of the slots in memory."""
         arrays = self.conditions, *(self.states.positions, self.states.attributes), self.starts
         return sum(array.nbytes for array in arrays) + self.escapes.num_bytes
 
@@ -81,8 +81,8 @@ class Slots:
         return made
 
     def delta(self, statuses: Bytes, change: Change | None) -> Delta:
-        """What a slice makes of slots with these (count,) `statuses`; change: None if it is not at
-        hand. Raises CorruptError if it does not fit what is here."""
+        """Changes by a slice with these (count,) `statuses`; change: None if it is not at hand.
+        Raises CorruptError if it does not fit what is here."""
         predicted = np.flatnonzero(statuses == PREDICTED)
         new = np.flatnonzero(statuses == NEW)
         ended = np.flatnonzero(statuses == ENDED)

@@ -1,4 +1,4 @@
-"""What a trainer hands over for one slice: what becomes of each slot of a lane."""
+"""The update that a trainer hands over for one slice: what becomes of each slot of a lane."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ class StorePrefix:
         raise CorruptError(f"{self.place(path)} is longer than {limit_bytes} bytes")
 
     def read_range(self, path: str, offset: int, size_bytes: int) -> bytes:
-        """That many bytes of the object at `path`, which has them. Raises CorruptError."""
+        """`size_bytes` bytes of the object at `path`, which has them. Raises CorruptError."""
         import obstore
 
         key, end = self._prefix + path, offset + size_bytes

@@ -74,4 +74,4 @@ class RangeStorage(Storage, Protocol):
     """A place with files that can be read in parts."""
 
     def read_range(self, path: str, offset: int, size_bytes: int) -> bytes:
-        """That many bytes of the file at `path`, which has them. Raises CorruptError."""
+        """`size_bytes` bytes of the file at `path`, which has them. Raises CorruptError."""

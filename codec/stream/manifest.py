@@ -59,7 +59,7 @@ MASKS = "masks"
 """The part of a segment that holds the masks of its slices."""
 
 Part = int | str
-"""What an object holds of a segment: the number of a layer, MASKS, or `snapshot_part`."""
+"""The parts of a segment, an object each: the number of a layer, MASKS, or `snapshot_part`."""
 
 
 def snapshot_part(layer: int) -> str:
@@ -179,7 +179,7 @@ class Manifest:
 
     @property
     def slot_layout(self) -> SlotLayout:
-        """What masks, changes and snapshots are coded with."""
+        """The layout by which masks, changes and snapshots are coded."""
         try:
             return SlotLayout(
                 self.swin_size, self.slots, self.sh_degree, self.lattice, self.segment_frames
@@ -189,7 +189,7 @@ class Manifest:
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """What each segment has an object of, in the order of the index."""
+        """The parts that each segment has an object of, in the order of the index."""
         layers = range(self.num_layers)
         return (*layers, MASKS, *map(snapshot_part, layers))
 

@@ -67,7 +67,7 @@ def lattice_of(value: Any) -> Lattice:
 
 
 def lattice_to_json(lattice: Lattice) -> dict[str, Any]:
-    """What `lattice_of` reads; numbers as short as a float32 can be written."""
+    """JSON that `lattice_of` reads; numbers as short as a float32 can be written."""
 
     def short(step: float) -> float:
         return float(str(np.float32(step)))

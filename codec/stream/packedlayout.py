@@ -40,7 +40,7 @@ from .zipentry import (
 )
 
 PACKED_SUFFIX = ".swings"
-"""What the name of a packed stream ends with."""
+"""The suffix of a packed stream's name."""
 
 EXTRA_ID = 0x5753
 """Marks the extra field of the first local header: `SW`."""

@@ -1,4 +1,4 @@
-"""What a stream shows at any frame: decoders that go on, or begin at a snapshot."""
+"""The slots that show at any frame of a stream: decoders that go on, or begin at a snapshot."""
 
 from __future__ import annotations
 

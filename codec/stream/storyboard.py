@@ -16,7 +16,7 @@ from .reader import StreamReader
 from .writer import SHAPE
 
 STORYBOARD_NAME = "storyboard.webp"
-"""What the storyboard is called that `write_storyboard` writes."""
+"""Name of the file that `write_storyboard` writes."""
 
 MAX_TILES = 60
 TILES_PER_S = 4

@@ -70,7 +70,7 @@ def local_bytes(name: str, extra_bytes: int = 0) -> int:
 
 
 def local_header(entry: ZipEntry, extra: bytes = b"") -> bytes:
-    """What stands before the bytes of `entry`."""
+    """The header before the bytes of `entry`."""
     name = entry.utf8_name
     head = LOCAL.pack(
         LOCAL_MAGIC,

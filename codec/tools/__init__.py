@@ -1,1 +1,1 @@
-"""What swings-stream does with a whole stream: sum it up, check it, draw it, export it."""
+"""The commands of swings-stream on whole streams: sum up, check, draw, edit, export."""

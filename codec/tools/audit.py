@@ -1,4 +1,4 @@
-"""What a stream holds and whether it holds together: `swings-stream info` and `verify`."""
+"""Contents and integrity of a stream: `swings-stream info` and `verify`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .slotcensus import SlotSummary, count_slots, describe_slots, summarise_slot
 
 @dataclass(frozen=True, slots=True)
 class LayerSummary:
-    """What layers 0..n of a stream cost together."""
+    """Bytes of layers 0..n of a stream together."""
 
     layers: int
     gaussians_share: float
@@ -36,7 +36,7 @@ class LayerSummary:
 
 @dataclass(frozen=True, slots=True)
 class StreamSummary:
-    """What `swings-stream info` says of a stream."""
+    """The report of `swings-stream info`."""
 
     title: str
     live: bool

@@ -189,7 +189,7 @@ def _follow_files(config: Import, draw: Draw | None) -> str:
 
 
 def _slot_lines(made: Imported) -> list[str]:
-    """What was sent of slots, and how far they are from the files."""
+    """Lines on the slots that were sent, and on their distance from the files."""
     position_m, size, turn, colour, opacity = made.errors.values()
     lines = [
         f"errors       at most: positions {position_m:.3g} m, sizes {100 * size:.1f} %, "

@@ -72,7 +72,7 @@ class OpenedStream:
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """Those of the capture, OpenCV poses from world to camera, metres."""
+        """The cameras of the capture, OpenCV poses from world to camera, metres."""
         return self.manifest.cameras
 
     def camera(self, name: str | None = None) -> Camera:

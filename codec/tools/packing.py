@@ -27,12 +27,12 @@ from codec.stream.reader import StreamReader, read_stream_file
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """What `pack_stream` or `unpack_stream` wrote."""
+    """The result of `pack_stream` or `unpack_stream`."""
 
     num_frames: int
     num_files: int
     size_bytes: int
-    """Of all that was written."""
+    """Size of all written files."""
 
 
 def pack_stream(stream: Place, out: Path) -> Packed:

@@ -1,4 +1,4 @@
-"""What a stream costs over time, and how good it is: the picture of `swings-stream info`."""
+"""Bytes and quality of a stream over time: the picture of `swings-stream info`."""
 
 from __future__ import annotations
 

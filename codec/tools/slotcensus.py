@@ -1,4 +1,4 @@
-"""What the slices of a stream say of its slots, counted, and what that costs."""
+"""Statuses of the slots in the slices of a stream, counted, and their bytes."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _first(reader: StreamReader) -> Counts:
 
 @dataclass(frozen=True, slots=True)
 class SlotSummary:
-    """What `swings-stream info` says of slots; the tuples have one entry for each layer.
+    """The census of slots for `swings-stream info`; the tuples have one entry for each layer.
 
     The means are of the slices born after frame 0, for that of frame 0 is in the snapshots.
     """

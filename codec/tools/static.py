@@ -29,7 +29,7 @@ from .packing import pack_stream
 
 @dataclass(frozen=True, slots=True)
 class StaticExport:
-    """What `export_static` wrote."""
+    """The files that `export_static` wrote."""
 
     num_frames: int
     num_segments: int

@@ -38,7 +38,7 @@ class SeenColours:
 
     @staticmethod
     def none_of(count: int, sh_degree: int) -> SeenColours:
-        """Those of `count` Gaussians that no camera saw yet; no arrays for degree 0 and 1."""
+        """Colours of `count` Gaussians that no camera saw yet; no arrays for degree 0 and 1."""
         kept = count if sh_degree > 1 else 0
         return SeenColours(
             np.zeros((kept, 1, 3), np.float32), np.full((kept, 3), NOWHERE_M, np.float32)

@@ -61,7 +61,7 @@ class HostedPlace:
     index: HostedIndex
     """Grows with what its sources read."""
     layout: PackedLayout | None = None
-    """Of a packed stream."""
+    """The layout of a packed stream; None for a folder."""
 
     def mirrors(self, fetcher: Fetcher, retry: RetryConfig) -> Mirrors:
         """Its hosts, to fetch its files from."""

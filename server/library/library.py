@@ -38,7 +38,7 @@ class _Found:
     """A stream that a look at the root has found."""
 
     path: str
-    """Of its folder or its file in the root; empty if it is the root."""
+    """Path of its folder or its file in the root; empty if it is the root."""
     stamps: Stamps
     is_packed: bool = False
     refusal: str = ""

@@ -31,7 +31,7 @@ class CaptureConfig:
     """Makes a capture of a calibration and the videos of its cameras."""
 
     action: tyro.conf.Positional[Literal["import"]]
-    """What to do."""
+    """The command."""
     calibration: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CALIBRATION")]]
     """Calibration: a .toml or .json with OpenCV's parameters, as caliscope, Pose2Sim and anipose
     write it, or the folder of a sparse COLMAP model with an image for each camera."""

@@ -1,4 +1,4 @@
-"""What every layout of a capture becomes: cameras, a frame count, and pictures read on demand.
+"""The form that every capture is brought into: cameras, a frame count, pictures on demand.
 
 Rule: opening a capture decodes no picture but the first of a video, yet proves that each camera has
 each frame, so that a training run does not die of a missing file in its third hour.
@@ -109,7 +109,7 @@ class Capture:
     fps: float | None
     """Frames per second; None if no file names it."""
     points: InitialPoints | None
-    """Those in the capture's folder; None when it has none."""
+    """Points in the capture's folder; None when it has none."""
     near_m: float | None
     """Depth in front of which nothing of the scene stands, metres; None if the rig gives
     none."""

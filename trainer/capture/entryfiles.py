@@ -51,7 +51,7 @@ def is_video(entry: Entry) -> bool:
 
 
 def files_by_camera(transforms: Transforms, entries: list[Entry]) -> dict[str, CameraFiles]:
-    """What the entries name, by camera. Raises CaptureError."""
+    """Files that the entries name, by camera. Raises CaptureError."""
     are_videos = {is_video(entry) for entry in entries}
     if are_videos == {True}:
         return _videos(transforms, entries)

@@ -108,7 +108,7 @@ class _Footage:
     num_frames: int
     fps: float | None
     open: Callable[[int], PictureSource]
-    """Of the camera of this index."""
+    """Opens the pictures of the camera of this index."""
 
 
 def _filmed(

@@ -54,7 +54,7 @@ def checked_points(path: Path, xyz: Doubles, rgb: npt.NDArray[np.uint8]) -> Init
 _NOT_POINTS = (
     OSError, ValueError, TypeError, AttributeError, EOFError, MemoryError, zipfile.BadZipFile
 )  # fmt: skip
-"""What numpy raises for a file that is not what it seems."""
+"""The exceptions of numpy for a broken file."""
 
 
 def _check_npz(path: Path, file: BinaryIO) -> None:

@@ -50,7 +50,7 @@ TO_SDR = (
 
 @dataclass(frozen=True, slots=True)
 class VideoFacts:
-    """What a container says about its video, without decoding it."""
+    """Properties of a video by its container, without decoding it."""
 
     width_px: int
     height_px: int

@@ -20,7 +20,7 @@ class CameraDraws:
         self._losses = np.zeros(num_cameras)
 
     def state(self) -> dict[str, npt.NDArray[Any]]:
-        """What changes while training. Views, not copies."""
+        """The values that training changes. Views, not copies."""
         return {"cameras_owed": self._owed, "cameras_losses": self._losses}
 
     def shares(self, error_share: float) -> npt.NDArray[np.float64]:

@@ -35,7 +35,7 @@ class CameraColour:
         return self.values[camera, 3:]
 
     def state(self) -> dict[str, npt.NDArray[Any]]:
-        """What changes while training."""
+        """The values that training changes."""
         return {
             "colour": self.values,
             "colour_first": self._first,

@@ -130,7 +130,7 @@ class Generations:
         return updates
 
     def held(self, update: Update) -> PlayerState:
-        """What a player holds of the lane of `update`, which has just matured."""
+        """A player's slots of the lane of `update`, which has just matured."""
         offsets = np.zeros(self.lifespans.slice_size, np.uint8)
         offsets[update.statuses >= PREDICTED] = update.start_offsets
         assert self.leases is not None

@@ -1,4 +1,4 @@
-"""What a training reports while it runs: its progress, and each window that it has trained."""
+"""The reports of a training while it runs: its progress, and each window that it has trained."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Window:
     frames: range
     """The frames it was trained on."""
     slices: tuple[Slice, ...] = ()
-    """What no later window changes, in the order of birth: after genesis all slices that show in
+    """Slices that no later window changes, in the order of birth: after genesis all that show in
     frame 0, then one at a time."""
     updates: tuple[Update, ...] = ()
     """The same where slots are leased; then there are no slices."""

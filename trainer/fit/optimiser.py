@@ -27,7 +27,7 @@ GATE_STEEPNESS = 100.0
 """How sharply the noise ends where opacity rises above that of the dead. 3DGS-MCMC."""
 
 AgeScaling = Literal["off", "gradient", "update"]
-"""What 1 / (1 + windows trained) multiplies for positions."""
+"""Where the factor 1 / (1 + windows trained) applies to positions: nowhere, or to one of these."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What is done in the iterations of a window, and how its learning rates fall."""
+"""The work of each iteration of a window, and its falling learning rates."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Rates:
     noise_m: float
     """The noise's."""
     calm: float
-    """What the other learning rates are multiplied by."""
+    """Factor of the other learning rates."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +41,11 @@ class Schedule:
     calm_from: float
     """Share of the iterations after which the other rates fall."""
     calm_end: float
-    """What they have fallen to at the end, as a share."""
+    """Share of those rates that is left at the end."""
 
     @staticmethod
     def genesis(config: FitConfig, coarse_share: float) -> Schedule:
-        """That of the first window. coarse_share: of its iterations that see half pictures."""
+        """Schedule of the first window. coarse_share: of its iterations that see half pictures."""
         rates = config.optimiser
         return Schedule(
             config.genesis_iterations,
@@ -59,7 +59,7 @@ class Schedule:
 
     @staticmethod
     def window(config: FitConfig, means_lr: float) -> Schedule:
-        """That of a window whose learning rate of positions begins at `means_lr`."""
+        """Schedule of a window whose learning rate of positions begins at `means_lr`."""
         rates = config.optimiser
         return Schedule(
             config.window_iterations,
@@ -72,7 +72,7 @@ class Schedule:
         )
 
     def rates(self, iteration: int, extent_m: float) -> Rates:
-        """Those of an iteration, which fall log-linearly."""
+        """The rates of an iteration, which fall log-linearly."""
         decay = self.means_lr_end / self.means_lr
         means_lr_m = float(extent_m * self.means_lr * decay ** (iteration / self.iterations))
         over = iteration / self.iterations - self.calm_from

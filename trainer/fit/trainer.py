@@ -180,7 +180,7 @@ class Trainer:
         return summed_contribution(self._generations.values, rows, self._views, masks)
 
     def shown(self, frame: int) -> Splats:
-        """What shows at `frame`, as trained so far; of the window just trained or to be trained."""
+        """The Gaussians that show at `frame`, of the window just trained or to be trained next."""
         return self._generations.shown(frame)
 
     def num_shown(self, frame: int) -> int:
@@ -236,7 +236,7 @@ class Trainer:
         self._generations.takeover = takeover
 
     def held(self, window: Window) -> list[PlayerState]:
-        """What a player holds of the lanes of `window`, which `windows` has just given; slots are
+        """A player's slots of the lanes of `window`, which `windows` has just given; slots are
         leased."""
         return [self._generations.held(update) for update in window.updates]
 
@@ -353,7 +353,7 @@ class Trainer:
         return loss.value
 
     def _prefix(self, rows: Ints) -> Ints:
-        """Those of `rows` that lie in the first layers, at random how many of them."""
+        """The `rows` that lie in the first layers, of which a random number is taken."""
         leases = self._leases
         assert leases is not None
         # All but the last layer alone lack little, and learn with the whole.

@@ -12,7 +12,7 @@ HORIZON_FRAMES = 30
 """Frames in which what was spent too much, or too little, is made good."""
 
 FIRST_SLOT_BYTES = 5.0
-"""What an active slot takes, as long as nothing is known."""
+"""Size of an active slot while no slice has been measured."""
 
 MEMORY = 0.8
 """How much the price of a slot stays that of the slices before, from slice to slice."""
@@ -41,5 +41,5 @@ class ByteBudget:
         self._state[1] = max(self._state[1], -HORIZON_FRAMES * self.bytes_per_frame / 2)
 
     def state(self) -> npt.NDArray[np.float64]:
-        """What changes; a view."""
+        """The numbers that change; a view."""
         return self._state

@@ -65,7 +65,7 @@ class LeaseConfig:
 
 
 class Leases:
-    """What a player holds of every slot, and since when."""
+    """The value of every slot in a player, and since when."""
 
     def __init__(self, config: LeaseConfig, layout: SlotLayout) -> None:
         self.config, self.slots, self.lattices = config, layout.slots, layout.lattices
@@ -130,7 +130,7 @@ class Leases:
         return order
 
     def choose(self, rows: Ints, scores: Doubles) -> Ints:
-        """Those of `rows`, the slots of one slice, that are to be active. scores: (len(rows),) how
+        """The `rows`, slots of one slice, that are to be active. scores: (len(rows),) how
         much each has to do with what changed."""
         count = len(rows)
         wanted = round(self.config.active_share * count)
@@ -177,7 +177,7 @@ class Leases:
         return low.astype(np.int32), high.astype(np.int32)
 
     def held(self, birth: int, lane: slice, start_offsets: Bytes, splats: Splats) -> PlayerState:
-        """What a player holds of `lane` from `birth` on, whose next life has not begun. splats: as
+        """A player's slots of `lane` from `birth` on, whose next life has not begun. splats: as
         they are drawn."""
         states = self.states.take(lane).copy()
         shows, escaped = self.is_shown[lane].copy(), self.is_other[lane] & self.is_shown[lane]
@@ -192,7 +192,7 @@ class Leases:
         start_offsets: Ints,
         other: tuple[Flags, PlayerState] | None = None,
     ) -> tuple[Update, Splats]:
-        """What the slice born at `birth` says of its lane, whose trained Gaussians are `splats`;
+        """The update of the slice born at `birth`, whose trained Gaussians are `splats`;
         and those with the values that a player has from now on.
 
         lane, is_active, splats, start_offsets: of all slots of the lane, of which only the active

@@ -37,7 +37,7 @@ as a difference. Farther away it is another Gaussian: between two frames it must
 
 @dataclass(frozen=True, slots=True)
 class PlayerState:
-    """What a player holds of the slots of one lane since the slice of `birth`."""
+    """A player's slots of one lane since the slice of `birth`."""
 
     birth: int
     states: States  # (S,) zeros where there is nothing; those of the escaped mean nothing
@@ -112,7 +112,7 @@ class Crossfade:
         """(num_gs,) the slots that follow, in the newest life of their lane."""
 
     def held(self, birth: int) -> PlayerState | None:
-        """What the other training holds of the lane of `birth`; None outside the seam."""
+        """The other training's slots of the lane of `birth`; None outside the seam."""
         return self._other.get(birth)
 
     def go_on(self, birth: int, lane: slice) -> Ints:

@@ -63,7 +63,7 @@ LOSSES = {
     "User exception": "a task failed{error}",
     "marked dead": "a node of the cluster is gone",
 }
-"""What Ray prints, and what it means to a user."""
+"""Messages of Ray, and their meaning for a user."""
 
 _DEAD_WORKER = re.compile(r"Worker IP address: (\S+) .*Worker PID: (\d+)")
 _ERROR = re.compile(r"^(\w+: .+)$", re.MULTILINE)

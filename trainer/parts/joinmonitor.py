@@ -1,4 +1,4 @@
-"""What the user sees while parts are trained and joined, and what the log keeps of it."""
+"""Progress line and log while parts are trained and joined."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the stream looks like as far as it goes, for people to look at while parts are trained."""
+"""Pictures of the stream as far as it goes, to look at while parts are trained."""
 
 from __future__ import annotations
 

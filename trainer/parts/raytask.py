@@ -79,7 +79,7 @@ def do_task(task: Task, tally: Any, warm_nodes: frozenset[str]) -> str | None:
 
 
 def task_result(ray: Any, ref: Any, task: Task) -> str | None:
-    """What `do_task` has given. Raises InvalidError where Ray has given up on it."""
+    """The result of `do_task`. Raises InvalidError where Ray has given up on it."""
     try:
         node: str | None = ray.get(ref)
     except ray.exceptions.RayTaskError as error:

@@ -29,7 +29,7 @@ def whole_segments(frames: int, segment_frames: int) -> int:
 
 
 class Kind(Enum):
-    """What is trained."""
+    """The kinds of pieces that are trained."""
 
     GENESIS = "genesis"
     """The first window, with which all parts begin."""
@@ -88,12 +88,12 @@ class Task:
 
     @property
     def last_path(self) -> str:
-        """What the task leaves last: where that is, it is done."""
+        """Path of the last file that the task writes: once it exists, the task is done."""
         return self.state_path("state" if self.kind is Kind.GENESIS else "records")
 
     @property
     def frames(self) -> range:
-        """Those of the segments that it leaves."""
+        """Frames of the segments that the task leaves."""
         run, part = self.run, self.part
         match self.kind:
             case Kind.GENESIS:

@@ -24,7 +24,7 @@ class TaskQueue:
 
     @property
     def waiting(self) -> Sequence[Task]:
-        """What has not been handed out."""
+        """Tasks that have not been handed out."""
         return self._waiting
 
     def is_done(self, task: Task) -> bool:

@@ -1,4 +1,4 @@
-"""What a worker does: trains a piece of a stream from what other tasks left, and leaves what they
+"""A worker's task: it trains a piece of a stream from the results of others, and leaves what those
 need.
 
 Rule: everything that is left is put whole, and a task that is done again, from its last checkpoint
@@ -77,9 +77,9 @@ class _Piece:
     place: GrowingPiece
     writer: StreamWriter
     opening: PlayerState | None
-    """What a player holds before the newest segment; None before the stream."""
+    """A player's slots before the newest segment; None before the stream."""
     updates: list[Update] = field(default_factory=list)
-    """Those of the newest segment, as long as it is not whole."""
+    """Updates of the newest segment, until it is whole."""
 
     @property
     def record_rows(self) -> npt.NDArray[np.uint8]:
@@ -251,7 +251,7 @@ class Worker:
         return held
 
     def _windows(self, trainer: Trainer, end_frame: int) -> Iterator[Window]:
-        """Those before `end_frame`."""
+        """The windows before `end_frame`."""
         if trainer.next_window >= end_frame:
             return
         for window in trainer.windows():

@@ -1,4 +1,4 @@
-"""What training sees of a capture."""
+"""The pictures of a capture, as training draws them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .shot import Shot
 
 
 class Pictures(Protocol):
-    """What training sees: frames 0..num_frames-1 of the training cameras."""
+    """Pictures of frames 0..num_frames-1 of the training cameras."""
 
     @property
     def num_frames(self) -> int: ...

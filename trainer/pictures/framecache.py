@@ -34,7 +34,7 @@ DEFAULT_MAX_REQUESTS = 256
 
 @dataclass(frozen=True, slots=True)
 class CacheStatistics:
-    """What a cache did so far."""
+    """Hits and misses of a cache so far."""
 
     hits: int
     """Pictures and masks answered from memory."""

@@ -1,4 +1,4 @@
-"""What one camera saw of one frame: a picture, and which of its pixels count."""
+"""One camera's picture of one frame, and which of its pixels count."""
 
 from __future__ import annotations
 

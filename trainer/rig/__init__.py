@@ -1,1 +1,1 @@
-"""What a capture's cameras and pictures let one expect, before anything is trained."""
+"""Properties of a capture's cameras and pictures that tell how well it will train."""

@@ -1,4 +1,4 @@
-"""What makes it doubtful that a capture trains well: its rig and its pictures."""
+"""Doubts whether a capture trains well, from its rig and its pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a capture holds and what is doubtful about it, in lines, before hours of training."""
+"""Contents of a capture and doubts about it, in lines, before hours of training."""
 
 from __future__ import annotations
 

@@ -72,9 +72,9 @@ class Checkpoint:
     """A run between two windows, or in its first."""
 
     state: Arrays
-    """What `Trainer.state` gave."""
+    """The result of `Trainer.state`."""
     pending: list[Slice | Update]
-    """What has matured and may not be in a finished segment yet, in the order of birth."""
+    """Slices that have matured and may not be in a finished segment yet, in the order of birth."""
 
 
 def arrays_of(part: Slice | Update) -> Arrays:
@@ -140,7 +140,7 @@ def save_checkpoint(
 
 
 def _named(arrays: Arrays, prefix: str) -> Arrays:
-    """Those whose names begin with `prefix`, without it."""
+    """Arrays whose names begin with `prefix`, without it."""
     return {n.removeprefix(prefix): array for n, array in arrays.items() if n.startswith(prefix)}
 
 
@@ -207,7 +207,7 @@ def _check_settings(made_with: Mapping[str, Any], wanted: Mapping[str, Any]) -> 
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Those of inner mappings under names such as lease.hold."""
+    """The settings of inner mappings, under names such as lease.hold."""
     flat: dict[str, Any] = {}
     for name, value in settings.items():
         inner = isinstance(value, Mapping)

@@ -121,7 +121,7 @@ def _live_view(config: TrainConfig, console: Console) -> LiveView | None:
 
 @dataclass(frozen=True, slots=True)
 class _Start:
-    """What a run begins with, found good."""
+    """The start of a run, found good."""
 
     config: TrainConfig
     bare: list[Target]

@@ -1,4 +1,4 @@
-"""What a person sees while a stream is trained, and what the log keeps of it."""
+"""Progress line and log while a stream is trained."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run writes beside its log and its checkpoint: streams and snapshots."""
+"""The outputs of a run beside its log and its checkpoint: streams and snapshots."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def bare_targets(config: TrainConfig) -> list[Target]:
 
 
 BARE_NAMES = {MANIFEST_NAME, INDEX_NAME, SEGMENTS_NAME}
-"""What a stream without a frame consists of."""
+"""The objects of a stream without a frame."""
 
 
 def _is_bare(target: Target) -> bool:
@@ -60,7 +60,7 @@ def _is_bare(target: Target) -> bool:
 LEFTOVERS = {
     temporary_beside(Path(name)).name for name in (MANIFEST_NAME, INDEX_NAME, CHECKPOINT_NAME)
 }
-"""What a killed run may not have come to rename."""
+"""Temporary files that a killed run may have left."""
 
 
 def clear_bare(targets: Sequence[Target]) -> None:
@@ -120,7 +120,7 @@ class Outputs:
         self.writers: list[StreamWriter] = []
         """None before `open`."""
         self.pending: list[Slice | Update] = []
-        """What may not be in a finished segment of every stream yet, in order of birth."""
+        """Slices that may not be in a finished segment of every stream yet, in order of birth."""
         self._without_poster: list[StreamWriter] = []
 
     def open(self, parts: Sequence[Slice]) -> None:
@@ -132,7 +132,7 @@ class Outputs:
 
     @property
     def manifest(self) -> Manifest:
-        """That of the first stream."""
+        """The first stream's manifest."""
         return self.writers[0].manifest
 
     @property
@@ -142,7 +142,7 @@ class Outputs:
 
     @property
     def slice_bytes(self) -> int:
-        """What the last slice takes in the first stream: its packets."""
+        """Size of the last slice in the first stream: its packets."""
         return self.writers[0].slice_bytes
 
     def deliver(self, parts: Sequence[Slice | Update]) -> None:

@@ -1,4 +1,4 @@
-"""What a run begins with: a capture and settings that were found good, first Gaussians, a manifest.
+"""The start of a run: a capture and settings that were found good, first Gaussians, a manifest.
 
 Nothing is written here.
 """
@@ -48,7 +48,7 @@ matter most."""
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """What is trained."""
+    """A capture and everything else that its training needs."""
 
     capture: Capture
     frames: range
@@ -62,13 +62,13 @@ class Prepared:
     picked: Picked
     """Where the steps are computed."""
     initial: Splats | None = None
-    """What the first frame begins with, if it is given."""
+    """Gaussians with which the first frame begins, if they are given."""
     near_doubts: tuple[str, ...] = ()
-    """What is doubtful about a near plane that was not given, a line each."""
+    """Doubts about a near plane that was not given, a line each."""
 
     @property
     def doubts(self) -> list[str]:
-        """What may make the stream worse than the user expects, a line each."""
+        """Reasons why the stream may be worse than the user expects, a line each."""
         return [*rig_doubts(self.capture), *self.near_doubts]
 
 
@@ -95,7 +95,7 @@ def prepare(config: TrainConfig) -> Prepared:
 
 
 def _given_gaussians(config: TrainConfig) -> Splats | None:
-    """Those of the file that the first frame begins with, if there is one."""
+    """Gaussians of the file that the first frame begins with, if there is one."""
     path, fit = config.initial, config.fit
     if path is None:
         if not fit.genesis_iterations:
@@ -136,7 +136,7 @@ def _depths(capture: Capture, config: TrainConfig, seen: Seen | None) -> tuple[f
 
 
 def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
-    """What a resumed run must share with the run that it continues."""
+    """Settings that a resumed run must share with the run that it continues."""
     return {
         **asdict(config.fit),
         "frames": [prepared.frames.start, prepared.frames.stop],

@@ -26,7 +26,7 @@ class RunStatus:
     iterations_per_s: float | None = None
 
     def stage(self) -> Stage:
-        """What the progress line shows."""
+        """Text of the progress line."""
         frame, total = self.frame, self.num_frames
         figures = (
             (self.psnr_db, "{:.2f} dB", 1.0),
@@ -42,7 +42,7 @@ class RunStatus:
         )
 
     def log_row(self) -> dict[str, float | None]:
-        """What the log keeps of it, once `frame` is finished."""
+        """Entry of the log, once `frame` is finished."""
         left_s, psnr_db = self.left_s, self.psnr_db
         return {
             "frame": self.frame,

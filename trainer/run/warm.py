@@ -42,7 +42,7 @@ _STARTED_OVER = "SWINGS_STARTED_OVER"
 
 
 class _Noise:
-    """What three cameras in a row see, at the smallest size that genesis halves."""
+    """The pictures of three cameras in a row, at the smallest size that genesis halves."""
 
     num_frames = 3  # so that a window brings a new frame
 

@@ -1,1 +1,1 @@
-"""What a stream is worth against its capture: scores, tables, pictures."""
+"""The quality of a stream against its capture: scores, tables, pictures."""

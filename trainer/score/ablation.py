@@ -1,4 +1,4 @@
-"""What each quantised attribute costs a picture: the paper's Table 6 on a stream of ours."""
+"""The loss of quality by each quantised attribute: the paper's Table 6 on a stream of ours."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FORMATS = {
     "feat": ("fp16", 2),
     "opacity": ("uint8", 1),
 }
-"""What each number of an attribute becomes, and its bytes."""
+"""The type of each number of an attribute, and its bytes."""
 
 CASES: dict[str, tuple[str, ...]] = {
     "none": (),

@@ -1,4 +1,4 @@
-"""What is left of a stream when the Gaussians that rank lowest are dropped, as a stream of its own.
+"""A stream without the Gaussians that rank lowest, as a stream of its own.
 
 Of every slice the same share is kept. A Gaussian's rank holds for its life, so that it does not
 come and go: a life goes on until its slot is ended or new, and what a Gaussian is
@@ -96,7 +96,7 @@ class Drop:
     """Which Gaussians are kept."""
 
     share: float
-    """Of those of a slice."""
+    """The share of a slice's Gaussians that is kept."""
     places: Ints = field(repr=False)
     """(L,) of each life, see `places`."""
 

@@ -1,4 +1,4 @@
-"""What a stream is worth: its decoded files, rendered for the held-out cameras, against the
+"""The quality of a stream: its decoded files, rendered for the held-out cameras, against the
 capture."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What swings-eval does with its config: scores, a table or JSON, or a film beside the capture."""
+"""The work of swings-eval by its config: scores, a table or JSON, or a film beside the capture."""
 
 from __future__ import annotations
 

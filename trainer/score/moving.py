@@ -26,7 +26,7 @@ MIN_MOVING_PX = 100
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Movement:
-    """What moved in one camera since the frame before."""
+    """The pixels of one camera that have changed since the frame before."""
 
     pixels: npt.NDArray[np.bool_]  # (H, W): those that move
     counting: int

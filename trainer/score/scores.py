@@ -23,16 +23,16 @@ STILL = 4 / 255
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What some cameras saw of one frame."""
+    """The pictures of some cameras of one frame."""
 
     truths: list[Floats]
     masks: list[Mask | None]
     movements: list[Movement]
-    """What moved in each camera since the frame before; empty in frame 0."""
+    """The movement in each camera since the frame before; empty in frame 0."""
 
 
 def seen_of(scored: ScoredCameras, frame: int) -> Seen:
-    """What `scored`'s cameras saw of a stream's `frame`. Raises CaptureError where no pixel of one
+    """A stream's `frame` as `scored`'s cameras saw it. Raises CaptureError where no pixel of one
     counts."""
     shots = scored.shots(frame)
     before = [] if frame == 0 else [scored.shot(c, frame - 1) for c in range(len(shots))]

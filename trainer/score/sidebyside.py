@@ -35,7 +35,7 @@ _PALETTE: Bytes = np.rint(colormaps["inferno"](np.linspace(0, 1, 256))[:, :3] * 
 
 @dataclass(frozen=True, slots=True)
 class SideBySide:
-    """What was compared."""
+    """The compared frames and cameras."""
 
     camera: str
     frames: int

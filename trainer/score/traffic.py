@@ -1,4 +1,4 @@
-"""What a player of a stream fetches, from frame 0 on or later: bytes, and Gaussians."""
+"""The traffic of a player that begins at frame 0 or later: bytes, and Gaussians."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from codec.tools.slotcensus import count_slots
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """What a player of one number of layers fetches."""
+    """The traffic of a player of one number of layers."""
 
     object_bytes: int
     """Size of the objects that a player from frame 0 on fetches."""
     gaussians: int
-    """What those objects bring: the Gaussians of frame 0, and all that a later slice sends,
+    """Gaussians in those objects: those of frame 0, and all that a later slice sends,
     whether new or changed."""
     join_bytes: int
     """Size of the snapshots that a player fetches only if it joins later, or takes up a layer

@@ -45,11 +45,11 @@ class ScoredCameras:
         return range(0, self.reader.num_frames, step)
 
     def shot(self, camera: int, frame: int) -> Shot:
-        """What `cameras[camera]` saw of the stream's `frame`."""
+        """The picture of `cameras[camera]` of the stream's `frame`."""
         return self.cache.shot(self.indices[camera], self.cache.frames[frame])
 
     def shots(self, frame: int) -> list[Shot]:
-        """What all cameras saw of the stream's `frame`. Raises CaptureError where no pixel of one
+        """All cameras' pictures of the stream's `frame`. Raises CaptureError where no pixel of one
         counts."""
         shots = [self.shot(c, frame) for c in range(len(self.cameras))]
         for camera, shot in zip(self.cameras, shots, strict=True):

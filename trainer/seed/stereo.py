@@ -44,7 +44,7 @@ TOLERANCE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class DepthMaps:
-    """What the cameras say of one frame, on small copies of their pictures."""
+    """The cameras' small copies of one frame's pictures, as stereo needs them."""
 
     cameras: tuple[Camera, ...]  # of the small pictures
     depths: Floats  # (C, H, W) float32, metres along the viewing axis; 0 where unknown

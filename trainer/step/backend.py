@@ -26,7 +26,7 @@ BackendName = Literal["auto", "cpu", "cuda", "torch"]
 
 @dataclass(frozen=True, slots=True)
 class StepInput:
-    """What one training step renders and compares."""
+    """The input of one training step: what it renders, and compares with."""
 
     values: Parameters
     rows: Ints

@@ -1,4 +1,4 @@
-"""What each Gaussian contributes: its blending weight, summed over the pixels of pictures."""
+"""The contribution of each Gaussian: its blending weight, summed over the pixels of pictures."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ MaskLike = npt.NDArray[np.uint8] | npt.NDArray[np.bool_] | npt.NDArray[np.float3
 """(H, W): pixels above 0 count."""
 
 IGNORED = 0.5
-"""What both sides show where a mask ignores: the middle, so that its edges are the faintest."""
+"""Value of both pictures in ignored pixels: the middle, so that their edges are the faintest."""
 
 RADIUS_PX = 5
 SIGMA_PX = 1.5

@@ -89,7 +89,7 @@ class Scratch:
 
 @dataclass(frozen=True, slots=True)
 class Rendered:
-    """What the backward pass needs of a forward pass."""
+    """Values of a forward pass that the backward pass needs."""
 
     view: View
     rows: Ints  # (M,) int32, of the parameters

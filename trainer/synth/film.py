@@ -94,7 +94,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Take:
-    """What filming one camera gave besides its video."""
+    """Facts about one filmed camera, besides its video."""
 
     near_m: float
     """Least depth of anything seen, metres."""

@@ -1,4 +1,4 @@
-"""Who moves in the synthetic scene: a figure that walks in a circle and waves, and a bouncing ball.
+"""Movement in the synthetic scene: a figure walks in a circle and waves, and a ball bounces.
 
 Everything is a function of the time, so any number of frames at any rate shows the same motion.
 """

@@ -1,4 +1,4 @@
-"""What stands in the synthetic scene: the room, its furniture, the lamp, the cameras.
+"""The objects of the synthetic scene: the room, its furniture, the lamp, the cameras.
 
 The world's y points down and the floor is y = 0, so a height of h metres is y = -h.
 """
@@ -44,7 +44,7 @@ CAMERA_RADIUS_M = 3.2
 CAMERA_HEIGHTS_M = (1.05, 2.05)
 """Taken in turn along the arc."""
 CAMERA_TARGET = np.array([0.0, -1.0, 0.15])
-"""What every camera looks at, metres."""
+"""The point that every camera looks at, metres."""
 UP = np.array([0.0, -1.0, 0.0])
 FIELD_OF_VIEW_RAD = np.radians(74.0)
 """Horizontal."""

@@ -16,7 +16,7 @@ from trainer.step.backend import Backend, BackendName, CpuBackend, StepInput
 from trainer.step.raster import Parameters, View
 
 TOLERANCE = 1e-3
-"""Of the loss of a trial: far above rounding, far below a device that errs."""
+"""Tolerated error of a trial's loss: far above rounding, far below a device that errs."""
 
 MAX_REASON = 160
 """Characters of a foreign error that are told."""
@@ -24,7 +24,7 @@ MAX_REASON = 160
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """What every backend is made with."""
+    """Weights of the loss, which every backend is made with."""
 
     dssim: float
     opacity_reg: float
@@ -50,7 +50,7 @@ def _accelerator() -> str | None:
 
 
 def _cuda_lacks() -> str | None:
-    """What `--backend cuda` misses here, if anything."""
+    """The first requirement of `--backend cuda` that is missing here, if any."""
     if find_spec("torch") is None:
         return "torch is not installed"
     import torch
@@ -94,7 +94,7 @@ def _trial_loss(backend: Backend) -> float:
 
 
 def tried(make: Callable[[], Backend], weights: Weights) -> Backend | str:
-    """What `make` makes; or why a step of it does not give the loss that plain torch gives on a
+    """The backend of `make`; or why a step of it does not give the loss that plain torch gives on a
     CPU."""
     try:
         backend = make()

@@ -27,7 +27,7 @@ SLAB = 32
 PIXELS = TILE_PX * TILE_PX
 
 PAIR_BYTES = 16 * 4 * PIXELS
-"""What a pair of Gaussian and tile takes in a batch at most: 16 planes of float32 pixels."""
+"""Most memory of a pair of Gaussian and tile in a batch: 16 planes of float32 pixels."""
 
 
 @dataclass(frozen=True, slots=True)

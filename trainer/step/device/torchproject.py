@@ -32,7 +32,7 @@ class Solids:
     colours: Tensor  # (N, 3) as the camera sees them
 
     def at(self, rows: Tensor) -> Solids:
-        """Those at `rows` (M,) int64."""
+        """The solids at `rows` (M,) int64."""
         return Solids(
             self.means[rows], self.quats[rows], self.scales[rows], self.opacities[rows],
             self.colours[rows],
@@ -85,7 +85,7 @@ def _ellipses(solids: Solids, camera: Camera, w2c: Tensor) -> tuple[Tensor, Tens
 
 
 def project(solids: Solids, camera: Camera, near_m: float) -> Drawn:
-    """What `camera` sees of `solids`: nothing nearer than `near_m`, too faint or beside the
+    """`solids` as `camera` sees them, without any nearer than `near_m`, too faint or beside the
     picture. Ties in depth keep their order."""
     means = solids.means
     w2c = torch.tensor(camera.w2c, dtype=means.dtype).to(means.device)

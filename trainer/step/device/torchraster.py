@@ -21,10 +21,10 @@ from .torchproject import Solids, project
 from .torchtiles import tensor_lists
 
 CPU_BATCH_BYTES = 16 << 20
-"""What stays in a CPU's caches."""
+"""Size of a batch that stays in a CPU's caches."""
 
 BATCH_BYTES = 512 << 20
-"""What keeps a GPU busy."""
+"""Size of a batch that keeps a GPU busy."""
 
 
 def torch_picture(solids: Solids, camera: Camera, near_m: float, batch_bytes: int) -> Tensor:
