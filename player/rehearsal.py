@@ -1,4 +1,4 @@
-"""A play of two frames that nobody sees: whatever a real one runs is loaded, or compiled, by it.
+"""An unseen play of two frames: it loads, or compiles, all that a real play runs.
 
 It comes before the first request. Otherwise the first decode takes half a second, half a minute
 after an install, from the thread that reads the socket, and a server sees a slow link.

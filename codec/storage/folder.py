@@ -66,7 +66,7 @@ class FolderStorage:
             found = os.stat(self._folder / path)
         except _MISSING:
             return None
-        except OSError as error:  # something is there; who reads it will say what is wrong
+        except OSError as error:  # something is there; reading it will say what is wrong
             return Stamp(0, (error.errno or 0,))
         return Stamp(
             found.st_size,

@@ -2,8 +2,8 @@
 
 A store cannot append, so the log is replaced as a whole with each record, and each time only if it
 is still what this writer left there (If-Match). A writer begins by putting a token after the last
-whole record, where readers expect the torn record of a killed writer: from then on whoever wrote
-before finds another log than its own. The token goes with the next record, or at the end.
+whole record, where readers expect the torn record of a killed writer: from then on an earlier
+writer finds another log than its own. The token goes with the next record, or at the end.
 """
 
 from __future__ import annotations
@@ -81,15 +81,15 @@ class GrowingStore(StorePrefix):
         self.put(self._shape.head, head)
 
     def _swap(self, log: bytes) -> None:
-        """Replaces the log, if nobody else has done so since this writer did."""
+        """Replaces the log, if no other writer has done so since this one did."""
         try:
             self._version = self.put(self._shape.log, log, self._version)
         except ConflictError as error:
             self._version = self._check_same(self._shape.log, log, error)
 
     def _replace(self, path: str, data: bytes) -> Version:
-        """Puts what somebody else has put at `path`: the one who wrote before and has not found out
-        yet; or this writer itself, and only the answer was lost."""
+        """Overwrites what is at `path` already: put there by an earlier writer that does not know yet
+        that it was replaced, or by this one, whose answer was lost."""
         self._swap(self._log + os.urandom(TOKEN_BYTES))  # raises if it is the other way round
         try:
             return self.put(path, data, self.version(path))

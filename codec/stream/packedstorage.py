@@ -110,7 +110,7 @@ class PackedStorage:
             if path.startswith(f"{folder}/") and path.count("/") == folder.count("/") + 2:
                 yield path, size_bytes
 
-    # What nobody asks of a single stream.
+    # A single stream needs none of these.
 
     def below(self, folder: str) -> Storage:
         raise UnreadableError(f"{self.place(folder)}: a packed stream holds one stream only")

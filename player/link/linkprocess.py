@@ -28,8 +28,8 @@ class RelayError(SwingsError):
 class LinkProcess:
     """Passes every connection to `address` on to (host, port), as `link` says.
 
-    Use it with `with`, or close it. Whoever leaves the block by an error hears that the process has
-    died, if it has. It ends with this process, however that ends: it watches a pipe.
+    Use it with `with`, or close it. A block that ends with an error raises RelayError if the
+    process has died. It ends with this process, however that ends: it watches a pipe.
     """
 
     def __init__(self, link: Link, host: str, port: int) -> None:
@@ -103,7 +103,7 @@ class LinkProcess:
         process, self._closed = self._process, True
         assert process.stdin is not None
         assert process.stdout is not None
-        with contextlib.suppress(OSError):  # what was not written yet has nobody to read it
+        with contextlib.suppress(OSError):  # what was not written yet has no reader
             process.stdin.close()
         try:
             process.wait(CLOSE_S)

@@ -43,7 +43,7 @@ PIECE_S = 0.004
 MIN_PIECE_BYTES = 1 << 10
 
 MIN_SLEEP_S = 0.002
-"""Seconds: whoever sleeps too long moves more pieces when it wakes."""
+"""Seconds: a task that sleeps too long moves more pieces when it wakes."""
 
 MAX_CREDIT_S = 0.25
 """The most lateness, in seconds, that is made up for when bytes were waiting all the time."""
@@ -167,7 +167,7 @@ class Relay:
         """Requests are small: they pass at once."""
         while data := await self._loop.sock_recv(player, MAX_READ_BYTES):
             await self._loop.sock_sendall(server, data)
-        # The player closed its side: nobody is left to take what the server still sends.
+        # The player closed its side: what the server still sends has no receiver.
         raise ConnectionResetError("the player closed the connection")
 
     async def _pass_down(self, server: socket.socket, player: socket.socket) -> None:

@@ -19,7 +19,7 @@ from player.source.source import Blame, Packets, SlicePackets, SnapshotPackets
 
 @dataclass(slots=True)
 class _Gathered:
-    """The parts of one slice that have come so far, decompressed, and who is to blame for each."""
+    """The parts of one slice so far, decompressed, and for each the object that errors name."""
 
     parts: dict[Part, bytes] = field(default_factory=dict)
     blames: dict[Part, Blame] = field(default_factory=dict)

@@ -1,7 +1,6 @@
 """The clock that stamps arrivals and frames: seconds of media since the player started.
 
-Rule: nothing else in the playout reads the time; whoever decides something gets `now_s` as an
-argument.
+Rule: nothing else in the playout reads the time; all decisions get `now_s` as an argument.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ A play is a request for the stream from a frame on, and the threads that carry i
 one that runs and begins another; at the end of a loop the next one is asked for as soon as all of
 the one before has come, so that its first frame shows a frame time after the last one.
 
-conduct_thread begins and ends plays; whoever draws polls; commands may come from any thread.
+conduct_thread begins and ends plays; the renderer polls; commands may come from any thread.
 """
 
 from __future__ import annotations
@@ -254,7 +254,7 @@ class Conductor:
     def share(self) -> float:
         """How much of the way from the frame before to the one that shows is over, for a Renderer's
         `glide`: less than 1 only where time passes slowly, and then up to a frame later than the
-        frame itself is due. Who stops sees an exact frame."""
+        frame itself is due. A paused playback shows an exact frame."""
         with self._changed:
             if self._newest is None or self._clock.rate >= 1 or not self._clock.running:
                 return 1.0

@@ -96,8 +96,8 @@ class Events:
             self._changed.notify_all()
 
     def client_status(self, least_s: float, most_s: float) -> ClientStatus | None:
-        """How the playback stands, `most_s` seconds from now, or sooner (`least_s` at least) when
-        something has changed that who sends should know. None once nothing more will come."""
+        """The state of the playback, `most_s` seconds from now, or sooner (`least_s` at least) when
+        something has changed that the sender should know. None once nothing more will come."""
         with self._changed:
 
             def over() -> bool:
@@ -112,7 +112,7 @@ class Events:
             return ClientStatus(
                 frame,
                 min(buffer_s, MAX_BUFFER_S),
-                # A clock that is not real stands while the queue is full: nobody has paused.
+                # A clock that is not real stands while the queue is full: that is no pause.
                 paused=self._clock.real and not self._clock.running,
                 busy=self._full,
             )
@@ -131,7 +131,7 @@ class Events:
             self._changed.notify_all()
 
     def stop(self) -> None:
-        """Wakes everybody who waits."""
+        """Wakes all waiting threads."""
         with self._changed:
             self._stopped = True
             self._changed.notify_all()
@@ -206,14 +206,14 @@ class Handoff:
             self._changed.notify_all()
 
     def finish(self, failure: BaseException | None = None) -> None:
-        """Nothing will follow; `failure` is raised by whoever asks for more."""
+        """Nothing will follow; asking for more raises `failure`."""
         with self._changed:
             self._finished = True
             self._failure = failure
             self._changed.notify_all()
 
     def stop(self) -> None:
-        """Wakes everybody who waits."""
+        """Wakes all waiting threads."""
         with self._changed:
             self._stopped = True
             self._changed.notify_all()

@@ -56,7 +56,7 @@ class Transport:
 
     @property
     def newest(self) -> int:
-        """Where one goes to who wants to see what is newest."""
+        """The frame to seek to for the newest pictures."""
         if self.end_frame is not None:
             return self.last_frame
         return self.seek(self.last_frame - round(self.lead_s * self.fps))

@@ -167,7 +167,7 @@ class _Playback:
     def _load_preview(self) -> Preview:
         found = self._opener.preview()
         if found is None:
-            # Who has no manifest says what is wrong to who plays it.
+            # Without a manifest, opening the stream says what is wrong.
             with closing(self._open(self._config.frames.first)) as source:
                 found = Preview(source.manifest, None)
         return found
@@ -297,7 +297,7 @@ class _Files:
 
 def _playout(config: PlayConfig, source: Source, play: int, not_before_s: float) -> Playout:
     windowed = config.capture is None
-    # Who has said how many layers to show gets them.
+    # A player with a fixed number of layers waits for all of them.
     needed = 1 if source.adaptive else source.num_layers
     return Playout(
         source.manifest,

@@ -29,7 +29,7 @@ from .openscene import Scene
 Floats = npt.NDArray[np.float32]
 
 HOST = "127.0.0.1"
-"""Where the server listens: who can reach it can move the slider."""
+"""Where the server listens: every client that reaches it can move the slider."""
 
 LOOK_S = 0.005
 """Seconds between two looks at the controls."""
@@ -172,7 +172,7 @@ class ViserView:
         self._slider = gui.add_slider("frame", first, max(last, first + 1), 1, first)
 
     def show(self, frame: int) -> None:
-        """Sends the Gaussians of `frame` to whoever looks on, now and later. Raises what
+        """Sends the Gaussians of `frame` to all clients, present and future. Raises what
         `Scene.splats` raises."""
         arrays = viser_arrays(self._scene.splats(frame))
         if self._gaussians is None:

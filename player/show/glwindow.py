@@ -55,7 +55,7 @@ class GlWindow:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Width and height of the picture in it; 0 while nobody sees it."""
+        """Width and height of the picture in it; 0 while it is hidden."""
         width_px, height_px = glfw.get_framebuffer_size(self.handle)
         return int(width_px), int(height_px)
 

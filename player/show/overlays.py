@@ -13,7 +13,7 @@ from .playmeter import PlayMeter
 Make = Callable[[], tuple[Pixels, tuple[int, int]]]
 
 INFO_EVERY_S = 0.25
-"""Seconds between two looks at the figures: faster, nobody reads them."""
+"""Seconds between two updates of the figures: faster, they cannot be read."""
 
 
 class Overlays:

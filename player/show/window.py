@@ -89,7 +89,7 @@ class _Shown:
         while not self._window.is_closed:
             glfw.poll_events()
             now_s = time.monotonic()
-            # Only who looks at the figures waits for the GPU after each step.
+            # Only while the figures show does each step wait for the GPU.
             renderer.times = renderer.times or StepTimes() if self._controls.shows_info else None
             for record in self._conductor.poll():
                 waiting.append(record)
@@ -104,7 +104,7 @@ class _Shown:
             if frame is None:
                 self._poster.draw()
             if frame is None or state == drawn or not all(size):
-                self._noted(waiting, None, note)  # nobody sees a window without a size
+                self._noted(waiting, None, note)  # a window without a size shows nothing
                 time.sleep(IDLE_S)
                 continue
             camera = self._view.applied(self._path(frame)).fitted(*size)

@@ -187,7 +187,7 @@ class HostedSource:
             return CheckedObject.check(self._mirrors.url(reference), kept, manifest, record, part)
         found = self._mirrors.get(reference, size)
         if found.pieced and hashlib.sha256(found.data).digest() != sha256:
-            # Two answers that do not belong together; who gives one whole gets no other chance.
+            # Its pieces do not belong together. A whole answer is not requested again.
             found = self._mirrors.get(reference, size)
         data = bytes(found.data)
         try:

@@ -140,7 +140,7 @@ class Opener:
         place = self._find(fetcher)
         if isinstance(place, Path):
             return DirectorySource(place, frames, layers, max_gaussians=self._max_gaussians)
-        # Whoever hears of the link does not start blind.
+        # A known rate of the link is where the next estimate starts.
         last_play = self._last.play if self._last else NO_PLAY
         if isinstance(place, ServedPlace):
             retry = self._config.retry

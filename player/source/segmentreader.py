@@ -1,6 +1,6 @@
 """Packets from whole objects, segment by segment: what a folder and a static host have in common.
 
-Rule: no I/O; whoever fetches asks which parts of which segment are wanted.
+Rule: no I/O; the caller asks which parts of which segment are wanted, and fetches them.
 """
 
 from __future__ import annotations

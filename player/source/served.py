@@ -229,7 +229,7 @@ class ServedSource:
                 idle.received(len(piece))
                 return piece
             if self._paused and not idle.num_bytes:
-                idle.useful(time.monotonic())  # who shows nothing more is owed nothing
+                idle.useful(time.monotonic())  # a paused player needs no data
         reason = f"{self.name}: {idle.reason(time.monotonic())}"
         raise FetchError(reason) if idle.num_bytes else BrokenError(reason)
 
@@ -273,7 +273,7 @@ class ServedSource:
             if packets is not None:
                 retry.progress()
                 yield packets
-                # Whoever takes them may have taken his time.
+                # The caller may have taken its time with them.
                 self._idle.useful(time.monotonic())
 
     def _reconnect(self) -> None:

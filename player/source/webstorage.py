@@ -106,7 +106,7 @@ class WebStorage:
         except MissingError:
             return None
 
-    # What nobody asks of a single stream.
+    # A single stream needs none of these.
 
     def stamp(self, path: str) -> Stamp | None:
         raise UnreadableError(f"{self.place(path)}: {_UNLISTED}")

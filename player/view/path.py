@@ -32,7 +32,7 @@ ENDLESS_TURN_S = 10.0
 """Duration of a turn around a stream whose end is not known, in seconds."""
 
 MAX_UNASKED_PX = 4096
-"""Longest side of a picture whose size nobody asked for, in pixels."""
+"""Longest side of a picture without a requested size, in pixels."""
 
 LEAST_SPREAD = 1e-3
 """See `closest_point`. Cameras whose axes spread less (1.8 degrees) look the same way: where these

@@ -1,6 +1,6 @@
 """The cameras that a user moves through while frames show, as key frames that keyframes.py reads.
 
-Rule: pure; whoever has the window says which camera showed in which frame, and writes the bytes.
+Rule: pure; the window says which camera showed in which frame, and writes the bytes.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One thing for a worker to do. Whoever does it again gets the same bytes."""
+    """One piece of work for a worker. Doing it again gives the same bytes."""
 
     run: Run
     kind: Kind

@@ -66,7 +66,7 @@ def _add_ball(parts: PartList, time_s: float, seed: int) -> None:
 
 
 def _add_figure(parts: PartList, walked_m: float, time_s: float) -> list[int]:
-    """Adds a person who has walked that far along the circle; gives where each group of parts
+    """Adds a person after `walked_m` along the circle; gives where each group of parts
     ends."""
     root, forward = _path_place(walked_m)
     right = np.cross(-_UP, forward)

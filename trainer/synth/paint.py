@@ -189,7 +189,7 @@ def paint_room(face: int, p: Vector, wall_pictures: Table, seed: int) -> Rgb:
     if face == CEILING:
         beam = abs((x + 0.6) / 1.2 - math.floor((x + 0.6) / 1.2) - 0.5)
         return grain(_OAK_DARK if beam < 0.07 else _WHITE, 5 * x, 0.0, 1.2 * z, 0.08, seed)
-    # u grows to the right of who looks at the wall.
+    # u grows to the right as one looks at the wall.
     u, wall = x, _PLASTER
     if face == FRONT:
         u, wall = -x, _SAGE

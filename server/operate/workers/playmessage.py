@@ -19,7 +19,7 @@ _TOKEN = re.compile(r"(0|[1-9][0-9]{0,2})-[A-Za-z0-9_-]{16,60}", re.ASCII)
 _ISSUED = re.compile(r"[0-9]{1,3}-([0-9a-f]{9})[A-Za-z0-9_-]{42}", re.ASCII)
 
 MAX_TOKEN_AGE_S = 86_400
-"""Age at which a token lets nobody continue a play any more, seconds."""
+"""Age at which a token can no longer continue a play, seconds."""
 
 _MAC_BYTES = 15
 
