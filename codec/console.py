@@ -52,8 +52,8 @@ class Ended(KeyboardInterrupt):
 
 @contextmanager
 def ending_by_signals() -> Iterator[None]:
-    """Makes a signal of ENDING raise Ended in the main thread, unless it is ignored or has a handler
-    already. A second signal does not disturb the clean-up."""
+    """Makes a signal of ENDING raise Ended in the main thread, unless it is ignored or has a
+    handler already. A second signal does not disturb the clean-up."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

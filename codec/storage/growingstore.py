@@ -88,8 +88,8 @@ class GrowingStore(StorePrefix):
             self._version = self._check_same(self._shape.log, log, error)
 
     def _replace(self, path: str, data: bytes) -> Version:
-        """Overwrites what is at `path` already: put there by an earlier writer that does not know yet
-        that it was replaced, or by this one, whose answer was lost."""
+        """Overwrites what is at `path` already: put there by an earlier writer that does not know
+        yet that it was replaced, or by this one, whose answer was lost."""
         self._swap(self._log + os.urandom(TOKEN_BYTES))  # raises if it is the other way round
         try:
             return self.put(path, data, self.version(path))

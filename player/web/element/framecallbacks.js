@@ -22,7 +22,7 @@ export class FrameCallbacks {
   }
 
   /**
-   * A frame has been drawn: calls back whoever has asked before this call.
+   * A frame has been drawn: runs the callbacks that were registered before this call.
    * @param {number} mediaTime seconds
    * @param {number} width pixels
    * @param {number} height pixels

@@ -2,7 +2,7 @@
 const MOST_WAITING = 4;
 
 /**
- * The page's players that nobody sees, the longest unseen first.
+ * The page's players out of view, the longest unseen first.
  * @type {Set<{ park: () => void }>}
  */
 const waiting = new Set();

@@ -228,7 +228,7 @@ export class SwingsPlayerElement extends MediaInterface {
       const path = event.composedPath();
       if (!path.includes(menu.root) && !path.includes(menu.button)) menu.close(false);
     });
-    // The picture has a ring for who came by Tab, and none after any other key.
+    // The picture has a ring where Tab brought the focus, and none after any other key.
     on("keyup", (event) => {
       if (/** @type {KeyboardEvent} */ (event).key === "Tab") this.#frame.classList.add("tabbed");
     });
@@ -246,7 +246,7 @@ export class SwingsPlayerElement extends MediaInterface {
       this.#showPoster(player, manifest.poster);
     }
     this.#parts?.bar.showChoices();
-    // Who wants less motion starts it, and each round of it.
+    // With reduced motion the viewer starts it, and each round of it.
     this.#setLoop(this.loop && !prefersStill());
   }
 

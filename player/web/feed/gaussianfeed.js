@@ -55,7 +55,7 @@ export class GaussianFeed extends EventTarget {
         else if (data.kind !== "state") this.#say(data.kind, data.message);
       };
     });
-    // Who does not await it hears `failed`.
+    // A page that does not await it gets the event `failed`.
     this.opened.catch(() => {});
     for (const worker of [this.player, this.keeper]) {
       worker.onerror = ({ message }) =>
@@ -90,34 +90,34 @@ export class GaussianFeed extends EventTarget {
 
   /** Plays, from the first frame after the last one has shown. Not before it is open. */
   play() {
-    this.#tell({ kind: "play", playing: true });
+    this.#post({ kind: "play", playing: true });
   }
 
   pause() {
-    this.#tell({ kind: "play", playing: false });
+    this.#post({ kind: "play", playing: false });
   }
 
   /** @param {number} frame */
   seek(frame) {
     const seeks = this.#seeks + 1;
-    this.#tell({ kind: "seek", frame, seeks });
+    this.#post({ kind: "seek", frame, seeks });
     this.#seeks = seeks;
     this.isSeeking = true;
   }
 
   /** @param {number} rate 1 is the stream's own */
   setRate(rate) {
-    this.#tell({ kind: "rate", rate });
+    this.#post({ kind: "rate", rate });
   }
 
   /** @param {boolean} loop */
   setLoop(loop) {
-    this.#tell({ kind: "loop", loop });
+    this.#post({ kind: "loop", loop });
   }
 
   /** Shows this many layers at most. @param {number} most */
   setLayers(most) {
-    this.#tell({ kind: "layers", most });
+    this.#post({ kind: "layers", most });
   }
 
   /** Ends all. */
@@ -139,7 +139,7 @@ export class GaussianFeed extends EventTarget {
   }
 
   /** @param {object} message */
-  #tell(message) {
+  #post(message) {
     if (this.stream === null)
       throw new Error("the stream is not open yet; await feed.opened first");
     this.player.postMessage(message);

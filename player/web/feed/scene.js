@@ -1,4 +1,4 @@
-/** What shows, slot by slot, and what of it is new to whoever looks now and then. */
+/** What shows, slot by slot, and what of it is new since the last look. */
 
 import { numCoefficients } from "../format/gaussians.js";
 import { SH_C0 } from "../constants.js";
@@ -61,7 +61,7 @@ export function copyRows(from, fromRow, to, toRow, count) {
   }
 }
 
-/** As large as the stream's slots, however long nobody looks. */
+/** As large as the stream's slots, however long ago the last look was. */
 export class Scene {
   /**
    * @param {number} numSlots

@@ -137,7 +137,7 @@ export class ServerRetry {
     this.why = GONE;
     this.tries = 0;
     this.sinceMs = 0;
-    /** Whether nobody waits any more. */
+    /** Whether nothing waits for it any more. */
     this.isOver = false;
   }
 

@@ -272,7 +272,7 @@ export class SegmentCache {
     for (const segment of this.segments.keys()) {
       const distance = this.#distance(segment);
       if (segment === newest || distance <= (isLoop ? 1 : this.aheadSegments)) continue;
-      // Without a loop nobody knows what plays again: the least recently used one, the first, goes.
+      // Without a loop it is unknown what plays again: the least recently used one, the first, goes.
       const rank = isLoop ? distance : 0;
       if (rank <= farthest) continue;
       farthest = rank;

@@ -4,7 +4,7 @@
  */
 
 /**
- * A request whose response nobody has taken yet.
+ * A request whose response has not been taken yet.
  * @typedef {object} EarlyRequest
  * @property {Promise<Response>} response
  * @property {AbortController} abort
