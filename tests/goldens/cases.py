@@ -53,6 +53,7 @@ CASES = (
     Case("still", 6, 2, (5,), 3, still=True),
     Case("far", 12, 2, (5, 3, 2), 5, far=True),
     Case("late-and-escaped", 14, 3, (6, 2), 6, late=True, escapes=True),
+    Case("harmonics", 8, 2, (4, 2), 4, sh_degree=3, escapes=True),
 )
 
 STATUSES = KEPT, PREDICTED, NEW, KEPT, PREDICTED, ENDED, KEPT

@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from codec.errors import CodecError
 from codec.slots.slotlayout import SlotLayout
+from codec.slots.snapshot import decode_snapshot
 from tests.goldens.decoder import Shape
 from tests.goldens.reader import Reader
 from tests.support.slots.hostile_slots import altered
@@ -124,9 +126,23 @@ def arrivals_of(shape: Shape, chunks: Chunks, seed: int, altered_share: float = 
                 timed.append((float(rng.uniform(first - 2, max(due_s, join))), item))
             elif rng.random() >= lost:
                 if rng.random() < altered_share:
-                    item = replace(item, chunk=altered(item.chunk, random_bytes))
+                    other = replace(item, chunk=altered(item.chunk, random_bytes))
+                    # One that can be read contradicts a layer that is whole: a reader may skip it.
+                    if first <= join or not _is_snapshot(shape, other):
+                        item = other
                 timed.append((float(rng.uniform(first - 2, end - 0.5)), item))
     return Arrivals(shape, join, [event for _, event in sorted(timed, key=lambda one: one[0])])
+
+
+def _is_snapshot(shape: Shape, item: Item) -> bool:
+    """Whether `item` is a snapshot that can be read."""
+    if not isinstance(item, Snapshot):
+        return False
+    try:
+        decode_snapshot(layout_of(shape), item.chunk)
+    except CodecError:
+        return False
+    return True
 
 
 def _items(
