@@ -35,6 +35,7 @@ from bench.serve.processes import family
 from codec.console import run_command
 from codec.errors import InvalidError
 from codec.tools.audit import verify_stream
+from trainer.parts.cluster import keeping_signals
 from trainer.run.runlog import LOG_NAME
 
 LOOK_S = 0.1
@@ -119,7 +120,8 @@ def cluster_of(workers: int) -> Iterator[str]:
     """The address of a cluster of this machine that has a core for each worker."""
     from ray.cluster_utils import Cluster
 
-    cluster: Any = Cluster(initialize_head=True, head_node_args={"num_cpus": workers})
+    with keeping_signals():
+        cluster: Any = Cluster(initialize_head=True, head_node_args={"num_cpus": workers})
     try:
         yield cluster.address
     finally:

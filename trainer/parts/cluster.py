@@ -46,7 +46,7 @@ def open_cluster(address: str, least_cpus: float, console: Console) -> Iterator[
         options["num_cpus"] = max(os.cpu_count() or 1, math.ceil(least_cpus))
     _check_listens(address)
     try:
-        with _keeping_signals():
+        with keeping_signals():
             ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
     except Exception as error:  # where a node does not start in time, Ray raises no narrower one
         raise InvalidError(f"--ray {address}: {' '.join(str(error).split())}") from error
@@ -94,7 +94,7 @@ class RayOutput(io.TextIOBase):
 
 
 @contextmanager
-def _keeping_signals() -> Iterator[None]:
+def keeping_signals() -> Iterator[None]:
     """Ray would end the process by itself when it is asked to end, without a word."""
     handler = signal.getsignal(signal.SIGTERM)
     try:
