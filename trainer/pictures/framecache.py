@@ -34,7 +34,7 @@ DEFAULT_MAX_REQUESTS = 256
 
 @dataclass(frozen=True, slots=True)
 class CacheStatistics:
-    """Hits and misses of a cache so far."""
+    """Counters of a cache so far, and its size."""
 
     hits: int
     """Pictures and masks answered from memory."""

@@ -40,14 +40,14 @@ Floats = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """The space that the training cameras of an inward rig see."""
+    """Points that the training cameras of an inward rig see."""
 
     points: Floats  # (P, 3) float32, metres, world: the capture's own
     stereo: Floats  # (Q, 3) float32, metres, world: what cameras agree on, in a few frames
 
 
 def look(capture: Capture, frames: range) -> Seen | None:
-    """The space that the training cameras see in the first, the middle and the last of `frames`.
+    """Points that the training cameras see in the first, the middle and the last of `frames`.
 
     None for a rig without a centre: it declares its depths itself, or has none. Raises
     CaptureError when a picture cannot be read.

@@ -44,7 +44,7 @@ def bare_targets(config: TrainConfig) -> list[Target]:
 
 
 BARE_NAMES = {MANIFEST_NAME, INDEX_NAME, SEGMENTS_NAME}
-"""The objects of a stream without a frame."""
+"""Names in the folder of a stream without a frame."""
 
 
 def _is_bare(target: Target) -> bool:
@@ -60,7 +60,7 @@ def _is_bare(target: Target) -> bool:
 LEFTOVERS = {
     temporary_beside(Path(name)).name for name in (MANIFEST_NAME, INDEX_NAME, CHECKPOINT_NAME)
 }
-"""Temporary files that a killed run may have left."""
+"""Names of temporary files that a killed run may have left."""
 
 
 def clear_bare(targets: Sequence[Target]) -> None:

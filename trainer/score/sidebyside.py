@@ -35,7 +35,7 @@ _PALETTE: Bytes = np.rint(colormaps["inferno"](np.linspace(0, 1, 256))[:, :3] * 
 
 @dataclass(frozen=True, slots=True)
 class SideBySide:
-    """The compared frames and cameras."""
+    """Result of a comparison: camera, frames, PSNR, and the film."""
 
     camera: str
     frames: int

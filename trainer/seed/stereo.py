@@ -44,7 +44,7 @@ TOLERANCE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class DepthMaps:
-    """The cameras' small copies of one frame's pictures, as stereo needs them."""
+    """Depth maps of one frame, for small copies of the cameras' pictures."""
 
     cameras: tuple[Camera, ...]  # of the small pictures
     depths: Floats  # (C, H, W) float32, metres along the viewing axis; 0 where unknown

@@ -1,4 +1,4 @@
-/** What shows, slot by slot, and what of it is new since the last look. */
+/** The Gaussians that show, slot by slot, and which of them are new since the last look. */
 
 import { numCoefficients } from "../format/gaussians.js";
 import { SH_C0 } from "../constants.js";
