@@ -11,7 +11,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 WEB = ROOT / "player" / "web"
-ESBUILD = ROOT / "tests" / "player" / "web" / "node_modules" / "esbuild" / "lib" / "main.js"
+NODE_MODULES = ROOT / "tests" / "player" / "web" / "node_modules"
 
 MODULES = {
     "player.js": "element/swingsplayer.js",
@@ -46,7 +46,7 @@ def bundle() -> dict[str, str]:
 
 def _bundled(source: str, form: str) -> str:
     script = Path(__file__).with_suffix(".mjs")
-    command = ["node", str(script), str(ESBUILD), str(WEB / source), form]
+    command = ["node", str(script), str(NODE_MODULES), str(WEB / source), form]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     return done.stdout
 
