@@ -1,14 +1,17 @@
-"""Pictures of the browser player in each of its states, on a phone, a laptop and a large screen.
+"""Pictures of the browser player in each of its states, and of the server's pages, on a phone, a
+laptop and a large screen.
 
-    scripts/bench states FOLDER [--states menu ended] [--screens phone]
+    scripts/bench states FOLDER [--states menu ended gallery-of-200] [--screens phone]
 
-Look at them after each change of the controls.
+Look at them after each change of the controls or the pages.
 """
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -17,17 +20,18 @@ import tyro
 from codec.console import run_command
 from codec.errors import InvalidError
 from tests.support.web.chromium import running_chromium, why_not
-from tests.support.web.playerstates import SCREENS, STATES, Reached, hosting
+from tests.support.web.galleries import PAGES, serving
+from tests.support.web.playerstates import SCREENS, STATES, Reached, Screen, hosting
 
 
 @dataclass(frozen=True, slots=True)
 class StatesConfig:
-    """Writes pictures of the browser player in each of its states."""
+    """Writes pictures of the browser player in each of its states, and of the server's pages."""
 
     folder: Annotated[Path, tyro.conf.Positional]
     """Where the pictures go, STATE-SCREEN.png."""
-    states: tuple[str, ...] = tuple(STATES)
-    """States to show."""
+    states: tuple[str, ...] = (*STATES, *PAGES)
+    """States and pages to show."""
     screens: tuple[str, ...] = tuple(screen.name for screen in SCREENS)
     """Screens to show them on."""
 
@@ -42,15 +46,25 @@ def run(config: StatesConfig) -> None:
         hosting(Path(streams)) as hosts,
         running_chromium() as page,
     ):
+        screens = [screen for screen in SCREENS if screen.name in config.screens]
+
+        def show(state: str, screen: Screen, reach: Callable[[], None], part: str | None) -> None:
+            reach()
+            page.screenshot(config.folder / f"{state}-{screen.name}.png")
+            found = "; ".join(page.axe(part)) or "accessible"
+            print(f"{state:24} {screen.name:8} {found}", flush=True)
+
         for state in config.states:
-            for screen in SCREENS:
-                if screen.name not in config.screens:
-                    continue
-                STATES[state](Reached(page, hosts, screen))
-                page.screenshot(config.folder / f"{state}-{screen.name}.png")
-                found = page.axe("swings-player")
-                print(f"{state:24} {screen.name:8} {'; '.join(found) or 'accessible'}", flush=True)
+            if state in STATES:
+                for screen in screens:
+                    reached = Reached(page, hosts, screen)
+                    show(state, screen, partial(STATES[state], reached), "swings-player")
+            else:
+                count, reach = PAGES[state]
+                with tempfile.TemporaryDirectory() as root, serving(Path(root), count) as url:
+                    for screen in screens:
+                        show(state, screen, partial(reach, page, url, screen), None)
 
 
 if __name__ == "__main__":
-    run_command(StatesConfig, run, "scripts/bench states", "Shows the player in each state.")
+    run_command(StatesConfig, run, "scripts/bench states", "Shows the player and the pages.")

@@ -1,12 +1,19 @@
-"""The server's list of streams, without a server."""
+"""The server's pages: its list of streams without a server, and both kinds of page from one."""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from codec.stream.poster import POSTER_NAME, write_poster
+from player.render.cpu import render_splats
 from server.html.gallery import Card, card_html, front_page
+from tests.support.hosted_streams import ring_of_cameras, served, wait_for_stream, write_stream
 from tests.support.web.chromium import Page
-from tests.support.web.playerstates import Screen
+from tests.support.web.playerstates import PLAYER, Screen
 
 
 def write_gallery(folder: Path, count: int) -> Path:
@@ -30,3 +37,47 @@ def write_gallery(folder: Path, count: int) -> Path:
 def open_page(page: Page, url: str, screen: Screen) -> None:
     options: dict[str, object] = {"deviceScaleFactor": screen.scale, "isMobile": screen.touch}
     page.open(url, screen.width_px, screen.height_px, screen.touch, (), options)
+
+
+@contextlib.contextmanager
+def serving(folder: Path, count: int) -> Iterator[str]:
+    """The URL of a swings server with `count` streams of one scene, named s0 and so on."""
+    cameras = tuple(camera.scaled(10) for camera in ring_of_cameras())
+    first = write_stream(folder / "s0", 60, cameras=cameras, poster=POSTER_NAME)
+    write_poster(first, render_splats)
+    manifest = json.loads((first / "manifest.json").read_text())
+    for n in range(count):
+        stream = folder / f"s{n}"
+        if n > 0:
+            shutil.copytree(first, stream)
+        title = "A walk through the long hall and back again, take" if n % 3 else "Take"
+        text = json.dumps({**manifest, "title": f"{title} {n + 1}"})
+        (stream / "manifest.json").write_text(text)
+    with served(folder) as server:
+        wait_for_stream(server, f"s{count - 1}")
+        yield server.url
+
+
+def _front(page: Page, url: str, screen: Screen) -> None:
+    open_page(page, url, screen)
+    page.wait("document.images[0]?.naturalWidth > 0", 60)
+
+
+def _watch(page: Page, url: str, screen: Screen) -> None:
+    open_page(page, f"{url}/watch/s0?autoplay=0", screen)
+    page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
+
+
+def _embed(page: Page, url: str, screen: Screen) -> None:
+    _watch(page, url, screen)
+    page.click("button[popovertarget=embed]")
+    page.wait("document.querySelector('#embed').matches(':popover-open')")
+
+
+PAGES: dict[str, tuple[int, Callable[[Page, str, Screen], None]]] = {
+    "gallery-of-1": (1, _front),
+    "gallery-of-200": (200, _front),
+    "watch": (1, _watch),
+    "watch-embed": (1, _embed),
+}
+"""Number of streams of the server, and how the page is reached."""
