@@ -115,14 +115,14 @@ def test_out_of_view_for_a_while(page: Page, url: str, rest_s: int) -> None:
     assert not page.complaints
 
 
-MANY = f"""
+MANY = """
 isHidden = false;
 document.querySelector("swings-player").removeAttribute("autoplay");
-for (let i = 1; i < {NUM_PLAYERS}; i++) {{
+for (let i = 1; i < value; i++) {
   const player = document.createElement("swings-player");
   player.src = "static";
   document.body.insertBefore(player, document.querySelector(".space"));
-}}
+}
 """
 OPEN = (
     "[...document.querySelectorAll('swings-player')].map(({ player }) => player.workers !== null)"
@@ -133,7 +133,7 @@ def test_a_player_that_is_parked(page: Page, url: str) -> None:
     """Of those out of view the longest unseen one keeps nothing but its picture. It opens again in
     view, with its frame, its camera and what was set."""
     page.open(f"{url}/element.html", 400, 150, scripts=(PIXELS,))
-    page.run(MANY)
+    page.run(MANY, NUM_PLAYERS)
     page.run(SHOW)
     page.wait(f"{PLAYER}.shownFrame === 0", 60)
     page.run(f"{ELEMENT}.view = '0.3,0.1,1,0,0'; {ELEMENT}.layers = 1; {ELEMENT}.currentTime = 0.5")
@@ -158,4 +158,22 @@ def test_a_player_that_is_parked(page: Page, url: str) -> None:
     np.testing.assert_array_equal(canvas_of(page), before)
     found = page.run(f"return [{PLAYER}.shownFrame, {ELEMENT}.view, {STATE}.layers, heard]")
     assert found == [15, "0.3,0.1,1,0,0", 1, ["parked", "unparked"]]
+    assert not page.complaints
+
+
+@pytest.mark.slow
+def test_twenty_players_take_the_memory_of_those_that_stay_open(page: Page, url: str) -> None:
+    """One in view, and the few that wait; each of the others has been in view and is parked."""
+    found_bytes: list[int] = []
+    for count in (MOST_WAITING + 1, 20):
+        page.open(f"{url}/element.html", 400, 150)
+        page.run(MANY, count)
+        page.run(SHOW)
+        for number in range(count):
+            page.run("scrollTo(0, 200 * value + 20)", number)
+            player = f"document.querySelectorAll('swings-player')[{number}].player"
+            page.wait(f"{player}?.shownFrame === 0", 60)
+        page.wait(f"({OPEN}).filter(Boolean).length === {MOST_WAITING + 1}")
+        found_bytes.append(sum(page.heaps_bytes()))
+    assert found_bytes[1] < 1.1 * found_bytes[0]
     assert not page.complaints
