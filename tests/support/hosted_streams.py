@@ -26,7 +26,7 @@ from codec.stream.layers import split_counts
 from codec.stream.manifest import Manifest
 from tests.support.commands import ROOT
 
-SWIN_SIZE = 4
+SWIN_SIZE = 5  # the paper's
 SEGMENT_FRAMES = 5
 SLICE_SIZE = 40
 WIDTH_PX, HEIGHT_PX = 64, 48

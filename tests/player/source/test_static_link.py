@@ -170,7 +170,8 @@ def test_a_seek_shows_layer_0_of_that_frame_first(
             watched(opener.open(FrameRange(), None, adaptive=True), until_frame=10)
             monkeypatch.setattr(HostedPlay, "next", recorded)
             source = opener.open(FrameRange(75), None, adaptive=True)
-            assert source.play.rate_bps == pytest.approx(3e6, rel=0.3)
+            assert source.play.rate_bps is not None  # it begins with the rate of the play before
+            assert 1e6 < source.play.rate_bps < 4e6
             got = watched(source, until_frame=100)
     assert got.frames[0].frame == 75
     assert got.startup_s < 0.3
