@@ -33,6 +33,8 @@ class Bundle:
     def __init__(self, data: bytes, what: str) -> None:
         """Raises CorruptError, or UnsupportedError."""
         self._what = what
+        self.num_bytes = len(data)
+        """Size of the archive."""
         self._max_bytes = len(data) + FILE_SLACK_BYTES
         _check_end(data, what)
         try:

@@ -21,6 +21,7 @@ from codec.errors import CorruptError, UnsupportedError
 from codec.splats import Floats
 
 from .jsonfields import MAX_JSON_BYTES, Fields
+from .modelfolder import is_plain_name
 
 MAGIC = b"glTF"
 SPACE = b"\xef\xbb\xbf \t\r\n"
@@ -154,7 +155,7 @@ class Document:
         if uri.startswith("data:"):
             return memoryview(self._decoded(uri, fields.where))
         name = urllib.parse.unquote(uri)
-        if not name.isprintable() or re.search(r"^\.|^$|[/\\:]", name):
+        if not is_plain_name(name):
             raise UnsupportedError(
                 f"{fields.where}: {uri[:40]!r} is not the name of a file beside this one"
             )

@@ -69,6 +69,16 @@ class Fields:
             raise CorruptError(f"{self._place(key)}: is not in 0..{most}")
         return value
 
+    def number(self, key: str) -> float:
+        """A finite number."""
+        value = self.values.get(key)
+        if type(value) not in (int, float) or not abs(value) < math.inf:
+            raise CorruptError(f"{self._place(key)}: is not a finite number")
+        try:
+            return float(value)
+        except OverflowError as error:
+            raise CorruptError(f"{self._place(key)}: is out of range") from error
+
     def numbers(
         self, key: str, count: int, default: tuple[float, ...] | None = None
     ) -> list[float]:

@@ -1,5 +1,5 @@
-"""SOG of version 2 (PlayCanvas, "Spatially Ordered Gaussians"), bundled: a ZIP of meta.json and
-WebP pictures without loss, one pixel a Gaussian, row after row.
+"""SOG of version 2 (PlayCanvas, "Spatially Ordered Gaussians"): meta.json and WebP pictures without
+loss, one pixel a Gaussian, row after row; bundled in a ZIP, or, to be read only, in a folder.
 
     means     two pictures, the low and the high bytes of x, y, z in 16 bits between mins and maxs,
               each as sign(p) ln(1 + |p|)
@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import json
 import logging
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,7 @@ from .levels import (
     unit_quats,
 )
 from .limits import MAX_GAUSSIANS, Decoded, check_count, check_ratio
+from .modelfolder import Files, ModelFolder
 from .webp import decode_webp, encode_webp
 
 META = "meta.json"
@@ -60,15 +62,15 @@ _log = logging.getLogger(__name__)
 
 
 class _Pictures:
-    """The pictures of a bundle with a pixel for each of `count` Gaussians."""
+    """The pictures among `files` with a pixel for each of `count` Gaussians."""
 
-    def __init__(self, bundle: Bundle, count: int) -> None:
-        self._bundle, self._count = bundle, count
+    def __init__(self, files: Files, count: int) -> None:
+        self._files, self._count = files, count
 
     def pixels(self, name: str, needed: int) -> Bytes:
         """(height, width, 4) of a picture that is not much larger than `needed` pixels."""
         most = 2 * needed + SPARE_PIXELS
-        return decode_webp(self._bundle.read(name), f"SOG: {name[:40]!r}", most)
+        return decode_webp(self._files.read(name), f"SOG: {name[:40]!r}", most)
 
     def rows(self, name: str) -> Bytes:
         """(N, 4): a pixel for each Gaussian."""
@@ -109,19 +111,33 @@ def decode_sog(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
     Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`. The flag for
     opacity compensation is only logged: a Splats has no place for it.
     """
-    bundle = Bundle(data, "SOG")
-    meta = Fields.parse(bundle.read(META), f"SOG: {META}")
+    return _decode(Bundle(data, "SOG"), max_gaussians)
+
+
+def decode_sog_folder(path: Path, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
+    """The Gaussians of a SOG of version 2 whose files lie in the folder `path`. Raises as
+    `decode_sog` does."""
+    return _decode(ModelFolder(path, "SOG"), max_gaussians)
+
+
+def is_sog_folder(path: Path) -> bool:
+    """Whether `path` is a folder with what a SOG begins with."""
+    return (path / META).is_file()
+
+
+def _decode(files: Files, max_gaussians: int) -> Splats:
+    meta = Fields.parse(files.read(META), f"SOG: {META}")
     version = meta.integer("version", 1, most=1 << 32)
     if version != VERSION:
         raise UnsupportedError(f"SOG: version {version}; this program reads {VERSION}")
     count = check_count("SOG", meta.integer("count", most=1 << 53), max_gaussians)
-    check_ratio("SOG", count * PIXEL_BYTES, len(data))
+    check_ratio("SOG", count * PIXEL_BYTES, files.num_bytes)
     if meta.flag("antialias"):
         _log.warning(
             "the SOG was trained with opacity compensation, which is left out: "
             "small Gaussians may look too bright"
         )
-    pictures = _Pictures(bundle, count)
+    pictures = _Pictures(files, count)
     degree, entries, labels = 0, np.empty((0, 0, 3), np.float32), np.empty(0, np.uint16)
     if "shN" in meta:
         degree, entries, labels = _harmonics(meta.fields("shN"), pictures)

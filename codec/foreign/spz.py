@@ -46,6 +46,7 @@ from .levels import (
     unit_quats,
 )
 from .limits import MAX_GAUSSIANS, Decoded, check_count, check_ratio
+from .packed import unzstd
 
 MAGIC = 0x5053474E
 HEADER = struct.Struct("<IIIBBBB")
@@ -165,22 +166,6 @@ def _gzip_arrays(data: bytes, header: SpzHeader) -> list[memoryview]:
     return arrays
 
 
-def _zstd_frame(frame: bytes, raw_bytes: int) -> bytes:
-    try:
-        # One that says its size is given that much memory, whatever the limit.
-        said = zstandard.get_frame_parameters(frame).content_size
-        if said not in (zstandard.CONTENTSIZE_UNKNOWN, raw_bytes):
-            raise CorruptError(f"SPZ: an array declares {said} bytes, the table {raw_bytes}")
-        content = zstandard.ZstdDecompressor().decompress(
-            frame, max_output_size=raw_bytes, read_across_frames=False, allow_extra_data=False
-        )
-    except zstandard.ZstdError as error:
-        raise CorruptError(f"SPZ: {error}") from error
-    if len(content) != raw_bytes:
-        raise CorruptError(f"SPZ: an array of {len(content)} bytes, not {raw_bytes}")
-    return content
-
-
 def _zstd_arrays(data: bytes, header: SpzHeader) -> list[memoryview]:
     """The arrays of version 4."""
     num_arrays, table_offset = HEADER_V4.unpack_from(data)[6:8]
@@ -197,7 +182,7 @@ def _zstd_arrays(data: bytes, header: SpzHeader) -> list[memoryview]:
             raise CorruptError(f"SPZ: an array of {raw_bytes} bytes, not {expected}")
         if offset + size > len(data):
             raise CorruptError(f"SPZ: ends inside an array: {len(data)} bytes of {offset + size}")
-        arrays.append(memoryview(_zstd_frame(data[offset : offset + size], expected)))
+        arrays.append(memoryview(unzstd(data[offset : offset + size], expected, "SPZ: an array")))
         offset += size
     return arrays or [memoryview(b"")] * len(header.array_bytes)
 

@@ -2,28 +2,40 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 from codec.errors import InvalidError
+from codec.files import replacing
 from codec.foreign.spz import SpzVersion
 from codec.framerange import FrameRange
 from codec.storage.openstorage import Place
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
 from .formats import SplatFormat, write_splats
+from .fourdgsexport import encode_fourdgs
+from .sequences import Precision, SequenceFormat
+from .splat4dexport import write_splat4d
+
+_log = logging.getLogger(__name__)
 
 NUMBER_DIGITS = 4
 """Fewest digits of a frame number in a file name: `name_0000.ply`."""
 
 
-def chosen_format(out: Path, format: SplatFormat | None) -> SplatFormat:
+def chosen_format(
+    out: Path, format: SplatFormat | SequenceFormat | None
+) -> SplatFormat | SequenceFormat:
     """`format`, or the one that the name of `out` ends with. Raises InvalidError for neither."""
     if format is not None:
         return format
+    suffix = out.suffix.lower().removeprefix(".")
+    if suffix in set(SequenceFormat):
+        return SequenceFormat(suffix)
     try:
-        return SplatFormat(out.suffix.lower().removeprefix("."))
+        return SplatFormat(suffix)
     except ValueError as error:
-        names = ", ".join(SplatFormat)
+        names = ", ".join([*SplatFormat, *SequenceFormat])
         raise InvalidError(f"{out}: give --format, one of {names}") from error
 
 
@@ -43,19 +55,30 @@ def export_stream(
     out: Path,
     frame: int | None,
     frames: str | None,
-    format: SplatFormat | None,
+    format: SplatFormat | SequenceFormat | None,
     layers: int | None,
     spz_version: SpzVersion | None = None,
     max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
+    precision: Precision | None = None,
 ) -> list[Path]:
-    """Writes what shows at `frame` to `out`, or each of `frames` to `out`_NNNN.
+    """Writes what shows at `frame` to `out`, or each of `frames` to `out`_NNNN; or, in a
+    SequenceFormat, all of `frames` to `out` with a `precision`.
 
-    `layers` counts from the most important one; all by default. Existing files are replaced.
-    max_gaussians: see `check_gaussians`. Raises a SwingsError; the files written before it stay.
+    `layers` counts from the most important one; all by default, as are `frames` of a sequence.
+    Existing files are replaced. max_gaussians: see `check_gaussians`. Raises a SwingsError; the
+    files written before it stay.
     """
+    format = chosen_format(out, format)
+    if isinstance(format, SequenceFormat):
+        if frame is not None or spz_version is not None:
+            raise InvalidError(f"{format} holds a sequence; choose its frames by --frames A:B")
+        reader = StreamReader(stream, max_gaussians)
+        _export_sequence(reader, out, frames, format, layers, precision or Precision.FINE)
+        return [out]
+    if precision is not None:
+        raise InvalidError(f"--precision is for 4dgs and splat4d; the files would be {format}")
     if (frame is None) == (frames is None):
         raise InvalidError("give either --frame F or --frames A:B")
-    format = chosen_format(out, format)
     if spz_version is not None and format is not SplatFormat.SPZ:
         raise InvalidError(f"--spz-version is for spz; the files would be {format}")
     reader = StreamReader(stream, max_gaussians)
@@ -77,3 +100,27 @@ def export_stream(
             raise InvalidError(f"{path} cannot be written: {error.strerror}") from error
         written.append(path)
     return written
+
+
+def _export_sequence(
+    reader: StreamReader,
+    out: Path,
+    frames: str | None,
+    format: SequenceFormat,
+    layers: int | None,
+    precision: Precision,
+) -> None:
+    """Writes `frames` to the file `out`, whole or not at all."""
+    wanted = FrameRange.parse(frames or "0:").of(reader.num_frames, reader.name)
+    layers = reader.manifest.num_layers if layers is None else layers
+    if reader.manifest.sh_degree:
+        _log.warning("%s is written without harmonics: colours do not depend on the view", format)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(out) as temporary:
+            if format is SequenceFormat.SPLAT4D:
+                write_splat4d(temporary, reader, wanted, layers, precision)
+            else:
+                temporary.write_bytes(encode_fourdgs(reader, wanted, layers, precision))
+    except OSError as error:
+        raise InvalidError(f"{out} cannot be written: {error.strerror}") from error

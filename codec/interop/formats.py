@@ -14,10 +14,11 @@ from codec.foreign.bundle import MAGIC as ZIP_MAGIC
 from codec.foreign.compressed_ply import compressed_layout, decode_compressed_ply, is_compressed
 from codec.foreign.gltf import decode_gltf, encode_glb, encode_gltf
 from codec.foreign.gltfbuffers import Beside, check_glb, is_gltf, nothing_beside
+from codec.foreign.ksplat import decode_ksplat, ksplat_count
 from codec.foreign.limits import MAX_GAUSSIANS
 from codec.foreign.ply import decode_ply, encode_ply, ply_layout
 from codec.foreign.plyheader import MAX_HEADER_BYTES, read_ply_elements
-from codec.foreign.sog import decode_sog, encode_sog
+from codec.foreign.sog import META, decode_sog, decode_sog_folder, encode_sog, is_sog_folder
 from codec.foreign.splat import decode_splat, encode_splat, splat_count
 from codec.foreign.spz import SpzVersion, decode_spz, encode_spz, spz_header
 from codec.splats import Splats
@@ -26,8 +27,10 @@ HEAD_BYTES = MAX_HEADER_BYTES
 """Bytes of a file that are read first; the headers of formats other than PLY are shorter."""
 MAX_FILE_BYTES = MAX_GAUSSIANS * 248 + (1 << 20)
 """Longest file read: the most Gaussians as a PLY of SH degree 3, 248 bytes each."""
-READ = ".ply, compressed .ply, .spz, .splat, bundled .sog, .glb and .gltf"
+READ = ".ply, compressed .ply, .spz, .splat, .ksplat, .sog, .glb and .gltf"
 """The files that are read, in words."""
+SPLAT, KSPLAT = ".splat", ".ksplat"
+"""Names of formats that have no magic."""
 
 
 class SplatFormat(StrEnum):
@@ -53,7 +56,13 @@ ENCODERS: dict[SplatFormat, Callable[[Splats], bytes]] = {
 
 def has_known_suffix(path: Path) -> bool:
     """Whether the name of `path` ends like a file of Gaussians."""
-    return path.suffix.lower().removeprefix(".") in set(SplatFormat)
+    suffix = path.suffix.lower()
+    return suffix == KSPLAT or suffix.removeprefix(".") in set(SplatFormat)
+
+
+def is_model_folder(path: Path) -> bool:
+    """Whether `path` is a folder whose files are one model, an unbundled SOG."""
+    return is_sog_folder(path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +76,7 @@ class _Reading:
 
 
 _SPLAT = _Reading(lambda _, file_bytes, most: splat_count(file_bytes, most), decode_splat)
+_KSPLAT = _Reading(ksplat_count, decode_ksplat)
 _COMPRESSED_PLY = _Reading(compressed_layout, decode_compressed_ply)
 _PLY = _Reading(ply_layout, decode_ply)
 _SPZ = _Reading(spz_header, decode_spz)
@@ -75,8 +85,10 @@ _SOG = _Reading(lambda *_: None, decode_sog)
 
 def _reading(head: bytes, suffix: str, beside: Beside = nothing_beside) -> _Reading:
     """How to read a file that begins with `head`. Raises a CodecError if that is unknown."""
-    if suffix.lower() == ".splat":
+    if suffix.lower() == SPLAT:
         return _SPLAT
+    if suffix.lower() == KSPLAT and head:
+        return _KSPLAT
     if head.startswith(b"ply"):
         return _COMPRESSED_PLY if is_compressed(read_ply_elements(head)) else _PLY
     if head.startswith((b"NGSP", b"\x1f\x8b")):
@@ -94,8 +106,8 @@ def _reading(head: bytes, suffix: str, beside: Beside = nothing_beside) -> _Read
 
 
 def decode_any(data: bytes, suffix: str = "", max_gaussians: int = MAX_GAUSSIANS) -> Splats:
-    """The Gaussians of a file that begins as a known format, or is called .splat, which has no
-    magic.
+    """The Gaussians of a file that begins as a known format, or is called .splat or .ksplat, which
+    have no magic.
 
     Raises CorruptError, or UnsupportedError, which is also for a file that claims more than
     `max_gaussians`: nothing of it is decoded.
@@ -109,11 +121,18 @@ def _beside(path: Path, name: str) -> bytes:
 
 
 def read_splats(path: Path, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
-    """The Gaussians of the file at `path`, at most `max_gaussians`.
+    """The Gaussians of the file at `path`, at most `max_gaussians`. It may also be the folder of an
+    unbundled SOG, or the meta.json in one.
 
     Raises a CodecError that names the file. One that its size or its first bytes rule out is not
     read any further.
     """
+    if path.name == META or is_sog_folder(path):
+        folder = path.parent if path.name == META else path
+        try:
+            return decode_sog_folder(folder, max_gaussians)
+        except CodecError as error:
+            raise error.within(path) from error
     head, file_bytes = read_head(path, HEAD_BYTES)
     try:
         reading = _reading(head, path.suffix, partial(_beside, path))

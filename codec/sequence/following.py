@@ -130,7 +130,7 @@ def follow_folder(
         arrivals.next_number = follower.next_number
         first = None
     else:
-        options = replace(options, fps=fps_of(folder, 2, options))
+        options = replace(options, fps=fps_of(folder, options))
         first = waiting.next()
         while first is not None and first.splats is None:
             first = waiting.next()  # nothing stands for what is before the first frame

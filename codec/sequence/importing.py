@@ -19,6 +19,7 @@ from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.files import making_folder
 from codec.framerange import FRAMES, FrameRange
+from codec.interop.containers import ContainedFrame
 from codec.lattice.lattice import Lattice
 from codec.lattice.quantise import layer_coarseness
 from codec.pose import Doubles
@@ -36,7 +37,7 @@ from codec.stream.writer import StreamWriter
 
 from .errorbound import HOLD, KINDS, ErrorBound, steps_of
 from .importscore import ImportScore, cameras_around
-from .numberedfiles import FPS_NAME, find_files
+from .numberedfiles import FPS_NAME, FramePlace, find_frames
 from .slotfiller import SlotFiller, SlotPlan
 from .survey import Survey, read_frame
 
@@ -67,7 +68,8 @@ class ImportOptions:
     """Settings of an import."""
 
     fps: float | None = None
-    """Frames per second. A sequence needs it, either here or as a number in its fps.txt."""
+    """Frames per second. A folder needs it, either here or as a number in its fps.txt; a .4dgs or
+    .splat4d file has its own."""
     frames: Annotated[FrameRange, FRAMES] = field(default_factory=FrameRange)
     """Range of files A:B, A included, B not, counted from 0."""
     layers: int = 4
@@ -229,11 +231,12 @@ def still_lattices(splats: Splats, plan: SlotPlan, rank: RankFunction) -> tuple[
     return tuple(plan.lattices[0].coarser(min(f, HOLD / 0.5)) for f in coarseness)
 
 
-def fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
-    """Frames in a second, from the options or the folder. Raises InvalidError."""
-    path = source / FPS_NAME
-    fps = STILL_FPS if options.fps is None else options.fps
-    if options.fps is None and num_files > 1:
+def fps_of(source: Path, options: ImportOptions, known: float | None = None) -> float:
+    """Frames in a second, from the options, or `known`, or a file in the folder `source`. Raises
+    InvalidError."""
+    fps = known if options.fps is None else options.fps
+    if fps is None:
+        path = source / FPS_NAME
         if not path.is_file():
             raise InvalidError(
                 f"{source}: no file gives the frame rate; add --fps, for example --fps 30"
@@ -249,6 +252,14 @@ def fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
     return fps
 
 
+def _known_fps(frames: list[FramePlace]) -> float | None:
+    """Frames in a second of a container or of a still model."""
+    first = frames[0]
+    if len(frames) == 1:
+        return STILL_FPS
+    return first.reader.fps if isinstance(first, ContainedFrame) else None
+
+
 def _nothing(done: int, total: int, what: str) -> None:
     pass
 
@@ -260,16 +271,17 @@ def import_stream(
     draw: Draw | None = None,
     progress: Progress = _nothing,
 ) -> Imported:
-    """Writes a finished stream at `stream`, absent or an empty folder, of the file or numbered
-    folder `source`; with PSNR, a poster and a storyboard if there is something to draw them with.
+    """Writes a finished stream at `stream`, absent or an empty folder, of the file, numbered folder
+    or container `source`; with PSNR, a poster and a storyboard if there is something to draw them
+    with.
 
-    Each file of a sequence is read twice: the manifest comes first and describes them all, and two
+    Each frame of a sequence is read twice: the manifest comes first and describes them all, and two
     at most are in memory at a time. The stream appears whole or not at all. Raises a SwingsError
     that names the file at fault.
     """
-    all_files = find_files(source)
+    all_files = find_frames(source)
     files = [all_files[n] for n in options.frames.of(len(all_files), source)]
-    options = replace(options, fps=fps_of(source, len(files), options))
+    options = replace(options, fps=fps_of(source, options, _known_fps(files)))
     with making_folder(stream) as folder:
         num_steps = (1 + WRITE_STEPS) * len(files)
         survey, source_sh_degree, num_escaped = Survey(), 0, 0
@@ -335,7 +347,7 @@ def _known(rank: Rank) -> Rank:
     return rank
 
 
-def _unchanged(file: Path, splats: Splats, survey: Survey) -> Splats:
+def _unchanged(file: FramePlace, splats: Splats, survey: Survey) -> Splats:
     """`splats`, read of `file` again. Raises InvalidError if `survey` saw others."""
     if splats.sh_degree != survey.sh_degree or len(splats) > survey.num_gs:
         raise InvalidError(f"{file}: changed while it was imported")

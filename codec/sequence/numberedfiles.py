@@ -1,4 +1,5 @@
-"""The files of a sequence: one for each frame, in order of number."""
+"""The frames of a sequence: files, one for each frame, in order of number, or what a container
+holds."""
 
 from __future__ import annotations
 
@@ -7,7 +8,19 @@ from itertools import pairwise
 from pathlib import Path
 
 from codec.errors import InvalidError
-from codec.interop.formats import READ, has_known_suffix
+from codec.interop.containers import ContainedFrame, contained_frames
+from codec.interop.formats import READ, has_known_suffix, is_model_folder
+
+FramePlace = Path | ContainedFrame
+"""Where the Gaussians of a frame are."""
+
+
+def find_frames(source: Path) -> list[FramePlace]:
+    """Where the frames of `source` are: in a container, one file or folder of a still model, or the
+    files of a folder (`find_files`). Raises InvalidError, or a CodecError for a bad container."""
+    contained = contained_frames(source)
+    return [*find_files(source)] if contained is None else [*contained]
+
 
 FPS_NAME = "fps.txt"
 """A file in a folder of a sequence or of pictures with the frames per second, a number."""
@@ -23,22 +36,23 @@ def number_of(path: Path) -> int | None:
 
 
 def find_files(source: Path) -> list[Path]:
-    """The file `source`, or those of the folder `source` by the last number in their names.
+    """The model `source`, or those in the folder `source` by the last number in their names.
 
     Numbers may begin anywhere and go on by any step that stays the same. Raises InvalidError for a
     folder without files of Gaussians, a name without a number, two names with the same number, a
     number that is missing, or a name of something else than a file.
     """
-    if not source.is_dir():
+    if not source.is_dir() or is_model_folder(source):
         return [source]
     numbered: dict[int, Path] = {}
     for path in sorted(source.iterdir()):
-        if path.name.startswith(".") or not has_known_suffix(path):
+        is_folder = is_model_folder(path)
+        if path.name.startswith(".") or not (is_folder or has_known_suffix(path)):
             continue
         number = number_of(path)
         if number is None:
             raise InvalidError(f"{path}: its name has no number to sort a sequence by")
-        if not path.is_file():
+        if not (is_folder or path.is_file()):
             what = "a broken link" if path.is_symlink() else "not a regular file"
             raise InvalidError(f"{path} is {what}; replace or remove it")
         first = numbered.setdefault(number, path)

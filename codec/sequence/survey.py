@@ -18,6 +18,7 @@ from codec.splats import Splats
 
 from .findlattice import find_lattice
 from .matching import Keys, row_keys
+from .numberedfiles import FramePlace
 
 _log = logging.getLogger(__name__)
 
@@ -38,9 +39,9 @@ MAX_NAMED = 5
 """Files that a warning names."""
 
 
-def read_frame(path: Path) -> Splats:
-    """The Gaussians of one file of a sequence. Raises a CodecError that names the file."""
-    return read_splats(path, MAX_SLOTS)
+def read_frame(place: FramePlace) -> Splats:
+    """The Gaussians of one frame of a sequence. Raises a CodecError that names the file."""
+    return read_splats(place, MAX_SLOTS) if isinstance(place, Path) else place.read(MAX_SLOTS)
 
 
 def _nowhere(sign: float) -> Doubles:
@@ -71,13 +72,13 @@ class Survey:
     num_later: int = 0
     """All Gaussians after the first file."""
     _keys: Keys | None = None  # of the file before
-    _counts: list[tuple[Path, int]] = field(default_factory=list)
+    _counts: list[tuple[FramePlace, int]] = field(default_factory=list)
 
-    def take(self, path: Path, splats: Splats) -> None:
+    def take(self, place: FramePlace, splats: Splats) -> None:
         """Takes in the next file. Raises InvalidError if it does not fit those before."""
         if self.num_files and splats.sh_degree != self.sh_degree:
             raise InvalidError(
-                f"{path}: SH degree {splats.sh_degree}, but the files before have "
+                f"{place}: SH degree {splats.sh_degree}, but the files before have "
                 f"{self.sh_degree}; a sequence has only one degree: "
                 f"--sh-degree {min(splats.sh_degree, self.sh_degree)} drops the higher harmonics"
             )
@@ -86,7 +87,7 @@ class Survey:
             self.num_later += len(keys)
             self.num_moved += int(np.count_nonzero(~np.isin(keys, self._keys)))
         self.num_files, self.sh_degree, self._keys = self.num_files + 1, splats.sh_degree, keys
-        self._counts.append((path, len(splats)))
+        self._counts.append((place, len(splats)))
         if not len(splats):
             return
         cut = (1 - CORE_SHARE) / 2
@@ -117,8 +118,8 @@ class Survey:
         they were cut off, or belong to something else."""
         usual = float(np.median([count for _, count in self._counts] or [0]))
         odd = [
-            f"{path.name} ({count})"
-            for path, count in self._counts
+            f"{place.name} ({count})"
+            for place, count in self._counts
             if not usual / ODD_FACTOR <= count <= usual * ODD_FACTOR
         ]
         if odd:

@@ -14,6 +14,7 @@ from codec.errors import InvalidError
 from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
+from codec.interop.sequences import Precision, SequenceFormat
 from codec.progressline import counted
 from codec.sequence.following import FollowOptions, follow_folder
 from codec.sequence.importing import Imported, ImportOptions, import_stream
@@ -56,12 +57,14 @@ class Verify:
 
 @dataclass(frozen=True, slots=True)
 class Import:
-    """Make a stream from a file of Gaussians, or from a folder with one numbered file per frame;
-    with --follow a live stream from a folder that is still being written."""
+    """Make a stream from a file of Gaussians, a file of a whole sequence, or a folder with one
+    numbered file per frame; with --follow a live stream from a folder that is still being
+    written."""
 
     input: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="INPUT")]]
-    """A .ply, compressed .ply, .spz, .splat, bundled .sog, .glb or .gltf file, or a folder of such
-    files, one per frame, sorted by number."""
+    """A .ply, compressed .ply, .spz, .splat, .ksplat, .sog, .glb or .gltf file, the folder of an
+    unbundled SOG, or a folder of such models, one per frame, sorted by number; or a sequence in one
+    .4dgs or .splat4d file."""
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the new stream."""
     follow: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -79,24 +82,27 @@ class Import:
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """Write one frame or a range of frames to files that other programs read, or, with --static,
-    the whole stream to a folder for plain web servers."""
+    """Write one frame or a range of frames to files that other programs read, a sequence to one
+    file, or, with --static, the whole stream to a folder for plain web servers."""
 
     stream: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the stream, its .swings file, or the URL of either in an object store, such as
     s3://BUCKET/PATH."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Output file. With --frames, one numbered file for each frame: `name.ply` gives name_0000.ply
-    and so on. With --static, the output folder, or one file if its name ends with
-    .swings."""
+    and so on; a .4dgs or .splat4d file holds them all. With --static, the output folder, or one
+    file if its name ends with .swings."""
     frame: int | None = None
     """Number of the frame, from 0 on."""
     frames: str | None = None
     """Range of frames A:B, A included, B not; A: runs to the last frame, :B begins at frame 0."""
-    format: SplatFormat | None = None
+    format: SplatFormat | SequenceFormat | None = None
     """File format; by default the one that OUT ends with. ply is exact; sog and spz are small; glb
-    and gltf are glTF with KHR_gaussian_splatting; splat is for simple viewers. docs/FORMATS.md
-    lists what each format keeps."""
+    and gltf are glTF with KHR_gaussian_splatting; splat is for simple viewers. 4dgs and splat4d
+    hold a whole sequence, and need swings[neighbours]. docs/FORMATS.md lists what each format
+    keeps."""
+    precision: Precision | None = None
+    """How much 4dgs and splat4d lose: fine (the default), default or coarse, as fourdgs has it."""
     spz_version: SpzVersion | None = None
     """Version of the spz format; 4 by default. Older programs need 2 or 3."""
     layers: int | None = None
@@ -221,6 +227,7 @@ def export_files(config: Export) -> str:
         config.layers,
         config.spz_version,
         config.max_gaussians,
+        config.precision,
     )
     files = str(written[0]) if len(written) == 1 else f"{written[0]} .. {written[-1].name}"
     total_bytes = sum(path.stat().st_size for path in written)
@@ -243,8 +250,8 @@ def unpack_files(config: Unpack) -> str:
 
 
 def _export_static(config: Export) -> str:
-    chosen = (config.frame, config.frames, config.format, config.layers, config.spz_version)
-    if chosen != (None,) * 5:
+    chosen = (config.frame, config.frames, config.format, config.layers)
+    if chosen != (None,) * 4 or (config.spz_version, config.precision) != (None, None):
         raise InvalidError("--static writes the whole stream; leave out the options for frames")
     made = export_static(config.stream, config.out, config.max_gaussians)
     share = 100 * made.size_bytes / made.source_bytes
