@@ -16,6 +16,7 @@ from .formats import SplatFormat, write_splats
 from .fourdgsexport import encode_fourdgs
 from .sequences import Precision, SequenceFormat
 from .splat4dexport import write_splat4d
+from .tracks import StreamTracks
 
 _log = logging.getLogger(__name__)
 
@@ -112,15 +113,15 @@ def _export_sequence(
 ) -> None:
     """Writes `frames` to the file `out`, whole or not at all."""
     wanted = FrameRange.parse(frames or "0:").of(reader.num_frames, reader.name)
-    layers = reader.manifest.num_layers if layers is None else layers
+    tracks = StreamTracks(reader, wanted, reader.manifest.num_layers if layers is None else layers)
     if reader.manifest.sh_degree:
         _log.warning("%s is written without harmonics: colours do not depend on the view", format)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with replacing(out) as temporary:
             if format is SequenceFormat.SPLAT4D:
-                write_splat4d(temporary, reader, wanted, layers, precision)
+                write_splat4d(temporary, tracks, precision)
             else:
-                temporary.write_bytes(encode_fourdgs(reader, wanted, layers, precision))
+                temporary.write_bytes(encode_fourdgs(tracks, precision))
     except OSError as error:
         raise InvalidError(f"{out} cannot be written: {error.strerror}") from error

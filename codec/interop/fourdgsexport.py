@@ -9,10 +9,9 @@ import numpy as np
 from codec.errors import InvalidError
 from codec.foreign.levels import unit_quats
 from codec.splats import SH_C0, Splats
-from codec.stream.reader import StreamReader
 
 from .sequences import INSTALL, Precision
-from .tracks import num_slots, tracked_frames
+from .tracks import Tracks
 
 GROUP_FRAMES = 30
 """Frames from one keyframe to the next."""
@@ -23,8 +22,8 @@ MAX_ROWS = 1 << 23
 WXYZ_TO_XYZW = (1, 2, 3, 0)
 
 
-def encode_fourdgs(reader: StreamReader, frames: range, layers: int, precision: Precision) -> bytes:
-    """The .4dgs file (model keyframe-delta) of `frames`, of the first `layers` layers.
+def encode_fourdgs(tracks: Tracks, precision: Precision) -> bytes:
+    """The .4dgs file (model keyframe-delta) of `tracks`, without harmonics.
 
     A Gaussian keeps its identity from frame to frame as long as it shows. Raises InvalidError
     without the package, or for a sequence that it cannot take; or a CodecError of the stream.
@@ -36,12 +35,12 @@ def encode_fourdgs(reader: StreamReader, frames: range, layers: int, precision: 
         from fourdgs.keyframe_delta_writer import KeyframeDeltaOptions, Sample
     except ImportError as error:
         raise InvalidError(f"4dgs is written by the package fourdgs: {INSTALL}") from error
-    duration_s = len(frames) / reader.manifest.fps
-    ids = np.zeros(num_slots(reader, layers), np.int64)
+    duration_s = tracks.num_frames / tracks.fps
+    ids = np.zeros(tracks.num_slots, np.int64)
     next_id, num_rows = 0, 0
     shown: Any = np.zeros(len(ids), np.bool_)
     samples = []
-    for number, frame in enumerate(tracked_frames(reader, frames, layers)):
+    for number, frame in enumerate(tracks):
         num_rows += len(frame.slots)
         if num_rows > MAX_ROWS:
             raise InvalidError(
@@ -54,7 +53,7 @@ def encode_fourdgs(reader: StreamReader, frames: range, layers: int, precision: 
         shown[:] = False
         shown[frame.slots] = True
         gaussians = GaussianSet(**_values(frame.splats, duration_s))
-        samples.append(Sample(number / reader.manifest.fps, ids[frame.slots].copy(), gaussians))
+        samples.append(Sample(number / tracks.fps, ids[frame.slots].copy(), gaussians))
     try:
         data: bytes = write_sequence(
             samples,

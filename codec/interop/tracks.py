@@ -1,9 +1,10 @@
-"""Frames of a stream in which every Gaussian has a number that it keeps from frame to frame."""
+"""Frames in which every Gaussian has a number that it keeps from frame to frame."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -19,25 +20,65 @@ class TrackedFrame:
     """What shows at a frame."""
 
     slots: Slots
-    """(N,) the place of each Gaussian in the stream, rising."""
+    """(N,) the place of each Gaussian, rising."""
     splats: Splats
 
 
-def num_slots(reader: StreamReader, layers: int) -> int:
-    """The places for Gaussians in the first `layers` layers."""
-    layout = reader.manifest.slot_layout
-    return layout.swin_size * sum(layout.slots[:layers])
+class Tracks(Protocol):
+    """A sequence that can be gone through more than once."""
+
+    @property
+    def name(self) -> str:
+        """What to call it in errors."""
+
+    @property
+    def fps(self) -> float: ...
+
+    @property
+    def num_frames(self) -> int: ...
+
+    @property
+    def num_slots(self) -> int:
+        """Places for Gaussians."""
+
+    def __iter__(self) -> Iterator[TrackedFrame]:
+        """Raises a CodecError."""
 
 
-def tracked_frames(reader: StreamReader, frames: range, layers: int) -> Iterator[TrackedFrame]:
-    """Each of `frames`, of the first `layers` layers. Raises a CodecError."""
-    swin_size = reader.manifest.swin_size
-    of_lane = num_slots(reader, layers) // swin_size
-    for frame in frames:
-        numbers, parts = [], []
-        window = reader.window(frame, layers)
-        for part in sorted(window, key=lambda part: part.lane(swin_size)):
-            rows = np.flatnonzero(part.active(frame, swin_size))
-            numbers.append(part.lane(swin_size) * of_lane + rows)
-            parts.append(part.splats.take(rows))
-        yield TrackedFrame(np.concatenate(numbers), Splats.concatenate(parts))
+@dataclass(frozen=True, slots=True)
+class StreamTracks:
+    """`frames` of a stream, of its first `layers` layers."""
+
+    reader: StreamReader
+    frames: range
+    layers: int
+
+    @property
+    def name(self) -> str:
+        return self.reader.name
+
+    @property
+    def fps(self) -> float:
+        return self.reader.manifest.fps
+
+    @property
+    def num_frames(self) -> int:
+        return len(self.frames)
+
+    @property
+    def num_slots(self) -> int:
+        layout = self.reader.manifest.slot_layout
+        return layout.swin_size * sum(layout.slots[: self.layers])
+
+    def __iter__(self) -> Iterator[TrackedFrame]:
+        """Raises a CodecError."""
+        swin_size = self.reader.manifest.swin_size
+        of_lane = self.num_slots // swin_size
+        for frame in self.frames:
+            numbers, parts = [], []
+            window = self.reader.window(frame, self.layers)
+            for part in sorted(window, key=lambda part: part.lane(swin_size)):
+                rows = np.flatnonzero(part.active(frame, swin_size))
+                numbers.append(part.lane(swin_size) * of_lane + rows)
+                parts.append(part.splats.take(rows))
+            yield TrackedFrame(np.concatenate(numbers), Splats.concatenate(parts))

@@ -7,6 +7,7 @@ import json
 import logging
 import tracemalloc
 import zipfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from PIL import Image
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.foreign.sog import decode_sog, encode_sog
-from codec.interop.formats import decode_any
+from codec.interop.formats import decode_any, read_splats
 from codec.splats import Splats
 from tests.support.drawn import angles_rad, drawn_splats, same_splats
 from tests.support.hostile import flips, survives, truncations
@@ -92,6 +93,35 @@ def test_sog_by_hand(method: int) -> None:
     assert splats.sh[:, 0].tolist() == [[0, 1, -1], [-8, 127 / 16, 0]]
     assert splats.sh[0, 1:].tolist() == [[1, 0, 0], [0, 2, 0], [0, 0, 4]]
     assert splats.sh[1, 1:].tolist() == [[0, 0, 1]] * 3
+
+
+def test_a_folder_of_these_files_is_the_same_model(tmp_path: Path) -> None:
+    for name, data in files_of(META).items():
+        (tmp_path / name).write_bytes(data)
+    bundle = decode_any(bundled(files_of(META)))
+    assert same_splats(read_splats(tmp_path), bundle)
+    assert same_splats(read_splats(tmp_path / "meta.json"), bundle)
+    with pytest.raises(UnsupportedError, match="2 Gaussians in a frame, at most 1"):
+        read_splats(tmp_path, 1)
+    (tmp_path / "q").unlink()
+    with pytest.raises(CorruptError, match="q is missing"):
+        read_splats(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["../q", "/etc/passwd", "a/b", "..", "", "C:\\q", "a\0b"])
+def test_a_folder_gives_no_file_from_elsewhere(name: str, tmp_path: Path) -> None:
+    meta = json.dumps(META | {"quats": {"files": [name]}})
+    for other, data in files_of(META).items():
+        (tmp_path / other).write_bytes(data)
+    (tmp_path / "meta.json").write_text(meta)
+    with pytest.raises(UnsupportedError, match="is not the name of a file beside"):
+        read_splats(tmp_path)
+
+
+def test_a_folder_cannot_claim_more_than_its_files_hold(tmp_path: Path) -> None:
+    (tmp_path / "meta.json").write_text(json.dumps(META | {"count": 1 << 24}))
+    with pytest.raises(CorruptError, match="claims to decompress"):
+        read_splats(tmp_path)
 
 
 @given(drawn_splats(max_count=40))

@@ -1,0 +1,186 @@
+"""The .4dgs container by hand, and what is no such file; tests/codec/interop/test_neighbours.py has
+the package of its authors."""
+
+from __future__ import annotations
+
+import random
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.foreign.fourdgs import FourdgsReader
+from codec.splats import SH_C0, Splats
+from tests.support import handmade_sequences as made
+from tests.support.handmade_sequences import MAGIC, delta, fourdgs, grids, group, header, keyframe
+from tests.support.hostile import survives
+
+FRONT = header(), grids(), made.windows((0, 10))
+AT = len(MAGIC) + sum(map(len, FRONT))
+KEY = keyframe(0, 0.5, 2, group([7, 4], a0=[[1, 2, 3], [4, 5, 6]], a5=[[255], [51]]))
+MOVED = made.stream(13, [[4]]) + made.stream(0, [[1, 0, -1]])
+SECOND = delta((0.5, 1), AT, (MOVED, group([9]), made.stream(13, [[7]])), (1, 1, 1))
+
+
+def read(tmp_path: Path, data: bytes, max_gaussians: int = 1000) -> list[Splats]:
+    path = tmp_path / "a.4dgs"
+    path.write_bytes(data)
+    reader = FourdgsReader(path)
+    return [reader.read(frame, max_gaussians) for frame in range(reader.num_frames)]
+
+
+def test_4dgs_by_hand(tmp_path: Path) -> None:
+    first, second = read(tmp_path, fourdgs(*FRONT, KEY, SECOND))
+    assert first.means == pytest.approx(np.array([[1.01, 2.02, 3.03], [1.04, 2.05, 3.06]]))
+    assert second.means == pytest.approx(np.array([[1.05, 2.05, 3.05], [1, 2, 3]]))
+    assert first.opacities == pytest.approx([1 - 1 / 1020, 0.2], abs=1e-6)
+    assert first.log_scales.tolist() == [[0] * 3] * 2
+    assert first.quats.tolist() == [[0, 1, 0, 0]] * 2  # xyzw: the first is largest
+    assert first.sh == pytest.approx(np.full((2, 1, 3), -0.5 / SH_C0))
+
+
+def test_colours_turns_and_sizes(tmp_path: Path) -> None:
+    streams = group([0], a1=[[1, -2, 50]], a2=[[3]], a3=[[600, 0, 0]], a4=[[100, 50, -50]])
+    [splats] = read(tmp_path, fourdgs(*FRONT, keyframe(0, 1, 1, streams, "deflate")))
+    assert splats.log_scales[0] == pytest.approx([0.02, -0.04, 1])
+    assert splats.quats[0] == pytest.approx([0.8, 0.6, 0, 0])
+    shown = 255 * (0.5 + SH_C0 * splats.sh[0, 0])
+    assert shown == pytest.approx([150, 100, 50], abs=1e-3)
+
+
+def test_motion_fading_and_windows(tmp_path: Path) -> None:
+    """A state of two frames, one of one: frames of half a second."""
+    streams = group(
+        [0, 1, 2],
+        # ln sigma / 0.02, no fading for the last two; time 0.25 s; motion.
+        **{"a8": [[-35], [0], [0]], "a9": [[0], [1], [1]], "a7": [[0]] * 3},
+        **{"a6": [[10, 0, 0], [0, 10, 0], [0, 0, 0]], "a10": [[0], [0], [1]], "a5": [[200]] * 3},
+    )
+    last = keyframe(1, 1.5, 0, b"")
+    spans = made.windows((0, 10), (0.5, 10))
+    frames = read(tmp_path, fourdgs(header(), grids(), spans, keyframe(0, 1, 3, streams), last))
+    assert [len(splats) for splats in frames] == [2, 3, 0]
+    sigma = np.exp(-0.7)
+    assert frames[0].means[0].tolist() == [1, 2, 3]
+    # Half a life of 1.2 s is in the class up to 2 s: a quarter of the step, and 2 s of window.
+    assert frames[1].means[0] == pytest.approx([1 + 10 * 0.1 / 4 * 0.5, 2, 3])
+    assert frames[1].means[1] == pytest.approx([1, 2 + 10 * 0.1 / 4 * 0.5, 3])
+    faded = 200 / 255 * np.exp(-0.5 * (0.5 / sigma) ** 2)
+    assert frames[1].opacities == pytest.approx([faded, 200 / 255, 200 / 255], rel=1e-5)
+
+
+def test_harmonics_come_in_bands(tmp_path: Path) -> None:
+    codes = np.arange(18).reshape(2, 9)
+    front = header(sh_degree=1), *FRONT[1:]
+    band = made.record(7, b"\1" + made.stream(7, codes))
+    born = made.record(7, b"\1" + made.stream(7, codes[:1] + 100))
+    after = delta((0.5, 1), AT, (b"", group([9]), b""), (0, 1, 0))
+    frames = read(tmp_path, fourdgs(*front, KEY, band, after, born))
+    wanted = codes.reshape(2, 3, 3).swapaxes(1, 2) * 8 / 255 - 4
+    assert frames[0].sh[:, 1:] == pytest.approx(wanted, abs=1e-6)
+    assert frames[1].sh[:, 1:] == pytest.approx(
+        np.concatenate([wanted, wanted[:1] + 800 / 255]), abs=1e-6
+    )
+
+
+BAD: dict[str, tuple[Callable[[], bytes], str]] = {
+    "empty": (lambda: MAGIC, "has no states"),
+    "cut off": (lambda: fourdgs(*FRONT, KEY)[:-40], "ends after the file"),
+    "another model": (lambda: fourdgs(header("gaussian-birth"), KEY), "'gaussian-birth'; this"),
+    "other grids": (lambda: fourdgs(header(), grids(scheme="x"), KEY), "the grids 'x'"),
+    "no steps": (lambda: fourdgs(header(), grids((np.inf,) * 8), KEY), "without a finite step"),
+    "no cutoff": (lambda: fourdgs(header(cutoff=0), KEY), "out of range"),
+    "no grids": (lambda: fourdgs(header(), KEY), "before what it needs"),
+    "begins late": (lambda: fourdgs(*FRONT, keyframe(1, 2, 0, b"")), "shows from 1.0"),
+    "backwards": (lambda: fourdgs(*FRONT, keyframe(0, 0, 0, b"")), "shows from 0.0"),
+    "uneven": (
+        lambda: fourdgs(*FRONT, keyframe(0, 1, 0, b""), keyframe(1, 2.5, 0, b"")),
+        "not a whole number of frames",
+    ),
+    "objects": (lambda: fourdgs(*FRONT, made.record(0x25, b""), KEY), "move as one"),
+    "begins with a delta": (
+        lambda: fourdgs(*FRONT, delta((0, 0.5), AT, (b"", b"", b""), (0, 0, 0))),
+        "begins with a delta",
+    ),
+    "an odd reference": (
+        lambda: fourdgs(*FRONT, KEY, delta((0.5, 1), 3, (b"", b"", b""), (0, 0, 0))),
+        "follows neither",
+    ),
+    "too many": (lambda: fourdgs(*FRONT, keyframe(0, 1, 1001, group([0]))), "at most 1000"),
+    "another count": (lambda: fourdgs(*FRONT, keyframe(0, 1, 3, group([0]))), "numbers, not 3"),
+    "the same twice": (lambda: fourdgs(*FRONT, keyframe(0, 1, 2, group([5, 5]))), "comes twice"),
+    "a stream twice": (
+        lambda: fourdgs(*FRONT, keyframe(0, 1, 1, group([5]) + made.stream(5, [[1]]))),
+        "attribute 5 comes twice",
+    ),
+    "something missing": (
+        lambda: fourdgs(*FRONT, keyframe(0, 1, 1, made.stream(13, [[1]]))),
+        "attribute 0 is missing",
+    ),
+    "an odd window": (lambda: fourdgs(*FRONT, keyframe(0, 1, 1, group([0], a10=[[1]]))), "window"),
+    "an odd component": (
+        lambda: fourdgs(*FRONT, keyframe(0, 1, 1, group([0], a2=[[4]]))),
+        "component of 4",
+    ),
+    "an odd codec": (lambda: fourdgs(*FRONT, keyframe(0, 1, 1, group([0]), "lz4")), "packed by"),
+    "who is not there dies": (
+        lambda: fourdgs(
+            *FRONT, KEY, delta((0.5, 1), AT, (b"", b"", made.stream(13, [[8]])), (0, 0, 1))
+        ),
+        "that is not there",
+    ),
+    "born again": (
+        lambda: fourdgs(*FRONT, KEY, delta((0.5, 1), AT, (b"", group([4]), b""), (0, 1, 0))),
+        "there already",
+    ),
+    "a fixed attribute": (
+        lambda: fourdgs(*FRONT, KEY, delta((0.5, 1), AT, (group([4]), b"", b""), (1, 0, 0))),
+        "cannot be changed by itself",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_4dgs_is_refused_with_the_reason(name: str, tmp_path: Path) -> None:
+    make, says = BAD[name]
+    with pytest.raises((CorruptError, UnsupportedError), match=says) as caught:
+        read(tmp_path, make())
+    assert "\n" not in str(caught.value)
+
+
+def test_what_a_few_bytes_claim_costs_no_memory(tmp_path: Path) -> None:
+    many = 1 << 24
+    constant = made.struct.pack("<BBBBBIQ", 13, 1, 2, 0, 1, many, 9) + made.zlib.compress(b"\0")
+    huge = made.struct.pack("<2d2I", 0, 1, 0, 1) + made.text("deflate")
+    huge += made.struct.pack("<Q", 1 << 29) + made.block(made.zlib.compress(bytes(1 << 20)))
+    for state in (keyframe(0, 1, many, constant), made.record(5, huge)):
+        tracemalloc.start()
+        try:
+            with pytest.raises(CodecError, match="claims to decompress"):
+                read(tmp_path, fourdgs(*FRONT, state), many)
+            assert tracemalloc.get_traced_memory()[1] < 8 << 20
+        finally:
+            tracemalloc.stop()
+
+
+def test_any_bytes_give_gaussians_or_one_clear_error(tmp_path: Path) -> None:
+    data = fourdgs(*FRONT, KEY, SECOND)
+    rng = random.Random(4)
+    kept = 0
+    tracemalloc.start()
+    try:
+        for _ in range(600):
+            altered = bytearray(data)
+            for _ in range(rng.randint(1, 3)):
+                altered[rng.randrange(len(MAGIC), len(data))] = rng.choice(
+                    (0, 1, 57, 127, 128, 255)
+                )
+            end = rng.choice((len(data), rng.randrange(2000)))
+            kept += survives(lambda data: read(tmp_path, data), bytes(altered[:end]))
+        assert tracemalloc.get_traced_memory()[1] < 8 << 20
+    finally:
+        tracemalloc.stop()
+    assert 0 < kept < 500

@@ -1,0 +1,89 @@
+"""How far Gaussians are from others that they stand for, whatever their order and their axes."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from codec.pose import Doubles, rotation_of
+from codec.splats import SH_C0, Splats
+from tests.support.drawn import angles_rad
+
+KINDS = ("position, mm", "ln size", "rotation, rad", "opacity", "colour")
+FAINT = 4 / 255
+"""Gaussians of no more opacity are left out: some formats drop or keep them at will."""
+FLAT = math.log(1e-4)
+"""Of a standard deviation in metres; what is thinner counts as this thin."""
+
+
+def _shown_colours(splats: Splats) -> Doubles:
+    """(N, 3) colours as they are drawn: 0..1, for some formats hold no others."""
+    return np.clip(0.5 + SH_C0 * splats.sh[:, 0].astype(np.float64), 0, 1)
+
+
+def _features(splats: Splats) -> Doubles:
+    """(N, 10) numbers that tell Gaussians apart, in units of what formats lose."""
+    sizes = np.sort(np.maximum(splats.log_scales, FLAT), axis=1)
+    looks = _shown_colours(splats), splats.opacities[:, None]
+    parts = splats.means / 1e-3, sizes / 0.1, *(values / 0.02 for values in looks)
+    return np.concatenate(parts, axis=1)
+
+
+def _axis_turns() -> list[tuple[Doubles, list[int]]]:
+    """The 24 rotations that put axes on axes: quaternions wxyz, and which axis comes on each."""
+    half = math.sqrt(0.5)
+    found: dict[bytes, tuple[Doubles, list[int]]] = {}
+    for quat in itertools.product((-1, -half, -0.5, 0, 0.5, half, 1), repeat=4):
+        matrix = rotation_of(np.array(quat)) if np.isclose(np.linalg.norm(quat), 1) else None
+        if matrix is not None and np.allclose(np.abs(matrix).max(axis=0), 1):
+            signs = np.rint(matrix).astype(np.int8)
+            found[signs.tobytes()] = np.array(quat), np.abs(signs).argmax(axis=0).tolist()
+    return list(found.values())
+
+
+def _multiplied(p: Doubles, q: Doubles) -> Doubles:
+    """(N, 4) products of quaternions (N, 4) and (4,), wxyz."""
+    (a, b, c, d), (w, x, y, z) = p.T, q
+    parts = (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )
+    return np.stack(parts, axis=1)
+
+
+def _closest_shapes(found: Splats, wanted: Splats) -> tuple[Doubles, Doubles]:
+    """(N,) angles between orientations in radians and (N, 3) differences of ln sizes, with the axes
+    of each Gaussian named so that both are small: which is its first axis shows nowhere."""
+    sizes = [np.maximum(splats.log_scales, FLAT) for splats in (found, wanted)]
+    best = np.full(len(found), np.inf)
+    angles, differences = np.zeros(len(found)), np.zeros((len(found), 3))
+    for turn, axes in _axis_turns():
+        quats = _multiplied(found.quats.astype(np.float64), turn).astype(np.float32)
+        angle = angles_rad(replace(found, quats=quats), wanted)
+        difference = sizes[0][:, axes] - sizes[1]
+        cost = angle + np.abs(difference).max(axis=1)
+        rows = np.flatnonzero(cost < best)
+        best[rows], angles[rows], differences[rows] = cost[rows], angle[rows], difference[rows]
+    return angles, differences
+
+
+def largest_errors(found: Splats, wanted: Splats) -> Doubles:
+    """(5,) the largest error of each of KINDS, over all of `found` that are not too faint, each
+    against the one of `wanted` that it is most like."""
+    found = found.take(np.flatnonzero(found.opacities > FAINT))
+    match = wanted.take(cKDTree(_features(wanted)).query(_features(found))[1])
+    angles, sizes = _closest_shapes(found, match)
+    differences = (
+        1e3 * (found.means - match.means),
+        sizes,
+        angles,
+        found.opacities - match.opacities,
+        _shown_colours(found) - _shown_colours(match),
+    )
+    return np.array([np.abs(values).max() for values in differences])

@@ -1,0 +1,154 @@
+"""Small .4dgs and .splat4d files made by hand, every part of which a test can alter."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import zstandard
+
+MAGIC = b"\x894DGS1\r\n"
+CHANNELS = {0: 3, 1: 3, 2: 1, 3: 3, 4: 3, 5: 1, 6: 3, 7: 1, 8: 1, 9: 1, 10: 1, 13: 1}
+STEPS = (0.01, 0.02, 0.001, 1 / 255, 1 / 255, 0.1, 0.004, 0.02)
+"""Of position, ln size, rotation, colour, opacity, motion, time and ln sigma."""
+LASTS = {9: 1, 6: 0, 7: 0, 8: 0, 10: 0}
+"""What does not fade nor move."""
+
+Numbers = npt.ArrayLike
+
+
+def zigzag(numbers: Numbers) -> npt.NDArray[np.int64]:
+    wide = np.asarray(numbers, np.int64)
+    return (wide << 1) ^ (wide >> 63)
+
+
+def planes(numbers: Numbers, width: int) -> bytes:
+    return np.asarray(numbers).astype(f"<u{width}").reshape(-1, 1).view(np.uint8).T.tobytes()
+
+
+def stream(kind: int, numbers: Numbers, mode: int = 0, width: int = 2, codec: int = 0) -> bytes:
+    """An attribute stream of (N, channels) numbers."""
+    rows = np.asarray(numbers, np.int64)
+    rows = rows.reshape(len(rows), -1)
+    stored = {0: rows, 1: np.diff(rows, axis=0, prepend=0), 2: rows[:1]}[mode]
+    raw = planes(zigzag(stored), width)
+    body = zlib.compress(raw) if codec == 0 else zstandard.compress(raw)
+    head = (kind, width, mode, codec, rows.shape[1], len(rows), len(body))
+    return struct.pack("<BBBBBIQ", *head) + body
+
+
+def group(ids: Sequence[int], **changed: Numbers) -> bytes:
+    """The streams of some Gaussians, which by default lie at 0 and last; `a0`.. are attributes."""
+    values: dict[int, Numbers] = {13: ids}
+    for kind, channels in CHANNELS.items():
+        if kind != 13:
+            values[kind] = np.full((len(ids), channels), LASTS.get(kind, 0))
+    for name, numbers in changed.items():
+        values[int(name.removeprefix("a"))] = numbers
+    return b"".join(stream(kind, numbers) for kind, numbers in sorted(values.items()))
+
+
+def text(value: str) -> bytes:
+    return struct.pack("<I", len(value)) + value.encode()
+
+
+def block(content: bytes) -> bytes:
+    return struct.pack("<Q", len(content)) + content
+
+
+def record(kind: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", kind, len(content)) + content
+
+
+def header(model: str = "keyframe-delta", cutoff: float = 0.05, sh_degree: int = 0) -> bytes:
+    fields = struct.pack("<dQd", 1.0, 2, cutoff) + text(model)
+    tail = struct.pack("<6dBB", *[0.0] * 6, sh_degree, 0) + text("")
+    return record(1, text("") + text("") + fields + tail)
+
+
+def grids(steps: Sequence[float] = STEPS, scheme: str = "uniform-v1") -> bytes:
+    return record(3, text(scheme) + struct.pack("<11dB", 1.0, 2.0, 3.0, *steps, 1) + text(""))
+
+
+def windows(*spans: tuple[float, float]) -> bytes:
+    return record(
+        4, struct.pack("<I", len(spans)) + b"".join(struct.pack("<2d", *s) for s in spans)
+    )
+
+
+def packed(content: bytes, codec: str = "") -> bytes:
+    body = {"": content, "deflate": zlib.compress(content)}.get(codec, content)
+    return text(codec) + struct.pack("<Q", len(content)) + block(body)
+
+
+def keyframe(t0: float, t1: float, count: int, streams: bytes, codec: str = "") -> bytes:
+    return record(5, struct.pack("<2d2I", t0, t1, 0, count) + packed(streams, codec))
+
+
+def delta(
+    span: tuple[float, float],
+    reference: int,
+    groups: tuple[bytes, bytes, bytes],
+    counts: tuple[int, int, int],
+    codec: str = "",
+) -> bytes:
+    head = struct.pack("<2dIBQQH3I", *span, 0, 1, reference, reference, 1, *counts)
+    return record(16, head + packed(b"".join(map(block, groups)), codec))
+
+
+def fourdgs(*records: bytes) -> bytes:
+    return MAGIC + b"".join(records) + record(2, bytes(20)) + MAGIC
+
+
+PARTS = {
+    "masks": [[0b10100000]] * 5,
+    "positions": [[10, -20, 30], [11, -20, 30], [12, -20, 30]],
+    "sizes": [[-30, -40, -50]] * 3,
+    "colours": [[255, 0, 128]] * 3,
+    "opacities": [[255], [100], [200]],
+    "rotations": [[255, 128, 128, 128]] * 3,
+}
+"""Three Gaussians, of which the one in the middle changes all that it has."""
+KEYS = {0: [[6, 0, 0]], 1: [[100, 10, 0, 0]], 2: [[50, 60, 70]], 3: [[0]], 4: [[-9, -9, -9]]}
+DIFFERENCES = {kind: np.ones((2, 1, len(key[0])), int) for kind, key in KEYS.items()}
+
+
+def splat4d_stream(kind: int, role: int, numbers: Numbers, width: int = 2) -> tuple[bytes, bytes]:
+    """The head and the payload of a stream."""
+    flat = np.asarray(numbers).ravel()
+    body = zstandard.compress(planes(flat, width))
+    return struct.pack("<BBBII", kind, role, width, flat.size, len(body)), body
+
+
+def splat4d(json_changes: Mapping[str, Any] = {}, **changes: Any) -> bytes:
+    """A .splat4d of three frames with PARTS, or others of them."""
+    parts: dict[str, Any] = PARTS | {"keys": KEYS, "differences": DIFFERENCES} | changes
+    static = b"".join(b"".join(splat4d_stream(9, 2, mask, 1)) for mask in parts["masks"])
+    for name in ("positions", "sizes"):
+        steps = zigzag(np.diff(np.asarray(parts[name]), axis=0, prepend=0))
+        static += b"".join(splat4d_stream(9, 2, steps))
+    for name in ("colours", "opacities", "rotations"):
+        static += b"".join(splat4d_stream(9, 2, parts[name], 1))
+    streams = [splat4d_stream(k, 0, zigzag(key)) for k, key in parts["keys"].items()]
+    streams += [splat4d_stream(k, 1, zigzag(d), 1) for k, d in parts["differences"].items()]
+    chunk = struct.pack("<H", len(streams)) + b"".join(
+        b"".join(s) for s in zip(*streams, strict=True)
+    )
+    fields: dict[str, Any] = {
+        **{"n": 3, "t": 3, "fps": 20.0, "gop": 30},
+        "steps": {
+            **{"pos": 0.5, "rot": 1, "rgb": 1, "alpha": 1, "scale_log": 0.2},
+            **{"base_pos": 0.25, "base_scale_log": 0.1},
+        },
+    }
+    room = 1000
+    fields["static_section"] = {"offset": room, "len": len(static)}
+    fields["gops"] = [{"offset": room + len(static), "len": len(chunk), "f0": 0, "f1": 2}]
+    said = json.dumps(fields | dict(json_changes or {})).encode()
+    said += b" " * (room - 12 - len(said))
+    return b"SP4D" + struct.pack("<HHI", 1, 0, room - 12) + said + static + chunk
