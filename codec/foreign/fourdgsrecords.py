@@ -108,7 +108,7 @@ def read_contents(path: Path) -> Contents:
     """What the .4dgs file at `path` holds. Raises CorruptError, or UnsupportedError for another
     model than keyframe-delta, and for objects that move as one."""
     found = Contents()
-    seen = set()
+    seen: set[int] = set()
     with opened_regular(path) as file:
         file_bytes = file.seek(0, 2)
         at = len(MAGIC)

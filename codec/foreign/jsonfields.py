@@ -71,7 +71,7 @@ class Fields:
 
     def number(self, key: str) -> float:
         """A finite number."""
-        value = self.values.get(key)
+        value: Any = self.values.get(key)
         if type(value) not in (int, float) or not abs(value) < math.inf:
             raise CorruptError(f"{self._place(key)}: is not a finite number")
         try:

@@ -68,14 +68,15 @@ class _Section:
         buckets = np.concatenate([in_full, in_partial])
         if len(buckets) < self.count or buckets.max(initial=-1) >= len(self.centres):
             raise CorruptError(".ksplat: a Gaussian is in no bucket")
-        return self.centres[buckets]
+        centres: Doubles = self.centres[buckets]
+        return centres
 
 
 def _record(level: int, sh_degree: int) -> np.dtype[np.void]:
     centre = "<f4" if level == 0 else "<u2"
     fields = [("centre", centre, 3), ("scale", FLOATS[level], 3), ("rot", FLOATS[level], 4)]
     fields += [("rgba", "u1", 4), ("sh", HARMONICS[level], 3 * (sh_count(sh_degree) - 1))]
-    return np.dtype(fields)  # type: ignore[return-value]
+    return np.dtype(fields)
 
 
 def ksplat_count(head: bytes, file_bytes: int, max_gaussians: int = MAX_GAUSSIANS) -> int:

@@ -214,8 +214,10 @@ class Splat4dReader:
     def _changed(self, kind: int) -> npt.NDArray[np.float64]:
         """(M, channels) what those that change have now."""
         track = self._tracks.get(kind)
-        now = np.zeros((0, CHANNELS[kind])) if track is None else track.now * self._steps[kind]
-        return now.astype(np.float64)
+        if track is None:
+            return np.zeros((0, CHANNELS[kind]))
+        now: npt.NDArray[np.float64] = track.now * self._steps[kind]
+        return now
 
     def _values(self, kind: int, base_step: float) -> npt.NDArray[np.float64]:
         values: npt.NDArray[np.float64] = self._base[kind] * base_step

@@ -4,7 +4,9 @@ the package of its authors."""
 from __future__ import annotations
 
 import random
+import struct
 import tracemalloc
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -153,9 +155,9 @@ def test_a_bad_4dgs_is_refused_with_the_reason(name: str, tmp_path: Path) -> Non
 
 def test_what_a_few_bytes_claim_costs_no_memory(tmp_path: Path) -> None:
     many = 1 << 24
-    constant = made.struct.pack("<BBBBBIQ", 13, 1, 2, 0, 1, many, 9) + made.zlib.compress(b"\0")
-    huge = made.struct.pack("<2d2I", 0, 1, 0, 1) + made.text("deflate")
-    huge += made.struct.pack("<Q", 1 << 29) + made.block(made.zlib.compress(bytes(1 << 20)))
+    constant = struct.pack("<BBBBBIQ", 13, 1, 2, 0, 1, many, 9) + zlib.compress(b"\0")
+    huge = struct.pack("<2d2I", 0, 1, 0, 1) + made.text("deflate")
+    huge += struct.pack("<Q", 1 << 29) + made.block(zlib.compress(bytes(1 << 20)))
     for state in (keyframe(0, 1, many, constant), made.record(5, huge)):
         tracemalloc.start()
         try:

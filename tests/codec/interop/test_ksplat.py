@@ -58,7 +58,9 @@ def test_a_ksplat_is_read_as_splat_transform_reads_it(
     inside = np.flatnonzero(np.abs(source.means).max(axis=1) < 4)  # floaters have f16's precision
     source = source.take(inside)
     write_splats(tmp_path / "a.ply", source, SplatFormat.PLY)
-    words = [NODE, HERE / "makeksplat.mjs", "a.ply", "a.ksplat", degree, level, 250]
+    # Records of 33 bytes leave a second section where the library itself cannot read it.
+    section_size = 0 if (level, degree) == (2, 1) else 250
+    words = [NODE, HERE / "makeksplat.mjs", "a.ply", "a.ksplat", degree, level, section_size]
     subprocess.run([str(w) for w in words], cwd=tmp_path, check=True, timeout=120)
     ours = read_splats(tmp_path / "a.ksplat")
     theirs = read_splats(transformed(tmp_path / "a.ksplat", tmp_path / "b.ply"))
