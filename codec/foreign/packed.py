@@ -49,8 +49,9 @@ def symbols(planes: bytes, width: int) -> npt.NDArray[np.uint32]:
     """The unsigned numbers of `width` bytes of which each plane of `planes` holds one byte."""
     rows = np.frombuffer(planes, np.uint8).reshape(width, -1)
     if width == 1:
-        return rows[0].astype(np.uint32)
-    numbers = np.ascontiguousarray(rows.T).view(f"<u{width}")[:, 0]
+        numbers = rows[0]
+    else:
+        numbers = np.ascontiguousarray(rows.T).view(f"<u{width}")[:, 0]
     wide: npt.NDArray[np.uint32] = numbers.astype(np.uint32)
     return wide
 

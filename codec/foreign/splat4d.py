@@ -216,11 +216,10 @@ class Splat4dReader:
         track = self._tracks.get(kind)
         if track is None:
             return np.zeros((0, CHANNELS[kind]))
-        now: npt.NDArray[np.float64] = track.now * self._steps[kind]
-        return now
+        return np.multiply(track.now, self._steps[kind], dtype=np.float64)
 
     def _values(self, kind: int, base_step: float) -> npt.NDArray[np.float64]:
-        values: npt.NDArray[np.float64] = self._base[kind] * base_step
+        values = np.multiply(self._base[kind], base_step, dtype=np.float64)
         values[self._changing(kind)] = self._changed(kind)
         return values
 

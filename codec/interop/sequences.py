@@ -43,4 +43,4 @@ BOUNDS = {
 }
 """Those of .4dgs, which .splat4d is written with, too: as far as its bytes allow."""
 
-INSTALL = "pip install swings[neighbours]"
+INSTALL = "pip install '.[neighbours]' in the folder of swings"

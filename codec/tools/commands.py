@@ -99,7 +99,7 @@ class Export:
     format: SplatFormat | SequenceFormat | None = None
     """File format; by default the one that OUT ends with. ply is exact; sog and spz are small; glb
     and gltf are glTF with KHR_gaussian_splatting; splat is for simple viewers. 4dgs and splat4d
-    hold a whole sequence, and need swings[neighbours]. docs/FORMATS.md lists what each format
+    hold a whole sequence, and need the extra neighbours. docs/FORMATS.md lists what each format
     keeps."""
     precision: Precision | None = None
     """How much 4dgs and splat4d lose: fine (the default), default or coarse, as fourdgs has it."""
