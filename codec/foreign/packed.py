@@ -48,10 +48,7 @@ def unzstd(frame: bytes | memoryview, raw_bytes: int, what: str) -> bytes:
 def symbols(planes: bytes, width: int) -> npt.NDArray[np.uint32]:
     """The unsigned numbers of `width` bytes of which each plane of `planes` holds one byte."""
     rows = np.frombuffer(planes, np.uint8).reshape(width, -1)
-    if width == 1:
-        numbers = rows[0]
-    else:
-        numbers = np.ascontiguousarray(rows.T).view(f"<u{width}")[:, 0]
+    numbers = rows[0] if width == 1 else np.ascontiguousarray(rows.T).view(f"<u{width}")[:, 0]
     wide: npt.NDArray[np.uint32] = numbers.astype(np.uint32)
     return wide
 
