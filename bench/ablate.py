@@ -38,10 +38,10 @@ from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from trainer.capture.layout import open_capture
 from trainer.fit.config import FitConfig
-from trainer.fit.optimiser import AgeScaling
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
+from trainer.step.optimiser import AgeScaling
 
 AGE_SCALINGS: tuple[AgeScaling, ...] = get_args(AgeScaling)
 CARRIED = {True: "carried", False: "fresh"}

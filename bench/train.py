@@ -22,12 +22,13 @@ from codec.console import run_command
 from player.render.blend import blend_tiles
 from player.render.project import Projection, project_kernel
 from player.render.tiles import list_tiles
-from trainer.fit.optimiser import GATE_STEEPNESS, Adam, OptimiserConfig, add_noise
 from trainer.pictures.shot import Shot
 from trainer.step.active import trained_ends
-from trainer.step.backend import Backend, CpuBackend, StepInput
+from trainer.step.backend import Backend, StepInput
 from trainer.step.blend_backward import PAIR_GRADIENT, blend_tiles_backward
+from trainer.step.cpubackend import CpuBackend
 from trainer.step.loss import Workspace, photometric_loss
+from trainer.step.optimiser import GATE_STEEPNESS, Adam, OptimiserConfig, add_noise
 from trainer.step.raster import Parameters, Scratch, View, backward, render
 
 REPEATS = 15

@@ -10,9 +10,9 @@ from codec.splats import MAX_SH_DEGREE
 from trainer.lease.leases import LeaseConfig
 from trainer.step.backend import BackendName
 from trainer.step.device.pick import Picked, Weights, pick_backend
+from trainer.step.optimiser import OptimiserConfig
 
 from .mcmc import McmcConfig
-from .optimiser import OptimiserConfig
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,8 @@
 """The Gaussians in training: both generations of every slot, and how one follows the other.
 
+Steps change them where they live (`Rows`). Here they are fetched before they are read or changed,
+and what was changed is sent back.
+
 Rule: a matured generation is written by `mature` alone, so what has left the trainer as a slice
 never changes in its later pictures.
 """
@@ -16,12 +19,14 @@ from codec.slots.update import PREDICTED, Update
 from codec.splats import Splats
 from trainer.lease.leases import Leases
 from trainer.lease.takeover import Crossfade, PlayerState
+from trainer.step.backend import Rows
+from trainer.step.cpubackend import HostRows
+from trainer.step.optimiser import Adam
 from trainer.step.raster import Parameters
 
 from .config import FitConfig
 from .lifespans import Lifespans
 from .mcmc import relocate
-from .optimiser import Adam
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
@@ -34,30 +39,46 @@ class Generations:
     generation before it in the same slots, which has no history.
     """
 
+    home: Rows
+    """Where they live; the host's arrays until a resident takes them in."""
+
     def __init__(
         self, config: FitConfig, initial: Splats | None, leases: Leases | None = None
     ) -> None:
         """initial: num_gs Gaussians; None when the arrays of `state` will be filled. leases: None
         where every slice is sent whole."""
         self.leases = leases
+        self.home = HostRows()
         self.num_gs = config.num_gs
         self.lifespans = Lifespans(config.num_gs, config.swin_size)
-        self.adam = Adam(config.num_gs, config.sh_degree, config.optimiser)
+        self._adam = Adam(config.num_gs, config.sh_degree, config.optimiser)
         self.takeover: Crossfade | None = None
         """Where slots come to follow another training."""
-        self.values = Parameters.zeros(2 * config.num_gs, config.sh_degree)
-        self.values.quats[:, 0] = 1
+        self._values = Parameters.zeros(2 * config.num_gs, config.sh_degree)
+        self._values.quats[:, 0] = 1
         self.motions = np.zeros((config.num_gs, 3), np.float32)
         """Metres that each leased slot's Gaussian has moved in its last life; 0 if it was kept or
         is another."""
         if initial is not None:
             self._write(slice(config.num_gs), initial)
 
+    @property
+    def values(self) -> Parameters:
+        """The parameters as they are now. What changes them has to send them."""
+        self.home.fetch()
+        return self._values
+
+    @property
+    def adam(self) -> Adam:
+        """The histories as they are now, with the parameters."""
+        self.home.fetch(history=True)
+        return self._adam
+
     def state(self) -> dict[str, npt.NDArray[Any]]:
         """Everything that changes while training. Views, not copies."""
-        lifespans = self.lifespans
+        lifespans, adam = self.lifespans, self.adam
         arrays: dict[str, npt.NDArray[Any]] = {
-            "adam_steps": self.adam.steps,
+            "adam_steps": adam.steps,
             "births": lifespans.births,
             "starts": lifespans.starts,
             "expires": lifespans.expires,
@@ -67,8 +88,8 @@ class Generations:
         }
         for name, parameters in (
             ("values", self.values),
-            ("first", self.adam.first),
-            ("second", self.adam.second),
+            ("first", adam.first),
+            ("second", adam.second),
         ):
             for i, array in enumerate(parameters.arrays):
                 arrays[f"{name}{i}"] = array
@@ -100,6 +121,7 @@ class Generations:
             frozen = self.matured_rows(birth)
             for array in self.values.arrays:
                 array[frozen] = array[rows]
+            self.home.send(frozen)
             offsets = self.lifespans.matured_starts[rows] - birth
             matured.append(Slice(birth, self._read(frozen), offsets.astype(np.uint8)))
         return matured
@@ -127,6 +149,7 @@ class Generations:
             rows = np.flatnonzero(changed) + self.matured_rows(birth).start
             for array, decoded in zip(self.values.arrays, exact.arrays, strict=True):
                 array[rows] = decoded[changed]
+            self.home.send(rows)
         return updates
 
     def held(self, update: Update) -> PlayerState:
@@ -150,6 +173,7 @@ class Generations:
             return
         of_lane = rows - lane.start
         lifespans.take_up(rows)
+        self.home.fetch(history=True)  # it is sent along
         self._write(rows, theirs.splats.take(of_lane))
         shows = theirs.shows[of_lane]
         lifespans.starts[rows[shows]] += theirs.start_offsets[of_lane][shows]
@@ -169,9 +193,10 @@ class Generations:
         """
         lifespans = self.lifespans
         own = np.ones(self.num_gs, np.bool_) if self.takeover is None else ~self.takeover.follows
+        values, changed = self.values, [np.zeros(0, np.int64)]
         births = np.unique(lifespans.births)
         for birth in births[births <= last_frame]:
-            logits = self.values.logit_opacities[: self.num_gs]
+            logits = values.logit_opacities[: self.num_gs]
             is_dead = logits <= np.log(dead_opacity / (1 - dead_opacity))
             born = (lifespans.births == birth) & (lifespans.starts < lifespans.expires) & own
             dead = np.flatnonzero(is_dead & born)
@@ -179,13 +204,15 @@ class Generations:
             alive = np.flatnonzero(
                 ~is_dead & (lifespans.births >= birth) & (lifespans.starts <= last_frame) & own
             )
-            targets = relocate(self.values, dead, alive, dead_opacity, rng)
+            targets = relocate(values, dead, alive, dead_opacity, rng)
             if len(targets):
                 lifespans.starts[dead] = lifespans.starts[targets]
                 if self.leases is not None:
                     self.leases.is_other[dead] = True
-                self.adam.reset(dead)
-                self.adam.reset(np.unique(targets))
+                changed += [dead, np.unique(targets)]
+                for rows in changed[-2:]:
+                    self._adam.reset(rows)
+        self.home.send(np.unique(np.concatenate(changed)))
 
     def least(self, rows: Ints, contributions: Floats, each: int) -> Ints:
         """The `each` of every slice that contribute least among `rows`, which are being optimised,
@@ -197,11 +224,22 @@ class Generations:
 
     def place(self, rows: Ints, splats: Splats, start: int) -> None:
         """Replaces the Gaussians `rows` by `splats`, which show from frame `start` on."""
-        self._write(rows, splats)
         self.lifespans.starts[rows] = start
-        self.adam.reset(rows)
+        self._adam.reset(rows)
+        self._write(rows, splats)
         if self.leases is not None:
             self.leases.is_other[rows] = True
+
+    def forget(self) -> None:
+        """Begins the histories of all Gaussians afresh."""
+        self.adam.reset(np.arange(self.num_gs))
+        self.home.send(slice(self.num_gs))
+
+    def shift(self, rows: Ints, motions: Floats) -> None:
+        """Moves the Gaussians `rows` by `motions` (M, 3), metres."""
+        self.home.fetch(history=True)  # it is sent along
+        self._values.means[rows] += motions
+        self.home.send(rows)
 
     def trade(self, rows: Ints, others: Ints) -> None:
         """Gaussians in training change places: those of `rows` with those of `others`."""
@@ -211,9 +249,10 @@ class Generations:
 
     def _move(self, rows: npt.NDArray[np.integer], origins: npt.NDArray[np.integer]) -> None:
         """Row rows[i] takes over what is trained in row origins[i]."""
+        self.adam.move(rows, origins)
         for array in self.values.arrays:
             array[rows] = array[origins]
-        self.adam.move(rows, origins)
+        self.home.send(rows)
 
     def _read(self, rows: slice | Ints) -> Splats:
         return Splats(*(array[rows].copy() for array in self.values.arrays))
@@ -221,3 +260,4 @@ class Generations:
     def _write(self, rows: slice | Ints, splats: Splats) -> None:
         for array, given in zip(self.values.arrays, splats.arrays, strict=True):
             array[rows] = given
+        self.home.send(rows)

@@ -1,5 +1,4 @@
-"""Relocation: dead Gaussians move to where living ones are, without changing the picture. And the
-bound of their scales.
+"""Relocation: dead Gaussians move to where living ones are, without changing the picture.
 
 3D Gaussian splatting as Markov chain Monte Carlo (equations 9 to 11). Which Gaussians are dead, and
 where they may move in a sliding window, stands in generations.py.
@@ -7,14 +6,12 @@ where they may move in a sliding window, stands in generations.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb
 
 import numpy as np
 import numpy.typing as npt
 
-from codec.camera import Camera
 from codec.errors import InvalidError
 from trainer.step.raster import Parameters
 
@@ -72,33 +69,6 @@ class McmcConfig:
         for name in ("noise_lr", "window_noise_lr", "opacity_reg", "scale_reg", "max_scale"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 or more")
-
-
-@dataclass(frozen=True)
-class CameraSpread:
-    """Where the cameras of a capture stand."""
-
-    centre: Doubles  # (3,) metres, world
-    radius_m: float
-    """Root mean square of their distances from the centre."""
-
-    @staticmethod
-    def of(cameras: Sequence[Camera]) -> CameraSpread:
-        places = np.stack([camera.position for camera in cameras])
-        centre = places.mean(axis=0)
-        return CameraSpread(centre, float(np.sqrt(((places - centre) ** 2).sum(axis=1).mean())))
-
-    def distances_m(self, means: Floats) -> Doubles:
-        """(N,) root mean square of the distances of (N, 3) places from all cameras."""
-        apart = means - self.centre
-        distances: Doubles = np.sqrt((apart**2).sum(axis=1) + self.radius_m**2)
-        return distances
-
-
-def bound_scales(values: Parameters, rows: Ints, spread: CameraSpread, max_scale: float) -> None:
-    """Keeps the scales of `rows` within `McmcConfig.max_scale`."""
-    most = np.log(max_scale * spread.distances_m(values.means[rows])).astype(np.float32)
-    values.log_scales[rows] = np.minimum(values.log_scales[rows], most[:, None])
 
 
 def _binomial_table() -> Doubles:

@@ -28,11 +28,11 @@ from trainer.seed.stereo import (
     tried_inverse_depths,
     warped,
 )
+from trainer.step.colour import CameraColour
 from trainer.step.contribution import contribution
 from trainer.step.raster import Parameters, View, render
 
 from .changescores import ChangeScores
-from .colour import CameraColour
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]

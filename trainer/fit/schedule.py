@@ -107,9 +107,10 @@ class WindowPlan:
     together_share: float
     """Share of the iterations that each size of cells gets."""
 
-    def cells(self, iteration: int) -> Ints | None:
-        """The cells of an iteration; None if each Gaussian moves by itself."""
+    def level(self, iteration: int) -> int | None:
+        """Which of the cells move together in an iteration; None if each Gaussian moves by
+        itself."""
         if not self.together:
             return None
         level = int(iteration / (self.together_share * self.schedule.iterations))
-        return self.together[level] if level < len(self.together) else None
+        return level if level < len(self.together) else None

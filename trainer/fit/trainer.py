@@ -7,6 +7,7 @@ iterator, and observers are called on the way.
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -21,21 +22,21 @@ from codec.splats import Splats
 from trainer.lease.leases import Leases
 from trainer.lease.takeover import Crossfade, PlayerState
 from trainer.pictures.feed import Pictures
-from trainer.step.backend import Backend, StepInput
+from trainer.step.backend import Backend, Selection, Step, Training
+from trainer.step.colour import CameraColour
 from trainer.step.contribution import summed_contribution
-from trainer.step.raster import Parameters, View
+from trainer.step.raster import View
+from trainer.step.scalebound import CameraSpread
+from trainer.step.together import cells_of
 
 from .cameradraws import CameraDraws
-from .colour import CameraColour
 from .config import FitConfig
 from .generations import Generations
-from .mcmc import CameraSpread, bound_scales
 from .observer import Observer, Progress, Window
-from .optimiser import GATE_STEEPNESS, add_noise
 from .renew import Comparer, Comparison, missing_splats
 from .sceneflow import scene_flow
 from .schedule import Schedule, WindowPlan
-from .together import cells_of, move_together
+from .selections import Selections
 
 Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]
@@ -94,7 +95,6 @@ class Trainer:
             raise InvalidError(f"{len(initial)} initial Gaussians for num_gs {config.num_gs}")
         self._config = config
         self._pictures = pictures
-        self._backend = backend or config.backend("cpu").backend
         self._observers = observers
         cameras = pictures.cameras
         self._views = [View.prepare(c, near_m) for c in cameras]
@@ -103,9 +103,7 @@ class Trainer:
         self._half_views = [View.prepare(c.halved(), near_m) for c in cameras if self._coarse_share]
         self._search_m = near_m if search_from_m is None else search_from_m, far_m
         self._extent_m = scene_extent_m(cameras)
-        self._spread = CameraSpread.of(cameras)
         self._comparer = Comparer(cameras, near_m, config.scene_flow)
-        self._gradients = Parameters.zeros(config.num_gs, config.sh_degree)
         # What changes while training; `state` gives all of it.
         self._leases = None if layout is None else Leases(config.lease, layout)
         self._generations = Generations(config, initial, self._leases)
@@ -114,6 +112,14 @@ class Trainer:
         self._rng = np.random.default_rng(config.seed)
         self._next_window = 0
         self._steps = 0
+        self._unread: deque[int | None] = deque()
+        training = Training(
+            self._generations.values, self._generations.adam, self._colour, pictures, self._views,
+            self._half_views, CameraSpread.of(cameras), config.mcmc.dead_opacity,
+        )  # fmt: skip
+        self._resident = (backend or config.backend("cpu").backend).start(training)
+        self._generations.home = self._resident
+        self._selections = Selections(self._resident, self._generations)
 
     @property
     def next_window(self) -> int:
@@ -214,6 +220,7 @@ class Trainer:
         for name, array in mine.items():
             if name not in ("random", "counters"):
                 array[...] = state[name]
+        self._resident.send_all()
         self._rng.bit_generator.state = json.loads(state["random"].tobytes())
         self._next_window, self._steps = (int(n) for n in state["counters"])
 
@@ -291,75 +298,66 @@ class Trainer:
         that were done before."""
         config, generations, frames = self._config, self._generations, plan.frames
         if frames.start and not config.optimiser.carry_adam:
-            generations.adam.reset(np.arange(config.num_gs))
-        active = {f: generations.lifespans.active_rows(f) for f in frames}
+            generations.forget()
+        self._resident.begin_window(plan.ages, plan.together)
+        self._selections.forget()
         for iteration in range(begin, plan.schedule.iterations):
             frame = int(self._rng.integers(frames.start, frames.stop))
             if plan.newest_share and self._rng.random() < plan.newest_share:
                 frame = frames[-1]
             camera = self._cameras.draw(self._rng, plan.error_share)
-            rows = active[frame]
             if plan.is_ranked and iteration == plan.layered_from and self._leases is not None:
-                self._leases.rank(self._contributions(active[0], 0))
+                rows = generations.lifespans.active_rows(0)
+                self._leases.rank(self._contributions(rows, 0))
             has_all = iteration < plan.layered_from or self._rng.random() >= plan.prefix_share
-            if not has_all:
-                rows = self._prefix(rows)
-            loss = self._step(plan, iteration, camera, frame, rows)
-            if has_all and not plan.whole:
-                self._cameras.note(camera, loss)
+            layers = None if has_all else self._prefix()
+            self._step(plan, iteration, camera, frame, self._selections.at(frame, layers))
+            self._unread.append(camera if has_all and not plan.whole else None)
             done = iteration + 1
             if not frames.start and config.mcmc.max_scale and done % BOUND_PERIOD == 0:
-                bound_scales(generations.values, active[frame], self._spread, config.mcmc.max_scale)
+                everyone = self._selections.at(frame)
+                self._resident.bound_scales(everyone, config.mcmc.max_scale)
+            is_due = done % PROGRESS_PERIOD == 0 or done == plan.schedule.iterations
+            loss = self._note_losses(is_due)
             period, until = config.mcmc.relocate_period, config.mcmc.relocate_until
             if done % period == 0 and done <= until * plan.schedule.iterations:
                 generations.relocate(frames[-1], config.mcmc.dead_opacity, self._rng)
-                active = {f: generations.lifespans.active_rows(f) for f in frames}
-            if done % PROGRESS_PERIOD == 0 or done == plan.schedule.iterations:
+                self._selections.forget()
+            if is_due:
                 total = config.iterations(frames.start)
                 progress = Progress(frames.start, plan.before + done, total, loss)
                 for observer in self._observers:
                     observer.progressed(progress)
 
-    def _step(self, plan: WindowPlan, iteration: int, camera: int, frame: int, rows: Ints) -> float:
-        """One iteration on the Gaussians `rows`, seen by a camera at a frame; gives the loss."""
-        config, values = self._config, self._generations.values
-        view, shot = self._views[camera], self._pictures.shot(camera, frame)
-        if iteration < plan.schedule.half_until:
-            view, shot = self._half_views[camera], shot.half()
-        given = StepInput(
-            values, rows, view, shot, self._colour.gain(camera), self._colour.bias(camera),
-            config.num_gs, plan.whole,
-        )  # fmt: skip
-        loss = self._backend.step(given, self._gradients)
-        trainable = rows[rows < config.num_gs]
-        takeover = self._generations.takeover
-        if takeover is not None:
-            trainable = trainable[~takeover.follows[trainable]]
-        cells = plan.cells(iteration)
-        if cells is not None:
-            move_together(self._gradients.means, trainable, cells)
-        rates = plan.schedule.rates(iteration, self._extent_m)
-        self._generations.adam.step(
-            values, self._gradients, trainable, rates.means_lr_m, plan.ages, rates.calm
-        )
-        if loss.gain_grad is not None and loss.bias_grad is not None:
-            self._colour.step(camera, loss.gain_grad, loss.bias_grad)
-        add_noise(
-            values.means, values.log_scales, values.quats, values.logit_opacities, trainable,
-            np.float32(rates.noise_m), np.float32(config.mcmc.dead_opacity),
-            np.float32(GATE_STEEPNESS), config.seed * 1_000_003 + self._steps,
-        )  # fmt: skip
-        self._steps += 1
-        return loss.value
+    def _note_losses(self, wait: bool) -> float:
+        """Takes in the losses that are known by now; with `wait` all. Gives the last of them."""
+        last = 0.0
+        for last in self._resident.losses(wait):
+            camera = self._unread.popleft()
+            if camera is not None:
+                self._cameras.note(camera, last)
+        return last
 
-    def _prefix(self, rows: Ints) -> Ints:
-        """The `rows` that lie in the first layers, of which a random number is taken."""
+    def _step(
+        self, plan: WindowPlan, iteration: int, camera: int, frame: int, selection: Selection
+    ) -> None:
+        """One iteration on the Gaussians of `selection`, seen by a camera at a frame."""
+        rates = plan.schedule.rates(iteration, self._extent_m)
+        step = Step(
+            camera, frame, iteration < plan.schedule.half_until, plan.whole, rates.means_lr_m,
+            rates.calm, rates.noise_m, self._config.seed * 1_000_003 + self._steps,
+            plan.level(iteration),
+        )  # fmt: skip
+        self._resident.step(step, selection)
+        self._steps += 1
+
+    def _prefix(self) -> int:
+        """A random number of the first layers, which a step renders alone."""
         leases = self._leases
         assert leases is not None
         # All but the last layer alone lack little, and learn with the whole.
         chances = np.minimum(np.arange(len(leases.slots) - 1, 0, -1), 2)
-        layers = 1 + int(self._rng.choice(len(chances), p=chances / chances.sum()))
-        return rows[leases.layers[rows % self._config.num_gs] < layers]
+        return 1 + int(self._rng.choice(len(chances), p=chances / chances.sum()))
 
     def _renew(self, frame: int) -> None:
         """Replaces the Gaussians of genesis that contribute least, where `frame` shows what is not
@@ -421,4 +419,4 @@ class Trainer:
             seen, generations.values.means[slots], generations.motions[slots], self._rng
         )
         moves = np.isin(slots, active)
-        generations.values.means[slots[moves]] += motions[moves]
+        generations.shift(slots[moves], motions[moves])

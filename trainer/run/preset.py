@@ -13,7 +13,7 @@ from codec.storage.openstorage import parse_target
 from trainer.errors import CheckpointError
 from trainer.fit.config import FitConfig
 from trainer.fit.mcmc import McmcConfig
-from trainer.fit.optimiser import OptimiserConfig
+from trainer.step.optimiser import OptimiserConfig
 
 from .checkpoint import CHECKPOINT_NAME, read_options
 from .config import LOCAL, Preset, TrainConfig, default_work

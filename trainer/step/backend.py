@@ -1,23 +1,29 @@
-"""Where the pictures of a training step are rendered and differentiated: on the CPU, or on a device
-of torch.
+"""Where the Gaussians in training live, and where their steps are computed: in host memory, or on a
+device of torch.
 
-A backend is given parameters in host memory and writes gradients to host memory; the optimiser,
-noise and relocation are the same for both.
+A backend starts a resident for a training. The resident holds parameters, their histories, the
+cameras' colours and pictures; a step is a handful of numbers that is sent to it. The host's arrays
+are filled by `Resident.fetch`, and what the host changes in them is passed on by `Resident.send`:
+both only where a window begins or ends, or where Gaussians are relocated.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from trainer.pictures.feed import Pictures
 from trainer.pictures.shot import Shot
 
-from .loss import Loss, photometric_loss
-from .raster import Ints, Parameters, Scratch, View, backward, render
-from .target import Targets
+from .colour import CameraColour
+from .loss import Loss
+from .optimiser import Adam
+from .raster import Ints, Parameters, View
+from .scalebound import CameraSpread
 
 Floats = npt.NDArray[np.float32]
 
@@ -26,7 +32,7 @@ BackendName = Literal["auto", "cpu", "cuda", "torch"]
 
 @dataclass(frozen=True, slots=True)
 class StepInput:
-    """The input of one training step: what it renders, and compares with."""
+    """The input of loss and gradients: what is rendered, and compared with."""
 
     values: Parameters
     rows: Ints
@@ -45,33 +51,101 @@ class StepInput:
     matter to the gradients, which are the same, and give a loss as of some tiles, see `Loss`."""
 
 
+@dataclass(frozen=True, slots=True)
+class Training:
+    """A training in host memory: R = 2 num_gs rows of Gaussians, of which the first half is
+    trained, and what they are compared with."""
+
+    values: Parameters
+    adam: Adam
+    colour: CameraColour
+    pictures: Pictures
+    views: Sequence[View]
+    """One for each camera."""
+    half_views: Sequence[View]
+    """The same for pictures of half the size; empty if there are none."""
+    spread: CameraSpread
+    dead_opacity: float
+    """Opacity at which the noise is halved, see `add_noise`."""
+
+    @property
+    def num_gs(self) -> int:
+        """Number of rows that are trained."""
+        return len(self.adam.steps)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One iteration: the numbers that a resident is sent."""
+
+    camera: int
+    frame: int
+    is_half: bool
+    """Whether pictures of half the size are compared."""
+    whole: bool
+    """As in `StepInput`."""
+    means_lr_m: float
+    """Learning rate of positions, metres."""
+    calm: float
+    """Factor of the other learning rates."""
+    noise_m: float
+    seed: int
+    """Of the noise."""
+    level: int | None = None
+    """Which of the window's cells move together; None: each Gaussian by itself."""
+
+
+class Selection(Protocol):
+    """The Gaussians of a step, as a resident holds them."""
+
+    @property
+    def rows(self) -> Ints:
+        """Those that are rendered."""
+        ...
+
+
+class Rows(Protocol):
+    """Rows of a training that live somewhere."""
+
+    def fetch(self, history: bool = False) -> None:
+        """Brings the host's parameters and colours up to date; with history Adam's as well."""
+
+    def send(self, rows: npt.NDArray[np.integer[Any]] | slice) -> None:
+        """Takes over what the host has changed in `rows`: parameters and Adam's history. The
+        latter has been fetched or reset."""
+
+    def send_all(self) -> None:
+        """Takes over all of the host's arrays."""
+
+
+class Resident(Rows, Protocol):
+    """The Gaussians of a training where their steps are computed."""
+
+    def begin_window(self, ages: Floats, cells: Sequence[Ints]) -> None:
+        """Prepares the steps of a window. ages: (num_gs,) windows that each row has been trained
+        for; cells: (num_gs,) each, what moves together, by `Step.level`."""
+
+    def select(self, rows: Ints, trained: Ints) -> Selection:
+        """The Gaussians `rows`, of which `trained` (below num_gs) are updated, for the steps until
+        any lifespan changes."""
+
+    def step(self, step: Step, selection: Selection) -> None:
+        """Renders, compares, differentiates and updates. Need not wait for the result."""
+
+    def losses(self, wait: bool) -> list[float]:
+        """The losses of the steps since the last call, oldest first; without `wait` only those that
+        are known already."""
+
+    def bound_scales(self, selection: Selection, max_scale: float) -> None:
+        """Keeps the scales of the trained rows within their bound, see `bound_scales`."""
+
+
 class Backend(Protocol):
-    """Renders, compares, differentiates."""
+    """A way to compute steps."""
 
     def step(self, given: StepInput, gradients: Parameters) -> Loss:
-        """The loss of a step. Writes the gradients of the trainable rows into `gradients`."""
+        """The loss of a picture. Writes the gradients of the trainable rows into `gradients`; all
+        is in host memory."""
 
-
-class CpuBackend:
-    """The numba rasteriser."""
-
-    def __init__(self, dssim_weight: float, opacity_reg: float, scale_reg: float) -> None:
-        self._dssim_weight = dssim_weight
-        self._opacity_reg, self._scale_reg = opacity_reg, scale_reg
-        self._scratch = Scratch()
-        self._targets = Targets()
-
-    def step(self, given: StepInput, gradients: Parameters) -> Loss:
-        """See `Backend.step`."""
-        target, workspace = self._targets.take(given.shot)
-        active = None if given.whole else given.trainable
-        rendered = render(given.values, given.rows, given.view, self._scratch, active)
-        loss = photometric_loss(
-            rendered.picture, target, self._dssim_weight, given.gain, given.bias, workspace,
-            given.shot.mask, rendered.active,
-        )  # fmt: skip
-        backward(
-            rendered, given.values, loss.picture_grad, given.trainable, gradients,
-            self._opacity_reg, self._scale_reg,
-        )  # fmt: skip
-        return loss
+    def start(self, training: Training) -> Resident:
+        """Takes a training in. The resident uses its arrays until it is dropped."""

@@ -46,6 +46,11 @@ class Parameters:
         shapes = array_shapes(rows, sh_degree)
         return Parameters(*(np.zeros(shape, np.float32) for shape in shapes))
 
+    @staticmethod
+    def zeros_like(other: Parameters, rows: int) -> Parameters:
+        """So many rows of the same SH degree."""
+        return Parameters(*(np.zeros((rows, *a.shape[1:]), np.float32) for a in other.arrays))
+
     @property
     def arrays(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """In the order of `Splats.arrays`."""

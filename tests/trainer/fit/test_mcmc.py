@@ -11,12 +11,11 @@ from codec.camera import Camera
 from player.render.recipe import ALPHA_MAX
 from trainer.fit.mcmc import (
     MAX_COPIES,
-    CameraSpread,
-    bound_scales,
     relocate,
     split_opacity_and_scale,
 )
 from trainer.step.raster import Parameters, View, render
+from trainer.step.scalebound import CameraSpread, bound_scales
 
 
 @given(st.floats(0.01, 0.99), st.integers(1, MAX_COPIES))

@@ -14,7 +14,6 @@ from codec.splats import Splats
 from player.render.cpu import render_splats
 from tests.support.tiny_capture import tiny_rig
 from trainer.capture.capture import Mask
-from trainer.fit.colour import CameraColour
 from trainer.fit.config import FitConfig
 from trainer.fit.generations import Generations
 from trainer.fit.mcmc import McmcConfig
@@ -22,6 +21,7 @@ from trainer.fit.renew import Comparer, Comparison, missing_splats
 from trainer.fit.trainer import Trainer
 from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats
+from trainer.step.colour import CameraColour
 from trainer.step.raster import Parameters
 from trainer.synth.scene import CAMERA_RADIUS_M
 

@@ -9,13 +9,13 @@ import pytest
 from codec.lattice.lattice import Lattice
 from codec.slots.slotlayout import SlotLayout
 from codec.splats import Splats
-from trainer.fit.colour import CameraColour
 from trainer.fit.config import FitConfig
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.renew import Comparer
 from trainer.fit.sceneflow import scene_flow
 from trainer.fit.trainer import Trainer
 from trainer.lease.leases import LeaseConfig
+from trainer.step.colour import CameraColour
 
 from .test_renew import NEAR_M, NEW_AT_M, NEW_RADIUS_M, Film, parameters, room, thing
 

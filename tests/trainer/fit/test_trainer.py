@@ -16,14 +16,16 @@ from player.render.cpu import render_splats
 from trainer.capture.capture import Mask
 from trainer.fit.config import FitConfig
 from trainer.fit.generations import Generations
-from trainer.fit.mcmc import CameraSpread, McmcConfig
+from trainer.fit.mcmc import McmcConfig
 from trainer.fit.observer import Observer, Progress
 from trainer.fit.trainer import Trainer
 from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats
-from trainer.step.backend import CpuBackend, StepInput
+from trainer.step.backend import StepInput
+from trainer.step.cpubackend import CpuBackend
 from trainer.step.loss import Loss, psnr_db
 from trainer.step.raster import Parameters
+from trainer.step.scalebound import CameraSpread
 
 NEAR_M = 0.2
 FRAMES = 5

@@ -23,12 +23,12 @@ from tests.support.tiny_stream import tiny_manifest
 from tests.trainer.score.test_ablation import SLOTS, coarse_slice
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
-from trainer.fit.optimiser import Adam, OptimiserConfig
 from trainer.pictures.framecache import FrameCache
 from trainer.pictures.scale import half_mask, scaled_mask
 from trainer.score.evaluate import EvaluateConfig, LayerScore, evaluate_stream
 from trainer.score.meter import QualityMeter
 from trainer.step.loss import Floats, photometric_loss
+from trainer.step.optimiser import Adam, OptimiserConfig
 from trainer.step.raster import Parameters, View, backward, render
 
 FRAMES, SWIN = 3, 2

@@ -13,7 +13,8 @@ from tests.support.reference_render import scattered_splats, turned_camera
 from trainer.pictures.shot import Shot
 from trainer.step import raster
 from trainer.step.active import with_neighbours
-from trainer.step.backend import CpuBackend, StepInput
+from trainer.step.backend import StepInput
+from trainer.step.cpubackend import CpuBackend
 from trainer.step.loss import Loss
 from trainer.step.raster import Parameters, View, render
 from trainer.step.runs import Runs

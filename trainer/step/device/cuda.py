@@ -9,38 +9,31 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import torch
 from torch import Tensor
 
-from codec.camera import Camera
 from player.render.recipe import LOW_PASS_PX2, TILE_PX
 
 from .device import DeviceBackend
+from .deviceview import DeviceView
 from .torchproject import Solids
 
 Rasterization = Callable[..., tuple[Tensor, Tensor, dict[str, Any]]]
 """gsplat.rasterization, or what takes and gives the same."""
 
 
-def gsplat_picture(
-    solids: Solids, camera: Camera, near_m: float, rasterization: Rasterization
-) -> Tensor:
+def gsplat_picture(solids: Solids, view: DeviceView, rasterization: Rasterization) -> Tensor:
     """(3, H, W) float32, differentiable."""
-    w2c, intrinsics = (
-        torch.tensor(matrix, dtype=torch.float32).to(solids.means.device)
-        for matrix in (camera.w2c, camera.intrinsics)
-    )
     pictures, _, _ = rasterization(
         means=solids.means,
         quats=solids.quats,
         scales=solids.scales,
         opacities=solids.opacities,
         colors=solids.colours,
-        viewmats=w2c[None],
-        Ks=intrinsics[None],
-        width=camera.width_px,
-        height=camera.height_px,
-        near_plane=near_m,
+        viewmats=view.w2c[None],
+        Ks=view.intrinsics[None],
+        width=view.camera.width_px,
+        height=view.camera.height_px,
+        near_plane=view.near_m,
         eps2d=LOW_PASS_PX2,
         tile_size=TILE_PX,
         packed=False,

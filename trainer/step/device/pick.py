@@ -12,7 +12,8 @@ import numpy as np
 from codec.camera import Camera
 from codec.errors import InvalidError
 from trainer.pictures.shot import Shot
-from trainer.step.backend import Backend, BackendName, CpuBackend, StepInput
+from trainer.step.backend import Backend, BackendName, StepInput
+from trainer.step.cpubackend import CpuBackend
 from trainer.step.raster import Parameters, View
 
 TOLERANCE = 1e-3

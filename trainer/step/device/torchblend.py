@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 import torch
@@ -81,8 +82,7 @@ def _batches(seen: Tensor, lists: TensorLists, batch_tiles: int) -> Iterator[tup
     """First entry and tiles (B,) of every batch; a tile without light in `seen` (T, 256), which the
     caller changes on the way, is left out."""
     lengths = lists.starts.diff()
-    longest = int(lengths.max()) if len(lists.gaussians) else 0
-    for first in range(0, longest, SLAB):
+    for first in count(0, SLAB):
         left = ((lengths > first) & (seen > 0).any(1)).nonzero()[:, 0]
         if not len(left):
             return

@@ -13,7 +13,8 @@ from torch import Tensor
 from codec.camera import Camera
 from player.render.project import jacobian_limits
 from player.render.recipe import ALPHA_MIN, LOW_PASS_PX2, MAX_EXTENT_SIGMA, TILE_PX
-from player.render.tiles import tile_grid
+
+from .deviceview import DeviceView
 
 # Columns of what is drawn.
 X, Y, CONIC_A, CONIC_B, CONIC_C, OPACITY, RED = range(7)
@@ -47,7 +48,7 @@ class Drawn:
     boxes: Tensor  # (M, 4) int64: first tile and the one after the last, in x and in y
 
 
-def _rotations(quats: Tensor) -> Tensor:
+def rotations(quats: Tensor) -> Tensor:
     """(N, 3, 3) of unit quaternions (N, 4) wxyz."""
     w, x, y, z = quats.unbind(1)
     rows = [
@@ -69,7 +70,7 @@ def _ellipses(solids: Solids, camera: Camera, w2c: Tensor) -> tuple[Tensor, Tens
     # The (2, 3) Jacobian times the camera's rotation, row by row.
     along_x = (camera.fx_px / z)[:, None] * (w2c[0, :3] - tx[:, None] * w2c[2, :3])
     along_y = (camera.fy_px / z)[:, None] * (w2c[1, :3] - ty[:, None] * w2c[2, :3])
-    turned = _rotations(solids.quats)
+    turned = rotations(solids.quats)
     half_x = (along_x[:, :, None] * turned).sum(1) * solids.scales
     half_y = (along_y[:, :, None] * turned).sum(1) * solids.scales
     covariances = torch.stack(
@@ -84,22 +85,20 @@ def _ellipses(solids: Solids, camera: Camera, w2c: Tensor) -> tuple[Tensor, Tens
     return z, centres, covariances
 
 
-def project(solids: Solids, camera: Camera, near_m: float) -> Drawn:
-    """`solids` as `camera` sees them, without any nearer than `near_m`, too faint or beside the
+def project(solids: Solids, view: DeviceView) -> Drawn:
+    """`solids` as `view` sees them, without any nearer than its near plane, too faint or beside the
     picture. Ties in depth keep their order."""
-    means = solids.means
-    w2c = torch.tensor(camera.w2c, dtype=means.dtype).to(means.device)
+    camera, w2c = view.camera, view.w2c
     with torch.no_grad():
         depths, centres, covariances = _ellipses(solids, camera, w2c)
         xx, xy, yy = covariances.unbind(1)
         # Where an opacity is too small the root is not a number, and nothing shows.
         extents = (2 * torch.log(solids.opacities / ALPHA_MIN)).sqrt().clamp(max=MAX_EXTENT_SIGMA)
         reach = extents[:, None] * torch.stack([xx, yy], 1).sqrt()
-        ends = torch.tensor(tile_grid(camera.width_px, camera.height_px)).to(means)
-        zero = torch.zeros_like(ends)
+        ends, zero = view.tiles, torch.zeros_like(view.tiles)
         low = ((centres - reach) / TILE_PX).floor().clamp(zero, ends)
         high = (((centres + reach) / TILE_PX).floor() + 1).clamp(zero, ends)
-        shows = (depths > near_m) & (solids.opacities >= ALPHA_MIN) & (xx * yy - xy * xy > 0)
+        shows = (depths > view.near_m) & (solids.opacities >= ALPHA_MIN) & (xx * yy - xy * xy > 0)
         shows &= (high > low).all(1)
         rows = shows.nonzero()[:, 0]
         rows = rows[torch.argsort(depths[rows], stable=True)]

@@ -11,11 +11,10 @@ from functools import partial
 
 from torch import Tensor
 
-from codec.camera import Camera
 from player.render.recipe import TILE_PX
-from player.render.tiles import tile_grid
 
 from .device import DeviceBackend
+from .deviceview import DeviceView
 from .torchblend import blend
 from .torchproject import Solids, project
 from .torchtiles import tensor_lists
@@ -27,14 +26,13 @@ BATCH_BYTES = 512 << 20
 """Size of a batch that keeps a GPU busy."""
 
 
-def torch_picture(solids: Solids, camera: Camera, near_m: float, batch_bytes: int) -> Tensor:
+def torch_picture(solids: Solids, view: DeviceView, batch_bytes: int) -> Tensor:
     """(3, H, W) float32, differentiable; see `blend` for `batch_bytes`."""
-    tiles_x, tiles_y = tile_grid(camera.width_px, camera.height_px)
-    drawn = project(solids, camera, near_m)
-    tiles = blend(drawn.values, tensor_lists(drawn, tiles_x, tiles_y), batch_bytes)
-    rows = tiles.reshape(tiles_y, tiles_x, 3, TILE_PX, TILE_PX).permute(2, 0, 3, 1, 4)
-    padded = rows.reshape(3, tiles_y * TILE_PX, tiles_x * TILE_PX)
-    return padded[:, : camera.height_px, : camera.width_px]
+    drawn = project(solids, view)
+    tiles = blend(drawn.values, tensor_lists(drawn, view.tiles_x, view.tiles_y), batch_bytes)
+    rows = tiles.reshape(view.tiles_y, view.tiles_x, 3, TILE_PX, TILE_PX).permute(2, 0, 3, 1, 4)
+    padded = rows.reshape(3, view.tiles_y * TILE_PX, view.tiles_x * TILE_PX)
+    return padded[:, : view.camera.height_px, : view.camera.width_px]
 
 
 class TorchBackend(DeviceBackend):

@@ -19,7 +19,8 @@ from codec.splats import SH_C0
 from player.render.recipe import LOW_PASS_PX2, TILE_PX
 from tests.support.reference_render import render_reference
 from trainer.pictures.shot import Shot
-from trainer.step.backend import Backend, CpuBackend, StepInput
+from trainer.step.backend import Backend, StepInput
+from trainer.step.cpubackend import CpuBackend
 from trainer.step.device.cuda import CudaBackend
 from trainer.step.device.torchraster import TorchBackend
 from trainer.step.loss import Loss

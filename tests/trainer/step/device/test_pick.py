@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from codec.errors import InvalidError
-from trainer.step.backend import CpuBackend, StepInput
+from trainer.step.backend import StepInput
+from trainer.step.cpubackend import CpuBackend
 from trainer.step.device import pick
 from trainer.step.device.cuda import CudaBackend
 from trainer.step.device.pick import Weights, pick_backend

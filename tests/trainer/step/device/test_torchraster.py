@@ -15,7 +15,10 @@ from torch.profiler import ProfilerActivity, profile
 from codec.camera import Camera
 from tests.support.reference_render import turned_camera
 from trainer.pictures.shot import Shot
-from trainer.step.backend import CpuBackend, StepInput
+from trainer.step.backend import StepInput
+from trainer.step.cpubackend import CpuBackend
+from trainer.step.device.deviceview import DeviceView
+from trainer.step.device.packedrows import pack
 from trainer.step.device.torchblend import PAIR_BYTES, SLAB, blend
 from trainer.step.device.torchproject import CONIC_A, CONIC_C, DRAWN, OPACITY, RED, X, Y
 from trainer.step.device.torchraster import TorchBackend
@@ -96,7 +99,8 @@ def test_a_picture_is_the_cpu_s() -> None:
     rows, view = np.arange(3_000, dtype=np.int32), View.prepare(camera, NEAR_M)
     expected = render(values, rows, view).picture[:, : camera.height_px, : camera.width_px]
     backend = TorchBackend(*WEIGHTS, "cpu")
-    got = backend.render([torch.tensor(array) for array in values.arrays], view).numpy()
+    there = DeviceView.send(view, backend.crossing)
+    got = backend.loss.render(torch.tensor(pack(values, rows)), there).numpy()
     assert expected.max() > 0.5
     assert np.abs(got - expected).max() < 1e-4
 

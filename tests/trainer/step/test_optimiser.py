@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainer.fit.optimiser import GATE_STEEPNESS, Adam, AgeScaling, OptimiserConfig, add_noise
+from trainer.step.optimiser import GATE_STEEPNESS, Adam, AgeScaling, OptimiserConfig, add_noise
 from trainer.step.raster import Parameters
 
 

@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from codec.kernel import kernel, prange
 from player.render.project import rotation_of
-from trainer.step.raster import Parameters
+
+from .raster import Parameters
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
@@ -112,6 +113,12 @@ class Adam:
             np.full(1, config.logit_opacities_lr, np.float32),
             sh_rates,
         )
+
+    @property
+    def packed_rates(self) -> Floats:
+        """(D,) the rates of a row's numbers, one attribute after the other; positions, whose rate
+        is given with each step, have 0."""
+        return np.concatenate([np.zeros(3, np.float32), *self._rates])
 
     def reset(self, rows: npt.NDArray[np.integer]) -> None:
         """Forgets the history of `rows`."""

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trainer.fit.together import cells_of, move_together
+from trainer.step.together import cells_of, move_together
 
 
 @given(st.integers(1, 60), st.floats(0.05, 3), st.integers(0, 99))

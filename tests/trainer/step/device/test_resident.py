@@ -1,0 +1,285 @@
+"""A training that stays on a device follows the one in the host's arrays, and nothing but numbers
+crosses in a step."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import trainer.step.device
+from codec.camera import Camera
+from tests.support.reference_render import turned_camera
+from trainer.capture.capture import Mask
+from trainer.pictures.shot import Shot
+from trainer.step.backend import Resident, Step, Training
+from trainer.step.colour import CameraColour
+from trainer.step.cpubackend import CpuBackend
+from trainer.step.device.crossing import Crossing
+from trainer.step.device.cuda import CudaBackend
+from trainer.step.device.packedrows import pack
+from trainer.step.device.picturecache import PictureCache
+from trainer.step.device.tensorupdate import add_tensor_noise
+from trainer.step.device.torchraster import TorchBackend
+from trainer.step.optimiser import (
+    GATE_STEEPNESS,
+    Adam,
+    AgeScaling,
+    OptimiserConfig,
+    add_noise,
+)
+from trainer.step.raster import Parameters, View
+from trainer.step.scalebound import CameraSpread
+
+NUM_GS = 300
+SHOWN = np.concatenate([np.arange(20, NUM_GS), NUM_GS + np.arange(10, 60)]).astype(np.int32)
+TRAINED = np.arange(40, NUM_GS, dtype=np.int32)
+"""The others below NUM_GS follow another training."""
+WEIGHTS = (0.2, 0.01, 0.02)
+NEAR_M = 0.2
+CAMERAS, FRAMES = 3, 2
+
+
+class Pictures:
+    """Noise; those of the second camera have masks."""
+
+    num_frames = FRAMES
+
+    def __init__(self) -> None:
+        camera = turned_camera()
+        self.cameras: list[Camera] = []
+        for i in range(CAMERAS):
+            w2c = camera.w2c.copy()
+            w2c[0, 3] += 0.3 * i
+            self.cameras.append(replace(camera, name=f"{i}", w2c=w2c))
+        self.asked: list[tuple[int, int]] = []
+
+    def shot(self, camera: int, frame: int) -> Shot:
+        self.asked.append((camera, frame))
+        rng = np.random.default_rng(10 * camera + frame)
+        size = self.cameras[0].height_px, self.cameras[0].width_px
+        shade = rng.integers(0, 256, (*size, 3), dtype=np.uint8)
+        return Shot(shade // 4 + np.uint8(60), self.mask(camera, frame))
+
+    def mask(self, camera: int, frame: int) -> Mask | None:
+        size = self.cameras[0].height_px, self.cameras[0].width_px
+        return (np.random.default_rng(5).random(size) > 0.2).astype(np.uint8) if camera else None
+
+
+def training(sh_degree: int, age_scaling: AgeScaling = "update") -> Training:
+    rng, pictures = np.random.default_rng(2), Pictures()
+    values = Parameters.zeros(2 * NUM_GS, sh_degree)
+    values.means[:] = rng.uniform(-1, 1, (2 * NUM_GS, 3))
+    values.log_scales[:] = rng.normal(-2.3, 0.3, (2 * NUM_GS, 3))
+    values.quats[:] = rng.normal(size=(2 * NUM_GS, 4))
+    values.logit_opacities[:] = rng.normal(-1, 2, 2 * NUM_GS)
+    values.sh[:] = 0.2 * rng.normal(size=values.sh.shape)
+    adam = Adam(NUM_GS, sh_degree, OptimiserConfig(age_scaling=age_scaling))
+    views = [View.prepare(c, NEAR_M) for c in pictures.cameras]
+    halves = [View.prepare(c.halved(), NEAR_M) for c in pictures.cameras]
+    colour = CameraColour(CAMERAS, 1e-3)
+    spread = CameraSpread.of(pictures.cameras)
+    return Training(values, adam, colour, pictures, views, halves, spread, 0.005)
+
+
+def begin(resident: Resident) -> None:
+    ages = (np.arange(NUM_GS) % 4).astype(np.float32)
+    cells = [(np.arange(NUM_GS) // size).astype(np.int32) for size in (7, 2)]
+    resident.begin_window(ages, cells)
+
+
+def steps(count: int, first: int = 0) -> list[Step]:
+    """Every camera and frame in turn; a quarter sees halves, a third moves together."""
+    return [
+        Step(
+            i % CAMERAS, i // CAMERAS % FRAMES, is_half=i % 4 == 3, whole=True, means_lr_m=1e-3,
+            calm=1.0 if i < 40 else 0.7, noise_m=50.0, seed=1_000_003 * 7 + i,
+            level=i % 2 if i % 3 == 2 else None,
+        )
+        for i in range(first, first + count)
+    ]  # fmt: skip
+
+
+def run(resident: Resident, some: list[Step]) -> list[float]:
+    selection = resident.select(SHOWN, TRAINED)
+    for i, step in enumerate(some):
+        resident.step(step, selection)
+        if i % 10 == 9:
+            resident.bound_scales(selection, 0.05)
+    return resident.losses(wait=True)
+
+
+def arrays_of(given: Training) -> dict[str, np.ndarray[Any, Any]]:
+    adam = given.adam
+    named: dict[str, np.ndarray[Any, Any]] = {"steps": adam.steps, **given.colour.state()}
+    for name, parameters in (("", given.values), ("first ", adam.first), ("second ", adam.second)):
+        for slot, array in zip(Parameters.__slots__, parameters.arrays, strict=True):
+            named[name + slot] = array
+    return named
+
+
+@pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
+def test_fifty_steps_lead_to_the_same_gaussians(sh_degree: int) -> None:
+    age_scaling: AgeScaling = ("update", "gradient", "off", "update")[sh_degree]
+    ours, theirs = (training(sh_degree, age_scaling) for _ in range(2))
+    before = ours.values.means.copy()
+    host, device = CpuBackend(*WEIGHTS).start(ours), TorchBackend(*WEIGHTS, "cpu").start(theirs)
+    losses = []
+    for resident in (host, device):
+        begin(resident)
+        losses.append(run(resident, steps(50)))
+        resident.fetch(history=True)
+    np.testing.assert_allclose(losses[1], losses[0], rtol=2e-4)
+    assert len(losses[0]) == 50
+    moved = np.abs(ours.values.means - before).max(axis=1)
+    assert (moved[TRAINED] > 0).all()
+    assert (np.delete(moved, TRAINED) == 0).all()
+    for (name, a), b in zip(arrays_of(theirs).items(), arrays_of(ours).values(), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=3e-3 * np.abs(b).max(), err_msg=name)
+
+
+def test_a_steady_step_sends_numbers_alone() -> None:
+    given, backend = training(1), TorchBackend(*WEIGHTS, "cpu")
+    resident, crossing = backend.start(given), backend.crossing
+    begin(resident)
+    selection = resident.select(SHOWN, TRAINED)
+    for step in steps(CAMERAS * FRAMES):
+        resident.step(step, selection)
+    resident.losses(wait=True)
+    pixels = given.views[0].camera.width_px * given.views[0].camera.height_px
+    masks = CAMERAS - 1
+    assert crossing.picture_bytes == FRAMES * pixels * (3 * CAMERAS + masks)  # as bytes, once
+    assert isinstance(given.pictures, Pictures)
+    assert len(given.pictures.asked) == CAMERAS * FRAMES
+    before, pictures = crossing.crossed_bytes, crossing.picture_bytes
+    for i, step in enumerate(steps(40, 6)):
+        resident.step(step, selection)
+        assert len(resident.losses(wait=i % 20 == 19)) == (20 if i % 20 == 19 else 0)
+    assert 0 < crossing.crossed_bytes - before < 40 * 150
+    assert crossing.picture_bytes == pictures
+    # What a whole training's rows would take shows that the counter counts.
+    resident.fetch(history=True)
+    assert crossing.received_bytes > NUM_GS * 3 * 23 * 4
+    received = crossing.received_bytes
+    resident.fetch(history=True)
+    assert crossing.received_bytes == received
+
+
+def test_pictures_keep_to_their_bound_and_come_again() -> None:
+    given = training(0)
+    shot_bytes = 4 * given.views[0].camera.width_px * given.views[0].camera.height_px
+    crossing = Crossing(torch.device("cpu"))
+    cache = PictureCache(given.pictures, crossing, 2 * shot_bytes)
+    for _ in range(2):
+        for camera in range(CAMERAS):
+            shot = given.pictures.shot(camera, 0)
+            taken = cache.take(camera, 0)
+            assert np.array_equal(taken.picture.numpy(), shot.picture)
+            assert cache.held_bytes <= 2 * shot_bytes
+            for is_half in (False, True):
+                planes, counts = taken.planes(is_half)
+                wanted = shot.half() if is_half else shot
+                expected = np.empty((3, *wanted.shape), np.float32)
+                wanted.fill(expected)
+                np.testing.assert_allclose(planes.numpy(), expected, atol=1e-6)
+                assert (counts is None) == (wanted.mask is None)
+                if counts is not None and wanted.mask is not None:
+                    assert np.array_equal(counts.numpy(), wanted.mask)
+    assert crossing.picture_bytes == pytest.approx(6 * shot_bytes, rel=0.2)
+    assert crossing.crossed_bytes == 0
+
+
+def shape_only(**given: Any) -> tuple[torch.Tensor, torch.Tensor, dict[str, Any]]:
+    """A picture that depends on everything, of the size that gsplat's has."""
+    names = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks")
+    light = sum(given[name].sum() for name in names)
+    return light * light.new_ones(1, given["height"], given["width"], 3), light, {}
+
+
+def test_a_step_looks_at_no_value_on_the_device() -> None:
+    """Tensors of the device `meta` have no values: whoever asks for one, or mixes in a tensor of
+    the host, is refused."""
+    given = training(3)
+    resident = CudaBackend(*WEIGHTS, shape_only, "meta").start(given)
+    begin(resident)
+    selection = resident.select(SHOWN, TRAINED)
+    for step in steps(30):
+        resident.step(step, selection)
+        assert resident.losses(wait=False) == []
+    resident.bound_scales(selection, 0.1)
+    with pytest.raises(NotImplementedError, match="meta"):
+        resident.losses(wait=True)
+    # So would the rasteriser in plain torch: it reads how long its lists are.
+    plain = TorchBackend(*WEIGHTS, "meta").start(given)
+    with pytest.raises((NotImplementedError, RuntimeError)):
+        plain.step(steps(1)[0], plain.select(SHOWN, TRAINED))
+
+
+CROSSES = {
+    "item", "tolist", "cpu", "numpy", "to", "cuda", "from_numpy", "tensor", "as_tensor",
+    "pin_memory", "synchronize",
+}  # fmt: skip
+"""Attributes by which values cross, or the host waits."""
+
+
+def test_arrays_cross_in_one_module_alone() -> None:
+    folder = Path(trainer.step.device.__file__).parent
+    found = {
+        (file.stem, node.attr)
+        for file in folder.glob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Attribute) and node.attr in CROSSES
+    }
+    assert ("crossing", "cpu") in found
+    # pick asks torch which devices there are.
+    assert {stem for stem, _ in found} <= {"crossing", "pick"}
+
+
+@pytest.mark.parametrize("seed", [0, 5, 2**63 + 11, 2**64 - 1])
+def test_the_noise_is_the_kernel_s_and_repeats(seed: int) -> None:
+    rng, rows = np.random.default_rng(1), np.arange(50, 250, dtype=np.int32)
+    values = Parameters.zeros(NUM_GS, 0)
+    values.log_scales[:] = rng.normal(-1, 0.5, (NUM_GS, 3))
+    values.quats[:] = rng.normal(size=(NUM_GS, 4))
+    values.logit_opacities[:] = rng.uniform(-8, 0, NUM_GS)
+    packed = [torch.from_numpy(pack(values, rows)) for _ in range(2)]
+    there = torch.from_numpy(rows).long()
+    for tensor in packed:
+        add_tensor_noise(tensor, there, 0.7, 0.005, seed)
+    assert torch.equal(*packed)
+    add_noise(
+        *values.arrays[:4], rows, np.float32(0.7), np.float32(0.005), np.float32(GATE_STEEPNESS),
+        np.uint64(seed),
+    )  # fmt: skip
+    np.testing.assert_allclose(packed[0][:, :3].numpy(), values.means[rows], rtol=1e-4, atol=1e-6)
+    assert np.abs(values.means[rows]).max() > 0.1
+
+
+def test_the_host_s_changes_arrive_and_the_device_s_come_back() -> None:
+    """Rows that the host rewrites, places elsewhere or begins afresh, between steps."""
+    ours, theirs = training(1), training(1)
+    for given, backend in ((ours, CpuBackend(*WEIGHTS)), (theirs, TorchBackend(*WEIGHTS, "cpu"))):
+        resident: Resident = backend.start(given)
+        begin(resident)
+        run(resident, steps(5))
+        resident.fetch(history=True)
+        rows = np.array([50, 70, NUM_GS + 20])
+        for array in given.values.arrays:
+            array[rows] = array[[60, 61, 62]]
+        given.adam.reset(rows[:2])
+        resident.send(rows)
+        run(resident, steps(5, 5))
+        resident.fetch()  # without the history, which the rows below do not need
+        given.values.means[:NUM_GS] += np.float32(0.01)
+        given.adam.reset(np.arange(NUM_GS))
+        resident.send(slice(NUM_GS))
+        run(resident, steps(5, 10))
+        resident.fetch(history=True)
+    assert ours.adam.steps[TRAINED].tolist() == [5] * len(TRAINED)
+    for (name, a), b in zip(arrays_of(theirs).items(), arrays_of(ours).values(), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=3e-3 * np.abs(b).max(), err_msg=name)

@@ -1,0 +1,123 @@
+"""The numba rasteriser, and the resident that it computes: its arrays are the host's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .backend import Floats, Resident, Selection, Step, StepInput, Training
+from .loss import Loss, photometric_loss
+from .optimiser import GATE_STEEPNESS, add_noise
+from .raster import Ints, Parameters, Scratch, backward, render
+from .scalebound import bound_scales
+from .target import Targets
+from .together import move_together
+
+
+class CpuBackend:
+    """The numba rasteriser."""
+
+    def __init__(self, dssim_weight: float, opacity_reg: float, scale_reg: float) -> None:
+        self._dssim_weight = dssim_weight
+        self._opacity_reg, self._scale_reg = opacity_reg, scale_reg
+        self._scratch = Scratch()
+        self._targets = Targets()
+
+    def step(self, given: StepInput, gradients: Parameters) -> Loss:
+        """See `Backend.step`."""
+        target, workspace = self._targets.take(given.shot)
+        active = None if given.whole else given.trainable
+        rendered = render(given.values, given.rows, given.view, self._scratch, active)
+        loss = photometric_loss(
+            rendered.picture, target, self._dssim_weight, given.gain, given.bias, workspace,
+            given.shot.mask, rendered.active,
+        )  # fmt: skip
+        backward(
+            rendered, given.values, loss.picture_grad, given.trainable, gradients,
+            self._opacity_reg, self._scale_reg,
+        )  # fmt: skip
+        return loss
+
+    def start(self, training: Training) -> Resident:
+        """See `Backend.start`."""
+        return HostResident(self, training)
+
+
+@dataclass(frozen=True, slots=True)
+class HostSelection:
+    """Rows of the host's arrays."""
+
+    rows: Ints
+    trained: Ints
+
+
+class HostRows:
+    """Rows that live in the host's arrays: nothing has to be fetched or sent."""
+
+    def fetch(self, history: bool = False) -> None:
+        """See `Rows.fetch`."""
+
+    def send(self, rows: npt.NDArray[np.integer[Any]] | slice) -> None:
+        """See `Rows.send`."""
+
+    def send_all(self) -> None:
+        """See `Rows.send_all`."""
+
+
+class HostResident(HostRows):
+    """A training whose steps change the host's arrays."""
+
+    def __init__(self, backend: CpuBackend, training: Training) -> None:
+        self._backend, self._training = backend, training
+        self._gradients = Parameters.zeros_like(training.values, training.num_gs)
+        self._ages = np.zeros(training.num_gs, np.float32)
+        self._cells: Sequence[Ints] = ()
+        self._losses: list[float] = []
+
+    def begin_window(self, ages: Floats, cells: Sequence[Ints]) -> None:
+        """See `Resident.begin_window`."""
+        self._ages, self._cells = ages, cells
+
+    def select(self, rows: Ints, trained: Ints) -> HostSelection:
+        """See `Resident.select`."""
+        return HostSelection(rows, trained)
+
+    def step(self, step: Step, selection: Selection) -> None:
+        """See `Resident.step`."""
+        assert isinstance(selection, HostSelection)
+        training, trained = self._training, selection.trained
+        values, colour, camera = training.values, training.colour, step.camera
+        view, shot = training.views[camera], training.pictures.shot(camera, step.frame)
+        if step.is_half:
+            view, shot = training.half_views[camera], shot.half()
+        given = StepInput(
+            values, selection.rows, view, shot, colour.gain(camera), colour.bias(camera),
+            training.num_gs, step.whole,
+        )  # fmt: skip
+        loss = self._backend.step(given, self._gradients)
+        if step.level is not None:
+            move_together(self._gradients.means, trained, self._cells[step.level])
+        training.adam.step(values, self._gradients, trained, step.means_lr_m, self._ages, step.calm)
+        if loss.gain_grad is not None and loss.bias_grad is not None:
+            colour.step(camera, loss.gain_grad, loss.bias_grad)
+        add_noise(
+            values.means, values.log_scales, values.quats, values.logit_opacities, trained,
+            np.float32(step.noise_m), np.float32(training.dead_opacity),
+            np.float32(GATE_STEEPNESS), step.seed,
+        )  # fmt: skip
+        self._losses.append(loss.value)
+
+    def losses(self, wait: bool) -> list[float]:
+        """See `Resident.losses`."""
+        known, self._losses = self._losses, []
+        return known
+
+    def bound_scales(self, selection: Selection, max_scale: float) -> None:
+        """See `Resident.bound_scales`."""
+        assert isinstance(selection, HostSelection)
+        training = self._training
+        bound_scales(training.values, selection.trained, training.spread, max_scale)
