@@ -1,6 +1,8 @@
 """The rasteriser of gsplat, on an NVIDIA GPU.
 
-gsplat cuts alpha at 0.999 where recipe v1 cuts at 0.99; everything else of the recipe is the same.
+gsplat cuts alpha at 0.999 where recipe v1 cuts at 0.99, and beside the picture its clamp of the
+Jacobian follows the principal point; everything else of the recipe is the same. It reads one number
+a step back to the host: how many pairs of tile and Gaussian there are.
 """
 
 from __future__ import annotations

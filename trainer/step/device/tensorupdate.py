@@ -1,6 +1,6 @@
 """Adam, noise and the bound of scales in tensors; trainer.step.optimiser has them for arrays.
 
-Parameters and gradients are rows (T, D) as `packedrows` has them. Nothing here waits for the device.
+Parameters and gradients are rows (T, D), see `packedrows`. Nothing here waits for the device.
 """
 
 from __future__ import annotations
