@@ -17,14 +17,17 @@ from player.render.recipe import LOW_PASS_PX2, TILE_PX
 
 from .device import DeviceBackend
 from .deviceview import DeviceView
+from .tensorloss import Raster
 from .torchproject import Solids
 
 Rasterization = Callable[..., tuple[Tensor, Tensor, dict[str, Any]]]
 """gsplat.rasterization, or what takes and gives the same."""
 
 
-def gsplat_picture(solids: Solids, view: DeviceView, rasterization: Rasterization) -> Tensor:
-    """(3, H, W) float32, differentiable."""
+def gsplat_picture(
+    solids: Solids, view: DeviceView, trained: int, whole: bool, rasterization: Rasterization
+) -> Raster:
+    """See `Rasterise`; all of the picture in any case."""
     pictures, _, _ = rasterization(
         means=solids.means,
         quats=solids.quats,
@@ -41,7 +44,7 @@ def gsplat_picture(solids: Solids, view: DeviceView, rasterization: Rasterizatio
         packed=False,
         rasterize_mode="classic",
     )
-    return pictures[0].permute(2, 0, 1)
+    return Raster(pictures[0].permute(2, 0, 1))
 
 
 class CudaBackend(DeviceBackend):

@@ -50,7 +50,7 @@ class DeviceBackend:
         sent = DeviceShot(crossing.send_picture(shot.picture), None)
         target, _ = sent.planes(shot.is_half)
         view = DeviceView.send(given.view, crossing)
-        compared = self.loss.compare(leaf, view, target, mask, correction)
+        compared = self.loss.compare(leaf, view, target, mask, correction, len(leaf), whole=True)
         compared.picture.retain_grad()
         compared.total.backward()  # type: ignore[no-untyped-call]
         found = Parameters.zeros_like(given.values, len(rows))

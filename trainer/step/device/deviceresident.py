@@ -135,15 +135,17 @@ class DeviceResident:
         leaf = self._values.index_select(0, selection.trained).requires_grad_()
         packed = torch.cat([leaf, self._values.index_select(0, selection.others)])
         correction = self._colour.of(step.camera).requires_grad_()
-        compared = self._loss.compare(packed, view, target, counts, correction)
+        compared = self._loss.compare(
+            packed, view, target, counts, correction, len(leaf), step.whole
+        )
         compared.total.backward()  # type: ignore[no-untyped-call]
-        self._losses.append(compared.photometric.detach())
+        self._losses.append(compared.photometric)
         if len(self._losses) == MAX_UNREAD:
             self._read += self._received_losses()
         with torch.no_grad():
             if leaf.grad is not None:
                 self._update(step, selection.trained, leaf, leaf.grad)
-            if correction.grad is not None:
+            if correction.grad is not None and compared.is_whole:
                 self._colour.update(step.camera, correction.grad)
         self._is_ahead = self._history_is_ahead = True
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from codec.splats import SH_C0
-from player.render.recipe import SH_C1, SH_C2, SH_C3
+from player.render.recipe import SH_C1, SH_C2, SH_C3, TILE_PX
 from trainer.step.loss import C1, C2, IGNORED, RADIUS_PX, TAPS
 
 from .crossing import Crossing
@@ -17,8 +17,19 @@ from .deviceview import DeviceView
 from .packedrows import parts_of
 from .torchproject import Solids
 
-Rasterise = Callable[[Solids, DeviceView], Tensor]
-"""Gaussians and a camera give a picture (3, H, W), differentiable."""
+
+@dataclass(frozen=True, slots=True)
+class Raster:
+    """A rendered picture."""
+
+    picture: Tensor  # (3, H, W), differentiable
+    active: Tensor | None = None  # (tiles_y, tiles_x) bool: tiles that matter; None: all
+
+
+Rasterise = Callable[[Solids, DeviceView, int, bool], Raster]
+"""Solids as a camera sees them. The number is that of the solids, the first ones, that are trained:
+others need no gradient. The flag is whether all of the picture is compared: else only tiles that
+the trained ones reach need be drawn, and their neighbours."""
 
 
 def _blurred(planes: Tensor, taps: Tensor) -> Tensor:
@@ -31,14 +42,14 @@ def _blurred(planes: Tensor, taps: Tensor) -> Tensor:
 
 
 def _dissimilarity(pred: Tensor, target: Tensor, taps: Tensor) -> Tensor:
-    """1 - mean SSIM of two (3, H, W) pictures."""
+    """(3, H, W): 1 - SSIM of two pictures."""
     products = [pred, target, pred * pred, target * target, pred * target]
     mu_p, mu_t, pp, tt, pt = _blurred(torch.stack(products), taps)
     var_p, var_t, cov = pp - mu_p**2, tt - mu_t**2, pt - mu_p * mu_t
     ssim = ((2 * mu_p * mu_t + C1) * (2 * cov + C2)) / (
         (mu_p**2 + mu_t**2 + C1) * (var_p + var_t + C2)
     )
-    dissimilarity: Tensor = 1 - ssim.mean()
+    dissimilarity: Tensor = 1 - ssim
     return dissimilarity
 
 
@@ -77,9 +88,10 @@ def _higher_harmonics(x: Tensor, y: Tensor, z: Tensor) -> list[Tensor]:
 class Compared:
     """The loss of a picture."""
 
-    photometric: Tensor  # ()
+    photometric: Tensor  # (); where only some tiles matter, see `Loss`
     total: Tensor  # () with the regularisers: what is differentiated
     picture: Tensor  # (3, H, W) as rendered, before the camera's correction
+    is_whole: bool  # whether the gradient by the correction is that of all of the picture
 
 
 class TensorLoss:
@@ -98,8 +110,8 @@ class TensorLoss:
         self._rasterise = rasterise
         self._taps = crossing.send(TAPS)
 
-    def render(self, packed: Tensor, view: DeviceView) -> Tensor:
-        """(3, H, W) of rows (M, D), see `packedrows`, as `view` sees them."""
+    def render(self, packed: Tensor, view: DeviceView, trained: int, whole: bool = True) -> Raster:
+        """Rows (M, D), see `packedrows`, as `view` sees them; for the others see `Rasterise`."""
         means, log_scales, quats, logits, sh = parts_of(packed)
         solids = Solids(
             means,
@@ -108,7 +120,7 @@ class TensorLoss:
             torch.sigmoid(logits),
             seen_colours(means, sh, view.position),
         )
-        return self._rasterise(solids, view)
+        return self._rasterise(solids, view, trained, whole)
 
     def compare(
         self,
@@ -117,23 +129,39 @@ class TensorLoss:
         target: Tensor,
         counts: Tensor | None,
         correction: Tensor,
+        trained: int,
+        whole: bool,
     ) -> Compared:
-        """The rows `packed` (M, D) seen by `view`, against `target` (3, H, W) in 0..1.
+        """The rows `packed` (M, D) seen by `view`, against `target` (3, H, W) in 0..1. For
+        `trained` and `whole` see `Rasterise`.
 
         counts: (H, W) bool, where a pixel counts; None: all do. correction: (6,) gain and bias of
         the camera's colours.
         """
-        picture = self.render(packed, view)
+        raster = self.render(packed, view, trained, whole)
+        picture = raster.picture
         pred = correction[:3, None, None] * picture + correction[3:, None, None]
         if counts is not None:
             pred, target = (torch.where(counts, planes, IGNORED) for planes in (pred, target))
-        l1 = (pred - target).abs().mean()
-        dssim = _dissimilarity(pred, target, self._taps)
-        photometric = (1 - self._dssim_weight) * l1 + self._dssim_weight * dssim
+        weight = self._dssim_weight
+        l1, dssim = (pred - target).abs(), _dissimilarity(pred, target, self._taps)
+        photometric = (1 - weight) * l1.mean() + weight * dssim.mean()
         _, log_scales, _, logits, _ = parts_of(packed)
         count = max(len(packed), 1)
         regularisers = (
             self._opacity_reg / count * torch.sigmoid(logits).sum()
             + self._scale_reg / (3 * count) * log_scales.exp().sum()
         )
-        return Compared(photometric, photometric + regularisers, picture)
+        told = photometric.detach()
+        if raster.active is not None:
+            pixels = _pixels_of(raster.active)[: view.camera.height_px, : view.camera.width_px]
+            with torch.no_grad():
+                told = (((1 - weight) * l1 + weight * dssim) * pixels).mean()
+        return Compared(told, photometric + regularisers, picture, raster.active is None)
+
+
+def _pixels_of(tiles: Tensor) -> Tensor:
+    """(tiles_y * TILE_PX, tiles_x * TILE_PX) of flags (tiles_y, tiles_x)."""
+    tiles_y, tiles_x = tiles.shape
+    pixels = tiles[:, None, :, None].expand(tiles_y, TILE_PX, tiles_x, TILE_PX)
+    return pixels.reshape(tiles_y * TILE_PX, tiles_x * TILE_PX)

@@ -78,10 +78,9 @@ def _blended(seen: Tensor, unclamped: Tensor) -> tuple[Tensor, Tensor, Tensor, T
     return alpha, before, weight, after[:, -1] * is_open[:, -1]
 
 
-def _batches(seen: Tensor, lists: TensorLists, batch_tiles: int) -> Iterator[tuple[int, Tensor]]:
-    """First entry and tiles (B,) of every batch; a tile without light in `seen` (T, 256), which the
-    caller changes on the way, is left out."""
-    lengths = lists.starts.diff()
+def _batches(seen: Tensor, lengths: Tensor, batch_tiles: int) -> Iterator[tuple[int, Tensor]]:
+    """First entry and tiles (B,) of every batch of lists so long; a tile without light in `seen`
+    (T, 256), which the caller changes on the way, is left out."""
     for first in count(0, SLAB):
         left = ((lengths > first) & (seen > 0).any(1)).nonzero()[:, 0]
         if not len(left):
@@ -98,7 +97,7 @@ class _Blend(torch.autograd.Function):
         tiles = len(lists.starts) - 1
         seen = drawn.new_ones(tiles, PIXELS)
         picture = drawn.new_zeros(tiles, 3, PIXELS)
-        for first, batch in _batches(seen, lists, batch_tiles):
+        for first, batch in _batches(seen, lists.lengths, batch_tiles):
             slab = _slab(drawn, lists, batch, first)
             _, _, weight, after = _blended(seen[batch], _unclamped_alphas(slab))
             seen[batch] = after
@@ -115,7 +114,7 @@ class _Blend(torch.autograd.Function):
         gradient = torch.zeros_like(drawn)
         seen = torch.ones_like(picture[:, 0])
         behind = (picture * picture_grad).sum(1)  # what the rest of the list adds, along d
-        for first, batch in _batches(seen, lists, ctx.batch_tiles):
+        for first, batch in _batches(seen, lists.trained_lengths, ctx.batch_tiles):
             slab, d = _slab(drawn, lists, batch, first), picture_grad[batch]
             unclamped = _unclamped_alphas(slab)
             alpha, before, weight, after = _blended(seen[batch], unclamped)

@@ -46,6 +46,7 @@ class Drawn:
 
     values: Tensor  # (M, 9) columns as named above
     boxes: Tensor  # (M, 4) int64: first tile and the one after the last, in x and in y
+    rows: Tensor  # (M,) int64: which of the solids they are
 
 
 def rotations(quats: Tensor) -> Tensor:
@@ -109,4 +110,6 @@ def project(solids: Solids, view: DeviceView) -> Drawn:
     _, centres, covariances = _ellipses(seen, camera, w2c)
     xx, xy, yy = covariances.unbind(1)
     conics = torch.stack([yy, -xy, xx], 1) / (xx * yy - xy * xy)[:, None]
-    return Drawn(torch.cat([centres, conics, seen.opacities[:, None], seen.colours], 1), boxes)
+    return Drawn(
+        torch.cat([centres, conics, seen.opacities[:, None], seen.colours], 1), boxes, rows
+    )

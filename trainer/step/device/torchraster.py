@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from functools import partial
 
-from torch import Tensor
-
 from player.render.recipe import TILE_PX
 
 from .device import DeviceBackend
 from .deviceview import DeviceView
+from .tensorloss import Raster
 from .torchblend import blend
 from .torchproject import Solids, project
 from .torchtiles import tensor_lists
@@ -26,13 +25,17 @@ BATCH_BYTES = 512 << 20
 """Size of a batch that keeps a GPU busy."""
 
 
-def torch_picture(solids: Solids, view: DeviceView, batch_bytes: int) -> Tensor:
-    """(3, H, W) float32, differentiable; see `blend` for `batch_bytes`."""
+def torch_picture(
+    solids: Solids, view: DeviceView, trained: int, whole: bool, batch_bytes: int
+) -> Raster:
+    """See `Rasterise`; for `batch_bytes` see `blend`."""
     drawn = project(solids, view)
-    tiles = blend(drawn.values, tensor_lists(drawn, view.tiles_x, view.tiles_y), batch_bytes)
+    lists = tensor_lists(drawn, view.tiles_x, view.tiles_y, trained, whole)
+    tiles = blend(drawn.values, lists, batch_bytes)
     rows = tiles.reshape(view.tiles_y, view.tiles_x, 3, TILE_PX, TILE_PX).permute(2, 0, 3, 1, 4)
     padded = rows.reshape(3, view.tiles_y * TILE_PX, view.tiles_x * TILE_PX)
-    return padded[:, : view.camera.height_px, : view.camera.width_px]
+    picture = padded[:, : view.camera.height_px, : view.camera.width_px]
+    return Raster(picture, lists.active)
 
 
 class TorchBackend(DeviceBackend):

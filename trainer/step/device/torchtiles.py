@@ -20,6 +20,9 @@ class TensorLists:
     starts: Tensor  # (tiles + 1,) int64: tile t owns entries starts[t]:starts[t + 1]
     gaussians: Tensor  # (P,) int64: index into what is drawn
     tiles_x: int
+    lengths: Tensor  # (tiles,) int64: entries that are blended; 0 where a tile is left out
+    trained_lengths: Tensor  # (tiles,) int64: entries up to the last that is trained
+    active: Tensor | None = None  # (tiles_y, tiles_x) bool: the tiles that matter; None: all
 
 
 def _numbered(counts: Tensor) -> tuple[Tensor, Tensor]:
@@ -53,8 +56,14 @@ def _spans(values: Tensor, boxes: Tensor, owners: Tensor, y: Tensor) -> tuple[Te
 
 
 @torch.no_grad()
-def tensor_lists(drawn: Drawn, tiles_x: int, tiles_y: int) -> TensorLists:
-    """The tiles that the Gaussians reach, each with those that reach it, nearest first."""
+def tensor_lists(
+    drawn: Drawn, tiles_x: int, tiles_y: int, trained: int, whole: bool
+) -> TensorLists:
+    """The tiles that the Gaussians reach, each with those that reach it, nearest first.
+
+    trained: gradients are of solids before this one. whole: whether all tiles are blended; else
+    only those that such a solid reaches, and their neighbours.
+    """
     boxes = drawn.boxes
     owners, rows = _numbered(boxes[:, 3] - boxes[:, 2])
     y = boxes[owners, 2] + rows
@@ -63,6 +72,14 @@ def tensor_lists(drawn: Drawn, tiles_x: int, tiles_y: int) -> TensorLists:
     tiles = y[spans] * tiles_x + first[spans] + columns
     # Stable: within a tile they stay nearest first.
     tiles, order = torch.sort(tiles, stable=True)
+    gaussians = owners[spans][order]
     counts = torch.bincount(tiles, minlength=tiles_x * tiles_y)
     starts = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
-    return TensorLists(starts, owners[spans][order], tiles_x)
+    places = torch.arange(1, len(tiles) + 1, device=tiles.device) - starts[tiles]
+    places *= drawn.rows[gaussians] < trained
+    ends = torch.zeros_like(counts).scatter_reduce_(0, tiles, places, "amax")
+    if whole:
+        return TensorLists(starts, gaussians, tiles_x, counts, ends)
+    active = (ends > 0).reshape(tiles_y, tiles_x)
+    wanted = torch.nn.functional.max_pool2d(active[None].float(), 3, 1, 1).flatten() > 0
+    return TensorLists(starts, gaussians, tiles_x, counts * wanted, ends, active)

@@ -72,8 +72,8 @@ def test_the_call_binds_and_has_the_shapes_that_gsplat_documents() -> None:
         return torch.zeros(1, given["height"], given["width"], 3), torch.zeros(1), {}
 
     camera = turned_camera()
-    picture = gsplat_picture(solids(), view_of(camera), rasterization)
-    assert picture.shape == (3, camera.height_px, camera.width_px)
+    raster = gsplat_picture(solids(), view_of(camera), COUNT, True, rasterization)
+    assert raster.picture.shape == (3, camera.height_px, camera.width_px)
     (given,) = calls
     bound = recorded().bind(**given)  # raises TypeError for a name that gsplat does not have
     bound.apply_defaults()

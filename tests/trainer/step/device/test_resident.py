@@ -50,8 +50,9 @@ class Pictures:
 
     num_frames = FRAMES
 
-    def __init__(self) -> None:
+    def __init__(self, times: int) -> None:
         camera = turned_camera()
+        camera = camera.resized(times * camera.width_px, times * camera.height_px)
         self.cameras: list[Camera] = []
         for i in range(CAMERAS):
             w2c = camera.w2c.copy()
@@ -71,8 +72,9 @@ class Pictures:
         return (np.random.default_rng(5).random(size) > 0.2).astype(np.uint8) if camera else None
 
 
-def training(sh_degree: int, age_scaling: AgeScaling = "update") -> Training:
-    rng, pictures = np.random.default_rng(2), Pictures()
+def training(sh_degree: int, age_scaling: AgeScaling = "update", times: int = 1) -> Training:
+    """times: how many times as large pictures are."""
+    rng, pictures = np.random.default_rng(2), Pictures(times)
     values = Parameters.zeros(2 * NUM_GS, sh_degree)
     values.means[:] = rng.uniform(-1, 1, (2 * NUM_GS, 3))
     values.log_scales[:] = rng.normal(-2.3, 0.3, (2 * NUM_GS, 3))
@@ -141,6 +143,31 @@ def test_fifty_steps_lead_to_the_same_gaussians(sh_degree: int) -> None:
     assert (np.delete(moved, TRAINED) == 0).all()
     for (name, a), b in zip(arrays_of(theirs).items(), arrays_of(ours).values(), strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=3e-3 * np.abs(b).max(), err_msg=name)
+
+
+def test_where_few_are_trained_only_their_tiles_are_compared() -> None:
+    """Losses are those of numba, which leaves the other tiles out as well; colours rest."""
+    ours, theirs = (training(1, times=4) for _ in range(2))
+    losses, few = [], TRAINED[:6]
+    some = [replace(step, whole=False, is_half=False) for step in steps(30)]
+    for given, backend in ((ours, CpuBackend(*WEIGHTS)), (theirs, TorchBackend(*WEIGHTS, "cpu"))):
+        resident: Resident = backend.start(given)
+        given.values.means[few] *= np.float32(0.2)
+        given.values.log_scales[few] = -4
+        resident.send(few)
+        begin(resident)
+        # Those that numba takes for trained are all below NUM_GS.
+        rows = np.concatenate([few, SHOWN[SHOWN >= NUM_GS]]).astype(np.int32)
+        selection = resident.select(rows, few)
+        for step in some:
+            resident.step(step, selection)
+        losses.append(resident.losses(wait=True))
+        resident.fetch(history=True)
+    np.testing.assert_allclose(losses[1], losses[0], rtol=1e-3)
+    assert losses[0][0] < 0.15  # that of all of a picture is over 0.3
+    for (name, a), b in zip(arrays_of(theirs).items(), arrays_of(ours).values(), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-2 * np.abs(b).max(), err_msg=name)
+    assert (theirs.colour.values[:, :3] == 1).all()
 
 
 def test_a_steady_step_sends_numbers_alone() -> None:

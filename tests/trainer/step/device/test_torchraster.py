@@ -100,7 +100,7 @@ def test_a_picture_is_the_cpu_s() -> None:
     expected = render(values, rows, view).picture[:, : camera.height_px, : camera.width_px]
     backend = TorchBackend(*WEIGHTS, "cpu")
     there = DeviceView.send(view, backend.crossing)
-    got = backend.loss.render(torch.tensor(pack(values, rows)), there).numpy()
+    got = backend.loss.render(torch.tensor(pack(values, rows)), there, 3_000).picture.numpy()
     assert expected.max() > 0.5
     assert np.abs(got - expected).max() < 1e-4
 
@@ -156,7 +156,8 @@ def test_memory_of_blending_is_bounded_whatever_the_lists_hold() -> None:
         values[:, [CONIC_A, CONIC_C, OPACITY, RED]] = 0.001, 0.001, 0.01, 1
         drawn = torch.tensor(values, requires_grad=True)
         everyone = torch.arange(count).repeat(tiles)
-        lists = TensorLists(torch.arange(tiles + 1) * count, everyone, 10)
+        lengths = torch.full((tiles,), count)
+        lists = TensorLists(torch.arange(tiles + 1) * count, everyone, 10, lengths, lengths)
         peaks.append(
             peak_bytes(lambda d=drawn, t=lists: torch.autograd.backward(  # type: ignore[misc]
                 blend(d, t, batch_bytes).sum()
