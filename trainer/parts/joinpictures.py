@@ -22,7 +22,7 @@ def draw_joined(config: TrainConfig, prepared: Prepared, records: Sequence[Segme
         return
     reader = StreamReader(config.target, max_gaussians=None)
     # Pictures of other frames need not be held for these.
-    with FrameCache(prepared.capture, prepared.frames, config.scale, config.cache_bytes) as cache:
+    with FrameCache(prepared.capture, prepared.frames, prepared.scale, config.cache_bytes) as cache:
         for frame in due:
             splats = reader.active_splats(frame, reader.manifest.num_layers)
             write_snapshot(splats, frame, cache, prepared.near_m, config.work_folder)

@@ -294,7 +294,7 @@ def opened_worker(task: Task, report: Report, keep_s: float = KEEP_S) -> Iterato
     capture or settings cannot work."""
     config = task.run.config
     prepared = prepare(config)
-    with FrameCache(prepared.capture, prepared.frames, config.scale, config.cache_bytes) as cache:
+    with FrameCache(prepared.capture, prepared.frames, prepared.scale, config.cache_bytes) as cache:
         pictures = CapturePictures(cache, prepared.capture.training)
         files, timer = open_growing(config.target, SHAPE), KeepTimer(keep_s)
         yield Worker(task, prepared, cache, pictures, files, _Reporter(report), timer)

@@ -27,7 +27,7 @@ def default_work(target: Target) -> Path:
 LOCAL = "local"
 """In place of the address of a Ray cluster: one of this machine alone, for one run."""
 
-Preset = Literal["cpu", "fast", "fine", "paper"]
+Preset = Literal["cpu", "fast", "fine", "gpu", "paper"]
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,15 @@ class TrainConfig:
     describe the capture, and draw its cameras and points to this PNG."""
     preset: Preset = "cpu"
     """Set of defaults: cpu (minutes on two cores), fast (a first look), fine (an hour or two on two
-    cores), or paper (the paper's settings, made for a GPU). Other options override them."""
+    cores), gpu (200,000 Gaussians on a GPU), or paper (the paper's settings, made for a GPU). Other
+    options override them."""
     frames: str = ":"
     """Range of frames of the capture to train, A:B, A included, B not."""
     scale: float = 1.0
     """Size of the training pictures relative to the capture's, above 0 to 1."""
+    longest_px: int | None = None
+    """Longest side of the training pictures, pixels: those of a larger capture are scaled down to
+    it. Unlimited by default."""
     fps: float | None = None
     """Frames per second, if no file of the capture gives them, or to override them."""
     near_m: float | None = None
@@ -136,6 +140,8 @@ class TrainConfig:
             raise InvalidError("name the folder to write the stream to, or --check PNG")
         if not 0 < self.scale <= 1:
             raise InvalidError(f"scale {self.scale:g}: choose above 0, at most 1")
+        if self.longest_px is not None and self.longest_px < 1:
+            raise InvalidError(f"longest_px {self.longest_px}: choose 1 or more")
         if self.fps is not None and not MIN_FPS <= self.fps <= MAX_FPS:
             raise InvalidError(f"fps {self.fps:g}: choose {MIN_FPS:g} to {MAX_FPS:g}")
         if self.point_share is not None and not 0 <= self.point_share <= 1:

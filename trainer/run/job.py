@@ -156,6 +156,8 @@ def _announce(start: _Start, console: Console) -> None:
     """Says where the run is computed, and what makes its result doubtful."""
     prepared = start.prepared
     console.print(f"backend: {prepared.picked.why}", highlight=False, markup=False, soft_wrap=True)
+    if prepared.memory is not None:
+        console.print(prepared.memory, highlight=False, markup=False, soft_wrap=True)
     if start.bare:
         log_to.warning(
             f"{start.config.target} was stopped before its first checkpoint; training starts anew, "
@@ -173,7 +175,7 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
     progress = _Progress(len(prepared.frames))
     with telling_where_it_stopped(progress, console), ExitStack() as stack:
         cache = stack.enter_context(
-            FrameCache(prepared.capture, prepared.frames, config.scale, config.cache_bytes)
+            FrameCache(prepared.capture, prepared.frames, prepared.scale, config.cache_bytes)
         )
         pictures = CapturePictures(cache, prepared.capture.training)
         log_path = config.log or config.work_folder / LOG_NAME

@@ -33,6 +33,7 @@ from trainer.pictures.framecache import FrameCache
 from trainer.rig.doubts import rig_doubts
 from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane
 from trainer.seed.gaussians import initial_splats, stereo_seeds
+from trainer.step.backend import MemoryNeeds
 from trainer.step.device.pick import Picked
 
 from .config import TrainConfig
@@ -63,6 +64,10 @@ class Prepared:
     """Where the steps are computed."""
     initial: Splats | None = None
     """Gaussians with which the first frame begins, if they are given."""
+    scale: float = 1.0
+    """Size of the training pictures over the capture's."""
+    memory: str | None = None
+    """The plan of the backend's memory, one line."""
     near_doubts: tuple[str, ...] = ()
     """Doubts about a near plane that was not given, a line each."""
 
@@ -84,6 +89,8 @@ def prepare(config: TrainConfig) -> Prepared:
         fps_of(capture, config)
         initial = _given_gaussians(config)
     picked = config.fit.backend(config.backend, config.torch_device)
+    scale = training_scale(config, capture)
+    memory = picked.backend.plan(memory_needs(config, capture, scale))
     # What cameras see takes time, and is not needed where the user knows the depth or was warned.
     seen = look(capture, frames) if config.near_m is None else None
     near_m, far_m = _depths(capture, config, seen)
@@ -91,7 +98,30 @@ def prepare(config: TrainConfig) -> Prepared:
     if config.near_m is None and capture.near_m is not None:
         search_from_m = capture.near_m
     near_lines = tuple(near_doubts(capture, seen, near_m))
-    return Prepared(capture, frames, near_m, far_m, search_from_m, picked, initial, near_lines)
+    return Prepared(
+        capture, frames, near_m, far_m, search_from_m, picked, initial, scale, memory, near_lines
+    )
+
+
+def training_scale(config: TrainConfig, capture: Capture) -> float:
+    """Size of the training pictures over the capture's."""
+    if config.longest_px is None:
+        return config.scale
+    longest_px = max(max(c.camera.width_px, c.camera.height_px) for c in capture.cameras)
+    return min(config.scale, config.longest_px / longest_px)
+
+
+def memory_needs(config: TrainConfig, capture: Capture, scale: float) -> MemoryNeeds:
+    """The size of the training, for the memory of its device."""
+    cameras = [capture.cameras[i] for i in capture.training]
+    scaled = [c.camera.scaled(scale) for c in cameras]
+    return MemoryNeeds(
+        config.fit.num_gs,
+        config.fit.sh_degree,
+        max(c.width_px * c.height_px for c in scaled),
+        len(cameras) * (config.fit.swin_size + 1),
+        any(c.masks is not None for c in cameras),
+    )
 
 
 def _given_gaussians(config: TrainConfig) -> Splats | None:
@@ -140,6 +170,7 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
     return {
         **asdict(config.fit),
         "frames": [prepared.frames.start, prepared.frames.stop],
+        "scale": prepared.scale,
         "near_m": prepared.near_m,
         "far_m": prepared.far_m,
         "search_from_m": prepared.search_from_m,
@@ -147,7 +178,6 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
             name: getattr(config, name)
             for name in (
                 "preset",
-                "scale",
                 "point_share",
                 "layers",
                 "rank",

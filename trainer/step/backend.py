@@ -140,8 +140,25 @@ class Resident(Rows, Protocol):
         """Keeps the scales of the trained rows within their bound, see `bound_scales`."""
 
 
+@dataclass(frozen=True, slots=True)
+class MemoryNeeds:
+    """The size of a training, for `Backend.plan`."""
+
+    num_gs: int
+    sh_degree: int
+    pixels: int
+    """Of the largest picture."""
+    shots: int
+    """Pictures that the steps of a window see, and those that the next one brings."""
+    has_masks: bool
+
+
 class Backend(Protocol):
     """A way to compute steps."""
+
+    def plan(self, needs: MemoryNeeds) -> str | None:
+        """Plans the memory of a training that `start` will be given; one line about it, None where
+        the host's memory is all there is. Raises InvalidError where the device has too little."""
 
     def step(self, given: StepInput, gradients: Parameters) -> Loss:
         """The loss of a picture. Writes the gradients of the trainable rows into `gradients`; all

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .backend import Floats, Resident, Selection, Step, StepInput, Training
+from .backend import Floats, MemoryNeeds, Resident, Selection, Step, StepInput, Training
 from .loss import Loss, photometric_loss
 from .optimiser import GATE_STEEPNESS, add_noise
 from .raster import Ints, Parameters, Scratch, backward, render
@@ -41,6 +41,10 @@ class CpuBackend:
             self._opacity_reg, self._scale_reg,
         )  # fmt: skip
         return loss
+
+    def plan(self, needs: MemoryNeeds) -> str | None:
+        """See `Backend.plan`."""
+        return None
 
     def start(self, training: Training) -> Resident:
         """See `Backend.start`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -47,7 +48,7 @@ def test_without_a_preset_the_defaults_are_those_of_cpu() -> None:
 
 
 def test_an_unknown_preset_is_refused(tmp_path: Path) -> None:
-    done = run("swings-train", tmp_path, tmp_path / "out", "--preset", "gpu")
+    done = run("swings-train", tmp_path, tmp_path / "out", "--preset", "giant")
     assert done.returncode == 2
     assert "cpu" in done.stderr
     assert "paper" in done.stderr
@@ -61,6 +62,27 @@ def test_help_shows_the_defaults_of_a_preset_and_completion_knows_every_option()
         assert "(default: paper)" in told or not arguments
     completion = run_ok("swings-train", "--tyro-print-completion", "bash", "--preset", "paper")
     assert "--genesis-iterations" in completion
+
+
+def test_preset_gpu_says_its_memory_and_scales_a_large_capture(tmp_path: Path) -> None:
+    config = parse("--preset", "gpu")
+    assert (config.fit.num_gs, config.fit.window_iterations) == (200_000, 600)
+    assert (config.longest_px, config.backend) == (1352, "auto")
+    camera = write_dynerf(tmp_path / "capture", num_cameras=4, num_frames=2)[0]
+    stream = tmp_path / "stream"
+    done = run(
+        "swings-train", tmp_path / "capture", stream, "--preset", "gpu", "--num-gs", 100,
+        "--genesis-iterations", 5, "--settle-rounds", 1, "--window-iterations", 2,
+        "--backend", "torch", "--torch-device", "cpu", "--longest-px", camera.width_px // 2,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert re.search(
+        r"^memory: 0\.\d\d GB .* that are free on device cpu$", done.stderr, re.MULTILINE
+    )
+    trained = StreamReader(stream).manifest.cameras[0]
+    assert (trained.width_px, trained.height_px) == (
+        camera.width_px // 2, round(camera.height_px / 2),
+    )  # fmt: skip
 
 
 def test_preset_paper_is_the_papers_training_with_whole_slices(tmp_path: Path) -> None:

@@ -6,11 +6,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from trainer.step.backend import Resident, StepInput, Training
+from trainer.step.backend import MemoryNeeds, Resident, StepInput, Training
 from trainer.step.loss import Loss
 from trainer.step.raster import Parameters
 
 from .crossing import Crossing
+from .devicememory import free_bytes, planned
 from .deviceresident import DeviceResident
 from .deviceview import DeviceView
 from .packedrows import pack, unpack
@@ -28,13 +29,24 @@ class DeviceBackend:
         scale_reg: float,
         rasterise: Rasterise,
         device: str,
+        batch_bytes: int = 0,
         picture_bytes: int = DEFAULT_PICTURE_BYTES,
     ) -> None:
-        """device: of torch; picture_bytes: of the captured pictures that it keeps at most."""
+        """device: of torch; batch_bytes: what the rasteriser takes beside pixels and pairs;
+        picture_bytes: of the captured pictures that it keeps at most."""
         self.crossing = Crossing(torch.device(device))
         """Counts what this backend sends and receives."""
         self.loss = TensorLoss(dssim_weight, opacity_reg, scale_reg, rasterise, self.crossing)
-        self._picture_bytes = picture_bytes
+        self._batch_bytes = batch_bytes
+        self._picture_bytes = self._max_picture_bytes = picture_bytes
+
+    def plan(self, needs: MemoryNeeds) -> str | None:
+        """See `Backend.plan`."""
+        device = self.crossing.device
+        free, where = free_bytes(device), f"device {device}"
+        plan = planned(needs, free, self._batch_bytes, self._max_picture_bytes, where)
+        self._picture_bytes = plan.pictures_bytes
+        return f"memory: {plan} of {free / 1e9:.1f} GB that are free on {where}"
 
     def start(self, training: Training) -> Resident:
         """See `Backend.start`."""

@@ -53,4 +53,4 @@ class TorchBackend(DeviceBackend):
         if batch_bytes is None:
             batch_bytes = CPU_BATCH_BYTES if device == "cpu" else BATCH_BYTES
         rasterise = partial(torch_picture, batch_bytes=batch_bytes)
-        super().__init__(dssim_weight, opacity_reg, scale_reg, rasterise, device)
+        super().__init__(dssim_weight, opacity_reg, scale_reg, rasterise, device, batch_bytes)
