@@ -1,13 +1,15 @@
-"""Training on a GPU at the paper's scale: seconds per frame, quality and memory against the length,
-by gsplat and by plain torch, in one go and in parts.
+"""Training on a GPU, in one table each: steps per second and bytes crossed at several numbers of
+Gaussians, beside the bare step of the same rasteriser; and seconds per frame, quality and memory of
+whole trainings.
 
-Usage: scripts/bench cuda CAPTURE [--frames 30 75 150] [--backends cuda torch] [--ray-workers 2]
+Usage: scripts/bench cuda [CAPTURE ...] [--backends cuda torch] [--ray-workers 2]
 
-Needs a GPU: an NVIDIA one and the extra `cuda`, or one that torch knows and `--backends torch`.
-Preset paper, from the first frame on, scored from the decoded files; each training is in a process
-of its own. With `--ray-workers`, and the extra `ray`, the longest is trained twice more with slots
-that last a frame (swin_size 1), as parts need them: in one go, and in a part for
-each of so many workers, which share the GPUs of this machine.
+Needs a GPU: an NVIDIA one and the extra `cuda`, or one that torch knows and `--backends torch`;
+`--torch-device cpu` with small numbers shows that it works. Trains the demo's capture, which it
+makes, and those that are given, with preset gpu, or paper, at --longest-px, scored from the decoded
+files; each in a process of its own. With `--ray-workers`, and the extra `ray`, the longest is
+trained twice more with slots that last a frame (swin_size 1), as parts need them: in one go, and in
+a part for each of so many workers, which share the GPUs of this machine.
 """
 
 from __future__ import annotations
@@ -17,66 +19,98 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
+from bench.gpusteps import (
+    STEP_COLUMNS,
+    DeviceBackendName,
+    StepCase,
+    StepRow,
+    device_peak_bytes,
+    measured_step,
+)
 from codec.console import run_command
+from trainer.capture.layout import open_capture
+from trainer.fit.observer import Observer
 from trainer.parts.raydriver import train_in_parts
 from trainer.run.config import LOCAL, TrainConfig
 from trainer.run.job import train_stream
 from trainer.run.preset import PRESETS
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
+from trainer.synth.film import SynthConfig, synthesise
 
-DeviceBackendName = Literal["cuda", "torch"]
-How = Literal["slices", "slots", "parts"]
+Row = TypeVar("Row")
+
+How = Literal["preset", "slots", "parts"]
 """As the preset says; slots that last a frame; the same in parts."""
 COLUMNS = (
-    "backend", "how", "frames", "s/frame", "PSNR dB", "SSIM", "GPU GB", "host GB", "kB/frame",
+    "capture", "backend", "how", "frames", "s/frame", "later s", "PSNR dB", "SSIM", "GPU GB",
+    "host GB", "kB/frame",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class CudaConfig:
-    """Trains a capture on the GPU at several lengths, by each backend."""
+    """Times steps on the GPU, and trains captures at several lengths, by each backend."""
 
-    capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
-    """Folder of the capture."""
-    frames: tuple[int, ...] = (30, 75, 150)
+    captures: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="CAPTURE")
+    ] = ()
+    """Folders of captures to train, beside that of the demo."""
+    demo: bool = True
+    """Make the demo's capture and train it as well."""
+    frames: tuple[int, ...] = (30,)
     """Lengths to train, in frames."""
     backends: tuple[DeviceBackendName, ...] = ("cuda", "torch")
     """Training backends: cuda (gsplat), torch (plain torch)."""
+    sizes: tuple[int, ...] = (20_000, 200_000, 1_000_000)
+    """Gaussians of the steps that are timed."""
+    width_px: int = 1352
+    """Width of the pictures of those steps, pixels."""
+    height_px: int = 1014
+    """Height of the pictures of those steps, pixels."""
+    steps: int = 100
+    """Steps that are timed."""
+    preset: Literal["gpu", "paper"] = "gpu"
+    """Preset of the trainings."""
+    longest_px: int = 640
+    """Longest side of the pictures of the trainings, pixels."""
     ray_workers: int = 0
     """Ray workers that train the longest video in parallel; 0 for none."""
     worker_cpus: float = 4
     """Cores that each Ray worker claims."""
     torch_device: str | None = None
     """Device of backend torch, as in swings-train."""
-    scale: float = 1.0
-    """Scale of the training pictures relative to the capture."""
-    num_gs: int = 200_000
-    """Gaussians. Paper, section 8.1."""
-    genesis_iterations: int = 30_000
-    """Iterations of the first window. Paper, section 8.1."""
-    window_iterations: int = 2_000
-    """Iterations of every later window. Paper, section 8.1."""
+    num_gs: int | None = None
+    """Gaussians of the trainings; by default those of the preset."""
+    genesis_iterations: int | None = None
+    """Iterations of the first window, before it settles; by default those of the preset."""
+    settle_rounds: int | None = None
+    """Settling rounds of the first window; by default those of the preset."""
+    window_iterations: int | None = None
+    """Iterations of every later window; by default those of the preset."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
     """One training."""
 
+    capture: str
     backend: DeviceBackendName
     how: How
     frames: int
     s_per_frame: float
+    later_s_per_frame: float | None
+    """Of the frames after the first, whose window takes long; None for parts."""
     psnr_db: float
     ssim: float
     device_bytes: int | None
@@ -89,28 +123,41 @@ class Measured:
     def texts(self) -> tuple[str, ...]:
         """In the order of COLUMNS."""
         on_device = "-" if self.device_bytes is None else f"{self.device_bytes / 1e9:.2f}"
+        later = "-" if self.later_s_per_frame is None else f"{self.later_s_per_frame:.2f}"
         return (
-            self.backend, self.how, str(self.frames), f"{self.s_per_frame:.1f}",
-            f"{self.psnr_db:.2f}", f"{self.ssim:.3f}", on_device, f"{self.host_bytes / 1e9:.2f}",
-            f"{self.bytes_per_frame / 1e3:.0f}",
+            self.capture, self.backend, self.how, str(self.frames), f"{self.s_per_frame:.2f}",
+            later, f"{self.psnr_db:.2f}", f"{self.ssim:.3f}", on_device,
+            f"{self.host_bytes / 1e9:.2f}", f"{self.bytes_per_frame / 1e3:.0f}",
         )  # fmt: skip
 
 
+class WindowTimes(Observer):
+    """When each window was done."""
+
+    def __init__(self) -> None:
+        self._ends_s: list[float] = []
+
+    def window_ended(self, first_frame: int) -> None:
+        self._ends_s.append(time.monotonic())
+
+    @property
+    def later_s(self) -> float | None:
+        """Seconds a frame after the first; None if there are none."""
+        ends_s = self._ends_s
+        return (ends_s[-1] - ends_s[0]) / (len(ends_s) - 1) if len(ends_s) > 1 else None
+
+
 def training(
-    config: CudaConfig, backend: DeviceBackendName, num_frames: int, stream: Path
+    config: CudaConfig, capture: Path, backend: DeviceBackendName, num_frames: int, stream: Path
 ) -> TrainConfig:
-    """Preset paper on the first `num_frames` frames."""
-    paper = PRESETS["paper"](
-        config.capture, stream, frames=f"0:{num_frames}", scale=config.scale, backend=backend,
+    """The preset on the first `num_frames` frames."""
+    chosen = PRESETS[config.preset](
+        capture, stream, frames=f"0:{num_frames}", longest_px=config.longest_px, backend=backend,
         torch_device=config.torch_device if backend == "torch" else None,
     )  # fmt: skip
-    fit = replace(
-        paper.fit,
-        num_gs=config.num_gs,
-        genesis_iterations=config.genesis_iterations,
-        window_iterations=config.window_iterations,
-    )
-    return replace(paper, fit=fit)
+    names = ("num_gs", "genesis_iterations", "settle_rounds", "window_iterations")
+    given = {name: getattr(config, name) for name in names if getattr(config, name) is not None}
+    return replace(chosen, fit=replace(chosen.fit, **given))
 
 
 def with_slots(job: TrainConfig) -> TrainConfig:
@@ -136,69 +183,94 @@ def in_parts(job: TrainConfig, config: CudaConfig, num_frames: int) -> TrainConf
     )
 
 
-def _device_peak_bytes() -> int | None:
-    import torch
-
-    if torch.cuda.is_available():
-        return int(torch.cuda.max_memory_allocated())
-    if torch.xpu.is_available():
-        return int(torch.xpu.max_memory_allocated())
-    return None
-
-
-def measured(config: CudaConfig, backend: DeviceBackendName, how: How, num_frames: int) -> Measured:
+def measured(
+    config: CudaConfig, capture: Path, backend: DeviceBackendName, how: How, num_frames: int
+) -> Measured:
     """Trains and scores; memory is of the whole process, in parts of the driver."""
-    console = Console(stderr=True)
+    console, times = Console(stderr=True), WindowTimes()
     with tempfile.TemporaryDirectory() as folder:
         stream = Path(folder) / "stream"
-        job = training(config, backend, num_frames, stream)
-        if how != "slices":
+        job = training(config, capture, backend, num_frames, stream)
+        if how != "preset":
             job = with_slots(job)
         begin_s = time.monotonic()
         if how == "parts":
             train_in_parts(in_parts(job, config, num_frames), LOCAL, console)
         else:
-            train_stream(job, console)
+            train_stream(job, console, observers=[times])
         took_s = time.monotonic() - begin_s
         unit_bytes = 1 if sys.platform == "darwin" else 1024
         host_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit_bytes
-        score = evaluate_stream(EvaluateConfig(stream, config.capture)).layers[-1]
-    device_bytes = None if how == "parts" else _device_peak_bytes()
+        score = evaluate_stream(EvaluateConfig(stream, capture)).layers[-1]
+    device_bytes = None if how == "parts" else device_peak_bytes()
     return Measured(
-        backend, how, num_frames, took_s / num_frames, score.psnr_db, score.ssim, device_bytes,
-        host_bytes, score.bytes_per_frame,
+        capture.resolve().name, backend, how, num_frames, took_s / num_frames, times.later_s,
+        score.psnr_db, score.ssim, device_bytes, host_bytes, score.bytes_per_frame,
     )  # fmt: skip
 
 
-def rows(config: CudaConfig) -> Iterator[Measured]:
-    """Every length by every backend, each in a process of its own; then what is in parts."""
-    wanted: list[tuple[DeviceBackendName, How, int]] = [
-        (backend, "slices", num_frames)
-        for num_frames in config.frames
-        for backend in config.backends
-    ]
-    if config.ray_workers:
-        longest = max(config.frames)
+def in_a_process(function: Callable[..., Row], *arguments: object) -> Row:
+    """Its result, computed in a process of its own."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+        return process.submit(function, *arguments).result()
+
+
+def step_rows(config: CudaConfig) -> Iterator[StepRow]:
+    """Every number of Gaussians by every backend."""
+    for count in config.sizes:
         for backend in config.backends:
-            wanted += [(backend, "slots", longest), (backend, "parts", longest)]
-    for each in wanted:
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
-            yield process.submit(measured, config, *each).result()
+            case = StepCase(
+                backend, config.torch_device, count, config.width_px, config.height_px,
+                config.steps,
+            )  # fmt: skip
+            yield in_a_process(measured_step, case)
+
+
+def rows(config: CudaConfig, captures: Sequence[Path]) -> Iterator[Measured]:
+    """Every capture at every length by every backend; then what is in parts."""
+    for capture in captures:
+        length = open_capture(capture).num_frames
+        lengths = sorted({min(num_frames, length) for num_frames in config.frames})
+        wanted: list[tuple[DeviceBackendName, How, int]] = [
+            (backend, "preset", num_frames) for num_frames in lengths for backend in config.backends
+        ]
+        if config.ray_workers:
+            for backend in config.backends:
+                wanted += [(backend, "slots", lengths[-1]), (backend, "parts", lengths[-1])]
+        for each in wanted:
+            yield in_a_process(measured, config, capture, *each)
+
+
+def table_of(title: str, columns: Sequence[str], texts: Iterable[Sequence[str]]) -> Table:
+    """A table of rows of texts."""
+    table = Table(title=title)
+    for name in columns:
+        table.add_column(name, justify="right")
+    for row in texts:
+        table.add_row(*row)
+    return table
 
 
 def run(config: CudaConfig) -> None:
-    title = []
+    where = []
     for backend in config.backends:
         # To refuse a machine without one before anything is read.
-        job = training(config, backend, 1, Path("stream"))
-        title.append(job.fit.backend(backend, job.torch_device).why)
-    table = Table(title=f"{'; '.join(title)}: {config.num_gs:,} Gaussians")
-    for name in COLUMNS:
-        table.add_column(name, justify="right")
-    for row in rows(config):
-        table.add_row(*row.texts)
-    Console().print(table)
+        job = training(config, Path("capture"), backend, 1, Path("stream"))
+        where.append(job.fit.backend(backend, job.torch_device).why)
+    title, console = "; ".join(where), Console()
+    steps = (row.texts for row in step_rows(config))
+    console.print(table_of(f"{title}: steps", STEP_COLUMNS, steps))
+    with tempfile.TemporaryDirectory() as folder:
+        captures = list(config.captures)
+        if config.demo:
+            captures.insert(0, Path(folder) / "demo")
+            synthesise(SynthConfig(captures[0], frames=max(config.frames)))
+        if captures:
+            num_gs = training(config, captures[0], "torch", 1, Path("stream")).fit.num_gs
+            trained = (row.texts for row in rows(config, captures))
+            name = f"{title}: preset {config.preset}, {num_gs:,} Gaussians"
+            console.print(table_of(name, COLUMNS, trained))
 
 
 if __name__ == "__main__":
-    run_command(CudaConfig, run, "scripts/bench cuda", "Trains on a GPU at the paper's scale.")
+    run_command(CudaConfig, run, "scripts/bench cuda", "Times training on a GPU.")

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from bench.cuda import COLUMNS, CudaConfig, measured, run
+from bench.gpusteps import STEP_COLUMNS, StepCase, measured_step
 from codec.errors import InvalidError
 from tests.support.tiny_capture import write_dynamic3dgs
 
@@ -16,45 +17,68 @@ from tests.support.tiny_capture import write_dynamic3dgs
 def config(folder: Path) -> CudaConfig:
     write_dynamic3dgs(folder / "capture", num_cameras=5, num_frames=6)
     return CudaConfig(
-        folder / "capture", frames=(6,), backends=("torch",), torch_device="cpu", num_gs=200,
-        genesis_iterations=20, window_iterations=5,
+        (folder / "capture",), demo=False, frames=(6,), backends=("torch",), torch_device="cpu",
+        sizes=(300,), width_px=96, height_px=64, steps=3, num_gs=200, genesis_iterations=20,
+        settle_rounds=1, window_iterations=5,
     )  # fmt: skip
 
 
 def hows(printed: str) -> list[str]:
     """Of the rows of a table, how each was trained: for 6 frames, by torch."""
-    return re.findall(r"│\s+torch │\s+(\w+) │\s+6 │", printed)
+    return re.findall(r"│\s+capture │\s+torch │\s+(\w+) │\s+6 │", printed)
 
 
 def test_a_row_has_time_quality_and_memory(tmp_path: Path) -> None:
-    row = measured(config(tmp_path), "torch", "slices", 6)
+    given = config(tmp_path)
+    row = measured(given, given.captures[0], "torch", "preset", 6)
     assert len(row.texts) == len(COLUMNS)
-    assert row.s_per_frame > 0
+    assert row.later_s_per_frame is not None
+    assert 0 < row.later_s_per_frame < row.s_per_frame
     assert row.psnr_db > 5
     assert row.host_bytes > 50_000_000
     assert row.bytes_per_frame > 0
 
 
-def test_the_table_is_one_call(
+def test_a_step_has_its_bound_and_sends_numbers_alone() -> None:
+    row = measured_step(StepCase("torch", "cpu", 500, 96, 64, 4))
+    assert len(row.texts) == len(STEP_COLUMNS)
+    assert 0 < row.crossed_bytes < 200
+    assert 0.2 < row.ms / row.bare_ms < 20
+
+
+def test_the_tables_are_one_call(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "120")  # so that no heading is broken
+    monkeypatch.setenv("COLUMNS", "140")  # so that no heading is broken
     run(config(tmp_path))
     printed = capsys.readouterr().out
-    assert "torch on cpu: 200 Gaussians" in printed
+    assert "torch on cpu: steps" in printed
+    assert "bytes/step" in printed
+    assert re.search(r"│\s+torch │\s+300 │\s+96x64 │", printed)
+    assert "torch on cpu: preset gpu, 200 Gaussians" in printed
     assert "s/frame" in printed
-    assert hows(printed) == ["slices"]
+    assert hows(printed) == ["preset"]
+
+
+@pytest.mark.slow
+def test_the_demo_is_filmed_and_trained_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "140")
+    run(replace(config(tmp_path), captures=(), demo=True, frames=(2,), longest_px=96))
+    assert re.search(r"│\s+demo │\s+torch │\s+preset │\s+2 │", capsys.readouterr().out)
 
 
 @pytest.mark.slow
 def test_parts_are_trained_beside_the_same_in_one_go(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("ray", reason="ray is not installed")
+    monkeypatch.setenv("COLUMNS", "140")
     run(replace(config(tmp_path), ray_workers=2, worker_cpus=1))
-    assert hows(capsys.readouterr().out) == ["slices", "slots", "parts"]
+    assert hows(capsys.readouterr().out) == ["preset", "slots", "parts"]
 
 
 def test_a_machine_that_cannot_is_said_before_anything_is_read(tmp_path: Path) -> None:
     with pytest.raises(InvalidError, match="--torch-device abacus"):
-        run(CudaConfig(tmp_path / "nothing", backends=("torch",), torch_device="abacus"))
+        run(CudaConfig((tmp_path / "nothing",), backends=("torch",), torch_device="abacus"))

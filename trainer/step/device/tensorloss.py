@@ -41,7 +41,7 @@ def _blurred(planes: Tensor, taps: Tensor) -> Tensor:
     return blurred
 
 
-def _dissimilarity(pred: Tensor, target: Tensor, taps: Tensor) -> Tensor:
+def dissimilarity_map(pred: Tensor, target: Tensor, taps: Tensor) -> Tensor:
     """(3, H, W): 1 - SSIM of two pictures."""
     with torch.no_grad():
         mu_t, tt = _blurred(torch.stack([target, target * target]), taps)
@@ -108,7 +108,7 @@ class TensorLoss:
     ) -> None:
         self._dssim_weight = dssim_weight
         self._opacity_reg, self._scale_reg = opacity_reg, scale_reg
-        self._rasterise = rasterise
+        self.rasterise = rasterise
         self._taps = crossing.send(TAPS)
 
     def render(self, packed: Tensor, view: DeviceView, trained: int, whole: bool = True) -> Raster:
@@ -121,7 +121,7 @@ class TensorLoss:
             torch.sigmoid(logits),
             seen_colours(means, sh, view.position),
         )
-        return self._rasterise(solids, view, trained, whole)
+        return self.rasterise(solids, view, trained, whole)
 
     def compare(
         self,
@@ -145,7 +145,7 @@ class TensorLoss:
         if counts is not None:
             pred, target = (torch.where(counts, planes, IGNORED) for planes in (pred, target))
         weight = self._dssim_weight
-        l1, dssim = (pred - target).abs(), _dissimilarity(pred, target, self._taps)
+        l1, dssim = (pred - target).abs(), dissimilarity_map(pred, target, self._taps)
         photometric = (1 - weight) * l1.mean() + weight * dssim.mean()
         _, log_scales, _, logits, _ = parts_of(packed)
         count = max(len(packed), 1)
