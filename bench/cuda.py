@@ -257,7 +257,7 @@ def run(config: CudaConfig) -> None:
         # To refuse a machine without one before anything is read.
         job = training(config, Path("capture"), backend, 1, Path("stream"))
         where.append(job.fit.backend(backend, job.torch_device).why)
-    title, console = "; ".join(where), Console()
+    title, console = "; ".join(where), Console(width=140)
     steps = (row.texts for row in step_rows(config))
     console.print(table_of(f"{title}: steps", STEP_COLUMNS, steps))
     with tempfile.TemporaryDirectory() as folder:

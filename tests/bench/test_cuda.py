@@ -46,10 +46,7 @@ def test_a_step_has_its_bound_and_sends_numbers_alone() -> None:
     assert 0.2 < row.ms / row.bare_ms < 20
 
 
-def test_the_tables_are_one_call(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "140")  # so that no heading is broken
+def test_the_tables_are_one_call(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run(config(tmp_path))
     printed = capsys.readouterr().out
     assert "torch on cpu: steps" in printed
@@ -62,19 +59,17 @@ def test_the_tables_are_one_call(
 
 @pytest.mark.slow
 def test_the_demo_is_filmed_and_trained_too(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "140")
     run(replace(config(tmp_path), captures=(), demo=True, frames=(2,), longest_px=96))
     assert re.search(r"│\s+demo │\s+torch │\s+preset │\s+2 │", capsys.readouterr().out)
 
 
 @pytest.mark.slow
 def test_parts_are_trained_beside_the_same_in_one_go(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("ray", reason="ray is not installed")
-    monkeypatch.setenv("COLUMNS", "140")
     run(replace(config(tmp_path), ray_workers=2, worker_cpus=1))
     assert hows(capsys.readouterr().out) == ["preset", "slots", "parts"]
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from player.render.recipe import LOW_PASS_PX2, TILE_PX
@@ -27,8 +28,8 @@ Rasterization = Callable[..., tuple[Tensor, Tensor, dict[str, Any]]]
 def gsplat_picture(
     solids: Solids, view: DeviceView, trained: int, whole: bool, rasterization: Rasterization
 ) -> Raster:
-    """See `Rasterise`; all of the picture in any case."""
-    pictures, _, _ = rasterization(
+    """See `Rasterise`; draws all of the picture in any case."""
+    pictures, _, drawn = rasterization(
         means=solids.means,
         quats=solids.quats,
         scales=solids.scales,
@@ -44,7 +45,29 @@ def gsplat_picture(
         packed=False,
         rasterize_mode="classic",
     )
-    return Raster(pictures[0].permute(2, 0, 1))
+    picture = pictures[0].permute(2, 0, 1)
+    if whole:
+        return Raster(picture)
+    centres, radii = (drawn[name][0, :trained] for name in ("means2d", "radii"))
+    return Raster(picture, reached_tiles(centres, radii, view))
+
+
+@torch.no_grad()
+def reached_tiles(centres: Tensor, radii: Tensor, view: DeviceView) -> Tensor:
+    """(tiles_y, tiles_x) bool: the tiles that boxes touch. centres: (N, 2) px; radii: (N, 2) px,
+    0 where nothing shows, and the centre means nothing."""
+    shows = (radii > 0).all(1)
+    centres = torch.where(shows[:, None], centres, 0)
+    zero = torch.zeros_like(view.tiles)
+    low = ((centres - radii) / TILE_PX).floor().clamp(zero, view.tiles).long()
+    high = (((centres + radii) / TILE_PX).floor() + 1).clamp(zero, view.tiles).long()
+    # The corners of a box, so that running sums along both axes are 1 inside.
+    columns, counts = view.tiles_x + 1, shows.float()
+    marks = centres.new_zeros((view.tiles_y + 1) * columns)
+    for x, y, sign in ((low, low, 1), (high, low, -1), (low, high, -1), (high, high, 1)):
+        marks.index_add_(0, y[:, 1] * columns + x[:, 0], sign * counts)
+    sums = marks.reshape(view.tiles_y + 1, columns).cumsum(0).cumsum(1)
+    return sums[:-1, :-1] > 0.5
 
 
 class CudaBackend(DeviceBackend):

@@ -12,9 +12,12 @@ import numpy as np
 from codec.camera import Camera
 from codec.errors import InvalidError
 from trainer.pictures.shot import Shot
-from trainer.step.backend import Backend, BackendName, StepInput
+from trainer.step.backend import Backend, BackendName, Step, StepInput, Training
+from trainer.step.colour import CameraColour
 from trainer.step.cpubackend import CpuBackend
+from trainer.step.optimiser import Adam, OptimiserConfig
 from trainer.step.raster import Parameters, View
+from trainer.step.scalebound import CameraSpread
 
 TOLERANCE = 1e-3
 """Tolerated error of a trial's loss: far above rounding, far below a device that errs."""
@@ -79,19 +82,60 @@ def _numba(weights: Weights) -> Backend:
     return CpuBackend(weights.dssim, weights.opacity_reg, weights.scale_reg)
 
 
-def _trial_loss(backend: Backend) -> float:
-    """Loss of a step on three Gaussians."""
-    values, rows = Parameters.zeros(3, 0), np.arange(3, dtype=np.int32)
+_CAMERA = Camera("trial", 40, 24, 30.0, 30.0, 20.0, 12.0, np.eye(4))
+_SHOT = Shot(np.full((24, 40, 3), 90, np.uint8))
+
+
+def _trial_gaussians() -> Parameters:
+    values = Parameters.zeros(3, 0)
     values.means[:] = np.array([[0, 0, 2], [0.3, 0.2, 3], [-0.2, 0.1, 2.5]])
     values.log_scales[:] = -1.5
     values.quats[:, 0] = 1
     values.sh[:] = 1
-    view = View.prepare(Camera("trial", 40, 24, 30.0, 30.0, 20.0, 12.0, np.eye(4)), 0.2)
-    shot = Shot(np.full((24, 40, 3), 90, np.uint8))
+    return values
+
+
+def _trial_loss(backend: Backend) -> float:
+    """Loss of a step on three Gaussians; NaN if a gradient is no number."""
+    rows, view = np.arange(3, dtype=np.int32), View.prepare(_CAMERA, 0.2)
     gain, bias = np.ones(3, np.float32), np.zeros(3, np.float32)
     gradients = Parameters.zeros(3, 0)
-    loss = backend.step(StepInput(values, rows, view, shot, gain, bias, 3), gradients)
+    given = StepInput(_trial_gaussians(), rows, view, _SHOT, gain, bias, 3)
+    loss = backend.step(given, gradients)
     return loss.value if all(np.isfinite(g).all() for g in gradients.arrays) else float("nan")
+
+
+class _OneShot:
+    """The picture of the trial."""
+
+    num_frames = 1
+    cameras = (_CAMERA,)
+
+    def shot(self, camera: int, frame: int) -> Shot:
+        return _SHOT
+
+    def mask(self, camera: int, frame: int) -> None:
+        return None
+
+
+def _resident_loss(backend: Backend) -> float:
+    """The same of a training that stays on the device, whose updates it makes; NaN if they give
+    what is no number."""
+    values, rows = Parameters.zeros(6, 0), np.arange(3, dtype=np.int32)
+    for array, given in zip(values.arrays, _trial_gaussians().arrays, strict=True):
+        array[:3] = array[3:] = given
+    adam, colour = Adam(3, 0, OptimiserConfig()), CameraColour(1, 1e-3)
+    view, spread = View.prepare(_CAMERA, 0.2), CameraSpread.of([_CAMERA])
+    training = Training(values, adam, colour, _OneShot(), [view], [], spread, 0.005)
+    resident = backend.start(training)
+    resident.begin_window(np.zeros(3, np.float32), [np.zeros(3, np.int32)])
+    resident.step(Step(0, 0, False, True, 1e-3, 1.0, 1.0, 1, 0), resident.select(rows, rows))
+    (loss,) = resident.losses(wait=True)
+    before = values.means[:3].copy()
+    resident.fetch(history=True)
+    moved = (values.means[:3] != before).any() and (adam.steps == 1).all()
+    arrays = (*values.arrays, *adam.first.arrays, *adam.second.arrays, colour.values)
+    return loss if moved and all(np.isfinite(a).all() for a in arrays) else float("nan")
 
 
 def tried(make: Callable[[], Backend], weights: Weights) -> Backend | str:
@@ -99,14 +143,15 @@ def tried(make: Callable[[], Backend], weights: Weights) -> Backend | str:
     CPU."""
     try:
         backend = make()
-        found = _trial_loss(backend)
+        losses = _trial_loss(backend), _resident_loss(backend)
     except (AttributeError, ImportError, OSError, RuntimeError) as error:
         # Kernels that do not compile or load, operations that a device lacks, memory.
         return _in_short(error)
     expected = _trial_loss(_plain(weights, "cpu"))
-    if abs(found - expected) <= TOLERANCE * expected:
-        return backend
-    return f"its loss in a trial is {found:g}, not {expected:g}"
+    for found in losses:
+        if not abs(found - expected) <= TOLERANCE * expected:
+            return f"its loss in a trial is {found:g}, not {expected:g}"
+    return backend
 
 
 def _in_short(error: Exception) -> str:

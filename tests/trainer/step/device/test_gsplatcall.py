@@ -21,7 +21,7 @@ from codec.camera import Camera
 from player.render.recipe import LOW_PASS_PX2
 from tests.support.reference_render import turned_camera
 from trainer.step.device.crossing import Crossing
-from trainer.step.device.cuda import gsplat_picture
+from trainer.step.device.cuda import gsplat_picture, reached_tiles
 from trainer.step.device.deviceview import DeviceView
 from trainer.step.device.torchproject import CONIC_A, CONIC_C, Solids, X, Y, project, rotations
 from trainer.step.raster import View
@@ -86,6 +86,42 @@ def test_the_call_binds_and_has_the_shapes_that_gsplat_documents() -> None:
     # Colours are those that the camera sees, and there is nothing behind: black.
     assert (bound.arguments["sh_degree"], bound.arguments["backgrounds"]) == (None, None)
     assert bound.arguments["render_mode"] == "RGB"
+
+
+def test_the_tiles_of_boxes_are_those_that_they_touch() -> None:
+    rng, view = np.random.default_rng(3), view_of(turned_camera().resized(200, 120))
+    for count in (0, 1, 3):
+        centres = rng.uniform((-40, -40), (240, 160), (count, 2))
+        radii = rng.integers(0, 30, (count, 2))
+        shows = (radii > 0).all(axis=1)
+        expected = np.zeros((view.tiles_y, view.tiles_x), bool)
+        for (x, y), (rx, ry) in zip(centres[shows], radii[shows], strict=True):
+            for row, column in np.ndindex(expected.shape):
+                touches = column * 16 <= x + rx and x - rx < column * 16 + 16
+                expected[row, column] |= touches and row * 16 <= y + ry and y - ry < row * 16 + 16
+        centres[~shows] = np.nan  # gsplat leaves there what was there before
+        found = reached_tiles(torch.tensor(centres).float(), torch.tensor(radii).int(), view)
+        assert np.array_equal(found.numpy(), expected)
+
+
+def test_where_not_all_is_compared_its_boxes_say_which_tiles_matter() -> None:
+    given, view = solids(), view_of(turned_camera())
+    drawn = project(given, view)
+    centres, radii = torch.zeros(1, COUNT, 2), torch.zeros(1, COUNT, 2, dtype=torch.int32)
+    centres[0, drawn.rows] = drawn.values[:, [X, Y]]
+    radii[0, drawn.rows] = 5
+
+    def rasterization(**asked: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
+        picture = torch.zeros(1, asked["height"], asked["width"], 3)
+        return picture, torch.zeros(1), {"means2d": centres, "radii": radii}
+
+    assert gsplat_picture(given, view, COUNT, True, rasterization).active is None
+    some = gsplat_picture(given, view, 2, False, rasterization).active
+    every = gsplat_picture(given, view, COUNT, False, rasterization).active
+    assert some is not None
+    assert every is not None
+    assert 0 < some.sum() < every.sum()
+    assert torch.equal(some & every, some)
 
 
 def test_the_pinned_version_is_the_recorded_one() -> None:

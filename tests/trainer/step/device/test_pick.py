@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from codec.errors import InvalidError
-from trainer.step.backend import StepInput
+from trainer.step.backend import Resident, StepInput, Training
 from trainer.step.cpubackend import CpuBackend
 from trainer.step.device import pick
 from trainer.step.device.cuda import CudaBackend
@@ -51,6 +51,16 @@ class Mad(TorchBackend):
         loss = super().step(given, gradients)
         gradients.means[0] = np.nan
         return loss
+
+
+class Idle(TorchBackend):
+    """A device on which updates go nowhere."""
+
+    def start(self, training: Training) -> Resident:
+        resident = super().start(training)
+        training.values.means[:] += 1
+        resident.fetch = lambda history=False: None  # type: ignore[method-assign]
+        return resident
 
 
 def not_installed(_: Weights) -> CudaBackend:
@@ -109,6 +119,7 @@ def test_auto_prefers_gsplat_then_torch_on_a_device_then_numba(
         (Broken, r"no cumprod here"),
         (Wrong, r"its loss in a trial is 0\.\d+, not 0\.\d+"),
         (Mad, r"its loss in a trial is nan, not 0\.\d+"),
+        (Idle, r"its loss in a trial is nan, not 0\.\d+"),
     ],
 )
 def test_a_device_that_errs_is_not_taken(

@@ -225,7 +225,8 @@ def shape_only(**given: Any) -> tuple[torch.Tensor, torch.Tensor, dict[str, Any]
     """A picture that depends on everything, of the size that gsplat's has."""
     names = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks")
     light = sum(given[name].sum() for name in names)
-    return light * light.new_ones(1, given["height"], given["width"], 3), light, {}
+    drawn = {"means2d": given["means"][None, :, :2], "radii": given["means"][None, :, :2].int()}
+    return light * light.new_ones(1, given["height"], given["width"], 3), light, drawn
 
 
 def test_a_step_looks_at_no_value_on_the_device() -> None:
@@ -236,7 +237,7 @@ def test_a_step_looks_at_no_value_on_the_device() -> None:
     begin(resident)
     selection = resident.select(SHOWN, TRAINED)
     for step in steps(30):
-        resident.step(step, selection)
+        resident.step(replace(step, whole=step.seed % 2 == 0), selection)
         assert resident.losses(wait=False) == []
     resident.bound_scales(selection, 0.1)
     with pytest.raises(NotImplementedError, match="meta"):
@@ -251,20 +252,21 @@ CROSSES = {
     "item", "tolist", "cpu", "numpy", "to", "cuda", "from_numpy", "tensor", "as_tensor",
     "pin_memory", "synchronize",
 }  # fmt: skip
-"""Attributes by which values cross, or the host waits."""
+"""Methods by which values cross, or the host waits."""
 
 
 def test_arrays_cross_in_one_module_alone() -> None:
     folder = Path(trainer.step.device.__file__).parent
     found = {
-        (file.stem, node.attr)
+        (file.stem, node.func.attr)
         for file in folder.glob("*.py")
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Attribute) and node.attr in CROSSES
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and node.func.attr in CROSSES
     }
     assert ("crossing", "cpu") in found
-    # pick asks torch which devices there are.
-    assert {stem for stem, _ in found} <= {"crossing", "pick"}
+    assert {stem for stem, _ in found} == {"crossing"}
 
 
 @pytest.mark.parametrize("seed", [0, 5, 2**63 + 11, 2**64 - 1])
@@ -310,3 +312,21 @@ def test_the_host_s_changes_arrive_and_the_device_s_come_back() -> None:
     assert ours.adam.steps[TRAINED].tolist() == [5] * len(TRAINED)
     for (name, a), b in zip(arrays_of(theirs).items(), arrays_of(ours).values(), strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=3e-3 * np.abs(b).max(), err_msg=name)
+
+
+def test_on_a_gpu_a_step_does_not_wait() -> None:
+    if not torch.cuda.is_available():
+        pytest.skip("needs an NVIDIA GPU")
+    given = training(3)
+    resident = CudaBackend(*WEIGHTS, shape_only, "cuda").start(given)
+    begin(resident)
+    selection = resident.select(SHOWN, TRAINED)
+    for step in steps(CAMERAS * FRAMES):
+        resident.step(step, selection)
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        for step in steps(30):
+            resident.step(step, selection)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    assert len(resident.losses(wait=True)) == 36
