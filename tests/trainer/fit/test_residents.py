@@ -106,7 +106,8 @@ def test_with_an_early_report_of_losses_nothing_else_changes() -> None:
     """Numba's losses are known at once, a device's with the next report: both get there."""
     reported = [Reported(), Reported()]
     config = replace(LEASED, genesis_iterations=40, window_iterations=20, settle_rounds=0)
-    for name, observer in zip(("cpu", "torch"), reported, strict=True):
+    names: tuple[BackendName, ...] = ("cpu", "torch")
+    for name, observer in zip(names, reported, strict=True):
         trainer = trainer_of(name, config, start(), observer)
         next(trainer.windows())
     assert reported[1].losses == pytest.approx(reported[0].losses, rel=2e-3)

@@ -30,7 +30,8 @@ def torch_picture(
 ) -> Raster:
     """See `Rasterise`; for `batch_bytes` see `blend`."""
     drawn = project(solids, view)
-    lists = tensor_lists(drawn, view.tiles_x, view.tiles_y, trained, whole)
+    count = len(solids.means)
+    lists = tensor_lists(drawn, view.tiles_x, view.tiles_y, count, trained, whole)
     tiles = blend(drawn.values, lists, batch_bytes)
     rows = tiles.reshape(view.tiles_y, view.tiles_x, 3, TILE_PX, TILE_PX).permute(2, 0, 3, 1, 4)
     padded = rows.reshape(3, view.tiles_y * TILE_PX, view.tiles_x * TILE_PX)

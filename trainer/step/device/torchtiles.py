@@ -57,12 +57,12 @@ def _spans(values: Tensor, boxes: Tensor, owners: Tensor, y: Tensor) -> tuple[Te
 
 @torch.no_grad()
 def tensor_lists(
-    drawn: Drawn, tiles_x: int, tiles_y: int, trained: int, whole: bool
+    drawn: Drawn, tiles_x: int, tiles_y: int, num_solids: int, trained: int, whole: bool
 ) -> TensorLists:
     """The tiles that the Gaussians reach, each with those that reach it, nearest first.
 
-    trained: gradients are of solids before this one. whole: whether all tiles are blended; else
-    only those that such a solid reaches, and their neighbours.
+    trained: gradients are of solids before this one of `num_solids`. whole: whether all tiles are
+    blended; else only those that such a solid reaches, and their neighbours.
     """
     boxes = drawn.boxes
     owners, rows = _numbered(boxes[:, 3] - boxes[:, 2])
@@ -75,6 +75,8 @@ def tensor_lists(
     gaussians = owners[spans][order]
     counts = torch.bincount(tiles, minlength=tiles_x * tiles_y)
     starts = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
+    if whole and trained == num_solids:
+        return TensorLists(starts, gaussians, tiles_x, counts, counts)
     places = torch.arange(1, len(tiles) + 1, device=tiles.device) - starts[tiles]
     places *= drawn.rows[gaussians] < trained
     ends = torch.zeros_like(counts).scatter_reduce_(0, tiles, places, "amax")
