@@ -25,6 +25,7 @@ from trainer.fit.config import FitConfig
 from trainer.fit.observer import Observer, Progress
 from trainer.fit.trainer import Trainer
 from trainer.step.backend import BackendName
+from trainer.step.device.device import DeviceBackend
 from trainer.step.loss import psnr_db
 
 SHORT = replace(CONFIG, genesis_iterations=150, window_iterations=60)
@@ -111,3 +112,41 @@ def test_with_an_early_report_of_losses_nothing_else_changes() -> None:
         trainer = trainer_of(name, config, start(), observer)
         next(trainer.windows())
     assert reported[1].losses == pytest.approx(reported[0].losses, rel=2e-3)
+
+
+@pytest.mark.parametrize("config", [SHORT, LEASED], ids=["whole slices", "leases"])
+def test_within_a_window_only_numbers_cross(config: FitConfig) -> None:
+    class Counting(Observer):
+        def progressed(self, progress: Progress) -> None:
+            crossed.append((progress.first_frame, crossing.crossed_bytes, crossing.picture_bytes))
+
+    crossed: list[tuple[int, int, int]] = []
+    config = replace(
+        config, genesis_iterations=100, window_iterations=80, settle_rounds=0,
+        mcmc=replace(config.mcmc, relocate_period=1000),
+    )  # fmt: skip
+    picked = config.backend("torch", "cpu").backend
+    assert isinstance(picked, DeviceBackend)
+    crossing = picked.crossing
+    layout_of = layout(1, *SLOTS[1]) if config.swin_size == 1 else None
+    trainer = Trainer(
+        config,
+        Rendered(),
+        start(),
+        NEAR_M,
+        backend=picked,
+        observers=[Counting()],
+        layout=layout_of,
+    )
+    for window in trainer.windows():
+        if window.first_frame == 1:
+            break
+    for first_frame in (0, 1):
+        told = [(crossed_bytes, p) for f, crossed_bytes, p in crossed if f == first_frame]
+        assert len(told) >= 4
+        (before, pictures), (after, later) = told[-2:]
+        assert later == pictures  # every camera was seen by then
+        assert after - before < 20 * 100  # of 20 steps
+    # Between the windows rows have crossed, so that the counter counts.
+    genesis = [c for f, c, _ in crossed if f == 0]
+    assert next(c for f, c, _ in crossed if f == 1) - genesis[-1] > 90 * 14 * 4
