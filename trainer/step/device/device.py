@@ -34,6 +34,8 @@ class DeviceBackend:
     ) -> None:
         """device: of torch; batch_bytes: what the rasteriser takes beside pixels and pairs;
         picture_bytes: of the captured pictures that it keeps at most."""
+        # In TF32 the variances of SSIM would be differences of rounded numbers.
+        torch.backends.cudnn.allow_tf32 = False
         self.crossing = Crossing(torch.device(device))
         """Counts what this backend sends and receives."""
         self.loss = TensorLoss(dssim_weight, opacity_reg, scale_reg, rasterise, self.crossing)
