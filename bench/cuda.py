@@ -84,6 +84,8 @@ class CudaConfig:
     """Preset of the trainings."""
     longest_px: int = 640
     """Longest side of the pictures of the trainings, pixels."""
+    fps: float = 30.0
+    """Frames per second of captures that do not say theirs."""
     ray_workers: int = 0
     """Ray workers that train the longest video in parallel; 0 for none."""
     worker_cpus: float = 4
@@ -191,6 +193,8 @@ def measured(
     with tempfile.TemporaryDirectory() as folder:
         stream = Path(folder) / "stream"
         job = training(config, capture, backend, num_frames, stream)
+        if open_capture(capture).fps is None:
+            job = replace(job, fps=config.fps)
         if how != "preset":
             job = with_slots(job)
         begin_s = time.monotonic()
@@ -209,24 +213,32 @@ def measured(
     )  # fmt: skip
 
 
-def in_a_process(function: Callable[..., Row], *arguments: object) -> Row:
-    """Its result, computed in a process of its own."""
+def in_a_process(
+    failures: list[str], what: str, function: Callable[..., Row], *arguments: object
+) -> Iterator[Row]:
+    """Its result, computed in a process of its own. Where a device lacks memory, or the process
+    ends, there is none, and a line about `what` in `failures`."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
-        return process.submit(function, *arguments).result()
+        try:
+            yield process.submit(function, *arguments).result()
+        except (RuntimeError, MemoryError) as error:
+            first = (str(error).strip() or type(error).__name__).partition("\n")[0]
+            failures.append(f"not measured: {what}: {first}")
 
 
-def step_rows(config: CudaConfig) -> Iterator[StepRow]:
-    """Every number of Gaussians by every backend."""
+def step_rows(config: CudaConfig, failures: list[str]) -> Iterator[StepRow]:
+    """Every number of Gaussians by every backend; for `failures` see `in_a_process`."""
     for count in config.sizes:
         for backend in config.backends:
             case = StepCase(
                 backend, config.torch_device, count, config.width_px, config.height_px,
                 config.steps,
             )  # fmt: skip
-            yield in_a_process(measured_step, case)
+            what = f"a step of {count:,} Gaussians by {backend}"
+            yield from in_a_process(failures, what, measured_step, case)
 
 
-def rows(config: CudaConfig, captures: Sequence[Path]) -> Iterator[Measured]:
+def rows(config: CudaConfig, captures: Sequence[Path], failures: list[str]) -> Iterator[Measured]:
     """Every capture at every length by every backend; then what is in parts."""
     for capture in captures:
         length = open_capture(capture).num_frames
@@ -238,7 +250,8 @@ def rows(config: CudaConfig, captures: Sequence[Path]) -> Iterator[Measured]:
             for backend in config.backends:
                 wanted += [(backend, "slots", lengths[-1]), (backend, "parts", lengths[-1])]
         for each in wanted:
-            yield in_a_process(measured, config, capture, *each)
+            what = f"{capture.name}, {each[2]} frames by {each[0]}"
+            yield from in_a_process(failures, what, measured, config, capture, *each)
 
 
 def table_of(title: str, columns: Sequence[str], texts: Iterable[Sequence[str]]) -> Table:
@@ -258,7 +271,8 @@ def run(config: CudaConfig) -> None:
         job = training(config, Path("capture"), backend, 1, Path("stream"))
         where.append(job.fit.backend(backend, job.torch_device).why)
     title, console = "; ".join(where), Console(width=140)
-    steps = (row.texts for row in step_rows(config))
+    failures: list[str] = []
+    steps = (row.texts for row in step_rows(config, failures))
     console.print(table_of(f"{title}: steps", STEP_COLUMNS, steps))
     with tempfile.TemporaryDirectory() as folder:
         captures = list(config.captures)
@@ -267,9 +281,11 @@ def run(config: CudaConfig) -> None:
             synthesise(SynthConfig(captures[0], frames=max(config.frames)))
         if captures:
             num_gs = training(config, captures[0], "torch", 1, Path("stream")).fit.num_gs
-            trained = (row.texts for row in rows(config, captures))
+            trained = (row.texts for row in rows(config, captures, failures))
             name = f"{title}: preset {config.preset}, {num_gs:,} Gaussians"
             console.print(table_of(name, COLUMNS, trained))
+    for failure in failures:
+        console.print(failure, highlight=False, markup=False)
 
 
 if __name__ == "__main__":

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
-from bench.cuda import COLUMNS, CudaConfig, measured, run
+from bench.cuda import COLUMNS, CudaConfig, in_a_process, measured, run
 from bench.gpusteps import STEP_COLUMNS, StepCase, measured_step
 from codec.errors import InvalidError
 from tests.support.tiny_capture import write_dynamic3dgs
@@ -16,6 +18,7 @@ from tests.support.tiny_capture import write_dynamic3dgs
 
 def config(folder: Path) -> CudaConfig:
     write_dynamic3dgs(folder / "capture", num_cameras=5, num_frames=6)
+    (folder / "capture/fps.txt").unlink()  # as downloaded
     return CudaConfig(
         (folder / "capture",), demo=False, frames=(6,), backends=("torch",), torch_device="cpu",
         sizes=(300,), width_px=96, height_px=64, steps=3, num_gs=200, genesis_iterations=20,
@@ -55,6 +58,24 @@ def test_the_tables_are_one_call(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "torch on cpu: preset gpu, 200 Gaussians" in printed
     assert "s/frame" in printed
     assert hows(printed) == ["preset"]
+
+
+def lacks_memory() -> float:
+    raise torch.OutOfMemoryError("CUDA out of memory.\nTried to allocate 1 GiB")
+
+
+def dies() -> float:
+    os._exit(3)
+
+
+def test_what_a_machine_cannot_do_does_not_end_the_table() -> None:
+    failures: list[str] = []
+    assert list(in_a_process(failures, "a step", float, "2.5")) == [2.5]
+    assert list(in_a_process(failures, "a larger one", lacks_memory)) == []
+    assert list(in_a_process(failures, "the largest", dies)) == []
+    assert failures[0] == "not measured: a larger one: CUDA out of memory."
+    assert failures[1].startswith("not measured: the largest: ")
+    assert len(failures) == 2
 
 
 @pytest.mark.slow
