@@ -105,6 +105,7 @@ ELSEWHERE = {
     "python -m fuzz http FOUND": "server/clients/test_fuzz.py",
     "scripts/demo": "test_demo.py",
     "scripts/demo --no-serve": "test_demo.py",
+    "scripts/bench cuda": "bench/test_cuda.py",
 }
 """Commands whose words stand for something or that take long, and the tests that run what they
 start."""
