@@ -33,7 +33,7 @@ from trainer.step.optimiser import (
     OptimiserConfig,
     add_noise,
 )
-from trainer.step.raster import Parameters, View
+from trainer.step.raster import Ints, Parameters, View
 from trainer.step.scalebound import CameraSpread
 
 NUM_GS = 300
@@ -168,6 +168,28 @@ def test_where_few_are_trained_only_their_tiles_are_compared() -> None:
     for (name, a), b in zip(arrays_of(theirs).items(), arrays_of(ours).values(), strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-2 * np.abs(b).max(), err_msg=name)
     assert (theirs.colour.values[:, :3] == 1).all()
+
+
+@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("rows", [SHOWN, SHOWN[:0]], ids=["none trained", "none shown"])
+def test_where_nothing_is_trained_nothing_moves(rows: Ints, whole: bool) -> None:
+    losses = []
+    for backend in (CpuBackend(*WEIGHTS), TorchBackend(*WEIGHTS, "cpu")):
+        given = training(1)
+        before = [array.copy() for array in given.values.arrays]
+        shown = rows[rows >= NUM_GS]
+        resident: Resident = backend.start(given)
+        begin(resident)
+        selection = resident.select(shown, SHOWN[:0])
+        for step in steps(6):
+            resident.step(replace(step, whole=whole), selection)
+        resident.bound_scales(selection, 0.05)
+        losses.append(resident.losses(wait=True))
+        resident.fetch(history=True)
+        for array, was in zip(given.values.arrays, before, strict=True):
+            assert np.array_equal(array, was)
+        assert not given.adam.steps.any()
+    assert losses[1] == pytest.approx(losses[0], rel=1e-3, abs=1e-9)
 
 
 def test_a_steady_step_sends_numbers_alone() -> None:
