@@ -4,6 +4,7 @@ crosses in a step."""
 from __future__ import annotations
 
 import ast
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 import trainer.step.device
 from codec.camera import Camera
@@ -268,6 +270,38 @@ def test_a_step_looks_at_no_value_on_the_device() -> None:
     plain = TorchBackend(*WEIGHTS, "meta").start(given)
     with pytest.raises((NotImplementedError, RuntimeError)):
         plain.step(steps(1)[0], plain.select(SHOWN, TRAINED))
+
+
+class Operations(TorchDispatchMode):  # type: ignore[no-untyped-call]
+    """Counts the operations of torch."""
+
+    def __init__(self) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+        self.counts: Counter[str] = Counter()
+
+    def __torch_dispatch__(
+        self, func: Any, types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
+    ) -> Any:
+        self.counts[func.overloadpacket.__name__] += 1
+        return func(*args, **(kwargs or {}))
+
+
+def test_the_plain_rasteriser_reads_lengths_of_lists_and_nothing_else() -> None:
+    given = training(1)
+    resident = TorchBackend(*WEIGHTS, "cpu").start(given)
+    begin(resident)
+    selection = resident.select(SHOWN, TRAINED)
+    for step in steps(CAMERAS * FRAMES):
+        resident.step(step, selection)
+    with Operations() as operations:
+        for step in steps(6):
+            resident.step(replace(step, whole=step.seed % 2 == 0), selection)
+    counts = operations.counts
+    assert counts["index_copy_"] == 6 * 4  # values, two histories, counts of steps
+    # Those that read a value.
+    assert not {"_local_scalar_dense", "item", "equal", "is_nonzero"} & set(counts)
+    assert 0 < counts["nonzero"] <= 6 * 25
+    assert counts["repeat_interleave"] == 6 * 2
 
 
 CROSSES = {
