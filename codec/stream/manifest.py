@@ -29,6 +29,7 @@ from .manifestjson import (
     parse_manifest,
     typed,
 )
+from .sound import SoundSource, check_sources, sources_of
 
 VERSION = 2
 """1 was a draft that no released program wrote."""
@@ -126,6 +127,8 @@ class Manifest:
     """A name for people."""
     capture_frame: int = 0
     """Frame of the capture that frame 0 shows."""
+    audio: tuple[SoundSource, ...] = ()
+    """The sources of sound, in objects of their own."""
 
     def __post_init__(self) -> None:
         _ = self.slot_layout  # has rules of its own
@@ -133,6 +136,7 @@ class Manifest:
         self._check_view()
         self._check_cameras()
         self._check_texts()
+        check_sources(self.audio)
 
     def _check_sizes(self) -> None:
         if not MIN_FPS <= self.fps <= MAX_FPS:
@@ -287,6 +291,7 @@ class Manifest:
             "object_url": self.object_url,
             "title": self.title,
             "capture_frame": self.capture_frame,
+            **({"audio": [source.to_json() for source in self.audio]} if self.audio else {}),
         }
         text = json.dumps(value, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
         data = text.encode()
@@ -359,6 +364,7 @@ def _from_value(value: Mapping[str, Any]) -> Manifest:
         object_url=typed(value, "object_url", str),
         title=typed(value, "title", str),
         capture_frame=typed(value, "capture_frame", int),
+        audio=sources_of(value),
     )
     num_gs = typed(value, "num_gs", int)
     if num_gs != manifest.num_gs:
