@@ -24,6 +24,7 @@ from codec.tools.commands import (
     unpack_files,
 )
 from codec.tools.editcommands import Edit, run_edit
+from codec.tools.soundcommands import Audio, run_audio
 
 from .console import run_command, say
 
@@ -33,7 +34,7 @@ class Command:
     """Which subcommand to run."""
 
     action: Annotated[
-        Info | Verify | Import | Export | Edit | Pack | Unpack, tyro.conf.arg(name="")
+        Info | Verify | Import | Export | Edit | Pack | Unpack | Audio, tyro.conf.arg(name="")
     ]
 
 
@@ -63,6 +64,8 @@ def run(command: Command, draw: Draw | None) -> None:
             say(pack_files(config))
         case Unpack() as config:
             say(unpack_files(config))
+        case Audio() as config:
+            say(run_audio(config))
 
 
 def main(draw: Draw | None = None) -> None:

@@ -67,7 +67,9 @@ class SoundSource:
                 "letters and digits"
             )
         if self.channels not in (1, 2):
-            raise InvalidError(f"manifest: sound {self.name} has {self.channels} channels, not 1..2")
+            raise InvalidError(
+                f"manifest: sound {self.name} has {self.channels} channels, not 1..2"
+            )
         if len(self.keys) > MAX_KEYS or (self.keys and self.channels != 1):
             raise InvalidError(
                 f"manifest: sound {self.name} has {len(self.keys)} places and {self.channels} "
@@ -77,7 +79,9 @@ class SoundSource:
             raise InvalidError(f"manifest: a place of sound {self.name} is not four numbers")
         times = [key[0] for key in self.keys]
         if any(a >= b for a, b in zip(times, times[1:], strict=False)):
-            raise InvalidError(f"manifest: the places of sound {self.name} are not in order of time")
+            raise InvalidError(
+                f"manifest: the places of sound {self.name} are not in order of time"
+            )
 
     @property
     def part(self) -> str:

@@ -190,5 +190,9 @@ def verify_stream(place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIAN
             raise error.within(storage.place(INDEX_NAME)) from error
     verify_objects(reader)
     check_pictures(storage, manifest)
+    if manifest.audio:
+        from .sound import verify_sound  # PyAV loads slowly
+
+        verify_sound(reader)
     verify_packed(storage)
     return _summary(reader)

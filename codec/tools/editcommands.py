@@ -17,7 +17,7 @@ from codec.edit.transform import TransformOptions
 from codec.framerange import FRAMES, FrameRange
 from codec.progressline import counted
 from codec.stream.pictures import Draw
-from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
 Source = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="STREAM")]]
 Target = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
@@ -107,7 +107,15 @@ def run_edit(config: Edit, draw: Draw | None = None) -> str:
                 made = edit_stream(
                     edit.stream, edit.out, edit.options, draw, progress, edit.max_gaussians
                 )
-    return _describe(edit.out, made)
+    return _describe(edit.out, made) + _sound_note(edit)
+
+
+def _sound_note(edit: _Job) -> str:
+    """A line, if the sound of an edited stream is left out."""
+    streams = (edit.stream, *(edit.then if isinstance(edit, Join) else ()))
+    if not any(StreamReader(place, None).manifest.audio for place in streams):
+        return ""
+    return "\nsound        left out; add it again with swings-stream audio add"
 
 
 def _describe(out: Path, made: Edited) -> str:

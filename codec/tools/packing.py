@@ -49,6 +49,11 @@ def pack_stream(stream: Place, out: Path) -> Packed:
         raise InvalidError(f"{reader.name} is live; pack it when it is finished")
     if not reader.records:
         raise InvalidError(f"{reader.name} has no frames; there is nothing to pack")
+    if reader.manifest.audio:
+        raise InvalidError(
+            f"{reader.name} has sound, which one file cannot hold yet; remove it from a copy first: "
+            "swings-stream audio remove"
+        )
     files = _Files(reader)
     sizes = [len(files.pictures.get(path or "", b"")) for path in picture_paths(reader.manifest)]
     head = PackedHead(len(reader.manifest_json), len(files.index), *sizes)

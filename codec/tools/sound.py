@@ -1,0 +1,148 @@
+"""The sound of a finished stream in a folder: adding, removing, extracting and checking it."""
+
+from __future__ import annotations
+
+import wave
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from codec.errors import CodecError, CorruptError, InvalidError
+from codec.files import replacing, write_atomic
+from codec.stream.manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest, object_file
+from codec.stream.packedlayout import PACKED_SUFFIX
+from codec.stream.reader import StreamReader, read_stream_file
+from codec.stream.sound import (
+    MAX_SOUND_BYTES,
+    SAMPLE_RATE,
+    SoundObject,
+    SoundSource,
+    first_sample,
+    packet_samples,
+    segment_sound,
+)
+
+from .soundfile import Samples, decode, encode, read_samples
+
+DEFAULT_BITRATE_BPS = 96000
+
+
+def _finished(stream: Path) -> StreamReader:
+    """The stream in the folder `stream`, if it may be changed."""
+    if stream.name.endswith(PACKED_SUFFIX) and not stream.is_dir():
+        raise InvalidError(f"{stream} is one file; unpack it first: swings-stream unpack")
+    reader = StreamReader(stream, max_gaussians=None)
+    if reader.manifest.live or not reader.records:
+        raise InvalidError(f"{stream} is live or has no frames; add sound when it is finished")
+    return reader
+
+
+def _span(reader: StreamReader, segment: int) -> tuple[int, int]:
+    """The samples that are heard with `segment`: the first, and the one after the last."""
+    record, fps = reader.records[segment], reader.manifest.fps
+    first = record.first_frame
+    return first_sample(first, fps), first_sample(first + record.num_frames, fps)
+
+
+def add_sound(
+    stream: Path, file: Path, source: SoundSource, bitrate_bps: int = DEFAULT_BITRATE_BPS
+) -> int:
+    """Adds the sound in `file` as `source`, from frame 0 on, as far as the stream goes; gives the
+    bytes of its objects. The objects come first, the manifest last. Raises a SwingsError."""
+    reader = _finished(stream)
+    manifest = replace(reader.manifest, audio=(*reader.manifest.audio, source))
+    described = manifest.to_json()
+    length = first_sample(reader.num_frames, manifest.fps)
+    whole = encode(read_samples(file, source.channels), source.channels, length, bitrate_bps)
+    objects = [
+        segment_sound(whole, *_span(reader, segment)).pack()
+        for segment in range(len(reader.records))
+    ]
+    for segment, data in enumerate(objects):
+        write_atomic(object_file(stream, segment, source.part), data)
+    write_atomic(stream / MANIFEST_NAME, described)
+    return sum(map(len, objects))
+
+
+def find_source(manifest: Manifest, name: str) -> SoundSource:
+    """The source called `name`. Raises InvalidError."""
+    for source in manifest.audio:
+        if source.name == name:
+            return source
+    there = ", ".join(source.name for source in manifest.audio) or "none"
+    raise InvalidError(f"no sound is called {name[:40]!a}; there are: {there}")
+
+
+def remove_sound(stream: Path, name: str) -> None:
+    """Removes the source `name`: from the manifest, then its objects. Raises a SwingsError."""
+    reader = _finished(stream)
+    gone = find_source(reader.manifest, name)
+    left = tuple(source for source in reader.manifest.audio if source != gone)
+    write_atomic(stream / MANIFEST_NAME, replace(reader.manifest, audio=left).to_json())
+    for segment in range(len(reader.records)):
+        object_file(stream, segment, gone.part).unlink(missing_ok=True)
+
+
+def read_sound(reader: StreamReader, segment: int, source: SoundSource) -> SoundObject:
+    """The object of (segment, source), checked. Raises a CodecError that names it."""
+    path = f"{SEGMENTS_NAME}/{segment}/{source.part}"
+    data = read_stream_file(reader.storage, path, MAX_SOUND_BYTES)
+    try:
+        found = SoundObject.parse(data)
+        if found.channels != source.channels:
+            raise CorruptError(f"sound: {found.channels} channels, not {source.channels}", 12)
+        found.check_covers(*_span(reader, segment))
+    except CodecError as error:
+        raise error.within(reader.storage.place(path)) from error
+    return found
+
+
+def _packets(reader: StreamReader, source: SoundSource) -> Iterator[bytes]:
+    """The packets of all segments, each once, from position 0 on."""
+    end = 0
+    for segment in range(len(reader.records)):
+        found = read_sound(reader, segment, source)
+        at = found.first
+        for packet in found.packets:
+            if at == end:
+                yield packet
+                end += packet_samples(packet)
+            at += packet_samples(packet)
+
+
+def samples(reader: StreamReader, source: SoundSource) -> Iterator[Samples]:
+    """The samples of `source` from frame 0 on, its whole length, piece by piece. Raises a
+    CodecError."""
+    head = read_sound(reader, 0, source)
+    at = -head.pre_skip
+    for piece in decode(_packets(reader, source), source.channels):
+        chosen = piece[max(0, -at) : max(0, head.num_samples - at)]
+        at += len(piece)
+        if len(chosen):
+            yield chosen
+    if at < head.num_samples:
+        raise CorruptError(f"{reader.name}: sound {source.name} ends at sample {at}")
+
+
+def extract_sound(stream: str, out: Path, name: str) -> int:
+    """Writes the source `name` as a WAV file of 16 bits; gives its samples. Raises a
+    SwingsError."""
+    if out.suffix.lower() != ".wav":
+        raise InvalidError(f"{out} cannot be written; name a file that ends with .wav")
+    reader = StreamReader(stream, max_gaussians=None)
+    source, count = find_source(reader.manifest, name), 0
+    with replacing(out) as temporary, wave.open(str(temporary), "wb") as file:
+        file.setnchannels(source.channels)
+        file.setsampwidth(2)
+        file.setframerate(SAMPLE_RATE)
+        for piece in samples(reader, source):
+            file.writeframes(piece.astype("<i2").tobytes())
+            count += len(piece)
+    return count
+
+
+def verify_sound(reader: StreamReader) -> None:
+    """Reads and decodes all sound. Raises a CodecError for the first thing that is wrong."""
+    for source in reader.manifest.audio if reader.records else ():
+        for _ in samples(reader, source):
+            pass

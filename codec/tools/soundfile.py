@@ -1,0 +1,111 @@
+"""Sound files to Opus packets and back to samples, by PyAV."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import numpy.typing as npt
+
+from codec.errors import CorruptError, InvalidError
+from codec.stream.sound import SAMPLE_RATE, SoundObject, packet_samples
+
+PACKET_SAMPLES = 960
+"""Samples in a packet that is written: 20 ms."""
+
+MIN_BITRATE_BPS, MAX_BITRATE_BPS = 6000, 510000
+
+Samples = npt.NDArray[np.int16]
+"""(n, channels)."""
+
+LAYOUTS = {1: "mono", 2: "stereo"}
+
+
+def read_samples(path: Path, channels: int) -> Iterator[Samples]:
+    """The first sound in the file at `path`, at SAMPLE_RATE, piece by piece. Raises InvalidError if
+    it has none, CorruptError if it cannot be read."""
+    if not path.is_file():
+        raise InvalidError(f"{path} is not a file; name one with sound")
+    try:
+        with av.open(f"file:{path}", "r", options={"protocol_whitelist": "file"}) as container:
+            if not container.streams.audio:
+                raise InvalidError(f"{path} has no sound")
+            resampler = av.AudioResampler("s16", LAYOUTS[channels], SAMPLE_RATE)
+            for frame in container.decode(container.streams.audio[0]):
+                frame.pts = None
+                for piece in resampler.resample(frame):
+                    yield piece.to_ndarray().reshape(-1, channels)
+            for piece in resampler.resample(None):
+                yield piece.to_ndarray().reshape(-1, channels)
+    except (av.FFmpegError, ValueError) as error:
+        if isinstance(error, InvalidError):
+            raise
+        raise CorruptError(f"{path}: its sound cannot be read: {error}") from error
+
+
+def encode(
+    pieces: Iterable[Samples], channels: int, max_samples: int, bitrate_bps: int
+) -> SoundObject:
+    """All packets of a source: of `pieces`, `max_samples` at most. Raises InvalidError."""
+    if not MIN_BITRATE_BPS <= bitrate_bps <= MAX_BITRATE_BPS:
+        raise InvalidError(
+            f"a bit rate of {bitrate_bps} is not in {MIN_BITRATE_BPS}..{MAX_BITRATE_BPS}"
+        )
+    encoder: Any = av.CodecContext.create("libopus", "w")
+    encoder.sample_rate, encoder.layout, encoder.format = SAMPLE_RATE, LAYOUTS[channels], "s16"
+    encoder.bit_rate = bitrate_bps
+    encoder.open()
+    pre_skip = int.from_bytes(bytes(encoder.extradata)[10:12], "little")
+    packets: list[bytes] = []
+    rest = np.zeros((0, channels), np.int16)
+    count = fed = 0
+
+    def feed(block: Samples | None) -> None:
+        nonlocal fed
+        frame = None
+        if block is not None:
+            row = np.ascontiguousarray(block).reshape(1, -1)
+            frame = av.AudioFrame.from_ndarray(row, "s16", LAYOUTS[channels])
+            frame.sample_rate, frame.pts = SAMPLE_RATE, fed
+            fed += len(block)
+        packets.extend(bytes(packet) for packet in encoder.encode(frame))
+
+    for piece in pieces:
+        piece = piece[: max_samples - count]
+        count += len(piece)
+        rest = np.concatenate([rest, piece])
+        while len(rest) >= PACKET_SAMPLES:
+            feed(rest[:PACKET_SAMPLES])
+            rest = rest[PACKET_SAMPLES:]
+        if count >= max_samples:
+            break
+    # What the encoder holds back comes out with silence.
+    tail = -(-(len(rest) + pre_skip) // PACKET_SAMPLES) * PACKET_SAMPLES
+    padded = np.zeros((tail, channels), np.int16)
+    padded[: len(rest)] = rest
+    for at in range(0, tail, PACKET_SAMPLES):
+        feed(padded[at : at + PACKET_SAMPLES])
+    feed(None)
+    return SoundObject(channels, pre_skip, count, 0, tuple(packets))
+
+
+def decode(packets: Iterable[bytes], channels: int) -> Iterator[Samples]:
+    """What `packets` decode to, with the pre-skip, one piece for each. Raises CorruptError."""
+    decoder: Any = av.CodecContext.create("libopus", "r")
+    decoder.sample_rate, decoder.layout = SAMPLE_RATE, LAYOUTS[channels]
+    for packet in packets:
+        try:
+            frames = decoder.decode(av.Packet(packet))
+        except (av.FFmpegError, ValueError) as error:
+            raise CorruptError(f"sound: a packet is not Opus: {error}") from error
+        pieces = [frame.to_ndarray() for frame in frames]
+        found = np.concatenate(pieces, axis=1) if pieces else np.zeros((1, 0), np.int16)
+        if found.dtype != np.int16:
+            found = np.rint(np.clip(found, -1, 1) * 32767).astype(np.int16)
+        samples = found.reshape(-1, channels) if found.shape[0] == 1 else found.T
+        if len(samples) != packet_samples(packet):
+            raise CorruptError(f"sound: a packet gave {len(samples)} samples")
+        yield samples

@@ -1,0 +1,110 @@
+"""Sound added to real streams, by the commands and by hand."""
+
+from __future__ import annotations
+
+import wave
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.errors import CodecError, CorruptError, InvalidError
+from codec.stream import StreamReader
+from codec.stream.sound import SAMPLE_RATE, SoundObject, SoundSource, first_sample
+from codec.tools.audit import verify_stream
+from codec.tools.packing import pack_stream
+from codec.tools.sound import read_sound, samples
+from codec.tools.soundfile import decode
+from codec.tools.static import export_static
+from tests.support.commands import run_ok
+from tests.support.tiny_stream import files_of, write_tiny
+
+CLICKS = (0, 4000, 9600, 14400)
+
+
+def write_clicks(path: Path, num_samples: int) -> None:
+    """A stereo WAV file of short bursts that begin at CLICKS."""
+    data = np.zeros((num_samples, 2), np.int16)
+    for at in CLICKS:
+        burst = 20000 * np.sin(np.arange(240) * 2 * np.pi / 24)
+        data[at : at + 240] = burst[: max(0, num_samples - at), None]
+    with wave.open(str(path), "wb") as file:
+        file.setnchannels(2)
+        file.setsampwidth(2)
+        file.setframerate(SAMPLE_RATE)
+        file.writeframes(data.astype("<i2").tobytes())
+
+
+@pytest.fixture
+def stream(tmp_path: Path) -> Path:
+    path = tmp_path / "s"
+    write_tiny(path, 10)
+    return path
+
+
+def test_add_extract_and_remove(stream: Path, tmp_path: Path) -> None:
+    before = files_of(stream)
+    fps = StreamReader(stream).manifest.fps
+    length = first_sample(10, fps)
+    write_clicks(tmp_path / "in.wav", length + 5000)
+    run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
+    run_ok("swings-stream", "verify", stream)
+    run_ok("swings-stream", "audio", "extract", stream, tmp_path / "out.wav")
+    with wave.open(str(tmp_path / "out.wav")) as file:
+        assert (file.getnchannels(), file.getnframes()) == (2, length)
+        heard = np.frombuffer(file.readframes(length), "<i2").reshape(-1, 2)
+    with wave.open(str(tmp_path / "in.wav")) as file:
+        given = np.frombuffer(file.readframes(length), "<i2").reshape(-1, 2)
+    # In step to the sample: the best shift of what is heard against what was given is none.
+    a, b = given[:, 0].astype(float), heard[:, 0].astype(float)
+    scores = [float(np.dot(np.roll(a, shift), b)) for shift in range(-30, 31)]
+    assert int(np.argmax(scores)) == 30
+    run_ok("swings-stream", "audio", "remove", stream)
+    assert files_of(stream) == before
+
+
+def test_a_segment_decodes_by_itself(stream: Path, tmp_path: Path) -> None:
+    write_clicks(tmp_path / "in.wav", 40000)
+    run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav", "--at-m", "0", "1", "2")
+    reader = StreamReader(stream)
+    (source,) = reader.manifest.audio
+    assert source == SoundSource("main", 1, ((0.0, 0.0, 1.0, 2.0),))
+    whole = np.concatenate(list(samples(reader, source))).astype(float)
+    found = read_sound(reader, 1, source)
+    alone = np.concatenate(list(decode(found.packets, 1))).astype(float)
+    begin = first_sample(reader.records[1].first_frame, reader.manifest.fps)
+    from_begin = alone[begin + found.pre_skip - found.first :]
+    count = min(len(from_begin), len(whole) - begin)
+    assert count > 1000
+    error = from_begin[:count] - whole[begin : begin + count]
+    assert np.sqrt(np.mean(error**2)) < 0.05 * np.sqrt(np.mean(whole**2)) + 1
+
+
+def test_static_export_carries_it_and_one_file_refuses(stream: Path, tmp_path: Path) -> None:
+    write_clicks(tmp_path / "in.wav", 9000)
+    run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
+    export_static(stream, tmp_path / "static")
+    verify_stream(tmp_path / "static")
+    for n in range(3):
+        name = f"segments/{n}/audio-main"
+        assert (tmp_path / "static" / name).read_bytes() == (stream / name).read_bytes()
+    with pytest.raises(InvalidError, match="has sound"):
+        pack_stream(stream, tmp_path / "s.swings")
+    said = run_ok("swings-stream", "edit", "trim", stream, tmp_path / "t", "--frames", "0:8")
+    assert "sound        left out" in str(said)
+    verify_stream(tmp_path / "t")
+
+
+def test_any_changed_byte_is_found(stream: Path, tmp_path: Path) -> None:
+    write_clicks(tmp_path / "in.wav", 9000)
+    run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
+    path = stream / "segments" / "1" / "audio-main"
+    data = path.read_bytes()
+    for at in range(0, len(data), 7):
+        with pytest.raises(CodecError):
+            SoundObject.parse(data[:at] + bytes([data[at] ^ 0x55]) + data[at + 1 :])
+        with pytest.raises(CodecError):
+            SoundObject.parse(data[:at])
+    path.write_bytes(data[:-1])
+    with pytest.raises(CorruptError, match="audio-main"):
+        verify_stream(stream)
