@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import MANIFEST_NAME, MASKS
+from codec.stream.sound import SOUND_NAME, SOUND_PREFIX
 from server.abr.clientstatus import TOKEN
 
 from .answers import objects, pages
@@ -25,7 +26,7 @@ _NAMES = {
     "stream": r"[^/]+",
     "segment": _NUMBER,
     # What a segment has an object of; which of them there are, the stream says.
-    "layer": f"{_NUMBER}|{MASKS}|snapshot-(?:{_NUMBER})",
+    "layer": f"{_NUMBER}|{MASKS}|snapshot-(?:{_NUMBER})|{SOUND_PREFIX}{SOUND_NAME}",
     "play": TOKEN,
     "asset": r".+",
     "picture": r".+\.[A-Za-z]{3,4}",

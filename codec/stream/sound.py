@@ -6,6 +6,7 @@ first sample of its segment that a decoder which begins with it is right from th
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 import struct
@@ -78,7 +79,7 @@ class SoundSource:
         if not all(len(key) == 4 and all(map(math.isfinite, key)) for key in self.keys):
             raise InvalidError(f"manifest: a place of sound {self.name} is not four numbers")
         times = [key[0] for key in self.keys]
-        if any(a >= b for a, b in zip(times, times[1:], strict=False)):
+        if any(a >= b for a, b in itertools.pairwise(times)):
             raise InvalidError(
                 f"manifest: the places of sound {self.name} are not in order of time"
             )

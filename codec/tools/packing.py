@@ -51,8 +51,8 @@ def pack_stream(stream: Place, out: Path) -> Packed:
         raise InvalidError(f"{reader.name} has no frames; there is nothing to pack")
     if reader.manifest.audio:
         raise InvalidError(
-            f"{reader.name} has sound, which one file cannot hold yet; remove it from a copy first: "
-            "swings-stream audio remove"
+            f"{reader.name} has sound, which one file cannot hold yet; remove it from a copy "
+            "first: swings-stream audio remove"
         )
     files = _Files(reader)
     sizes = [len(files.pictures.get(path or "", b"")) for path in picture_paths(reader.manifest)]

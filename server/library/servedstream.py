@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from itertools import count
 
+from codec.errors import CodecError
 from codec.storage.storage import Storage
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import Part, object_name
 from codec.stream.pictures import read_picture
 from codec.stream.reader import read_stream_file
+from codec.stream.sound import MAX_SOUND_BYTES, SoundObject
 from server.abr.media import SegmentSizes, segment_sizes
 
 from .growth import LIVE_POLL_S, Growth
@@ -119,6 +121,23 @@ class ServedStream:
         data = read_stream_file(self._storage, path, self.object_bytes(segment, part))
         place = self._storage.place(path)
         return CheckedObject.check(place, data, view.manifest, view.records[segment], part)
+
+    def has_sound(self, segment: int, name: str) -> bool:
+        """Whether `name` is that of an object of sound in `segment`."""
+        view = self.view
+        sources = view.manifest.audio
+        return 0 <= segment < view.num_segments and any(name == each.part for each in sources)
+
+    def read_sound(self, segment: int, name: str) -> bytes:
+        """The object of sound, checked by its own checksum. Blocks. Raises a CodecError that names
+        it."""
+        path = object_name(segment, name)
+        data = read_stream_file(self._storage, path, MAX_SOUND_BYTES)
+        try:
+            SoundObject.parse(data)
+        except CodecError as error:
+            raise error.within(self._storage.place(path)) from error
+        return data
 
     def read_picture(self, path: str) -> bytes | None:
         """The picture at `path`; None while there is none, and for a path that the manifest does
