@@ -73,7 +73,7 @@ def writing(
     if there is something to draw them with; else nothing does.
     """
     pictures = (None, None) if draw is None else (POSTER_NAME, STORYBOARD_NAME)
-    manifest = replace(manifest, poster=pictures[0], storyboard=pictures[1], audio=())
+    manifest = replace(manifest, poster=pictures[0], storyboard=pictures[1], sound=())
     with making_folder(out) as folder:
         files = SegmentFiles(folder, manifest, coder)
         yield files

@@ -127,7 +127,7 @@ class Manifest:
     """A name for people."""
     capture_frame: int = 0
     """Frame of the capture that frame 0 shows."""
-    audio: tuple[SoundSource, ...] = ()
+    sound: tuple[SoundSource, ...] = ()
     """The sources of sound, in objects of their own."""
 
     def __post_init__(self) -> None:
@@ -136,7 +136,7 @@ class Manifest:
         self._check_view()
         self._check_cameras()
         self._check_texts()
-        check_sources(self.audio)
+        check_sources(self.sound)
 
     def _check_sizes(self) -> None:
         if not MIN_FPS <= self.fps <= MAX_FPS:
@@ -291,7 +291,7 @@ class Manifest:
             "object_url": self.object_url,
             "title": self.title,
             "capture_frame": self.capture_frame,
-            **({"audio": [source.to_json() for source in self.audio]} if self.audio else {}),
+            **({"sound": [source.to_json() for source in self.sound]} if self.sound else {}),
         }
         text = json.dumps(value, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
         data = text.encode()
@@ -364,7 +364,7 @@ def _from_value(value: Mapping[str, Any]) -> Manifest:
         object_url=typed(value, "object_url", str),
         title=typed(value, "title", str),
         capture_frame=typed(value, "capture_frame", int),
-        audio=sources_of(value),
+        sound=sources_of(value),
     )
     num_gs = typed(value, "num_gs", int)
     if num_gs != manifest.num_gs:

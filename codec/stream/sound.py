@@ -131,7 +131,7 @@ def check_sources(sources: Sequence[SoundSource]) -> None:
 
 def sources_of(value: Mapping[str, Any]) -> tuple[SoundSource, ...]:
     """The sources in the JSON of a manifest. Raises CorruptError or InvalidError."""
-    sources = typed({"audio": [], **value}, "audio", list)
+    sources = typed({"sound": [], **value}, "sound", list)
     if len(sources) > MAX_SOURCES:
         raise CorruptError(f"manifest: {len(sources)} sources of sound, at most {MAX_SOURCES}")
     return tuple(map(SoundSource.from_json, sources))

@@ -190,7 +190,7 @@ def verify_stream(place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIAN
             raise error.within(storage.place(INDEX_NAME)) from error
     verify_objects(reader)
     check_pictures(storage, manifest)
-    if manifest.audio:
+    if manifest.sound:
         from .sound import verify_sound  # PyAV loads slowly
 
         verify_sound(reader)

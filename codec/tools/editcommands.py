@@ -113,7 +113,7 @@ def run_edit(config: Edit, draw: Draw | None = None) -> str:
 def _sound_note(edit: _Job) -> str:
     """A line, if the sound of an edited stream is left out."""
     streams = (edit.stream, *(edit.then if isinstance(edit, Join) else ()))
-    if not any(StreamReader(place, None).manifest.audio for place in streams):
+    if not any(StreamReader(place, None).manifest.sound for place in streams):
         return ""
     return "\nsound        left out; add it again with swings-stream audio add"
 

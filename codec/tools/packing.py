@@ -49,7 +49,7 @@ def pack_stream(stream: Place, out: Path) -> Packed:
         raise InvalidError(f"{reader.name} is live; pack it when it is finished")
     if not reader.records:
         raise InvalidError(f"{reader.name} has no frames; there is nothing to pack")
-    if reader.manifest.audio:
+    if reader.manifest.sound:
         raise InvalidError(
             f"{reader.name} has sound, which one file cannot hold yet; remove it from a copy "
             "first: swings-stream audio remove"

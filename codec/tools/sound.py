@@ -50,7 +50,7 @@ def add_sound(
     """Adds the sound in `file` as `source`, from frame 0 on, as far as the stream goes; gives the
     bytes of its objects. The objects come first, the manifest last. Raises a SwingsError."""
     reader = _finished(stream)
-    manifest = replace(reader.manifest, audio=(*reader.manifest.audio, source))
+    manifest = replace(reader.manifest, sound=(*reader.manifest.sound, source))
     described = manifest.to_json()
     length = first_sample(reader.num_frames, manifest.fps)
     whole = encode(read_samples(file, source.channels), source.channels, length, bitrate_bps)
@@ -66,10 +66,10 @@ def add_sound(
 
 def find_source(manifest: Manifest, name: str) -> SoundSource:
     """The source called `name`. Raises InvalidError."""
-    for source in manifest.audio:
+    for source in manifest.sound:
         if source.name == name:
             return source
-    there = ", ".join(source.name for source in manifest.audio) or "none"
+    there = ", ".join(source.name for source in manifest.sound) or "none"
     raise InvalidError(f"no sound is called {name[:40]!a}; there are: {there}")
 
 
@@ -77,8 +77,8 @@ def remove_sound(stream: Path, name: str) -> None:
     """Removes the source `name`: from the manifest, then its objects. Raises a SwingsError."""
     reader = _finished(stream)
     gone = find_source(reader.manifest, name)
-    left = tuple(source for source in reader.manifest.audio if source != gone)
-    write_atomic(stream / MANIFEST_NAME, replace(reader.manifest, audio=left).to_json())
+    left = tuple(source for source in reader.manifest.sound if source != gone)
+    write_atomic(stream / MANIFEST_NAME, replace(reader.manifest, sound=left).to_json())
     for segment in range(len(reader.records)):
         object_file(stream, segment, gone.part).unlink(missing_ok=True)
 
@@ -143,6 +143,6 @@ def extract_sound(stream: str, out: Path, name: str) -> int:
 
 def verify_sound(reader: StreamReader) -> None:
     """Reads and decodes all sound. Raises a CodecError for the first thing that is wrong."""
-    for source in reader.manifest.audio if reader.records else ():
+    for source in reader.manifest.sound if reader.records else ():
         for _ in samples(reader, source):
             pass

@@ -130,7 +130,7 @@ def _copy_pictures(reader: StreamReader, folder: Path) -> None:
 
 def _copy_sound(reader: StreamReader, folder: Path) -> None:
     """Takes the objects of sound along as they are."""
-    for source in reader.manifest.audio:
+    for source in reader.manifest.sound:
         for record in reader.records:
             path = object_name(record.segment, source.part)
             write_atomic(folder / path, read_stream_file(reader.storage, path, MAX_SOUND_BYTES))

@@ -125,7 +125,7 @@ class ServedStream:
     def has_sound(self, segment: int, name: str) -> bool:
         """Whether `name` is that of an object of sound in `segment`."""
         view = self.view
-        sources = view.manifest.audio
+        sources = view.manifest.sound
         return 0 <= segment < view.num_segments and any(name == each.part for each in sources)
 
     def read_sound(self, segment: int, name: str) -> bytes:

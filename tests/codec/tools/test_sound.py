@@ -5,6 +5,7 @@ from __future__ import annotations
 import wave
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 
@@ -67,7 +68,7 @@ def test_a_segment_decodes_by_itself(stream: Path, tmp_path: Path) -> None:
     write_clicks(tmp_path / "in.wav", 40000)
     run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav", "--at-m", "0", "1", "2")
     reader = StreamReader(stream)
-    (source,) = reader.manifest.audio
+    (source,) = reader.manifest.sound
     assert source == SoundSource("main", 1, ((0.0, 0.0, 1.0, 2.0),))
     whole = np.concatenate(list(samples(reader, source))).astype(float)
     found = read_sound(reader, 1, source)
@@ -78,6 +79,25 @@ def test_a_segment_decodes_by_itself(stream: Path, tmp_path: Path) -> None:
     assert count > 1000
     error = from_begin[:count] - whole[begin : begin + count]
     assert np.sqrt(np.mean(error**2)) < 0.05 * np.sqrt(np.mean(whole**2)) + 1
+
+
+def test_several_sources_of_other_formats(stream: Path, tmp_path: Path) -> None:
+    write_clicks(tmp_path / "music.wav", 9000)
+    with av.open(str(tmp_path / "voice.flac"), "w") as out:
+        track = out.add_stream("flac", rate=44100)
+        frame = av.AudioFrame.from_ndarray(np.full((1, 2 * 8192), 900, np.int16), "s16", "stereo")
+        frame.sample_rate = 44100
+        out.mux([*track.encode(frame), *track.encode(None)])
+    run_ok("swings-stream", "audio", "add", stream, tmp_path / "music.wav")
+    voice = ("--name", "voice", "--at-m", "0", "1", "2")
+    run_ok("swings-stream", "audio", "add", stream, tmp_path / "voice.flac", *voice)
+    verify_stream(stream)
+    reader = StreamReader(stream)
+    assert [source.name for source in reader.manifest.sound] == ["main", "voice"]
+    heard = np.concatenate(list(samples(reader, reader.manifest.sound[1])))
+    assert abs(len(heard) - 8192 * SAMPLE_RATE / 44100) <= 2
+    run_ok("swings-stream", "audio", "remove", stream)
+    assert [source.name for source in StreamReader(stream).manifest.sound] == ["voice"]
 
 
 def test_static_export_carries_it_and_one_file_refuses(stream: Path, tmp_path: Path) -> None:
