@@ -37,9 +37,9 @@ def read_samples(path: Path, channels: int) -> Iterator[Samples]:
             for frame in container.decode(container.streams.audio[0]):
                 frame.pts = None
                 for piece in resampler.resample(frame):
-                    yield piece.to_ndarray().reshape(-1, channels)
+                    yield piece.to_ndarray().astype(np.int16, copy=False).reshape(-1, channels)
             for piece in resampler.resample(None):
-                yield piece.to_ndarray().reshape(-1, channels)
+                yield piece.to_ndarray().astype(np.int16, copy=False).reshape(-1, channels)
     except (av.FFmpegError, ValueError) as error:
         if isinstance(error, InvalidError):
             raise
