@@ -191,7 +191,7 @@ def verify_stream(place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIAN
     verify_objects(reader)
     check_pictures(storage, manifest)
     if manifest.sound:
-        from .sound import verify_sound  # PyAV loads slowly
+        from .streamsound import verify_sound  # PyAV loads slowly
 
         verify_sound(reader)
     verify_packed(storage)

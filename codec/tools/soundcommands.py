@@ -60,7 +60,7 @@ class Audio:
 
 def run_audio(config: Audio) -> str:
     """Does what `config` says; gives a line about it."""
-    from .sound import add_sound, extract_sound, remove_sound  # PyAV loads slowly
+    from .streamsound import add_sound, extract_sound, remove_sound  # PyAV loads slowly
 
     match config.audio:
         case Add(stream=stream, file=file, name=name, at_m=at_m, bitrate_bps=bitrate_bps):

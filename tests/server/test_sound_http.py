@@ -9,7 +9,7 @@ import aiohttp
 import numpy as np
 
 from codec.stream.sound import SAMPLE_RATE, SoundSource
-from codec.tools.sound import add_sound
+from codec.tools.streamsound import add_sound
 from tests.support.server.running_server import Running, make_stream, on_server
 
 

@@ -135,7 +135,7 @@ def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) ->
             import_stream(folder, stream, options)
         assert not [path for path in tmp_path.iterdir() if path != folder]
 
-    refused(r"take: no file of Gaussians in this folder .*bundled \.sog")
+    refused(r"take: no file of Gaussians in this folder .*\.ksplat, \.sog, ")
     save(folder / "frame_1.ply", trained_like_splats(3))
     save(folder / "frame_01.ply", trained_like_splats(3))
     refused(r"frame_01\.ply and frame_1\.ply have the same number")

@@ -41,7 +41,7 @@ OUTCOMES = {
     "compressed ply": "value",
     "splat": "value",
     "spz 3": "value",
-    "spz 4": "CorruptError: SPZ: decompression error: did not decompress full frame",
+    "spz 4": "CorruptError: SPZ: an array: decompression error: did not decompress full frame",
     "change, all escaped": "value",
     "change that no mask names": "CorruptError: change: 262144 new, the mask declares 7",
     "full snapshot": "value",

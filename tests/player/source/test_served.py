@@ -27,7 +27,7 @@ from player.source.served import ServedSource
 from player.source.source import Source
 from tests.support.delivery.assembled import assembled
 from tests.support.delivery.playrecords import records_from_0
-from tests.support.hosted_streams import small_manifest
+from tests.support.hosted_streams import SWIN_SIZE, small_manifest
 
 QUICK = RetryConfig(patience_s=0.05, first_delay_s=0.01, max_delay_s=0.01)
 
@@ -137,7 +137,7 @@ def test_a_response_cut_anywhere_is_taken_up_again() -> None:
     first = len(answer(start()))
     for cut in (first, first + 1, first + 200, len(whole) - 3):
         births, asked = births_from(whole[:cut], whole)
-        assert births == [*range(-3, 5)]
+        assert births == [*range(1 - SWIN_SIZE, 5)]
         # Once all has come, its end is not worth another connection.
         assert len(asked) == (1 if cut == len(whole) - 3 else 2)
 
@@ -145,7 +145,7 @@ def test_a_response_cut_anywhere_is_taken_up_again() -> None:
 def test_a_new_connection_asks_for_what_is_missing_only() -> None:
     resumed = answer(StartRecord(3, 5, MANIFEST.to_json()), *ALL, EndRecord(5))
     births, asked = births_from(answer(start(), *ALL[:3]), resumed)
-    assert births == [*range(-3, 5)]
+    assert births == [*range(1 - SWIN_SIZE, 5)]
     assert asked == [
         "/v1/streams/s/play?from=0&layers=auto",
         "/v1/streams/s/play?from=3&layers=auto",
@@ -159,7 +159,7 @@ def test_at_the_edge_of_a_live_stream_the_last_frame_is_asked_for_again() -> Non
         answer(start(1, live), *ALL),
         answer(later, SNAPSHOT, *SLICES, EndRecord(8)),
     )
-    assert births == list(range(-3, 8))
+    assert births == list(range(1 - SWIN_SIZE, 8))
     # Frame 5, which is missing, is not there yet.
     assert asked[1] == "/v1/streams/s/play?from=4&layers=auto"
 
@@ -168,7 +168,7 @@ def test_a_server_that_stops_is_asked_again() -> None:
     stopping = answer(start(), *ALL[:4], ErrorRecord("the server is stopping"))
     unavailable = b"HTTP/1.1 503 Busy\r\nContent-Length: 0\r\nConnection: close\r\n\r\n\r"
     births, _ = births_from(stopping, unavailable, answer(start(), *ALL, EndRecord(5)))
-    assert births == [*range(-3, 5)]
+    assert births == [*range(1 - SWIN_SIZE, 5)]
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,9 @@ from codec.stream import StreamReader
 from codec.stream.sound import SAMPLE_RATE, SoundObject, SoundSource, first_sample
 from codec.tools.audit import verify_stream
 from codec.tools.packing import pack_stream
-from codec.tools.sound import read_sound, samples
 from codec.tools.soundfile import decode
 from codec.tools.static import export_static
+from codec.tools.streamsound import read_sound, samples
 from tests.support.commands import run_ok
 from tests.support.tiny_stream import files_of, write_tiny
 
