@@ -141,7 +141,7 @@ MAX_TURN_S = 3600.0
 
 
 class PictureKind(StrEnum):
-    """What a picture shows."""
+    """The contents of a picture."""
 
     COLOUR = "colour"
     DEPTH = "depth"

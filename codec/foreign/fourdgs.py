@@ -33,7 +33,7 @@ XYZW_TO_WXYZ = (3, 0, 1, 2)
 
 @dataclass(frozen=True, slots=True)
 class _Grid:
-    """What the integers of a state stand for."""
+    """Units of the integers of a state."""
 
     origin: Doubles
     steps: tuple[float, ...]
@@ -127,8 +127,8 @@ class FourdgsReader:
         return len(self._frames)
 
     def read(self, frame: int, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
-        """What shows at `frame`, 0 to num_frames - 1. Raises CorruptError, or UnsupportedError,
-        also for more than `max_gaussians`."""
+        """The Gaussians that show at `frame`, 0 to num_frames - 1. Raises CorruptError, or
+        UnsupportedError, also for more than `max_gaussians`."""
         number, time_s = self._frames[frame]
         return self._grid.splats(self._state(number, max_gaussians), time_s)
 

@@ -80,7 +80,7 @@ class Span:
 
 @dataclass(slots=True)
 class StateRecord:
-    """What a keyframe or a delta says at its beginning."""
+    """The head of a keyframe or a delta."""
 
     offset: int
     """Of the record."""
@@ -94,7 +94,7 @@ class StateRecord:
 
 @dataclass(slots=True)
 class Contents:
-    """What a file holds, without the states themselves."""
+    """The contents of a file, without the states themselves."""
 
     cutoff: float = 0.0
     sh_degree: int = 0
@@ -105,8 +105,8 @@ class Contents:
 
 
 def read_contents(path: Path) -> Contents:
-    """What the .4dgs file at `path` holds. Raises CorruptError, or UnsupportedError for another
-    model than keyframe-delta, and for objects that move as one."""
+    """The contents of the .4dgs file at `path`. Raises CorruptError, or UnsupportedError for
+    another model than keyframe-delta, and for objects that move as one."""
     found = Contents()
     seen: set[int] = set()
     with opened_regular(path) as file:

@@ -123,8 +123,8 @@ class Splat4dReader:
         return _Chunk(offset, num_bytes, range(first, last + 1))
 
     def read(self, frame: int, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
-        """What shows at `frame`, 0 to num_frames - 1. Raises CorruptError, or UnsupportedError,
-        also for a file of more than `max_gaussians`."""
+        """The Gaussians that show at `frame`, 0 to num_frames - 1. Raises CorruptError, or
+        UnsupportedError, also for a file of more than `max_gaussians`."""
         check_count(".splat4d", self._count, max_gaussians)
         if self._rows is None:
             self._read_static()

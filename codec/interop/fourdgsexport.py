@@ -68,7 +68,7 @@ def encode_fourdgs(tracks: Tracks, precision: Precision) -> bytes:
 
 
 def _values(splats: Splats, duration_s: float) -> dict[str, Any]:
-    """What a GaussianSet of `splats` consists of."""
+    """The fields of a GaussianSet of `splats`."""
     count = len(splats)
     rgb = np.clip(0.5 + SH_C0 * splats.sh[:, 0].astype(np.float64), 0, 1)
     return {

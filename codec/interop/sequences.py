@@ -8,7 +8,7 @@ from enum import StrEnum
 
 
 class SequenceFormat(StrEnum):
-    """What can be written."""
+    """The formats of sequences that can be written."""
 
     FOURDGS = "4dgs"
     SPLAT4D = "splat4d"

@@ -17,7 +17,7 @@ Slots = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class TrackedFrame:
-    """What shows at a frame."""
+    """The Gaussians that show at a frame."""
 
     slots: Slots
     """(N,) the place of each Gaussian, rising."""
@@ -29,7 +29,7 @@ class Tracks(Protocol):
 
     @property
     def name(self) -> str:
-        """What to call it in errors."""
+        """Its name in errors."""
 
     @property
     def fps(self) -> float: ...

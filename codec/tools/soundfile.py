@@ -93,7 +93,7 @@ def encode(
 
 
 def decode(packets: Iterable[bytes], channels: int) -> Iterator[Samples]:
-    """What `packets` decode to, with the pre-skip, one piece for each. Raises CorruptError."""
+    """The samples of `packets`, with the pre-skip, one piece for each. Raises CorruptError."""
     decoder: Any = av.CodecContext.create("libopus", "r")
     decoder.sample_rate, decoder.layout = SAMPLE_RATE, LAYOUTS[channels]
     for packet in packets:

@@ -75,7 +75,7 @@ class HostedPlace:
         return Extent(*found, self.layout.size_bytes)
 
     def reference(self, segment: int, part: Part) -> str:
-        """What an object is called there."""
+        """The name of an object there."""
         if self.layout is not None:
             return object_name(segment, part)
         return self.manifest.object_path(segment, part)

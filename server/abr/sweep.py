@@ -261,7 +261,7 @@ class Sweep:
 
 
 def _missing_of_picture(context: DecisionContext, rate_bps: float) -> Send | None:
-    """What the picture of next_frame lacks, the lowest layer first; None if nothing."""
+    """Sends the lowest layer that the picture of next_frame lacks; None if it lacks none."""
     media, holding = context.media, context.holding
     frame = min(context.next_frame, media.num_frames - 1)
     first = segment_start(media, frame)

@@ -120,7 +120,7 @@ def _watched(stream: ServedStream, origin: str) -> WatchedStream:
 
 
 async def oembed(call: Call) -> Response:
-    """What a site needs to show a stream in a frame of its own (https://oembed.com)."""
+    """How a site shows a stream in a frame of its own, as oEmbed has it (https://oembed.com)."""
     if call.state.signer is not None:
         raise RequestError(404, "streams with signed URLs cannot be embedded by oEmbed")
     query = dict(parse_qsl(call.request.query))

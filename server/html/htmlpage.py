@@ -20,7 +20,7 @@ def hash_source(text: str) -> str:
 
 
 STYLE = read_text("page.css")
-"""What all pages have."""
+"""The styles of all pages."""
 
 SECURITY = (
     f"default-src 'none'; style-src {hash_source(STYLE)}; img-src 'self' data:; "

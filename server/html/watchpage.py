@@ -30,7 +30,7 @@ _MORE = """<button popovertarget="embed">Embed</button>
 <button data-copy="save">Copy</button></div>"""
 
 _ALLOW = "fullscreen; xr-spatial-tracking; clipboard-write; web-share; gyroscope; accelerometer"
-"""What a frame needs for full screen, headsets, links, sharing, and turning with the phone."""
+"""Permissions of a frame, for full screen, headsets, links, sharing, and turning with the phone."""
 
 _FRAME = (
     '<iframe src="{url}" title="{title}" width="{width_px}" height="{height_px}" '
@@ -51,7 +51,7 @@ WIDTH_PX = 720
 
 @dataclass(frozen=True, slots=True)
 class WatchedStream:
-    """What the page shows of a stream."""
+    """The description of a stream on its page."""
 
     name: str
     """Needs no quoting anywhere."""
@@ -112,7 +112,7 @@ def watch_page(stream: WatchedStream, player: WebPlayer, shared: bool) -> str:
 
 
 def _shared_html(stream: WatchedStream) -> str:
-    """What chats and social networks read."""
+    """The tags that chats and social networks read."""
     width_px, height_px = frame_px(stream.aspect)
     graph = {
         "title": stream.title,

@@ -50,7 +50,7 @@ class WebPlayer:
         if not all(bundle.values()):
             raise InvalidError(f"{folder} does not hold the browser player; reinstall swings")
         self.page_script = bundle[_PAGE_SCRIPT].decode().strip()
-        """What a page with the player has inline."""
+        """The script that a page with the player has inline."""
         # One hash for all of them: they name each other by relative URLs.
         version = hashlib.sha256(b"".join(bundle[name] for name in _MODULES)).hexdigest()[:16]
         versioned = {name: f"{_BUNDLE}-{version}/{name}" for name in _MODULES}

@@ -38,7 +38,7 @@ class MemoryPlan:
     gaussians_bytes: int
     """Parameters and histories."""
     step_bytes: int
-    """What a step takes and gives back."""
+    """Memory that a step takes and gives back."""
     pictures_bytes: int
     """The captured pictures that are kept."""
 

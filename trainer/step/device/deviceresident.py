@@ -43,7 +43,7 @@ class DeviceSelection:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cells:
-    """What moves together."""
+    """Rows that move together."""
 
     cells: Tensor  # (num_gs,) int64
     count: int
