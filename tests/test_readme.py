@@ -99,6 +99,9 @@ ELSEWHERE = {
     "swings-stream audio add my-stream voice.flac --name voice --at-m 0 1 2": (
         "codec/tools/test_sound.py"
     ),
+    "swings-stream audio add my-stream steps.wav --name steps --path path.json --offset-s 0.5": (
+        "codec/tools/test_sound.py"
+    ),
     "swings-stream audio extract my-stream heard.wav": "codec/tools/test_sound.py",
     "swings-stream audio remove my-stream": "codec/tools/test_sound.py",
     "swings-serve s3://BUCKET/STREAMS": "server/library/test_storelibrary.py",
@@ -268,6 +271,7 @@ def all_options() -> frozenset[str]:
     subcommands = [["swings-stream", name] for name in ("info", "verify", "import", "export")]
     kinds = ("crop", "transform", "colour", "floaters", "trim", "join")
     subcommands += [["swings-stream", "edit", kind] for kind in kinds]
+    subcommands += [["swings-stream", "audio", kind] for kind in ("add", "remove", "extract")]
     for name, *words in [*([name] for name in ENTRY), *subcommands]:
         told += run_ok(name, *words, "--help")
     return frozenset(re.findall(r"--[a-z][a-z0-9.-]*", told))

@@ -112,13 +112,20 @@ class SoundSource:
         """The source that `value` describes. Raises CorruptError or InvalidError."""
         if type(value) is not dict:
             raise CorruptError("manifest: a source of sound is not an object")
-        keys: list[Key] = []
-        for key in typed(value, "keys", list)[: MAX_KEYS + 1]:
-            if type(key) is not list or len(key) != 4:
-                raise CorruptError("manifest: a place of a sound is not four numbers")
-            time_s, x, y, z = (number(item, "keys") for item in key)
-            keys.append((time_s, x, y, z))
-        return SoundSource(typed(value, "name", str), typed(value, "channels", int), tuple(keys))
+        keys = keys_of(typed(value, "keys", list))
+        return SoundSource(typed(value, "name", str), typed(value, "channels", int), keys)
+
+
+def keys_of(value: Sequence[Any]) -> tuple[Key, ...]:
+    """The keys that the JSON list `value` holds, one more than is allowed at most. Raises
+    CorruptError."""
+    keys: list[Key] = []
+    for key in value[: MAX_KEYS + 1]:
+        if type(key) is not list or len(key) != 4:
+            raise CorruptError("manifest: a place of a sound is not four numbers")
+        time_s, x, y, z = (number(item, "keys") for item in key)
+        keys.append((time_s, x, y, z))
+    return tuple(keys)
 
 
 def check_sources(sources: Sequence[SoundSource]) -> None:

@@ -8,7 +8,10 @@ from typing import Annotated
 
 import tyro
 
-from codec.stream.sound import SoundSource
+from codec.errors import InvalidError
+from codec.stream.sound import Key, SoundSource
+
+from .soundpath import read_keys
 
 Folder = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
 
@@ -25,6 +28,12 @@ class Add:
     """Name of the source: small letters and digits."""
     at_m: tuple[float, float, float] | None = None
     """Where the source is in the world, metres; it is mono then. Else stereo, heard as it is."""
+    path: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
+    """How the source moves: [[SECOND, X, Y, Z], ...] in the stream's time and metres, in order of
+    time. It is mono then, and goes straight from one place to the next."""
+    offset_s: float = 0.0
+    """Second of the stream at which the file begins, after silence; below 0, what comes before
+    frame 0 is left out."""
     bitrate_bps: int = 96000
     """Bits of Opus a second."""
 
@@ -58,15 +67,27 @@ class Audio:
     audio: Annotated[Add | Remove | Extract, tyro.conf.arg(name="")]
 
 
+def _keys(add: Add) -> tuple[Key, ...]:
+    """Where the source is. Raises InvalidError or CorruptError."""
+    if add.path is None:
+        return () if add.at_m is None else ((0.0, *add.at_m),)
+    if add.at_m is not None:
+        raise InvalidError("give --at-m or --path, not both")
+    keys = read_keys(add.path)
+    if not keys:
+        raise InvalidError(f"{add.path} names no place; give [[SECOND, X, Y, Z], ...]")
+    return keys
+
+
 def run_audio(config: Audio) -> str:
     """Does what `config` says; gives a line about it."""
     from .streamsound import add_sound, extract_sound, remove_sound  # PyAV loads slowly
 
     match config.audio:
-        case Add(stream=stream, file=file, name=name, at_m=at_m, bitrate_bps=bitrate_bps):
-            keys = () if at_m is None else ((0.0, *at_m),)
+        case Add(stream=stream, file=file, name=name) as add:
+            keys = _keys(add)
             source = SoundSource(name, 1 if keys else 2, keys)
-            size_bytes = add_sound(stream, file, source, bitrate_bps)
+            size_bytes = add_sound(stream, file, source, add.bitrate_bps, add.offset_s)
             return f"{stream}: sound {name}, {size_bytes} bytes"
         case Remove(stream=stream, name=name):
             remove_sound(stream, name)

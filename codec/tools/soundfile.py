@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import av
+import av.stream
 import numpy as np
 import numpy.typing as npt
 
@@ -15,6 +17,9 @@ from codec.stream.sound import SAMPLE_RATE, SoundObject, packet_samples
 
 PACKET_SAMPLES = 960
 """Samples in a packet that is written: 20 ms."""
+
+MAX_LATE_S = 3600.0
+"""Most silence that the times in a video put before its sound."""
 
 MIN_BITRATE_BPS, MAX_BITRATE_BPS = 6000, 510000
 
@@ -25,8 +30,9 @@ LAYOUTS = {1: "mono", 2: "stereo"}
 
 
 def read_samples(path: Path, channels: int) -> Iterator[Samples]:
-    """The first sound in the file at `path`, at SAMPLE_RATE, piece by piece. Raises InvalidError if
-    it has none, CorruptError if it cannot be read."""
+    """The first sound in the file at `path`, at SAMPLE_RATE, piece by piece; that of a video from
+    its first picture on, with silence if it begins later. Raises InvalidError if it has none,
+    CorruptError if it cannot be read."""
     if not path.is_file():
         raise InvalidError(f"{path} is not a file; name one with sound")
     try:
@@ -34,16 +40,50 @@ def read_samples(path: Path, channels: int) -> Iterator[Samples]:
             if not container.streams.audio:
                 raise InvalidError(f"{path} has no sound")
             resampler = av.AudioResampler("s16", LAYOUTS[channels], SAMPLE_RATE)
-            for frame in container.decode(container.streams.audio[0]):
-                frame.pts = None
-                for piece in resampler.resample(frame):
-                    yield piece.to_ndarray().astype(np.int16, copy=False).reshape(-1, channels)
-            for piece in resampler.resample(None):
-                yield piece.to_ndarray().astype(np.int16, copy=False).reshape(-1, channels)
+            frames = iter(container.decode(container.streams.audio[0]))
+            first = next(frames, None)
+            if first is None:
+                return
+            late_s = _late_s(container, first)
+            yield from shifted(_resampled(resampler, chain([first], frames)), channels, late_s)
     except (av.FFmpegError, ValueError) as error:
         if isinstance(error, InvalidError):
             raise
         raise CorruptError(f"{path}: its sound cannot be read: {error}") from error
+
+
+def _late_s(container: Any, first: av.AudioFrame) -> float:
+    """By how much the sound, whose frame `first` is, begins after the pictures; 0 without them."""
+    for video in container.streams.video:
+        if not video.disposition & av.stream.Disposition.attached_pic:
+            if video.start_time is None or first.pts is None:
+                return 0.0
+            late_s = first.pts * first.time_base - video.start_time * video.time_base
+            return max(-MAX_LATE_S, min(MAX_LATE_S, float(late_s)))
+    return 0.0
+
+
+def _resampled(resampler: Any, frames: Iterable[av.AudioFrame]) -> Iterator[Samples]:
+    for frame in chain(frames, [None]):
+        if frame is not None:
+            frame.pts = None
+        for piece in resampler.resample(frame):
+            block = piece.to_ndarray().astype(np.int16, copy=False)
+            yield block.reshape(-1, len(piece.layout.channels))
+
+
+def shifted(pieces: Iterable[Samples], channels: int, offset_s: float) -> Iterator[Samples]:
+    """`pieces` begun `offset_s` later, after silence; below 0 without the beginning."""
+    offset = round(offset_s * SAMPLE_RATE)
+    while offset > 0:
+        count = min(offset, SAMPLE_RATE)
+        yield np.zeros((count, channels), np.int16)
+        offset -= count
+    for piece in pieces:
+        dropped = min(len(piece), -offset)
+        offset += dropped
+        if dropped < len(piece):
+            yield piece[dropped:]
 
 
 def encode(

@@ -22,9 +22,10 @@ from codec.stream.sound import (
     segment_sound,
 )
 
-from .soundfile import Samples, decode, encode, read_samples
+from .soundfile import Samples, decode, encode, read_samples, shifted
 
 DEFAULT_BITRATE_BPS = 96000
+MAX_OFFSET_S = 1e6
 
 
 def _finished(stream: Path) -> StreamReader:
@@ -45,15 +46,23 @@ def _span(reader: StreamReader, segment: int) -> tuple[int, int]:
 
 
 def add_sound(
-    stream: Path, file: Path, source: SoundSource, bitrate_bps: int = DEFAULT_BITRATE_BPS
+    stream: Path,
+    file: Path,
+    source: SoundSource,
+    bitrate_bps: int = DEFAULT_BITRATE_BPS,
+    offset_s: float = 0.0,
 ) -> int:
-    """Adds the sound in `file` as `source`, from frame 0 on, as far as the stream goes; gives the
-    bytes of its objects. The objects come first, the manifest last. Raises a SwingsError."""
+    """Adds the sound in `file` as `source`, from second `offset_s` on, as far as the stream goes;
+    gives the bytes of its objects. The objects come first, the manifest last. Raises a
+    SwingsError."""
     reader = _finished(stream)
     manifest = replace(reader.manifest, sound=(*reader.manifest.sound, source))
     described = manifest.to_json()
     length = first_sample(reader.num_frames, manifest.fps)
-    whole = encode(read_samples(file, source.channels), source.channels, length, bitrate_bps)
+    if not abs(offset_s) <= MAX_OFFSET_S:
+        raise InvalidError(f"an offset of {offset_s} s is out of range; at most {MAX_OFFSET_S}")
+    pieces = shifted(read_samples(file, source.channels), source.channels, offset_s)
+    whole = encode(pieces, source.channels, length, bitrate_bps)
     objects = [
         segment_sound(whole, *_span(reader, segment)).pack()
         for segment in range(len(reader.records))

@@ -102,9 +102,7 @@ async def _load(call: Call, stream: ServedStream, segment: int, part: Part) -> R
 
 async def _sound(call: Call, stream: ServedStream, segment: int, name: str) -> Response:
     """An object of sound. Another may take its name, so whoever keeps it asks again."""
-    data = await asyncio.to_thread(stream.read_sound, segment, name)
-    sha256 = hashlib.sha256(data).hexdigest()
-    return respond(call.request, Content(data, len(data), sha256, OBJECT_TYPE, REVALIDATE))
+    return respond(call.request, await call.state.sounds.content(stream, segment, name))
 
 
 def web_asset(call: Call) -> Response:

@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable
 from itertools import count
 
 from codec.errors import CodecError
-from codec.storage.storage import Storage
+from codec.storage.storage import Stamp, Storage
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import Part, object_name
 from codec.stream.pictures import read_picture
@@ -138,6 +138,10 @@ class ServedStream:
         except CodecError as error:
             raise error.within(self._storage.place(path)) from error
         return data
+
+    def sound_stamp(self, segment: int, name: str) -> Stamp | None:
+        """What changes when another sound takes the name. Blocks. Raises UnreadableError."""
+        return self._storage.stamp(object_name(segment, name))
 
     def read_picture(self, path: str) -> bytes | None:
         """The picture at `path`; None while there is none, and for a path that the manifest does

@@ -19,9 +19,13 @@ from .config import ServerConfig
 from .objectcache import ObjectCache
 from .recordcache import RecordCache
 from .register import PlayRegister
+from .soundcache import SoundCache
 
 RECORDS_PART = 8
 """The records of plays may use 1 / RECORDS_PART of the memory for objects, in addition to it."""
+
+SOUNDS_PART = 8
+"""So may sound."""
 
 
 class ServerState:
@@ -58,6 +62,7 @@ class ServerState:
         """Set when the server begins to stop; plays then end at the next slice."""
         self.cache = ObjectCache(config.cache_bytes, self.metrics)
         self.records = RecordCache(self.cache, config.cache_bytes // RECORDS_PART)
+        self.sounds = SoundCache(config.cache_bytes // SOUNDS_PART)
         self.plays = PlayRegister(config.remember_plays, config.remember_s)
         self.overload = Overload(config.overload, config.max_plays)
         self.play_admission = Admission(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import wave
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -14,10 +15,10 @@ from codec.stream import StreamReader
 from codec.stream.sound import SAMPLE_RATE, SoundObject, SoundSource, first_sample
 from codec.tools.audit import verify_stream
 from codec.tools.packing import pack_stream
-from codec.tools.soundfile import decode
+from codec.tools.soundfile import Samples, decode
 from codec.tools.static import export_static
 from codec.tools.streamsound import read_sound, samples
-from tests.support.commands import run_ok
+from tests.support.commands import run, run_ok
 from tests.support.tiny_stream import files_of, write_tiny
 
 CLICKS = (0, 4000, 9600, 14400)
@@ -128,3 +129,88 @@ def test_any_changed_byte_is_found(stream: Path, tmp_path: Path) -> None:
     path.write_bytes(data[:-1])
     with pytest.raises(CorruptError, match="audio-main"):
         verify_stream(stream)
+
+
+def played(path: Path, codec: str, video: bool, late_s: float = 0.0) -> None:
+    """A file of half a second of a stereo tone of 1 kHz that begins 100 ms in. late_s: when the
+    sound's own first sample is due."""
+    tone = (12000 * np.sin(np.arange(24000) * 2 * np.pi / 48)).astype(np.int16)
+    tone[:4800] = 0
+    with av.open(str(path), "w") as out:
+        picture = out.add_stream("mpeg4", rate=25) if video else None
+        track = out.add_stream(codec, rate=SAMPLE_RATE, layout="stereo")
+        if picture is not None:
+            picture.width, picture.height, picture.pix_fmt = 32, 32, "yuv420p"
+            for _ in range(12):
+                image = av.VideoFrame.from_ndarray(np.zeros((32, 32, 3), np.uint8), "rgb24")
+                out.mux(picture.encode(image))
+            out.mux(picture.encode(None))
+        frame = av.AudioFrame.from_ndarray(np.repeat(tone, 2)[None], "s16", "stereo")
+        frame.sample_rate, frame.pts = SAMPLE_RATE, round(late_s * SAMPLE_RATE)
+        frame.time_base = Fraction(1, SAMPLE_RATE)
+        fitted = av.AudioResampler(track.format, "stereo", SAMPLE_RATE, track.frame_size or 960)
+        for piece in [*fitted.resample(frame), *fitted.resample(None)]:
+            out.mux(track.encode(piece))
+        out.mux(track.encode(None))
+
+
+@pytest.mark.parametrize(
+    ("name", "codec"),
+    [("a.opus", "libopus"), ("a.mp4", "aac"), ("a.mkv", "libopus"), ("a.ogg", "flac")],
+)
+def test_opus_and_videos_keep_their_time(
+    stream: Path, tmp_path: Path, name: str, codec: str
+) -> None:
+    played(tmp_path / name, codec, name.endswith(("mp4", "mkv")))
+    run_ok("swings-stream", "audio", "add", stream, tmp_path / name)
+    heard = heard_of(stream)
+    loud = np.flatnonzero(np.abs(heard.astype(int)) > 6000)
+    assert abs(int(loud[0]) - 4800) < 240  # 5 ms
+    assert np.abs(heard[6000:14000].astype(int)).max() > 9000
+
+
+def heard_of(stream: Path) -> Samples:
+    """The first channel of the sound called main."""
+    reader = StreamReader(stream)
+    return np.concatenate(list(samples(reader, reader.manifest.sound[0])))[:, 0]
+
+
+def test_sound_that_begins_after_the_pictures_is_late(stream: Path, tmp_path: Path) -> None:
+    played(tmp_path / "a.mkv", "flac", True, late_s=0.08)
+    run_ok("swings-stream", "audio", "add", stream, tmp_path / "a.mkv")
+    loud = np.flatnonzero(np.abs(heard_of(stream).astype(int)) > 6000)
+    assert abs(int(loud[0]) - 4800 - 3840) < 240
+
+
+@pytest.mark.parametrize("offset_s", [0.05, -0.05])
+def test_an_offset_moves_the_sound(stream: Path, tmp_path: Path, offset_s: float) -> None:
+    played(tmp_path / "a.ogg", "flac", False)
+    add = ("swings-stream", "audio", "add", stream, tmp_path / "a.ogg")
+    run_ok(*add)
+    usual = heard_of(stream)
+    run_ok("swings-stream", "audio", "remove", stream)
+    run_ok(*add, f"--offset-s={offset_s}")
+    moved = heard_of(stream)
+    begins = [int(np.flatnonzero(np.abs(x.astype(int)) > 6000)[0]) for x in (usual, moved)]
+    assert abs(begins[1] - begins[0] - round(offset_s * SAMPLE_RATE)) < 30
+
+
+def test_a_source_moves_along_the_places_of_a_file(stream: Path, tmp_path: Path) -> None:
+    write_clicks(tmp_path / "in.wav", 9000)
+    path = tmp_path / "path.json"
+    path.write_text("[[0, 0, 1, 0], [2.5, 4, 1, 0]]")
+    add = ("swings-stream", "audio", "add", stream, tmp_path / "in.wav", "--path", path)
+    run_ok(*add)
+    (source,) = StreamReader(stream).manifest.sound
+    assert source == SoundSource("main", 1, ((0.0, 0.0, 1.0, 0.0), (2.5, 4.0, 1.0, 0.0)))
+    assert source.position_m(1.25) == (2.0, 1.0, 0.0)
+    before = files_of(stream)
+    for wrong in ("[]", "{", "[[0, 1, 2]]", '[["a", 0, 0, 0]]', "[[1, 0, 0, 0], [0, 0, 0, 0]]"):
+        path.write_text(wrong)
+        done = run(*add, "--name", "other")
+        assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
+    path.write_text("[[0, 0, 0, 0]]")
+    done = run(*add, "--name", "other", "--at-m", "0", "0", "0")
+    assert done.returncode == 1
+    assert "not both" in done.stderr
+    assert files_of(stream) == before

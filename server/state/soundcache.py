@@ -1,0 +1,58 @@
+"""Objects of sound in memory, as they are answered: read and hashed once while a file is the same.
+
+Rule: the index has no hash of them, and another sound may take a name; so the file's stamp is asked
+for each time, which for a folder is one look at its metadata.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections import OrderedDict
+
+from codec.storage.storage import Stamp
+from server.exchange.content import REVALIDATE, Content
+from server.library import ServedStream
+
+Key = tuple[int, int, str]
+"""Generation of the stream, segment and name of the object."""
+
+
+class SoundCache:
+    """Holds at most `capacity_bytes`; the least recently used goes. Two requests at the same moment
+    may both read what is not there yet."""
+
+    def __init__(self, capacity_bytes: int) -> None:
+        self._capacity_bytes = capacity_bytes
+        self._objects: OrderedDict[Key, tuple[Stamp, Content]] = OrderedDict()
+        self.size_bytes = 0
+
+    async def content(self, stream: ServedStream, segment: int, name: str) -> Content:
+        """The object that `stream.has_sound`, as an answer. Raises a CodecError for a bad file."""
+        key = (stream.generation, segment, name)
+        # Before the content: what is replaced between the two is read again at the next request.
+        stamp = await asyncio.to_thread(stream.sound_stamp, segment, name)
+        found = self._objects.get(key)
+        if found is not None and found[0] == stamp:
+            self._objects.move_to_end(key)
+            return found[1]
+        content = await asyncio.to_thread(_load, stream, segment, name)
+        self._drop(key)
+        if stamp is not None and content.size <= self._capacity_bytes:
+            self._objects[key] = stamp, content
+            self.size_bytes += content.size
+        while self.size_bytes > self._capacity_bytes:
+            self._drop(next(iter(self._objects)))
+        return content
+
+    def _drop(self, key: Key) -> None:
+        found = self._objects.pop(key, None)
+        if found is not None:
+            self.size_bytes -= found[1].size
+
+
+def _load(stream: ServedStream, segment: int, name: str) -> Content:
+    """Blocks."""
+    data = stream.read_sound(segment, name)
+    sha256 = hashlib.sha256(data).hexdigest()
+    return Content(data, len(data), sha256, "application/octet-stream", REVALIDATE)
