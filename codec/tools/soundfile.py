@@ -52,7 +52,7 @@ def read_samples(path: Path, channels: int) -> Iterator[Samples]:
         raise CorruptError(f"{path}: its sound cannot be read: {error}") from error
 
 
-def _late_s(container: Any, first: av.AudioFrame) -> float:
+def _late_s(container: Any, first: Any) -> float:
     """By how much the sound, whose frame `first` is, begins after the pictures; 0 without them."""
     for video in container.streams.video:
         if not video.disposition & av.stream.Disposition.attached_pic:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import wave
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -138,7 +139,7 @@ def played(path: Path, codec: str, video: bool, late_s: float = 0.0) -> None:
     tone[:4800] = 0
     with av.open(str(path), "w") as out:
         picture = out.add_stream("mpeg4", rate=25) if video else None
-        track = out.add_stream(codec, rate=SAMPLE_RATE, layout="stereo")
+        track: Any = out.add_stream(codec, rate=SAMPLE_RATE, layout="stereo")
         if picture is not None:
             picture.width, picture.height, picture.pix_fmt = 32, 32, "yuv420p"
             for _ in range(12):
