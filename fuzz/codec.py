@@ -46,7 +46,14 @@ from codec.stream.object import (
 from codec.stream.packedlayout import read_layout
 from codec.stream.playrecord import RecordParser, encode_record
 
-from .foreign import fuzz_bundle, fuzz_inflated_glb, fuzz_inflated_sog, fuzz_webp
+from .foreign import (
+    fuzz_bundle,
+    fuzz_inflated_glb,
+    fuzz_inflated_sog,
+    fuzz_ksplat,
+    fuzz_sequence,
+    fuzz_webp,
+)
 from .slots import fuzz_change, fuzz_mask, fuzz_slots, fuzz_snapshot
 
 MAX_PACKET_BYTES = 1 << 20
@@ -188,6 +195,8 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "inflated_sog": fuzz_inflated_sog,
     "inflated_glb": fuzz_inflated_glb,
     "packed": fuzz_packed,
+    "ksplat": fuzz_ksplat,
+    "sequence": fuzz_sequence,
 }
 """The parsers by name. Only ever append: the first byte of an input counts in this order."""
 

@@ -3,17 +3,25 @@ here, so that the fuzzer reaches what is inside."""
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
+
 import numpy as np
 
 from codec.foreign.bundle import Bundle, encode_bundle
 from codec.foreign.gltf import decode_gltf
 from codec.foreign.gltfbuffers import join_glb
+from codec.foreign.ksplat import decode_ksplat
 from codec.foreign.sog import META, decode_sog
 from codec.foreign.webp import decode_webp, encode_webp
+from codec.interop.containers import contained_frames
 
 _NAMES = ("means_l", "means_u", "scales", "quats", "sh0", "shN_centroids", "shN_labels")
 PICTURES = tuple(f"{name}.webp" for name in _NAMES)
 MAX_PIXELS = 1 << 16
+MAX_GAUSSIANS = 1000
+MAX_FRAMES = 8
+"""Of a sequence: so many at its beginning are read, and its last one."""
 
 
 def _json_and_rest(data: bytes) -> tuple[bytes, bytes]:
@@ -50,3 +58,18 @@ def fuzz_inflated_sog(data: bytes) -> None:
 def fuzz_inflated_glb(data: bytes) -> None:
     """A .glb of which the JSON and the bytes are given."""
     decode_gltf(join_glb(*_json_and_rest(data)))
+
+
+def fuzz_ksplat(data: bytes) -> None:
+    """A .ksplat file."""
+    decode_ksplat(data, MAX_GAUSSIANS)
+
+
+def fuzz_sequence(data: bytes) -> None:
+    """A file that holds a sequence, which its first bytes name: .4dgs, .splat4d."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "sequence"
+        path.write_bytes(data)
+        frames = contained_frames(path) or []
+        for frame in [*frames[:MAX_FRAMES], *frames[-1:]]:
+            assert len(frame.read(MAX_GAUSSIANS)) <= MAX_GAUSSIANS

@@ -6,14 +6,17 @@ import io
 import json
 from collections.abc import Iterator
 
+import numpy as np
 from PIL import Image
 
 from codec.foreign.bundle import Bundle, encode_bundle
 from codec.foreign.gltf import encode_glb, encode_gltf
 from codec.foreign.gltfbuffers import join_glb, split_glb
+from codec.foreign.ksplat import HEADER, HEADER_BYTES, SECTION, SECTION_BYTES
 from codec.foreign.sog import META, encode_sog
 from codec.foreign.spz import encode_spz
 from codec.splats import Splats
+from tests.support import handmade_sequences as made
 
 from .foreign import PICTURES
 
@@ -75,6 +78,42 @@ def signalling_glb(splats: Splats) -> bytes:
     return encode_glb(splats).replace(opacities, b"\1\0\xa0\x7f" + opacities[4:])
 
 
+def ksplat() -> bytes:
+    """Three Gaussians of level 1, two in a full bucket and one in a partial one."""
+    fields = [("centre", "<u2", 3), ("scale", "<f2", 3), ("rot", "<f2", 4), ("rgba", "u1", 4)]
+    records = np.zeros(3, fields)
+    records["centre"] = [[32767, 32767, 32767], [0, 32767, 65534], [32767, 0, 32767]]
+    records["scale"], records["rot"][:, 0], records["rgba"] = 0.5, 1, 200
+    head = HEADER.pack(0, 1, 1, 1, 3, 3, 1, 0, 0).ljust(HEADER_BYTES, b"\0")
+    section = SECTION.pack(3, 3, 2, 2, 5, 12, 0, 1, 1, 0).ljust(SECTION_BYTES, b"\0")
+    before = np.array([1], "<u4").tobytes() + np.array([1, 2, 3, -9, 0, 9], "<f4").tobytes()
+    return head + section + before + records.tobytes()
+
+
+def fourdgs(codec: int, packed: str) -> bytes:
+    """A keyframe of two Gaussians with harmonics, and a delta in which one moves, one comes and
+    one goes. With codec 1, zstd, there is no checksum between the fuzzer and the numbers."""
+
+    def stream(kind: int, numbers: made.Numbers) -> bytes:
+        return made.stream(kind, numbers, codec=codec)
+
+    def group(ids: list[int]) -> bytes:
+        rows = {kind: np.zeros((len(ids), wide)) for kind, wide in made.CHANNELS.items()}
+        rows |= {13: np.array([ids]).T, 9: np.ones((len(ids), 1))}
+        return b"".join(stream(kind, numbers) for kind, numbers in sorted(rows.items()))
+
+    front = made.header(sh_degree=1), made.grids(), made.windows((0, 10))
+    at = len(made.MAGIC) + sum(map(len, front))
+    changes = stream(13, [[4]]) + stream(0, [[1, 0, -1]]), group([9]), stream(13, [[7]])
+    return made.fourdgs(
+        *front,
+        made.keyframe(0, 0.5, 2, group([7, 4]), packed),
+        made.record(7, b"\1" + stream(7, np.arange(18).reshape(2, 9))),
+        made.delta((0.5, 1), at, changes, (1, 1, 1), packed),
+        made.record(7, b"\1" + stream(7, np.arange(9)[None])),
+    )
+
+
 def foreign_seeds(plain: Splats, degree_1: Splats) -> Iterator[tuple[str, str, bytes]]:
     """(target, what it is, food) of every file; each gives a value. degree_1: of SH degree 1."""
     for number, splats in enumerate((plain, degree_1)):
@@ -87,3 +126,7 @@ def foreign_seeds(plain: Splats, degree_1: Splats) -> Iterator[tuple[str, str, b
     yield "inflated_glb", "spz", inflated_glb(spz_glb(plain))
     yield "bundle", "two", encode_bundle({META: b"{}", "a": b"b"})
     yield "webp", "quats", Bundle(encode_sog(plain), "SOG").read("quats.webp")
+    yield "ksplat", "buckets", ksplat()
+    yield "sequence", "4dgs", fourdgs(1, "")
+    yield "sequence", "4dgs-deflate", fourdgs(0, "deflate")
+    yield "sequence", "splat4d", made.splat4d()
