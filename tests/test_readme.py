@@ -95,15 +95,15 @@ MADE = {
 """What each of these leaves."""
 
 ELSEWHERE = {
-    "swings-stream audio add my-stream music.wav": "codec/tools/test_sound.py",
+    "swings-stream audio add my-stream music.wav": "codec/tools/test_streamsound.py",
     "swings-stream audio add my-stream voice.flac --name voice --at-m 0 1 2": (
-        "codec/tools/test_sound.py"
+        "codec/tools/test_streamsound.py"
     ),
     "swings-stream audio add my-stream steps.wav --name steps --path path.json --offset-s 0.5": (
-        "codec/tools/test_sound.py"
+        "codec/tools/test_streamsound.py"
     ),
-    "swings-stream audio extract my-stream heard.wav": "codec/tools/test_sound.py",
-    "swings-stream audio remove my-stream": "codec/tools/test_sound.py",
+    "swings-stream audio extract my-stream heard.wav": "codec/tools/test_streamsound.py",
+    "swings-stream audio remove my-stream": "codec/tools/test_streamsound.py",
     "swings-serve s3://BUCKET/STREAMS": "server/library/test_storelibrary.py",
     "swings-stream verify s3://BUCKET/STREAMS/NAME": "codec/storage/test_objectstore.py",
     "swings-stream unpack my-stream.swings my-folder": "codec/tools/test_packing.py",
