@@ -19,4 +19,4 @@ def test_the_cpu_renderer_shows_slices_from_their_birth_on() -> None:
         if birth >= 0:
             expected = render_splats(ring.active(birth), manifest.camera(), manifest.near_m)
             np.testing.assert_array_equal(cpu.render(birth, manifest.camera()), expected)
-    assert cpu.uploaded_bytes == 7 * 50 * (4 * (3 + 3 + 4 + 1 + 12) + 1)
+    assert cpu.uploaded_bytes == (SWIN_SIZE + 3) * 50 * (4 * (3 + 3 + 4 + 1 + 12) + 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,8 @@ Json = Any
 
 NODE = shutil.which("node")
 SCRIPTS = Path(__file__).parents[2] / "player" / "web"
+ANSWER_S = 240.0
+"""A browser that has not answered for so long never will; a test that runs again has no other limit."""
 
 
 class NodeProcess:
@@ -29,8 +32,12 @@ class NodeProcess:
         assert self._process.stdout is not None
         self._process.stdin.write(json.dumps({"ask": kind, **question}) + "\n")
         self._process.stdin.flush()
+        limit = threading.Timer(ANSWER_S, self._process.kill)
+        limit.start()
         line = self._process.stdout.readline()
-        assert line, f"{self._name} ended; its stderr says why"
+        limit.cancel()
+        limit.join()
+        assert line, f"{self._name} ended, or did not answer {kind} in {ANSWER_S:g} s"
         return json.loads(line)
 
 
