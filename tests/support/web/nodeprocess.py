@@ -16,7 +16,8 @@ Json = Any
 NODE = shutil.which("node")
 SCRIPTS = Path(__file__).parents[2] / "player" / "web"
 ANSWER_S = 240.0
-"""A browser that has not answered for so long never will; a test that runs again has no other limit."""
+"""A browser that has not answered for so long never will. A test that runs again has no other
+limit."""
 
 
 class NodeProcess:
