@@ -112,7 +112,7 @@ class Measured:
     frames: int
     s_per_frame: float
     later_s_per_frame: float | None
-    """Of the frames after the first, whose window takes long; None for parts."""
+    """Seconds of a frame after the first, whose window takes long; None for parts."""
     psnr_db: float
     ssim: float
     device_bytes: int | None

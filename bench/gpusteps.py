@@ -57,7 +57,7 @@ class StepCase:
 
 @dataclass(frozen=True, slots=True)
 class StepRow:
-    """What was measured."""
+    """Time, bytes and memory of a step."""
 
     case: StepCase
     ms: float
@@ -107,7 +107,7 @@ def bench_training(case: StepCase) -> Training:
 
 
 def _seconds(step: Callable[[int], Any], wait: Callable[[], Any], count: int) -> float:
-    """Of one step, when the device has done them all."""
+    """Seconds of a step, the mean over steps that the device has done."""
     for i in range(WARM_STEPS):
         step(i)
     wait()

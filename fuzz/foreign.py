@@ -21,7 +21,7 @@ PICTURES = tuple(f"{name}.webp" for name in _NAMES)
 MAX_PIXELS = 1 << 16
 MAX_GAUSSIANS = 1000
 MAX_FRAMES = 8
-"""Of a sequence: so many at its beginning are read, and its last one."""
+"""Frames read at the beginning of a sequence; its last one is read, too."""
 
 
 def _json_and_rest(data: bytes) -> tuple[bytes, bytes]:

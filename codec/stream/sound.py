@@ -26,6 +26,9 @@ PREROLL = 3840
 """Samples before the first of a segment from which its packets run: the 80 ms after which a decoder
 is right, by RFC 7845."""
 
+DEFAULT_BITRATE_BPS = 96000
+"""Bits of Opus a second of a source, unless another rate is chosen."""
+
 MAX_SOURCES = 16
 MAX_KEYS = 256
 MAX_PACKETS = 1 << 16
@@ -255,8 +258,8 @@ class SoundObject:
 
 
 def segment_sound(whole: SoundObject, begin: int, stop: int) -> SoundObject:
-    """Of a source whose packets are all in `whole`, those that a segment of the samples `begin` to
-    `stop` holds."""
+    """The packets of a segment with the samples `begin` to `stop`, chosen from the entire source in
+    `whole`."""
     least, most = begin + whole.pre_skip - PREROLL, stop + whole.pre_skip
     at, first, chosen = whole.first, None, []
     for packet in whole.packets:

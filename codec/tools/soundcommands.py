@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from codec.errors import InvalidError
-from codec.stream.sound import Key, SoundSource
+from codec.stream.sound import DEFAULT_BITRATE_BPS, Key, SoundSource
 
 from .soundpath import read_keys
 
@@ -34,7 +34,7 @@ class Add:
     offset_s: float = 0.0
     """Second of the stream at which the file begins, after silence; below 0, what comes before
     frame 0 is left out."""
-    bitrate_bps: int = 96000
+    bitrate_bps: int = DEFAULT_BITRATE_BPS
     """Bits of Opus a second."""
 
 

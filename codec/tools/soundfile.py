@@ -122,7 +122,7 @@ def encode(
             rest = rest[PACKET_SAMPLES:]
         if count >= max_samples:
             break
-    # What the encoder holds back comes out with silence.
+    # Silence pushes out the samples that the encoder holds back.
     tail = -(-(len(rest) + pre_skip) // PACKET_SAMPLES) * PACKET_SAMPLES
     padded = np.zeros((tail, channels), np.int16)
     padded[: len(rest)] = rest

@@ -13,6 +13,7 @@ from codec.stream.manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest, object
 from codec.stream.packedlayout import PACKED_SUFFIX
 from codec.stream.reader import StreamReader, read_stream_file
 from codec.stream.sound import (
+    DEFAULT_BITRATE_BPS,
     MAX_SOUND_BYTES,
     SAMPLE_RATE,
     SoundObject,
@@ -24,7 +25,6 @@ from codec.stream.sound import (
 
 from .soundfile import Samples, decode, encode, read_samples, shifted
 
-DEFAULT_BITRATE_BPS = 96000
 MAX_OFFSET_S = 1e6
 
 

@@ -11,6 +11,7 @@ from codec.stream.manifest import Part
 from codec.stream.pictures import picture_type
 from server.exchange.content import (
     IMMUTABLE,
+    OBJECT_TYPE,
     REVALIDATE,
     Content,
     respond,
@@ -24,8 +25,6 @@ from .call import Answer, Call
 
 MAX_WAIT_S = 30
 """Seconds that a client may wait for an index to grow."""
-
-OBJECT_TYPE = "application/octet-stream"
 
 
 def manifest(call: Call) -> Response:

@@ -16,6 +16,9 @@ from .response import Response
 
 MAX_AGE_S = 365 * 24 * 3600
 
+OBJECT_TYPE = "application/octet-stream"
+"""Media type of objects and of the index."""
+
 IMMUTABLE = f"public, max-age={MAX_AGE_S}, immutable"
 """For what a URL gives for ever."""
 

@@ -12,7 +12,7 @@ from multidict import CIMultiDict
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import Part
 from codec.stream.plainrecord import ZSTD, inflates_whole
-from server.exchange.content import IMMUTABLE, Content, respond
+from server.exchange.content import IMMUTABLE, OBJECT_TYPE, Content, respond
 from server.exchange.request import Request
 from server.exchange.response import Response
 from server.library import ServedStream
@@ -97,7 +97,7 @@ class ObjectCache:
                 data,
                 len(data),
                 stream.object_sha256(segment, part),
-                "application/octet-stream",
+                OBJECT_TYPE,
                 IMMUTABLE,
                 coding=ZSTD if inflates_whole(data, cached.checked.entries) else "",
                 count=partial(self._count, str(part)),

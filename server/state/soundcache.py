@@ -11,7 +11,7 @@ import hashlib
 from collections import OrderedDict
 
 from codec.storage.storage import Stamp
-from server.exchange.content import REVALIDATE, Content
+from server.exchange.content import OBJECT_TYPE, REVALIDATE, Content
 from server.library import ServedStream
 
 Key = tuple[int, int, str]
@@ -55,4 +55,4 @@ def _load(stream: ServedStream, segment: int, name: str) -> Content:
     """Blocks."""
     data = stream.read_sound(segment, name)
     sha256 = hashlib.sha256(data).hexdigest()
-    return Content(data, len(data), sha256, "application/octet-stream", REVALIDATE)
+    return Content(data, len(data), sha256, OBJECT_TYPE, REVALIDATE)

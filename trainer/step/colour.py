@@ -14,6 +14,9 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float32]
 
+EPS = 1e-8
+"""Of Adam: added to the root of the second moment."""
+
 
 class CameraColour:
     """Gain and bias of every camera, with their own Adam."""
@@ -55,7 +58,7 @@ class CameraColour:
         self._second[camera] += 0.001 * (gradient**2 - self._second[camera])
         first = self._first[camera] / (1 - 0.9**count)
         second = self._second[camera] / (1 - 0.999**count)
-        self.values[camera] -= (self.lr * first / (np.sqrt(second) + 1e-8)).astype(np.float32)
+        self.values[camera] -= (self.lr * first / (np.sqrt(second) + EPS)).astype(np.float32)
         mean = self.values.mean(axis=0)
         mean[:3] -= 1
         self.values -= mean

@@ -27,6 +27,15 @@ BETA2 = 0.999
 GATE_STEEPNESS = 100.0
 """How sharply the noise ends where opacity rises above that of the dead. 3DGS-MCMC."""
 
+WEAKEST_NOISE = 1e-6
+"""Share of the noise below which a Gaussian gets none."""
+
+COUNTER_STEP = 0x9E3779B97F4A7C15
+"""SplitMix64 counts in steps of it; a row's number is its count."""
+
+MIX_FACTORS = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+"""Those of the finaliser of SplitMix64."""
+
 AgeScaling = Literal["off", "gradient", "update"]
 """Where the factor 1 / (1 + windows trained) applies to positions: nowhere, or to one of these."""
 
@@ -172,8 +181,8 @@ class Adam:
 @kernel(inline="always")
 def _mix(x):  # type: ignore[no-untyped-def]
     """The finaliser of SplitMix64: 64 well mixed bits from any 64."""
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(MIX_FACTORS[0])
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(MIX_FACTORS[1])
     return x ^ (x >> np.uint64(31))
 
 
@@ -191,10 +200,10 @@ def add_noise(  # type: ignore[no-untyped-def]
         row = rows[i]
         opacity = one / (one + np.exp(-logit_opacities[row]))
         gate = one / (one + np.exp(gate_steepness * (opacity - opacity_gate)))
-        if gate < np.float32(1e-6):
+        if gate < np.float32(WEAKEST_NOISE):
             continue
         scale = amount * gate
-        state = _mix(np.uint64(seed) + np.uint64(row) * np.uint64(0x9E3779B97F4A7C15))
+        state = _mix(np.uint64(seed) + np.uint64(row) * np.uint64(COUNTER_STEP))
         a = _mix(state + np.uint64(1))
         b = _mix(state + np.uint64(2))
         unit = np.float32(1.0 / 16777216.0)

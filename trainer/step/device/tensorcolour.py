@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from trainer.step.colour import CameraColour
+from trainer.step.colour import EPS, CameraColour
 from trainer.step.optimiser import BETA1, BETA2
 
 from .crossing import Crossing
-
-EPS = 1e-8
 
 
 class TensorColour:

@@ -10,17 +10,20 @@ import math
 import torch
 from torch import Tensor
 
-from trainer.step.optimiser import BETA1, BETA2, GATE_STEEPNESS, Adam, AgeScaling
+from trainer.step.optimiser import (
+    BETA1,
+    BETA2,
+    COUNTER_STEP,
+    GATE_STEEPNESS,
+    MIX_FACTORS,
+    WEAKEST_NOISE,
+    Adam,
+    AgeScaling,
+)
 
 from .crossing import Crossing
 from .packedrows import LOG_SCALES, LOGIT_OPACITY, MEANS, QUATS
 from .torchproject import rotations
-
-WEAKEST_NOISE = 1e-6
-"""Share of the noise below which a row gets none."""
-
-_GOLDEN = 0x9E3779B97F4A7C15
-_MIX = (30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)
 
 
 class TensorAdam:
@@ -76,7 +79,7 @@ def _shifted(bits: Tensor, by: int) -> Tensor:
 
 def _mixed(bits: Tensor) -> Tensor:
     """The finaliser of SplitMix64, see trainer.step.optimiser."""
-    for by, factor in _MIX:
+    for by, factor in zip((30, 27), MIX_FACTORS, strict=True):
         bits = (bits ^ _shifted(bits, by)) * _signed(factor)
     return bits ^ _shifted(bits, 31)
 
@@ -89,7 +92,7 @@ def _unit(bits: Tensor) -> Tensor:
 def normal_numbers(rows: Tensor, seed: int) -> Tensor:
     """(T, 3) normally distributed, from a counter: the same seed and row give the same, on the CPU
     those of `add_noise`. rows: (T,) int64."""
-    state = _mixed(rows * _signed(_GOLDEN) + _signed(seed))
+    state = _mixed(rows * _signed(COUNTER_STEP) + _signed(seed))
     a, b = _mixed(state + 1), _mixed(state + 2)
     u0, u2 = ((_shifted(bits, 40).float() + 0.5) * (1 / 16777216) for bits in (a, b))
     u1, u3 = (_unit(_shifted(bits, 8) & 0xFFFFFF) for bits in (a, b))
