@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.support.hosted_streams import write_stream
@@ -14,18 +15,21 @@ from tests.support.web.canvas import PLAYER
 from tests.support.web.chromium import Page
 from tests.support.web.heaps import PLAY_UNTIL, opened
 
+LOOKS = 3
 
-def growth_bytes(page: Page, frames: tuple[int, int], lead_frames: int) -> int:
+
+def growth_bytes(page: Page, frames: tuple[int, int], step: int, lead_frames: int) -> int:
     """Of that which grew most, the page or one of its workers, from the first to the second number
-    of frames played. lead_frames: of the stream, that are there before anything is counted."""
+    of frames played. At each end the least of three looks counts, `step` frames apart: what is on
+    its way at one of them makes up to 200 kB. lead_frames: of the stream, that are there before
+    anything is counted."""
     found: list[list[int]] = []
-    for frame in frames:
+    for frame in (first + look * step for first in frames for look in range(LOOKS)):
         page.run(PLAY_UNTIL, frame)
         page.wait(f"{PLAYER}.state.endFrame - {PLAYER}.state.frame >= {lead_frames}", 300)
         found.append(page.heaps_bytes())
-    assert len(found[0]) == 3
-    before, after = found
-    return max(b - a for a, b in zip(before, after, strict=True))
+    held = np.array(found).reshape(2, LOOKS, 3).min(axis=1)  # (2, the page and its two workers)
+    return int((held[1] - held[0]).max())
 
 
 @pytest.mark.slow
@@ -40,7 +44,7 @@ def test_five_thousand_frames(page: Page, tmp_path: Path, monkeypatch: pytest.Mo
     write_stream(tmp_path / "stream", 5600, 10, 0, layers=(1.0,), segment_frames=2)
     less_than_a_thousand_frames_mb = 0.25
     with opened(page, tmp_path, 60, less_than_a_thousand_frames_mb) as playing:
-        assert growth_bytes(playing, (1000, 5000), 448) < 24 * 4000
+        assert growth_bytes(playing, (1000, 4000), 500, 448) < 24 * 3000
 
 
 @pytest.mark.slow
@@ -49,4 +53,4 @@ def test_a_loop(page: Page, tmp_path: Path) -> None:
     the heaps are looked at makes 300 kB more or less."""
     write_busy_stream(tmp_path / "stream", 60, small_layout(1, (200, 200, 100), 0, 15))
     with opened(page, tmp_path, 20, 64) as playing:
-        assert growth_bytes(playing, (600, 3000), 0) < 40 * 20_000
+        assert growth_bytes(playing, (600, 3000), 60, 0) < 40 * 20_000

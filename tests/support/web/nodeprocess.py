@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +21,23 @@ limit."""
 
 
 class NodeProcess:
-    """Questions, one after another."""
+    """Questions, one after another, to a script. One that has ended begins anew with the next
+    question: a browser that hangs fails one test, not those behind it as well."""
 
-    def __init__(self, process: subprocess.Popen[str], name: str) -> None:
-        self._process = process
-        self._name = name
+    def __init__(self, command: list[str]) -> None:
+        self._command = command
+        self._process = self._begun()
+
+    def _begun(self) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
 
     def answer(self, kind: str, question: dict[str, Any]) -> Json:
         """All that it says."""
+        if self._process.poll() is not None:
+            self.close()
+            self._process = self._begun()
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.write(json.dumps({"ask": kind, **question}) + "\n")
@@ -38,16 +47,22 @@ class NodeProcess:
         line = self._process.stdout.readline()
         limit.cancel()
         limit.join()
-        assert line, f"{self._name} ended, or did not answer {kind} in {ANSWER_S:g} s"
+        if not line:
+            self._process.wait()
+            raise AssertionError(
+                f"{self._command[1]} ended, or did not answer {kind} in {ANSWER_S:g} s"
+            )
         return json.loads(line)
+
+    def close(self) -> None:
+        """Waits for its end."""
+        with suppress(BrokenPipeError), self._process:
+            pass
 
 
 @contextmanager
 def running_script(name: str, *args: str) -> Iterator[NodeProcess]:
     """The script of that name beside the tests of player/web."""
     assert NODE is not None
-    command = [NODE, str(SCRIPTS / name), *args]
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        yield NodeProcess(process, name)
+    with closing(NodeProcess([NODE, str(SCRIPTS / name), *args])) as process:
+        yield process
