@@ -36,6 +36,21 @@ class Movement:
     def moving(self) -> int:
         return int(self.pixels.sum())
 
+    def busiest(self, height_px: int, width_px: int) -> tuple[slice, slice] | None:
+        """Rows and columns of the box of that size with most moving pixels, in the middle of those
+        that have as many; None where fewer than MIN_MOVING_PX move. The box fits into the
+        picture."""
+        if self.moving < MIN_MOVING_PX:
+            return None
+        sums = np.pad(self.pixels.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+        inside = (
+            sums[height_px:, width_px:] - sums[:-height_px, width_px:]
+            - sums[height_px:, :-width_px] + sums[:-height_px, :-width_px]
+        )  # fmt: skip
+        best = np.argwhere(inside == inside.max())
+        top, left = best[len(best) // 2]
+        return slice(top, top + height_px), slice(left, left + width_px)
+
     def psnr_db(self, shown: Floats, truth: Floats) -> float | None:
         """PSNR over the pixels that move; None where fewer than MIN_MOVING_PX do."""
         return psnr_db(shown, truth, self.pixels) if self.moving >= MIN_MOVING_PX else None

@@ -1,5 +1,5 @@
-"""A contact sheet: capture, rendered picture and error side by side, for some frames and
-cameras."""
+"""A contact sheet: capture, rendered picture and error side by side, for some frames and cameras;
+below each, what moves there at twice the size."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from codec.storage.openstorage import Target
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from trainer.step.loss import psnr_db
 
+from .moving import Movement, movement_of
 from .picture import Floats, captured, displayed
 from .truth import open_held_out
 
@@ -23,6 +24,8 @@ ERROR_GAIN = 4
 """The error is drawn this many times brighter."""
 HEADER_PX = 16
 """Height of a label."""
+ENLARGED = 2
+"""What moves is drawn this many times larger: a box of the whole picture's size, so enlarged."""
 
 
 def comparison(shown: Floats, truth: Floats) -> npt.NDArray[np.uint8]:
@@ -32,6 +35,17 @@ def comparison(shown: Floats, truth: Floats) -> npt.NDArray[np.uint8]:
         np.concatenate([truth, shown, error], axis=1) * 255
     ).astype(np.uint8)
     return line
+
+
+def enlarged_comparison(
+    shown: Floats, truth: Floats, movement: Movement
+) -> npt.NDArray[np.uint8] | None:
+    """`comparison` of the box in which most moves, enlarged; None where too little does."""
+    height_px, width_px = (max(side // ENLARGED, 1) for side in truth.shape[:2])
+    box = movement.busiest(height_px, width_px)
+    if box is None:
+        return None
+    return comparison(shown[box], truth[box]).repeat(ENLARGED, axis=0).repeat(ENLARGED, axis=1)
 
 
 def save_png(picture: Image.Image, target: Path) -> None:
@@ -48,7 +62,8 @@ def write_sheet(
     max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
 ) -> None:
     """Draws up to MAX_ROWS rows (frames spread over the stream, held-out cameras in turn) to a
-    PNG. Raises what `open_held_out` raises."""
+    PNG, and what has moved since the frame before below each. Raises what `open_held_out`
+    raises."""
     lines: list[npt.NDArray[np.uint8]] = []
     labels: list[str] = []
     with open_held_out(stream, capture, max_gaussians) as held_out:
@@ -63,6 +78,14 @@ def write_sheet(
             lines.append(comparison(shown, truth))
             score_db = psnr_db(shown, truth, shot.mask)
             labels.append(f"frame {frame}, camera {camera.name}: {score_db:.2f} dB")
+            if frame == 0:
+                continue
+            movement = movement_of(held_out.shot(which, frame - 1), shot)
+            moving = enlarged_comparison(shown, truth, movement)
+            if moving is not None:
+                moving_db = movement.psnr_db(shown, truth)
+                lines.append(moving)
+                labels.append(f"what moves, {ENLARGED} times as large: {moving_db:.2f} dB there")
     save_png(_labelled(lines, labels), target)
 
 

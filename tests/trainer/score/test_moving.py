@@ -9,6 +9,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from PIL import Image
 from rich.console import Console
 
@@ -20,8 +23,9 @@ from tests.support.tiny_stream import tiny_manifest
 from trainer.capture.capture import Mask, Picture
 from trainer.pictures.shot import Shot
 from trainer.score.evaluate import EvaluateConfig, Evaluation, evaluate_stream
-from trainer.score.moving import MIN_MOVING_PX, movement_of
+from trainer.score.moving import MIN_MOVING_PX, Movement, movement_of
 from trainer.score.picture import captured
+from trainer.score.sheet import ENLARGED, HEADER_PX, write_sheet
 
 FRAMES = 4
 GREY = 40
@@ -173,6 +177,35 @@ def test_a_stream_is_scored_on_what_moves(folder: Path) -> None:
         assert still is None
         assert moved == pytest.approx([expected_db(100), expected_db(160)], abs=1e-3)
         assert score.moving_psnr_db == pytest.approx(MEAN_DB, abs=1e-3)
+
+
+def test_the_sheet_shows_what_moves_twice_as_large(folder: Path, tmp_path: Path) -> None:
+    """A line of its own below frames 1 and 2; nothing has moved since the frame before in frames 0
+    and 3."""
+    write_sheet(folder / "stream", folder / "capture", tmp_path / "sheet.png")
+    with Image.open(tmp_path / "sheet.png") as image:
+        sheet = np.asarray(image)
+    lines = sheet.reshape(6, HEADER_PX + HEIGHT_PX, 3 * WIDTH_PX, 3)[:, HEADER_PX:]
+    for line, brightness in ((lines[2], 100), (lines[4], 160)):
+        assert (line[:, :WIDTH_PX] == brightness).any(axis=2).sum() == BLOCK_PX * ENLARGED**2
+        assert (line[:, WIDTH_PX : 2 * WIDTH_PX] == 0).all()
+
+
+@given(
+    arrays(np.bool_, (14, 23), elements=st.booleans()),
+    st.integers(1, 14),
+    st.integers(1, 23),
+)
+def test_no_other_box_holds_more_of_what_moves(
+    pixels: npt.NDArray[np.bool_], height_px: int, width_px: int
+) -> None:
+    box = Movement(pixels, pixels.size).busiest(height_px, width_px)
+    if box is None:
+        assert pixels.sum() < MIN_MOVING_PX
+        return
+    assert pixels[box].shape == (height_px, width_px)
+    windows = np.lib.stride_tricks.sliding_window_view(pixels, (height_px, width_px))
+    assert pixels[box].sum() == windows.sum(axis=(2, 3)).max()
 
 
 def test_every_nth_frame_is_still_compared_with_the_one_before(folder: Path) -> None:
