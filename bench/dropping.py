@@ -118,7 +118,7 @@ def training_views(held_out: ScoredCameras) -> list[View]:
     """The training cameras at the size of the stream, prepared."""
     manifest, capture = held_out.reader.manifest, held_out.cache.capture
     names = [capture.cameras[i].camera.name for i in capture.training]
-    return [View.prepare(manifest.camera(name), manifest.near_m) for name in names]
+    return [View.prepare(c, manifest.near_of(c)) for c in map(manifest.camera, names)]
 
 
 @dataclass(slots=True)
@@ -133,8 +133,8 @@ class Source:
     def score(self, held_out: ScoredCameras, frame: int, truths: Sequence[Floats]) -> None:
         """Adds the scores of `frame`; truths: what the cameras saw."""
         splats = self.reader.active_splats(frame, self.layers)
-        near_m, shots = self.reader.manifest.near_m, held_out.shots(frame)
-        shown = [displayed(splats, camera, near_m) for camera in held_out.cameras]
+        manifest, shots = self.reader.manifest, held_out.shots(frame)
+        shown = [displayed(splats, c, manifest.near_of(c)) for c in held_out.cameras]
         triples = zip(shown, truths, shots, strict=True)
         self.psnr_db.append([psnr_db(x, truth, shot.mask) for x, truth, shot in triples])
 
@@ -157,7 +157,7 @@ class Candidate:
         """Once it is scored. frame, camera, shot: what is on the contact sheet."""
         source = self.source
         splats = source.reader.active_splats(frame, source.layers)
-        shown = displayed(splats, camera, source.reader.manifest.near_m)
+        shown = displayed(splats, camera, source.reader.manifest.near_of(camera))
         return Outcome(
             self.chosen,
             self.name,

@@ -44,7 +44,8 @@ def compare(reader: StreamReader, version: GlVersion) -> str:
             splats = reader.active_splats(frame, manifest.num_layers)
             for camera in manifest.cameras:
                 drawn = renderer.render(frame, camera).astype(np.float64)
-                difference = np.abs(drawn - render_splats(splats, camera, manifest.near_m))
+                expected = render_splats(splats, camera, manifest.near_of(camera))
+                difference = np.abs(drawn - expected)
                 psnrs_db.append(-10 * np.log10(np.mean(difference**2)))
                 y, x, _ = np.unravel_index(int(difference.argmax()), difference.shape)
                 where = f"frame {frame}, {camera.name}, pixel ({x}, {y})"

@@ -65,7 +65,7 @@ def ranked_slices(reader: StreamReader, config: RateConfig) -> dict[str, list[Sl
     """For each rank of LINES the slices to give to a writer."""
     manifest, capture = reader.manifest, open_capture(config.capture)
     names = [capture.cameras[i].camera.name for i in capture.training]
-    views = [View.prepare(manifest.camera(name), manifest.near_m) for name in names]
+    views = [View.prepare(c, manifest.near_of(c)) for c in map(manifest.camera, names)]
     return {
         "opacity": list(reader.slices(manifest.first_birth, manifest.num_layers)),
         CONTRIBUTION: list(slices_by_contribution(reader, views)),

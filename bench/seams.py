@@ -106,7 +106,7 @@ def seen_of(held_out: ScoredCameras) -> Seen:
         scores, change, count = [], 0.0, 0
         for number, camera in enumerate(held_out.cameras):
             truth = captured(held_out.shot(number, frame).picture)
-            shown = displayed(splats, camera, manifest.near_m)
+            shown = displayed(splats, camera, manifest.near_of(camera))
             scores.append(score_picture(shown, truth, None).psnr_db)
             if number in before:
                 shown_before, truth_before = before[number]

@@ -67,7 +67,7 @@ class Floaters(Edit):
                 f"cameras {options.cameras}: the stream has only {len(source.cameras)}; "
                 "give --cameras as many or fewer"
             )
-        self._options, self._cameras, self._near_m = options, source.cameras, source.near_m
+        self._options, self._source = options, source
         self._seen = np.zeros(1 << 16, np.bool_)
         self._lives = Lives()
 
@@ -97,13 +97,13 @@ class Floaters(Edit):
         rows = rows[~self._seen[numbers[rows]]]
         means = turn.means()[rows]
         times_seen = np.zeros(len(rows), np.int64)
-        for camera in self._cameras:
+        for camera in self._source.cameras:
             times_seen += self._sees(camera, means)
         self._seen[numbers[rows[times_seen >= self._options.cameras]]] = True
 
     def _sees(self, camera: Camera, means: Doubles) -> Flags:
         x, y, depth = (means @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]).T
-        ahead: Flags = depth > self._near_m
+        ahead: Flags = depth > self._source.near_of(camera)
         safe = np.where(ahead, depth, 1.0)
         across = (camera.fx_px * x / safe + camera.cx_px) / camera.width_px
         down = (camera.fy_px * y / safe + camera.cy_px) / camera.height_px

@@ -96,7 +96,7 @@ class Transform(Edit):
 
     def manifest(self, source: Manifest) -> Manifest:
         """The result's manifest: `source` with lattices, cameras, bounds and near plane mapped."""
-        cameras = tuple(map(self._camera, source.cameras))
+        cameras, scale = tuple(map(self._camera, source.cameras)), self.similarity.scale
         corners = np.array(list(itertools.product(*np.transpose(source.bounds))))
         mapped = self._places(corners)
         (x, y, z), (u, v, w) = mapped.min(axis=0).tolist(), mapped.max(axis=0).tolist()
@@ -105,7 +105,8 @@ class Transform(Edit):
             lattice=self._lattices,
             cameras=cameras,
             bounds=((x, y, z), (u, v, w)),
-            near_m=source.near_m * self.similarity.scale,
+            near_m=source.near_m * scale,
+            camera_near_m=tuple(near_m * scale for near_m in source.camera_near_m),
         )
 
     def states(self, layer: int, states: States, before: States | None) -> tuple[States, Flags]:

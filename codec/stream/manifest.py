@@ -129,6 +129,8 @@ class Manifest:
     """Frame of the capture that frame 0 shows."""
     sound: tuple[SoundSource, ...] = ()
     """The sources of sound, in objects of their own."""
+    camera_near_m: tuple[float, ...] = ()
+    """Nearest depth drawn at each of the cameras, in metres; empty where it is `near_m` at all."""
 
     def __post_init__(self) -> None:
         _ = self.slot_layout  # has rules of its own
@@ -147,6 +149,13 @@ class Manifest:
     def _check_view(self) -> None:
         if not (math.isfinite(self.near_m) and self.near_m > 0):
             raise InvalidError(f"manifest: near_m {self.near_m} is not positive")
+        if self.camera_near_m and len(self.camera_near_m) != len(self.cameras):
+            raise InvalidError(
+                f"manifest: camera_near_m has {len(self.camera_near_m)} numbers for "
+                f"{len(self.cameras)} cameras"
+            )
+        if not all(math.isfinite(near_m) and near_m > 0 for near_m in self.camera_near_m):
+            raise InvalidError("manifest: camera_near_m holds a number that is not positive")
         corners = np.array(self.bounds, np.float64)
         if corners.shape != (2, 3) or not np.isfinite(corners).all():
             raise InvalidError("manifest: bounds are not two corners of three numbers")
@@ -246,6 +255,27 @@ class Manifest:
             f"no camera is called {wanted!r}; there are {', '.join(c.name for c in self.cameras)}"
         )
 
+    def near_of(self, camera: Camera) -> float:
+        """Nearest depth drawn in the view of `camera`, any camera, in metres.
+
+        Where a camera of the stream stands it is that camera's own. With each metre away from the
+        nearest of them it comes a metre closer to `near_m`, so that nothing pops up on the way.
+        """
+        if not self.camera_near_m:
+            return self.near_m
+        positions = np.array([own.position for own in self.cameras])
+        distances_m = np.linalg.norm(positions - camera.position, axis=1)
+        nearest = int(np.argmin(distances_m))
+        own_m, away_m = self.camera_near_m[nearest], float(distances_m[nearest])
+        if own_m < self.near_m:
+            return min(own_m + away_m, self.near_m)
+        return max(own_m - away_m, self.near_m)
+
+    @property
+    def least_near_m(self) -> float:
+        """The least depth that `near_of` gives for any camera, in metres."""
+        return min((self.near_m, *self.camera_near_m))
+
     def object_path(self, segment: int, part: Part) -> str:
         """Where the object of (segment, part) is fetched, relative to the manifest."""
         path = self.object_url.replace("{segment}", str(segment))
@@ -282,6 +312,7 @@ class Manifest:
             "sh_degree": self.sh_degree,
             "antialias": self.antialias,
             "near_m": self.near_m,
+            **({"camera_near_m": list(self.camera_near_m)} if self.camera_near_m else {}),
             "bounds": [list(corner) for corner in self.bounds],
             "cameras": [camera.to_json() for camera in self.cameras],
             "default_camera": self.default_camera,
@@ -329,6 +360,14 @@ def _is_unicode(text: str) -> bool:
     return True
 
 
+def _camera_depths(value: Mapping[str, Any]) -> tuple[float, ...]:
+    """The numbers of the key `camera_near_m`, which may be missing."""
+    numbers = typed({"camera_near_m": [], **value}, "camera_near_m", list)
+    if len(numbers) > MAX_CAMERAS or any(type(near_m) not in (int, float) for near_m in numbers):
+        raise CorruptError(f"manifest: camera_near_m is not at most {MAX_CAMERAS} numbers")
+    return tuple(number(near_m, "camera_near_m") for near_m in numbers)
+
+
 def _from_value(value: Mapping[str, Any]) -> Manifest:
     slots, lattices = typed(value, "slots", list), typed(value, "lattice", list)
     if any(type(count) is not int for count in slots):
@@ -365,6 +404,7 @@ def _from_value(value: Mapping[str, Any]) -> Manifest:
         title=typed(value, "title", str),
         capture_frame=typed(value, "capture_frame", int),
         sound=sources_of(value),
+        camera_near_m=_camera_depths(value),
     )
     num_gs = typed(value, "num_gs", int)
     if num_gs != manifest.num_gs:

@@ -38,7 +38,7 @@ def write_poster(stream: Target, draw: Draw) -> None:
     scale = min(1.0, MAX_WIDTH_PX / camera.width_px, MAX_HEIGHT_PX / camera.height_px)
     sides_px = (max(1, round(camera.width_px * scale)), max(1, round(camera.height_px * scale)))
     # Drawn twice as large where the camera is: small Gaussians are drawn at least a pixel wide.
-    drawn = draw(splats, camera.scaled(min(1.0, 2 * scale)), manifest.near_m)
+    drawn = draw(splats, camera.scaled(min(1.0, 2 * scale)), manifest.near_of(camera))
     data = io.BytesIO()
     Image.fromarray(pixels_of(drawn)).resize(sides_px, Image.Resampling.BOX).save(
         data, "JPEG", quality=QUALITY, optimize=True, progressive=True

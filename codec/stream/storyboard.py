@@ -66,10 +66,11 @@ def write_storyboard(stream: Target, draw: Draw) -> None:
     width_px, height_px = (max(1, round(px * scale)) for px in (camera.width_px, camera.height_px))
     # Drawn twice as large where the camera is: small Gaussians are drawn at least a pixel wide.
     drawn_camera = camera.scaled(min(1.0, 2 * scale))
+    near_m = manifest.near_of(camera)
     sheet = Image.new("RGB", (layout.columns * width_px, layout.rows * height_px))
     for tile in range(layout.num_tiles):
         splats = reader.active_splats(tile * layout.step_frames, manifest.num_layers)
-        picture = Image.fromarray(pixels_of(draw(splats, drawn_camera, manifest.near_m)))
+        picture = Image.fromarray(pixels_of(draw(splats, drawn_camera, near_m)))
         row, column = divmod(tile, layout.columns)
         tile_picture = picture.resize((width_px, height_px), Image.Resampling.BOX)
         sheet.paste(tile_picture, (column * width_px, row * height_px))

@@ -28,7 +28,7 @@ class CpuRenderer:
 
     def __init__(self, manifest: Manifest) -> None:
         self._ring = Ring(manifest.swin_size, manifest.slice_size, manifest.sh_degree)
-        self._near_m = manifest.near_m
+        self._manifest = manifest
         self._arrivals: Arrivals[Slice] = Arrivals()
         self._glide = Glide()
         self.name = "CPU"
@@ -70,8 +70,9 @@ class CpuRenderer:
     def render_again(self, frame: int, camera: Camera) -> Floats:
         # Drawn from where they are: a copy of all that shows would take a sixth of the time.
         rows = self._ring.active_rows(frame)
+        near_m = self._manifest.near_of(camera)
         return _draw(
-            self._ring.splats, rows, camera, self._near_m, self._ring.seen, self.times, self.alpha
+            self._ring.splats, rows, camera, near_m, self._ring.seen, self.times, self.alpha
         )
 
     def close(self) -> None:

@@ -205,7 +205,8 @@ class Scene:
         """(H, W) float32 depth of what shows in `frame`, metres along the viewing axis; NaN where
         Gaussians cover less than half of a pixel. The CPU draws it. camera, size: as in `render`.
         """
-        return render_depth(self.splats(frame), self.camera(camera, size), self.manifest.near_m)
+        seen = self.camera(camera, size)
+        return render_depth(self.splats(frame), seen, self.manifest.near_of(seen))
 
     def _drawing(self) -> Renderer:
         """The renderer, which belongs to the thread that draws first."""

@@ -80,10 +80,10 @@ def _surrounded(counts: Flags) -> Flags:
 class Comparer:
     """Compares what is rendered with what the cameras saw, on small pictures."""
 
-    def __init__(self, cameras: Sequence[Camera], near_m: float, for_flow: bool = False) -> None:
-        """for_flow: whether comparisons hold what scene flow needs."""
+    def __init__(self, views: Sequence[View], for_flow: bool = False) -> None:
+        """views: at any size. for_flow: whether comparisons hold what scene flow needs."""
         self._for_flow = for_flow
-        self._views = [View.prepare(small_camera(c), near_m) for c in cameras]
+        self._views = [View.prepare(small_camera(v.camera), v.near_m) for v in views]
         height = max(v.camera.height_px for v in self._views)
         width = max(v.camera.width_px for v in self._views)
         self._shape = len(self._views), height, width

@@ -78,16 +78,17 @@ class Trainer:
         config: FitConfig,
         pictures: Pictures,
         initial: Splats | None,
-        near_m: float,
+        near_m: float | Sequence[float],
         far_m: float = FALLBACK_FAR_M,
         backend: Backend | None = None,
         observers: Sequence[Observer] = (),
         layout: SlotLayout | None = None,
         search_from_m: float | None = None,
     ) -> None:
-        """initial: num_gs Gaussians to begin with; None when `restore` follows. backend: by default
-        the CPU's. layout: where slots are leased. search_from_m: least depth at which new places
-        are looked for, by default near_m."""
+        """near_m: nearest depth drawn, for all cameras or for each. initial: num_gs Gaussians to
+        begin with; None when `restore` follows. backend: by default the CPU's. layout: where slots
+        are leased. search_from_m: least depth at which new places are looked for, by default
+        near_m."""
         if initial is not None and (len(initial), initial.sh_degree) != (
             config.num_gs,
             config.sh_degree,
@@ -97,13 +98,18 @@ class Trainer:
         self._pictures = pictures
         self._observers = observers
         cameras = pictures.cameras
-        self._views = [View.prepare(c, near_m) for c in cameras]
+        planes_m = [near_m] * len(cameras) if isinstance(near_m, (int, float)) else list(near_m)
+        self._views = [View.prepare(*seen) for seen in zip(cameras, planes_m, strict=True)]
         smallest_px = min(min(c.width_px, c.height_px) for c in cameras)
         self._coarse_share = config.coarse_share if smallest_px >= SMALLEST_HALVED_PX else 0.0
-        self._half_views = [View.prepare(c.halved(), near_m) for c in cameras if self._coarse_share]
-        self._search_m = near_m if search_from_m is None else search_from_m, far_m
+        self._half_views = [
+            View.prepare(view.camera.halved(), view.near_m)
+            for view in self._views
+            if self._coarse_share
+        ]
+        self._search_m = min(planes_m) if search_from_m is None else search_from_m, far_m
         self._extent_m = scene_extent_m(cameras)
-        self._comparer = Comparer(cameras, near_m, config.scene_flow)
+        self._comparer = Comparer(self._views, config.scene_flow)
         # What changes while training; `state` gives all of it.
         self._leases = None if layout is None else Leases(config.lease, layout)
         self._generations = Generations(config, initial, self._leases)

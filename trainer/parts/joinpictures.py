@@ -25,4 +25,4 @@ def draw_joined(config: TrainConfig, prepared: Prepared, records: Sequence[Segme
     with FrameCache(prepared.capture, prepared.frames, prepared.scale, config.cache_bytes) as cache:
         for frame in due:
             splats = reader.active_splats(frame, reader.manifest.num_layers)
-            write_snapshot(splats, frame, cache, prepared.near_m, config.work_folder)
+            write_snapshot(splats, frame, cache, prepared.near_planes, config.work_folder)

@@ -144,7 +144,7 @@ class Worker:
         prepared = self.prepared
         keeper = GenesisKeeper(lambda: self._keep(trainer), self.timer)
         trainer = Trainer(
-            fit or self.task.run.config.fit, self.pictures, initial, prepared.near_m,
+            fit or self.task.run.config.fit, self.pictures, initial, prepared.training_planes,
             prepared.far_m, prepared.picked.backend, (self.reporter, keeper), manifest.slot_layout,
             prepared.search_from_m,
         )  # fmt: skip

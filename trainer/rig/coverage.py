@@ -6,6 +6,8 @@ about the stream.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from codec.camera import Camera
@@ -24,13 +26,37 @@ NUM_DEPTHS = 8
 """Depths at which a pixel's ray is looked at."""
 
 
-def coverage_doubts(capture: Capture) -> list[str]:
-    """A line about the held-out cameras that look where no training camera does."""
-    shares = [
-        (capture.cameras[i].camera.name, unseen_share(capture, capture.cameras[i].camera))
-        for i in capture.held_out
+MAX_COVERED = 8
+"""Held-out cameras whose coverage is printed."""
+
+
+def unseen_shares(capture: Capture) -> dict[str, float]:
+    """What `unseen_share` gives for each held-out camera, by name, the largest first."""
+    cameras = [capture.cameras[i].camera for i in capture.held_out]
+    shares = {camera.name: unseen_share(capture, camera) for camera in cameras}
+    return dict(sorted(shares.items(), key=lambda row: -row[1]))
+
+
+def describe_coverage(capture: Capture, shares: Mapping[str, float]) -> list[str]:
+    """A line with how much of each held-out picture training cameras look at, the least first; none
+    where the rig gives no depths. shares: what `unseen_shares` gives."""
+    if capture.near_m is None or capture.far_m is None or not shares:
+        return []
+    # Rounded down: all of a picture is all of it.
+    covered = [(name, int(100 * (1 - share) + 1e-6)) for name, share in shares.items()]
+    named = [f"{percent}% of {name}" for name, percent in covered[:MAX_COVERED]]
+    if len(covered) > MAX_COVERED:
+        least = covered[MAX_COVERED][1]
+        named.append(f"at least {least}% of {len(covered) - MAX_COVERED} more")
+    return [f"covered     {', '.join(named)}: the part of a held-out picture that training sees"]
+
+
+def coverage_doubts(shares: Mapping[str, float]) -> list[str]:
+    """A line about the held-out cameras that look where no training camera does. shares: what
+    `unseen_shares` gives."""
+    found = [
+        f"{share:.0%} of {name}'s picture" for name, share in shares.items() if share > UNSEEN_SHARE
     ]
-    found = [f"{share:.0%} of {name}'s picture" for name, share in shares if share > UNSEEN_SHARE]
     if not found:
         return []
     return [

@@ -2,11 +2,13 @@
 
 Cameras of a dome sit in its wall. Gaussians of the wall would stand right before a held-out camera
 and hide the scene, so the near plane is far out: `codec.rig` puts it at a share of the
-cameras' distance. Where the cameras see something that is nearer than that, it is brought in.
+cameras' distance. Where the cameras see something that is nearer than that, it is brought in: a
+little for views from anywhere, and as far as it takes for the view of the camera that sees it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,10 +28,13 @@ MARGIN = 0.9
 """Near plane over the depth of the nearest thing that is seen: a Gaussian goes by its middle."""
 
 LEAST_SHARE = 0.6
-"""Smallest near plane, as a share of the one that the rig suggests: with a nearer one, more can
-stand right before a camera that was not trained on."""
+"""Smallest near plane of all views, as a share of the one that the rig suggests: with a nearer one,
+more can stand right before a camera that was not trained on."""
 
-SEARCH_SHARE = 0.2
+LEAST_OWN_SHARE = 0.2
+"""Smallest near plane of one camera's view, as such a share: what is nearer is not looked for."""
+
+SEARCH_SHARE = LEAST_OWN_SHARE
 """Depth at which stereo begins, as a share of the near plane that the rig suggests."""
 
 MAX_PLACES = 1 << 20
@@ -83,8 +88,9 @@ def _thinned(places: Floats) -> Floats:
 
 
 def near_plane(capture: Capture, seen: Seen | None) -> float | None:
-    """Depth in front of which nothing is drawn, metres: what the rig suggests, or less where a
-    training camera sees something nearer. None where the rig gives none."""
+    """Depth in front of which nothing is drawn in views from anywhere, metres: what the rig
+    suggests, or less where a training camera sees something nearer. None where the rig gives
+    none."""
     if capture.near_m is None or seen is None:
         return capture.near_m
     cameras: list[Camera] = [capture.cameras[i].camera for i in capture.training]
@@ -93,30 +99,64 @@ def near_plane(capture: Capture, seen: Seen | None) -> float | None:
     return max(MARGIN * min(cut), LEAST_SHARE * capture.near_m) if cut else capture.near_m
 
 
+def near_planes(capture: Capture, seen: Seen | None) -> tuple[float, ...]:
+    """For each camera the depth in front of which nothing is drawn in its own view, metres: what
+    the rig suggests, or less where this camera has something nearer in view. Empty where the rig
+    gives none, or declares it.
+
+    What is known of a held-out camera's view are places that training cameras agree on, and the
+    capture's points.
+    """
+    if capture.near_m is None or seen is None:
+        return ()
+    return tuple(_own_plane(entry.camera, seen, capture.near_m) for entry in capture.cameras)
+
+
+def _own_plane(camera: Camera, seen: Seen, suggested_m: float) -> float:
+    nearest = [nearest_seen([camera], places) for places in (seen.points, seen.stereo)]
+    depth = min((depth for depth in nearest if depth is not None), default=suggested_m)
+    if depth >= suggested_m:
+        return suggested_m
+    return max(MARGIN * depth, LEAST_OWN_SHARE * suggested_m)
+
+
 MAX_CUT_CAMERAS = 3
-"""Cameras of which is said what the near plane cuts off."""
+"""Cameras with a line each about what their near plane cuts off."""
 
 
-def near_doubts(capture: Capture, seen: Seen | None, near_m: float) -> list[str]:
-    """A line where `near_m` cuts from a camera's view more than strays; else none."""
-    cut = [] if seen is None else cut_by(capture, seen, near_m)
-    if not cut:
-        return []
-    named = [f"{share:.1%} of what {name} sees" for name, share in cut[:MAX_CUT_CAMERAS]]
+def near_doubts(capture: Capture, seen: Seen | None, planes: float | Sequence[float]) -> list[str]:
+    """A line for each camera from whose view its near plane cuts more than strays. planes: one for
+    each camera, or one for all."""
+    cut = [] if seen is None else cut_by(capture, seen, planes)
+    lines = [
+        f"the near plane of {name}, {near_m:.3g} units, cuts {share:.1%} of what it sees, which is "
+        "lost in its view; a smaller --near-m keeps it, but can leave fog before held-out cameras: "
+        "try both"
+        for name, share, near_m in cut[:MAX_CUT_CAMERAS]
+    ]
     if len(cut) > MAX_CUT_CAMERAS:
-        named.append(f"smaller shares of {len(cut) - MAX_CUT_CAMERAS} more cameras")
-    return [
-        f"the near plane, {near_m:.3g} units, cuts {', '.join(named)}, which is lost in these "
-        "views; a smaller --near-m keeps it, but can leave fog before held-out cameras: try both"
-    ]
+        others = cut[MAX_CUT_CAMERAS:]
+        lines.append(
+            f"the near planes of {len(others)} more cameras cut up to {others[0][1]:.1%} of what "
+            "they see; see --near-m"
+        )
+    return lines
 
 
-def cut_by(capture: Capture, seen: Seen, near_m: float) -> list[tuple[str, float]]:
-    """(name, share) of the cameras from whose view `near_m` cuts more than strays, most of all
-    first; share: of the capture's points, or of what stereo found, in the view of the camera."""
+def cut_by(
+    capture: Capture, seen: Seen, planes: float | Sequence[float]
+) -> list[tuple[str, float, float]]:
+    """(name, share, plane) of the cameras from whose view the near plane cuts more than strays,
+    most of all first; share: of the capture's points, or of what stereo found, in the view of the
+    camera. planes: one for each camera, or one for all."""
     cameras = [c.camera for c in capture.cameras]
-    shares = [
-        (c.name, max(share_nearer(c, places, near_m) for places in (seen.points, seen.stereo)))
-        for c in cameras
+    each = [planes] * len(cameras) if isinstance(planes, (int, float)) else planes
+    rows = [
+        (
+            c.name,
+            max(share_nearer(c, places, near_m) for places in (seen.points, seen.stereo)),
+            near_m,
+        )
+        for c, near_m in zip(cameras, each, strict=True)
     ]
-    return sorted((row for row in shares if row[1] > STRAY_SHARE), key=lambda row: -row[1])
+    return sorted((row for row in rows if row[1] > STRAY_SHARE), key=lambda row: -row[1])

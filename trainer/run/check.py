@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,13 +16,16 @@ from codec.sequence.numberedfiles import FPS_NAME
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
 from trainer.capture.points import read_points_file
-from trainer.rig.coverage import coverage_doubts
+from trainer.rig.coverage import coverage_doubts, describe_coverage, unseen_shares
 from trainer.rig.doubts import picture_doubt, picture_doubts, rig_doubts
-from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane
+from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane, near_planes
 from trainer.rig.rigdrawing import draw_capture
 from trainer.seed.nearest import STRAY_SHARE
 
 from .config import TrainConfig
+
+MAX_NAMED_PLANES = 6
+"""Cameras whose own near plane is printed."""
 
 LAYOUT_NAMES = {
     "dynamic3dgs": "Dynamic 3D Gaussians",
@@ -52,7 +56,8 @@ def check_capture(config: TrainConfig, console: Console = SILENT) -> list[str]:
         check_trainable(capture)
         seen = look(capture, FrameRange.parse(config.frames).of(capture.num_frames, capture.root))
     near, cut_doubts = _describe_near(capture, seen, config.near_m)
-    lines = describe_capture(capture) + near
+    unseen = unseen_shares(capture)
+    lines = describe_capture(capture) + describe_coverage(capture, unseen) + near
     if config.check is not None:
         by_name = draw_capture(capture, config.check)
         lines.append(f"picture     {config.check}")
@@ -64,7 +69,7 @@ def check_capture(config: TrainConfig, console: Console = SILENT) -> list[str]:
     doubts = [
         *rig_doubts(capture),
         *cut_doubts,
-        *coverage_doubts(capture),
+        *coverage_doubts(unseen),
         *picture_doubts(doubted, len(capture.cameras)),
     ]
     if capture.fps is None:
@@ -133,8 +138,10 @@ def _describe_near(
     capture: Capture, seen: Seen | None, near_m: float | None
 ) -> tuple[list[str], list[str]]:
     """Lines about where the near plane is and why, and what is doubtful about it."""
+    planes: tuple[float, ...] = ()
     if near_m is None:
         near_m, reason = near_plane(capture, seen), "from the rig"
+        planes = near_planes(capture, seen)
         if near_m is None:
             near_m, reason = FALLBACK_NEAR_M, "by default: unknown from the rig; give --near-m"
         elif capture.near_m is not None and near_m < capture.near_m:
@@ -142,10 +149,26 @@ def _describe_near(
     else:
         reason = "as given"
     lines = [f"near        {near_m:.3g} units, {reason}"]
-    doubts = near_doubts(capture, seen, near_m)
+    lines += _own_planes(capture, planes, near_m)
+    doubts = near_doubts(capture, seen, planes or near_m)
     if seen is not None and not doubts:
         lines.append(f"near cuts   at most {STRAY_SHARE:.1%} of what any camera sees")
     return lines, doubts
+
+
+def _own_planes(capture: Capture, planes: Sequence[float], near_m: float) -> list[str]:
+    """A line about the cameras with near planes of their own, if there are any."""
+    if set(planes) <= {near_m}:
+        return []
+    nearer = sorted(
+        (plane, entry.camera.name)
+        for plane, entry in zip(planes, capture.cameras, strict=True)
+        if capture.near_m is not None and plane < capture.near_m
+    )
+    named = [f"{name} {plane:.3g}" for plane, name in nearer[:MAX_NAMED_PLANES]]
+    if len(nearer) > MAX_NAMED_PLANES:
+        named.append(f"{len(nearer) - MAX_NAMED_PLANES} more")
+    return [f"near of     {', '.join(named)}, all others {capture.near_m:.3g}, in their own views"]
 
 
 def _describe_masks(capture: Capture) -> str:

@@ -60,7 +60,8 @@ class TrainConfig:
     """Frames per second, if no file of the capture gives them, or to override them."""
     near_m: float | None = None
     """Nearest depth drawn, in the capture's unit. By default 0.35 of the distance from the cameras
-    to the point that they look at, or less if they see something nearer (--check prints it)."""
+    to the point that they look at, or less if they see something nearer, and in the view of each
+    camera by what it sees itself (--check prints it)."""
     far_m: float | None = None
     """Largest depth at which seeds are placed, in the capture's unit; by default derived from the
     rig."""

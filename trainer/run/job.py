@@ -191,7 +191,8 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
         line = ProgressLine(console)
         monitor = Monitor(line, log, config.fit, len(prepared.frames))
         trainer = Trainer(
-            config.fit, pictures, initial, prepared.near_m, prepared.far_m, prepared.picked.backend,
+            config.fit, pictures, initial, prepared.training_planes, prepared.far_m,
+            prepared.picked.backend,
             (monitor, GenesisKeeper(lambda: keep(), KeepTimer(KEEP_S)), *observers),
             None if config.whole_slices or manifest is None else manifest.slot_layout,
             prepared.search_from_m,
@@ -231,7 +232,7 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
             # Before the checkpoint: a run that is killed in between draws it again.
             if config.snapshot_every and frame % config.snapshot_every == 0:
                 write_snapshot(
-                    trainer.shown(frame), frame, cache, prepared.near_m, config.work_folder
+                    trainer.shown(frame), frame, cache, prepared.near_planes, config.work_folder
                 )
             keep()
             progress.finished_frames = frame + 1

@@ -211,12 +211,12 @@ def open_outputs(
 
 
 def write_snapshot(
-    splats: Splats, frame: int, cache: FrameCache, near_m: float, work_folder: Path
+    splats: Splats, frame: int, cache: FrameCache, near_planes: Sequence[float], work_folder: Path
 ) -> None:
     """Draws what shows in a frame of the stream, as the first of the capture's `watching` cameras
-    sees it, to a PNG in the work folder."""
+    sees it, to a PNG in the work folder. near_planes: of all cameras."""
     index = cache.capture.watching[0]
     truth = captured(cache.image(index, cache.frames[frame]))
-    shown = displayed(splats, cache.camera(index), near_m)
+    shown = displayed(splats, cache.camera(index), near_planes[index])
     path = work_folder / SNAPSHOT_FOLDER / f"{frame:06d}.png"
     save_png(Image.fromarray(comparison(shown, truth)), path)

@@ -31,7 +31,7 @@ from trainer.fit.trainer import FALLBACK_FAR_M
 from trainer.pictures.feed import Pictures
 from trainer.pictures.framecache import FrameCache
 from trainer.rig.doubts import rig_doubts
-from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane
+from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane, near_planes
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.step.backend import MemoryNeeds
 from trainer.step.device.pick import Picked
@@ -69,7 +69,20 @@ class Prepared:
     memory: str | None = None
     """The plan of the backend's memory, one line."""
     near_doubts: tuple[str, ...] = ()
-    """Doubts about a near plane that was not given, a line each."""
+    """Doubts about near planes that were not given, a line each."""
+    camera_near_m: tuple[float, ...] = ()
+    """Nearest depth drawn in the view of each of the capture's cameras; empty where it is `near_m`
+    for all."""
+
+    @property
+    def near_planes(self) -> tuple[float, ...]:
+        """Nearest depth drawn in the view of each of the capture's cameras."""
+        return self.camera_near_m or (self.near_m,) * len(self.capture.cameras)
+
+    @property
+    def training_planes(self) -> list[float]:
+        """Nearest depth drawn in the view of each training camera."""
+        return [self.near_planes[i] for i in self.capture.training]
 
     @property
     def doubts(self) -> list[str]:
@@ -97,10 +110,12 @@ def prepare(config: TrainConfig) -> Prepared:
     search_from_m = near_m
     if config.near_m is None and capture.near_m is not None:
         search_from_m = capture.near_m
-    near_lines = tuple(near_doubts(capture, seen, near_m))
+    planes = () if config.near_m is not None else near_planes(capture, seen)
+    near_lines = tuple(near_doubts(capture, seen, planes or near_m))
     return Prepared(
-        capture, frames, near_m, far_m, search_from_m, picked, initial, scale, memory, near_lines
-    )
+        capture, frames, near_m, far_m, search_from_m, picked, initial, scale, memory, near_lines,
+        () if set(planes) == {near_m} else planes,
+    )  # fmt: skip
 
 
 def training_scale(config: TrainConfig, capture: Capture) -> float:
@@ -172,6 +187,7 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
         "frames": [prepared.frames.start, prepared.frames.stop],
         "scale": prepared.scale,
         "near_m": prepared.near_m,
+        **({"camera_near_m": list(prepared.camera_near_m)} if prepared.camera_near_m else {}),
         "far_m": prepared.far_m,
         "search_from_m": prepared.search_from_m,
         **{
@@ -269,6 +285,7 @@ def make_manifest(
         sh_degree=config.fit.sh_degree,
         antialias=False,
         near_m=prepared.near_m,
+        camera_near_m=prepared.camera_near_m,
         bounds=(
             (float(low[0]), float(low[1]), float(low[2])),
             (float(high[0]), float(high[1]), float(high[2])),

@@ -141,7 +141,8 @@ def ablate_quantisation(
             for case, found in scores.items():
                 splats = quantise_case(exact, case)
                 for camera, shot in zip(held_out.cameras, shots, strict=True):
-                    found.append(score_splats(splats, camera, shot, manifest.near_m))
+                    near_m = manifest.near_of(camera)
+                    found.append(score_splats(splats, camera, shot, near_m))
                     done += 1
                     on_progress(done, total)
     psnr = {case: float(np.mean([s.psnr_db for s in found])) for case, found in scores.items()}

@@ -69,7 +69,8 @@ class QualityMeter:
         scores_db = []
         for window in windows:
             splats = active_splats(window, frame, self._manifest.swin_size)
-            score = score_splats(splats, self._cache.camera(camera), shot, self._manifest.near_m)
+            view = self._cache.camera(camera)
+            score = score_splats(splats, view, shot, self._manifest.near_of(view))
             scores_db.append(score.psnr_db)
         self._newest_db[camera] = scores_db[-1]
         return scores_db

@@ -92,7 +92,7 @@ class Scores:
             row.append([])
         for c, camera in enumerate(scored.cameras):
             truth, mask = seen.truths[c], seen.masks[c]
-            shown = displayed(splats, camera, scored.reader.manifest.near_m)
+            shown = displayed(splats, camera, scored.reader.manifest.near_of(camera))
             fitted = colour_fitted(shown, truth, mask)
             score = score_picture(shown, truth, mask)
             values = (score.psnr_db, psnr_db(fitted, truth, mask), score.ssim)

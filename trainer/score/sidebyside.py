@@ -135,7 +135,7 @@ def write_side_by_side(
                 shot = cache.shot(number, cache.frames[frame])
                 splats = reader.active_splats(frame, manifest.num_layers)
                 truth = captured(shot.picture)
-                shown = displayed(splats, camera, manifest.near_m)
+                shown = displayed(splats, camera, manifest.near_of(camera))
                 scores.append(psnr_db(shown, truth, shot.mask))
                 labels = (f"{name}, frame {frame}", f"rendered, {scores[-1]:.2f} dB")
                 sink.write(frame, side_by_side(truth, shown, shot.mask, labels))

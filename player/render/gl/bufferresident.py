@@ -36,7 +36,7 @@ class BufferResident:
         num_slots = self._swin_size * slice_size
         _check_limits(context, num_slots, self._gaussian_bytes)
         self._unlocked = Unlocked(context)
-        self._near_m = manifest.near_m
+        self._manifest = manifest
         self._gaussians = context.buffer(reserve=self._gaussian_bytes * num_slots)
         self._gaussians.clear()
         # First frame, the frame after the last, number of the last whole slice and of the last one.
@@ -59,7 +59,7 @@ class BufferResident:
         self._program = compile_program(context, "splat.glsl", constants, version=430)
         self._colours: ColourPass | None = None
         if manifest.sh_degree >= 2:
-            self._colours = ColourPass(context, num_slots, self._near_m, constants, 430)
+            self._colours = ColourPass(context, num_slots, manifest.least_near_m, constants, 430)
             self._program["colours"] = 1
         self._quads = context.vertex_array(self._program, [(self._sort.order, "1u/i", "slot")])
 
@@ -87,11 +87,12 @@ class BufferResident:
         return packed.rows.nbytes + packed.words.nbytes
 
     def sort(self, frame: int, camera: Camera) -> None:
-        near_m = np.float32(max(self._near_m, MIN_NEAR_M))
+        near_m = self._manifest.near_of(camera)
+        least_m = np.float32(max(near_m, MIN_NEAR_M))
         self._cull["frame"] = frame
         self._cull["newest_lane"] = frame % self._swin_size  # of a negative number GLSL has none
-        self._cull["near_m"] = self._near_m
-        self._cull["near_bits"] = int(near_m.view(np.uint32))
+        self._cull["near_m"] = near_m
+        self._cull["near_bits"] = int(least_m.view(np.uint32))
         set_camera(self._cull, camera)
         self._gaussians.bind_to_storage_buffer(_GAUSSIANS)
         if self._colours is not None:

@@ -34,7 +34,7 @@ class TextureResident:
                 f"{manifest.num_gs} Gaussians need a texture of {TEXTURE_WIDTH_PX}x{height_px}; "
                 f"this OpenGL allows {limit_px}"
             )
-        self._near_m = manifest.near_m
+        self._manifest = manifest
         self._order = Order(manifest.swin_size, lane_slots)
         self._shown: npt.NDArray[np.int32] = np.empty(0, np.int32)
         self._unlocked = Unlocked(context)
@@ -49,7 +49,7 @@ class TextureResident:
         self._colours: ColourPass | None = None
         if manifest.sh_degree >= 2:
             num_slots = manifest.swin_size * lane_slots
-            self._colours = ColourPass(context, num_slots, self._near_m, constants, 330)
+            self._colours = ColourPass(context, num_slots, manifest.least_near_m, constants, 330)
             self._program["colours"] = 1
         self._lane_slots = lane_slots
         self._slots = context.buffer(reserve=4 * manifest.swin_size * lane_slots)
@@ -72,7 +72,8 @@ class TextureResident:
         if self._colours is not None:
             self._texture.use(0)
             self._colours.update(camera)
-        self._shown = self._order.far_first(frame, camera.w2c, self._near_m)
+        near_m = self._manifest.near_of(camera)
+        self._shown = self._order.far_first(frame, camera.w2c, near_m)
 
     def draw(self, camera: Camera) -> None:
         if not len(self._shown):

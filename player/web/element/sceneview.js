@@ -1,7 +1,7 @@
 import { Painter } from "../renderer/painter.js";
 import { EYE_DISTANCE_M, oneEye, sideBySide } from "../stereo/eyes.js";
 import { CameraMotion } from "../view/cameramotion.js";
-import { pointAt, poseOf } from "../view/pose.js";
+import { nearOf, pointAt, poseOf } from "../view/pose.js";
 import { length, subtract } from "../view/vectors.js";
 import { CanvasSize } from "./canvassize.js";
 import { FrameLoop } from "./frameloop.js";
@@ -86,7 +86,7 @@ export class SceneView extends EventTarget {
     this.painter.prepare({
       numSlots: manifest.numGs,
       shDegree: manifest.shDegree,
-      nearM: manifest.nearM,
+      nearM: Math.min(manifest.nearM, ...manifest.cameraNearM), // the order leaves out what is nearer
       lattices: manifest.lattices,
     });
     this.headset?.replace();
@@ -197,7 +197,7 @@ export class SceneView extends EventTarget {
   #draw(viewpoint, nowMs) {
     const { painter, size } = this;
     if (this.sorted !== null) this.#upload(this.sorted);
-    this.workers?.requestOrder(viewpoint.w2c, this.manifest.nearM);
+    this.workers?.requestOrder(viewpoint.w2c, nearOf(this.manifest, viewpoint));
     if (!this.needsDrawing || this.isEmpty) return;
     this.needsDrawing = false;
     const beganMs = performance.now();

@@ -39,6 +39,7 @@ const { fround } = Math;
  * @property {number} shDegree
  * @property {boolean} antialias
  * @property {number} nearM metres
+ * @property {number[]} cameraNearM metres, at each camera; empty where it is `nearM` at all
  * @property {number[][]} bounds lower and upper corner, metres
  * @property {import("./camera.js").Camera[]} cameras
  * @property {import("./camera.js").Camera} defaultCamera
@@ -96,6 +97,7 @@ export function readManifest(bytes) {
     shDegree,
     antialias: boolean(field(value, "antialias"), "antialias"),
     nearM: positive(number(field(value, "near_m"), "near_m"), "near_m"),
+    cameraNearM: readCameraNearM(value, cameras.length),
     bounds: readBounds(value),
     cameras,
     defaultCamera,
@@ -216,6 +218,14 @@ function readFps(value) {
 function positive(found, what) {
   if (found <= 0) throw corrupt(`manifest: ${what} is ${found}, which is not positive`);
   return found;
+}
+
+/** @param {unknown} value @param {number} numCameras */
+function readCameraNearM(value, numCameras) {
+  const key = "camera_near_m";
+  const { [key]: found = [] } = /** @type {Record<string, unknown>} */ (value);
+  const least = list(found, 0, numCameras, key).length && numCameras;
+  return list(found, least, numCameras, key).map((depth) => positive(number(depth, key), key));
 }
 
 /** @param {unknown} value */

@@ -1,4 +1,4 @@
-import { add, dot, times } from "./vectors.js";
+import { add, dot, length, subtract, times } from "./vectors.js";
 
 /** @typedef {import("./vectors.js").Vector} Vector */
 
@@ -82,4 +82,17 @@ export function pointAt(camera, xPx, yPx, depthM) {
   const asideM = (depthM * (xPx - camera.cxPx)) / camera.fxPx;
   const belowM = (depthM * (yPx - camera.cyPx)) / camera.fyPx;
   return [times(right, asideM), times(down, belowM), times(forward, depthM)].reduce(add, position);
+}
+
+/**
+ * Nearest depth drawn in a view, metres (FORMAT.md, section 4).
+ * @param {import("../format/manifest.js").Manifest} manifest
+ * @param {{ w2c: number[] }} view
+ */
+export function nearOf({ nearM, cameraNearM, cameras }, view) {
+  const { position } = poseOf(view);
+  const awayM = cameras.map((camera) => length(subtract(poseOf(camera).position, position)));
+  const leastM = Math.min(...awayM);
+  const ownM = cameraNearM[awayM.indexOf(leastM)] ?? nearM;
+  return ownM < nearM ? Math.min(ownM + leastM, nearM) : Math.max(ownM - leastM, nearM);
 }

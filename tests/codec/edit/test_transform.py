@@ -61,10 +61,11 @@ def test_the_same_edit_made_on_exported_frames_gives_the_same_pictures(
 
 
 def test_a_stream_looks_to_its_cameras_as_it_did(tmp_path: Path) -> None:
-    source = write_busy_stream(tmp_path / "s", 3, small_layout(1, (60,)))
+    source = write_busy_stream(tmp_path / "s", 3, small_layout(1, (60,)), camera_near_m=(0.2,) * 4)
     edit_stream(source, tmp_path / "t", TransformOptions(2.0, (0, 90, 0), (1, 2, 3), (4, 5, 6)))
     before, after = StreamReader(source), StreamReader(tmp_path / "t")
     assert after.manifest.near_m == 2 * before.manifest.near_m
+    assert after.manifest.camera_near_m == (0.4,) * 4
     for camera in before.manifest.cameras:
         seen, again = (
             render_splats(

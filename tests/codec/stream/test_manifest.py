@@ -51,6 +51,30 @@ def test_round_trip() -> None:
     assert found.camera().name == "left"
 
 
+def test_near_planes_of_cameras() -> None:
+    """Each camera has its own; away from it that of all comes back, without a step."""
+    left = MANIFEST.camera("left")
+
+    def moved(x_m: float) -> Camera:
+        w2c = np.eye(4)
+        w2c[0, 3] = -x_m
+        return replace(left, w2c=w2c)
+
+    assert "camera_near_m" not in VALUE
+    assert MANIFEST.near_of(left) == MANIFEST.near_of(moved(3)) == MANIFEST.least_near_m == 0.1
+    cameras = (left, replace(moved(10), name="right"))
+    manifest = replace(MANIFEST, cameras=cameras, near_m=0.5, camera_near_m=(0.2, 0.9))
+    found = Manifest.from_json(manifest.to_json())
+    assert found.camera_near_m == (0.2, 0.9)
+    assert [found.near_of(camera.scaled(0.5)) for camera in cameras] == [0.2, 0.9]
+    steps = np.linspace(-1, 11, 1201)
+    depths = np.array([found.near_of(moved(x)) for x in steps])
+    assert depths[np.abs(steps - 5) < 4.5] == pytest.approx(0.5)
+    assert np.abs(np.diff(depths)).max() <= 0.0101
+    assert found.least_near_m == depths.min() == 0.2
+    assert depths.max() == 0.9
+
+
 def test_what_follows_from_it() -> None:
     assert (MANIFEST.slice_size, MANIFEST.num_gs, MANIFEST.layers) == (200, 1000, (0.25, 0.25, 0.5))
     assert (MANIFEST.num_layers, MANIFEST.first_birth) == (3, -4)
@@ -80,6 +104,9 @@ def test_its_size_does_not_depend_on_live_by_more_than_a_byte() -> None:
         {"slots": (1 << 18,) * 3, "swin_size": 1, "segment_frames": 342},
         {"slots": (1,) * 17, "lattice": (LATTICE,) * 17},
         {"near_m": float("inf")},
+        {"camera_near_m": (0.1,)},
+        {"camera_near_m": (0.1, 0.0)},
+        {"camera_near_m": (0.1, float("nan"))},
         {"bounds": ((0.0, 0.0, float("nan")), (1.0, 1.0, 1.0))},
         {"cameras": tuple(camera(str(n)) for n in range(257)), "default_camera": "0"},
         {"object_url": "{segment}/{layer}/{__class__}"},

@@ -114,6 +114,7 @@ def assert_same_manifest(found: dict[str, object], manifest: Manifest) -> None:
         "shDegree": manifest.sh_degree,
         "antialias": manifest.antialias,
         "nearM": manifest.near_m,
+        "cameraNearM": list(manifest.camera_near_m),
         "bounds": [list(corner) for corner in manifest.bounds],
         "live": manifest.live,
         "poster": picture_path(manifest.poster),

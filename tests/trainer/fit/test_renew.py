@@ -22,7 +22,7 @@ from trainer.fit.trainer import Trainer
 from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats
 from trainer.step.colour import CameraColour
-from trainer.step.raster import Parameters
+from trainer.step.raster import Parameters, View
 from trainer.synth.scene import CAMERA_RADIUS_M
 
 NEAR_M, FAR_M = 0.5, 20.0
@@ -100,7 +100,7 @@ def compare(film: Film, splats: Splats, colour: CameraColour | None = None) -> C
     """The film's first frame against `splats`."""
     colour = colour or CameraColour(len(film.cameras), 0)
     rows = np.arange(len(splats), dtype=np.int32)
-    comparer = Comparer(film.cameras, NEAR_M)
+    comparer = Comparer([View.prepare(c, NEAR_M) for c in film.cameras])
     return comparer.compare(parameters(splats), rows, film, 0, colour)[0]
 
 
@@ -210,7 +210,7 @@ def test_contributions_come_with_the_comparison() -> None:
     splats = Splats.concatenate([hidden, room()])
     rows = np.arange(len(splats), dtype=np.int32)
     film = Film([room()])
-    _, weights, scores = Comparer(film.cameras, NEAR_M).compare(
+    _, weights, scores = Comparer([View.prepare(c, NEAR_M) for c in film.cameras]).compare(
         parameters(splats), rows, film, 0, CameraColour(8, 0)
     )
     assert weights.shape == (251,)
@@ -272,7 +272,7 @@ def test_only_the_least_of_each_slice_are_placed_and_they_show_from_the_frame_on
     before = [array.copy() for array in generations.values.arrays]
     starts = lifespans.starts.copy()
     rows = lifespans.active_rows(frame)
-    compared, weights, _ = Comparer(film.cameras, NEAR_M).compare(
+    compared, weights, _ = Comparer([View.prepare(c, NEAR_M) for c in film.cameras]).compare(
         generations.values, rows, film, frame, colour
     )
     least = generations.least(rows, weights, round(0.2 * lifespans.slice_size))

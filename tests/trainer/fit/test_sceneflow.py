@@ -16,6 +16,7 @@ from trainer.fit.sceneflow import scene_flow
 from trainer.fit.trainer import Trainer
 from trainer.lease.leases import LeaseConfig
 from trainer.step.colour import CameraColour
+from trainer.step.raster import View
 
 from .test_renew import NEAR_M, NEW_AT_M, NEW_RADIUS_M, Film, parameters, room, thing
 
@@ -33,9 +34,9 @@ def flow(
     rows = np.arange(len(before), dtype=np.int32)
     colour = CameraColour(len(film.cameras), 0)
     values = parameters(before)
-    compared, _, _ = Comparer(film.cameras, NEAR_M, for_flow=True).compare(
-        values, rows, film, 1, colour, 0
-    )
+    compared, _, _ = Comparer(
+        [View.prepare(c, NEAR_M) for c in film.cameras], for_flow=True
+    ).compare(values, rows, film, 1, colour, 0)
     guesses = np.full_like(before.means, guess_m)
     return scene_flow(compared, before.means, guesses, np.random.default_rng(0)), is_thing
 

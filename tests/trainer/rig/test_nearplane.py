@@ -24,7 +24,16 @@ from tests.support.tiny_capture import tiny_rig
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
-from trainer.rig.nearplane import LEAST_SHARE, MARGIN, cut_by, look, near_plane
+from trainer.rig.nearplane import (
+    LEAST_OWN_SHARE,
+    LEAST_SHARE,
+    MARGIN,
+    cut_by,
+    look,
+    near_doubts,
+    near_plane,
+    near_planes,
+)
 from trainer.run.config import TrainConfig
 from trainer.run.prepare import prepare
 from trainer.synth.film import Studio
@@ -58,10 +67,16 @@ def near_of(capture: Capture) -> float:
     return near
 
 
-def warned_of_near(lines: list[str]) -> str:
-    """The one warning about the near plane."""
-    (found,) = [line for line in all_said(lines, "warning") if "near plane" in line]
-    assert "--near-m" in found
+def planes_of(capture: Capture) -> dict[str, float]:
+    """The near planes by camera."""
+    planes = near_planes(capture, look(capture, range(1)))
+    return dict(zip([c.camera.name for c in capture.cameras], planes, strict=True))
+
+
+def warned_of_near(lines: list[str]) -> list[str]:
+    """The warnings about near planes, one for each camera."""
+    found = [line for line in all_said(lines, "warning") if "near plane" in line]
+    assert all("--near-m" in line for line in found)
     return found
 
 
@@ -72,7 +87,9 @@ def test_a_rig_that_sees_nothing_near_keeps_what_the_rig_suggests(tmp_path: Path
     for name, points in (("with", 2000), ("without", 0)):
         capture = write(tmp_path / name, cameras, points)
         assert near_of(capture) == capture.near_m == pytest.approx(depths[0])
+        assert set(planes_of(capture).values()) == {capture.near_m}
     assert said(checked(tmp_path / "with"), "near").endswith(", from the rig")
+    assert not all_said(checked(tmp_path / "with"), "near of")
     assert said(checked(tmp_path / "with"), "near cuts").startswith("at most 0.5%")
 
 
@@ -88,12 +105,19 @@ def test_points_that_a_camera_sees_bring_it_in(tmp_path: Path) -> None:
     lines = checked(tmp_path)
     told = f"{near:.3g} units, from what the cameras see; the rig alone would give {suggested:.3g}"
     assert said(lines, "near") == told
-    assert not all_said(lines, "near cuts")
-    assert "of what cam10 sees" in warned_of_near(lines)
+    assert said(lines, "near cuts").startswith("at most 0.5%")  # cameras have planes of their own
+    planes = planes_of(capture)
+    for camera in cameras:
+        own = MARGIN * least_depth(camera)
+        if own < MARGIN * suggested:
+            assert planes[camera.name] == pytest.approx(own, rel=0.1)
+        else:
+            assert planes[camera.name] <= suggested
+    assert f"cam10 {planes['cam10']:.3g}" in said(lines, "near of")
     assert said(checked(tmp_path, near_m=0.8 * nearest), "near cuts").startswith("at most 0.5%")
     cut = warned_of_near(checked(tmp_path, near_m=suggested))
-    assert "of what cam00 sees" in cut
-    assert "of what cam10 sees" in cut
+    assert len(cut) == 3
+    assert any(line.startswith("the near plane of cam10, ") for line in cut)
     assert said(checked(tmp_path, near_m=suggested), "near").endswith("units, as given")
 
 
@@ -118,9 +142,33 @@ def test_stray_points_do_not(tmp_path: Path) -> None:
         xyz[i] = cameras[6].position + 0.9 * cameras[6].forward
     there = replace(capture, points=replace(points, xyz=xyz))
     assert near_of(there) == pytest.approx(MARGIN * 0.9)
+    assert planes_of(there)["cam06"] == pytest.approx(MARGIN * 0.9)
     seen = look(there, range(1))
     assert seen is not None
     assert cut_by(there, seen, 0.91)[0][0] == "cam06"
+
+
+def test_what_is_too_near_is_cut_and_named(tmp_path: Path) -> None:
+    """A camera's own plane has a bound, and a camera that is held out has one as well."""
+    cameras = camera_rig(12, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
+    write(tmp_path, cameras, 3000)
+    (tmp_path / "held_out.txt").write_text("cam06\n")
+    capture = open_capture(tmp_path)
+    points, suggested = capture.points, capture.near_m
+    assert points is not None
+    assert suggested is not None
+    for depth, own in ((0.5, MARGIN * 0.5), (0.1, LEAST_OWN_SHARE)):
+        xyz = points.xyz.copy()
+        xyz[:60] = cameras[6].position + depth * suggested * cameras[6].forward
+        near_by = replace(capture, points=replace(points, xyz=xyz))
+        seen = look(near_by, range(1))
+        planes = near_planes(near_by, seen)
+        assert planes[6] == pytest.approx(own * suggested, rel=0.01)
+        doubts = near_doubts(near_by, seen, planes)
+        if depth > LEAST_OWN_SHARE:
+            assert not doubts
+        else:
+            assert doubts[0].startswith("the near plane of cam06, ")
 
 
 def test_pictures_without_texture_do_not(tmp_path: Path) -> None:
@@ -139,6 +187,7 @@ def test_a_rig_that_looks_one_way_keeps_what_it_declares(tmp_path: Path) -> None
     seen = look(capture, range(1))
     assert seen is None
     assert near_plane(capture, seen) == capture.near_m
+    assert near_planes(capture, seen) == ()
     capture = write(tmp_path / "without", cameras, 0)
     assert near_plane(capture, look(capture, range(1))) is None
     assert said(checked(tmp_path / "without"), "near").startswith("0.2 units, by default")
@@ -147,10 +196,12 @@ def test_a_rig_that_looks_one_way_keeps_what_it_declares(tmp_path: Path) -> None
 def test_new_places_are_looked_for_from_where_the_rig_suggests(tmp_path: Path) -> None:
     capture = write(tmp_path / "c", close_rig(), 6000)
     found = prepare(TrainConfig(tmp_path / "c", tmp_path / "s"))
-    (doubt,) = found.near_doubts  # which training prints
-    assert "of what cam10 sees" in doubt
+    assert not found.near_doubts
     assert capture.near_m is not None
     assert found.near_m < 0.9 * capture.near_m
     assert found.search_from_m == capture.near_m
+    assert found.camera_near_m == tuple(planes_of(capture).values())
+    assert found.training_planes == list(found.camera_near_m)
     given = prepare(TrainConfig(tmp_path / "c", tmp_path / "s", near_m=0.3))
     assert given.near_m == given.search_from_m == 0.3
+    assert set(given.training_planes) == {0.3}

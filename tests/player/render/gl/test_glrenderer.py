@@ -150,6 +150,21 @@ def test_the_renderer_draws_the_ring(open_gl: OpenGl, swin_size: int) -> None:
             assert psnr_db(gl.render(birth, camera), expected) >= 60
 
 
+def test_a_camera_has_a_near_plane_of_its_own(open_gl: OpenGl) -> None:
+    manifest = small_manifest(slice_size=100)
+    own = tuple(np.linspace(3.5, 4.5, len(manifest.cameras)).tolist())
+    manifest = replace(manifest, camera_near_m=own)
+    gl, cpu, ring = open_gl(manifest), CpuRenderer(manifest), Ring(SWIN_SIZE, 100, 1)
+    for birth in range(1 - SWIN_SIZE, 1):
+        for player in (gl, cpu, ring):
+            player.put(random_slice(birth, 100))
+    for camera, near_m in zip(manifest.cameras, own, strict=True):
+        expected = render_splats(ring.active(0), camera, near_m)
+        assert psnr_db(expected, render_splats(ring.active(0), camera, manifest.near_m)) < 40
+        np.testing.assert_array_equal(cpu.render(0, camera), expected)
+        assert psnr_db(gl.render(0, camera), expected) >= 60
+
+
 def test_slices_put_early_do_not_show_early(open_gl: OpenGl) -> None:
     manifest = small_manifest(slice_size=100)
     gl, patient = open_gl(manifest), open_gl(manifest)
