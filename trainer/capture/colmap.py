@@ -42,7 +42,8 @@ from .colmap_model import (
 )
 from .held_out import read_held_out
 from .lens import Lens, check_optics
-from .masks import MASKS_NAME, mask_source, mirrored_masks
+from .maskfolders import folder_masks, has_mask_folders
+from .masks import MASKS_NAME, MaskFiles, mask_source, mirrored_masks
 from .picturefiles import (
     FRAMES_NAME,
     IMAGES_NAME,
@@ -78,12 +79,13 @@ def open_colmap(root: Path) -> Capture:
         picture_source(camera, found[name][1], of_camera, optics_path)
         for name, camera, of_camera in zip(names, cameras, files, strict=True)
     ]
-    masks = [
-        mask_source(camera, found[name][1], of_camera)
-        for name, camera, of_camera in zip(
-            names, cameras, mirrored_masks(root / MASKS_NAME, pictures, files), strict=True
-        )
-    ]
+    lenses = [found[name][1] for name in names]
+    masks: list[MaskFiles | None]
+    if by_frame and has_mask_folders(root, cameras):
+        masks = folder_masks(root, cameras, lenses, len(files[0]))
+    else:
+        mirrored = mirrored_masks(root / MASKS_NAME, pictures, files)
+        masks = list(map(mask_source, cameras, lenses, mirrored))
     held_out = read_held_out(root, cameras)
     points = read_model_points(model)
     depths = rig_depths(cameras, points_depths(points, cameras) if points else None)

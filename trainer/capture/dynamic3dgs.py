@@ -5,6 +5,7 @@
     ims/<camera>/<frame>.jpg
     init_pt_cld.npz                   optional initial points, see points.py
     fps.txt                           optional, see picturefiles.py; the layout itself has no rate
+    masks/                            optional, see maskfolders.py
 
     held_out.txt                      optional, see held_out.py; where it is missing, the cameras of
                                       test_meta.json are held out
@@ -33,6 +34,7 @@ from trainer.errors import CaptureError
 from .capture import STILL_TOLERANCE, Capture, CaptureCamera, PictureSource
 from .held_out import HELD_OUT_NAME, read_held_out
 from .lens import Lens, check_optics
+from .maskfolders import folder_masks
 from .picturefiles import FileSource, read_fps
 from .points import read_points
 
@@ -73,6 +75,10 @@ def open_dynamic3dgs(root: Path) -> Capture:
     if len(metas) == 1 or (root / HELD_OUT_NAME).is_file():
         held_out = read_held_out(root, [c.camera for c in cameras])
         cameras = tuple(replace(c, held_out=c.camera.name in held_out) for c in cameras)
+    masks = folder_masks(
+        root, [c.camera for c in cameras], [Lens()] * len(cameras), metas[0].num_frames
+    )
+    cameras = tuple(replace(c, masks=mask) for c, mask in zip(cameras, masks, strict=True))
     sources = _sources(root, [(c.camera, names, path) for c, names, path in ordered])
     depths = rig_depths([c.camera for c in cameras])
     points = next((root / name for name in POINTS_NAMES if (root / name).is_file()), None)

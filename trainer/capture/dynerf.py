@@ -4,6 +4,7 @@
     poses_bounds.npy   (V, 17) float64, one row per video, see `decode_pose`
     held_out.txt       optional, see held_out.py
     points.npz         optional initial points in the poses' world, see points.py
+    masks/             optional, see maskfolders.py
 
 All videos have the same number of frames; the frame rate is that of their containers. The unit of
 the poses is taken as a metre. The layout cannot describe lens distortion, so the videos must be
@@ -26,6 +27,7 @@ from trainer.errors import CaptureError
 from .capture import Capture, CaptureCamera, PictureSource
 from .held_out import read_held_out
 from .lens import Lens, check_optics
+from .maskfolders import folder_masks
 from .points import read_points
 from .video import VideoSource, check_synchronised, check_video_size, probe_video
 
@@ -63,10 +65,14 @@ def open_dynerf(root: Path) -> Capture:
     def open_images(camera_index: int) -> PictureSource:
         return VideoSource(videos[camera_index], cameras[camera_index], num_frames)
 
+    masks = folder_masks(root, cameras, [Lens()] * len(cameras), num_frames)
     return Capture(
         root=root,
         layout="dynerf",
-        cameras=tuple(CaptureCamera(camera, camera.name in held_out) for camera in cameras),
+        cameras=tuple(
+            CaptureCamera(camera, camera.name in held_out, mask)
+            for camera, mask in zip(cameras, masks, strict=True)
+        ),
         num_frames=num_frames,
         fps=facts[0].fps,
         points=read_points(root / POINTS_NAME) if (root / POINTS_NAME).is_file() else None,

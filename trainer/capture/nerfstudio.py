@@ -18,7 +18,8 @@ An entry's file_path has one of these forms, the same for all entries:
                                            and lens are a camera, cam00 for the first in the file
 
 An entry's mask_path, optional, is the mask of its picture (see masks.py), or of all frames of the
-camera that the entry stands for. A camera has one in each of its entries or in none.
+camera that the entry stands for. A camera has one in each of its entries or in none. If no entry
+has one, the folder masks/ may have them, see maskfolders.py.
 
 `fps` tells the frames per second; without it the videos do, or fps.txt beside pictures (see
 picturefiles.py). Pictures of lenses that bend are straightened as they are read; fisheye models are
@@ -46,6 +47,7 @@ from .dynerf import POINTS_NAME
 from .entryfiles import CameraFiles, files_by_camera, is_video
 from .held_out import HELD_OUT_NAME, read_held_out
 from .lens import straight_source
+from .maskfolders import folder_masks
 from .masks import mask_source
 from .picturefiles import natural_order, picture_source, read_fps, require_files, safe_path
 from .points import points_depths, read_ply, read_points
@@ -63,7 +65,7 @@ def open_nerfstudio(root: Path) -> Capture:
     cameras = [replace(p.entry.camera, name=name) for p, name in zip(rig, names, strict=True)]
     shoot = _filmed if is_video(entries[0]) else _photographed
     footage = shoot(transforms.path, rig, cameras, _declared_fps(transforms))
-    masks = _mask_sources(rig, cameras)
+    masks = _mask_sources(transforms.root, rig, cameras, footage.num_frames)
     held_out = _held_out(transforms, cameras, rig)
     points = _read_points(transforms)
     depths = rig_depths(cameras, points_depths(points, cameras) if points else None)
@@ -93,8 +95,12 @@ def _declared_fps(transforms: Transforms) -> float | None:
     return fps
 
 
-def _mask_sources(rig: Sequence[CameraFiles], cameras: Sequence[Camera]) -> list[MaskSource | None]:
+def _mask_sources(
+    root: Path, rig: Sequence[CameraFiles], cameras: Sequence[Camera], num_frames: int
+) -> list[MaskSource | None]:
     """The masks of each camera; None for a camera without any."""
+    if not any(p.masks for p in rig):
+        return [*folder_masks(root, cameras, [p.entry.lens for p in rig], num_frames)]
     require_files([p.masks for p in rig], f"a mask_path of {TRANSFORMS_NAME} names it")
     return [
         mask_source(camera, p.entry.lens, p.masks) for p, camera in zip(rig, cameras, strict=True)

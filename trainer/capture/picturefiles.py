@@ -83,11 +83,7 @@ def pictures_by_camera(folders: Sequence[Path]) -> list[tuple[Path, ...]]:
     for folder in folders:
         if not folder.is_dir():
             raise CaptureError(f"{folder}: is missing; a camera's numbered pictures belong there")
-        found: dict[int, Path] = {}
-        for name in _listing(folder):
-            number = frame_number(Path(name).stem)
-            if number is not None and Path(name).suffix.lower() in PICTURE_SUFFIXES:
-                _add(found, number, folder / name)
+        found = _numbered(folder, PICTURE_SUFFIXES)
         first = first or found
         odd = sorted(found.keys() ^ first.keys())
         if odd and found:
@@ -95,6 +91,24 @@ def pictures_by_camera(folders: Sequence[Path]) -> list[tuple[Path, ...]]:
             raise CaptureError(f"{lacking}: lacks frame {odd[0]}, which {having} has")
         pictures.append(tuple(_without_gap(found, folder)))
     return pictures
+
+
+def numbered_files(folder: Path, suffixes: Collection[str]) -> tuple[Path, ...]:
+    """The numbered files with one of the suffixes in a folder, in order of number.
+
+    Raises CaptureError if there is none, if two have one number or if one is missing between
+    others.
+    """
+    return tuple(_without_gap(_numbered(folder, suffixes), folder))
+
+
+def _numbered(folder: Path, suffixes: Collection[str]) -> dict[int, Path]:
+    found: dict[int, Path] = {}
+    for name in _listing(folder):
+        number = frame_number(Path(name).stem)
+        if number is not None and Path(name).suffix.lower() in suffixes:
+            _add(found, number, folder / name)
+    return found
 
 
 def require_files(

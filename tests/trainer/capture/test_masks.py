@@ -193,7 +193,77 @@ def test_masks_are_straightened_with_their_pictures(tmp_path: Path) -> None:
     assert ((picture > 0) & (picture < 255) & (straight == 0)).any()
 
 
-def test_other_layouts_have_none(tmp_path: Path) -> None:
+def write_layout(root: Path, layout: str) -> None:
+    """Pictures or videos of at least three cameras, cam00 and so on, without masks."""
+    match layout:
+        case "dynamic3dgs":
+            write_dynamic3dgs(root, num_frames=NUM_FRAMES)
+        case "dynerf":
+            write_dynerf(root, num_frames=NUM_FRAMES)
+        case "colmap":
+            write_colmap(root, by_frame=True)
+        case "nerfstudio":
+            write_transforms(root, write_nerfstudio(root, listed=True)[1])
+        case _:
+            cameras = tiny_rig(3)
+            write_transforms(root, transforms_of(cameras, write_videos(root, cameras, NUM_FRAMES)))
+
+
+LAYOUTS = ("dynamic3dgs", "dynerf", "colmap", "nerfstudio", "nerfstudio videos")
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_layout_takes_a_folder_of_masks_for_a_camera(tmp_path: Path, layout: str) -> None:
+    root = tmp_path / "c"
+    write_layout(root, layout)
+    for frame in range(NUM_FRAMES):
+        save_mask(root / f"masks/cam01/mask_{frame + 7:04d}.png", 1, frame)
+    save_mask(root / "masks/cam02/0.png", 2, 1)  # for all frames
+    (root / "masks/.DS_Store").touch()
+    capture = open_capture(root)
+    has = {c.camera.name for c in capture.cameras if c.masks is not None}
+    assert has == {"cam01", "cam02"}
+    for frame in range(NUM_FRAMES):
+        expect(capture, 1, frame, frame)
+        expect(capture, 2, frame, 1)
+    lines = describe_capture(capture)
+    (line,) = (line for line in lines if line.startswith("masks"))
+    assert f"2 of {len(capture.cameras)} cameras have them, 1 one for all frames" in line
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_folder_of_masks_that_cannot_be_used(tmp_path: Path, layout: str) -> None:
+    root = tmp_path / "c"
+    write_layout(root, layout)
+    folder = root / "masks/cam01"
+    for frame in range(NUM_FRAMES):
+        save_mask(folder / f"{frame}.png", 1, frame)
+
+    def said() -> str:
+        return refusal(lambda: open_capture(root))
+
+    (folder / "1.png").rename(tmp_path / "1.png")
+    assert "masks/cam01: frame 1 is missing before frame 2" in said()
+    (tmp_path / "1.png").rename(folder / "1.png")
+    (folder / "2.png").unlink()
+    assert "masks/cam01: has 2 masks, 0.png to 1.png, for 3 frames; give one" in said()
+    save_mask(folder / "2.png", 1, 2)
+    Image.fromarray(grey_of(1, 0)[:, 1:]).save(folder / "0.png")
+    assert "masks/cam01/0.png: is 63x36 px; its picture has 64x36 px" in said()
+    save_mask(folder / "0.png", 1, 0)
+    Image.fromarray(grey_of(1, 2)[:, 1:]).save(folder / "2.png")
+    capture = open_capture(root)
+    assert "masks/cam01/2.png: is 63x36 px" in refusal(lambda: mask(capture, 1, 2))
+    save_mask(folder / "2.png", 1, 2)
+    (root / "masks/kamera").mkdir()
+    assert "masks/kamera: is not the name of a camera (cam00, cam01, cam02" in said()
+    (root / "masks/kamera").rmdir()
+    for file in folder.iterdir():
+        file.unlink()
+    assert "masks/cam01: holds no numbered frames" in said()
+
+
+def test_the_segmentation_of_a_data_set_is_no_mask(tmp_path: Path) -> None:
     """The seg folder of Dynamic 3D Gaussians tells foreground, not what to ignore."""
     write_dynamic3dgs(tmp_path / "d", num_frames=NUM_FRAMES)
     for index in range(4):

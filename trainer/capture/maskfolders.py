@@ -1,0 +1,65 @@
+"""Masks beside a capture of any layout: a folder of numbered pictures for each camera.
+
+    masks/<camera>/<number>.png     what masks.py says, one for each frame or one for all
+
+The numbers may start anywhere but must not have a gap; the first is frame 0 of the capture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from codec.camera import Camera
+from trainer.errors import CaptureError
+
+from .lens import Lens
+from .masks import MASKS_NAME, MaskFiles, mask_source
+from .picturefiles import folder_names, numbered_files
+
+SUFFIXES = frozenset({".png"})
+MAX_NAMED = 4
+"""Cameras named in an error."""
+
+
+def has_mask_folders(root: Path, cameras: Sequence[Camera]) -> bool:
+    """Whether the masks of a capture lie in folders with the names of cameras."""
+    return any((root / MASKS_NAME / camera.name).is_dir() for camera in cameras)
+
+
+def folder_masks(
+    root: Path, cameras: Sequence[Camera], lenses: Sequence[Lens], num_frames: int
+) -> list[MaskFiles | None]:
+    """The masks of each camera; None for a camera without a folder.
+
+    Raises CaptureError if the folder of masks has one that is no camera's, if a mask is missing,
+    or if the first of a camera has another size than its pictures.
+    """
+    folder = root / MASKS_NAME
+    if not folder.is_dir():
+        return [None] * len(cameras)
+    names = [camera.name for camera in cameras]
+    strange = sorted(name for name in folder_names(folder) if name not in names)
+    if strange:
+        known = ", ".join(names[:MAX_NAMED]) + ", ..." * (len(names) > MAX_NAMED)
+        raise CaptureError(
+            f"{folder / strange[0]}: is not the name of a camera ({known}); masks are "
+            f"{MASKS_NAME}/<camera>/<number>.png; rename it, or the folder {MASKS_NAME}"
+        )
+    return [
+        mask_source(camera, lens, _files(folder / camera.name, num_frames))
+        for camera, lens in zip(cameras, lenses, strict=True)
+    ]
+
+
+def _files(folder: Path, num_frames: int) -> tuple[Path, ...]:
+    """The masks of a camera, a file per frame or one for all; none without the folder."""
+    if not folder.exists():
+        return ()
+    files = numbered_files(folder, SUFFIXES)
+    if len(files) not in (1, num_frames):
+        raise CaptureError(
+            f"{folder}: has {len(files)} masks, {files[0].name} to {files[-1].name}, for "
+            f"{num_frames} frames; give one for each frame, or one for all"
+        )
+    return files
