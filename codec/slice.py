@@ -33,7 +33,7 @@ class Slice:
     other Gaussians go on for `swin_size` frames: the hidden ones hidden, the rest shown from
     `birth` on.
 
-    `motion`: of those of its rows that go on from what stood there; None where that is not known.
+    `motion`: how what stood there becomes what it brings; None where that is not known.
     """
 
     birth: int

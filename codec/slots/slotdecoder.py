@@ -7,7 +7,7 @@ layout.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,16 @@ LOG_SHARE = 6
 """The bound as a multiple of the bytes of the slots, where that is more than MIN_LOG_BYTES.
 Measured: while the snapshots of three of four layers are missing, a segment of 30 frames that
 changes 30 % of the slots in each keeps about 4 times their bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """M slots of a lane before a slice that changes them."""
+
+    rows: Ints  # (M,) rising, counted over all layers
+    splats: Splats  # M
+    here: Flags  # (M,) where there is a Gaussian
+    renewed: Flags  # (M,) those that the slice does not predict
 
 
 class SlotDecoder:
@@ -164,7 +174,7 @@ class SlotDecoder:
         unless it was that of the segment's first frame.
         blamed: makes of an error the one that is raised, given the layer of the change at fault,
         or None if it is the mask.
-        with_motion: whether the slice says where its predicted slots come from.
+        with_motion: whether the slice says where its Gaussians come from, and which ones leave.
         Gives the slots that changed since the lane's slice before, by late changes and snapshots,
         too, as a slice with rows: row r is slot r of the lane, counted over all layers.
         """
@@ -178,7 +188,7 @@ class SlotDecoder:
         lane = self.layout.lane(birth)
         statuses, deltas = self._read(birth, mask, changes, blamed)
         parts = self._by_layer(statuses)
-        moving = self._moving(lane, parts) if with_motion else None
+        held = self._held(lane, parts) if with_motion else None
         for layer, delta in enumerate(deltas):
             slots = self.lanes[lane][layer]
             if layer < len(changes):
@@ -190,17 +200,21 @@ class SlotDecoder:
         self.history.note(birth, statuses)
         self._go_on(birth, statuses)
         changed = self._changed(birth, [part != KEPT for part in parts])
-        return changed if moving is None else _with_motion(changed, *moving)
+        return changed if held is None else _with_motion(changed, held)
 
-    def _moving(self, lane: int, parts: list[Bytes]) -> tuple[Ints, Splats]:
-        """The slots of a lane that are predicted and hold what was handed out, and that."""
-        rows = []
+    def _held(self, lane: int, parts: list[Bytes]) -> _Held:
+        """What the slots of a lane that `parts` change hold, as it was handed out."""
+        rows, here, statuses = [], [], []
         for layer, (part, slots) in enumerate(zip(parts, self.lanes[lane], strict=True)):
-            moves = (part == PREDICTED) & holds(slots.conditions)
+            changes = part != KEPT
             pending = self._pending.get((lane, layer))
-            rows.append(np.flatnonzero(moves if pending is None else moves & ~pending))
+            if pending is not None:
+                changes &= ~pending
+            rows.append(np.flatnonzero(changes))
+            here.append(holds(slots.conditions[rows[-1]]))
+            statuses.append(part[rows[-1]])
         numbers, splats, _ = self._drawn(lane, rows)
-        return numbers, splats
+        return _Held(numbers, splats, np.concatenate(here), np.concatenate(statuses) != PREDICTED)
 
     def _go_on(self, birth: int, statuses: Bytes | None) -> None:
         """Notes that the slices have come to `birth`; statuses: None if its mask is missing."""
@@ -430,12 +444,13 @@ class SlotDecoder:
         return numbers, Splats(*arrays), starts
 
 
-def _with_motion(changed: Slice, rows: Ints, before: Splats) -> Slice:
-    """`changed`, whose `rows` held `before`. Gaussians that start
-    later do not move before they start."""
+def _with_motion(changed: Slice, held: _Held) -> Slice:
+    """`changed`, with the motion of the rows that are `held`. Gaussians that start later do not
+    show yet."""
     assert changed.rows is not None
-    places = np.searchsorted(changed.rows, rows)
-    shows = changed.start_offsets[places] == 0
-    after = changed.splats.take(places[shows])
-    motion = Motion(changed.rows[places[shows]], before.take(np.flatnonzero(shows)), after)
+    places = np.searchsorted(changed.rows, held.rows)
+    is_here = changed.start_offsets[places] == 0
+    motion = Motion.of(
+        held.rows, held.splats, held.here, changed.splats.take(places), is_here, held.renewed
+    )
     return replace(changed, motion=motion)

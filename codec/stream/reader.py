@@ -9,6 +9,7 @@ from collections import OrderedDict
 from collections.abc import Iterator
 
 from codec.errors import CodecError, InvalidError, UnsupportedError
+from codec.halfway import Motion
 from codec.lattice.floats import bytes_per_gaussian
 from codec.slice import Slice, active_splats
 from codec.slots.slotdecoder import SlotDecoder
@@ -179,6 +180,16 @@ class StreamReader:
             raise InvalidError(f"{self.name} has no frame {frame}; it has {self.num_frames} frames")
         self._check_layers(num_layers)
         return self._seeker.window(frame, num_layers)
+
+    def motion(self, frame: int, later: int, num_layers: int) -> Motion:
+        """The motion of all slots from `frame` to a `later` one: the Gaussians between them."""
+        if not 0 <= frame < later < self.num_frames:
+            raise InvalidError(
+                f"{self.name} has {self.num_frames} frames; there is no motion from {frame} to "
+                f"{later}"
+            )
+        self._check_layers(num_layers)
+        return self._seeker.motion(frame, later, num_layers)
 
     def active_splats(self, frame: int, num_layers: int) -> Splats:
         """All Gaussians that show at `frame`, oldest slice first."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from codec.errors import CodecError
+from codec.halfway import Motion
 from codec.slice import Slice, window_births
+from codec.slots.altered import motion_between
 from codec.slots.slotdecoder import SlotDecoder
 
 from .integrity import CheckedObject
@@ -35,10 +37,18 @@ def join(find: FindObject, manifest: Manifest, frame: int, decoder: SlotDecoder)
         raise
 
 
-def roll(find: FindObject, manifest: Manifest, frame: int, decoder: SlotDecoder) -> None:
-    """Applies to `decoder` the slices behind the one that it stands at, up to that of `frame`.
-    Raises a CodecError that names the object at fault; the decoder stands before its slice then."""
+def roll(
+    find: FindObject,
+    manifest: Manifest,
+    frame: int,
+    decoder: SlotDecoder,
+    with_motion: bool = False,
+) -> list[Slice]:
+    """Applies to `decoder` the slices behind the one that it stands at, up to that of `frame`, and
+    gives them, as `SlotDecoder.apply` does. Raises a CodecError that names the object at fault; the
+    decoder stands before its slice then."""
     assert decoder.frame is not None
+    made = []
     for birth in range(decoder.frame + 1, frame + 1):
         segment = manifest.segment_of(birth)
         masks = find(segment, MASKS)
@@ -54,7 +64,8 @@ def roll(find: FindObject, manifest: Manifest, frame: int, decoder: SlotDecoder)
             return (masks if layer is None else layers[layer]).blamed(error, birth)
 
         changes = [found.content(birth) for found in layers]
-        decoder.apply(birth, masks.content(birth), changes, blamed)
+        made.append(decoder.apply(birth, masks.content(birth), changes, blamed, with_motion))
+    return made
 
 
 class Seeker:
@@ -78,6 +89,13 @@ class Seeker:
             if layers >= num_layers and decoder.frame == frame:
                 return decoder.window(frame, num_layers)
         return self._at(frame, num_layers).window(frame)
+
+    def motion(self, frame: int, later: int, num_layers: int) -> Motion:
+        """The motion of all slots from `frame` to a `later` one. Raises a CodecError."""
+        decoder = self._at(frame, num_layers).copy()
+        before = decoder.window(frame)
+        changes = roll(self._find, self._manifest, later, decoder, with_motion=True)
+        return motion_between(before, changes, decoder.window(later))
 
     def _holds(self, decoder: SlotDecoder, birth: int) -> bool:
         """Whether the slice of `birth` lies in the window of `decoder` as it was born: of slices

@@ -1,5 +1,5 @@
-"""Slices on their way from the thread that brings them to the thread that draws, and what they
-move."""
+"""Slices on their way from the thread that brings them to the thread that draws, and the motion
+that they bring."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from codec.halfway import Motion
 from codec.slice import Slice
+from codec.splats import Splats
 
 Item = TypeVar("Item")
 
@@ -50,7 +51,7 @@ class Arrivals(Generic[Item]):
 
 
 class Glide:
-    """The Gaussians that the newest uploaded slice moves, and how far they have come."""
+    """What changes with the newest uploaded slice, and how far that has come."""
 
     def __init__(self) -> None:
         self._moving: list[tuple[int, Motion]] = []
@@ -58,19 +59,21 @@ class Glide:
 
     def start(self, frame: int, uploaded: Iterable[tuple[int, Motion | None]]) -> None:
         """All that was uploaded, by birth, is where it belongs; what the slice born at `frame`
-        moves may be drawn on its way."""
+        changes may be drawn on its way."""
         self._share = 1.0
         self._moving = [
             (birth, motion) for birth, motion in uploaded if birth == frame and motion is not None
         ]
 
-    def to(self, share: float) -> list[Slice]:
-        """Slices that put them at `share` of their way, 0 to 1, from where they were: they correct
-        those of their lanes. None if they are there."""
+    def to(self, share: float) -> tuple[list[Slice], list[Splats]]:
+        """Slices that put all at `share` of the way, 0 to 1, from where it was, and the Gaussians
+        that still fade out there. The slices correct those of their lanes. Nothing if all is there
+        already."""
         if share == self._share or not self._moving:
-            return []
+            return [], []
         self._share = share
-        return [
+        corrections = [
             Slice(birth, motion.at(share), np.zeros(len(motion.rows), np.uint8), motion.rows)
             for birth, motion in self._moving
         ]
+        return corrections, [motion.leaving_at(share) for _, motion in self._moving]

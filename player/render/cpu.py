@@ -57,10 +57,12 @@ class CpuRenderer:
             self._glide.start(frame, [(slice.birth, slice.motion) for slice in taken])
 
     def glide(self, share: float) -> bool:
-        moved = self._glide.to(share)
+        moved, leaving = self._glide.to(share)
         for slice in moved:
             self._ring.correct(slice)
             self.uploaded_bytes += slice.num_bytes
+        if moved:
+            self._ring.put_leaving(Splats.concatenate(leaving))
         return bool(moved)
 
     def render(self, frame: int, camera: Camera) -> Floats:

@@ -84,9 +84,9 @@ class Renderer(Protocol):
         ...
 
     def glide(self, share: float) -> bool:
-        """Draws what the slice of the frame that was uploaded last moves at `share` of its way,
-        0 to 1, from where it was in the frame before, until the next upload; gives whether that is
-        another picture. Only slices with a motion move anything."""
+        """Draws what the slice of the frame that was uploaded last changes at `share` of its way,
+        0 to 1, from the frame before, until the next upload: see codec/halfway.py. Gives whether
+        that is another picture. Only slices with a motion change anything."""
         ...
 
     def render(self, frame: int, camera: Camera) -> Floats:

@@ -20,7 +20,8 @@ class Ring:
     or some rows of it.
 
     Invariant: lane `birth % swin_size` holds what it shows from the birth put there last on, so
-    memory stays the same however many slices come.
+    memory stays the same however many slices come. Behind the lanes lie spare rows for Gaussians
+    that fade out, as many as there ever were at once.
     """
 
     def __init__(self, swin_size: int, slice_size: int, sh_degree: int) -> None:
@@ -38,6 +39,7 @@ class Ring:
         """The colours in which they were seen last."""
         self._start_offsets = np.zeros((swin_size, slice_size), np.uint8)
         self._births: list[int | None] = [None] * swin_size
+        self._num_leaving = 0
 
     def put(self, slice: Slice) -> None:
         """Copies `slice` into its lane, in place of what was there in the rows that it changes."""
@@ -60,6 +62,18 @@ class Ring:
         if slice.rows is not None and slice.corrects(self._births[lane]):
             self._write(lane, slice.rows, slice)
 
+    def put_leaving(self, leaving: Splats) -> None:
+        """Shows `leaving` in every frame, in place of those put here before."""
+        first, count = self.swin_size * self.slice_size, len(leaving)
+        if first + count > len(self.splats):
+            lanes = self.splats.take(slice(first))
+            self.splats = Splats.concatenate([lanes, blank_splats(count, self.sh_degree)])
+            self.seen = SeenColours.none_of(len(self.splats), self.sh_degree)
+        for array, changed in zip(self.splats.arrays, leaving.arrays, strict=True):
+            array[first : first + count] = changed
+        self.seen.forget(first, first + count, slice(None))
+        self._num_leaving = count
+
     def _write(self, lane: int, rows: Rows, slice: Slice) -> None:
         first = lane * self.slice_size
         for array, changed in zip(self.splats.arrays, slice.splats.arrays, strict=True):
@@ -69,7 +83,8 @@ class Ring:
 
     def active_rows(self, frame: int) -> npt.NDArray[np.int32]:
         """(M,) int32: the rows of `splats` that show at `frame`, oldest slice first."""
-        parts = [np.empty(0, np.int32)]
+        spare = self.swin_size * self.slice_size
+        parts = [np.arange(spare, spare + self._num_leaving, dtype=np.int32)]
         for birth in window_births(frame, self.swin_size):
             lane = birth % self.swin_size
             if self._births[lane] != birth:

@@ -42,7 +42,7 @@ class Keyframe:
     focal: float  # fy in picture heights
 
 
-def read_keyframes(path: Path, camera: Camera, up: Doubles) -> Callable[[int], Camera]:
+def read_keyframes(path: Path, camera: Camera, up: Doubles) -> Callable[[float], Camera]:
     """The path in the file `path`; `camera` gives the picture's size and what the file leaves out.
 
     Before the first key frame and after the last one the camera stands still. Raises InvalidError.
@@ -113,7 +113,7 @@ def _keyframe(entry: Any, camera: Camera, up: Doubles) -> Keyframe:
     return Keyframe(frame, posed.position, quat_of(w2c[:3, :3]), focal)
 
 
-def _between(keyframes: list[Keyframe], frame: int, camera: Camera) -> Camera:
+def _between(keyframes: list[Keyframe], frame: float, camera: Camera) -> Camera:
     after = bisect_right(keyframes, frame, key=lambda keyframe: keyframe.frame)
     first = keyframes[max(after - 1, 0)]
     last = keyframes[min(after, len(keyframes) - 1)]

@@ -25,7 +25,7 @@ from .keyframes import read_keyframes
 
 log = logging.getLogger(__name__)
 
-CameraPath = Callable[[int], Camera]
+CameraPath = Callable[[float], Camera]
 """Gives the camera of a frame."""
 
 ENDLESS_TURN_S = 10.0
@@ -84,7 +84,7 @@ def orbit(manifest: Manifest, start: Camera, frames: FrameRange, arc_rad: float)
     period = frames.count or max(1, round(ENDLESS_TURN_S * manifest.fps))
     whole = arc_rad >= 2 * math.pi - 1e-9
 
-    def path(frame: int) -> Camera:
+    def path(frame: float) -> Camera:
         phase_rad = 2 * math.pi * ((frame - frames.first) % period) / period
         angle_rad = phase_rad if whole else arc_rad / 2 * math.sin(phase_rad)
         return turned(start, centre, axis, angle_rad)

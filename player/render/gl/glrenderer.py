@@ -126,7 +126,7 @@ class GlRenderer:
             return self._move(share)
 
     def _move(self, share: float) -> bool:
-        moved = self._glide.to(share)
+        moved, _ = self._glide.to(share)
         for slice in moved:
             with self._packing:
                 packed = self._packer.correct(slice)

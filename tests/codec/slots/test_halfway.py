@@ -1,4 +1,5 @@
-"""Gaussians between two frames: at their ends exact, between them on the straight way."""
+"""Gaussians between two frames: at their ends exact, between them on the straight way, and nowhere
+else."""
 
 from __future__ import annotations
 
@@ -8,11 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from codec.halfway import Motion
+from codec.halfway import JUMP_SIGMAS, Motion, jumps
+from codec.slice import HIDDEN
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import PREDICTED
+from codec.slots.update import KEPT, PREDICTED
 from codec.splats import Splats
 from tests.support.drawn import same_splats
 from tests.support.hosted_streams import random_splats
@@ -21,23 +23,33 @@ from tests.support.slots.updates import patternless_updates, small_layout
 SHARES = st.floats(0, 1, width=32)
 
 
-def motion(seed: int, count: int = 9) -> Motion:
+def motion(seed: int, count: int = 9, enters: bool = False) -> Motion:
     rows = np.arange(count, dtype=np.int32) * 3
-    return Motion(rows, random_splats(count, 1, seed), random_splats(count, 1, seed + 1))
+    first, last = random_splats(count, 1, seed), random_splats(count, 1, seed + 1)
+    flags = np.full(count, enters)
+    return Motion(rows, first, last, flags, random_splats(4, 1, seed + 2))
 
 
-@given(st.integers(0, 1000))
-def test_the_ends_are_exact(seed: int) -> None:
-    one = motion(seed)
-    assert one.at(0.0) is one.before
+@given(st.integers(0, 1000), st.booleans())
+def test_the_ends_are_exact(seed: int, enters: bool) -> None:
+    one = motion(seed, enters=enters)
     assert one.at(1.0) is one.after
+    assert len(one.leaving_at(1.0)) == 0
+    assert same_splats(one.all_at(1.0), one.after)
+    first = one.at(0.0)
+    expected = np.zeros(9) if enters else one.before.opacities
+    assert np.allclose(first.opacities, expected, atol=1e-6)
+    assert all(
+        np.array_equal(*ends) for ends in zip(first.arrays[:3], one.before.arrays[:3], strict=True)
+    )
+    assert np.allclose(one.leaving_at(0.0).opacities, one.leaving.opacities, atol=1e-6)
 
 
 @given(st.integers(0, 1000), SHARES)
 def test_what_is_between_lies_on_the_straight_way(seed: int, share: float) -> None:
     one = motion(seed)
     found = one.at(share)
-    for at in ("means", "log_scales", "logit_opacities", "sh"):
+    for at in ("means", "log_scales", "opacities", "sh"):
         first, last = getattr(one.before, at), getattr(one.after, at)
         expected = (1 - share) * first.astype(np.float64) + share * last
         assert np.allclose(getattr(found, at), expected, atol=1e-5)
@@ -48,7 +60,7 @@ def test_rotations_take_the_shorter_way_whatever_their_signs(seed: int, share: f
     one = motion(seed)
     arrays = list(one.after.arrays)
     arrays[2] = -arrays[2]
-    other = Motion(one.rows, one.before, Splats(*arrays))
+    other = Motion(one.rows, one.before, Splats(*arrays), one.enters, one.leaving)
     found, opposite = one.at(share).quats, other.at(share).quats
     cosines = np.abs((found * opposite).sum(1))
     assert np.allclose(cosines, np.linalg.norm(found, axis=1) * np.linalg.norm(opposite, axis=1))
@@ -60,20 +72,51 @@ def test_two_that_cancel_out_still_turn_by_something() -> None:
     before, after = random_splats(2, 0, 0), random_splats(2, 0, 1)
     first = Splats(before.means, before.log_scales, quats[:1].repeat(2, 0), *before.arrays[3:])
     last = Splats(after.means, after.log_scales, -quats[:1].repeat(2, 0), *after.arrays[3:])
-    found = Motion(np.arange(2, dtype=np.int32), first, last).at(0.5).quats
+    rows, enters = np.arange(2, dtype=np.int32), np.zeros(2, np.bool_)
+    found = Motion(rows, first, last, enters, Splats.empty()).at(0.5).quats
     assert (np.linalg.norm(found, axis=1) > 0.9).all()
 
 
 def test_parts_that_do_not_belong_together_are_refused() -> None:
+    rows, enters = np.arange(3, dtype=np.int32), np.zeros(3, np.bool_)
     with pytest.raises(InvalidError, match="3 rows"):
-        Motion(np.arange(3, dtype=np.int32), random_splats(2, 0, 0), random_splats(3, 0, 0))
+        Motion(rows, random_splats(2, 0, 0), random_splats(3, 0, 0), enters, Splats.empty())
+
+
+@given(st.integers(0, 10_000), SHARES)
+def test_no_slot_goes_where_neither_frame_has_a_gaussian(seed: int, share: float) -> None:
+    """Slots that go on, end, begin, jump, or are given to another Gaussian: what shows between the
+    frames is near a place of the frame before or after, and on the way only if it goes on."""
+    rng = np.random.default_rng(seed)
+    count = 40
+    before, after = random_splats(count, 0, seed), random_splats(count, 0, seed + 1)
+    near = before.means + rng.normal(0, 0.01, before.means.shape).astype(np.float32)
+    moves = rng.random(count) < 0.5
+    after = Splats(np.where(moves[:, None], near, after.means), *after.arrays[1:])
+    was_here, is_here, renewed = (rng.random(count) < p for p in (0.8, 0.8, 0.3))
+    made = Motion.of(np.arange(count, dtype=np.int32), before, was_here, after, is_here, renewed)
+    assert made.rows.tolist() == np.flatnonzero(is_here).tolist()
+    jumped = jumps(before, after)
+    on = was_here & is_here & ~renewed & ~jumped
+    assert (made.enters == ~on[is_here]).all()
+    assert len(made.leaving) == (was_here & ~on).sum()
+    assert np.array_equal(made.leaving.means, before.means[was_here & ~on])
+    found = made.at(share)
+    sigma_m = np.exp(np.maximum(before.log_scales.max(1), after.log_scales.max(1)))
+    away_m = np.linalg.norm(found.means - after.means[is_here], axis=1)
+    assert (away_m <= JUMP_SIGMAS * sigma_m[is_here] * (1 + 1e-5)).all()
+    assert (away_m[made.enters] <= 1e-5).all()
+    # Never more opaque than in the frames that have it.
+    assert (found.opacities[made.enters] <= after.opacities[is_here][made.enters] + 1e-6).all()
+    faded = made.leaving_at(share)
+    assert share == 1 or (faded.opacities <= made.leaving.opacities + 1e-6).all()
 
 
 @pytest.mark.parametrize("num_layers", [1, 2])
 @pytest.mark.parametrize("layout", [small_layout(), small_layout(3, (6, 4), 1, 5)])
-def test_a_decoder_says_what_its_predicted_slots_were(layout: SlotLayout, num_layers: int) -> None:
+def test_a_decoder_reports_what_its_slots_were(layout: SlotLayout, num_layers: int) -> None:
     encoder, decoder = SlotEncoder(layout), SlotDecoder(layout, num_layers)
-    plain, moving = SlotDecoder(layout, num_layers), 0
+    plain, moving, left = SlotDecoder(layout, num_layers), 0, 0
     for update in patternless_updates(layout, 40, seed=4):
         encoded = encoder.append(update)
         if update.birth == 0:
@@ -90,13 +133,26 @@ def test_a_decoder_says_what_its_predicted_slots_were(layout: SlotLayout, num_la
         assert same_splats(made.splats, same.splats)
         assert made.motion is not None
         assert made.rows is not None
-        rows = made.motion.rows
-        held = update.statuses[: sum(layout.slots[:num_layers])] == PREDICTED
-        assert held[rows].all()
-        assert same_splats(made.motion.before, before.splats.take(rows))
-        places = np.searchsorted(made.rows, rows)
-        assert (made.rows[places] == rows).all()
-        assert same_splats(made.motion.after, made.splats.take(places))
-        assert made.num_bytes > same.num_bytes or not len(rows)
-        moving += len(rows)
+        motion, width = made.motion, sum(layout.slots[:num_layers])
+        held = before.start_offsets != HIDDEN
+        places = np.searchsorted(made.rows, motion.rows)
+        assert (made.rows[places] == motion.rows).all()
+        assert (made.start_offsets[places] == 0).all()
+        assert same_splats(motion.after, made.splats.take(places))
+        on = motion.rows[~motion.enters]
+        predicted = update.statuses[:width] == PREDICTED
+        assert predicted[on].all()
+        assert held[on].all()
+        at = np.flatnonzero(~motion.enters)
+        assert same_splats(motion.before.take(at), before.splats.take(on))
+        # What is there before and does not go on leaves, unless it is kept.
+        changes = update.statuses[:width] != KEPT
+        changes[on] = False
+        # What a snapshot brought is handed out with the lane's next slice, and fades nowhere.
+        was_handed_out = update.birth > layout.swin_size
+        gone = np.flatnonzero(held & changes & was_handed_out)
+        assert same_splats(motion.leaving, before.splats.take(gone))
+        assert made.num_bytes > same.num_bytes or not len(motion.rows)
+        moving, left = moving + len(on), left + len(gone)
     assert moving > 10
+    assert left > 10
