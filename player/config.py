@@ -216,6 +216,10 @@ class PlayConfig:
     turntable: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Move the camera around the still once in this time, or along --camera if that path moves.
     --capture names the .mp4 or .mov file or folder of PNGs."""
+    mute: bool = False
+    """Play without the stream's sound, and capture without a sound track."""
+    volume: float = 1.0
+    """Loudness of the sound, 0 to 1."""
     viser: Annotated[int | None, PORT] = None
     """Show the stream in a browser with viser (pip install '.[viser]' in the swings folder), at
     this port or the next free port. Without PORT, the port is 8080."""
@@ -249,6 +253,8 @@ class PlayConfig:
             raise InvalidError("--link works with only one host; give one URL")
         if self.cache is not None and self.cache.exists() and not self.cache.is_dir():
             raise InvalidError(f"cache {self.cache} is not a folder")
+        if not 0 <= self.volume <= 1:
+            raise InvalidError(f"volume {self.volume} is not within 0..1")
         if self.cache_bytes < 1:
             raise InvalidError(f"cache-bytes {self.cache_bytes} is not positive")
         if self.capture is not None:

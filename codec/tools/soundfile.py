@@ -132,20 +132,31 @@ def encode(
     return SoundObject(channels, pre_skip, count, 0, tuple(packets))
 
 
-def decode(packets: Iterable[bytes], channels: int) -> Iterator[Samples]:
-    """The samples of `packets`, with the pre-skip, one piece for each. Raises CorruptError."""
-    decoder: Any = av.CodecContext.create("libopus", "r")
-    decoder.sample_rate, decoder.layout = SAMPLE_RATE, LAYOUTS[channels]
-    for packet in packets:
+class PacketDecoder:
+    """A decoder of Opus that goes on from packet to packet."""
+
+    def __init__(self, channels: int) -> None:
+        self._channels = channels
+        self._decoder: Any = av.CodecContext.create("libopus", "r")
+        self._decoder.sample_rate, self._decoder.layout = SAMPLE_RATE, LAYOUTS[channels]
+
+    def decode(self, packet: bytes) -> Samples:
+        """The samples of the next packet. Raises CorruptError."""
         try:
-            frames = decoder.decode(av.Packet(packet))
+            frames = self._decoder.decode(av.Packet(packet))
         except (av.FFmpegError, ValueError) as error:
             raise CorruptError(f"sound: a packet is not Opus: {error}") from error
         pieces = [frame.to_ndarray() for frame in frames]
         found = np.concatenate(pieces, axis=1) if pieces else np.zeros((1, 0), np.int16)
         if found.dtype != np.int16:
             found = np.rint(np.clip(found, -1, 1) * 32767).astype(np.int16)
-        samples = found.reshape(-1, channels) if found.shape[0] == 1 else found.T
+        samples = found.reshape(-1, self._channels) if found.shape[0] == 1 else found.T
         if len(samples) != packet_samples(packet):
             raise CorruptError(f"sound: a packet gave {len(samples)} samples")
-        yield samples
+        return samples
+
+
+def decode(packets: Iterable[bytes], channels: int) -> Iterator[Samples]:
+    """The samples of `packets`, with the pre-skip, one piece for each. Raises CorruptError."""
+    decoder = PacketDecoder(channels)
+    yield from map(decoder.decode, packets)

@@ -29,12 +29,12 @@ from player.report.journal import MAX_ROWS, Journal
 from player.report.playsummary import PlayedOnce, PlaySummary, write_report
 from player.show.background import BLACK, on_background
 from player.show.backgroundtask import BackgroundTask
-from player.show.sink import FrameSink, to_bytes
+from player.show.sink import VIDEO_SUFFIXES, FrameSink, to_bytes
 from player.source.locate import check_url, is_url
 from player.source.opener import Opener
 from player.source.preview import Preview
 from player.source.source import Source
-from player.view.path import Size, scene_centre
+from player.view.path import CameraPath, Size, scene_centre
 from player.view.pathrecorder import PathRecorder
 from server.abr.link.link import Link
 from server.abr.playout import PlayoutConfig
@@ -42,6 +42,7 @@ from server.abr.playout import PlayoutConfig
 if TYPE_CHECKING:
     from player.show.glwindow import GlWindow
     from player.show.posterscreen import PosterScreen
+    from player.sound.soundtrack import SoundTrack
 
 WINDOW_PLAYOUT = PlayoutConfig(conceal_s=0.15)
 """A picture that stands still for a moment is hardly seen; one that is late from then on is."""
@@ -259,12 +260,14 @@ class _Playback:
                     if files is None:
                         source, first = joined.source, joined.path(joined.source.frames.first)
                         size = Size(first.width_px, first.height_px)
-                        sink = stack.enter_context(open_sink(output, source.manifest.fps, size))
+                        track = self._sound_track(stack, source)
+                        fps = source.manifest.fps
+                        sink = stack.enter_context(open_sink(output, fps, size, track is not None))
                         count = source.frames.count
                         total = None if count is None else count * loop
                         drawn = stack.enter_context(counted("drawing"))
-                        files = _Files(sink, source.frames.first, total, drawn)
-                    show = partial(self._show, files)
+                        files = _Files(sink, source.frames.first, total, drawn, track)
+                    show = partial(self._show, files, joined.path)
                     render_thread(threads.update(renderer), renderer, joined.path, show)
 
     def _create_renderer(self, joined: Joined) -> Renderer:
@@ -272,10 +275,24 @@ class _Playback:
         renderer.alpha = self._config.background != BLACK
         return renderer
 
-    def _show(self, files: _Files, record: FrameRecord, picture: Floats) -> None:
+    def _sound_track(self, stack: ExitStack, source: Source) -> SoundTrack | None:
+        """The sound of the capture, if the stream has any and there is a track for it."""
+        config, manifest = self._config, source.manifest
+        output = config.capture
+        if config.mute or not manifest.sound or output is None:
+            return None
+        if output.suffix.lower() not in VIDEO_SUFFIXES:
+            return None
+        from player.sound.soundtrack import SoundTrack  # its decoder loads slowly
+
+        files = stack.enter_context(closing(self._opener.sound_files()))
+        return SoundTrack(manifest, source.num_frames, files.read, config.volume)
+
+    def _show(self, files: _Files, path: CameraPath, record: FrameRecord, picture: Floats) -> None:
         if picture.shape[2] == 4:
             picture = on_background(picture, self._config.background)
         files.write(picture)
+        files.write_sound(record.frame, path)
         self._note(record, drawn=True)
 
 
@@ -283,9 +300,14 @@ class _Files:
     """Where the pictures of all plays go, one after another."""
 
     def __init__(
-        self, sink: FrameSink, first_number: int, total: int | None, drawn: Counter
+        self,
+        sink: FrameSink,
+        first_number: int,
+        total: int | None,
+        drawn: Counter,
+        track: SoundTrack | None,
     ) -> None:
-        self._sink, self._first_number = sink, first_number
+        self._sink, self._first_number, self._track = sink, first_number, track
         self._total, self._drawn = total, drawn
         self._written = 0
 
@@ -293,6 +315,11 @@ class _Files:
         self._sink.write(self._first_number + self._written, to_bytes(picture))
         self._written += 1
         self._drawn(self._written, self._total)
+
+    def write_sound(self, frame: int, path: CameraPath) -> None:
+        """What is heard while the stream shows `frame`, once for each."""
+        if self._track is not None:
+            self._sink.write_sound(self._track.piece(frame, path(frame), path(frame + 1)))
 
 
 def _playout(config: PlayConfig, source: Source, play: int, not_before_s: float) -> Playout:

@@ -15,9 +15,10 @@ import av
 import numpy as np
 
 from codec.files import DISK_ERRORS, replacing
+from codec.stream.sound import SAMPLE_RATE
 from player.view.path import Size
 
-from .sink import Bytes, FrameSink, SinkError, Words, check_output, write_png
+from .sink import Bytes, FrameSink, SinkError, Sound, Words, check_output, write_png
 
 VIDEO_CRF = 16
 """Constant rate factor of libx264: visually lossless."""
@@ -36,6 +37,8 @@ class VideoFormat:
     options: Mapping[str, str]
     multiple_px: int
     """Width and height are multiples of this: the last column or row is repeated."""
+    sound: str
+    """Encoder of the sound track."""
 
 
 FORMATS = {
@@ -43,11 +46,17 @@ FORMATS = {
     # bytes differ from run to run.
     ".mp4": VideoFormat(
         "mp4", "libx264", "yuv420p", "rgb24",
-        {"crf": str(VIDEO_CRF), "preset": "fast", "x264-params": "mbtree=0"}, 2,
+        {"crf": str(VIDEO_CRF), "preset": "fast", "x264-params": "mbtree=0"}, 2, "aac",
     ),
-    ".mov": VideoFormat("mov", "prores_ks", "yuva444p10le", "rgba", {"profile": "4444"}, 1),
+    ".mov": VideoFormat(
+        "mov", "prores_ks", "yuva444p10le", "rgba", {"profile": "4444"}, 1, "pcm_s16le",
+    ),
 }  # fmt: skip
-"""By suffix: H.264 in 8 bits 4:2:0, and ProRes 4444, which keeps the alpha channel; BT.709."""
+"""By suffix: H.264 in 8 bits 4:2:0 and AAC, and ProRes 4444, which keeps the alpha channel, and
+plain samples; BT.709."""
+
+SOUND_BITRATE_BPS = 192000
+"""Of AAC."""
 
 # As FFmpeg numbers them.
 _BT709 = 1
@@ -55,8 +64,9 @@ _LIMITED_RANGE = 1
 
 
 @contextmanager
-def open_sink(path: Path, fps: float, size: Size) -> Iterator[FrameSink]:
-    """Gives what writes pictures of `size` to `path`, by its suffix.
+def open_sink(path: Path, fps: float, size: Size, sound: bool = False) -> Iterator[FrameSink]:
+    """Gives what writes pictures of `size` to `path`, by its suffix. sound: a video gets a sound
+    track of what `write_sound` is given; pictures in a folder have none.
 
     Leaving by an error leaves nothing, so that the same command can be given again. Ctrl-C leaves
     no video, but the PNGs that are written.
@@ -71,7 +81,7 @@ def open_sink(path: Path, fps: float, size: Size) -> Iterator[FrameSink]:
             raise
         return
     with replacing(path) as temporary:
-        video = VideoSink(path, temporary, fps, size)
+        video = VideoSink(path, temporary, fps, size, sound)
         try:
             yield video
             video.finish()
@@ -93,6 +103,9 @@ class PngSink:
         write_png(path, picture)
         self._written.append(path)
 
+    def write_sound(self, samples: Sound) -> None:
+        pass
+
     def remove(self) -> None:
         """Removes what was written, and the folder unless it was there before."""
         for path in self._written:
@@ -105,7 +118,9 @@ class PngSink:
 class VideoSink:
     """A video of FORMATS. `finish` makes it whole; `close` in any case."""
 
-    def __init__(self, path: Path, temporary: Path, fps: float, size: Size) -> None:
+    def __init__(
+        self, path: Path, temporary: Path, fps: float, size: Size, sound: bool = False
+    ) -> None:
         """path: what errors call it. temporary: what is written."""
         self._path = path
         self._format = form = FORMATS[path.suffix.lower()]
@@ -123,11 +138,22 @@ class VideoSink:
             stream.codec_context.color_primaries = _BT709
             stream.codec_context.color_trc = _BT709
             stream.codec_context.color_range = _LIMITED_RANGE
+            self._track: av.AudioStream | None = None
+            if sound:
+                track: av.AudioStream = self._container.add_stream(  # type: ignore[assignment]
+                    form.sound, rate=SAMPLE_RATE, layout="stereo"
+                )
+                if form.sound == "aac":
+                    track.bit_rate = SOUND_BITRATE_BPS
+                self._track = track
         except Exception as error:  # PyAV lacks the encoder: ValueError, or an FFmpeg error
             self.close()
-            raise SinkError(f"{path}: this PyAV has no encoder {form.encoder}: {error}") from error
+            raise SinkError(
+                f"{path}: this PyAV has no encoder {form.encoder} or {form.sound}: {error}"
+            ) from error
         self._stream = stream
         self._written = 0
+        self._heard = 0  # samples
 
     def write(self, frame: int, picture: Bytes | Words) -> None:
         form = self._format
@@ -143,9 +169,23 @@ class VideoSink:
         except av.error.FFmpegError as error:
             raise self._failed(error, f"frame {frame}: ") from error
 
+    def write_sound(self, samples: Sound) -> None:
+        if self._track is None or not len(samples):
+            return
+        row = np.ascontiguousarray(samples).reshape(1, -1)
+        frame = av.AudioFrame.from_ndarray(row, format="s16", layout="stereo")
+        frame.sample_rate, frame.pts = SAMPLE_RATE, self._heard
+        self._heard += len(samples)
+        try:
+            self._container.mux(self._track.encode(frame))
+        except av.error.FFmpegError as error:
+            raise self._failed(error, "sound: ") from error
+
     def finish(self) -> None:
         try:
             self._container.mux(self._stream.encode(None))
+            if self._track is not None:
+                self._container.mux(self._track.encode(None))
             self._container.close()
         except av.error.FFmpegError as error:
             raise self._failed(error) from error

@@ -15,6 +15,7 @@ from codec.files import replacing
 Bytes = npt.NDArray[np.uint8]
 Words = npt.NDArray[np.uint16]
 Floats = npt.NDArray[np.float32]
+Sound = npt.NDArray[np.int16]
 
 VIDEO_SUFFIXES = {".mp4", ".mov"}
 
@@ -32,6 +33,11 @@ class FrameSink(Protocol):
     def write(self, frame: int, picture: Bytes | Words) -> None:
         """picture: (H, W, 3) uint8 RGB, row 0 on top; where PNGs are written also (H, W, 4) RGBA,
         or (H, W) grey of uint8 or uint16."""
+        ...
+
+    def write_sound(self, samples: Sound) -> None:
+        """Adds to the sound track, if there is one. samples: (n, 2) at codec.stream.sound's
+        SAMPLE_RATE."""
         ...
 
 

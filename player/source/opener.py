@@ -17,11 +17,12 @@ from pathlib import Path
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from codec.storage.credentials import without_credentials
-from codec.stream.manifest import Manifest
+from codec.stream.manifest import Manifest, object_name
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, check_gaussians
 from player.network.diskcache import DiskCache
 from player.network.faults import BrokenError, StoppedError
 from player.network.fetch import FetchConfig, Fetcher
+from player.network.mirrors import Mirrors
 from player.network.requesttarget import logins_of
 from player.network.retry import Retry, RetryConfig
 
@@ -30,6 +31,7 @@ from .hosted import HostedSource
 from .locate import Place, ServedPlace, locate, split_source
 from .preview import Preview, load_preview
 from .served import ServedSource
+from .soundfiles import FolderSound, HostedSound, SoundFiles
 from .source import NO_PLAY, Source
 
 
@@ -109,6 +111,19 @@ class Opener:
         if found is not None:
             check_gaussians(found.manifest, self._max_gaussians, self.name)
         return found
+
+    def sound_files(self) -> SoundFiles:
+        """The objects of sound of the stream, which was opened before, over connections of their
+        own. Close it before this."""
+        place = self._place
+        assert place is not None
+        if isinstance(place, Path):
+            return FolderSound(place)
+        fetcher, retry = self._fetcher.another(self._fetcher.config), self._config.retry
+        if isinstance(place, ServedPlace):
+            bases = tuple(f"{url}/" for url in place.urls)
+            return HostedSound(Mirrors(bases, fetcher, retry), fetcher, object_name)
+        return HostedSound(place.mirrors(fetcher, retry), fetcher, place.reference)
 
     def _find(self, fetcher: Fetcher) -> Place:
         if self._place is None:

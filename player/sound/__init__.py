@@ -1,0 +1,1 @@
+"""The sound of a stream: decoded, mixed for a listener, and played."""

@@ -1,0 +1,84 @@
+"""Objects of sound to samples: those of one source, a segment at a time.
+
+Rule: pure. Bytes come in, samples go out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from codec.errors import CorruptError, UnsupportedError
+from codec.stream.manifest import Manifest
+from codec.stream.sound import (
+    MAX_PACKET_SAMPLES,
+    SoundObject,
+    SoundSource,
+    first_sample,
+    packet_samples,
+)
+from codec.tools.soundfile import PacketDecoder, Samples
+
+MAX_SEGMENT_S = 600
+"""Sound in longer segments is not played: all samples of one are held."""
+
+
+def check_playable(manifest: Manifest) -> None:
+    """Raises UnsupportedError for segments too long to hold their samples."""
+    if manifest.segment_frames > MAX_SEGMENT_S * manifest.fps:
+        raise UnsupportedError(
+            f"its segments of {manifest.segment_frames} frames are longer than {MAX_SEGMENT_S} s; "
+            "play it with --mute"
+        )
+
+
+def segment_span(manifest: Manifest, segment: int) -> tuple[int, int]:
+    """The samples that are heard with `segment`, if it is whole: the first, and the one after the
+    last."""
+    first_frame = segment * manifest.segment_frames
+    end_frame = first_frame + manifest.segment_frames
+    return first_sample(first_frame, manifest.fps), first_sample(end_frame, manifest.fps)
+
+
+class SegmentDecoder:
+    """The decoder of one source. A segment that follows the one before goes on from its state; any
+    other one begins with its own packets."""
+
+    def __init__(self, source: SoundSource, manifest: Manifest) -> None:
+        self._source, self._manifest = source, manifest
+        self._segment = -1  # the one that was decoded last
+        self._end = 0  # position where the next packet is to begin
+        self._decoder = PacketDecoder(source.channels)
+        self._tail: Samples = np.zeros((0, source.channels), np.int16)  # before `_end`
+
+    def decode(self, segment: int, data: bytes) -> Samples:
+        """All samples of `segment`, (n, channels), with the object `data`; silence where the source
+        has ended. Raises CorruptError."""
+        found = SoundObject.parse(data)
+        if found.channels != self._source.channels:
+            raise CorruptError(f"sound: {found.channels} channels, not {self._source.channels}", 12)
+        begin, stop = segment_span(self._manifest, segment)
+        found.check_covers(begin, stop)
+        samples = np.zeros((stop - begin, found.channels), np.int16)
+        last = min(stop, found.num_samples)
+        goes_on = segment == self._segment + 1 and found.first <= self._end <= found.end
+        if not goes_on:
+            self._decoder, self._end, self._tail = (
+                PacketDecoder(found.channels),
+                found.first,
+                samples[:0],
+            )
+        pieces, at = [self._tail], found.first
+        for packet in found.packets:
+            if at == self._end:
+                pieces.append(self._decoder.decode(packet))
+                self._end += len(pieces[-1])
+            at += packet_samples(packet)
+        decoded = np.concatenate(pieces)
+        self._segment = segment
+        # The next segment begins in the last packet.
+        self._tail = decoded[max(0, len(decoded) - MAX_PACKET_SAMPLES) :]
+        from_sample = self._end - len(decoded) - found.pre_skip
+        there = decoded[max(0, begin - from_sample) : max(0, last - from_sample)]
+        offset = max(0, from_sample - begin)
+        samples[offset : offset + len(there)] = there
+        return samples
