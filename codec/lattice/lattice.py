@@ -41,6 +41,9 @@ MAX_BASE = 1e3
 SCALES, TURNS, COLOURS = 0, 3, 6
 """Where the attributes of a kind begin. The opacity is the last attribute."""
 
+LARGEST = 127
+"""The integer of the largest log-scale."""
+
 OPACITY_LEVELS = 41
 """Coarse: opacity changes most from slice to slice, and shows least."""
 
@@ -109,11 +112,14 @@ class Lattice:
         )
 
     def coarser(self, factor: float) -> Lattice:
-        """The lattice with steps of `factor` times the size, but for the opacity."""
+        """The lattice with steps of `factor` times the size, but for the opacity. Where a base
+        makes the largest log-scale fit, it still does."""
+        log_scale, base = self.log_scale * factor, self.log_scale_base
         return replace(
             self,
             position_m=self.position_m * factor,
-            log_scale=self.log_scale * factor,
+            log_scale=log_scale,
+            log_scale_base=base + LARGEST * (self.log_scale - log_scale) if base else base,
             rotation=self.rotation * factor,
             colour=self.colour * factor,
         )

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from codec.errors import InvalidError
-from codec.lattice.lattice import COLOURS, SCALES, TURNS, Lattice
+from codec.lattice.lattice import COLOURS, LARGEST, SCALES, TURNS, Lattice
 from codec.lattice.quantise import MAX_OPACITY_LEVELS
 from codec.pose import Doubles
 from codec.splats import MAX_SH_DEGREE, sh_count
@@ -25,9 +25,6 @@ drawing: positions change all the time, so each of their bits costs most."""
 
 FINEST_OPACITY = HOLD / (MAX_OPACITY_LEVELS - 1)
 """The smallest error of an opacity that a stream can keep."""
-
-TOP = 127
-"""The integer of the largest log-scale that an attribute holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +71,7 @@ class ErrorBound:
         """
         # The errors of all coefficients of a colour add up.
         finer = FINER_COLOUR * (sh_count(sh_degree) / sh_count(MAX_SH_DEGREE))
-        colour = max(self.colour * coarseness / finer, HOLD * reach / TOP * self.finer)
+        colour = max(self.colour * coarseness / finer, HOLD * reach / LARGEST * self.finer)
         return replace(
             self,
             position=self.position * coarseness * COARSER_POSITION,
@@ -92,9 +89,9 @@ class ErrorBound:
         """
         log_scale = self.of("size") / HOLD
         base = 0.0
-        if highest > TOP * log_scale or lowest < -(TOP + 1) * log_scale:
+        if highest > LARGEST * log_scale or lowest < -(LARGEST + 1) * log_scale:
             # What is large must fit; what is too thin is flat.
-            base = (np.ceil(highest / log_scale) - TOP) * log_scale
+            base = (np.ceil(highest / log_scale) - LARGEST) * log_scale
         levels = 1 + int(np.ceil(HOLD / self.of("opacity") - 1e-9))
         return Lattice(
             max(self.of("position") * size_m / HOLD, 1e-6),

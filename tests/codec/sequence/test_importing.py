@@ -66,6 +66,18 @@ def test_a_still_model(tmp_path: Path) -> None:
     assert steps[0] < steps[-1]
 
 
+def test_what_is_large_fits_every_layer_beside_what_is_very_thin(tmp_path: Path) -> None:
+    splats = trained_like_splats(500)
+    splats = splats.take(np.flatnonzero(np.abs(splats.means).max(axis=1) < 4))
+    splats.log_scales[7, 2] = -15.8  # below 128 steps: the log-scales get a base
+    write_splats(tmp_path / "m.ply", splats, SplatFormat.PLY)
+    import_stream(tmp_path / "m.ply", tmp_path / "s", ImportOptions(fps=30))
+    reader = StreamReader(tmp_path / "s")
+    assert all(lattice.log_scale_base for lattice in reader.manifest.lattice)
+    decoder = reader.decoder_at(0, reader.manifest.num_layers)
+    assert not any(len(slots.escapes) for slots in decoder.lanes[0])
+
+
 def test_the_default_camera_sees_the_whole_model_from_outside() -> None:
     splats = trained_like_splats(2000, 4)
     survey = Survey()
