@@ -69,7 +69,8 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
     "player": (
         ("player/network", "player/render", "player/view", "player/link"),
         ("player/source",),
-        ("player/render/gl", "player/playout", "player/sound"),
+        ("player/render/gl", "player/playout"),
+        ("player/sound",),
         ("player/show",),
         ("player",),
         ("player/report", "player/script"),

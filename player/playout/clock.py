@@ -39,6 +39,14 @@ class Clock:
         with self._lock:
             return self._now_s()
 
+    def at(self, world_s: float) -> tuple[float, float] | None:
+        """What this clock will show at `world_s`, a little later than now by `time_s`, and its
+        rate; None while it is stopped."""
+        with self._lock:
+            if not self._running:
+                return None
+            return self._shown_s + self._rate * (world_s - self._base_s), self._rate
+
     def _now_s(self) -> float:
         passed_s = self._time_s() - self._base_s if self._running else 0.0
         return self._shown_s + self._rate * passed_s

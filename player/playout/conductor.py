@@ -261,6 +261,18 @@ class Conductor:
             passed_s = self._clock.now_s() - self._newest.shown_s
             return min(max(passed_s * self.transport.fps, 0.0), 1.0)
 
+    def media_at(self, world_s: float) -> tuple[float, float] | None:
+        """The frame, with its fraction, whose time it is at `world_s` of the clock's `time_s`, and
+        the rate of the playback; None while the picture stands. Never waits for a renderer."""
+        shown = self._clock.at(world_s)
+        if shown is None or self._wanted is not None:
+            return None
+        for play in (self._current, self._following):
+            frame = play.events.media_frame(shown[0]) if play is not None else None
+            if frame is not None:
+                return frame, shown[1]
+        return None
+
     def state(self) -> PlayState:
         with self._changed:
             transport, play = self.transport, self._current

@@ -63,6 +63,11 @@ class Events:
         with self._changed:
             return self._playout.end_s
 
+    def media_frame(self, now_s: float) -> float | None:
+        """The frame whose time it is at `now_s` of the clock, see `PlayoutClock.media_frame`."""
+        with self._changed:
+            return self._playout.media_frame(now_s)
+
     def append(self, packets: Packets) -> None:
         """Adds packets that arrived now; waits for room first. Raises StoppedError."""
         if self._arrived is not None:

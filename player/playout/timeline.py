@@ -190,6 +190,10 @@ class Playout:
         clock = self._clock
         return None if clock.started_s is None else clock.due_s(clock.end_frame)
 
+    def media_frame(self, now_s: float) -> float | None:
+        """See `PlayoutClock.media_frame`."""
+        return self._clock.media_frame(now_s)
+
     @property
     def _ready(self) -> bool:
         return self._clock.started_s is not None and self._next_frame < self._clock.end_frame

@@ -14,6 +14,7 @@ from player.playout.timeline import PlayoutTotals
 from server.abr.link.link import Link
 
 from .journal import Journal
+from .soundcounts import SoundCounts
 
 MAX_PLAYS = 1000
 """Plays that are kept apart; of those before only the sums are kept."""
@@ -54,6 +55,8 @@ class PlaySummary:
     """Bytes that came over `--link`; None without it."""
     cache: CacheCounts | None = None
     """Savings of `--cache`; None without it."""
+    sound: SoundCounts | None = None
+    """What the sound came to; None without it."""
     interrupted: bool = False
     journal: Journal = field(default_factory=Journal)
     _before: PlayoutTotals = field(default_factory=PlayoutTotals)
@@ -112,6 +115,7 @@ class PlaySummary:
                 "most_bytes_waiting": totals.most_bytes_waiting,
             },
             "cache": None if self.cache is None else asdict(self.cache),
+            "sound": None if self.sound is None else asdict(self.sound),
             "plays": [
                 {"asked_s": play.asked_s, "startup_s": play.startup_s} for play in self.plays
             ],

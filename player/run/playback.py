@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from codec.camera import Camera
 from codec.files import write_atomic
 from codec.framerange import FrameRange
 from codec.progressline import Counter, counted
@@ -19,6 +20,7 @@ from player.config import PlayConfig
 from player.link.linkprocess import LinkProcess
 from player.playout.clock import Clock
 from player.playout.conductor import Conductor
+from player.playout.mediatime import DeviceTime
 from player.playout.queues import Events
 from player.playout.threads import Joined, Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
@@ -27,6 +29,7 @@ from player.render.gl import GlError, create_renderer
 from player.render.renderer import Renderer, RendererKind
 from player.report.journal import MAX_ROWS, Journal
 from player.report.playsummary import PlayedOnce, PlaySummary, write_report
+from player.report.soundcounts import SoundCounts
 from player.show.background import BLACK, on_background
 from player.show.backgroundtask import BackgroundTask
 from player.show.sink import VIDEO_SUFFIXES, FrameSink, to_bytes
@@ -42,6 +45,7 @@ from server.abr.playout import PlayoutConfig
 if TYPE_CHECKING:
     from player.show.glwindow import GlWindow
     from player.show.posterscreen import PosterScreen
+    from player.sound.soundplayer import SoundPlayer
     from player.sound.soundtrack import SoundTrack
 
 WINDOW_PLAYOUT = PlayoutConfig(conceal_s=0.15)
@@ -91,7 +95,8 @@ class _Playback:
         self._config = config
         self._kind = config.renderer
         self._relay = relay
-        self._clock = Clock(real=True)
+        self._time = DeviceTime()
+        self._clock = Clock(real=True, time_s=self._time.time_s)
         self._renderers: list[Renderer] = []
         self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
         self._summary = PlaySummary(config.name, link=config.link, journal=self._journal)
@@ -208,20 +213,35 @@ class _Playback:
                 source = conductor.source
                 path = config.camera.of(source.manifest, size, source.frames)
                 recorder = PathRecorder(scene_centre(source.manifest))
-                show_window(
-                    window,
-                    poster,
-                    conductor,
-                    path,
-                    self._renderers,
-                    self._note,
-                    recorder.add,
-                    config.window_background,
-                )
+                with self._sounding(conductor, path(source.frames.first)) as sound:
+                    show_window(
+                        window,
+                        poster,
+                        conductor,
+                        path,
+                        self._renderers,
+                        self._note,
+                        recorder.add,
+                        config.window_background,
+                        sound,
+                    )
         finally:
             self._summary.received_bytes += conductor.received_bytes
             if config.record is not None and recorder:
                 write_atomic(config.record, recorder.to_json())
+
+    @contextmanager
+    def _sounding(self, conductor: Conductor, camera: Camera) -> Iterator[SoundPlayer | None]:
+        """What plays the sound, unless it is muted or the stream has none."""
+        if self._config.mute or not conductor.source.manifest.sound:
+            yield None
+            return
+        from .soundplay import sounding
+
+        self._summary.sound = counts = SoundCounts()
+        files, volume = self._opener.sound_files, self._config.volume
+        with sounding(conductor, self._time, camera, files, counts, volume) as sound:
+            yield sound
 
     def _received(self, num_bytes: int) -> None:
         self._journal.received(num_bytes, self._clock.now_s(), time.monotonic())

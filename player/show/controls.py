@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import glfw
 
@@ -17,11 +17,17 @@ from player.view.mouse import View
 
 from .overlay import BAR_PX, frame_at
 
+if TYPE_CHECKING:
+    from player.sound.soundplayer import SoundPlayer
+
 SKIP_S, FAR_SKIP_S = 1.0, 5.0
 """Seconds of media that an arrow skips, without and with shift."""
 
 BAR_S = 2.0
 """Seconds for which the bar stays when the mouse has rested."""
+
+VOLUME_STEP = 0.1
+"""How much louder or softer a key makes the sound."""
 
 FLY_PER_S = 0.5
 """Distances to the scene's centre that one flies in a second."""
@@ -33,6 +39,7 @@ HELP = (
     "home, end\tgo to the first or newest frame",
     "[  ]\tslower, faster; backspace: normal speed",
     "L\tloop on or off",
+    "M\tsound off or on; up, down: louder, softer",
     "F\tfull screen; escape: leave it, or close the window",
     "I\tplayback statistics",
     "R\treturn to the path's camera",
@@ -46,8 +53,15 @@ HELP = (
 class Controls:
     """`changes` goes up with whatever changes the picture."""
 
-    def __init__(self, window: Any, conductor: Conductor, view: View, focal_px: float) -> None:
-        self._window, self._conductor = window, conductor
+    def __init__(
+        self,
+        window: Any,
+        conductor: Conductor,
+        view: View,
+        focal_px: float,
+        sound: SoundPlayer | None = None,
+    ) -> None:
+        self._window, self._conductor, self._sound = window, conductor, sound
         self._view, self._focal_px = view, focal_px
         self._at_px = (0.0, 0.0)
         self._moved_s = -BAR_S
@@ -67,6 +81,9 @@ class Controls:
             glfw.KEY_RIGHT_BRACKET: lambda _: conductor.change_rate(1),
             glfw.KEY_BACKSPACE: lambda _: conductor.change_rate(0),
             glfw.KEY_L: lambda _: conductor.toggle_loop(),
+            glfw.KEY_M: lambda _: self._toggle_sound(),
+            glfw.KEY_UP: lambda _: self._change_volume(VOLUME_STEP),
+            glfw.KEY_DOWN: lambda _: self._change_volume(-VOLUME_STEP),
             glfw.KEY_F: lambda _: self._toggle_full_screen(),
             glfw.KEY_ESCAPE: lambda _: self._escape(),
             glfw.KEY_I: lambda _: self._toggle_info(),
@@ -106,6 +123,14 @@ class Controls:
         if action == glfw.PRESS or repeats:
             self._keys[key](modifiers)
             self.changes += 1
+
+    def _toggle_sound(self) -> None:
+        if self._sound is not None:
+            self._sound.muted = not self._sound.muted
+
+    def _change_volume(self, more: float) -> None:
+        if self._sound is not None:
+            self._sound.volume = min(max(self._sound.volume + more, 0.0), 1.0)
 
     def _toggle_info(self) -> None:
         self.shows_info = not self.shows_info

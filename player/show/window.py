@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import closing
+from typing import TYPE_CHECKING
 
 import glfw
 
@@ -25,6 +26,9 @@ from .overlays import Overlays
 from .playmeter import PlayMeter
 from .posterscreen import PosterScreen
 
+if TYPE_CHECKING:
+    from player.sound.soundplayer import SoundPlayer
+
 IDLE_S = 0.005
 """Seconds between two looks at the keyboard while there is nothing new to draw."""
 
@@ -42,11 +46,12 @@ def show_window(
     note: Note,
     record_camera: Callable[[int, Camera], object],
     background: Colour = BLACK,
+    sound: SoundPlayer | None = None,
 ) -> None:
     """Shows what plays until the window is closed: first the poster, at last the last picture.
 
     renderers: gets the one that draws, for its name and counters. record_camera: is told which one
-    showed which frame.
+    showed which frame. sound: is heard from the camera.
     """
     manifest = conductor.source.manifest
     check_drawable(manifest)
@@ -54,7 +59,9 @@ def show_window(
     renderers.append(renderer)
     with closing(renderer):
         conductor.attach(renderer)
-        _Shown(window, poster, conductor, path, background).show(renderer, note, record_camera)
+        _Shown(window, poster, conductor, path, background, sound).show(
+            renderer, note, record_camera
+        )
 
 
 class _Shown:
@@ -67,13 +74,15 @@ class _Shown:
         conductor: Conductor,
         path: CameraPath,
         background: Colour,
+        sound: SoundPlayer | None,
     ) -> None:
         source = conductor.source
+        self._sound = sound
         self._window, self._poster = window, poster
         self._conductor, self._path, self._background = conductor, path, background
         self._view = view_of(source.manifest)
         self._controls = Controls(
-            window.handle, conductor, self._view, path(source.frames.first).fy_px
+            window.handle, conductor, self._view, path(source.frames.first).fy_px, sound
         )
         self._painter = OverlayPainter(window.context)
         self._meter = PlayMeter()
@@ -115,6 +124,8 @@ class _Shown:
                 self._meter.took(renderer.times)
             self._window.swap()
             record_camera(frame, camera)
+            if self._sound is not None:
+                self._sound.camera = camera
             drawn = state
             self._noted(waiting, frame, note)
 

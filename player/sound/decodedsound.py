@@ -5,7 +5,7 @@ Rule: pure; `SegmentLoader` alone asks for bytes. One thread may put segments wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 
 import numpy as np
 
@@ -49,8 +49,8 @@ class DecodedSound:
     def __init__(self, manifest: Manifest) -> None:
         self._manifest = manifest
         self._segments: dict[int, list[Samples]] = {}
-        self.missing_samples = 0
-        """Samples that were to be heard before their segment was there."""
+        self.missing_s = 0.0
+        """Seconds that were to be heard before their segment was there."""
 
     def segment_at(self, sample: int) -> int:
         """The segment with which `sample` is heard."""
@@ -69,7 +69,7 @@ class DecodedSound:
         """samples: of each source of the manifest, of the whole segment."""
         self._segments[segment] = samples
 
-    def keep(self, segments: range) -> None:
+    def keep(self, segments: Container[int]) -> None:
         """Drops all others."""
         for segment in [one for one in self._segments if one not in segments]:
             del self._segments[segment]
@@ -97,7 +97,7 @@ class DecodedSound:
             last = min(stop, end)
             found = self._segments.get(segment)
             if found is None:
-                self.missing_samples += last - begin
+                self.missing_s += (last - begin) / SAMPLE_RATE
             else:
                 yield begin, found, begin - first, last - first
             begin = last

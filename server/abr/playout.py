@@ -118,6 +118,23 @@ class PlayoutClock:
         passed = math.ceil((now_s - base_s) * self.fps - 1e-6)
         return min(self.end_frame, base_frame + max(0, passed))
 
+    def media_frame(self, now_s: float) -> float | None:
+        """The frame whose time it is at `now_s`, with the part of it that is over; None before the
+        first one, after the last one, and while the picture stands still for longer than that is
+        concealed."""
+        n = len(self._bases) - 1
+        while n >= 0 and self._bases[n][1] > now_s:
+            n -= 1
+        if n < 0:
+            return None
+        base_frame, base_s = self._bases[n]
+        frame = base_frame + (now_s - base_s) * self.fps
+        is_last = n == len(self._bases) - 1
+        end_frame = self.end_frame if is_last else self._bases[n + 1][0]
+        conceals = not (is_last and self._ended)
+        held_frames = self._config.conceal_s * self.fps if conceals else 0.0
+        return frame if frame < end_frame + held_frames else None
+
     def early_frames(self, now_s: float) -> int:
         """Number of frames before the first received one that are still to be shown: a returning
         client shows its buffered frames first."""

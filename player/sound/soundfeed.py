@@ -1,0 +1,105 @@
+"""The thread that fetches and decodes sound ahead of the playback."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from codec.errors import SwingsError
+from codec.stream.manifest import Manifest
+from player.network.fetch import StoppedError
+from player.source.soundfiles import SoundFiles
+
+from .decodedsound import DecodedSound, SegmentLoader
+
+log = logging.getLogger(__name__)
+
+AHEAD_S = 10.0
+"""Seconds of sound that are fetched before they are heard."""
+
+LOOK_S = 0.05
+"""How often it is looked where the playback is, seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Whereabouts:
+    """Where a playback is, and where it goes on."""
+
+    frame: int
+    first_frame: int
+    end_frame: int
+    loops: bool
+
+
+def wanted_segments(manifest: Manifest, at: Whereabouts) -> list[int]:
+    """The segments to be heard within AHEAD_S, in their order; at least the next one too."""
+    length = manifest.segment_frames
+    left = max(math.ceil(AHEAD_S * manifest.fps), length + 1)
+    found: list[int] = []
+    frame = at.frame
+    while left > 0 and frame < at.end_frame:
+        segment = frame // length
+        if segment in found:
+            break  # all of a short loop
+        found.append(segment)
+        end = min((segment + 1) * length, at.end_frame)
+        left -= end - frame
+        frame = end
+        if frame == at.end_frame and at.loops:
+            frame = at.first_frame
+    return found
+
+
+class SoundFeed:
+    """Fills `decoded` while the `with` block runs. A segment that cannot be had stays silent, and
+    is logged."""
+
+    def __init__(
+        self,
+        manifest: Manifest,
+        files: SoundFiles,
+        decoded: DecodedSound,
+        where: Callable[[], Whereabouts],
+    ) -> None:
+        """files: is closed at the end. Raises UnsupportedError for a stream whose sound is not
+        played."""
+        self._manifest, self._files, self._decoded, self._where = manifest, files, decoded, where
+        self._loader = SegmentLoader(manifest, files.read)
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="sound")
+        self.failed: set[int] = set()
+        """Segments that cannot be had."""
+        self.loaded = 0
+        """Segments that were fetched and decoded."""
+
+    def __enter__(self) -> SoundFeed:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stopped.set()
+        self._files.interrupt()
+        self._thread.join()
+        self._files.close()
+
+    def _run(self) -> None:
+        while not self._stopped.is_set():
+            wanted = wanted_segments(self._manifest, self._where())
+            # A step back finds what was just heard.
+            self._decoded.keep({*wanted, *(segment - 1 for segment in wanted[:1])})
+            lacking = (one for one in wanted if not self._decoded.has(one))
+            segment = next((one for one in lacking if one not in self.failed), None)
+            if segment is None:
+                self._stopped.wait(LOOK_S)
+                continue
+            try:
+                self._decoded.put(segment, self._loader.load(segment))
+                self.loaded += 1
+            except StoppedError:
+                return
+            except SwingsError as error:
+                self.failed.add(segment)
+                log.warning("no sound from here to the next segment: %s", error)

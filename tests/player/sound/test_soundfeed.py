@@ -1,0 +1,95 @@
+"""Sound fetched ahead: bounded, from every kind of source, silent where it cannot be had."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.framerange import FrameRange
+from codec.stream.sound import SAMPLE_RATE
+from player.network.retry import RetryConfig
+from player.sound.decodedsound import DecodedSound
+from player.sound.segmentsound import segment_span
+from player.sound.soundfeed import AHEAD_S, SoundFeed, Whereabouts, wanted_segments
+from player.source.opener import Opener, SourceConfig
+from tests.support.hosted_streams import served, small_manifest, static_host, write_stream
+from tests.support.sounding import add_clicks, heard
+
+NUM_FRAMES = 23
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("root")
+    write_stream(root / "s", NUM_FRAMES)
+    add_clicks(root / "s", (0, 4, 5, 10, 19, 22))
+    return root
+
+
+def wait_for(is_so: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + 20
+    while not is_so():
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+
+
+def fed(source: str, at: Whereabouts, patience_s: float = 1.0) -> tuple[DecodedSound, SoundFeed]:
+    """The sound of `source` once all of it has come that is wanted at `at`."""
+    opener = Opener(source, config=SourceConfig(RetryConfig(patience_s)))
+    with closing(opener):
+        opener.open(FrameRange(), None).close()
+        manifest = opener.manifest
+        assert manifest is not None
+        decoded = DecodedSound(manifest)
+        wanted = wanted_segments(manifest, at)
+        with SoundFeed(manifest, opener.sound_files(), decoded, lambda: at) as feed:
+            wait_for(lambda: all(decoded.has(n) or n in feed.failed for n in wanted))
+    return decoded, feed
+
+
+def test_every_kind_of_source_gives_the_same_samples(root: Path) -> None:
+    whole, at = heard(root / "s"), Whereabouts(0, 0, NUM_FRAMES, False)
+    with served(root) as server, static_host(root) as host:
+        for source in (str(root / "s"), f"{server.url}/watch/s", f"{host}/s"):
+            decoded, feed = fed(source, at)
+            camera = small_manifest().camera()
+            mixed = decoded.mix(0, len(whole), camera)
+            np.testing.assert_array_equal(np.rint(mixed * 32768), whole)
+            assert (feed.loaded, len(feed.failed)) == (5, 0)
+
+
+def test_what_cannot_be_had_is_silent_and_the_rest_is_heard(tmp_path: Path) -> None:
+    write_stream(tmp_path / "s", NUM_FRAMES)
+    add_clicks(tmp_path / "s", (0, 4, 5, 10, 19, 22))
+    whole = heard(tmp_path / "s")
+    (tmp_path / "s" / "segments" / "1" / "audio-main").unlink()
+    path = tmp_path / "s" / "segments" / "3" / "audio-main"
+    path.write_bytes(path.read_bytes()[:-1])
+    with static_host(tmp_path) as host:
+        for source in (str(tmp_path / "s"), f"{host}/s"):
+            decoded, feed = fed(source, Whereabouts(0, 0, NUM_FRAMES, False), 0)
+            assert feed.failed == {1, 3}
+            manifest = small_manifest()
+            begin, stop = segment_span(manifest, 2)
+            mixed = np.rint(decoded.mix(begin, stop, manifest.camera()) * 32768)
+            # A decoder that begins here is right but for what it cannot know.
+            assert np.abs(mixed - whole[begin:stop]).max() < 400
+            begin, stop = segment_span(manifest, 1)
+            assert not decoded.mix(begin, stop, manifest.camera()).any()
+            assert decoded.missing_s == pytest.approx((stop - begin) / SAMPLE_RATE)
+
+
+def test_no_more_is_wanted_than_is_heard_soon() -> None:
+    manifest = small_manifest(fps=30.0, segment_frames=30)
+    ahead = int(AHEAD_S)
+    assert wanted_segments(manifest, Whereabouts(45, 0, 9000, False)) == [*range(1, ahead + 2)]
+    assert wanted_segments(manifest, Whereabouts(95, 0, 100, False)) == [3]
+    assert wanted_segments(manifest, Whereabouts(95, 40, 100, True)) == [3, 1, 2]
+    long = small_manifest(fps=30.0, segment_frames=900)
+    assert wanted_segments(long, Whereabouts(0, 0, 9000, False)) == [0, 1]
+    assert wanted_segments(long, Whereabouts(9000, 0, 9000, False)) == []

@@ -1,0 +1,47 @@
+"""Samples in, samples out: unchanged at normal speed, the pitch kept at others, no clicks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from player.sound.mixing import Stereo
+from player.sound.splicer import HOP, Splicer
+
+TONE_HZ = 440.0
+
+
+def tone(begin: int, stop: int) -> Stereo:
+    wave = np.sin(np.arange(begin, stop) * 2 * np.pi * TONE_HZ / 48000)
+    return np.repeat(wave.astype(np.float32)[:, None], 2, axis=1)
+
+
+def spliced(rate: float, hops: int, first: float = 1000.0) -> Stereo:
+    splicer = Splicer(tone)
+    pieces = [splicer.hop(first + n * HOP * rate, rate) for n in range(hops)]
+    return np.concatenate(pieces)[HOP:]  # without fading in
+
+
+def test_at_normal_speed_the_samples_pass_unchanged() -> None:
+    found = spliced(1.0, 50)
+    np.testing.assert_allclose(found, tone(1000 + HOP, 1000 + 50 * HOP), atol=1e-6)
+
+
+@pytest.mark.parametrize("rate", [0.25, 0.5, 0.9, 1.1, 1.5, 2.0])
+def test_other_rates_keep_pitch_and_loudness(rate: float) -> None:
+    found = spliced(rate, 100)[:, 0].astype(np.float64)
+    spectrum = np.abs(np.fft.rfft(found * np.hanning(len(found))))
+    peak_hz = float(np.argmax(spectrum)) * 48000 / len(found)
+    assert peak_hz == pytest.approx(TONE_HZ, abs=4)
+    assert np.sqrt(np.mean(found**2)) == pytest.approx(np.sqrt(0.5), rel=0.1)
+    # No clicks: a sample is never farther from the one before than the tone's steepest step.
+    assert np.abs(np.diff(found)).max() < 2 * 2 * np.pi * TONE_HZ / 48000
+
+
+def test_jumps_and_ends_fade() -> None:
+    splicer = Splicer(tone)
+    places: list[float | None] = [None, 0, 480, 960, 90000, 90480, None, None]
+    found = np.concatenate([splicer.hop(place, 1.0) for place in places])[:, 0]
+    assert np.abs(np.diff(found)).max() < 0.1
+    assert not found[:HOP].any()
+    assert not found[-HOP:].any()
