@@ -21,6 +21,7 @@ from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.link.linktext import read_link
 from player.network.retry import RetryConfig
 from player.playout.clock import MAX_RATE, MIN_RATE
+from player.playout.outputtimes import check_fps
 from player.render.renderer import GlVersion, RendererKind
 from player.show.background import BLACK, TRANSPARENT, Colour
 from player.show.sink import VIDEO_SUFFIXES, check_output, check_still
@@ -160,6 +161,12 @@ class PlayConfig:
     capture: Annotated[Path | None, tyro.conf.arg(metavar="OUT")] = None
     """Write every frame, exactly once, to this .mp4 (H.264), .mov (ProRes 4444) or folder of PNGs.
     Without this option, the stream plays in a window."""
+    fps: float | None = None
+    """Pictures per second of the --capture, up to 1000. Without this option, the rate of the
+    stream."""
+    interpolate: bool = True
+    """Show motion between two frames where the screen or the --capture is faster than the stream.
+    With --no-interpolate each frame stands until the next one."""
     layers: Annotated[int | None, LAYERS] = None
     """Number of layers of each slice, 1 to all. auto adapts it to the rate of the link in a window
     and with --link, and uses all layers otherwise."""
@@ -200,8 +207,7 @@ class PlayConfig:
     loop: Annotated[int | None, LOOP] = 1
     """Play the frames N times, or forever. Each repetition requests the stream again."""
     rate: float = 1.0
-    """Playback rate in a window: seconds of the stream per second, 0.25 to 4. Below 1 the window
-    also shows pictures between the frames, if the stream describes motion."""
+    """Playback rate in a window: seconds of the stream per second, 0.25 to 4."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
     """Record your camera movements in the window to this file, for use with --camera."""
     background: Annotated[Colour | None, BACKGROUND] = BLACK
@@ -259,6 +265,10 @@ class PlayConfig:
             raise InvalidError(f"cache-bytes {self.cache_bytes} is not positive")
         if self.capture is not None:
             self._refuse("--capture", ("--loop forever", self.loop is None), *self._of_windows)
+        if self.fps is not None:
+            if self.capture is None or self.still is not None:
+                raise InvalidError("--fps is the rate of a film; add --capture, without --still")
+            check_fps(self.fps)
         if self.profile is not None:
             self._check_profile()
         self._check_background()

@@ -55,6 +55,7 @@ BESIDES = {
     "swings-play my-stream": f"--capture played.mp4 {PLAYED}",
     "swings-play my-stream --capture out.mp4": PLAYED,
     "swings-play my-stream --camera orbit --capture orbit.mp4": PLAYED,
+    "swings-play my-stream --fps 60 --capture smooth.mp4": PLAYED,
     "swings-play my-stream --still 30 --capture frame.png": PLAYED,
     "swings-play my-stream --still 30 --turntable 4 --capture turn.mp4": PLAYED,
 }
@@ -88,6 +89,7 @@ MADE = {
     "swings-play my-stream": "played.mp4",
     "swings-play my-stream --capture out.mp4": "out.mp4",
     "swings-play my-stream --camera orbit --capture orbit.mp4": "orbit.mp4",
+    "swings-play my-stream --fps 60 --capture smooth.mp4": "smooth.mp4",
     "swings-play my-stream --still 30 --capture frame.png": "frame.png",
     "swings-play my-stream --still 30 --turntable 4 --capture turn.mp4": "turn.mp4",
     "swings-abr my-stream --traces DIR --out report": "report/index.html",

@@ -19,7 +19,8 @@ def motion_between(
 
     before, after: all whole slices of a window, oldest first, each with all slots of its lane.
     changes: the slices between them, with their motion. A slot that any of them gives to another
-    Gaussian, or that jumps in one, does not go on. The rows count the slots of all lanes.
+    Gaussian, or that jumps in one, does not go on. The rows count the slots of all lanes in the
+    order of `after`, in which equally far ones are drawn.
     """
     swin_size, count = len(before), len(before[0].splats)
     frame, later = before[-1].birth, after[-1].birth
@@ -29,14 +30,14 @@ def motion_between(
             raise InvalidError(f"the slice born at {slice.birth} does not report its motion")
         goes_on = slice.motion.rows[~slice.motion.enters]
         renewed[slice.lane(swin_size), np.setdiff1d(slice.rows, goes_on)] = True
-    first, last = (
-        sorted(window, key=lambda slice: slice.lane(swin_size)) for window in (before, after)
-    )
+    lanes = [slice.lane(swin_size) for slice in after]
+    held = {slice.lane(swin_size): slice for slice in before}
+    first = [held[lane] for lane in lanes]
     return Motion.of(
         np.arange(swin_size * count, dtype=np.int32),
         Splats.concatenate([slice.splats for slice in first]),
         np.concatenate([slice.active(frame, swin_size) for slice in first]),
-        Splats.concatenate([slice.splats for slice in last]),
-        np.concatenate([slice.active(later, swin_size) for slice in last]),
-        renewed.ravel(),
+        Splats.concatenate([slice.splats for slice in after]),
+        np.concatenate([slice.active(later, swin_size) for slice in after]),
+        renewed[lanes].ravel(),
     )

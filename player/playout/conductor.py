@@ -22,6 +22,7 @@ from player.source.source import Source
 
 from .clock import Clock
 from .queues import Events, Handoff
+from .smoothing import Smoothing
 from .threads import Threads
 from .timeline import FrameRecord
 from .transport import Transport, live_lead_s, next_rate
@@ -95,13 +96,17 @@ class Conductor:
         plays: float = 1,
         interrupt: Callable[[], None] = lambda: None,
         open_whole: OpenAt | None = None,
+        smoothing: Smoothing | None = None,
     ) -> None:
         """plays: how often the frames are played; math.inf for without end. interrupt: makes an
         `open_at` that waits raise StoppedError. open_whole: as open_at, but with all layers,
-        however long they take; None leaves a picture that stands as it is."""
+        however long they take; None leaves a picture that stands as it is. smoothing: None draws
+        nothing between frames."""
         self._open_at, self._make_events = open_at, make_events
         self._interrupt, self._open_whole = interrupt, open_whole
         self._clock = clock
+        self.smoothing = smoothing or Smoothing()
+        """Whether pictures between frames are drawn, which a person may change."""
         self._first_frame, self._plays = first_frame, plays
         self._changed = threading.Condition()
         self._renderer: Renderer | None = None
@@ -253,10 +258,12 @@ class Conductor:
     @property
     def share(self) -> float:
         """How much of the way from the frame before to the one that shows is over, for a Renderer's
-        `glide`: less than 1 only where time passes slowly, and then up to a frame later than the
-        frame itself is due. A paused playback shows an exact frame."""
+        `glide`: less than 1 only where pictures between frames are drawn, and then up to a frame
+        later than the frame itself is due. A paused playback shows an exact frame."""
         with self._changed:
-            if self._newest is None or self._clock.rate >= 1 or not self._clock.running:
+            if self._newest is None or not self._clock.running:
+                return 1.0
+            if not self.smoothing.shows_between(self._clock.rate * self.transport.fps):
                 return 1.0
             passed_s = self._clock.now_s() - self._newest.shown_s
             return min(max(passed_s * self.transport.fps, 0.0), 1.0)

@@ -12,6 +12,7 @@ from player.source.source import Packets
 from server.abr.clientstatus import MAX_BUFFER_S, ClientStatus
 
 from .clock import Clock
+from .smoothing import Smoothing
 from .timeline import DueFrame, FrameRecord, Playout, PlayoutTotals
 
 MAX_FRAMES_AHEAD = 2
@@ -30,11 +31,14 @@ class Events:
         playout: Playout,
         clock: Clock,
         arrived: Callable[[Packets, float], None] | None = None,
+        smoothing: Smoothing | None = None,
     ) -> None:
-        """arrived: is called with all packets and when they came, before they wait for room."""
+        """arrived: is called with all packets and when they came, before they wait for room.
+        smoothing: None draws nothing between frames."""
         self._playout = playout
         self._clock = clock
         self._arrived = arrived
+        self._smoothing = smoothing or Smoothing()
         self._changed = threading.Condition()
         self._finished = False
         self._stopped = False
@@ -148,9 +152,9 @@ class Events:
             self._changed.notify_all()
 
     @property
-    def is_slow(self) -> bool:
-        """Whether a frame stands for so long that there are pictures between it and the next."""
-        return self._clock.real and self._clock.rate < 1
+    def shows_between(self) -> bool:
+        """Whether there are pictures between a frame and the next."""
+        return self._smoothing.shows_between(self._clock.rate * self._playout.fps)
 
     def step(self) -> bool:
         """Moves the clock on to the next frame; gives whether that is there."""

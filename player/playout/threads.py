@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from player.source.source import Source
 from player.view.path import CameraPath
 
 from .assembler import Assembler
+from .outputtimes import OutputTimes, Picture
 from .queues import Events, Handoff
 from .timeline import FrameRecord
 
@@ -69,7 +70,7 @@ def update_thread(
             if due is None:
                 break
             began_s = time.perf_counter()
-            for slice in assembler.assemble(due.record.frame, due.packets, events.is_slow):
+            for slice in assembler.assemble(due.record.frame, due.packets, events.shows_between):
                 renderer.put(slice)
             handoff.put(replace(due.record, decode_s=time.perf_counter() - began_s))
         handoff.finish()
@@ -83,11 +84,32 @@ def render_thread(
     handoff: Handoff,
     renderer: Renderer,
     path: CameraPath,
-    show: Callable[[FrameRecord, Floats], None],
-) -> None:
-    """Draws every frame once, in order, and hands the pictures to `show`."""
-    while (record := handoff.get()) is not None:
-        show(record, renderer.render(record.frame, path(record.frame)))
+    times: OutputTimes,
+    first_frame: int,
+    show: Callable[[FrameRecord | None, Iterator[Floats]], None],
+) -> int:
+    """Hands every frame once, in order, to `show`, with the pictures to draw of it, and at last
+    None with those behind the last frame. Gives the number of frames.
+
+    first_frame: frames of the film that earlier plays have drawn.
+    """
+    record: FrameRecord | None = None
+    frame = first_frame - 1
+
+    def draw(pictures: Iterable[Picture]) -> Iterator[Floats]:
+        assert record is not None
+        for picture in pictures:
+            renderer.glide(picture.share)
+            camera = path(record.frame + float(picture.position - frame))
+            yield renderer.render_again(record.frame, camera)
+
+    while (following := handoff.get()) is not None:
+        record, frame = following, frame + 1
+        renderer.upload(record.frame)
+        show(record, draw(times.with_frame(frame)))
+    if record is not None:
+        show(None, draw(times.behind(frame)))
+    return frame + 1 - first_frame
 
 
 def status_thread(source: Source, events: Events) -> None:

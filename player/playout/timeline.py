@@ -180,6 +180,11 @@ class Playout:
         return frame, (clock.end_frame - frame) / clock.fps
 
     @property
+    def fps(self) -> float:
+        """Frames a second of media."""
+        return self._clock.fps
+
+    @property
     def end_frame(self) -> int:
         """The first frame that cannot show yet."""
         return self._clock.end_frame

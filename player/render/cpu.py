@@ -85,13 +85,15 @@ def _nothing() -> None:
     """The CPU has done a thing when it comes back from it."""
 
 
-def render_splats(splats: Splats, camera: Camera, near_m: float) -> Floats:
+def render_splats(splats: Splats, camera: Camera, near_m: float, alpha: bool = False) -> Floats:
     """(H, W, 3) float32 picture of `splats`, black background, not clamped above 1.
 
-    near_m: Gaussians whose centre lies nearer along the viewing axis are not drawn, metres.
+    alpha: (H, W, 4) with premultiplied colours, as `Renderer.alpha` has them. near_m: Gaussians
+    whose centre lies nearer along the viewing axis are not drawn, metres.
     """
     seen = SeenColours.none_of(len(splats), splats.sh_degree)
-    return _draw(splats, np.arange(len(splats), dtype=np.int32), camera, near_m, seen, None)
+    rows = np.arange(len(splats), dtype=np.int32)
+    return _draw(splats, rows, camera, near_m, seen, None, alpha)
 
 
 def _draw(

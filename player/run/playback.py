@@ -21,7 +21,9 @@ from player.link.linkprocess import LinkProcess
 from player.playout.clock import Clock
 from player.playout.conductor import Conductor
 from player.playout.mediatime import DeviceTime
+from player.playout.outputtimes import OutputTimes
 from player.playout.queues import Events
+from player.playout.smoothing import Smoothing
 from player.playout.threads import Joined, Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.rehearsal import rehearse
@@ -97,6 +99,7 @@ class _Playback:
         self._relay = relay
         self._time = DeviceTime()
         self._clock = Clock(real=True, time_s=self._time.time_s)
+        self._smoothing = Smoothing(config.interpolate)
         self._renderers: list[Renderer] = []
         self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
         self._summary = PlaySummary(config.name, link=config.link, journal=self._journal)
@@ -154,8 +157,10 @@ class _Playback:
         config, summary, clock = self._config, self._summary, self._clock
         playout = _playout(config, source, play, not_before_s)
         summary.source, summary.fps = source.name, source.manifest.fps
+        if config.capture is not None:
+            self._smoothing.pictures_hz = config.fps or source.manifest.fps
         summary.add_play(PlayedOnce(max(not_before_s, clock.now_s()), playout.totals))
-        return Events(playout, clock, partial(self._journal.arrived, play))
+        return Events(playout, clock, partial(self._journal.arrived, play), self._smoothing)
 
     def _rehearse(self, kind: RendererKind) -> None:
         """Makes ready what draws the plays of a network."""
@@ -206,6 +211,7 @@ class _Playback:
             plays,
             self._opener.interrupt,
             None if config.layers is not None else self._open_whole,
+            self._smoothing,
         )
         recorder: PathRecorder | None = None
         try:
@@ -270,6 +276,7 @@ class _Playback:
         assert loop is not None
         with ExitStack() as stack:
             files: _Files | None = None
+            frames = 0
             for _ in range(loop):
                 with (
                     self._join() as joined,
@@ -281,14 +288,18 @@ class _Playback:
                         source, first = joined.source, joined.path(joined.source.frames.first)
                         size = Size(first.width_px, first.height_px)
                         track = self._sound_track(stack, source)
-                        fps = source.manifest.fps
+                        smoothing, stream_fps = self._smoothing, source.manifest.fps
+                        fps = smoothing.pictures_hz
+                        times = OutputTimes(stream_fps, fps, smoothing.shows_between(stream_fps))
                         sink = stack.enter_context(open_sink(output, fps, size, track is not None))
                         count = source.frames.count
-                        total = None if count is None else count * loop
+                        total = None if count is None else times.count(count * loop)
                         drawn = stack.enter_context(counted("drawing"))
                         files = _Files(sink, source.frames.first, total, drawn, track)
                     show = partial(self._show, files, joined.path)
-                    render_thread(threads.update(renderer), renderer, joined.path, show)
+                    frames += render_thread(
+                        threads.update(renderer), renderer, joined.path, times, frames, show
+                    )
 
     def _create_renderer(self, joined: Joined) -> Renderer:
         renderer = create_renderer(self._kind, joined.source.manifest, self._config.gl)
@@ -308,12 +319,22 @@ class _Playback:
         files = stack.enter_context(closing(self._opener.sound_files()))
         return SoundTrack(manifest, source.num_frames, files.read, config.volume)
 
-    def _show(self, files: _Files, path: CameraPath, record: FrameRecord, picture: Floats) -> None:
-        if picture.shape[2] == 4:
-            picture = on_background(picture, self._config.background)
-        files.write(picture)
-        files.write_sound(record.frame, path)
-        self._note(record, drawn=True)
+    def _show(
+        self,
+        files: _Files,
+        path: CameraPath,
+        record: FrameRecord | None,
+        pictures: Iterator[Floats],
+    ) -> None:
+        shows = False
+        for picture in pictures:
+            if picture.shape[2] == 4:
+                picture = on_background(picture, self._config.background)
+            files.write(picture)
+            shows = True
+        if record is not None:
+            files.write_sound(record.frame, path)
+            self._note(record, drawn=shows)
 
 
 class _Files:

@@ -6,6 +6,7 @@ with Scene.open("my-stream") as scene:
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterator
 from enum import StrEnum
@@ -19,15 +20,17 @@ import numpy.typing as npt
 from codec.camera import Camera
 from codec.errors import CodecError, InvalidError
 from codec.framerange import FrameRange
+from codec.halfway import Motion
 from codec.slice import Slice, window_births
 from codec.splats import Splats
 from codec.stream import StreamReader
 from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import Manifest
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
+from player.render.cpu import render_splats
 from player.render.depth import render_depth
 from player.render.gl import create_renderer
-from player.render.renderer import GlVersion, Renderer, RendererKind
+from player.render.renderer import GlVersion, Renderer, RendererKind, check_drawable
 from player.show.background import BLACK, Colour, on_background
 from player.source.locate import is_url
 from player.source.opener import SourceConfig
@@ -63,6 +66,7 @@ class Scene:
         self._thread: int | None = None
         self._held = _Held(reader.manifest)
         self._closed = False
+        self._motion: tuple[int, Motion] | None = None  # from a frame to the next one
         self.num_layers = num_layers
         """The layers that show."""
 
@@ -152,11 +156,17 @@ class Scene:
         self._check_open()
         return FrameRange(first, end).of(self.num_frames, self.name)
 
-    def splats(self, frame: int) -> Splats:
-        """The Gaussians that show in `frame`, oldest slice first. Raises InvalidError if there is
-        no such frame, a CodecError for a broken stream, a FetchError if it cannot be fetched."""
-        self._check_frame(frame)
-        return self._reader.active_splats(frame, self.num_layers)
+    def splats(self, frame: float) -> Splats:
+        """The Gaussians that show in `frame`, oldest slice first. Between two frames, as in frame
+        30.5, those that go on are on their way, and others fade: see codec/halfway.py. Raises
+        InvalidError if there is no such frame, a CodecError for a broken stream, a FetchError if it
+        cannot be fetched."""
+        first, share = self._split(frame)
+        if not share:
+            return self._reader.active_splats(first, self.num_layers)
+        if self._motion is None or self._motion[0] != first:
+            self._motion = first, self._reader.motion(first, first + 1, self.num_layers)
+        return self._motion[1].all_at(share)
 
     def camera(
         self, camera: Camera | str | None = None, size: tuple[int, int] | None = None
@@ -168,29 +178,34 @@ class Scene:
 
     def render(
         self,
-        frame: int,
+        frame: float,
         camera: Camera | str | None = None,
         size: tuple[int, int] | None = None,
         *,
         background: Colour | None = BLACK,
     ) -> Floats:
         """(H, W, 3) float32 picture of `frame`, row 0 on top, `background` where nothing is, not
-        clamped above 1. Where `background` is None, (H, W, 4) with straight alpha.
+        clamped above 1. Where `background` is None, (H, W, 4) with straight alpha. The CPU draws
+        what lies between two frames, such as frame 30.5.
 
         camera: the name of one of the stream's, or any other; None takes the default one. size:
         width and height in pixels; what the camera sees is fitted into it. Raises what `splats`
         raises, UnsupportedError for a stream that would be drawn wrongly, and GlError where the
         scene was opened with `gl` and OpenGL cannot start.
         """
-        self._check_frame(frame)
-        seen = self.camera(camera, size)
+        first, share = self._split(frame)
+        seen, alpha = self.camera(camera, size), background != BLACK
+        if share:
+            check_drawable(self.manifest)
+            picture = render_splats(self.splats(frame), seen, self.manifest.near_m, alpha)
+            return on_background(picture, background) if alpha else picture
         renderer = self._drawing()
         try:
-            for slice in self._missing(frame):
+            for slice in self._missing(first):
                 renderer.put(slice)
-            renderer.alpha = background != BLACK
-            picture = renderer.render(frame, seen)
-            return on_background(picture, background) if renderer.alpha else picture
+            renderer.alpha = alpha
+            picture = renderer.render(first, seen)
+            return on_background(picture, background) if alpha else picture
         except BaseException:
             # What it holds by now is not known; the next picture starts with another one.
             self._stop_drawing()
@@ -198,7 +213,7 @@ class Scene:
 
     def depth(
         self,
-        frame: int,
+        frame: float,
         camera: Camera | str | None = None,
         size: tuple[int, int] | None = None,
     ) -> Floats:
@@ -234,12 +249,15 @@ class Scene:
         if renderer is not None:
             renderer.close()
 
-    def _check_frame(self, frame: int) -> None:
+    def _split(self, frame: float) -> tuple[int, float]:
+        """The frame at or before `frame`, and the share of the way to the next one."""
         self._check_open()
-        if not 0 <= frame < self.num_frames:
+        if not 0 <= frame <= self.num_frames - 1:
             raise InvalidError(
                 f"{self.name} has {self.num_frames} frames; there is no frame {frame}"
             )
+        share, first = math.modf(frame)
+        return int(first), share
 
     def _check_open(self) -> None:
         if self._closed:

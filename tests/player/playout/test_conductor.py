@@ -21,6 +21,7 @@ from codec.stream import StreamWriter
 from player.playout.clock import Clock
 from player.playout.conductor import Conductor
 from player.playout.queues import Events
+from player.playout.smoothing import Smoothing
 from player.playout.timeline import FrameRecord, Playout
 from player.render.cpu import CpuRenderer
 from player.source.directory import DirectorySource
@@ -44,7 +45,10 @@ class Played:
         self.records: list[FrameRecord] = []
         self.fails: SwingsError | None = None
         self.open_s = 0.0  # what it takes
-        self.conductor = Conductor(self.open_at, self.make_events, clock, first, plays)
+        self.smoothing = Smoothing()
+        self.conductor = Conductor(
+            self.open_at, self.make_events, clock, first, plays, smoothing=self.smoothing
+        )
         self.clock = clock
 
     def open_at(self, frame: int) -> Source:
@@ -65,7 +69,7 @@ class Played:
             not_before_s=not_before_s,
             play=play,
         )
-        return Events(playout, self.clock)
+        return Events(playout, self.clock, smoothing=self.smoothing)
 
     def poll_until(self, is_enough: Callable[[], bool]) -> None:
         began_s = time.monotonic()
@@ -304,13 +308,15 @@ def test_an_endless_loop_takes_no_more_with_time(tmp_path: Path) -> None:
     assert grown < (marks[1] - marks[0]) // 2, f"{grown} objects more: {blocks}"
 
 
-def test_slowed_down_it_says_how_far_the_way_from_frame_to_frame_is_over(tmp_path: Path) -> None:
+def test_it_says_how_far_the_way_from_frame_to_frame_is_over(tmp_path: Path) -> None:
     path = write_busy_stream(tmp_path / "s", 40, small_layout(3, (4, 3), 0, 5), fps=FPS)
     with conducted(path, real=True) as (played, renderer):
         conductor, clock = played.conductor, played.clock
         played.shows(2)
         assert conductor.share == 1.0
         clock.set_rate(0.25)
+        assert conductor.share == 1.0  # the switch is off
+        played.smoothing.on = True
         shares: dict[int, list[float]] = {}
         moved = 0
 

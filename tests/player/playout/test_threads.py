@@ -19,6 +19,7 @@ from codec.slice import Slice
 from codec.stream.manifest import Manifest
 from player.network.fetch import StoppedError
 from player.playout.clock import Clock
+from player.playout.outputtimes import OutputTimes
 from player.playout.queues import EmptyStreamError, Events, Handoff
 from player.playout.threads import Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
@@ -148,7 +149,14 @@ def run(
     shown: list[FrameRecord] = []
     with Threads(source, events) as threads:
         handoff = threads.update(renderer)
-        render_thread(handoff, renderer, lambda _: CAMERA, lambda r, _: shown.append(r))
+        times = OutputTimes(fps, fps, interpolates=False)
+
+        def show(record: FrameRecord | None, pictures: Iterator[npt.NDArray[np.float32]]) -> None:
+            assert len(list(pictures)) == (record is not None)
+            if record is not None:
+                shown.append(record)
+
+        assert render_thread(handoff, renderer, lambda _: CAMERA, times, 0, show) == len(shown)
     return shown, events
 
 
@@ -170,13 +178,13 @@ def test_a_capture_draws_every_frame_once_in_order_with_its_slices() -> None:
 def test_a_slow_drawer_holds_the_stream_back_and_is_not_a_stall() -> None:
     source, renderer = ListSource(20), NotingRenderer(draw_s=0.02)
     ahead: list[int] = []
-    draw = renderer.render
+    draw = renderer.render_again
 
     def noting(frame: int, camera: Camera) -> npt.NDArray[np.float32]:
         ahead.append(source.given - (frame + 1))
         return draw(frame, camera)
 
-    renderer.render = noting  # type: ignore[method-assign]
+    renderer.render_again = noting  # type: ignore[method-assign]
     # The machine draws 50 frames a second, the stream has 1000.
     shown, events = run(source, renderer, fps=1000.0, queue=QueueConfig(max_frames=3))
     assert len(shown) == 20
@@ -226,7 +234,7 @@ def test_what_breaks_the_drawing_ends_both_threads() -> None:
     def broken(frame: int, camera: Camera) -> npt.NDArray[np.float32]:
         raise SwingsError("the disk is full")
 
-    renderer.render = broken  # type: ignore[method-assign]
+    renderer.render_again = broken  # type: ignore[method-assign]
     with pytest.raises(SwingsError, match="the disk is full"):
         run(ListSource(3, silent=True), renderer)
     assert no_threads_left()

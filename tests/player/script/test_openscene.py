@@ -86,6 +86,30 @@ def expected(library: Path) -> dict[tuple[str, int, int], Floats]:
 
 
 @pytest.mark.parametrize("name", STREAMS)
+def test_between_two_frames_it_comes_from_one_and_goes_to_the_other(
+    library: Path, expected: dict[tuple[str, int, int], Floats], name: str
+) -> None:
+    with Scene.open(library / name, layers=2, renderer="cpu") as scene:
+        for frame in (14, 0, NUM_FRAMES - 2):
+            first, last = (expected[name, 2, n] for n in (frame, frame + 1))
+            # Which of two equally far Gaussians is in front may be another a hair's breadth away.
+            assert np.abs(scene.render(frame + 1e-5, "c1") - first).mean() < 5e-3
+            assert np.abs(scene.render(frame + 1 - 1e-5, "c1") - last).mean() < 5e-3
+            middle = scene.render(frame + 0.5, "c1")
+            assert np.array_equal(middle, scene.render(frame + 0.5, "c1"))
+            assert len(scene.splats(frame + 0.5)) >= len(scene.splats(frame + 1))
+            clear = scene.render(frame + 0.5, "c1", background=None)
+            assert np.allclose(clear[..., :3] * clear[..., 3:], middle, atol=1e-4)
+            covered = ~np.isnan(scene.depth(frame + 0.5, "c1"))
+            assert covered.any()
+            assert (clear[..., 3][covered] > 0.45).all()
+            assert np.array_equal(scene.render(float(frame), "c1"), first)
+        for wrong in (NUM_FRAMES - 0.5, -0.5, float("nan")):
+            with pytest.raises(InvalidError, match="there is no frame"):
+                scene.splats(wrong)
+
+
+@pytest.mark.parametrize("name", STREAMS)
 @settings(max_examples=25, deadline=None)
 @given(
     walk=st.lists(st.tuples(st.integers(0, NUM_FRAMES - 1), st.booleans()), max_size=12),
