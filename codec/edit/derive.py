@@ -20,7 +20,7 @@ def derive(
     """The update born at `birth`, of all layers of a lane that holds `held` in the edited stream,
     and should hold what `turns` hold in the source after `edit`.
 
-    joins: whether `held` may be of another stream, so that equal Gaussians are the same.
+    joins: whether `held` may be of another stream, so that Gaussians that are near are the same.
     """
     parts = [_Part(turn, slots, edit, joins) for turn, slots in zip(turns, held, strict=True)]
     return Update(
@@ -31,6 +31,11 @@ def derive(
         np.concatenate([part.escaped for part in parts]),
         Splats.concatenate([part.escapes for part in parts]),
     )
+
+
+NEAR, NEAR_STEPS = 32, 3.0
+"""Steps, of a coordinate and in the mean of the attributes, within which a Gaussian of a stream is
+taken for the one that the stream before it held in the same slot: what was cut is joined again."""
 
 
 class _Part:
@@ -66,10 +71,11 @@ class _Part:
         self._escape(inside[~fits], escaped)
         starts = np.where(said == NEW, slots.starts, 0).astype(np.uint8)
         if joins:
-            same = (held.conditions == ON_LATTICE) & (self.statuses == NEW) & ~escaped
-            same &= (states.positions == held.states.positions).all(axis=1) & (starts == 0)
-            same &= (states.attributes == held.states.attributes).all(axis=1)
-            self.statuses[same] = KEPT
+            known = (held.conditions == ON_LATTICE) & (self.statuses == NEW) & ~escaped
+            off = np.abs(states.numbers() - held.states.numbers())
+            known &= (starts == 0) & (off[:, :3].max(axis=1) <= NEAR)
+            known &= off[:, 3:].mean(axis=1) <= NEAR_STEPS
+            self.statuses[known] = np.where(off[known].any(axis=1), PREDICTED, KEPT)
 
         coded = np.flatnonzero(self.statuses >= PREDICTED)
         self.states = states.take(coded)

@@ -52,6 +52,13 @@ class Edit:
     rounds = False
     """Whether `states` may give the same integers for Gaussians that differ."""
 
+    rearranges = False
+    """Whether Gaussians get other slots, because their order in space is another one."""
+
+    def coarser(self, factor: float) -> Edit:
+        """This edit, if it rounds with steps of what it rounds that are larger by `factor`."""
+        return self
+
     def manifest(self, source: Manifest) -> Manifest:
         """The manifest of the edited stream."""
         return source

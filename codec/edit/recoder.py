@@ -12,6 +12,7 @@ from codec.slots.slotencoder import SlotEncoder
 from codec.stream.manifest import MASKS, Part, snapshot_part
 from codec.stream.object import encode_packet
 
+from .arrangement import Arrangement
 from .derive import derive
 from .edit import Edit
 from .segmentfiles import SegmentFiles
@@ -24,6 +25,7 @@ class Recoder:
     def __init__(self, files: SegmentFiles) -> None:
         self._files = files
         self._encoder = SlotEncoder(files.manifest.slot_layout)
+        self._arrangement = Arrangement()
         self._num_frames = 0
         """Frames in the segment that is not written yet."""
         self._same_as: Walk | None = None
@@ -50,12 +52,17 @@ class Recoder:
         joins: bool = False,
     ) -> Iterator[int]:
         """Appends `slices` of `walk`, the one born at b as the one born at b + `offset`; gives each
-        frame of the source once it is there. joins: see `derive`."""
+        frame of the source once it is there. joins: whether they follow another stream, which
+        the lanes hold until their first turn."""
         layout, source_layout = self._encoder.layout, walk.reader.manifest.slot_layout
         for source in slices:
             birth = source.birth + offset
             held = self._encoder.lanes[layout.lane(birth)]
-            update = derive(birth, list(source.turns(source_layout)), held, edit, joins)
+            turns = list(source.turns(source_layout))
+            if edit.rearranges:
+                turns = [self._arrangement.arranged(turn, edit) for turn in turns]
+            meets = joins and source.birth < layout.swin_size
+            update = derive(birth, turns, held, edit, meets)
             encoded = self._encoder.append(update)
             if encoded is None:
                 continue

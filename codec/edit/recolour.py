@@ -63,14 +63,18 @@ class Colour(Edit):
     keeps_pictures = False
     rounds = True
 
-    def __init__(self, options: ColourOptions, source: Manifest) -> None:
+    def __init__(self, options: ColourOptions, source: Manifest, coarseness: float = 1.0) -> None:
         """Raises InvalidError for gains that leave the bounds of a lattice."""
         self.gains = options.gains()
+        self._options, self._manifest, self._coarseness = options, source, coarseness
         self._source = source.lattice
         try:
             self._lattices = tuple(map(self._scaled, source.lattice))
         except InvalidError as error:
             raise InvalidError(f"colour: {error}") from error
+
+    def coarser(self, factor: float) -> Colour:
+        return Colour(self._options, self._manifest, factor)
 
     def manifest(self, source: Manifest) -> Manifest:
         """The result's manifest: `source` with other steps of the colours."""
@@ -110,4 +114,5 @@ class Colour(Edit):
         gain = float(self.gains.max())
         if (self.gains == 1).all():
             return lattice
-        return replace(lattice, colour=lattice.colour * max(gain, gain**0.5) * SPREAD)
+        growth = max(gain, gain**0.5) * SPREAD * self._coarseness
+        return replace(lattice, colour=lattice.colour * growth)

@@ -19,6 +19,7 @@ from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 from codec.stream.storyboard import STORYBOARD_NAME, write_storyboard
 
 from .edit import Edit
+from .fitting import fitted
 from .recoder import Recoder
 from .segmentfiles import SegmentFiles
 from .walk import Walk
@@ -94,8 +95,9 @@ def rewrite(
 
     Raises a SwingsError that names the file at fault.
     """
-    manifest, num_frames = edit.manifest(reader.manifest), reader.num_frames
-    with writing(out, manifest, coder_of_stream(reader), draw) as files:
+    coder, num_frames = coder_of_stream(reader), reader.num_frames
+    edit = fitted(reader, edit, coder)
+    with writing(out, edit.manifest(reader.manifest), coder, draw) as files:
         walk, recoder = Walk(reader), Recoder(files)
         for slices in (walk.opening(0), walk.slices(range(1, num_frames))):
             for birth in recoder.append(walk, slices, edit):

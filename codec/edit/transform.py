@@ -69,9 +69,12 @@ class TransformOptions:
 class Transform(Edit):
     """Maps every Gaussian by a similarity."""
 
-    def __init__(self, options: TransformOptions, source: Manifest) -> None:
+    def __init__(
+        self, options: TransformOptions, source: Manifest, coarseness: float = 1.0
+    ) -> None:
         """Raises InvalidError for a map that leaves the bounds of a lattice."""
         wanted = options.similarity()
+        self._options, self._manifest = options, source
         self._wanted, self._source = wanted, source.lattice
         try:
             self._lattices = tuple(_scaled(lattice, wanted.scale) for lattice in source.lattice)
@@ -84,7 +87,19 @@ class Transform(Edit):
             offset = np.rint(offset / step) * step
         self.similarity = Similarity(wanted.scale, wanted.turn, offset)
         self._harmonics = _harmonics_matrix(wanted.turn, source.sh_degree)
-        self.rounds = not self._on_axes
+        self.rounds = self.rearranges = not self._on_axes
+        if self.rounds:
+            self._lattices = tuple(
+                replace(
+                    lattice,
+                    position_m=lattice.position_m * coarseness,
+                    rotation=lattice.rotation * coarseness,
+                )
+                for lattice in self._lattices
+            )
+
+    def coarser(self, factor: float) -> Transform:
+        return Transform(self._options, self._manifest, factor)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -80,6 +80,14 @@ class Slots:
         made.escape_rows, made.escapes = self.escape_rows, self.escapes
         return made
 
+    def rearranged(self, rows: Rows) -> Slots:
+        """The slots at `rows`, a permutation of all."""
+        made = Slots(0, self.states.sh_degree, UNKNOWN)
+        made.conditions, made.starts = self.conditions[rows], self.starts[rows]
+        made.states, made.escapes = self.states.take(rows), self.escapes
+        made.escape_rows = np.argsort(rows)[self.escape_rows]
+        return made
+
     def delta(self, statuses: Bytes, change: Change | None) -> Delta:
         """Changes by a slice with these (count,) `statuses`; change: None if it is not at hand.
         Raises CorruptError if it does not fit what is here."""

@@ -45,7 +45,7 @@ def whole_update(
             states, fits = States.zeros(len(chosen), splats.sh_degree), np.zeros(len(chosen), bool)
         else:
             states, fits = quantise(splats.take(chosen), layout.lattices[layer])
-            order = _neighbours_first(states, fits)
+            order = neighbours_first(states, fits)
             states, fits, chosen = states.take(order), fits[order], chosen[order]
         statuses[layout.row_edges[layer] :][: len(chosen)] = NEW
         rows.append(chosen)
@@ -62,7 +62,7 @@ def whole_update(
     )
 
 
-def _neighbours_first(states: States, fits: Flags) -> Rows:
+def neighbours_first(states: States, fits: Flags) -> Rows:
     """The order in which positions cost few bits, for each is coded as the difference to the one
     before. What does not fit comes last."""
     inside = np.flatnonzero(fits)

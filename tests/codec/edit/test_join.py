@@ -14,7 +14,13 @@ from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 from codec.tools.audit import verify_stream
-from tests.support.slots.edited import frames_of, segment_files
+from tests.support.slots.edited import (
+    SEGMENT_FRAMES,
+    frames_of,
+    objects_bytes,
+    segment_files,
+    write_trained_like,
+)
 from tests.support.slots.slot_streams import gaussians, write_slot_stream
 from tests.support.slots.updates import small_layout
 
@@ -35,6 +41,20 @@ def test_the_parts_of_a_stream_joined_are_the_stream_again(
         zip(frames_of(source), frames_of(tmp_path / "t"), strict=True)
     ):
         assert gaussians(before) == gaussians(after), frame
+
+
+@pytest.mark.parametrize("swin_size", [1, 5])
+def test_what_was_cut_costs_about_what_it_did_once_it_is_joined(
+    swin_size: int, tmp_path: Path
+) -> None:
+    source = write_trained_like(tmp_path / "s", swin_size)
+    parts = tmp_path / "a", tmp_path / "b"
+    trim_stream(source, parts[0], FrameRange(0, SEGMENT_FRAMES))
+    trim_stream(source, parts[1], FrameRange(SEGMENT_FRAMES))
+    join(parts, tmp_path / "t")
+    assert objects_bytes(tmp_path / "t") <= objects_bytes(source) * 1.01
+    for before, after in zip(frames_of(source), frames_of(tmp_path / "t"), strict=True):
+        assert gaussians(before) == gaussians(after)
 
 
 @pytest.mark.parametrize("lengths", [(8, 14, 9), (7, 9, 12), (2, 3, 4), (4, 12, 4)])

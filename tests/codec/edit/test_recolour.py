@@ -19,6 +19,7 @@ from tests.support.slots.edited import (
     least_psnr_db,
     objects_bytes,
     overview,
+    write_still,
     write_trained_like,
 )
 from tests.support.slots.slot_streams import write_slot_stream
@@ -52,6 +53,14 @@ def test_the_same_edit_made_on_exported_frames_gives_the_same_pictures(
     verify_stream(tmp_path / "t")
     assert least_psnr_db(source, tmp_path / "t", lambda splats, _: gained(splats, gains)) >= 45
     assert objects_bytes(tmp_path / "t") <= objects_bytes(source)
+
+
+def test_a_tinted_model_takes_no_more_bytes(tmp_path: Path) -> None:
+    source, gains = write_still(tmp_path / "s"), (1.2, 1.0, 0.9)
+    edit_stream(source, tmp_path / "t", ColourOptions(gain=gains))
+    verify_stream(tmp_path / "t")
+    assert objects_bytes(tmp_path / "t") <= objects_bytes(source)
+    assert least_psnr_db(source, tmp_path / "t", lambda splats, _: gained(splats, gains)) >= 45
 
 
 def test_each_pixel_is_multiplied(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from tests.support.slots.edited import (
     least_psnr_db,
     objects_bytes,
     segment_files,
+    write_still,
     write_trained_like,
 )
 from tests.support.slots.slot_streams import (
@@ -58,6 +59,15 @@ def test_the_same_edit_made_on_exported_frames_gives_the_same_pictures(
     assert least_psnr_db(source, tmp_path / "t", lambda splats, _: exact.moved(splats)) >= 45
     # A move takes up to a byte more in a chunk: its first Gaussian is farther from the origin.
     assert objects_bytes(tmp_path / "t") <= objects_bytes(source) * 1.001
+
+
+def test_a_turned_model_is_ordered_anew_and_takes_no_more_bytes(tmp_path: Path) -> None:
+    source = write_still(tmp_path / "s")
+    edit_stream(source, tmp_path / "t", OBLIQUE)
+    verify_stream(tmp_path / "t")
+    assert objects_bytes(tmp_path / "t") <= objects_bytes(source)
+    exact = OBLIQUE.similarity()
+    assert least_psnr_db(source, tmp_path / "t", lambda splats, _: exact.moved(splats)) >= 45
 
 
 def test_a_stream_looks_to_its_cameras_as_it_did(tmp_path: Path) -> None:

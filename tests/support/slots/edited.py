@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from codec.camera import Camera
-from codec.sequence.importing import facing_camera
+from codec.interop.formats import SplatFormat, write_splats
+from codec.sequence.importing import ImportOptions, facing_camera, import_stream
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.draft import Quality
 from player.render.cpu import render_splats
 from tests.support.slots.slot_streams import slot_manifest
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
+from tests.support.trained_like import trained_like_splats
 
 NUM_FRAMES, SEGMENT_FRAMES = 14, 6
 
@@ -31,6 +33,16 @@ def write_trained_like(
         for update in trained_like_updates(layout, NUM_FRAMES, 0.3):
             writer.append(update)
     return path
+
+
+def write_still(path: Path, num_gs: int = 4000) -> Path:
+    """A stream at `path` of one frame, in which all Gaussians are new."""
+    splats = trained_like_splats(num_gs)
+    splats = splats.take(np.flatnonzero(np.abs(splats.means).max(axis=1) < 4))
+    path.mkdir()
+    write_splats(path / "model.ply", splats, SplatFormat.PLY)
+    import_stream(path / "model.ply", path / "stream", ImportOptions(fps=30))
+    return path / "stream"
 
 
 def segment_files(stream: Path) -> dict[str, bytes]:
