@@ -18,10 +18,11 @@ MODULES = {
     "playworker.js": "playback/playworker.js",
     "sortworker.js": "playback/sortworker.js",
     "extras.js": "element/extras.js",
+    "tracks.js": "element/tracks.js",
 }
 """Each module of the bundle and the source that it begins with."""
 
-LATER = {"extras.js"}
+LATER = {"extras.js", "tracks.js"}
 """Modules that are loaded when a viewer needs them."""
 
 PAGE_SCRIPT, PAGE_SOURCE = "page.js", "watch.js"

@@ -151,6 +151,19 @@ export const MAX_KEYS = 8;
 export const MAX_ITEMS = 16;
 export const MAX_TEXT_BYTES = 65536;
 
+// codec.stream.sound
+export const SAMPLE_RATE = 48000;
+export const PREROLL = 3840;
+export const MAX_SOURCES = 16;
+export const MAX_SOUND_KEYS = 256;
+export const MAX_PACKETS = 65536;
+export const MAX_SOUND_BYTES = 16777216;
+export const MAX_POSITION = 4503599627370496;
+export const MAX_PACKET_SAMPLES = 5760;
+export const SOUND_PREFIX = "audio-";
+export const SOUND_MAGIC = "SWA1";
+export const SOUND_HEAD = "<4sIIBBHIQQ";
+
 // codec.stream.storyboard
 export const MAX_STORYBOARD_TILES = 60;
 export const STORYBOARD_COLUMNS = 10;

@@ -28,11 +28,16 @@ const PATHS = {
 
 /** @param {IconName} name */
 export function icon(name) {
+  return drawn(PATHS[name]);
+}
+
+/** @param {string} outline on that grid */
+export function drawn(outline) {
   const svg = document.createElementNS(SVG, "svg");
   svg.setAttribute("viewBox", "0 0 24 24");
   svg.setAttribute("aria-hidden", "true");
   const path = document.createElementNS(SVG, "path");
-  path.setAttribute("d", PATHS[name]);
+  path.setAttribute("d", outline);
   svg.append(path);
   return svg;
 }

@@ -59,7 +59,6 @@ export class MediaAttributes extends HTMLElement {
     this.toggleAttribute("muted", value);
   }
 
-  /** Streams have no sound yet: the value is kept, and has no effect. */
   get muted() {
     return this.#muted ?? this.defaultMuted;
   }
@@ -70,7 +69,7 @@ export class MediaAttributes extends HTMLElement {
     if (this.#muted !== before) this.queueEvent("volumechange");
   }
 
-  /** 0 to 1. Streams have no sound yet: the value is kept, and has no effect. */
+  /** 0 to 1. */
   get volume() {
     return this.#volume;
   }

@@ -50,6 +50,12 @@ export class StreamSession extends EventTarget {
   live = false;
   /** @type {PlayState} */
   state = START;
+  /**
+   * When frames are due, once the worker has said so: frame 0 at `zeroMs` of the clock from 1970 on, null
+   * while nothing runs.
+   * @type {{ zeroMs: number | null, rate: number, line: number } | null}
+   */
+  line = null;
   isSeeking = false;
   /** Counts seeks: what was on its way when the last one began is not what it asked for. */
   seeks = 0;
@@ -75,6 +81,7 @@ export class StreamSession extends EventTarget {
   stopWorkers() {
     this.workers?.terminate();
     this.workers = null;
+    this.line = null;
     this.state = { ...this.state, playing: false };
   }
 
@@ -168,6 +175,10 @@ export class StreamSession extends EventTarget {
         this.state = data;
         this.dispatch("state");
         break;
+      case "line":
+        this.line = data;
+        this.dispatch("line");
+        break;
       case "ended":
         this.wantsPlaying = false;
         this.state = { ...this.state, playing: false };
@@ -188,6 +199,7 @@ export class StreamSession extends EventTarget {
 
   /** @param {string} message */
   fail(message) {
+    this.line = null;
     this.dispatch("failed", message);
   }
 

@@ -152,16 +152,21 @@ export class SwingsPlayerElement extends MediaInterface {
       this.#show(player);
     };
     const stereo = new StereoControls(player, (message) => hints.say(message, LONG_MS));
-    const panels = new LazyPart(
-      async () => {
-        const { Panels } = await import("./extras.js");
-        const wake = () => visibility.wake();
-        const made = new Panels(player, bar.menuButton, choices, commands, actions, wake);
-        if (!signal.aborted) made.addTo(this.#controls);
-        return made;
-      },
-      () => hints.say("This could not be loaded; check the network and try again", LONG_MS),
-    );
+    const notLoaded = () =>
+      hints.say("This could not be loaded; check the network and try again", LONG_MS);
+    const panels = new LazyPart(async () => {
+      const { Panels } = await import("./extras.js");
+      const wake = () => visibility.wake();
+      const made = new Panels(player, bar.menuButton, choices, commands, actions, wake);
+      if (!signal.aborted) made.addTo(this.#controls);
+      return made;
+    }, notLoaded);
+    const tracks = new LazyPart(async () => {
+      const { Tracks } = await import("./tracks.js");
+      const say = (/** @type {string} */ message) => hints.say(message, LONG_MS);
+      const added = () => panels.part?.keyList.fill(actions);
+      return new Tracks(this, player, this.#controls, actions, { say, added }, signal);
+    }, notLoaded);
     const scrubber = new Scrubber(player, signal);
     const live = new LiveBadge(player, onStopped, signal);
     const commands = commandsOf(this, stereo, this.#sharing, panels);
@@ -190,7 +195,7 @@ export class SwingsPlayerElement extends MediaInterface {
     const actions = keysOf(this, player, commands);
     stereo.watch((isThere) => (bar.headset.hidden = !isThere), signal);
     this.#controls.replaceChildren(bar.root);
-    return { scrubber, bar, panels, visibility, fullScreen, actions, live };
+    return { scrubber, bar, panels, tracks, visibility, fullScreen, actions, live };
   }
 
   /**
@@ -246,6 +251,8 @@ export class SwingsPlayerElement extends MediaInterface {
       this.#showPoster(player, manifest.poster);
     }
     this.#parts?.bar.showChoices();
+    const tracks = this.#parts?.tracks;
+    if (manifest.sound || tracks?.part) tracks?.use((part) => part.open());
     // With reduced motion the viewer starts it, and each round of it.
     this.#setLoop(this.loop && !prefersStill());
   }

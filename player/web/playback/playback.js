@@ -9,6 +9,8 @@ const MOST_STEPPED = 30;
 
 /** A frame that is late by more than this shows at once, and those after it count from there. */
 const LATE_S = 0.25;
+/** While sound leads, which goes on meanwhile. */
+const LATE_FOR_SOUND_S = 1;
 
 /**
  * What to show now, all at once.
@@ -51,6 +53,7 @@ export class Playback {
     this.waiting = true;
     this.stalls = 0;
     this.refinedS = -Infinity;
+    this.lateS = LATE_S;
   }
 
   /** The frame that shows; that which will show first, before anything does. */
@@ -112,7 +115,7 @@ export class Playback {
         break;
       }
       shown = this.#advance(shown);
-      if (nowS - this.dueS > LATE_S) this.dueS = nowS;
+      if (nowS - this.dueS > this.lateS) this.dueS = nowS;
       this.dueS += stepS;
     }
     return shown;
@@ -150,6 +153,21 @@ export class Playback {
   /** Whether its first frame is not due yet: that of the round before still shows. @param {number} nowS */
   isEarly(nowS) {
     return !this.isJoined && this.notBeforeS > nowS;
+  }
+
+  /** When frame 0 is or was due by what is due next; null while nothing runs. @param {number} nowS */
+  zeroS(nowS) {
+    const isNear = !this.isJoined && this.playing && nowS - this.notBeforeS < LATE_S;
+    const early = isNear ? this.notBeforeS : null;
+    const dueS = this.dueS ?? early;
+    return dueS === null ? null : dueS - this.nextFrame / (this.fps * this.rate);
+  }
+
+  /** Follows sound: all that is due comes later by so much. @param {number} byS */
+  follow(byS) {
+    this.lateS = LATE_FOR_SOUND_S;
+    this.notBeforeS += byS;
+    if (this.dueS !== null) this.dueS += byS;
   }
 
   /** Seconds until something may be due; null: not before something comes. @param {number} nowS */

@@ -23,7 +23,7 @@ export class PlayerWorkers {
   /** Ends early requests. */
   #opening = new AbortController();
   /** @type {number[]} (4, 4) world to camera of the last request */
-  #requestedW2c = [];
+  requestedW2c = [];
 
   /**
    * @param {Source} source
@@ -73,12 +73,12 @@ export class PlayerWorkers {
    * @param {number} nearM
    */
   requestOrder(w2c, nearM) {
-    const isMoved = w2c.some((entry, i) => entry !== this.#requestedW2c[i]);
+    const isMoved = w2c.some((entry, i) => entry !== this.requestedW2c[i]);
     if (this.#request === "due" || (this.#request === "waiting" && !isMoved)) return;
     this.#lastRequest += 1;
     this.sorter.postMessage({ view: { w2c, nearM, request: this.#lastRequest }, isMoved });
     this.#request = isMoved ? "due" : "waiting";
-    this.#requestedW2c = w2c;
+    this.requestedW2c = w2c;
   }
 
   terminate() {

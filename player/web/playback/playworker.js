@@ -117,6 +117,9 @@ scope.onmessage = ({ data }) => {
     case "layers":
       player?.setLayers(data.most);
       break;
+    case "follow":
+      player?.follow(data);
+      break;
     case "resend":
       player?.resend();
       break;

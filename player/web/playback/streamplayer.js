@@ -4,6 +4,8 @@ import { Round } from "./round.js";
 import { Scrubber } from "./scrubber.js";
 
 const STATE_PERIOD_S = 0.1;
+/** The page is told of another line of frames and times if they differ by more. */
+const SAME_S = 0.002;
 /** What shows within so many seconds is not asked for again when more layers are wanted. */
 const SOON_S = 0.5;
 /** The next round of a loop is asked for so many seconds before it begins. */
@@ -51,6 +53,10 @@ export class StreamPlayer {
     this.mostLayers = mostLayers ?? stream.manifest.numLayers;
     this.decodeMs = 0;
     this.postedS = 0;
+    /** @type {number | null} when frame 0 is or was due, as the page was told last */
+    this.zeroS = null;
+    /** Of the lines that the page was told, the last one. */
+    this.line = 0;
     this.isClosed = false;
     /** @type {number | undefined} */
     this.timer = undefined;
@@ -170,7 +176,9 @@ export class StreamPlayer {
       this.outlet.post({ kind: "ended" });
       return;
     }
+    const { fps, numFrames } = this.playback;
     const seamS = this.playback.dueS ?? nowS();
+    if (this.zeroS !== null) this.zeroS += numFrames / (fps * this.rate);
     const round = this.nextRound ?? this.#newRound(0);
     this.nextRound = null;
     round.playback.notBeforeS = seamS;
@@ -213,8 +221,28 @@ export class StreamPlayer {
   /** @param {number} rate */
   setRate(rate) {
     this.rate = rate;
+    this.zeroS = null;
     this.playback.setRate(rate);
     this.nextRound?.playback.setRate(rate);
+  }
+
+  /** Follows the page's sound, if that is of the same line. @param {{ line: number, byMs: number }} how */
+  follow({ line, byMs }) {
+    if (line !== this.line || this.zeroS === null) return;
+    this.zeroS += byMs / 1000;
+    this.playback.follow(byMs / 1000);
+  }
+
+  /** Tells the page when frames are due, if they no longer are when it was told. */
+  #postLine() {
+    const isRunning = this.playing && !this.scrubber.isActive;
+    const zeroS = isRunning ? this.playback.zeroS(nowS()) : null;
+    const differS = Math.abs((zeroS ?? Infinity) - (this.zeroS ?? Infinity)); // NaN: still none
+    if (!(differS > SAME_S)) return;
+    this.zeroS = zeroS;
+    this.line += 1;
+    const zeroMs = zeroS === null ? null : performance.timeOrigin + 1000 * zeroS;
+    this.outlet.post({ kind: "line", zeroMs, rate: this.rate, line: this.line });
   }
 
   /** Looks at once at what is to be done. */
@@ -227,6 +255,7 @@ export class StreamPlayer {
     const { round, playback, playing } = this;
     try {
       if (round.failure !== null) throw round.failure;
+      this.#postLine();
       if (this.scrubber.isActive) return;
       const { cache, numFrames, manifest } = this.stream;
       cache.setPlayhead(playback.nextFrame, this.loop && !manifest.live ? numFrames : null);
@@ -239,6 +268,7 @@ export class StreamPlayer {
       }
       round.feed.advance(playback.nextFrame, this.rate);
       if (shown !== null || !playing) this.reportPosition();
+      this.#postLine();
       this.#prepareRound();
       this.postState();
       if (playback.hasEnded && playing) this.#end();

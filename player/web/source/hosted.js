@@ -7,6 +7,7 @@ import { follow } from "./follow.js";
 import { GrowingIndex } from "./growingindex.js";
 import { HostedPlay } from "./hostedplay.js";
 import { followPeriodS } from "./liveedge.js";
+import { objectUrl } from "./objecturl.js";
 import { SegmentCache } from "./segmentcache.js";
 
 /** A stream of files on any static host: whole objects are fetched, see LayerRule. */
@@ -136,33 +137,6 @@ export class HostedStream {
     const size = record.objectBytes[manifest.parts.indexOf(part)];
     return { url, bytes: await this.fetcher.get(url, size, onBytes, { signal }) };
   }
-}
-
-/**
- * The URL of an object. Throws a FormatError if it is none, and a SourceError if it leads to another
- * origin than the manifest's without `otherHosts`.
- * @param {string} base
- * @param {string} path as the manifest gives it, perhaps a whole URL
- * @param {boolean} otherHosts
- */
-function objectUrl(base, path, otherHosts) {
-  const name = `${base}manifest.json`;
-  let url;
-  try {
-    url = new URL(path, base);
-  } catch {
-    throw corrupt(`${name}: object_url gives ${path.slice(0, 200)}, which is not a URL`);
-  }
-  if (url.origin === new URL(base).origin) return url.href;
-  if (!/^https?:$/.test(url.protocol))
-    throw corrupt(`${name}: object_url gives ${url.href.slice(0, 200)}, which is not on the web`);
-  if (!otherHosts) {
-    throw new SourceError(
-      `${name} leads to another host, ${url.origin.slice(0, 200)}; other-hosts, as an attribute of ` +
-        "the player or other-hosts=1 in the address of its page, allows it",
-    );
-  }
-  return url.href;
 }
 
 /**

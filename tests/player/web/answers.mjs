@@ -33,6 +33,11 @@ import { floatWords, latticeWords, roomFor } from "../../../player/web/renderer/
 import { middleOf, sideBySide } from "../../../player/web/stereo/eyes.js";
 import { Placement } from "../../../player/web/stereo/placement.js";
 import { pinholeOf, poseOfTransform } from "../../../player/web/stereo/xrview.js";
+import { oggOf } from "../../../player/web/sound/ogg.js";
+import { readSoundObject } from "../../../player/web/sound/soundobject.js";
+import { placeAt, readSources } from "../../../player/web/sound/soundsource.js";
+import { stretched } from "../../../player/web/sound/stretch.js";
+import { Timeline } from "../../../player/web/sound/timeline.js";
 import { Orbit } from "../../../player/web/view/orbit.js";
 import { poseOf, worldToCamera } from "../../../player/web/view/pose.js";
 import { storyboardLayout } from "../../../player/web/format/storyboard.js";
@@ -132,6 +137,27 @@ const ANSWERS = {
   },
   async packet({ bytes, limit }) {
     return hex(await inflatePacket(unhex(bytes), limit));
+  },
+  sound({ bytes, channels }) {
+    const { preSkip, numSamples, packets, positions } = readSoundObject(unhex(bytes), channels);
+    return { preSkip, numSamples, positions, packets: packets.map(hex) };
+  },
+  sources({ sound }) {
+    return readSources(sound);
+  },
+  place({ keys, timeS }) {
+    return placeAt(keys, timeS);
+  },
+  ogg({ packets, ends, channels }) {
+    return hex(oggOf(packets.map(unhex), ends, channels));
+  },
+  stretched({ channels, length }) {
+    const given = channels.map((/** @type {number[]} */ one) => Float32Array.from(one));
+    return stretched(given, length).map((one) => [...one]);
+  },
+  pieces({ fps, segmentFrames, numFrames, sample, count, loops }) {
+    const timeline = new Timeline(fps, segmentFrames, numFrames);
+    return { length: timeline.length, pieces: timeline.piecesFrom(sample, count, loops, 1000) };
   },
   manifest({ bytes }) {
     return readManifest(unhex(bytes));

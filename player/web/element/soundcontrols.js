@@ -1,0 +1,73 @@
+import { drawn } from "./icons.js";
+import { node } from "./nodes.js";
+
+const SPEAKER = "M3 9v6h4l5 5V4L7 9z";
+const ICONS = {
+  heard: `${SPEAKER}M14 7.5v9a5 5 0 0 0 0-9z`,
+  silent: `${SPEAKER}M15.4 8L14 9.4l2.6 2.6-2.6 2.6 1.4 1.4 2.6-2.6 2.6 2.6 1.4-1.4-2.6-2.6L22 9.4 20.6 8 18 10.6z`,
+};
+
+export const SOUND_STYLE = /* css */ `
+.volume { width: clamp(64px, 6cqw, 140px); height: var(--button); margin: 0; accent-color: var(--accent); cursor: pointer; }
+.unmute {
+  position: absolute; right: 12px; top: 12px; min-height: max(36px, var(--least)); padding: 0 1em;
+  background: #e8e8ea; color: #111; font-weight: 600; --icon: 1.5em;
+}
+.unmute:hover { background: #fff; }
+.unmute svg { margin-right: 0.4em; }
+@media (forced-colors: active) { .unmute { border: 1px solid CanvasText; background: Canvas; color: CanvasText; } }
+`;
+
+/** Mute and volume in the bar, and a button over the picture where a browser waits for a person. */
+export class SoundControls {
+  /** @param {import("./mediainterface.js").MediaInterface} element */
+  constructor(element) {
+    this.element = element;
+    this.isBlocked = false;
+    this.unblock = () => {};
+    this.mute = node("button", { class: "mute" });
+    this.mute.addEventListener("click", () => this.toggle());
+    const range = { type: "range", min: "0", max: "1", step: "0.05", "aria-label": "Volume" };
+    this.volume = node("input", { class: "volume wide", ...range });
+    this.volume.addEventListener("input", () => {
+      element.volume = this.volume.valueAsNumber;
+      element.muted = false;
+      this.unblock();
+    });
+    // They move its thumb, and not the film.
+    this.volume.addEventListener("keydown", (event) => {
+      if (/^(Arrow|Home|End|Page)/.test(event.key)) event.stopPropagation();
+    });
+    this.unmute = node("button", { class: "unmute", hidden: true }, drawn(ICONS.silent), "Unmute");
+    this.unmute.addEventListener("click", () => this.toggle());
+  }
+
+  /** Whether a person hears nothing, for whatever reason. */
+  get isSilent() {
+    return this.element.muted || this.element.volume === 0 || this.isBlocked;
+  }
+
+  toggle() {
+    const { element } = this;
+    if (!this.isSilent) {
+      element.muted = true;
+      return;
+    }
+    if (element.volume === 0) element.volume = 1;
+    element.muted = false;
+    this.unblock();
+  }
+
+  /** @param {boolean} isThere whether there is sound to control */
+  show(isThere) {
+    const { mute, volume, unmute, element, isSilent } = this;
+    mute.hidden = volume.hidden = !isThere;
+    unmute.hidden = !isThere || !this.isBlocked;
+    const label = isSilent ? "Unmute" : "Mute";
+    volume.value = String(element.muted ? 0 : element.volume);
+    if (mute.getAttribute("aria-label") === label) return;
+    mute.replaceChildren(drawn(isSilent ? ICONS.silent : ICONS.heard));
+    mute.setAttribute("aria-label", label);
+    mute.title = `${label} (M)`;
+  }
+}

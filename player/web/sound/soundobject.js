@@ -1,0 +1,67 @@
+import {
+  MAX_PACKET_SAMPLES,
+  MAX_PACKETS,
+  MAX_POSITION,
+  MAX_SOUND_BYTES,
+  SOUND_HEAD,
+  SOUND_MAGIC,
+} from "../constants.js";
+import { ByteReader, isMagic } from "../format/bytes/bytereader.js";
+import { crc32 } from "../format/bytes/crc32.js";
+import { corrupt } from "../format/bytes/errors.js";
+
+const CHECKED_FROM = 12;
+
+/**
+ * The packets of one source in one segment (FORMAT.md, section 14).
+ * @typedef {object} SoundObject
+ * @property {number} preSkip position of sample 0
+ * @property {number} numSamples length of the whole source
+ * @property {Uint8Array[]} packets
+ * @property {number[]} positions where each packet begins, and where the last one ends
+ */
+
+/**
+ * The object in `bytes`. Throws a FormatError.
+ * @param {Uint8Array} bytes
+ * @param {number} numChannels of the source
+ * @returns {SoundObject}
+ */
+export function readSoundObject(bytes, numChannels) {
+  const reader = new ByteReader(bytes, "sound");
+  const [magic, size, checksum, channels, reserved, preSkip, count, first, numSamples] =
+    reader.unpack(SOUND_HEAD);
+  if (!isMagic(magic, SOUND_MAGIC)) throw corrupt("sound: this is not an object of sound");
+  if (size !== bytes.length || size > MAX_SOUND_BYTES)
+    throw corrupt(`sound: ${bytes.length} bytes, but it says ${size}`);
+  if (crc32(bytes.subarray(CHECKED_FROM)) !== checksum)
+    throw corrupt("sound: the checksum is wrong");
+  if (channels !== numChannels || reserved !== 0)
+    throw corrupt(`sound: ${channels} channels, not ${numChannels}`);
+  if (count > MAX_PACKETS || Math.max(first, numSamples) > MAX_POSITION)
+    throw corrupt("sound: a position or the number of packets is out of range");
+  reader.take(2 * count);
+  reader.at -= 2 * count;
+  const sizes = Array.from({ length: count }, () => reader.u16());
+  const packets = sizes.map((packetBytes) => reader.take(packetBytes));
+  reader.finish();
+  const positions = [first];
+  for (const [n, packet] of packets.entries()) positions.push(positions[n] + packetSamples(packet));
+  return { preSkip, numSamples, packets, positions };
+}
+
+/**
+ * Samples that an Opus packet decodes to (RFC 6716, section 3.1). Throws a FormatError.
+ * @param {Uint8Array} packet
+ */
+export function packetSamples(packet) {
+  if (packet.length === 0) throw corrupt("sound: an empty packet");
+  const config = packet[0] >> 3;
+  const sizes =
+    config < 12 ? [480, 960, 1920, 2880] : config < 16 ? [480, 960] : [120, 240, 480, 960];
+  const frames = [1, 2, 2, packet.length > 1 ? packet[1] & 63 : 0][packet[0] & 3];
+  const samples = frames * sizes[config % sizes.length];
+  if (samples === 0 || samples > MAX_PACKET_SAMPLES)
+    throw corrupt(`sound: a packet of ${samples} samples`);
+  return samples;
+}

@@ -1,0 +1,277 @@
+import { MAX_SOUND_BYTES, SAMPLE_RATE } from "../constants.js";
+import { objectPath } from "../format/manifest.js";
+import { servedBase } from "../source/addresses.js";
+import { Fetcher } from "../source/fetcher.js";
+import { objectUrl } from "../source/objecturl.js";
+import { inCamera } from "../view/pose.js";
+import { AudioClock } from "./audioclock.js";
+import { audioContext, decode, leaveDevice, useDevice } from "./audiodevice.js";
+import { SoundRun } from "./soundrun.js";
+import { placeAt, readSources } from "./soundsource.js";
+import { SoundTrack } from "./soundtrack.js";
+import { Timeline } from "./timeline.js";
+
+const STEP_MS = 100;
+/** Objects are here so many seconds ahead, samples so many. */
+const FETCHED_S = 15;
+const DECODED_S = 3;
+const MOST_PIECES = 300;
+/** The picture follows the sound in steps of this at most; below the second one it stays. */
+const MOST_FOLLOWED_MS = 20;
+const LEAST_FOLLOWED_MS = 2;
+/** Sound and picture that are further apart begin anew: the computer has slept. */
+const APART_MS = 600;
+/** A browser that has not begun after this waits for a person. */
+const BLOCKED_MS = 300;
+const MOST_LATE_MS = 500;
+/** How late pictures are is the median of so many: one that is very late says little. */
+const LATES = 31;
+const TURN_S = 0.05;
+
+/** @typedef {import("../element/webplayer.js").WebPlayer} WebPlayer */
+
+/**
+ * The sound of the stream that a player has open. The player's pictures say when it begins; from then
+ * on the audio device's clock leads, and the pictures follow it.
+ *
+ * Events: `blocked` (isBlocked), `refused` (detail: a sentence; once).
+ */
+export class SoundPlay extends EventTarget {
+  /** Whether the browser waits for a person before there may be sound. */
+  isBlocked = false;
+  isMuted = false;
+  /** Of all runs before this one. */
+  #gaps = 0;
+  /** @type {SoundRun | null} */
+  run = null;
+  /** @type {WebPlayer["line"]} that the run follows */
+  #line = null;
+  /** @type {{ track: SoundTrack, panner: PannerNode | null, output: AudioNode }[]} */
+  #voices = [];
+  /** @type {GainNode | null} */
+  #gain = null;
+  /** @type {AudioClock | null} */
+  #clock = null;
+  volume = 1;
+  /** How long after it was due a picture shows. */
+  #lateMs = 0;
+  /** @type {number[]} */
+  #lates = [];
+  #waitsSinceMs = 0;
+  #isRefused = false;
+  #hasEnded = false;
+  #ending = new AbortController();
+
+  /**
+   * Throws a FormatError if the manifest's sources break a rule.
+   * @param {WebPlayer} player with a stream that has sound
+   * @param {() => boolean} loops
+   */
+  constructor(player, loops) {
+    super();
+    const { manifest } = player;
+    this.player = player;
+    this.loops = loops;
+    this.sources = readSources(manifest.sound);
+    this.timeline = new Timeline(manifest.fps, manifest.segmentFrames, player.numFrames);
+    const { signal } = this.#ending;
+    player.addEventListener("line", () => this.step(), { signal });
+    player.addEventListener("shown", () => this.#shown(), { signal });
+    player.addEventListener("ended", () => (this.#hasEnded = true), { signal });
+    const timer = setInterval(() => this.step(), STEP_MS);
+    signal.addEventListener("abort", () => clearInterval(timer));
+  }
+
+  /** Pieces that came too late. */
+  get gaps() {
+    return this.#gaps + (this.run?.gaps ?? 0);
+  }
+
+  /** @param {number} volume 0 to 1 @param {boolean} isMuted */
+  setVolume(volume, isMuted) {
+    this.volume = volume;
+    this.isMuted = isMuted;
+    this.#gain?.gain.setTargetAtTime(volume, audioContext().currentTime, 0.01);
+    this.step();
+  }
+
+  /** A person has pressed something: the browser may let it sound now. */
+  unblock() {
+    useDevice(this);
+    audioContext().addEventListener("statechange", () => this.step(), { once: true });
+  }
+
+  /** Looks at what is to be done. */
+  step() {
+    const { line } = this.player;
+    const isMuted = this.isMuted || this.volume === 0;
+    const isDue = line?.zeroMs != null && !isMuted && this.timeline.length > 0;
+    if (!isDue) {
+      // The end of the stream is heard out.
+      const isEnding = this.#hasEnded && !isMuted && !this.player.isSeeking;
+      if (!isEnding || (this.run?.aheadS ?? 0) < 0) this.#stop();
+      leaveDevice(this);
+      this.#block(false);
+      return;
+    }
+    this.#hasEnded = false;
+    useDevice(this);
+    const context = audioContext();
+    if (context.state !== "running") {
+      this.#stop();
+      this.#waitsSinceMs ||= performance.now();
+      if (performance.now() - this.#waitsSinceMs > BLOCKED_MS) this.#block(true);
+      return;
+    }
+    this.#waitsSinceMs = 0;
+    this.#block(false);
+    this.#clock ??= new AudioClock(context);
+    this.#clock.look();
+    if (this.run === null || this.#line !== line) this.#begin(context, line);
+    this.#follow();
+    this.#advance();
+  }
+
+  /** @param {number} epochMs since 1970, as the worker has it; gives milliseconds of this page */
+  #pageMs(epochMs) {
+    return epochMs - performance.timeOrigin;
+  }
+
+  /**
+   * @param {AudioContext} context
+   * @param {NonNullable<WebPlayer["line"]>} line
+   */
+  #begin(context, line) {
+    this.#stop();
+    this.#build(context);
+    this.#line = line;
+    const zeroS = (this.#pageMs(line.zeroMs ?? 0) + this.#lateMs) / 1000;
+    const outputs = this.#voices.map(
+      ({ track, output }) => /** @type {[SoundTrack, AudioNode]} */ ([track, output]),
+    );
+    const atS = zeroS + (this.#clock?.offsetS ?? 0);
+    this.run = new SoundRun(context, this.timeline, outputs, atS, line.rate);
+  }
+
+  /** Has the pictures follow what is heard. */
+  #follow() {
+    const { run, player } = this;
+    const line = this.#line;
+    if (run === null || line?.zeroMs == null) return;
+    const heardMs = 1000 * (run.zeroS - (this.#clock?.offsetS ?? 0));
+    const byMs = heardMs - this.#lateMs - this.#pageMs(line.zeroMs);
+    if (Math.abs(byMs) > APART_MS) {
+      this.#stop(); // and begins at the next step
+      return;
+    }
+    if (Math.abs(byMs) < LEAST_FOLLOWED_MS) return;
+    const stepMs = Math.max(-MOST_FOLLOWED_MS, Math.min(MOST_FOLLOWED_MS, byMs));
+    line.zeroMs += stepMs;
+    player.workers?.post({ kind: "follow", line: line.line, byMs: stepMs });
+  }
+
+  #advance() {
+    const { run, timeline, player } = this;
+    if (run === null) return;
+    const ahead = (/** @type {number} */ seconds, /** @type {number} */ most) =>
+      timeline.piecesFrom(run.sample, seconds * SAMPLE_RATE * run.rate, this.loops(), most);
+    const pieces = ahead(FETCHED_S, MOST_PIECES);
+    const numDecoded = ahead(DECODED_S, MOST_PIECES).length;
+    const { currentTime } = run.context;
+    const w2c = player.workers?.requestedW2c ?? [];
+    for (const { track, panner } of this.#voices) {
+      track.want(pieces, numDecoded);
+      if (panner === null || w2c.length === 0) continue;
+      // The listener stays where devices have it, and looks along -z: the sources move around it.
+      const place = placeAt(track.source.keys, run.sample / SAMPLE_RATE);
+      const [right, down, forward] = inCamera(w2c, place);
+      panner.positionX.setTargetAtTime(right, currentTime, TURN_S);
+      panner.positionY.setTargetAtTime(-down, currentTime, TURN_S);
+      panner.positionZ.setTargetAtTime(-forward, currentTime, TURN_S);
+    }
+    run.step(this.loops());
+  }
+
+  /** @param {AudioContext} context */
+  #build(context) {
+    if (this.#gain !== null) return;
+    const gain = context.createGain();
+    gain.gain.value = this.volume;
+    gain.connect(context.destination);
+    this.#gain = gain;
+    const { player } = this;
+    const { base, manifest, source } = player;
+    const fetcher = new Fetcher();
+    const isServed = servedBase(base) !== null;
+    const urlOf = (/** @type {number} */ segment, /** @type {string} */ part) =>
+      isServed
+        ? `${base}segments/${segment}/${part}`
+        : objectUrl(base, objectPath(manifest, segment, part), source?.otherHosts ?? false);
+    const fetchObject = async (
+      /** @type {number} */ segment,
+      /** @type {string} */ part,
+      /** @type {AbortSignal} */ signal,
+    ) => {
+      const init = /** @type {RequestInit} */ ({ signal, priority: "high" });
+      return fetcher.get(urlOf(segment, part), MAX_SOUND_BYTES, undefined, init);
+    };
+    const refused = (/** @type {unknown} */ error) => this.#refuse(error);
+    this.#voices = this.sources.map((one) => {
+      const track = new SoundTrack(one, fetchObject, decode, refused);
+      const panner = one.keys.length > 0 ? context.createPanner() : null;
+      panner?.connect(gain);
+      return { track, panner, output: panner ?? gain };
+    });
+  }
+
+  #shown() {
+    const { player } = this;
+    const line = player.line;
+    if (line?.zeroMs == null || player.isSeeking) return;
+    const { fps } = player.manifest;
+    const roundMs = (1000 * player.numFrames) / fps / line.rate;
+    const dueMs = this.#pageMs(line.zeroMs) + (1000 * player.shownFrame) / fps / line.rate;
+    const lateMs = (performance.now() - dueMs + roundMs) % roundMs;
+    if (lateMs > MOST_LATE_MS) return;
+    this.#lates.push(lateMs);
+    if (this.#lates.length > LATES) this.#lates.shift();
+    const sorted = this.#lates.toSorted((a, b) => a - b);
+    this.#lateMs = sorted[sorted.length >> 1];
+  }
+
+  #stop() {
+    if (this.run === null) return;
+    this.#gaps += this.run.gaps;
+    this.run.stop();
+    this.run = null;
+    this.#line = null;
+  }
+
+  /** @param {boolean} isBlocked */
+  #block(isBlocked) {
+    if (!isBlocked) this.#waitsSinceMs = 0;
+    if (isBlocked === this.isBlocked) return;
+    this.isBlocked = isBlocked;
+    this.dispatchEvent(new Event("blocked"));
+  }
+
+  /** @param {unknown} error */
+  #refuse(error) {
+    if (this.#isRefused) return;
+    this.#isRefused = true;
+    const detail = `Some of the sound cannot be played: ${error instanceof Error ? error.message : error}`;
+    this.dispatchEvent(new CustomEvent("refused", { detail }));
+  }
+
+  close() {
+    this.#stop();
+    this.#ending.abort();
+    leaveDevice(this);
+    for (const { track, panner } of this.#voices) {
+      track.close();
+      panner?.disconnect();
+    }
+    const gain = this.#gain;
+    setTimeout(() => gain?.disconnect(), 1000);
+  }
+}

@@ -1,0 +1,148 @@
+import { SAMPLE_RATE } from "../constants.js";
+import { stretched } from "./stretch.js";
+
+/** So far ahead pieces are handed to the device. */
+const AHEAD_S = 1;
+/** What begins now begins so much later: the device works ahead itself. */
+const SOON_S = 0.02;
+const FADE_S = 0.01;
+/** The pitch is kept between these speeds; others are silent. */
+const LEAST_RATE = 0.25;
+const MOST_RATE = 2;
+
+/** @typedef {import("./soundtrack.js").SoundTrack} SoundTrack */
+
+/**
+ * @typedef {object} Voice
+ * @property {SoundTrack} track
+ * @property {GainNode} gain
+ * @property {Set<AudioBufferSourceNode>} nodes that were started
+ * @property {number} next the first sample that is not with the device
+ * @property {boolean} hasBegun whether there is anything before it
+ */
+
+/**
+ * Sound from one start to the next seek, pause or stall: which sample is heard when, on the context's
+ * clock. Samples are counted on through the rounds of a loop.
+ */
+export class SoundRun {
+  /** Pieces that were not here when they were due, after the first one. */
+  gaps = 0;
+  /** @type {Voice[]} */
+  #voices;
+
+  /**
+   * @param {BaseAudioContext} context
+   * @param {import("./timeline.js").Timeline} timeline
+   * @param {[SoundTrack, AudioNode][]} outputs where each track goes
+   * @param {number} zeroS when sample 0 is or was due, by the context's clock
+   * @param {number} rate
+   */
+  constructor(context, timeline, outputs, zeroS, rate) {
+    this.context = context;
+    this.timeline = timeline;
+    this.rate = rate;
+    this.zero = Math.round(zeroS * SAMPLE_RATE);
+    const next = this.#sampleAt(context.currentTime + SOON_S);
+    this.#voices = outputs.map(([track, output]) => {
+      const gain = context.createGain();
+      gain.gain.setValueAtTime(0, context.currentTime);
+      gain.gain.setTargetAtTime(1, context.currentTime + SOON_S, FADE_S / 3);
+      gain.connect(output);
+      return { track, gain, nodes: new Set(), next, hasBegun: false };
+    });
+  }
+
+  /** When sample 0 is or was due, by the context's clock. */
+  get zeroS() {
+    return this.zero / SAMPLE_RATE;
+  }
+
+  /** The device's sample with which one of the stream is heard. @param {number} sample */
+  #deviceSample(sample) {
+    return this.zero + Math.round(sample / this.rate);
+  }
+
+  /** @param {number} timeS of the context */
+  #sampleAt(timeS) {
+    return Math.max(0, Math.round((timeS - this.zeroS) * this.rate * SAMPLE_RATE));
+  }
+
+  /** The sample of the stream that is due now. */
+  get sample() {
+    const { length } = this.timeline;
+    return length === 0 ? 0 : this.#sampleAt(this.context.currentTime) % length;
+  }
+
+  /** Seconds for which all sources are with the device. */
+  get aheadS() {
+    const next = Math.min(...this.#voices.map((voice) => voice.next));
+    return this.#deviceSample(next) / SAMPLE_RATE - this.context.currentTime;
+  }
+
+  /** Hands on what is due soon. @param {boolean} loops whether it goes on with the next round */
+  step(loops) {
+    if (this.rate < LEAST_RATE || this.rate > MOST_RATE) return;
+    const { context, timeline } = this;
+    const least = this.#sampleAt(context.currentTime + SOON_S / 2);
+    const most = this.#sampleAt(context.currentTime + AHEAD_S);
+    for (const voice of this.#voices) {
+      while (voice.next < most) {
+        const round = Math.floor(voice.next / timeline.length);
+        if (timeline.length === 0 || (round > 0 && !loops)) break;
+        const base = round * timeline.length;
+        const { begin, end } = timeline.pieceAt(voice.next - base);
+        const channels = voice.track.samples(begin);
+        if (voice.next < least) {
+          if (voice.hasBegun) this.gaps += 1;
+          voice.hasBegun = false;
+          voice.next = this.#sampleAt(context.currentTime + SOON_S);
+          continue;
+        }
+        if (channels === null) break;
+        const from = voice.next - base - begin;
+        this.#start(voice, channels, from, base + end);
+        voice.next = base + end;
+        voice.hasBegun = true;
+      }
+    }
+  }
+
+  /**
+   * @param {Voice} voice
+   * @param {Float32Array[]} channels of a piece
+   * @param {number} from first sample of it
+   * @param {number} end where it ends in the run
+   */
+  #start(voice, channels, from, end) {
+    const { context } = this;
+    const at = this.#deviceSample(voice.next);
+    const length = this.#deviceSample(end) - at;
+    if (length <= 0) return;
+    const given = channels.map((channel) => channel.subarray(from));
+    const heard = length === given[0].length ? given : stretched(given, length);
+    const buffer = context.createBuffer(heard.length, length, SAMPLE_RATE);
+    for (const [n, channel] of heard.entries())
+      buffer.copyToChannel(/** @type {Float32Array<ArrayBuffer>} */ (channel), n);
+    const node = context.createBufferSource();
+    node.buffer = buffer;
+    node.connect(voice.gain);
+    node.onended = () => {
+      voice.nodes.delete(node);
+      node.disconnect();
+    };
+    voice.nodes.add(node);
+    node.start(at / SAMPLE_RATE);
+  }
+
+  /** It falls silent. */
+  stop() {
+    const { currentTime } = this.context;
+    for (const { gain, nodes } of this.#voices) {
+      gain.gain.cancelScheduledValues(currentTime);
+      gain.gain.setTargetAtTime(0, currentTime, FADE_S / 3);
+      for (const node of nodes) node.stop(currentTime + 2 * FADE_S);
+      setTimeout(() => gain.disconnect(), 1000);
+    }
+  }
+}

@@ -1,0 +1,134 @@
+import { PREROLL, SAMPLE_RATE } from "../constants.js";
+import { corrupt } from "../format/bytes/errors.js";
+import { oggOf } from "./ogg.js";
+import { readSoundObject } from "./soundobject.js";
+
+/** Objects that are on their way at the same time. */
+const MOST_FETCHES = 2;
+
+/** @typedef {import("./timeline.js").Piece} Piece */
+/** @typedef {import("./soundobject.js").SoundObject} SoundObject */
+
+/**
+ * The sound of one source, a little ahead of where it is heard: objects are fetched, and pieces of them
+ * decoded. What is refused is silent.
+ */
+export class SoundTrack {
+  /** @type {Map<number, SoundObject | null>} by segment; null: on its way */
+  #objects = new Map();
+  /** @type {Map<number, Float32Array[] | null>} samples of each channel by begin; null: on their way */
+  #pieces = new Map();
+  #fetches = 0;
+  #closing = new AbortController();
+
+  /**
+   * @param {import("./soundsource.js").SoundSource} source
+   * @param {(segment: number, part: string, signal: AbortSignal) => Promise<Uint8Array>} fetchObject
+   * @param {(file: ArrayBuffer) => Promise<AudioBuffer>} decode at 48000 Hz
+   * @param {(error: unknown) => void} refused called with what is wrong with an object
+   */
+  constructor(source, fetchObject, decode, refused) {
+    this.source = source;
+    this.fetchObject = fetchObject;
+    this.decode = decode;
+    this.refused = refused;
+  }
+
+  /**
+   * Fetches what these pieces are made of, the first of them first, and forgets all else.
+   * @param {Piece[]} pieces
+   * @param {number} numDecoded of the first pieces: they are decoded, too
+   */
+  want(pieces, numDecoded) {
+    const segments = new Set(pieces.map(({ segment }) => segment));
+    for (const [segment, object] of this.#objects)
+      if (object !== null && !segments.has(segment)) this.#objects.delete(segment);
+    for (const segment of segments) {
+      if (this.#fetches >= MOST_FETCHES) break;
+      if (!this.#objects.has(segment)) this.#fetch(segment);
+    }
+    const soon = pieces.slice(0, numDecoded);
+    const begins = new Set(soon.map(({ begin }) => begin));
+    for (const [begin, samples] of this.#pieces)
+      if (samples !== null && !begins.has(begin)) this.#pieces.delete(begin);
+    for (const piece of soon) {
+      const object = this.#objects.get(piece.segment);
+      if (object && !this.#pieces.has(piece.begin)) this.#decode(piece, object);
+    }
+  }
+
+  /** The samples of each channel of a piece; null while they are not here. @param {number} begin */
+  samples(begin) {
+    return this.#pieces.get(begin) ?? null;
+  }
+
+  /** @param {number} segment */
+  async #fetch(segment) {
+    const { part, channels } = this.source;
+    this.#objects.set(segment, null);
+    this.#fetches += 1;
+    try {
+      const bytes = await this.fetchObject(segment, part, this.#closing.signal);
+      this.#objects.set(segment, readSoundObject(bytes, channels));
+    } catch (error) {
+      this.#objects.set(segment, { preSkip: 0, numSamples: 0, packets: [], positions: [0] });
+      this.#refuse(error);
+    }
+    this.#fetches -= 1;
+  }
+
+  /**
+   * @param {Piece} piece
+   * @param {SoundObject} object
+   */
+  async #decode({ begin, end }, object) {
+    const { channels } = this.source;
+    const samples = Array.from({ length: channels }, () => new Float32Array(end - begin));
+    this.#pieces.set(begin, null);
+    try {
+      await this.#fill(samples, begin, Math.min(end, object.numSamples), object);
+    } catch (error) {
+      this.#refuse(error);
+    }
+    this.#pieces.set(begin, samples);
+  }
+
+  /**
+   * Decodes the samples from `begin` to `end`.
+   * @param {Float32Array[]} samples
+   * @param {number} begin
+   * @param {number} end
+   * @param {SoundObject} object
+   */
+  async #fill(samples, begin, end, { preSkip, packets, positions }) {
+    if (begin >= end) return;
+    const least = Math.max(0, begin + preSkip - PREROLL);
+    const from = positions.findLastIndex((position) => position <= least);
+    const to = positions.findIndex((position) => position >= end + preSkip);
+    if (from < 0 || to < 0) throw corrupt(`sound: no packets for samples ${begin} to ${end}`);
+    const first = positions[from];
+    const ends = positions.slice(from + 1, to + 1).map((position) => position - first);
+    const file = oggOf(packets.slice(from, to), ends, samples.length);
+    const decoded = await this.decode(file.buffer);
+    const total = ends[ends.length - 1];
+    // A decoder that passes over the beginning of all files has less, and the end is right.
+    const at = begin + preSkip - first - (total - decoded.length);
+    if (decoded.sampleRate !== SAMPLE_RATE || at < 0 || decoded.length > total)
+      throw corrupt(`sound: ${decoded.length} samples were decoded of ${total}`);
+    for (const [n, channel] of samples.entries()) {
+      const found = decoded.getChannelData(Math.min(n, decoded.numberOfChannels - 1));
+      channel.set(found.subarray(at, at + end - begin));
+    }
+  }
+
+  /** @param {unknown} error */
+  #refuse(error) {
+    if (!this.#closing.signal.aborted) this.refused(error);
+  }
+
+  close() {
+    this.#closing.abort();
+    this.#objects.clear();
+    this.#pieces.clear();
+  }
+}

@@ -1,0 +1,103 @@
+/** Faster and slower sound of the same pitch: WSOLA (Verhelst and Roelands, 1993). */
+
+/** Half of a window, and how far around its place what is like what went before is looked for. */
+const HOP = 720;
+const REACH = 480;
+/** Every so many samples are compared. */
+const STRIDE = 4;
+
+const RISE = Float32Array.from(
+  { length: HOP },
+  (_, n) => Math.sin((Math.PI * (n + 0.5)) / 2 / HOP) ** 2,
+);
+
+/**
+ * The sound in `length` samples. It begins and ends exactly as what it is made of, so that pieces join.
+ * @param {Float32Array[]} channels
+ * @param {number} length
+ * @returns {Float32Array[]}
+ */
+export function stretched(channels, length) {
+  const given = channels[0].length;
+  const made = channels.map(() => new Float32Array(length));
+  const last = length - 2 * HOP;
+  if (last <= 0 || given < 2 * HOP) return channels.map((channel) => resampled(channel, length));
+  let from = 0;
+  copy(channels, made, 0, 0, HOP);
+  for (let at = HOP; at < length; at += HOP) {
+    // Half a window from what would follow, half a window from its place; the end comes as it is.
+    const isLast = at >= last;
+    const follows = from + HOP;
+    const end = given - (length - at);
+    const place = Math.round((at * given) / length);
+    const to = isLast ? end : alike(channels, follows, place, given);
+    const many = Math.min(HOP, length - at);
+    for (const [n, channel] of channels.entries()) {
+      for (let i = 0; i < many; i++) {
+        const before = channel[follows + i] ?? 0;
+        made[n][at + i] = before + RISE[i] * ((channel[to + i] ?? 0) - before);
+      }
+    }
+    from = to;
+    if (isLast) {
+      copy(channels, made, to + many, at + many, length - at - many);
+      break;
+    }
+  }
+  return made;
+}
+
+/**
+ * @param {Float32Array[]} channels
+ * @param {Float32Array[]} made
+ * @param {number} from
+ * @param {number} at
+ * @param {number} count
+ */
+function copy(channels, made, from, at, count) {
+  for (const [n, channel] of channels.entries())
+    made[n].set(channel.subarray(from, from + count), at);
+}
+
+/**
+ * Where, near `place`, what is there is most like what is at `follows`.
+ * @param {Float32Array[]} channels
+ * @param {number} follows
+ * @param {number} place
+ * @param {number} given
+ */
+function alike(channels, follows, place, given) {
+  const most = given - 2 * HOP;
+  const low = Math.max(0, Math.min(most, place - REACH));
+  const high = Math.max(0, Math.min(most, place + REACH));
+  if (follows + HOP > given) return Math.max(0, Math.min(most, place));
+  let best = low;
+  let bestScore = -Infinity;
+  for (let to = low; to <= high; to += STRIDE) {
+    let product = 0;
+    let energy = 1e-9;
+    for (const channel of channels) {
+      for (let i = 0; i < HOP; i += STRIDE) {
+        product += channel[follows + i] * channel[to + i];
+        energy += channel[to + i] ** 2;
+      }
+    }
+    const score = product / Math.sqrt(energy);
+    if (score > bestScore) [best, bestScore] = [to, score];
+  }
+  return best;
+}
+
+/**
+ * What is shorter than a window changes its pitch.
+ * @param {Float32Array} channel
+ * @param {number} length
+ */
+function resampled(channel, length) {
+  return Float32Array.from({ length }, (_, n) => {
+    const at = (n * channel.length) / length;
+    const before = channel[Math.floor(at)];
+    const after = channel[Math.min(channel.length - 1, Math.floor(at) + 1)];
+    return before + (at % 1) * (after - before);
+  });
+}

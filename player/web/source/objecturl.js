@@ -1,0 +1,29 @@
+import { corrupt } from "../format/bytes/errors.js";
+import { SourceError } from "./fetcher.js";
+
+/**
+ * The URL of an object. Throws a FormatError if it is none, and a SourceError if it leads to another
+ * origin than the manifest's without `otherHosts`.
+ * @param {string} base
+ * @param {string} path as the manifest gives it, perhaps a whole URL
+ * @param {boolean} otherHosts
+ */
+export function objectUrl(base, path, otherHosts) {
+  const name = `${base}manifest.json`;
+  let url;
+  try {
+    url = new URL(path, base);
+  } catch {
+    throw corrupt(`${name}: object_url gives ${path.slice(0, 200)}, which is not a URL`);
+  }
+  if (url.origin === new URL(base).origin) return url.href;
+  if (!/^https?:$/.test(url.protocol))
+    throw corrupt(`${name}: object_url gives ${url.href.slice(0, 200)}, which is not on the web`);
+  if (!otherHosts) {
+    throw new SourceError(
+      `${name} leads to another host, ${url.origin.slice(0, 200)}; other-hosts, as an attribute of ` +
+        "the player or other-hosts=1 in the address of its page, allows it",
+    );
+  }
+  return url.href;
+}

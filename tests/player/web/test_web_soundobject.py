@@ -1,0 +1,191 @@
+"""The browser's reader of sound: objects, sources, pieces, files for the decoder, other speeds."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import random
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from codec.errors import CodecError
+from codec.stream.reader import StreamReader
+from codec.stream.sound import SAMPLE_RATE, SoundObject, SoundSource, first_sample, packet_samples
+from codec.tools.soundfile import decode
+from codec.tools.streamsound import read_sound
+from tests.support.web.browsercode import BrowserCode
+from tests.support.web.clicks import write_clicking_stream
+
+NUM_FRAMES = 45
+SOURCES = (SoundSource("main", 2), SoundSource("voice", 1, ((0.0, 1.0, 2.0, 3.0),)))
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory: pytest.TempPathFactory) -> StreamReader:
+    folder = tmp_path_factory.mktemp("clicking")
+    write_clicking_stream(folder, NUM_FRAMES, *SOURCES)
+    return StreamReader(folder / "trained")
+
+
+def test_objects_are_read_as_in_the_package(browser: BrowserCode, reader: StreamReader) -> None:
+    for source in SOURCES:
+        for segment in range(len(reader.records)):
+            found = read_sound(reader, segment, source)
+            said = browser.ask("sound", bytes=found.pack().hex(), channels=source.channels)
+            ends = itertools.accumulate(map(packet_samples, found.packets), initial=found.first)
+            assert said == {
+                "preSkip": found.pre_skip,
+                "numSamples": found.num_samples,
+                "positions": list(ends),
+                "packets": [packet.hex() for packet in found.packets],
+            }
+
+
+def test_damaged_objects_are_refused_as_in_the_package(
+    browser: BrowserCode, reader: StreamReader
+) -> None:
+    rng = random.Random(5)
+    whole = read_sound(reader, 1, SOURCES[0])
+    data = whole.pack()
+    cases = [data[:cut] for cut in (0, 3, 35, 36, 40, len(data) - 1)] + [data + b"\0"]
+    for _ in range(300):
+        damaged = bytearray(data)
+        damaged[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+        cases.append(bytes(damaged))
+    for _ in range(100):  # whose checksum is right
+        packets = tuple(rng.randbytes(rng.randint(1, 3)) for _ in range(3))
+        try:
+            cases.append(SoundObject(2, whole.pre_skip, 9, 0, packets).pack())
+        except CodecError:
+            continue
+    for case in cases:
+        try:
+            SoundObject.parse(case)
+            is_taken = case[12] == 2
+        except CodecError:
+            is_taken = False
+        assert browser.takes("sound", bytes=case.hex(), channels=2) == is_taken
+
+
+def test_sources_are_read_as_in_the_package(browser: BrowserCode) -> None:
+    good = [source.to_json() for source in SOURCES]
+    assert [found["part"] for found in browser.ask("sources", sound=good)] == [
+        source.part for source in SOURCES
+    ]
+    bad: list[Any] = [
+        {"main": good[0]},
+        [good[0], good[0]],
+        [{**good[0], "name": "A"}],
+        [{**good[0], "channels": 3}],
+        [{**good[1], "channels": 2}],
+        [{**good[0], "channels": 1, "keys": [[0, 1, 2]]}],
+        [{**good[0], "channels": 1, "keys": [[1, 0, 0, 0], [1, 0, 0, 0]]}],
+        [{**good[0], "channels": 1, "keys": [["0", 0, 0, 0]]}],
+        [{"name": "main"}],
+        [{**good[0], "name": str(n)} for n in range(17)],
+        7,
+        "main",
+    ]
+    for case in bad:
+        assert not browser.takes("sources", sound=case), case
+
+
+def test_a_source_moves_as_in_the_package(browser: BrowserCode) -> None:
+    keys = ((0.5, 0.0, 1.0, 2.0), (1.5, 4.0, 1.0, -2.0), (4.0, 0.0, 0.0, 0.0))
+    source = SoundSource("steps", 1, keys)
+    for time_s in (0.0, 0.5, 0.7, 1.5, 3.9, 4.0, 9.0):
+        assert browser.ask("place", keys=keys, timeS=time_s) == pytest.approx(
+            source.position_m(time_s)
+        )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    fps=st.sampled_from([23.976, 24, 29.97, 30, 60, 1000]),
+    segment_frames=st.integers(1, 300),
+    num_frames=st.integers(1, 2000),
+    data=st.data(),
+)
+def test_pieces_cover_the_stream_once(
+    browser: BrowserCode, fps: float, segment_frames: int, num_frames: int, data: st.DataObject
+) -> None:
+    length = first_sample(num_frames, fps)
+    begin = data.draw(st.integers(0, max(0, length - 1)))
+    question = {"fps": fps, "segmentFrames": segment_frames, "numFrames": num_frames}
+    found = browser.ask("pieces", **question, sample=begin, count=length, loops=False)
+    assert found["length"] == length
+    pieces = found["pieces"]
+    if length == 0 or len(pieces) == 1000:
+        return
+    assert pieces[0]["begin"] <= begin < pieces[0]["end"]
+    assert all(a["end"] == b["begin"] for a, b in itertools.pairwise(pieces))
+    assert pieces[-1]["end"] == length
+    for piece in pieces:
+        first = piece["segment"] * segment_frames
+        assert first_sample(first, fps) <= piece["begin"]
+        assert piece["end"] <= first_sample(min(num_frames, first + segment_frames), fps)
+        assert piece["end"] - piece["begin"] <= 2 * SAMPLE_RATE
+
+
+def test_a_decoder_of_files_gives_all_samples(browser: BrowserCode, reader: StreamReader) -> None:
+    """The file of the packets decodes to what the packets decode to: nothing is passed over."""
+    for source in SOURCES:
+        found = read_sound(reader, 2, source)
+        ends = list(itertools.accumulate(map(packet_samples, found.packets)))
+        packets = [packet.hex() for packet in found.packets]
+        question = {"packets": packets, "ends": ends, "channels": source.channels}
+        file = bytes.fromhex(browser.ask("ogg", **question))
+        expected = np.concatenate(list(decode(found.packets, source.channels)))
+        with av.open(io.BytesIO(file), "r") as container:
+            stream = container.streams.audio[0]
+            assert (stream.codec.name, stream.channels) == ("opus", source.channels)
+            frames = [frame.to_ndarray() for frame in container.decode(stream)]
+        heard = np.concatenate(frames, axis=1)
+        if heard.shape[0] == 1 and source.channels == 2:
+            heard = heard.reshape(-1, 2).T
+        assert heard.shape[1] == ends[-1] == len(expected)
+        assert np.abs(heard.T * 32768 - expected).max() <= 2
+
+
+def pitch_hz(samples: np.ndarray) -> float:
+    """Of the loudest tone."""
+    spectrum = np.abs(np.fft.rfft(samples * np.hanning(len(samples))))
+    return float(np.argmax(spectrum)) * SAMPLE_RATE / len(samples)
+
+
+@pytest.mark.parametrize("rate", [0.25, 0.5, 0.75, 1.25, 1.5, 2.0])
+def test_another_speed_keeps_the_pitch(browser: BrowserCode, rate: float) -> None:
+    count = 24000
+    tone = 0.5 * np.sin(2 * np.pi * 440 * np.arange(count) / SAMPLE_RATE)
+    length = round(count / rate)
+    channels = [tone.tolist(), (-tone).tolist()]
+    left, right = map(np.asarray, browser.ask("stretched", channels=channels, length=length))
+    assert len(left) == len(right) == length
+    assert pitch_hz(left) == pytest.approx(440, abs=2 * SAMPLE_RATE / length)
+    assert np.array_equal(right, -left), "both channels move together"
+    # It joins what comes before and after, and has no steps.
+    steps = np.abs(np.diff(left))
+    assert steps.max() <= 1.2 * np.abs(np.diff(tone)).max()
+    assert left[:500] == pytest.approx(tone[:500], abs=1e-6)
+    assert left[-3:] == pytest.approx(tone[-3:], abs=1e-3)
+
+
+@settings(max_examples=30, deadline=None)
+@given(count=st.integers(1, 9000), rate=st.floats(0.25, 2))
+def test_any_piece_is_stretched(browser: BrowserCode, count: int, rate: float) -> None:
+    length = max(1, round(count / rate))
+    noise = np.random.default_rng(count).uniform(-1, 1, count).astype(np.float32)
+    [made] = browser.ask("stretched", channels=[noise.tolist()], length=length)
+    assert len(made) == length
+    assert np.abs(made).max() <= 1.0001
+
+
+def test_a_folder_of_clicks_is_what_it_says(tmp_path: Path) -> None:
+    static = write_clicking_stream(tmp_path, 20, SOURCES[0])
+    assert (static / "segments/0/audio-main").is_file()
