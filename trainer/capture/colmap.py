@@ -81,7 +81,7 @@ def open_colmap(root: Path) -> Capture:
     ]
     lenses = [found[name][1] for name in names]
     masks: list[MaskFiles | None]
-    if by_frame and has_mask_folders(root, cameras):
+    if has_mask_folders(root, cameras):
         masks = folder_masks(root, cameras, lenses, len(files[0]))
     else:
         mirrored = mirrored_masks(root / MASKS_NAME, pictures, files)

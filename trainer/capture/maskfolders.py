@@ -15,7 +15,7 @@ from trainer.errors import CaptureError
 
 from .lens import Lens
 from .masks import MASKS_NAME, MaskFiles, mask_source
-from .picturefiles import folder_names, numbered_files
+from .picturefiles import folder_names, frame_number, numbered_files
 
 SUFFIXES = frozenset({".png"})
 MAX_NAMED = 4
@@ -23,8 +23,10 @@ MAX_NAMED = 4
 
 
 def has_mask_folders(root: Path, cameras: Sequence[Camera]) -> bool:
-    """Whether the masks of a capture lie in folders with the names of cameras."""
-    return any((root / MASKS_NAME / camera.name).is_dir() for camera in cameras)
+    """Whether the masks of a capture lie in folders with the names of cameras, by number: not under
+    the whole names of pictures."""
+    names = [name for c in cameras for name in folder_names(root / MASKS_NAME / c.name)]
+    return bool(names) and all(frame_number(Path(name).stem) is not None for name in names)
 
 
 def folder_masks(

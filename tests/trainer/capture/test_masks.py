@@ -200,8 +200,8 @@ def write_layout(root: Path, layout: str) -> None:
             write_dynamic3dgs(root, num_frames=NUM_FRAMES)
         case "dynerf":
             write_dynerf(root, num_frames=NUM_FRAMES)
-        case "colmap":
-            write_colmap(root, by_frame=True)
+        case "colmap" | "colmap by camera":
+            write_colmap(root, by_frame=layout == "colmap")
         case "nerfstudio":
             write_transforms(root, write_nerfstudio(root, listed=True)[1])
         case _:
@@ -209,7 +209,9 @@ def write_layout(root: Path, layout: str) -> None:
             write_transforms(root, transforms_of(cameras, write_videos(root, cameras, NUM_FRAMES)))
 
 
-LAYOUTS = ("dynamic3dgs", "dynerf", "colmap", "nerfstudio", "nerfstudio videos")
+LAYOUTS = (
+    "dynamic3dgs", "dynerf", "colmap", "colmap by camera", "nerfstudio", "nerfstudio videos",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -260,7 +262,10 @@ def test_a_folder_of_masks_that_cannot_be_used(tmp_path: Path, layout: str) -> N
     (root / "masks/kamera").rmdir()
     for file in folder.iterdir():
         file.unlink()
-    assert "masks/cam01: holds no numbered frames" in said()
+    wrong = (
+        "masks: has no mask" if layout.startswith("colmap") else "masks/cam01: holds no numbered"
+    )
+    assert wrong in said()
 
 
 def test_the_segmentation_of_a_data_set_is_no_mask(tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def test_what_a_script_wrote_is_what_was_filmed(folder: Path, name: str) -> None
         np.testing.assert_allclose(read.intrinsics, entry.camera.intrinsics, atol=1e-9)
         assert np.array_equal(picture_of(capture, index), picture_of(footage, index))
         masks = capture.cameras[index].masks
-        assert (masks is not None) == (name == "as-pictures")
+        assert (masks is not None) == (name in ("as-pictures", "as-dynerf"))
         if masks is not None:
             assert masks.read(1).sum() == 54 * 94
     if name in ("as-nerfstudio", "as-calibrated", "as-solved"):
