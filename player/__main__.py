@@ -15,10 +15,10 @@ def run(config: PlayConfig) -> None:
         from .script.viserview import show_in_viser
 
         show_in_viser(config)
-    elif config.still is not None:
-        from .run.stills import draw_still
+    elif config.draws_frames:
+        from .run.stills import draw_frames
 
-        say(draw_still(config))
+        say(draw_frames(config))
     elif config.profile is not None:
         run_profile(config, config.profile)
     else:

@@ -216,9 +216,12 @@ class PlayConfig:
     """Draw only this frame, or the frame at this time (2.5s), to the .png file of --capture. All
     layers are drawn unless --layers is given."""
     picture: PictureKind = PictureKind.COLOUR
-    """What --still and --turntable draw, into PNGs: colour; depth along the viewing axis in
-    thousandths of the stream's unit (16 bits, 0 where nothing is); or mask, what the Gaussians
-    cover (8 bits)."""
+    """What --capture, --still and --turntable draw: colour; depth along the viewing axis, 0 where
+    nothing is; or mask, what the Gaussians cover. PNGs hold depth in thousandths of the stream's
+    unit (16 bits) and masks in 8 bits; a .exr holds either in 32-bit floats, depth in the stream's
+    unit."""
+    exr: bool = False
+    """Fill a folder with OpenEXR files instead of PNGs, for --picture depth and mask."""
     turntable: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Move the camera around the still once in this time, or along --camera if that path moves.
     --capture names the .mp4 or .mov file or folder of PNGs."""
@@ -249,6 +252,8 @@ class PlayConfig:
             self._check_still()
         elif self.capture is not None:
             check_output(self.capture)
+            if self.picture is not PictureKind.COLOUR:
+                self._refuse(f"--picture {self.picture}", *self._of_plays)
         elif self.renderer is RendererKind.CPU and self.profile is None:
             raise InvalidError("--renderer cpu cannot draw in a window; add --capture")
         elif not MIN_RATE <= self.rate <= MAX_RATE:
@@ -327,7 +332,7 @@ class PlayConfig:
             raise InvalidError("--still needs an output file; name it with --capture OUT.png")
         self._refuse("--still", ("--frames", self.frames != FrameRange()), *self._of_plays)
         if self.turntable is None:
-            check_still(self.capture)
+            check_still(self.capture, self.picture is not PictureKind.COLOUR)
             return
         if not (math.isfinite(self.turntable) and 0 < self.turntable <= MAX_TURN_S):
             raise InvalidError(
@@ -349,14 +354,23 @@ class PlayConfig:
 
     def _check_picture(self) -> None:
         if self.picture is PictureKind.COLOUR:
+            self._refuse("--picture colour", ("--exr", self.exr))
             return
         self._refuse(f"--picture {self.picture}", ("--background", self.background != BLACK))
-        if self.still is None:
-            raise InvalidError(f"--picture {self.picture} needs a still; choose it with --still")
-        if self.capture is not None and self.capture.suffix.lower() in VIDEO_SUFFIXES:
+        if self.capture is None:
+            raise InvalidError(f"--picture {self.picture} needs an output; name it with --capture")
+        if self.capture.suffix.lower() in VIDEO_SUFFIXES:
             raise InvalidError(
-                f"{self.capture}: --picture {self.picture} is written as PNGs; name a folder"
+                f"{self.capture}: --picture {self.picture} is written as PNGs or as .exr files; "
+                "name a folder"
             )
+        if self.exr and self.still is not None and self.turntable is None:
+            raise InvalidError(f"{self.capture}: --exr fills a folder; name a .exr file instead")
+
+    @property
+    def draws_frames(self) -> bool:
+        """Whether frames are drawn one by one, without playing the stream."""
+        return self.still is not None or self.picture is not PictureKind.COLOUR
 
     @property
     def window_background(self) -> Colour:

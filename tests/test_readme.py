@@ -8,6 +8,7 @@ syntax is checked here; test_demo.py runs the demo.
 from __future__ import annotations
 
 import ast
+import json
 import os
 import re
 import shlex
@@ -21,6 +22,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -49,6 +51,17 @@ COMMANDS = sorted({words for words in WORDS if IS_COMMAND.match(words)})
 TINY = "--num-gs 60 --genesis-iterations 4 --settle-rounds 1 --window-iterations 1"
 TRAIN = "swings-train my-capture my-stream --frames 0:60 --scale 0.5"
 PLAYED = "--renderer cpu --size 64x36"
+PICTURES = {
+    "swings-play my-stream --still 30 --capture white.png --background ffffff": "white.png",
+    "swings-play my-stream --still 30 --capture cut.png --background transparent": "cut.png",
+    "swings-play my-stream --capture cut.mov --background transparent": "cut.mov",
+    "swings-play my-stream --still 30 --capture depth.exr --picture depth": "depth.exr",
+    "swings-play my-stream --capture depth --picture depth": "depth/frame_00039.png",
+    "swings-play my-stream --capture masks --picture mask --exr": "masks/frame_00039.exr",
+    "swings-play my-stream --camera flight.json --capture flight.mp4": "flight.mp4",
+}
+"""Pictures for other programs."""
+
 BESIDES = {
     "swings-synth my-capture": "--frames 2 --cameras 5 --width-px 32 --height-px 32 --points 50",
     TRAIN: TINY,
@@ -58,6 +71,7 @@ BESIDES = {
     "swings-play my-stream --fps 60 --capture smooth.mp4": PLAYED,
     "swings-play my-stream --still 30 --capture frame.png": PLAYED,
     "swings-play my-stream --still 30 --turntable 4 --capture turn.mp4": PLAYED,
+    **dict.fromkeys(PICTURES, PLAYED),
 }
 """Options that are added, to need neither minutes nor a screen."""
 
@@ -92,6 +106,7 @@ MADE = {
     "swings-play my-stream --fps 60 --capture smooth.mp4": "smooth.mp4",
     "swings-play my-stream --still 30 --capture frame.png": "frame.png",
     "swings-play my-stream --still 30 --turntable 4 --capture turn.mp4": "turn.mp4",
+    **PICTURES,
     "swings-abr my-stream --traces DIR --out report": "report/index.html",
 }
 """What each of these leaves."""
@@ -134,7 +149,7 @@ NOT_RUN = {"git clone <this repository> swings"}
 @pytest.fixture(scope="module")
 def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """With my-capture, my-stream, my-intro, model.ply, my-frames, region.json as the guide has it,
-    and DIR, a folder of traces."""
+    flight.json, and DIR, a folder of traces."""
     root = tmp_path_factory.mktemp("readme")
     write_dynerf(root / "my-capture", 5, 60)
     manifest = replace(seen_by(tiny_manifest(), root / "my-capture"), poster=POSTER_NAME)
@@ -144,6 +159,8 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run_words(root, "swings-stream edit trim my-stream my-intro --frames :5")
     (region,) = (words for words in WORDS if words.startswith('[{"frame"'))
     (root / "region.json").write_text(region)
+    pose = {"camera_to_world": np.eye(4).ravel().tolist(), "fov": 50}
+    (root / "flight.json").write_text(json.dumps({"camera_path": [pose] * 40}))
     (root / "DIR").mkdir()
     (root / "DIR" / "link.json").write_text(
         '[{"duration_ms": 60000, "bandwidth_kbps": 4000, "latency_ms": 20}]'

@@ -291,7 +291,9 @@ class _Playback:
                         smoothing, stream_fps = self._smoothing, source.manifest.fps
                         fps = smoothing.pictures_hz
                         times = OutputTimes(stream_fps, fps, smoothing.shows_between(stream_fps))
-                        sink = stack.enter_context(open_sink(output, fps, size, track is not None))
+                        sink = stack.enter_context(
+                            open_sink(output, fps, size, sound=track is not None)
+                        )
                         count = source.frames.count
                         total = None if count is None else times.count(count * loop)
                         drawn = stack.enter_context(counted("drawing"))

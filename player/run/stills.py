@@ -1,8 +1,10 @@
-"""A single frame: one picture of it, or a film of a camera that goes around it."""
+"""Frames drawn one by one: a picture of one, a film of a camera that goes around it, or depth and
+masks of many."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 
@@ -12,18 +14,18 @@ from codec.progressline import counted
 from player.config import PictureKind, PlayConfig
 from player.script.openscene import Scene
 from player.show.filesinks import open_sink
-from player.show.sink import Bytes, Words, to_bytes, write_png
+from player.show.sink import EXR_SUFFIX, Picture, to_bytes, write_picture
 from player.view.path import CameraPath, Size, orbit
 
 
-def draw_still(config: PlayConfig) -> str:
-    """Draws the frame of `config.still` to `config.capture`; gives a line that says so.
+def draw_frames(config: PlayConfig) -> str:
+    """Draws the frame of `config.still`, or those of `config.frames` if there is none, to
+    `config.capture`; gives a line that says so.
 
-    Nothing is fetched but what this frame needs. Raises a SwingsError or an OSError, and leaves no
+    Nothing is fetched but what these frames need. Raises a SwingsError or an OSError, and leaves no
     half of a file then.
     """
     still, out = config.still, config.capture
-    assert still is not None
     assert out is not None
     with Scene.open(
         config.source,
@@ -33,20 +35,25 @@ def draw_still(config: PlayConfig) -> str:
         delivery=config.delivery,
         max_gaussians=config.max_gaussians,
     ) as scene:
+        if still is None:
+            return _draw_each(config, scene, out)
         frame = still.of(scene.fps)
         scene.frames(frame, frame + 1)  # raises where there is no such frame
         if config.turntable is None:
             # As a capture of the whole stream shows it.
             whole = FrameRange(0, scene.num_frames)
             camera = config.camera.of(scene.manifest, config.size, whole)(frame)
-            write_png(out, _drawn(config, scene, frame, camera))
+            write_picture(out, _drawn(config, scene, frame, camera))
             drawn, size = "a picture", Size(camera.width_px, camera.height_px)
         else:
             count = max(1, round(config.turntable * scene.fps))
             path = _around(config, scene, count)
             first = path(0)
             size = Size(first.width_px, first.height_px)
-            with open_sink(out, scene.fps, size) as sink, counted("drawing") as show:
+            with (
+                open_sink(out, scene.fps, size, exr=config.exr) as sink,
+                counted("drawing") as show,
+            ):
                 for number in range(count):
                     sink.write(number, _drawn(config, scene, frame, path(number)))
                     show(number + 1, count)
@@ -57,14 +64,35 @@ def draw_still(config: PlayConfig) -> str:
         )
 
 
-def _drawn(config: PlayConfig, scene: Scene, frame: int, camera: Camera) -> Bytes | Words:
+def _draw_each(config: PlayConfig, scene: Scene, out: Path) -> str:
+    frames = config.frames.of(scene.num_frames, scene.name)
+    path = config.camera.of(scene.manifest, config.size, FrameRange(frames.start, frames.stop))
+    first = path(frames.start)
+    size = Size(first.width_px, first.height_px)
+    with open_sink(out, scene.fps, size, exr=config.exr) as sink, counted("drawing") as show:
+        for frame in frames:
+            sink.write(frame, _drawn(config, scene, frame, path(frame)))
+            show(frame - frames.start + 1, len(frames))
+    return (
+        f"{len(frames)} pictures of {config.picture} of {scene.name}, "
+        f"{size.width_px}x{size.height_px}, by {scene.renderer or 'CPU'}: {out}"
+    )
+
+
+def _drawn(config: PlayConfig, scene: Scene, frame: int, camera: Camera) -> Picture:
     """The picture of `config.picture`, as it is written."""
+    assert config.capture is not None
+    in_floats = config.exr or config.capture.suffix.lower() == EXR_SUFFIX
     match config.picture:
         case PictureKind.DEPTH:
-            depth_mm = 1000 * np.nan_to_num(scene.depth(frame, camera))
+            depth_m = np.nan_to_num(scene.depth(frame, camera))
+            if in_floats:
+                return depth_m
+            depth_mm = 1000 * depth_m
             return np.rint(np.minimum(depth_mm, np.iinfo(np.uint16).max)).astype(np.uint16)
         case PictureKind.MASK:
-            return to_bytes(scene.render(frame, camera, background=None)[:, :, 3])
+            covered = scene.render(frame, camera, background=None)[:, :, 3]
+            return np.ascontiguousarray(covered) if in_floats else to_bytes(covered)
     return to_bytes(scene.render(frame, camera, background=config.background))
 
 

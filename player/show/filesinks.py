@@ -1,4 +1,4 @@
-"""Pictures into files: an .mp4, a .mov with alpha, or a folder of PNGs.
+"""Pictures into files: an .mp4, a .mov with alpha, or a folder of PNGs or OpenEXR files.
 
 Rule: a file under its final name is whole. What is being written has a temporary name.
 """
@@ -18,7 +18,15 @@ from codec.files import DISK_ERRORS, replacing
 from codec.stream.sound import SAMPLE_RATE
 from player.view.path import Size
 
-from .sink import Bytes, FrameSink, SinkError, Sound, Words, check_output, write_png
+from .sink import (
+    EXR_SUFFIX,
+    FrameSink,
+    Picture,
+    SinkError,
+    Sound,
+    check_output,
+    write_picture,
+)
 
 VIDEO_CRF = 16
 """Constant rate factor of libx264: visually lossless."""
@@ -64,16 +72,19 @@ _LIMITED_RANGE = 1
 
 
 @contextmanager
-def open_sink(path: Path, fps: float, size: Size, sound: bool = False) -> Iterator[FrameSink]:
+def open_sink(
+    path: Path, fps: float, size: Size, *, sound: bool = False, exr: bool = False
+) -> Iterator[FrameSink]:
     """Gives what writes pictures of `size` to `path`, by its suffix. sound: a video gets a sound
-    track of what `write_sound` is given; pictures in a folder have none.
+    track of what `write_sound` is given; pictures in a folder have none. exr: whether a folder gets
+    OpenEXR files.
 
     Leaving by an error leaves nothing, so that the same command can be given again. Ctrl-C leaves
-    no video, but the PNGs that are written.
+    no video, but the pictures that are written.
     """
     check_output(path)
     if path.suffix.lower() not in FORMATS:
-        pictures = PngSink(path)
+        pictures = FolderSink(path, EXR_SUFFIX if exr else ".png")
         try:
             yield pictures
         except Exception:
@@ -89,18 +100,19 @@ def open_sink(path: Path, fps: float, size: Size, sound: bool = False) -> Iterat
             video.close()
 
 
-class PngSink:
-    """frame_00000.png, frame_00001.png, ... by frame number."""
+class FolderSink:
+    """frame_00000.png, frame_00001.png, ... by frame number; or .exr."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, suffix: str) -> None:
+        self._suffix = suffix
         self._was_there = folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
         self._written: list[Path] = []
 
-    def write(self, frame: int, picture: Bytes | Words) -> None:
-        path = self._folder / f"frame_{frame:05d}.png"
-        write_png(path, picture)
+    def write(self, frame: int, picture: Picture) -> None:
+        path = self._folder / f"frame_{frame:05d}{self._suffix}"
+        write_picture(path, picture)
         self._written.append(path)
 
     def write_sound(self, samples: Sound) -> None:
@@ -155,7 +167,7 @@ class VideoSink:
         self._written = 0
         self._heard = 0  # samples
 
-    def write(self, frame: int, picture: Bytes | Words) -> None:
+    def write(self, frame: int, picture: Picture) -> None:
         form = self._format
         padded = np.pad(picture, self._padding, mode="edge")
         if form.picture == "rgba" and padded.shape[2] == 3:

@@ -17,9 +17,14 @@ Words = npt.NDArray[np.uint16]
 Floats = npt.NDArray[np.float32]
 Sound = npt.NDArray[np.int16]
 
-VIDEO_SUFFIXES = {".mp4", ".mov"}
+Picture = Bytes | Words | Floats
+"""(H, W, 3) uint8 RGB or (H, W, 4) RGBA, row 0 on top; or (H, W) grey of uint8, uint16 or
+float32."""
 
-OTHER_SUFFIXES = {".avi", ".gif", ".jpeg", ".jpg", ".m4v", ".mkv", ".png", ".webm"}
+VIDEO_SUFFIXES = {".mp4", ".mov"}
+EXR_SUFFIX = ".exr"
+
+OTHER_SUFFIXES = {EXR_SUFFIX, ".avi", ".gif", ".jpeg", ".jpg", ".m4v", ".mkv", ".png", ".webm"}
 """Names that ask for something other than a folder."""
 
 
@@ -30,9 +35,8 @@ class SinkError(SwingsError):
 class FrameSink(Protocol):
     """Takes pictures in frame order."""
 
-    def write(self, frame: int, picture: Bytes | Words) -> None:
-        """picture: (H, W, 3) uint8 RGB, row 0 on top; where PNGs are written also (H, W, 4) RGBA,
-        or (H, W) grey of uint8 or uint16."""
+    def write(self, frame: int, picture: Picture) -> None:
+        """picture: in a video of colours, in OpenEXR files of floats."""
         ...
 
     def write_sound(self, samples: Sound) -> None:
@@ -46,17 +50,25 @@ def to_bytes(picture: Floats) -> Bytes:
     return np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
 
 
-def write_png(path: Path, picture: Bytes | Words) -> None:
-    """Puts the picture, (H, W, 3) RGB, (H, W, 4) RGBA or (H, W) grey of 8 or 16 bits, at `path`:
-    all of it or nothing."""
+def write_picture(path: Path, picture: Picture) -> None:
+    """Puts the picture at `path`, all of it or nothing: as OpenEXR if it is of floats, else as
+    PNG."""
     with replacing(path) as temporary:
-        Image.fromarray(picture).save(temporary, "PNG", compress_level=4)
+        if picture.dtype == np.float32:
+            from .exr import encode_exr  # the library for videos loads slowly
+
+            temporary.write_bytes(encode_exr(picture.astype(np.float32, copy=False)))
+        else:
+            Image.fromarray(picture).save(temporary, "PNG", compress_level=4)
 
 
-def check_still(path: Path) -> None:
+def check_still(path: Path, may_be_exr: bool) -> None:
     """Raises InvalidError when no single picture can be written to `path`."""
-    if path.suffix.lower() != ".png":
-        raise InvalidError(f"{path}: a still is one picture; name a .png file")
+    if may_be_exr and path.suffix.lower() == EXR_SUFFIX:
+        pass
+    elif path.suffix.lower() != ".png":
+        wanted = "a .png or .exr file" if may_be_exr else "a .png file"
+        raise InvalidError(f"{path}: a still is one picture; name {wanted}")
     if path.is_dir():
         raise InvalidError(f"{path} is a folder")
     if not path.parent.is_dir():
@@ -74,5 +86,5 @@ def check_output(path: Path) -> None:
             raise InvalidError(f"{path}: there is no folder {path.parent}")
     elif path.exists() and not path.is_dir():
         raise InvalidError(f"{path} is a file; name an .mp4 or .mov file, or a folder for PNGs")
-    elif path.is_dir() and any(path.glob("frame_*.png")):
+    elif path.is_dir() and any(path.glob("frame_*.*")):
         raise InvalidError(f"{path} already contains frames; remove them or name another folder")

@@ -18,7 +18,7 @@ from player.config import PlayConfig
 from player.render.cpu import render_splats
 from player.render.renderer import RendererKind
 from player.run.playback import play
-from player.run.stills import draw_still
+from player.run.stills import draw_frames
 from player.show.background import Colour
 from player.show.sink import Bytes, Floats, to_bytes
 from player.view.moment import Moment
@@ -74,12 +74,12 @@ def test_stills_and_captures_stand_before_any_colour(
     background: Colour, stream: Path, tmp_path: Path
 ) -> None:
     expected = before(stream, background)
-    draw_still(config(stream, tmp_path / "still.png", background, still=Moment(FRAME)))
+    draw_frames(config(stream, tmp_path / "still.png", background, still=Moment(FRAME)))
     assert_same(read(tmp_path / "still.png"), expected)
     play(config(stream, tmp_path / "all", background))
     assert_same(read(tmp_path / "all" / f"frame_{FRAME:05d}.png"), expected)
     turn = tmp_path / "turn"
-    draw_still(config(stream, turn, background, still=Moment(FRAME), turntable=0.1))
+    draw_frames(config(stream, turn, background, still=Moment(FRAME), turntable=0.1))
     assert_same(read(tmp_path / "turn" / "frame_00000.png"), expected)
 
 
@@ -89,7 +89,7 @@ def test_a_transparent_png_composited_elsewhere_is_the_picture_on_that_colour(
 ) -> None:
     out = tmp_path / "out.png" if kind == "still" else tmp_path / "out"
     if kind == "still":
-        draw_still(config(stream, out, None, still=Moment(FRAME)))
+        draw_frames(config(stream, out, None, still=Moment(FRAME)))
     else:
         play(config(stream, out, None))
         out /= f"frame_{FRAME:05d}.png"

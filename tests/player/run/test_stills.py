@@ -15,6 +15,7 @@ from pathlib import Path
 
 import av
 import numpy as np
+import numpy.typing as npt
 import pytest
 from PIL import Image
 
@@ -26,7 +27,7 @@ from player.config import CameraPathName, PlayConfig
 from player.render.cpu import render_splats
 from player.render.renderer import RendererKind
 from player.run.playback import play
-from player.run.stills import draw_still
+from player.run.stills import draw_frames
 from player.show.sink import Bytes, to_bytes
 from player.view.moment import Moment
 from player.view.path import Size, orbit
@@ -65,7 +66,7 @@ def test_a_still_is_the_frame_of_a_capture(library: Path, tmp_path: Path, camera
     )
     play(config)
     still = replace(config, still=Moment(31), capture=tmp_path / "still.png")
-    line = draw_still(still)
+    line = draw_frames(still)
     assert line.startswith("a picture of frame 31 of ")
     assert line.endswith(f"slots, 50x40, by CPU: {tmp_path}/still.png")
     expected = picture(tmp_path / "all" / "frame_00031.png")
@@ -91,8 +92,38 @@ def test_depth_and_mask_are_grey_pictures(library: Path, tmp_path: Path, kind: s
     assert ((found > 0) == (alpha >= 0.5)).mean() > 0.99
     film = run("swings-play", library / "whole", *options[:3], "x.mp4", *options[4:],
                "--turntable", 1)  # fmt: skip
-    assert "written as PNGs; name a folder" in film.stderr
+    assert "written as PNGs or as .exr files; name a folder" in film.stderr
     assert run("swings-play", library / "whole", "--picture", kind).returncode == 2
+
+
+@pytest.mark.parametrize("kind", ["depth", "mask"])
+def test_openexr_files_hold_depth_and_mask_exactly(
+    library: Path, tmp_path: Path, kind: str
+) -> None:
+    options = ("--renderer", "cpu", "--picture", kind, "--camera", "camera:c1")
+    still = ("--still", 9, "--capture", tmp_path / "still.exr")
+    run_ok("swings-play", library / "whole", *still, *options)
+    frames = ("--frames", "8:11", "--capture", tmp_path / "all", "--exr")
+    told = run_ok("swings-play", library / "whole", *frames, *options)
+    assert told.startswith(f"3 pictures of {kind} of ")
+    names = sorted(file.name for file in (tmp_path / "all").iterdir())
+    assert names == [f"frame_{n:05d}.exr" for n in range(8, 11)]
+    with Scene.open(library / "whole", renderer="cpu") as scene:
+        for frame, name in enumerate(names, 8):
+            expected = np.nan_to_num(scene.depth(frame, "c1"))
+            if kind == "mask":
+                expected = scene.render(frame, "c1", background=None)[:, :, 3]
+            np.testing.assert_array_equal(floats(tmp_path / "all" / name), expected)
+    assert (tmp_path / "still.exr").read_bytes() == (tmp_path / "all" / names[1]).read_bytes()
+
+
+def floats(path: Path) -> npt.NDArray[np.float32]:
+    """(H, W) float32 of a grey OpenEXR file."""
+    with av.open(str(path)) as container:
+        picture = next(container.decode(video=0))
+    assert isinstance(picture, av.VideoFrame)
+    assert picture.format.name == "grayf32le"
+    return picture.to_ndarray().astype(np.float32, copy=False)
 
 
 def test_the_command_draws_a_still_of_a_url(library: Path, tmp_path: Path) -> None:
@@ -113,7 +144,7 @@ def test_a_turntable_goes_once_around_and_the_frame_stands(library: Path, tmp_pa
         capture=tmp_path / "turn",
         renderer=CPU,
     )
-    assert draw_still(config).startswith("6 pictures of frame 7 of ")
+    assert draw_frames(config).startswith("6 pictures of frame 7 of ")
     reader = StreamReader(library / "whole")
     manifest, splats = reader.manifest, reader.active_splats(7, 3)
     path = orbit(manifest, manifest.camera(), FrameRange(0, 6), 2 * math.pi)
@@ -148,6 +179,16 @@ def test_a_turntable_may_swing_and_be_a_video(library: Path, tmp_path: Path) -> 
         ),
         (("--still", "3m", "--capture", "o.png"), "'3m' is neither a frame"),
         (("--still", 3, "--capture", "o.mp4"), "name a .png file"),
+        (("--still", 3, "--capture", "o.exr"), "name a .png file"),
+        (("--picture", "mask", "--still", 3, "--capture", "o.jpg"), "a .png or .exr file"),
+        (("--picture", "depth", "--capture", "o.exr"), "name an .mp4 or .mov file, or a folder"),
+        (("--picture", "depth", "--capture", "o", "--loop", "2"), "--loop cannot be combined"),
+        (("--picture", "depth"), "--picture depth needs an output"),
+        (("--capture", "o", "--exr"), "--exr cannot be combined with --picture colour"),
+        (
+            ("--picture", "depth", "--still", 3, "--capture", "o.png", "--exr"),
+            "name a .exr file instead",
+        ),
         (("--still", 3, "--capture", "absent/o.png"), "there is no folder absent"),
         (("--turntable", 3, "--capture", "o.mp4"), "choose its frame with --still"),
         (
@@ -197,9 +238,9 @@ def test_a_frame_that_is_not_there_leaves_nothing(library: Path, tmp_path: Path)
         str(library / "whole"), still=Moment(13), capture=tmp_path / "o.png", renderer=CPU
     )
     with pytest.raises(InvalidError, match=r"frames 13:14: .*whole has frames 0:13"):
-        draw_still(config)
+        draw_frames(config)
     with pytest.raises(InvalidError, match="has frames 0:13"):
-        draw_still(replace(config, turntable=2.0, capture=tmp_path / "o"))
+        draw_frames(replace(config, turntable=2.0, capture=tmp_path / "o"))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from codec.errors import InvalidError
-from player.show.filesinks import PngSink, open_sink
+from player.show.filesinks import FolderSink, open_sink
 from player.show.sink import Bytes, SinkError, check_output, to_bytes
 from player.view.path import Size
 
@@ -114,7 +114,7 @@ def test_pictures_stay_where_the_user_ends_the_drawing(tmp_path: Path) -> None:
 
 
 def test_a_png_that_cannot_be_written_is_not_there(tmp_path: Path) -> None:
-    sink = PngSink(tmp_path / "out")
+    sink = FolderSink(tmp_path / "out", ".png")
     (tmp_path / "out" / "frame_00001.png").mkdir()
     with pytest.raises(OSError, match="frame_00001"):
         sink.write(1, picture(1, 8, 8))
