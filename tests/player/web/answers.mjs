@@ -39,7 +39,7 @@ import { placeAt, readSources } from "../../../player/web/sound/soundsource.js";
 import { stretched } from "../../../player/web/sound/stretch.js";
 import { Timeline } from "../../../player/web/sound/timeline.js";
 import { Orbit } from "../../../player/web/view/orbit.js";
-import { poseOf, worldToCamera } from "../../../player/web/view/pose.js";
+import { nearOf, poseOf, worldToCamera } from "../../../player/web/view/pose.js";
 import { storyboardLayout } from "../../../player/web/format/storyboard.js";
 import { readIndex } from "../../../player/web/format/streamindex.js";
 import { opacityLogits } from "../../../player/web/format/dequantise.js";
@@ -161,6 +161,11 @@ const ANSWERS = {
   },
   manifest({ bytes }) {
     return readManifest(unhex(bytes));
+  },
+  /** Nearest depth drawn from each of these poses, world to camera. */
+  nearPlanes({ manifest, poses }) {
+    const read = readManifest(unhex(manifest));
+    return poses.map((/** @type {number[]} */ w2c) => nearOf(read, { w2c }));
   },
   index({ manifest, bytes }) {
     return readIndex(unhex(bytes), readManifest(unhex(manifest))).map((record) => ({

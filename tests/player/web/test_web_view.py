@@ -90,3 +90,19 @@ def test_a_narrow_picture_shows_what_the_rig_looks_at(
     assert found["fxPx"] == pytest.approx(scale * camera.fx_px)
     assert found["cxPx"] == pytest.approx(middle_px)
     assert found["cyPx"] == pytest.approx(24 * scale + (96 - 48 * scale) / 4)
+
+
+@pytest.mark.parametrize("own", [(), (0.2, 0.5, 0.9, 0.1)], ids=["one for all", "of cameras"])
+def test_near_planes_are_those_of_python(browser: BrowserCode, own: tuple[float, ...]) -> None:
+    manifest = small_manifest(camera_near_m=own)
+    rng = np.random.default_rng(0)
+    views = list(manifest.cameras)
+    for camera in manifest.cameras:
+        for step_m in (0.05, 0.2, 0.6):
+            w2c = camera.w2c.copy()
+            w2c[:3, 3] += rng.normal(0, step_m, 3)
+            views.append(replace(camera, w2c=w2c))
+    poses = [view.w2c.ravel().tolist() for view in views]
+    found = browser.ask("nearPlanes", manifest=manifest.to_json().hex(), poses=poses)
+    assert found == pytest.approx([manifest.near_of(view) for view in views])
+    assert tuple(found[:4]) == pytest.approx(own or (manifest.near_m,) * 4)
