@@ -58,6 +58,12 @@ def compress(
     return zstd.compress(content, edges, effort)
 
 
+def with_start(packet: bytes, content: bytes) -> bytes | None:
+    """The packet of `content`, which differs from that of `packet` in its head, with as many of the
+    same bytes as its coder allows; None if that is none of them."""
+    return zstd.with_start(packet, content) if coder_of(packet) is Coder.ZSTD else None
+
+
 def decompress(packet: bytes | memoryview, limit_bytes: int) -> bytes:
     """The content of `packet`, which holds one packet of either coder exactly.
 

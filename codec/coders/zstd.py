@@ -27,6 +27,12 @@ FLOATS_LEVEL = 3
 MIN_MATCH = 7
 """Shortest repeat looked for, in bytes: shorter ones in quantised planes are mere chance."""
 
+BLOCK_HEAD, CHECKSUM = 3, 4
+"""Bytes before each block, and behind the last one."""
+
+REPEATED, COMPRESSED = 1, 2
+"""Kinds of blocks; others are as they are."""
+
 MAX_EXPANSION = 1 << 15
 """zstd cannot inflate more: a block of 128 KiB takes 4 bytes at least."""
 
@@ -44,7 +50,10 @@ def compress(content: bytes, edges: Sequence[int] = (), effort: Effort = Effort.
     return min((_compress_blocks(view, cuts, level) for cuts in ways), key=len)
 
 
-def _compress_blocks(content: memoryview, cuts: Sequence[int], level: int) -> bytes:
+def _compress_blocks(
+    content: memoryview, cuts: Sequence[int], level: int, goes_on: bool = False
+) -> bytes:
+    """goes_on: leaves out the end of the frame, behind the last cut."""
     parameters = zstandard.ZstdCompressionParameters.from_level(
         level, source_size=len(content), min_match=MIN_MATCH, write_checksum=True
     )
@@ -54,8 +63,30 @@ def _compress_blocks(content: memoryview, cuts: Sequence[int], level: int) -> by
         parts.append(compressor.compress(content[start:end]))
         if end < len(content):
             parts.append(compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK))
-    parts.append(compressor.flush(zstandard.COMPRESSOBJ_FLUSH_FINISH))
+    if not goes_on:
+        parts.append(compressor.flush(zstandard.COMPRESSOBJ_FLUSH_FINISH))
     return b"".join(parts)
+
+
+def with_start(packet: bytes, content: bytes) -> bytes | None:
+    """The packet of `content`, which differs from that of `packet` in its first block alone: the
+    other blocks are copied. None where these refer to what the first block was, as they may."""
+    at = zstandard.frame_header_size(packet)
+    head = int.from_bytes(packet[at : at + BLOCK_HEAD], "little")
+    is_last, kind, size = head & 1, head >> 1 & 3, head >> 3
+    end = at + BLOCK_HEAD + (1 if kind == REPEATED else size)
+    if kind == COMPRESSED:
+        size = len(zstandard.ZstdDecompressor().decompressobj().decompress(packet[:end]))
+    start = _compress_blocks(memoryview(content), (0, size), PLANES_LEVEL, size < len(content))
+    start = start[zstandard.frame_header_size(start) :]
+    if is_last:
+        start = start[:-CHECKSUM]
+    checked = zstandard.ZstdCompressor(level=1, write_checksum=True).compress(content)
+    made = packet[:at] + start + packet[end:-CHECKSUM] + checked[-CHECKSUM:]
+    try:
+        return made if decompress(made, len(content)) == content else None
+    except CorruptError:
+        return None
 
 
 def content_bytes(packet: bytes | memoryview, limit_bytes: int) -> int:

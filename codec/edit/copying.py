@@ -1,12 +1,13 @@
 """Segments of a stream as segments of another one, chunk by chunk as they are.
 
 A chunk and an object's table say the frame that they belong to. Where a segment keeps its place all
-of it is copied; where it moves, these frame numbers alone are others.
+of it is copied; where it moves, these frame numbers alone are others: the first block of a packet,
+which holds them, is coded again, and the blocks behind it are copied.
 """
 
 from __future__ import annotations
 
-from codec.coders.coder import Coder, coder_of
+from codec.coders.coder import Coder, coder_of, with_start
 from codec.slots.slotchange import encoded_elsewhere
 from codec.slots.slotchunk import BIRTH_AT, Kind
 from codec.stream.integrity import CheckedObject
@@ -49,6 +50,10 @@ def renumbered(found: CheckedObject, birth: int, offset: int, coder: Coder) -> b
         return packet
     content = bytearray(found.content(birth))
     content[BIRTH_AT : BIRTH_AT + 4] = (birth + offset).to_bytes(4, "little", signed=True)
+    if coder_of(packet) == coder:
+        copied = with_start(packet, bytes(content))
+        if copied is not None:
+            return copied
     return encode_packet(
         encoded_elsewhere(found.manifest.slot_layout, kind_of(found.part), bytes(content)), coder
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,24 @@ def test_segments_that_move_keep_their_chunks_but_for_the_frame_number(tmp_path:
                 assert (was[:8], was[12:]) == (now[:8], now[12:])
                 assert int.from_bytes(now[8:12], "little") == birth
                 assert len(new.packet(birth)) <= len(old.packet(birth + SEGMENT_FRAMES)) + 4
+
+
+def test_the_planes_of_segments_that_move_are_the_same_bytes(tmp_path: Path) -> None:
+    source = write_trained_like(tmp_path / "s", 1, 2000)
+    trim_stream(source, tmp_path / "t", FrameRange(SEGMENT_FRAMES))
+    verify_stream(tmp_path / "t")
+    before, after = StreamReader(source), StreamReader(tmp_path / "t")
+    num_bytes = num_same = 0
+    for segment in (0, 1):
+        for part in before.manifest.parts:
+            old, new = before.read_object(segment + 1, part), after.read_object(segment, part)
+            for entry in new.entries:
+                packet = bytes(new.packet(entry.birth))[:-4]  # without the checksum
+                was = bytes(old.packet(entry.birth + SEGMENT_FRAMES))[:-4]
+                num_bytes += len(packet)
+                pairs = zip(reversed(packet), reversed(was), strict=False)
+                num_same += len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
+    assert num_same > 0.8 * num_bytes
 
 
 @pytest.mark.parametrize("frames", [(14, 15), (0, 15), (20, None)])
