@@ -23,6 +23,14 @@ COARSER_POSITION, FINER_SIZE, FINER_COLOUR, FINER_OPACITY = 2.1, 3.0, 5.0, 2.0
 """How the errors of a layer differ from those of each Gaussian by itself, at SH degree 3. Found by
 drawing: positions change all the time, so each of their bits costs most."""
 
+FLAT = 3.0
+"""An axis thinner than the usual size by more than this power of e, 1/20, counts as flat."""
+
+SIZES = 2 * LARGEST + 1
+"""Steps between the smallest and the largest log-scale."""
+
+TINY_M = 1e-12
+
 FINEST_OPACITY = HOLD / (MAX_OPACITY_LEVELS - 1)
 """The smallest error of an opacity that a stream can keep."""
 
@@ -63,19 +71,23 @@ class ErrorBound:
         """The bound of one of KINDS."""
         return float(getattr(self, kind)) / self.finer
 
-    def in_layer(self, coarseness: float, sh_degree: int, reach: float) -> ErrorBound:
+    def in_layer(
+        self, coarseness: float, sh_degree: int, reach: float, spread: float
+    ) -> ErrorBound:
         """The bounds of a layer whose Gaussians show 1 / `coarseness` as much as the usual one, so
         that all kinds of errors show about equally in a picture.
 
-        reach: the largest magnitude of a harmonic coefficient, which one byte must hold.
+        reach: the largest magnitude of a harmonic coefficient, which one byte must hold; spread: of
+        the log-scales, the same.
         """
+        size = max(self.size * coarseness / FINER_SIZE, HOLD * spread / SIZES * self.finer)
         # The errors of all coefficients of a colour add up.
         finer = FINER_COLOUR * (sh_count(sh_degree) / sh_count(MAX_SH_DEGREE))
         colour = max(self.colour * coarseness / finer, HOLD * reach / LARGEST * self.finer)
         return replace(
             self,
             position=self.position * coarseness * COARSER_POSITION,
-            size=self.size * coarseness / FINER_SIZE,
+            size=min(size, self.size * max(coarseness, 1)),
             turn=self.turn * coarseness,
             colour=min(colour, self.colour * max(coarseness, 1)),
             opacity=max(self.opacity / FINER_OPACITY, FINEST_OPACITY * self.finer),
@@ -87,7 +99,7 @@ class ErrorBound:
         size_m: the usual size of a Gaussian; lowest, highest: of all log-scales. Raises
         InvalidError for steps that no stream has.
         """
-        log_scale = self.of("size") / HOLD
+        log_scale = max(self.of("size") / HOLD, spread_of(size_m, lowest, highest) / SIZES)
         base = 0.0
         if highest > LARGEST * log_scale or lowest < -(LARGEST + 1) * log_scale:
             # What is large must fit; what is too thin is flat.
@@ -101,6 +113,12 @@ class ErrorBound:
             max(levels, 2),
             base,
         )
+
+
+def spread_of(size_m: float, lowest: float, highest: float) -> float:
+    """How far apart the log-scales are that must fit, without those of what is flat; see
+    `ErrorBound.lattice`."""
+    return highest - max(lowest, float(np.log(max(size_m, TINY_M))) - FLAT)
 
 
 EDGES = (0, 3 + SCALES, 3 + TURNS, 3 + COLOURS)

@@ -35,7 +35,7 @@ from codec.stream.storyboard import STORYBOARD_NAME, write_storyboard
 from codec.stream.wholeslice import whole_update
 from codec.stream.writer import StreamWriter
 
-from .errorbound import HOLD, KINDS, ErrorBound, steps_of
+from .errorbound import HOLD, KINDS, ErrorBound, spread_of, steps_of
 from .importscore import ImportScore, cameras_around
 from .numberedfiles import FPS_NAME, FramePlace, find_frames
 from .slotfiller import SlotFiller, SlotPlan
@@ -209,8 +209,9 @@ def make_plan(survey: Survey, options: ImportOptions, example: Splats) -> SlotPl
     errors, lattices = (options.error,) * len(slots), (lattice,) * len(slots)
     if by_paint and not is_given and survey.num_gs:
         layers = split_layers(example, slots, RANKS[options.rank])
+        spread = spread_of(size_m, survey.lowest, survey.highest)
         errors = tuple(
-            options.error.in_layer(coarseness, survey.sh_degree, survey.reach)
+            options.error.in_layer(coarseness, survey.sh_degree, survey.reach, spread)
             for coarseness in layer_coarseness([example.take(rows) for rows in layers])
         )
         lattices = tuple(error.lattice(size_m, survey.lowest, survey.highest) for error in errors)

@@ -10,10 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
+from scipy.spatial import cKDTree
 
 from codec.interop.formats import SplatFormat, write_splats
 from codec.pose import Doubles
@@ -23,6 +25,7 @@ from codec.splats import SH_C0, Splats, sh_count
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
 from tests.support.drawn import same_splats
+from tests.support.trained_like import trained_like_splats
 
 LATTICE = ImportOptions(fps=30)
 
@@ -205,6 +208,20 @@ def test_every_frame_is_within_the_stated_errors(
         # What is less exact is not larger by much, whatever the files are like.
         whole = sum(4 * (11 + 3 * sh_count(degree)) * len(splats) for splats in frames)
         assert made.num_bytes <= 1.5 * whole + 3000
+
+
+@pytest.mark.parametrize("finer", [1.0, 2.0])
+def test_sizes_that_show_fit_the_finest_steps(finer: float, tmp_path: Path) -> None:
+    splats = trained_like_splats(1500, 0, 3)
+    splats = splats.take(np.flatnonzero(np.abs(splats.means).max(axis=1) < 4))
+    write_splats(tmp_path / "m.ply", splats, SplatFormat.PLY)
+    options = ImportOptions(fps=30, error=ErrorBound(finer=finer))
+    made = import_stream(tmp_path / "m.ply", tmp_path / "s", options)
+    found = StreamReader(tmp_path / "s").active_splats(0, made.manifest.num_layers)
+    wanted = splats.take(cKDTree(splats.means).query(found.means)[1])
+    sizes, given = np.sort(found.log_scales), np.sort(wanted.log_scales)
+    usual = np.median(given[:, 1:].mean(axis=1))
+    assert np.abs(sizes - given)[given > usual - 2].max() < 0.25  # half the steps of the last layer
 
 
 def test_a_sequence_of_the_same_file_costs_nothing_after_the_first_frame(tmp_path: Path) -> None:
