@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import TracebackType
 
@@ -29,6 +29,9 @@ from .reader import StreamReader
 from .wholeslice import whole_update
 
 SHAPE = Shape(log=INDEX_NAME, head=MANIFEST_NAME, folder=SEGMENTS_NAME)
+
+SegmentSound = Callable[[int, int], Mapping[str, bytes]]
+"""Gives the objects of sound of a segment, by their names; from its first frame to its end."""
 
 
 class StreamWriter:
@@ -63,6 +66,8 @@ class StreamWriter:
         )
         self._draft = Draft.first(manifest, self._whole, quality, read, effort)
         self._closed = False
+        self.sound: SegmentSound | None = None
+        """Gives the objects of the manifest's sources; set it before `append` if there are any."""
         self.next_birth = (
             records[-1].first_frame + records[-1].num_frames if records else manifest.first_birth
         )
@@ -193,7 +198,10 @@ class StreamWriter:
         segment, num_layers = self._num_segments, self.manifest.num_layers
         first_frame = segment * self.manifest.segment_frames
         objects = draft.objects()
-        self._place.add(segment, {str(part): data for part, data in objects.items()})
+        files = {str(part): data for part, data in objects.items()}
+        if self.sound is not None:
+            files.update(self.sound(first_frame, next_birth))
+        self._place.add(segment, files)
         data_of_parts = [objects[part] for part in self.manifest.parts]
         sizes = tuple(map(len, data_of_parts))
         hashes = tuple(hashlib.sha256(data).digest() for data in data_of_parts)

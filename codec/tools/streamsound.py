@@ -120,16 +120,17 @@ def _packets(reader: StreamReader, source: SoundSource) -> Iterator[bytes]:
 
 
 def samples(reader: StreamReader, source: SoundSource) -> Iterator[Samples]:
-    """The samples of `source` from frame 0 on, its whole length, piece by piece. Raises a
-    CodecError."""
+    """The samples of `source` from frame 0 on, its whole length as far as there are frames, piece
+    by piece. Raises a CodecError."""
     head = read_sound(reader, 0, source)
+    length = min(head.num_samples, first_sample(reader.num_frames, reader.manifest.fps))
     at = -head.pre_skip
     for piece in decode(_packets(reader, source), source.channels):
-        chosen = piece[max(0, -at) : max(0, head.num_samples - at)]
+        chosen = piece[max(0, -at) : max(0, length - at)]
         at += len(piece)
         if len(chosen):
             yield chosen
-    if at < head.num_samples:
+    if at < length:
         raise CorruptError(f"{reader.name}: sound {source.name} ends at sample {at}")
 
 

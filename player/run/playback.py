@@ -319,7 +319,7 @@ class _Playback:
         from player.sound.soundtrack import SoundTrack  # its decoder loads slowly
 
         files = stack.enter_context(closing(self._opener.sound_files()))
-        return SoundTrack(manifest, source.num_frames, files.read, config.volume)
+        return SoundTrack(manifest, files.read, config.volume)
 
     def _show(
         self,

@@ -17,11 +17,8 @@ class SoundTrack:
     """Pieces of sound, one for each frame, of frames in any order. What cannot be read is an
     error."""
 
-    def __init__(
-        self, manifest: Manifest, num_frames: int, read: ReadSound, volume: float = 1.0
-    ) -> None:
-        """num_frames: of the stream, as far as it is known; what follows is silent."""
-        self._manifest, self._num_frames, self._volume = manifest, num_frames, volume
+    def __init__(self, manifest: Manifest, read: ReadSound, volume: float = 1.0) -> None:
+        self._manifest, self._volume = manifest, volume
         self._loader = SegmentLoader(manifest, read)
         self._decoded = DecodedSound(manifest)
         self._pieces = 0
@@ -37,15 +34,14 @@ class SoundTrack:
         self._pieces += 1
         count = first_sample(self._pieces, fps) - self._written
         self._written += count
-        begin = first_sample(frame, fps)
-        self._load(begin, begin + count)
-        return to_int16(self._decoded.mix(begin, begin + count, camera, then) * self._volume)
+        begin, stop = first_sample(frame, fps), first_sample(frame + 1, fps)
+        self._load(frame // self._manifest.segment_frames)
+        mixed = self._decoded.mix(begin, stop, camera, then)
+        # Where frames repeat, one may be a sample shorter or longer than the picture.
+        there = np.minimum(np.arange(count), len(mixed) - 1)
+        return to_int16(mixed[there] * self._volume)
 
-    def _load(self, begin: int, stop: int) -> None:
-        decoded = self._decoded
-        last = (self._num_frames - 1) // self._manifest.segment_frames
-        wanted = range(decoded.segment_at(begin), min(last, decoded.segment_at(stop - 1)) + 1)
-        decoded.keep(wanted)
-        for segment in wanted:
-            if not decoded.has(segment):
-                decoded.put(segment, self._loader.load(segment))
+    def _load(self, segment: int) -> None:
+        if not self._decoded.has(segment):
+            self._decoded.keep(())
+            self._decoded.put(segment, self._loader.load(segment))

@@ -117,6 +117,8 @@ class Capture:
     """Depth behind which nothing of the scene stands, metres; None if the rig gives none."""
     opener: Callable[[int], PictureSource]
     """Makes the source of the camera of this index; `open_images` checks the index first."""
+    videos: tuple[Path, ...] = ()
+    """The cameras' videos, which may have sound; empty for single pictures."""
 
     def open_images(self, camera_index: int) -> PictureSource:
         """A new source of one camera's pictures; nothing is read before its first `read`."""

@@ -79,6 +79,7 @@ def open_dynerf(root: Path) -> Capture:
         near_m=depths[0] if depths else None,
         far_m=depths[1] if depths else None,
         opener=open_images,
+        videos=tuple(videos),
     )
 
 

@@ -83,6 +83,7 @@ def open_nerfstudio(root: Path) -> Capture:
         near_m=near_m,
         far_m=far_m,
         opener=footage.open,
+        videos=footage.videos,
     )
 
 
@@ -115,6 +116,7 @@ class _Footage:
     fps: float | None
     open: Callable[[int], PictureSource]
     """Opens the pictures of the camera of this index."""
+    videos: tuple[Path, ...] = ()
 
 
 def _filmed(
@@ -133,7 +135,7 @@ def _filmed(
         source = VideoSource(videos[index], cameras[index], num_frames)
         return straight_source(source, cameras[index], rig[index].entry.lens)
 
-    return _Footage(num_frames, fps, open_video)
+    return _Footage(num_frames, fps, open_video, tuple(videos))
 
 
 def _photographed(

@@ -78,6 +78,11 @@ class TrainConfig:
     layers: tuple[float, ...] = (0.35, 0.15, 0.2, 0.3)
     """Share of a slice's Gaussians in each layer, most important first; the sum is 1. A smaller
     first layer leaves holes, and the last third of the Gaussians adds little."""
+    audio: Path | None = None
+    """File with the sound of the capture (WAV, FLAC, Opus, or a video), from its frame 0 on. By
+    default the sound of the first of the capture's videos that has any."""
+    silent: bool = False
+    """Leave out the sound of the capture's videos."""
     rank: Literal["opacity", "coverage", "contribution"] = "contribution"
     """Importance that orders Gaussians into layers: contribution (blending weight summed over the
     training cameras; leaves no holes in the first layer), opacity (paper, section 5.5), or coverage
@@ -147,6 +152,9 @@ class TrainConfig:
             raise InvalidError(f"fps {self.fps:g}: choose {MIN_FPS:g} to {MAX_FPS:g}")
         if self.point_share is not None and not 0 <= self.point_share <= 1:
             raise InvalidError(f"point_share {self.point_share:g}: choose 0 to 1")
+        if self.audio is not None and (self.silent or self.ray is not None):
+            other = "--silent" if self.silent else "--ray, whose stream swings-stream audio adds to"
+            raise InvalidError(f"--audio cannot be combined with {other}")
         if self.serve is not None and not 0 <= self.serve <= 65535:
             raise InvalidError(f"serve {self.serve}: choose a port, 0 to 65535")
         if self.snapshot_every < 0:

@@ -22,6 +22,7 @@ from trainer.fit.trainer import Trainer
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
 
+from .capturesound import CaptureSound, capture_sound
 from .checkpoint import (
     CHECKPOINT_NAME,
     KEEP_S,
@@ -43,7 +44,7 @@ from .outputs import (
     open_outputs,
     write_snapshot,
 )
-from .prepare import Prepared, first_gaussians, make_manifest, prepare, shared_settings
+from .prepare import Prepared, first_gaussians, fps_of, make_manifest, prepare, shared_settings
 from .rank import CONTRIBUTION, matured_by_contribution
 from .runlog import LOG_NAME, RunLog
 from .storedconfig import config_to_json
@@ -131,6 +132,7 @@ class _Start:
     settings: Mapping[str, Any]
     found: Checkpoint | None
     """Where a resumed run goes on."""
+    sound: CaptureSound | None
 
     @property
     def checkpoint(self) -> Path:
@@ -149,7 +151,9 @@ def _checked(config: TrainConfig, console: Console) -> _Start:
     settings = shared_settings(config, prepared)
     path = config.work_folder / CHECKPOINT_NAME
     found = load_checkpoint(path, settings) if config.resume else None
-    return _Start(config, bare, targets, prepared, settings, found)
+    fps = partial(fps_of, prepared.capture, config)
+    sound = capture_sound(config, prepared.capture, prepared.frames, fps)
+    return _Start(config, bare, targets, prepared, settings, found, sound)
 
 
 def _announce(start: _Start, console: Console) -> None:
@@ -200,7 +204,9 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
         if found is not None:
             trainer.restore(found.state)
         make = partial(make_manifest, config, prepared, cache)
-        outputs = stack.enter_context(open_outputs(config, start.targets, manifest, make, cache))
+        outputs = stack.enter_context(
+            open_outputs(config, start.targets, manifest, make, cache, start.sound)
+        )
 
         def keep() -> None:
             state = trainer.state()

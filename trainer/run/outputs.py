@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from PIL import Image
@@ -26,6 +27,7 @@ from trainer.score.meter import QualityMeter
 from trainer.score.picture import captured, displayed
 from trainer.score.sheet import comparison, save_png
 
+from .capturesound import SOURCE, CaptureSound
 from .checkpoint import CHECKPOINT_NAME
 from .config import TrainConfig
 from .rank import writer_rank
@@ -170,11 +172,12 @@ def open_outputs(
     manifest: Manifest | None,
     make: Callable[[Splats], Manifest],
     cache: FrameCache,
+    sound: CaptureSound | None = None,
 ) -> Iterator[Outputs]:
     """A stream in each of the folders; a resumed run leaves out those that are finished.
 
     manifest: None for streams of whole slices that have none yet: `make` makes it of the
-    first slice, because the lattice of such a stream goes by trained ones.
+    first slice, because the lattice of such a stream goes by trained ones. sound: of all streams.
 
     Leaving finishes the streams; leaving by an exception keeps what is in finished segments. Each
     stream gets a poster with its first segment, and one of its first frame, and a storyboard,
@@ -184,6 +187,7 @@ def open_outputs(
 
         def open_writers(parts: Sequence[Slice]) -> tuple[list[StreamWriter], QualityMeter]:
             wanted = manifest or make(parts[0].splats)
+            wanted = replace(wanted, sound=(SOURCE,) if sound is not None else ())
             writers, meters = [], []
             for target, exact in zip(targets, (False, True), strict=False):
                 quality = QualityMeter(cache, wanted)
@@ -197,6 +201,10 @@ def open_outputs(
                         continue
                     writer = StreamWriter.resume(target, rank, quality, exact)
                     quality.recall(reader, writer.next_birth)
+                    if writer.manifest.sound and sound is None:
+                        raise InvalidError(f"{target}: the sound that it began with is gone")
+                if sound is not None and writer.manifest.sound:
+                    writer.sound = sound.objects
                 writers.append(stack.enter_context(writer))
                 meters.append(quality)
             return writers, meters[0]

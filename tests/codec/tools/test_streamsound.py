@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import wave
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -12,15 +13,21 @@ import numpy as np
 import pytest
 
 from codec.errors import CodecError, CorruptError, InvalidError
-from codec.stream import StreamReader
-from codec.stream.sound import SAMPLE_RATE, SoundObject, SoundSource, first_sample
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.sound import (
+    SAMPLE_RATE,
+    SoundObject,
+    SoundSource,
+    first_sample,
+    segment_sound,
+)
 from codec.tools.audit import verify_stream
 from codec.tools.packing import pack_stream
-from codec.tools.soundfile import Samples, decode
+from codec.tools.soundfile import Samples, decode, encode, read_samples
 from codec.tools.static import export_static
 from codec.tools.streamsound import read_sound, samples
 from tests.support.commands import run, run_ok
-from tests.support.tiny_stream import files_of, write_tiny
+from tests.support.tiny_stream import files_of, tiny_manifest, tiny_slice, write_tiny
 
 CLICKS = (0, 4000, 9600, 14400)
 
@@ -215,3 +222,34 @@ def test_a_source_moves_along_the_places_of_a_file(stream: Path, tmp_path: Path)
     assert done.returncode == 1
     assert "not both" in done.stderr
     assert files_of(stream) == before
+
+
+def test_a_live_stream_has_sound_as_far_as_it_goes(tmp_path: Path) -> None:
+    path, fps = tmp_path / "s", tiny_manifest().fps
+    write_clicks(tmp_path / "in.wav", 40000)
+    whole = encode(read_samples(tmp_path / "in.wav", 2), 2, first_sample(10, fps), 96000)
+
+    def objects(first_frame: int, end_frame: int) -> dict[str, bytes]:
+        begin, stop = first_sample(first_frame, fps), first_sample(end_frame, fps)
+        return {"audio-main": segment_sound(whole, begin, stop).pack()}
+
+    manifest = replace(tiny_manifest(), sound=(SoundSource("main", 2),))
+    writer = StreamWriter.create(path, manifest)
+    for birth in range(manifest.first_birth, 10):
+        if birth == 9:  # two segments are written; the third is lost
+            writer.abort()
+            reader = StreamReader(path)
+            assert (reader.manifest.live, reader.num_frames) == (True, 8)
+            (source,) = reader.manifest.sound
+            assert sum(map(len, samples(reader, source))) == first_sample(8, fps)
+            verify_stream(path)
+            writer = StreamWriter.resume(path)
+        writer.sound = objects
+        for missing in range(writer.next_birth, birth + 1):
+            writer.append(tiny_slice(missing))
+    writer.close()
+    verify_stream(path)
+    write_tiny(tmp_path / "plain", 10)
+    run_ok("swings-stream", "audio", "add", tmp_path / "plain", tmp_path / "in.wav")
+    for name in ("manifest.json", *(f"segments/{n}/audio-main" for n in range(3))):
+        assert (path / name).read_bytes() == (tmp_path / "plain" / name).read_bytes()
