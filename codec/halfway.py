@@ -35,13 +35,16 @@ class Motion:
     before: Splats  # M; what is not there before counts as here, but transparent: see `enters`
     after: Splats  # M
     enters: Flags  # (M,) those that fade in
-    leaving: Splats  # those that fade out, in any order; they are no rows of the later frame
+    leaving: Splats  # L, those that fade out
+    left: Rows  # (L,) rising, where they are in the earlier frame, of the same lane
 
     def __post_init__(self) -> None:
-        if not len(self.rows) == len(self.before) == len(self.after) == len(self.enters):
+        same = len(self.rows) == len(self.before) == len(self.after) == len(self.enters)
+        if not same or len(self.leaving) != len(self.left):
             raise InvalidError(
                 f"Motion of {len(self.rows)} rows, {len(self.before)} Gaussians before, "
-                f"{len(self.after)} after and {len(self.enters)} flags"
+                f"{len(self.after)} after and {len(self.enters)} flags, {len(self.leaving)} that "
+                f"leave {len(self.left)} rows"
             )
 
     @staticmethod
@@ -57,14 +60,15 @@ class Motion:
         origin = [array.copy() for array in there.arrays]
         for array, earlier in zip(origin, before.arrays, strict=True):
             array[~enters] = earlier[goes_on]
-        leaving = before.take(np.flatnonzero(was_here & ~goes_on))
-        return Motion(rows[is_here], Splats(*origin), there, enters, leaving)
+        left = np.flatnonzero(was_here & ~goes_on)
+        return Motion(rows[is_here], Splats(*origin), there, enters, before.take(left), rows[left])
 
     @property
     def num_bytes(self) -> int:
         """Bytes in memory."""
         splats = self.before, self.after, self.leaving
-        return self.rows.nbytes + self.enters.nbytes + sum(one.num_bytes for one in splats)
+        arrays = self.rows, self.enters, self.left
+        return sum(one.nbytes for one in arrays) + sum(one.num_bytes for one in splats)
 
     def at(self, share: float) -> Splats:
         """The M Gaussians when `share` of the way lies behind them, 0 to 1: positions, logarithms
@@ -73,9 +77,9 @@ class Motion:
         if share >= 1:
             return self.after
         back, there = np.float32(1 - share), np.float32(share)
-        means, log_scales, quats, _, sh = (
+        log_scales, quats, _, sh = (
             back * first + there * last
-            for first, last in zip(self.before.arrays, self.after.arrays, strict=True)
+            for first, last in zip(self.before.arrays[1:], self.after.arrays[1:], strict=True)
         )
         # q and -q turn alike.
         away = np.sum(self.before.quats * self.after.quats, axis=1) < 0
@@ -86,7 +90,13 @@ class Motion:
         quats[lost] = self.after.quats[lost]
         opacities = back * np.where(self.enters, 0, self.before.opacities)
         logits = _logits(opacities + there * self.after.opacities)
-        return Splats(means, log_scales, quats, logits, sh)
+        return Splats(self.means_at(share), log_scales, quats, logits, sh)
+
+    def means_at(self, share: float) -> Floats:
+        """(M, 3) the places of the M Gaussians at `share` of the way."""
+        back, there = np.float32(1 - share), np.float32(share)
+        means: Floats = back * self.before.means + there * self.after.means
+        return means
 
     def all_at(self, share: float) -> Splats:
         """All that shows when `share` of the way is over: the M Gaussians and those that leave."""

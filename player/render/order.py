@@ -20,9 +20,15 @@ Ints = npt.NDArray[np.int32]
 
 
 @kernel(nogil=True)
-def _collect(means, starts, expires, counts, frame, view, near_m, slots, keys):  # type: ignore[no-untyped-def]
+def _collect(means, starts, expires, counts, spare, frame, view, near_m, slots, keys):  # type: ignore[no-untyped-def]
     lanes, lane_slots = starts.shape
     found = 0
+    for i in range(spare.shape[0]):
+        z = depth_of(view[0], view[1], view[2], view[3], spare[i, 0], spare[i, 1], spare[i, 2])
+        if z > near_m:
+            slots[found] = lanes * lane_slots + i
+            keys[found] = z
+            found += 1
     # Newest slice and last row first: of equally far ones the CPU renderer, which goes from front
     # to back, has the oldest and first in front.
     for age in range(lanes):
@@ -43,8 +49,11 @@ def _collect(means, starts, expires, counts, frame, view, near_m, slots, keys): 
 class Order:
     """The visible order of a window of Gaussians; all its buffers are made once."""
 
-    def __init__(self, swin_size: int, slice_size: int) -> None:
-        total = swin_size * slice_size
+    def __init__(self, swin_size: int, slice_size: int, num_spare: int = 0) -> None:
+        """num_spare: the most that `spare` may hold."""
+        total = swin_size * slice_size + num_spare
+        self.spare = np.zeros((0, 3), np.float32)
+        """(L, 3) metres: Gaussians behind the lanes, which show in every frame."""
         self.means = np.zeros((swin_size, slice_size, 3), np.float32)
         self.starts = np.full((swin_size, slice_size), NEVER, np.int32)
         self.expires = np.full(swin_size, np.iinfo(np.int32).min, np.int32)
@@ -90,6 +99,7 @@ class Order:
             self.starts,
             self.expires,
             self.counts,
+            self.spare,
             np.int32(frame),
             view,
             np.float32(near_m),

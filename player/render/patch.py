@@ -11,9 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from codec.halfway import Motion
 from codec.kernel import kernel
 from codec.slice import Slice
 
+from .moves import moves_of, spare_slots
 from .pack import pack_slice, texels_per_gaussian
 
 Floats = npt.NDArray[np.float32]
@@ -41,11 +43,14 @@ class PackedSlice:
     """A slice as its lane takes it."""
 
     lane: int
+    birth: int
     expire: int
     rows: Ints | None  # (N,) rising, those of the lane that change; None: the lane is replaced
     means: Floats  # (N, 3) metres, world
     starts: Ints  # (N,) first frame of each
     patches: tuple[Patch, ...]
+    moves: Ints | None = None  # see moves_of
+    motion: Motion | None = None
 
     @property
     def num_bytes(self) -> int:
@@ -101,7 +106,7 @@ class PackedLanes:
 
     def __init__(self, swin_size: int, slice_size: int, sh_degree: int, columns: int) -> None:
         """columns: Gaussians in a row of the texture."""
-        self._swin_size = swin_size
+        self._swin_size, self._num_spare = swin_size, spare_slots(slice_size)
         self.texels = texels_per_gaussian(sh_degree)
         """Texels of one Gaussian."""
         self.columns = columns
@@ -118,11 +123,6 @@ class PackedLanes:
         self._births[lane] = slice.birth
         return self._packed(lane, slice)
 
-    def correct(self, slice: Slice) -> PackedSlice | None:
-        """See Packer."""
-        lane = slice.lane(self._swin_size)
-        return self._packed(lane, slice) if slice.corrects(self._births[lane]) else None
-
     def _packed(self, lane: int, slice: Slice) -> PackedSlice:
         rows = slice.rows
         starts = np.empty(len(slice.splats), np.int32)
@@ -132,7 +132,10 @@ class PackedLanes:
             patches = self._change(lane, rows, slice, starts)
         expire = slice.birth + self._swin_size
         means = slice.splats.means
-        return PackedSlice(lane, expire, rows, means, starts, patches)
+        moves = moves_of(slice, self._num_spare)
+        return PackedSlice(
+            lane, slice.birth, expire, rows, means, starts, patches, moves, slice.motion
+        )
 
     def forget(self, lane: int) -> None:
         """Packed slices of `lane` may never be uploaded: only a whole slice can follow."""

@@ -40,6 +40,7 @@ HELP = (
     "[  ]\tslower, faster; backspace: normal speed",
     "L\tloop on or off",
     "M\tsound off or on; up, down: louder, softer",
+    "B\tmotion between frames on or off",
     "F\tfull screen; escape: leave it, or close the window",
     "I\tplayback statistics",
     "R\treturn to the path's camera",
@@ -84,6 +85,7 @@ class Controls:
             glfw.KEY_M: lambda _: self._toggle_sound(),
             glfw.KEY_UP: lambda _: self._change_volume(VOLUME_STEP),
             glfw.KEY_DOWN: lambda _: self._change_volume(-VOLUME_STEP),
+            glfw.KEY_B: lambda _: self._toggle_smoothing(),
             glfw.KEY_F: lambda _: self._toggle_full_screen(),
             glfw.KEY_ESCAPE: lambda _: self._escape(),
             glfw.KEY_I: lambda _: self._toggle_info(),
@@ -134,6 +136,10 @@ class Controls:
 
     def _toggle_info(self) -> None:
         self.shows_info = not self.shows_info
+
+    def _toggle_smoothing(self) -> None:
+        smoothing = self._conductor.smoothing
+        smoothing.on = not smoothing.on
 
     def _toggle_help(self) -> None:
         self.shows_help = not self.shows_help

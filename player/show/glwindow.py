@@ -60,6 +60,13 @@ class GlWindow:
         return int(width_px), int(height_px)
 
     @property
+    def pictures_hz(self) -> float:
+        """Pictures a second that the screen shows; 60 where that is not known."""
+        monitor = glfw.get_window_monitor(self.handle) or glfw.get_primary_monitor()
+        mode = glfw.get_video_mode(monitor) if monitor else None
+        return float(mode.refresh_rate) if mode and mode.refresh_rate > 0 else 60.0
+
+    @property
     def is_closed(self) -> bool:
         return bool(glfw.window_should_close(self.handle))
 

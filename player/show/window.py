@@ -58,6 +58,7 @@ def show_window(
     renderer = GlRenderer(manifest, Target.FLOAT16, window.context, window.version)
     renderers.append(renderer)
     with closing(renderer):
+        conductor.smoothing.pictures_hz = window.pictures_hz
         conductor.attach(renderer)
         _Shown(window, poster, conductor, path, background, sound).show(
             renderer, note, record_camera

@@ -17,11 +17,10 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import SwingsError
-from codec.halfway import Motion
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 
-from ..arrivals import Arrivals, Glide
+from ..arrivals import Arrivals
 from ..lane import check_slice
 from ..renderer import GlVersion
 from ..steptimes import StepTimes, step
@@ -57,9 +56,7 @@ class GlRenderer:
         self._current: AbstractContextManager[object] = (
             self._context if self._own else nullcontext()
         )
-        # As its packer packs them, and what they move.
-        self._arrivals: Arrivals[tuple[Any, int, Motion | None]] = Arrivals()
-        self._glide = Glide()
+        self._arrivals: Arrivals[Any] = Arrivals()  # as its packer packs them
         self._packing = threading.Lock()
         self._closed = False
         self.uploaded_bytes = 0
@@ -97,14 +94,12 @@ class GlRenderer:
         """Packs the slice for the GPU; the next `upload` of a frame >= its birth takes it there."""
         check_slice(slice, self._manifest.slice_size, self._manifest.sh_degree)
         with self._packing:
-            self._arrivals.append(
-                slice.birth, (self._packer.pack(slice), slice.birth, slice.motion)
-            )
+            self._arrivals.append(slice.birth, self._packer.pack(slice))
 
     def forget_waiting(self) -> None:
         """See Renderer."""
         with self._packing:
-            for packed, _, _ in self._arrivals.drop():
+            for packed in self._arrivals.drop():
                 self._packer.forget(packed.lane)
 
     def upload(self, frame: int) -> None:
@@ -116,9 +111,9 @@ class GlRenderer:
         with step(self.times, "upload_ms", self._unlocked.finish):
             self._move(1.0)
             taken = self._arrivals.pop_until(frame)
-            for packed, _, _ in taken:
+            for packed in taken:
                 self.uploaded_bytes += self._resident.upload(packed)
-            self._glide.start(frame, [(birth, motion) for _, birth, motion in taken])
+            self._resident.start_glide(frame)
 
     def glide(self, share: float) -> bool:
         """See Renderer."""
@@ -126,13 +121,9 @@ class GlRenderer:
             return self._move(share)
 
     def _move(self, share: float) -> bool:
-        moved, _ = self._glide.to(share)
-        for slice in moved:
-            with self._packing:
-                packed = self._packer.correct(slice)
-            if packed is not None:
-                self.uploaded_bytes += self._resident.upload(packed)
-        return bool(moved)
+        num_bytes = self._resident.glide(share)
+        self.uploaded_bytes += num_bytes or 0
+        return num_bytes is not None
 
     def _draw(self, frame: int, camera: Camera) -> None:
         """Draws `frame` from what is uploaded, without waiting for the GPU."""

@@ -27,11 +27,6 @@ class Packer(Protocol[PackedOut]):
         """The slice, which fits a lane. Raises InvalidError if it changes what its lane lacks."""
         ...
 
-    def correct(self, slice: Slice) -> PackedOut | None:
-        """The slice, which corrects some rows of its lane and leaves the others as they are; None
-        where the lane has another slice by now."""
-        ...
-
     def forget(self, lane: int) -> None:
         """Packed slices of `lane` may never be uploaded: only a whole slice can follow."""
         ...
@@ -45,6 +40,15 @@ class Resident(Protocol[Packed]):
 
     def upload(self, packed: Packed) -> int:
         """Writes what the slice changes; gives how many bytes."""
+        ...
+
+    def start_glide(self, frame: int) -> None:
+        """All slices up to `frame` are uploaded; what the one born at `frame` changes may be drawn
+        on its way. Puts all else where it belongs."""
+        ...
+
+    def glide(self, share: float) -> int | None:
+        """See Renderer.glide; gives how many bytes were written, None if nothing changed."""
         ...
 
     def sort(self, frame: int, camera: Camera) -> None:

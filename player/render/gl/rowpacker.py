@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from codec.slice import Slice
 
+from ..moves import moves_of
 from ..pack import pack_slice, texels_per_gaussian
 
 Ints = npt.NDArray[np.int32]
@@ -27,16 +28,17 @@ class PackedRows:
     birth: int
     rows: Ints | None  # (N,) rising, those of the lane that change; None: the lane is replaced
     words: npt.NDArray[np.float32]  # (N, 4 * texels); see texels_per_gaussian
+    moves: Ints | None  # see moves_of
 
 
 class RowPacker:
     """Packs slices; belongs to the thread that puts."""
 
-    def __init__(self, swin_size: int, sh_degree: int) -> None:
-        self._swin_size = swin_size
+    def __init__(self, swin_size: int, sh_degree: int, num_spare: int) -> None:
+        """num_spare: slots for Gaussians that fade out."""
+        self._swin_size, self._num_spare = swin_size, num_spare
         self._num_words = 4 * texels_per_gaussian(sh_degree)
         self._births: list[int | None] = [None] * swin_size
-        self._serials = [0] * swin_size
         self._serial = 0
 
     def pack(self, slice: Slice) -> PackedRows:
@@ -45,22 +47,16 @@ class RowPacker:
         slice.check_follows(self._births[lane], self._swin_size)
         self._births[lane] = slice.birth
         self._serial += 1
-        self._serials[lane] = self._serial
         return self._packed(lane, slice)
 
-    def correct(self, slice: Slice) -> PackedRows | None:
-        """See Packer."""
-        lane = slice.lane(self._swin_size)
-        return self._packed(lane, slice) if slice.corrects(self._births[lane]) else None
-
     def _packed(self, lane: int, slice: Slice) -> PackedRows:
-        serial = self._serials[lane]
         words = np.zeros((len(slice.splats), self._num_words), np.float32)
         starts = np.empty(len(words), np.int32)
         pack_slice(slice, words, starts)
         times = words.view(np.int32)[:, -2:]
-        times[:, 0], times[:, 1] = starts, serial
-        return PackedRows(lane, serial, slice.birth, slice.rows, words)
+        times[:, 0], times[:, 1] = starts, self._serial
+        moves = moves_of(slice, self._num_spare)
+        return PackedRows(lane, self._serial, slice.birth, slice.rows, words, moves)
 
     def forget(self, lane: int) -> None:
         """Packed slices of `lane` may never be uploaded: only a whole slice can follow."""

@@ -27,7 +27,7 @@ def motion(seed: int, count: int = 9, enters: bool = False) -> Motion:
     rows = np.arange(count, dtype=np.int32) * 3
     first, last = random_splats(count, 1, seed), random_splats(count, 1, seed + 1)
     flags = np.full(count, enters)
-    return Motion(rows, first, last, flags, random_splats(4, 1, seed + 2))
+    return Motion(rows, first, last, flags, random_splats(4, 1, seed + 2), rows[:4])
 
 
 @given(st.integers(0, 1000), st.booleans())
@@ -60,7 +60,7 @@ def test_rotations_take_the_shorter_way_whatever_their_signs(seed: int, share: f
     one = motion(seed)
     arrays = list(one.after.arrays)
     arrays[2] = -arrays[2]
-    other = Motion(one.rows, one.before, Splats(*arrays), one.enters, one.leaving)
+    other = Motion(one.rows, one.before, Splats(*arrays), one.enters, one.leaving, one.left)
     found, opposite = one.at(share).quats, other.at(share).quats
     cosines = np.abs((found * opposite).sum(1))
     assert np.allclose(cosines, np.linalg.norm(found, axis=1) * np.linalg.norm(opposite, axis=1))
@@ -73,14 +73,16 @@ def test_two_that_cancel_out_still_turn_by_something() -> None:
     first = Splats(before.means, before.log_scales, quats[:1].repeat(2, 0), *before.arrays[3:])
     last = Splats(after.means, after.log_scales, -quats[:1].repeat(2, 0), *after.arrays[3:])
     rows, enters = np.arange(2, dtype=np.int32), np.zeros(2, np.bool_)
-    found = Motion(rows, first, last, enters, Splats.empty()).at(0.5).quats
+    found = Motion(rows, first, last, enters, Splats.empty(), rows[:0]).at(0.5).quats
     assert (np.linalg.norm(found, axis=1) > 0.9).all()
 
 
 def test_parts_that_do_not_belong_together_are_refused() -> None:
     rows, enters = np.arange(3, dtype=np.int32), np.zeros(3, np.bool_)
     with pytest.raises(InvalidError, match="3 rows"):
-        Motion(rows, random_splats(2, 0, 0), random_splats(3, 0, 0), enters, Splats.empty())
+        Motion(
+            rows, random_splats(2, 0, 0), random_splats(3, 0, 0), enters, Splats.empty(), rows[:0]
+        )
 
 
 @given(st.integers(0, 10_000), SHARES)
@@ -100,7 +102,7 @@ def test_no_slot_goes_where_neither_frame_has_a_gaussian(seed: int, share: float
     on = was_here & is_here & ~renewed & ~jumped
     assert (made.enters == ~on[is_here]).all()
     assert len(made.leaving) == (was_here & ~on).sum()
-    assert np.array_equal(made.leaving.means, before.means[was_here & ~on])
+    assert np.array_equal(made.leaving.means, before.means[made.left])
     found = made.at(share)
     sigma_m = np.exp(np.maximum(before.log_scales.max(1), after.log_scales.max(1)))
     away_m = np.linalg.norm(found.means - after.means[is_here], axis=1)
@@ -152,6 +154,7 @@ def test_a_decoder_reports_what_its_slots_were(layout: SlotLayout, num_layers: i
         was_handed_out = update.birth > layout.swin_size
         gone = np.flatnonzero(held & changes & was_handed_out)
         assert same_splats(motion.leaving, before.splats.take(gone))
+        assert motion.left.tolist() == gone.tolist()
         assert made.num_bytes > same.num_bytes or not len(motion.rows)
         moving, left = moving + len(on), left + len(gone)
     assert moving > 10

@@ -11,16 +11,19 @@ import pytest
 
 from codec.camera import Camera
 from codec.framerange import FrameRange
+from codec.interop.formats import SplatFormat, encode_splats
 from codec.lattice.lattice import Lattice, States, quantise
+from codec.sequence.importing import ImportOptions, import_stream
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import NEW, PREDICTED, Update
 from codec.splats import Splats
-from codec.stream import StreamWriter
+from codec.stream import StreamReader, StreamWriter
 from player.playout.assembler import Assembler
 from player.render.cpu import render_splats
 from player.render.gl import create_renderer
 from player.render.renderer import GlVersion, Renderer, RendererKind
 from player.source.directory import DirectorySource
+from tests.support.deforming import Deforming
 from tests.support.hosted_streams import random_splats
 from tests.support.screen.opengl import GL_VERSIONS
 from tests.support.slots.slot_streams import slot_manifest, write_busy_stream
@@ -51,7 +54,7 @@ class Player:
         self._packets = list(self.source.packets())
         self._assembler = Assembler(self.manifest, self.source.num_layers, 0)
         self.renderer: Renderer = create_renderer(kind[0], self.manifest, kind[1])
-        self.camera: Camera = self.manifest.camera()
+        self.camera: Camera = self.manifest.camera().fitted(192, 108)
 
     def go_to(self, frame: int, with_motion: bool = True) -> None:
         due = [one for one in self._packets if max(0, one.first_frame) == frame]
@@ -122,7 +125,7 @@ def moved(body: Splats, frames: float) -> Splats:
 
 
 def psnr_db(a: np.ndarray, b: np.ndarray) -> float:
-    return float(-10 * np.log10(((a - b) ** 2).mean()))
+    return float(-10 * np.log10(((a - b) ** 2).mean() + 1e-12))
 
 
 def test_half_way_it_looks_as_it_would_half_way(
@@ -143,3 +146,61 @@ def test_half_way_it_looks_as_it_would_half_way(
             assert psnr_db(found, truth) > 30
             assert psnr_db(found, truth) > psnr_db(there, truth) + 6
             assert psnr_db(found, truth) > psnr_db(before, truth) + 6
+
+
+@pytest.fixture(scope="module", params=[0, 3])
+def deforming(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A stream in which all move, and a tenth of the slots is given to others in each frame."""
+    folder = tmp_path_factory.mktemp("deforming")
+    (folder / "seq").mkdir()
+    model = Deforming(400, request.param)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tests.support.deforming.BORN_SHARE", 0.1)
+        for number in range(NUM_FRAMES):
+            (folder / "seq" / f"{number}.ply").write_bytes(
+                encode_splats(model.next(), SplatFormat.PLY)
+            )
+    import_stream(folder / "seq", folder / "stream", ImportOptions(fps=30.0))
+    return folder / "stream"
+
+
+def test_all_renderers_draw_the_same_between_frames(
+    deforming: Path, kind: tuple[RendererKind, GlVersion]
+) -> None:
+    player, oracle = Player(deforming, kind), Player(deforming, (RendererKind.CPU, GlVersion.AUTO))
+    reader = StreamReader(deforming)
+    layers, near_m = reader.manifest.num_layers, reader.manifest.near_m
+    with closing(player.renderer):
+        for frame in range(1, 6):
+            if frame == 1:
+                player.go_to(0)
+                oracle.go_to(0)
+            player.go_to(frame)
+            oracle.go_to(frame)
+            motion = reader.motion(frame - 1, frame, layers)
+            assert len(motion.leaving) > 10
+            for share in (0.75, 0.25, 1.0):
+                player.renderer.glide(share)
+                oracle.renderer.glide(share)
+                expected = oracle.picture(frame)
+                assert psnr_db(player.picture(frame), expected) > (45 if share < 1 else 60)
+                exact = render_splats(motion.all_at(share), player.camera, near_m)
+                assert psnr_db(exact, expected) > 60
+
+
+def test_what_is_uploaded_for_pictures_between_is_little(
+    deforming: Path, kind: tuple[RendererKind, GlVersion]
+) -> None:
+    if kind[0] is RendererKind.CPU:
+        pytest.skip("nothing is uploaded to the CPU")
+    player, plain = Player(deforming, kind), Player(deforming, kind)
+    with closing(player.renderer), closing(plain.renderer):
+        for frame in range(NUM_FRAMES):
+            player.go_to(frame)
+            plain.go_to(frame, with_motion=False)
+            if frame == 0:
+                first = player.renderer.uploaded_bytes, plain.renderer.uploaded_bytes
+            for share in (0.25, 0.5, 0.75, 1.0):
+                player.renderer.glide(share)
+        between = player.renderer.uploaded_bytes - first[0]
+        assert between <= 1.6 * (plain.renderer.uploaded_bytes - first[1])

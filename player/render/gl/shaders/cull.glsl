@@ -67,7 +67,8 @@ void main() {
     int age = place / LANE_SLOTS, row = LANE_SLOTS - 1 - place % LANE_SLOTS;
     int lane = newest_lane - age;
     if (lane < 0) lane += LANES;
-    int slot = lane * LANE_SLOTS + row;
+    // Behind the lanes lie the spare slots, whose record is that of one more lane.
+    int slot = age < LANES ? lane * LANE_SLOTS + row : place;
     keys[place] = key_of(slot);
     slots[place] = uint(slot);
 }
