@@ -100,24 +100,24 @@ def near_plane(capture: Capture, seen: Seen | None) -> float | None:
 
 
 def near_planes(capture: Capture, seen: Seen | None) -> tuple[float, ...]:
-    """For each camera the depth in front of which nothing is drawn in its own view, metres: what
-    the rig suggests, or less where this camera has something nearer in view. Empty where the rig
+    """For each camera the depth in front of which nothing is drawn in its own view, metres: that of
+    views from anywhere, or less where this camera has something nearer in view. Empty where the rig
     gives none, or declares it.
 
-    What is known of a held-out camera's view are places that training cameras agree on, and the
-    capture's points.
+    Never farther: what no camera sees is not trained, and would hang as fog before views from
+    between them. What is known of a held-out camera's view are places that training cameras agree
+    on, and the capture's points.
     """
-    if capture.near_m is None or seen is None:
+    common_m = near_plane(capture, seen)
+    if capture.near_m is None or common_m is None or seen is None:
         return ()
-    return tuple(_own_plane(entry.camera, seen, capture.near_m) for entry in capture.cameras)
-
-
-def _own_plane(camera: Camera, seen: Seen, suggested_m: float) -> float:
-    nearest = [nearest_seen([camera], places) for places in (seen.points, seen.stereo)]
-    depth = min((depth for depth in nearest if depth is not None), default=suggested_m)
-    if depth >= suggested_m:
-        return suggested_m
-    return max(MARGIN * depth, LEAST_OWN_SHARE * suggested_m)
+    planes = []
+    for entry in capture.cameras:
+        depths = [nearest_seen([entry.camera], places) for places in (seen.points, seen.stereo)]
+        nearest_m = min((depth for depth in depths if depth is not None), default=np.inf)
+        own_m = max(MARGIN * nearest_m, LEAST_OWN_SHARE * capture.near_m)
+        planes.append(min(own_m, common_m) if nearest_m < capture.near_m else common_m)
+    return tuple(planes)
 
 
 MAX_CUT_CAMERAS = 3

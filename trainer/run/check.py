@@ -163,12 +163,12 @@ def _own_planes(capture: Capture, planes: Sequence[float], near_m: float) -> lis
     nearer = sorted(
         (plane, entry.camera.name)
         for plane, entry in zip(planes, capture.cameras, strict=True)
-        if capture.near_m is not None and plane < capture.near_m
+        if plane < near_m
     )
     named = [f"{name} {plane:.3g}" for plane, name in nearer[:MAX_NAMED_PLANES]]
     if len(nearer) > MAX_NAMED_PLANES:
         named.append(f"{len(nearer) - MAX_NAMED_PLANES} more")
-    return [f"near of     {', '.join(named)}, all others {capture.near_m:.3g}, in their own views"]
+    return [f"near of     {', '.join(named)}, in their own views"]
 
 
 def _describe_masks(capture: Capture) -> str:

@@ -108,11 +108,9 @@ def test_points_that_a_camera_sees_bring_it_in(tmp_path: Path) -> None:
     assert said(lines, "near cuts").startswith("at most 0.5%")  # cameras have planes of their own
     planes = planes_of(capture)
     for camera in cameras:
-        own = MARGIN * least_depth(camera)
-        if own < MARGIN * suggested:
-            assert planes[camera.name] == pytest.approx(own, rel=0.1)
-        else:
-            assert planes[camera.name] <= suggested
+        own = max(MARGIN * least_depth(camera), LEAST_OWN_SHARE * suggested)
+        assert planes[camera.name] == pytest.approx(min(own, near), rel=0.1)
+        assert planes[camera.name] <= near
     assert f"cam10 {planes['cam10']:.3g}" in said(lines, "near of")
     assert said(checked(tmp_path, near_m=0.8 * nearest), "near cuts").startswith("at most 0.5%")
     cut = warned_of_near(checked(tmp_path, near_m=suggested))
