@@ -22,6 +22,7 @@ from .edit import Edit
 from .fitting import fitted
 from .recoder import Recoder
 from .segmentfiles import SegmentFiles
+from .soundcopy import copy_sound
 from .walk import Walk
 
 Progress = Callable[[int, int], None]
@@ -66,18 +67,26 @@ def objects_bytes(reader: StreamReader) -> int:
 
 @contextmanager
 def writing(
-    out: Path, manifest: Manifest, coder: Coder, draw: Draw | None
+    out: Path,
+    manifest: Manifest,
+    coder: Coder,
+    draw: Draw | None,
+    heard: StreamReader | None = None,
 ) -> Iterator[SegmentFiles]:
     """Gives what the segments of a new stream at `out`, absent or an empty folder, are put into.
 
     It appears there, finished, when the block is left normally, and with a poster and a storyboard
-    if there is something to draw them with; else nothing does.
+    if there is something to draw them with; else nothing does. heard: the stream whose sound goes
+    along, segment by segment; without it the new one is silent.
     """
     pictures = (None, None) if draw is None else (POSTER_NAME, STORYBOARD_NAME)
-    manifest = replace(manifest, poster=pictures[0], storyboard=pictures[1], sound=())
+    manifest = replace(manifest, poster=pictures[0], storyboard=pictures[1])
+    manifest = manifest if heard is not None else replace(manifest, sound=())
     with making_folder(out) as folder:
         files = SegmentFiles(folder, manifest, coder)
         yield files
+        if heard is not None:
+            copy_sound(heard, folder)
         files.finish()
         if draw is not None:
             write_poster(folder, draw)
@@ -97,7 +106,7 @@ def rewrite(
     """
     coder, num_frames = coder_of_stream(reader), reader.num_frames
     edit = fitted(reader, edit, coder)
-    with writing(out, edit.manifest(reader.manifest), coder, draw) as files:
+    with writing(out, edit.manifest(reader.manifest), coder, draw, reader) as files:
         walk, recoder = Walk(reader), Recoder(files)
         for slices in (walk.opening(0), walk.slices(range(1, num_frames))):
             for birth in recoder.append(walk, slices, edit):

@@ -31,6 +31,7 @@ from codec.pose import Doubles, rotation_about
 from codec.similarity import Similarity, turned_harmonics
 from codec.splats import Splats, sh_count
 from codec.stream.manifest import Manifest
+from codec.stream.sound import Key
 
 from .edit import HOLD, Edit
 
@@ -110,10 +111,12 @@ class Transform(Edit):
         return (f"moved        {x:+.3g} {y:+.3g} {z:+.3g} m beside what was asked: whole steps",)
 
     def manifest(self, source: Manifest) -> Manifest:
-        """The result's manifest: `source` with lattices, cameras, bounds and near plane mapped."""
+        """The result's manifest: `source` with lattices, cameras, bounds, near planes and
+        places of sound mapped."""
         cameras, scale = tuple(map(self._camera, source.cameras)), self.similarity.scale
         corners = np.array(list(itertools.product(*np.transpose(source.bounds))))
         mapped = self._places(corners)
+        sound = tuple(replace(one, keys=tuple(map(self._key, one.keys))) for one in source.sound)
         (x, y, z), (u, v, w) = mapped.min(axis=0).tolist(), mapped.max(axis=0).tolist()
         return replace(
             source,
@@ -122,6 +125,7 @@ class Transform(Edit):
             bounds=((x, y, z), (u, v, w)),
             near_m=source.near_m * scale,
             camera_near_m=tuple(near_m * scale for near_m in source.camera_near_m),
+            sound=sound,
         )
 
     def states(self, layer: int, states: States, before: States | None) -> tuple[States, Flags]:
@@ -162,6 +166,12 @@ class Transform(Edit):
         one = self.similarity
         mapped: Doubles = points @ (one.scale * one.turn).T + one.offset
         return mapped
+
+    def _key(self, key: Key) -> Key:
+        """Where a sound is at a time, mapped."""
+        time_s, *place = key
+        x, y, z = self._places(np.array([place]))[0].tolist()
+        return time_s, x, y, z
 
     def _camera(self, camera: Camera) -> Camera:
         w2c = camera.w2c.copy()

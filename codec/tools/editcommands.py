@@ -19,6 +19,8 @@ from codec.progressline import counted
 from codec.stream.pictures import Draw
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
+from .streamsound import add_cuts
+
 Source = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="STREAM")]]
 Target = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
 
@@ -107,15 +109,24 @@ def run_edit(config: Edit, draw: Draw | None = None) -> str:
                 made = edit_stream(
                     edit.stream, edit.out, edit.options, draw, progress, edit.max_gaussians
                 )
-    return _describe(edit.out, made) + _sound_note(edit)
+    return _describe(edit.out, made) + _cut_sound(edit)
 
 
-def _sound_note(edit: _Job) -> str:
-    """A line, if the sound of an edited stream is left out."""
-    streams = (edit.stream, *(edit.then if isinstance(edit, Join) else ()))
-    if not any(StreamReader(place, None).manifest.sound for place in streams):
+def _cut_sound(edit: _Job) -> str:
+    """Gives a trimmed or joined stream its sound; a line, if some is left out. All other edits
+    have copied it."""
+    if not isinstance(edit, Trim | Join):
         return ""
-    return "\nsound        left out; add it again with swings-stream audio add"
+    places = (edit.stream, *(edit.then if isinstance(edit, Join) else ()))
+    readers = [StreamReader(place, None) for place in places]
+    if not any(reader.manifest.sound for reader in readers):
+        return ""
+    frames = edit.frames if isinstance(edit, Trim) else FrameRange()
+    cuts = [(reader, frames.of(reader.num_frames, reader.name)) for reader in readers]
+    left_out = add_cuts(edit.out, cuts)
+    if not left_out:
+        return ""
+    return f"\nsound        left out: {', '.join(left_out)}; see swings-stream audio add"
 
 
 def _describe(out: Path, made: Edited) -> str:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from codec.coders.coder import Coder
+from codec.edit.soundcopy import copy_sound
 from codec.errors import InvalidError
 from codec.files import making_folder, temporary_folder, write_atomic
 from codec.slots.slotchange import encoded_elsewhere
@@ -17,12 +18,11 @@ from codec.slots.slotchunk import Kind
 from codec.storage.openstorage import Place
 from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
 from codec.stream.integrity import CheckedObject
-from codec.stream.manifest import MANIFEST_NAME, MASKS, OBJECT_URL, object_file, object_name
+from codec.stream.manifest import MANIFEST_NAME, MASKS, OBJECT_URL, object_file
 from codec.stream.object import encode_packet, join_packets
 from codec.stream.packedlayout import PACKED_SUFFIX
 from codec.stream.pictures import read_picture
-from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader, read_stream_file
-from codec.stream.sound import MAX_SOUND_BYTES
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
 from .objectaudit import verify_objects
 from .packing import pack_stream
@@ -80,7 +80,7 @@ def _write(reader: StreamReader, folder: Path) -> int:
     described = manifest.to_json()
     write_atomic(folder / MANIFEST_NAME, described)
     _copy_pictures(reader, folder)
-    _copy_sound(reader, folder)
+    copy_sound(reader, folder)
     return len(described) + len(index) + sum(sum(record.part_bytes) for record in records)
 
 
@@ -126,11 +126,3 @@ def _copy_pictures(reader: StreamReader, folder: Path) -> None:
             copy = folder / path
             copy.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(copy, content)
-
-
-def _copy_sound(reader: StreamReader, folder: Path) -> None:
-    """Takes the objects of sound along as they are."""
-    for source in reader.manifest.sound:
-        for record in reader.records:
-            path = object_name(record.segment, source.part)
-            write_atomic(folder / path, read_stream_file(reader.storage, path, MAX_SOUND_BYTES))

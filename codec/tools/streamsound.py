@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import wave
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.files import replacing, write_atomic
@@ -55,13 +57,23 @@ def add_sound(
     """Adds the sound in `file` as `source`, from second `offset_s` on, as far as the stream goes;
     gives the bytes of its objects. The objects come first, the manifest last. Raises a
     SwingsError."""
-    reader = _finished(stream)
-    manifest = replace(reader.manifest, sound=(*reader.manifest.sound, source))
-    described = manifest.to_json()
-    length = first_sample(reader.num_frames, manifest.fps)
     if not abs(offset_s) <= MAX_OFFSET_S:
         raise InvalidError(f"an offset of {offset_s} s is out of range; at most {MAX_OFFSET_S}")
     pieces = shifted(read_samples(file, source.channels), source.channels, offset_s)
+    return _add(_finished(stream), stream, pieces, source, bitrate_bps)
+
+
+def _add(
+    reader: StreamReader,
+    stream: Path,
+    pieces: Iterable[Samples],
+    source: SoundSource,
+    bitrate_bps: int = DEFAULT_BITRATE_BPS,
+) -> int:
+    """Adds the sound `pieces`, see `add_sound`. reader: of the folder `stream`."""
+    manifest = replace(reader.manifest, sound=(*reader.manifest.sound, source))
+    described = manifest.to_json()
+    length = first_sample(reader.num_frames, manifest.fps)
     whole = encode(pieces, source.channels, length, bitrate_bps)
     objects = [
         segment_sound(whole, *_span(reader, segment)).pack()
@@ -156,3 +168,60 @@ def verify_sound(reader: StreamReader) -> None:
     for source in reader.manifest.sound if reader.records else ():
         for _ in samples(reader, source):
             pass
+
+
+Cut = tuple[StreamReader, range]
+"""Some frames of a stream, one after another."""
+
+
+def add_cuts(stream: Path, cuts: Sequence[Cut]) -> list[str]:
+    """Adds the sound of `cuts` to the stream in the folder `stream`, whose frames are theirs one
+    after another; it is encoded again. Gives the names of sources that are left out: of several
+    cuts those that move, or differ in place or channels. Raises a SwingsError."""
+    names = dict.fromkeys(one.name for reader, _ in cuts for one in reader.manifest.sound)
+    left_out = []
+    for name in names:
+        found = [_named(reader.manifest, name) for reader, _ in cuts]
+        source = _joined([one for one in found if one is not None], cuts[0])
+        if source is None:
+            left_out.append(name)
+            continue
+        pieces = _cut_samples(cuts, found, source.channels)
+        _add(_finished(stream), stream, pieces, source)
+    return left_out
+
+
+def _named(manifest: Manifest, name: str) -> SoundSource | None:
+    return next((one for one in manifest.sound if one.name == name), None)
+
+
+def _joined(sources: Sequence[SoundSource], first: Cut) -> SoundSource | None:
+    """The source that is all of `sources`; None if there is none. first: what begins the stream."""
+    one = sources[0]
+    if len(sources) > 1 or not any(one is own for own in first[0].manifest.sound):
+        alike = all((each.keys, each.channels) == (one.keys, one.channels) for each in sources)
+        return one if alike and len(one.keys) <= 1 else None
+    reader, frames = first
+    begin_s = frames.start / reader.manifest.fps
+    return replace(one, keys=tuple((time_s - begin_s, x, y, z) for time_s, x, y, z in one.keys))
+
+
+def _cut_samples(
+    cuts: Sequence[Cut], sources: Sequence[SoundSource | None], channels: int
+) -> Iterator[Samples]:
+    """The samples of all cuts, with silence where a source has none."""
+    done = 0  # frames
+    for (reader, frames), source in zip(cuts, sources, strict=True):
+        fps = reader.manifest.fps
+        length = first_sample(done + len(frames), fps) - first_sample(done, fps)
+        done += len(frames)
+        if source is not None:
+            offset_s = -first_sample(frames.start, fps) / SAMPLE_RATE
+            for piece in shifted(samples(reader, source), channels, offset_s):
+                chosen = piece[:length]
+                length -= len(chosen)
+                if len(chosen):
+                    yield chosen
+                if not length:
+                    break
+        yield np.zeros((length, channels), np.int16)

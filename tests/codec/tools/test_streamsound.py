@@ -27,6 +27,7 @@ from codec.tools.soundfile import Samples, decode, encode, read_samples
 from codec.tools.static import export_static
 from codec.tools.streamsound import read_sound, samples
 from tests.support.commands import run, run_ok
+from tests.support.sounding import best_shift, heard
 from tests.support.tiny_stream import files_of, tiny_manifest, tiny_slice, write_tiny
 
 CLICKS = (0, 4000, 9600, 14400)
@@ -119,9 +120,6 @@ def test_static_export_carries_it_and_one_file_refuses(stream: Path, tmp_path: P
         assert (tmp_path / "static" / name).read_bytes() == (stream / name).read_bytes()
     with pytest.raises(InvalidError, match="has sound"):
         pack_stream(stream, tmp_path / "s.swings")
-    said = run_ok("swings-stream", "edit", "trim", stream, tmp_path / "t", "--frames", "0:8")
-    assert "sound        left out" in str(said)
-    verify_stream(tmp_path / "t")
 
 
 def test_any_changed_byte_is_found(stream: Path, tmp_path: Path) -> None:
@@ -253,3 +251,57 @@ def test_a_live_stream_has_sound_as_far_as_it_goes(tmp_path: Path) -> None:
     run_ok("swings-stream", "audio", "add", tmp_path / "plain", tmp_path / "in.wav")
     for name in ("manifest.json", *(f"segments/{n}/audio-main" for n in range(3))):
         assert (path / name).read_bytes() == (tmp_path / "plain" / name).read_bytes()
+
+
+def test_edits_of_all_frames_keep_the_sound(stream: Path, tmp_path: Path) -> None:
+    write_clicks(tmp_path / "in.wav", 16000)
+    add = ("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
+    run_ok(*add)
+    run_ok(*add, "--name", "voice", "--at-m", "0", "1", "2")
+    edit = ("swings-stream", "edit")
+    run_ok(*edit, "colour", stream, tmp_path / "c", "--exposure", "0.5")
+    run_ok(*edit, "transform", stream, tmp_path / "t", "--move", "1", "0", "0", "--scale", "2")
+    for name in ("c", "t"):
+        verify_stream(tmp_path / name)
+        for n in range(3):
+            for part in (f"segments/{n}/audio-main", f"segments/{n}/audio-voice"):
+                assert (tmp_path / name / part).read_bytes() == (stream / part).read_bytes()
+    main, voice = StreamReader(tmp_path / "t").manifest.sound
+    assert main == SoundSource("main", 2)
+    np.testing.assert_allclose(voice.keys, [(0.0, 1.0, 2.0, 4.0)], atol=0.01)
+
+
+@pytest.mark.parametrize("first", [3, 4])
+def test_trimmed_and_joined_streams_keep_the_sound(
+    stream: Path, tmp_path: Path, first: int
+) -> None:
+    write_clicks(tmp_path / "in.wav", 16000)
+    run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
+    fps = StreamReader(stream).manifest.fps
+    cut, both = tmp_path / "cut", tmp_path / "both"
+    run_ok("swings-stream", "edit", "trim", stream, cut, "--frames", f"{first}:9")
+    run_ok("swings-stream", "edit", "join", stream, both, "--then", stream)
+    verify_stream(cut)
+    verify_stream(both)
+    whole = heard(stream)
+    begin, stop = first_sample(first, fps), first_sample(9, fps)
+    assert len(heard(cut)) == first_sample(9 - first, fps)
+    count = min(stop - begin, len(heard(cut)))
+    assert best_shift(whole[begin : begin + count], heard(cut)[:count], 30) == 0
+    assert len(heard(both)) == first_sample(20, fps)
+    half = first_sample(10, fps)
+    again = heard(both)[half : half + len(whole)]
+    assert best_shift(whole[: len(again)], again, 30) == 0
+
+
+def test_a_joined_source_that_moves_is_left_out_and_named(stream: Path, tmp_path: Path) -> None:
+    write_clicks(tmp_path / "in.wav", 16000)
+    (tmp_path / "path.json").write_text("[[0, 0, 1, 2], [0.2, 4, 1, 2]]")
+    add = ("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
+    run_ok(*add, "--name", "steps", "--path", tmp_path / "path.json")
+    said = run_ok("swings-stream", "edit", "join", stream, tmp_path / "j", "--then", stream)
+    assert "left out: steps" in said
+    assert not StreamReader(tmp_path / "j").manifest.sound
+    run_ok("swings-stream", "edit", "trim", stream, tmp_path / "t", "--frames", "3:9")
+    (steps,) = StreamReader(tmp_path / "t").manifest.sound
+    assert steps.keys[1][0] == pytest.approx(0.2 - 3 / StreamReader(stream).manifest.fps)
