@@ -11,6 +11,7 @@ import tyro
 
 from codec.stream.pictures import Draw
 from codec.tools.audit import describe, summarise, verify_stream
+from codec.tools.captionscommands import Captions, run_captions
 from codec.tools.commands import (
     Export,
     Import,
@@ -34,7 +35,8 @@ class Command:
     """Which subcommand to run."""
 
     action: Annotated[
-        Info | Verify | Import | Export | Edit | Pack | Unpack | Audio, tyro.conf.arg(name="")
+        Info | Verify | Import | Export | Edit | Pack | Unpack | Audio | Captions,
+        tyro.conf.arg(name=""),
     ]
 
 
@@ -50,10 +52,8 @@ def run(command: Command, draw: Draw | None) -> None:
             if picture is not None and not as_json:
                 say(f"picture      {picture}")
         case Verify(stream=path, max_gaussians=most):
-            summary = verify_stream(path, most)
-            say(
-                f"{path}: {summary.num_frames} frames in {summary.num_segments} segments are intact"
-            )
+            found = verify_stream(path, most)
+            say(f"{path}: {found.num_frames} frames in {found.num_segments} segments are intact")
         case Import() as config:
             say(import_files(config, draw))
         case Export() as config:
@@ -66,6 +66,8 @@ def run(command: Command, draw: Draw | None) -> None:
             say(unpack_files(config))
         case Audio() as config:
             say(run_audio(config))
+        case Captions() as config:
+            say(run_captions(config))
 
 
 def main(draw: Draw | None = None) -> None:

@@ -22,7 +22,7 @@ from .edit import Edit
 from .fitting import fitted
 from .recoder import Recoder
 from .segmentfiles import SegmentFiles
-from .soundcopy import copy_sound
+from .trackcopy import copy_tracks
 from .walk import Walk
 
 Progress = Callable[[int, int], None]
@@ -71,22 +71,22 @@ def writing(
     manifest: Manifest,
     coder: Coder,
     draw: Draw | None,
-    heard: StreamReader | None = None,
+    tracks: StreamReader | None = None,
 ) -> Iterator[SegmentFiles]:
     """Gives what the segments of a new stream at `out`, absent or an empty folder, are put into.
 
     It appears there, finished, when the block is left normally, and with a poster and a storyboard
-    if there is something to draw them with; else nothing does. heard: the stream whose sound goes
-    along, segment by segment; without it the new one is silent.
+    if there is something to draw them with; else nothing does. tracks: the stream whose sound and
+    captions go along, segment by segment; without it the new one has none.
     """
     pictures = (None, None) if draw is None else (POSTER_NAME, STORYBOARD_NAME)
     manifest = replace(manifest, poster=pictures[0], storyboard=pictures[1])
-    manifest = manifest if heard is not None else replace(manifest, sound=())
+    manifest = manifest if tracks is not None else replace(manifest, sound=(), captions=())
     with making_folder(out) as folder:
         files = SegmentFiles(folder, manifest, coder)
         yield files
-        if heard is not None:
-            copy_sound(heard, folder)
+        if tracks is not None:
+            copy_tracks(tracks, folder)
         files.finish()
         if draw is not None:
             write_poster(folder, draw)

@@ -22,6 +22,7 @@ from codec.slice import window_births
 from codec.slots.slotlayout import MAX_LAYERS as MAX_LAYERS
 from codec.slots.slotlayout import SlotLayout
 
+from .captions import Captions, captions_of, check_captions
 from .manifestjson import (
     lattice_of,
     lattice_to_json,
@@ -131,6 +132,8 @@ class Manifest:
     """The sources of sound, in objects of their own."""
     camera_near_m: tuple[float, ...] = ()
     """Nearest depth drawn at each of the cameras, in metres; empty where it is `near_m` at all."""
+    captions: tuple[Captions, ...] = ()
+    """Captions, in files of their own."""
 
     def __post_init__(self) -> None:
         _ = self.slot_layout  # has rules of its own
@@ -139,6 +142,7 @@ class Manifest:
         self._check_cameras()
         self._check_texts()
         check_sources(self.sound)
+        check_captions(self.captions)
 
     def _check_sizes(self) -> None:
         if not MIN_FPS <= self.fps <= MAX_FPS:
@@ -323,6 +327,7 @@ class Manifest:
             "title": self.title,
             "capture_frame": self.capture_frame,
             **({"sound": [source.to_json() for source in self.sound]} if self.sound else {}),
+            **({"captions": [each.to_json() for each in self.captions]} if self.captions else {}),
         }
         text = json.dumps(value, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
         data = text.encode()
@@ -405,6 +410,7 @@ def _from_value(value: Mapping[str, Any]) -> Manifest:
         capture_frame=typed(value, "capture_frame", int),
         sound=sources_of(value),
         camera_near_m=_camera_depths(value),
+        captions=captions_of(value),
     )
     num_gs = typed(value, "num_gs", int)
     if num_gs != manifest.num_gs:

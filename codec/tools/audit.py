@@ -16,6 +16,7 @@ from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 from .objectaudit import verify_objects
 from .packing import verify_packed
 from .slotcensus import SlotSummary, count_slots, describe_slots, summarise_slots
+from .streamcaptions import verify_captions
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +191,7 @@ def verify_stream(place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIAN
             raise error.within(storage.place(INDEX_NAME)) from error
     verify_objects(reader)
     check_pictures(storage, manifest)
+    verify_captions(storage, manifest)
     if manifest.sound:
         from .streamsound import verify_sound  # PyAV loads slowly
 

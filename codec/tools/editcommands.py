@@ -109,24 +109,26 @@ def run_edit(config: Edit, draw: Draw | None = None) -> str:
                 made = edit_stream(
                     edit.stream, edit.out, edit.options, draw, progress, edit.max_gaussians
                 )
-    return _describe(edit.out, made) + _cut_sound(edit)
+    return _describe(edit.out, made) + _cut_tracks(edit)
 
 
-def _cut_sound(edit: _Job) -> str:
-    """Gives a trimmed or joined stream its sound; a line, if some is left out. All other edits
-    have copied it."""
+def _cut_tracks(edit: _Job) -> str:
+    """Gives a trimmed or joined stream its sound; lines about sound and captions that are left out.
+    All other edits have copied them."""
     if not isinstance(edit, Trim | Join):
         return ""
     places = (edit.stream, *(edit.then if isinstance(edit, Join) else ()))
     readers = [StreamReader(place, None) for place in places]
-    if not any(reader.manifest.sound for reader in readers):
-        return ""
-    frames = edit.frames if isinstance(edit, Trim) else FrameRange()
-    cuts = [(reader, frames.of(reader.num_frames, reader.name)) for reader in readers]
-    left_out = add_cuts(edit.out, cuts)
-    if not left_out:
-        return ""
-    return f"\nsound        left out: {', '.join(left_out)}; see swings-stream audio add"
+    note = ""
+    if any(reader.manifest.sound for reader in readers):
+        frames = edit.frames if isinstance(edit, Trim) else FrameRange()
+        cuts = [(reader, frames.of(reader.num_frames, reader.name)) for reader in readers]
+        left_out = add_cuts(edit.out, cuts)
+        if left_out:
+            note += f"\nsound        left out: {', '.join(left_out)}; see swings-stream audio add"
+    if any(reader.manifest.captions for reader in readers):
+        note += "\ncaptions     left out; add them again with swings-stream captions add"
+    return note
 
 
 def _describe(out: Path, made: Edited) -> str:

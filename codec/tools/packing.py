@@ -54,6 +54,11 @@ def pack_stream(stream: Place, out: Path) -> Packed:
             f"{reader.name} has sound, which one file cannot hold yet; remove it from a copy "
             "first: swings-stream audio remove"
         )
+    if reader.manifest.captions:
+        raise InvalidError(
+            f"{reader.name} has captions, which one file cannot hold yet; remove them from a copy "
+            "first: swings-stream captions remove"
+        )
     files = _Files(reader)
     sizes = [len(files.pictures.get(path or "", b"")) for path in picture_paths(reader.manifest)]
     head = PackedHead(len(reader.manifest_json), len(files.index), *sizes)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from codec.coders.coder import Coder
-from codec.edit.soundcopy import copy_sound
+from codec.edit.trackcopy import copy_tracks
 from codec.errors import InvalidError
 from codec.files import making_folder, temporary_folder, write_atomic
 from codec.slots.slotchange import encoded_elsewhere
@@ -80,7 +80,7 @@ def _write(reader: StreamReader, folder: Path) -> int:
     described = manifest.to_json()
     write_atomic(folder / MANIFEST_NAME, described)
     _copy_pictures(reader, folder)
-    copy_sound(reader, folder)
+    copy_tracks(reader, folder)
     return len(described) + len(index) + sum(sum(record.part_bytes) for record in records)
 
 

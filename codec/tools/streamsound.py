@@ -12,7 +12,6 @@ import numpy as np
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.files import replacing, write_atomic
 from codec.stream.manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest, object_file
-from codec.stream.packedlayout import PACKED_SUFFIX
 from codec.stream.reader import StreamReader, read_stream_file
 from codec.stream.sound import (
     DEFAULT_BITRATE_BPS,
@@ -25,19 +24,10 @@ from codec.stream.sound import (
     segment_sound,
 )
 
+from .finishedstream import finished
 from .soundfile import Samples, decode, encode, read_samples, shifted
 
 MAX_OFFSET_S = 1e6
-
-
-def _finished(stream: Path) -> StreamReader:
-    """The stream in the folder `stream`, if it may be changed."""
-    if stream.name.endswith(PACKED_SUFFIX) and not stream.is_dir():
-        raise InvalidError(f"{stream} is one file; unpack it first: swings-stream unpack")
-    reader = StreamReader(stream, max_gaussians=None)
-    if reader.manifest.live or not reader.records:
-        raise InvalidError(f"{stream} is live or has no frames; add sound when it is finished")
-    return reader
 
 
 def _span(reader: StreamReader, segment: int) -> tuple[int, int]:
@@ -60,7 +50,7 @@ def add_sound(
     if not abs(offset_s) <= MAX_OFFSET_S:
         raise InvalidError(f"an offset of {offset_s} s is out of range; at most {MAX_OFFSET_S}")
     pieces = shifted(read_samples(file, source.channels), source.channels, offset_s)
-    return _add(_finished(stream), stream, pieces, source, bitrate_bps)
+    return _add(finished(stream), stream, pieces, source, bitrate_bps)
 
 
 def _add(
@@ -96,7 +86,7 @@ def find_source(manifest: Manifest, name: str) -> SoundSource:
 
 def remove_sound(stream: Path, name: str) -> None:
     """Removes the source `name`: from the manifest, then its objects. Raises a SwingsError."""
-    reader = _finished(stream)
+    reader = finished(stream)
     gone = find_source(reader.manifest, name)
     left = tuple(source for source in reader.manifest.sound if source != gone)
     write_atomic(stream / MANIFEST_NAME, replace(reader.manifest, sound=left).to_json())
@@ -187,7 +177,7 @@ def add_cuts(stream: Path, cuts: Sequence[Cut]) -> list[str]:
             left_out.append(name)
             continue
         pieces = _cut_samples(cuts, found, source.channels)
-        _add(_finished(stream), stream, pieces, source)
+        _add(finished(stream), stream, pieces, source)
     return left_out
 
 

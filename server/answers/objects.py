@@ -6,6 +6,7 @@ import asyncio
 import hashlib
 from urllib.parse import parse_qsl
 
+from codec.stream.captions import CAPTIONS_TYPE
 from codec.stream.integrity import MAX_INDEX_BYTES
 from codec.stream.manifest import Part
 from codec.stream.pictures import picture_type
@@ -116,12 +117,13 @@ def web_asset(call: Call) -> Response:
 
 
 async def picture(call: Call) -> Response:
-    """The pictures that the manifest names, and no other file."""
+    """The pictures and captions that the manifest names, and no other file."""
     stream, name = call.stream(), call.name("picture")
-    content_type = picture_type(name)
+    content_type = CAPTIONS_TYPE if name.endswith(".vtt") else picture_type(name)
     data = None
     if content_type is not None:
-        data = await asyncio.to_thread(stream.read_picture, name)
+        read = stream.read_captions if content_type is CAPTIONS_TYPE else stream.read_picture
+        data = await asyncio.to_thread(read, name)
     if data is None or content_type is None:
         raise RequestError(404, f"{stream.name} has no picture {name[:80]!a}")
     sha256 = hashlib.sha256(data).hexdigest()

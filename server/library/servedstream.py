@@ -7,6 +7,7 @@ from itertools import count
 
 from codec.errors import CodecError
 from codec.storage.storage import Stamp, Storage
+from codec.stream.captions import MAX_CAPTIONS_BYTES
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import Part, object_name
 from codec.stream.pictures import read_picture
@@ -142,6 +143,16 @@ class ServedStream:
     def sound_stamp(self, segment: int, name: str) -> Stamp | None:
         """What changes when another sound takes the name. Blocks. Raises UnreadableError."""
         return self._storage.stamp(object_name(segment, name))
+
+    def read_captions(self, path: str) -> bytes | None:
+        """The file of captions at `path`; None for one that the manifest does not name, or that is
+        too large or is gone. Blocks."""
+        if all(path != each.file_name for each in self.view.manifest.captions):
+            return None
+        stamp = self._storage.stamp(path)
+        if stamp is None or stamp.size_bytes > MAX_CAPTIONS_BYTES:
+            return None
+        return self._storage.read(path, MAX_CAPTIONS_BYTES)
 
     def read_picture(self, path: str) -> bytes | None:
         """The picture at `path`; None while there is none, and for a path that the manifest does

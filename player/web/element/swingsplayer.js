@@ -163,9 +163,7 @@ export class SwingsPlayerElement extends MediaInterface {
     }, notLoaded);
     const tracks = new LazyPart(async () => {
       const { Tracks } = await import("./tracks.js");
-      const say = (/** @type {string} */ message) => hints.say(message, LONG_MS);
-      const added = () => panels.part?.keyList.fill(actions);
-      return new Tracks(this, player, this.#controls, actions, { say, added }, signal);
+      return new Tracks(this, player, this.#controls, actions, hints, panels, signal);
     }, notLoaded);
     const scrubber = new Scrubber(player, signal);
     const live = new LiveBadge(player, onStopped, signal);
@@ -252,7 +250,7 @@ export class SwingsPlayerElement extends MediaInterface {
     }
     this.#parts?.bar.showChoices();
     const tracks = this.#parts?.tracks;
-    if (manifest.sound || tracks?.part) tracks?.use((part) => part.open());
+    if (manifest.sound || manifest.captions || tracks?.part) tracks?.use((part) => part.open());
     // With reduced motion the viewer starts it, and each round of it.
     this.#setLoop(this.loop && !prefersStill());
   }

@@ -1,19 +1,15 @@
 /**
- * What goes with the picture: its sound. It is loaded with the first stream that has any: a bundle has
+ * What goes with the picture: its sound and its captions. It is loaded with the first stream that has any: a bundle has
  * it in a file of its own.
  */
 
+import { CAPTIONS_STYLE, CaptionsControls } from "./captionscontrols.js";
 import { SoundPlay } from "../sound/soundplay.js";
 import { SOUND_STYLE, SoundControls } from "./soundcontrols.js";
 
-/**
- * How the element is told something.
- * @typedef {object} Outlet
- * @property {(message: string) => void} say a sentence to the viewer
- * @property {() => void} added there are more keys
- */
+const LONG_MS = 10_000;
 
-/** The sound of the streams that an element opens, and its controls. */
+/** The sound and the captions of the streams that an element opens, and their controls. */
 export class Tracks {
   /** @type {SoundPlay | null} */
   sound = null;
@@ -23,50 +19,66 @@ export class Tracks {
    * @param {import("./webplayer.js").WebPlayer} player
    * @param {HTMLElement} place of the controls, with the bar
    * @param {import("./keys.js").KeyAction[]} actions
-   * @param {Outlet} outlet
+   * @param {import("./hints.js").Hints} hints
+   * @param {import("./lazypart.js").LazyPart<import("./panels.js").Panels>} panels whose list of keys may be there
    * @param {AbortSignal} signal ends it
    */
-  constructor(element, player, place, actions, outlet, signal) {
+  constructor(element, player, place, actions, hints, panels, signal) {
     this.element = element;
     this.player = player;
-    this.outlet = outlet;
+    this.hints = hints;
     this.signal = signal;
     const controls = new SoundControls(element);
     this.controls = controls;
     controls.unblock = () => this.sound?.unblock();
     const sheet = new CSSStyleSheet();
-    sheet.replaceSync(SOUND_STYLE);
+    sheet.replaceSync(SOUND_STYLE + CAPTIONS_STYLE);
     const root = place.getRootNode();
     if (root instanceof ShadowRoot) root.adoptedStyleSheets.push(sheet);
     place.querySelector(".play")?.after(controls.mute, controls.volume);
+    this.captions = new CaptionsControls(player, (message) => this.#say(message), signal);
+    place.querySelector(".space")?.after(this.captions.button);
+    place.prepend(this.captions.text);
     place.append(controls.unmute);
     actions.push({
       keys: ["m"],
       label: "Mute or unmute",
       run: () => this.sound && controls.toggle(),
     });
-    outlet.added();
+    actions.push({ keys: ["shift+c"], label: "Captions", run: () => this.captions.next() });
+    panels.part?.keyList.fill(actions);
     element.addEventListener("volumechange", () => this.#show(), { signal });
     signal.addEventListener("abort", () => this.#close());
+  }
+
+  /** @param {string} message */
+  #say(message) {
+    this.hints.say(message, LONG_MS);
   }
 
   /** The player has opened a stream. */
   open() {
     this.#close();
-    const { player, element, outlet, signal } = this;
-    const { sound } = player.manifest ?? {};
+    const { player, element, signal } = this;
+    const { sound, captions } = player.manifest ?? {};
+    try {
+      this.captions.open(captions);
+    } catch (error) {
+      const why = error instanceof Error ? error.message : error;
+      this.#say(`The captions of this stream cannot be shown: ${why}`);
+    }
     if (signal.aborted || !sound) return this.#show();
     try {
       this.sound = new SoundPlay(player, () => element.isLooping);
     } catch (error) {
       const why = error instanceof Error ? error.message : error;
-      outlet.say(`The sound of this stream cannot be played: ${why}`);
+      this.#say(`The sound of this stream cannot be played: ${why}`);
       return this.#show();
     }
     if (this.sound.sources.length === 0) this.#close();
     this.sound?.addEventListener("blocked", () => this.#show());
     this.sound?.addEventListener("refused", (event) =>
-      outlet.say(/** @type {CustomEvent<string>} */ (event).detail),
+      this.#say(/** @type {CustomEvent<string>} */ (event).detail),
     );
     this.#show();
   }

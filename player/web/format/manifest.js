@@ -51,6 +51,7 @@ const { fround } = Math;
  * @property {number} captureFrame
  * @property {SlotLayout} layout
  * @property {unknown} sound sources, not looked at yet
+ * @property {unknown} captions not looked at yet
  * @property {string[]} parts what each segment has an object of, in the order of the index
  */
 
@@ -109,7 +110,8 @@ export function readManifest(bytes) {
     title: text(field(value, "title"), "title"),
     captureFrame: integer(field(value, "capture_frame"), 0, 2 ** 31 - 1, "capture_frame"),
     layout,
-    sound: /** @type {{ sound?: unknown }} */ (value).sound,
+    sound: /** @type {any} */ (value).sound,
+    captions: /** @type {any} */ (value).captions,
     parts: partsOf(numLayers),
   };
 }

@@ -229,8 +229,9 @@ export class StreamPlayer {
   /** Follows the page's sound, if that is of the same line. @param {{ line: number, byMs: number }} how */
   follow({ line, byMs }) {
     if (line !== this.line || this.zeroS === null) return;
-    this.zeroS += byMs / 1000;
-    this.playback.follow(byMs / 1000);
+    const byS = byMs / 1000;
+    this.zeroS += byS;
+    this.playback.follow(byS);
   }
 
   /** Tells the page when frames are due, if they no longer are when it was told. */
@@ -255,8 +256,7 @@ export class StreamPlayer {
     const { round, playback, playing } = this;
     try {
       if (round.failure !== null) throw round.failure;
-      this.#postLine();
-      if (this.scrubber.isActive) return;
+      if (this.scrubber.isActive) return this.#postLine();
       const { cache, numFrames, manifest } = this.stream;
       cache.setPlayhead(playback.nextFrame, this.loop && !manifest.live ? numFrames : null);
       const waitS = round.source.step();

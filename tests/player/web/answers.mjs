@@ -33,6 +33,7 @@ import { floatWords, latticeWords, roomFor } from "../../../player/web/renderer/
 import { middleOf, sideBySide } from "../../../player/web/stereo/eyes.js";
 import { Placement } from "../../../player/web/stereo/placement.js";
 import { pinholeOf, poseOfTransform } from "../../../player/web/stereo/xrview.js";
+import { readCues, textAt } from "../../../player/web/captions/webvtt.js";
 import { oggOf } from "../../../player/web/sound/ogg.js";
 import { readSoundObject } from "../../../player/web/sound/soundobject.js";
 import { placeAt, readSources } from "../../../player/web/sound/soundsource.js";
@@ -141,6 +142,10 @@ const ANSWERS = {
   sound({ bytes, channels }) {
     const { preSkip, numSamples, packets, positions } = readSoundObject(unhex(bytes), channels);
     return { preSkip, numSamples, positions, packets: packets.map(hex) };
+  },
+  cues({ text, timeS }) {
+    const cues = readCues(text);
+    return { cues, text: textAt(cues ?? [], timeS) };
   },
   sources({ sound }) {
     return readSources(sound);

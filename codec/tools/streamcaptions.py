@@ -1,0 +1,64 @@
+"""Captions of a finished stream in a folder: adding, removing, reading and checking them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from codec.errors import CodecError, InvalidError
+from codec.files import read_bounded, write_atomic
+from codec.storage.openstorage import Place, open_storage
+from codec.stream.captions import MAX_CAPTIONS_BYTES, Captions, parse_webvtt
+from codec.stream.manifest import MANIFEST_NAME, Manifest
+from codec.stream.reader import read_stream_file
+
+from .finishedstream import finished
+
+
+def add_captions(stream: Path, file: Path, captions: Captions) -> int:
+    """Adds the WebVTT file `file` as `captions`, in place of those of the same language; gives the
+    number of its cues. The file comes first, the manifest last. Raises a SwingsError."""
+    manifest = finished(stream).manifest
+    if not file.is_file():
+        raise InvalidError(f"{file} is not a file; name one with WebVTT")
+    data = read_bounded(file, MAX_CAPTIONS_BYTES)
+    try:
+        cues = parse_webvtt(data)
+    except CodecError as error:
+        raise error.within(file) from error
+    kept = tuple(each for each in manifest.captions if each.language != captions.language)
+    described = replace(manifest, captions=(*kept, captions)).to_json()
+    write_atomic(stream / captions.file_name, data)
+    write_atomic(stream / MANIFEST_NAME, described)
+    return len(cues)
+
+
+def remove_captions(stream: Path, language: str) -> None:
+    """Removes the captions in `language`: from the manifest, then the file. Raises a
+    SwingsError."""
+    manifest = finished(stream).manifest
+    left = tuple(each for each in manifest.captions if each.language != language)
+    if left == manifest.captions:
+        there = ", ".join(each.language for each in manifest.captions) or "none"
+        raise InvalidError(f"no captions have the language {language[:40]!a}; there are: {there}")
+    gone = next(each for each in manifest.captions if each.language == language)
+    write_atomic(stream / MANIFEST_NAME, replace(manifest, captions=left).to_json())
+    (stream / gone.file_name).unlink(missing_ok=True)
+
+
+def read_captions(place: Place, captions: Captions) -> bytes:
+    """The file of `captions` of the stream at `place`, checked. Raises a CodecError that names
+    it."""
+    storage = open_storage(place)
+    data = read_stream_file(storage, captions.file_name, MAX_CAPTIONS_BYTES)
+    try:
+        parse_webvtt(data)
+    except CodecError as error:
+        raise error.within(storage.place(captions.file_name)) from error
+    return data
+
+
+def verify_captions(place: Place, manifest: Manifest) -> None:
+    """Reads all captions. Raises a CodecError for the first that are wrong."""
+    for captions in manifest.captions:
+        read_captions(place, captions)

@@ -1,0 +1,57 @@
+/** WebVTT, as far as text and times go (FORMAT.md, section 15). */
+
+const TIME = "(?:(\\d{2,}):)?([0-5]\\d):([0-5]\\d)\\.(\\d{3})";
+const TIMING = new RegExp(`^[ \\t]*${TIME}[ \\t]*-->[ \\t]*${TIME}(?:[ \\t].*)?$`);
+const NAMED = { amp: "&", lt: "<", gt: ">", nbsp: "\u00a0", lrm: "\u200e", rlm: "\u200f" };
+
+/**
+ * A text and when it shows: from `startS` on, before `endS`.
+ * @typedef {object} Cue
+ * @property {number} startS
+ * @property {number} endS
+ * @property {string} text
+ */
+
+/**
+ * The cues of a file, in their order; null if it is none.
+ * @param {string} file
+ * @returns {Cue[] | null}
+ */
+export function readCues(file) {
+  const lines = file.replace(/^\ufeff/, "").split(/\r\n|\r|\n/);
+  if (!/^WEBVTT(?:[ \t].*)?$/.test(lines[0])) return null;
+  const cues = [];
+  for (let at = 1; at < lines.length; ) {
+    const found = TIMING.exec(lines[at++]);
+    if (found === null) continue;
+    const begin = at;
+    while (at < lines.length && lines[at] !== "" && !lines[at].includes("-->")) at += 1;
+    const startS = seconds(found.slice(1, 5));
+    const endS = seconds(found.slice(5));
+    const text = plain(lines.slice(begin, at).join("\n")).trim();
+    if (startS < endS && text !== "") cues.push({ startS, endS, text });
+  }
+  return cues;
+}
+
+/** @param {string[]} parts */
+function seconds(parts) {
+  const [hours, minutes, rest, thousandths] = parts.map((part) => Number(part ?? 0));
+  return 3600 * hours + 60 * minutes + rest + thousandths / 1000;
+}
+
+/** Without tags and escapes. @param {string} text */
+function plain(text) {
+  const named = /** @type {Record<string, string>} */ (NAMED);
+  return text
+    .replace(/<[^>]*>?/g, "")
+    .replace(/&(amp|lt|gt|nbsp|lrm|rlm);/g, (_, name) => named[name]);
+}
+
+/** What shows at a time, one cue below the other. @param {Cue[]} cues @param {number} timeS */
+export function textAt(cues, timeS) {
+  return cues
+    .filter(({ startS, endS }) => startS <= timeS && timeS < endS)
+    .map(({ text }) => text)
+    .join("\n");
+}

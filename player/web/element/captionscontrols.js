@@ -1,0 +1,110 @@
+import { readCues, textAt } from "../captions/webvtt.js";
+import { readCaptionTracks } from "../captions/captiontracks.js";
+import { Fetcher } from "../source/fetcher.js";
+import { drawn } from "./icons.js";
+import { node } from "./nodes.js";
+
+const MAX_BYTES = 1 << 20;
+const ICON =
+  "M4 5h16a1 1 0 0 1 1 1v12a1 1 0 0 1-1 1H4a1 1 0 0 1-1-1V6a1 1 0 0 1 1-1zm6.5 5.5a3 3 0 1 0 0 3l-1.3-.8a1.5 1.5 0 1 1 0-1.4zm7 0a3 3 0 1 0 0 3l-1.3-.8a1.5 1.5 0 1 1 0-1.4z";
+
+export const CAPTIONS_STYLE = /* css */ `
+.captions {
+  position: absolute; left: 50%; bottom: calc(1.5 * max(var(--least), 2cqw) + 40px); translate: -50% 0;
+  max-width: 86%; padding: 0.15em 0.6em; border-radius: 6px; background: rgb(0 0 0 / 0.78); color: #fff;
+  font-size: clamp(14px, 2.4cqw, 44px); line-height: 1.35; text-align: center; white-space: pre-line;
+  overflow-wrap: anywhere; pointer-events: none; unicode-bidi: plaintext;
+}
+.captions:empty { display: none; }
+@media (forced-colors: active) { .captions { border: 1px solid CanvasText; background: Canvas; color: CanvasText; } }
+`;
+
+/** Captions over the picture, and their button in the bar: it goes from one language to the next, and off. */
+export class CaptionsControls {
+  /** @type {import("../captions/captiontracks.js").CaptionTrack[]} */
+  #tracks = [];
+  /** Which of them shows; -1: none. */
+  #chosen = -1;
+  /** @type {string | null} language that a viewer has chosen, for the streams after this one, too */
+  #language = null;
+  /** @type {import("../captions/webvtt.js").Cue[]} */
+  #cues = [];
+  #base = "";
+  /** Counts choices: what was on its way when the last one was made is not shown. */
+  #choices = 0;
+
+  /**
+   * @param {import("./webplayer.js").WebPlayer} player
+   * @param {(message: string) => void} say
+   * @param {AbortSignal} signal ends it
+   */
+  constructor(player, say, signal) {
+    this.player = player;
+    this.say = say;
+    this.button = node(
+      "button",
+      { class: "cc", "aria-pressed": "false", hidden: true },
+      drawn(ICON),
+    );
+    this.button.addEventListener("click", () => this.next());
+    this.text = node("div", { class: "captions", part: "captions" });
+    player.addEventListener("shown", () => this.#show(), { signal });
+  }
+
+  /**
+   * The player has opened a stream. Throws a FormatError if the manifest breaks a rule.
+   * @param {unknown} captions of its manifest
+   */
+  open(captions) {
+    this.#tracks = [];
+    this.#choose(-1);
+    if (captions !== undefined) this.#tracks = readCaptionTracks(captions);
+    this.#base = this.player.base;
+    this.#choose(this.#tracks.findIndex(({ language }) => language === this.#language));
+  }
+
+  /** The next language; none after the last. */
+  next() {
+    if (this.#tracks.length === 0) return;
+    const at = this.#chosen + 1 < this.#tracks.length ? this.#chosen + 1 : -1;
+    this.#language = this.#tracks[at]?.language ?? null;
+    this.say(at < 0 ? "Captions off" : `Captions: ${this.#tracks[at].label}`);
+    this.#choose(at);
+  }
+
+  /** @param {number} at */
+  async #choose(at) {
+    this.#chosen = at;
+    this.#choices += 1;
+    const choice = this.#choices;
+    this.#cues = [];
+    this.#show();
+    const { button } = this;
+    button.hidden = this.#tracks.length === 0;
+    button.setAttribute("aria-pressed", String(at >= 0));
+    const label = at < 0 ? "Captions" : `Captions: ${this.#tracks[at].label}`;
+    button.setAttribute("aria-label", label);
+    button.title = `${label} (Shift+C)`;
+    if (at < 0) return;
+    const { file, language } = this.#tracks[at];
+    this.text.lang = language;
+    try {
+      const bytes = await new Fetcher().get(this.#base + file, MAX_BYTES);
+      const cues = readCues(new TextDecoder().decode(bytes));
+      if (choice !== this.#choices) return;
+      if (cues === null) throw new Error(`${file} is not WebVTT`);
+      this.#cues = cues;
+      this.#show();
+    } catch (error) {
+      if (choice !== this.#choices) return;
+      this.say(`The captions cannot be shown: ${error instanceof Error ? error.message : error}`);
+    }
+  }
+
+  #show() {
+    const { shownFrame, manifest } = this.player;
+    const text =
+      manifest === null ? "" : textAt(this.#cues, Math.max(0, shownFrame) / manifest.fps);
+    if (this.text.textContent !== text) this.text.textContent = text;
+  }
+}

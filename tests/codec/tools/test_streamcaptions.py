@@ -1,0 +1,162 @@
+"""Captions added to real streams, by the commands and by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import aiohttp
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from codec.errors import CodecError, CorruptError, InvalidError
+from codec.stream import StreamReader
+from codec.stream.captions import MAX_CAPTIONS_BYTES, Captions, Cue, parse_webvtt, text_at
+from codec.tools.audit import verify_stream
+from codec.tools.packing import pack_stream
+from codec.tools.static import export_static
+from codec.tools.streamcaptions import add_captions
+from tests.support.commands import run, run_ok
+from tests.support.server.running_server import Running, on_server
+from tests.support.tiny_stream import files_of, write_tiny
+
+VTT = """\
+WEBVTT - of the walk
+
+NOTE not shown
+
+1
+00:00.000 --> 00:01.000 line:0
+Good <i>day</i> &amp; <c.loud>night</c>
+
+00:00:00.500 --> 00:00:02.000
+- <v Ann>Two
+- lines
+
+00:03.000 --> 00:02.000
+never
+"""
+CUES = (Cue(0.0, 1.0, "Good day & night"), Cue(0.5, 2.0, "- Two\n- lines"))
+
+
+@pytest.fixture
+def stream(tmp_path: Path) -> Path:
+    path = tmp_path / "s"
+    write_tiny(path, 10)
+    return path
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "in.vtt"
+    path.write_text(VTT)
+    return path
+
+
+def test_add_replace_and_remove(stream: Path, file: Path) -> None:
+    before = files_of(stream)
+    said = run_ok("swings-stream", "captions", "add", stream, file)
+    assert said.strip() == f"{stream}: captions en, 2 cues"
+    run_ok("swings-stream", "verify", stream)
+    run_ok(
+        "swings-stream",
+        "captions",
+        "add",
+        stream,
+        file,
+        "--language",
+        "pt-BR",
+        "--label",
+        "Português",
+    )
+    run_ok("swings-stream", "captions", "add", stream, file, "--label", "English")
+    found = StreamReader(stream).manifest.captions
+    assert found == (Captions("pt-BR", "Português"), Captions("en", "English"))
+    assert (stream / "captions-en.vtt").read_text() == VTT
+    refused = run("swings-stream", "captions", "remove", stream, "--language", "fr")
+    assert refused.returncode == 1
+    assert "no captions have the language 'fr'; there are: pt-BR, en" in refused.stderr
+    for language in ("pt-BR", "en"):
+        run_ok("swings-stream", "captions", "remove", stream, "--language", language)
+    assert files_of(stream) == before
+
+
+def test_they_are_exported_edited_and_served_but_not_packed_or_cut(
+    stream: Path, file: Path, tmp_path: Path
+) -> None:
+    add_captions(stream, file, Captions("en", "English"))
+    export_static(stream, tmp_path / "static")
+    assert (tmp_path / "static" / "captions-en.vtt").read_text() == VTT
+    verify_stream(tmp_path / "static")
+    with pytest.raises(InvalidError, match="has captions"):
+        pack_stream(stream, tmp_path / "s.swings")
+    run_ok("swings-stream", "edit", "colour", stream, tmp_path / "dark", "--exposure", "-1")
+    verify_stream(tmp_path / "dark")
+    assert (tmp_path / "dark" / "captions-en.vtt").read_text() == VTT
+    said = run_ok("swings-stream", "edit", "trim", stream, tmp_path / "cut", "--frames", "2:8")
+    assert "captions     left out" in str(said)
+    (stream / "captions-fr.vtt").write_text(VTT)  # which the manifest does not name
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get("/v1/streams/s/captions-en.vtt") as answer:
+            assert answer.headers["Content-Type"] == "text/vtt; charset=utf-8"
+            assert await answer.text() == VTT
+        for name in ("captions-fr.vtt", "captions-.vtt", "other.vtt"):
+            async with client.get(f"/v1/streams/s/{name}") as answer:
+                assert answer.status == 404
+
+    on_server(tmp_path, check)
+
+
+def test_damaged_files_are_found(stream: Path, file: Path) -> None:
+    add_captions(stream, file, Captions("en", "English"))
+    (stream / "captions-en.vtt").write_text("1\n00:00.000 --> 00:01.000\nSRT\n")
+    with pytest.raises(
+        CorruptError, match=r"captions-en\.vtt: byte 0: captions: this is not WebVTT"
+    ):
+        verify_stream(stream)
+    (stream / "captions-en.vtt").write_bytes(b"WEBVTT\n" + b" " * MAX_CAPTIONS_BYTES)
+    with pytest.raises(CodecError, match=r"captions-en\.vtt"):
+        verify_stream(stream)
+    (stream / "captions-en.vtt").unlink()
+    with pytest.raises(CodecError, match=r"captions-en\.vtt"):
+        verify_stream(stream)
+
+
+@pytest.mark.parametrize(
+    "captions",
+    [
+        {},
+        [{"language": "../en", "label": "x"}],
+        [{"language": "en", "label": ""}],
+        [{"language": "en", "label": "a\nb"}],
+        [{"language": "en", "label": "a" * 81}],
+        [{"language": "en"}],
+        [{"language": "en", "label": "a"}, {"language": "EN", "label": "b"}],
+        [{"language": f"l{n}", "label": "a"} for n in range(17)],
+    ],
+)
+def test_other_manifests_are_refused(stream: Path, captions: object) -> None:
+    path = stream / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "captions": captions}))
+    with pytest.raises(CodecError, match=r"manifest: (captions|two captions|label|17 captions)"):
+        StreamReader(stream)
+
+
+def test_cues_are_read() -> None:
+    for text in (VTT, "\ufeff" + VTT, VTT.replace("\n", "\r\n"), VTT.replace("\n", "\r")):
+        assert parse_webvtt(text.encode()) == CUES
+    assert text_at(CUES, 0.0) == "Good day & night"
+    assert text_at(CUES, 0.75) == "Good day & night\n- Two\n- lines"
+    assert text_at(CUES, 2.0) == ""
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_are_cues_or_an_error(data: bytes) -> None:
+    for begin in (b"", b"WEBVTT\n\n", b"WEBVTT\n\n00:00.000 --> 00:01.000\n"):
+        try:
+            cues = parse_webvtt(begin + data)
+        except CorruptError:
+            continue
+        assert all(cue.start_s < cue.end_s and cue.text for cue in cues)
