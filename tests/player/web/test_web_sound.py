@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from scripts import webbundle
 from tests.support.hosted_streams import static_host
 from tests.support.web.chromium import Page
 from tests.support.web.clicks import CLICK_FRAMES, write_clicking_stream
+from tests.support.web.nodeprocess import NODE
 
 ROOT = Path(__file__).parents[3]
 TAP = Path(__file__).with_name("soundtap.js")
@@ -24,6 +26,9 @@ NUM_FRAMES = 90
 FPS = 30
 CLICK_MS = 1000 * CLICK_FRAMES / FPS
 APART_MS = 20
+HEARD_OUT_MS = 100
+"""What the device was given is heard so long: its own delay is 60 ms there, and fading takes 20."""
+
 PARTS = f"""
 const parts = {SHADOW};
 const of = (name) => parts.querySelector(name);
@@ -48,6 +53,31 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]
     write_clicking_stream(folder / "placed", NUM_FRAMES, right)
     with static_host(folder) as url:
         yield url, folder
+
+
+@pytest.mark.parametrize("seed", [7, 8, 9])
+def test_ten_minutes_of_clicks_and_flashes(seed: int) -> None:
+    """In virtual time, on clocks 200 ppm apart, with 20 seeks, 3 stalls, and loops of 10 s: what
+    was with the device before a seek is heard out, all else is with its picture."""
+    if NODE is None:
+        pytest.skip("needs Node.js: apt-get install nodejs")
+    frames, lasts_s = 300, 600
+    script = Path(__file__).with_name("soundsim.mjs")
+    command = [NODE, str(script), *map(str, (FPS, frames, CLICK_FRAMES, lasts_s, seed))]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    shown = [one["atMs"] for one in found["shown"] if one["frame"] % CLICK_FRAMES == 0]
+    flashes = np.asarray(shown)
+    disturbed = np.asarray(found["disturbed"])
+    clicks = np.asarray([time for time in found["heard"] if time < found["endMs"] - 100])
+    assert len(disturbed) == 23
+    assert (found["stalls"], found["gaps"]) == (3, 0)
+    assert len(clicks) > 0.9 * lasts_s * FPS / CLICK_FRAMES
+    after_ms = clicks[:, None] - disturbed
+    is_old = ((after_ms > 0) & (after_ms < HEARD_OUT_MS)).any(axis=1)
+    apart = np.abs(clicks[~is_old, None] - flashes).min(axis=1)
+    assert apart.max() <= APART_MS
 
 
 def open_stream(page: Page, url: str, query: str, player: str = "web") -> None:
