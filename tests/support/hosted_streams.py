@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 from urllib.error import HTTPError
 from urllib.request import urlopen
 
@@ -107,15 +108,27 @@ def write_stream(
 
 
 @contextlib.contextmanager
-def static_host(folder: Path, port: int = 0, cors: bool = False) -> Iterator[str]:
+def static_host(
+    folder: Path, port: int = 0, cors: bool = False, objects_bps: float | None = None
+) -> Iterator[str]:
     """The URL of a plain file server of `folder`. port: 0 takes a free one. cors: pages of other
-    origins may read it."""
+    origins may read it. objects_bps: what the link carries of all objects of segments together."""
+    link = threading.Lock()
 
     class Handler(SimpleHTTPRequestHandler):
         def end_headers(self) -> None:
             if cors:
                 self.send_header("Access-Control-Allow-Origin", "*")
             super().end_headers()
+
+        def copyfile(self, source: Any, outputfile: Any) -> None:
+            if objects_bps is None or "/segments/" not in self.path:
+                super().copyfile(source, outputfile)
+                return
+            while piece := source.read(256):
+                with link:
+                    time.sleep(8 * len(piece) / objects_bps)
+                    outputfile.write(piece)
 
         def log_message(self, format: str, *args: object) -> None:
             pass

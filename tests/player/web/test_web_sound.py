@@ -228,6 +228,31 @@ def test_a_browser_that_waits_for_a_person(
     assert page.run(PARTS)["pill"] is False
 
 
+def test_a_link_that_carries_layer_0_and_no_more_carries_the_sound(
+    page: Page, tmp_path: Path
+) -> None:
+    (tmp_path / "web").symlink_to(ROOT / "player" / "web")
+    frames = 240
+    source = SoundSource("main", 2)
+    static = write_clicking_stream(tmp_path, frames, source, slice_size=160)
+    segments = [path.parent for path in static.glob("segments/*/0")]
+
+    def need_bps(*parts: str) -> float:
+        size_bytes = sum((segment / part).stat().st_size for segment in segments for part in parts)
+        return 8 * size_bytes * FPS / frames
+
+    link_bps = 1.4 * need_bps("0", "masks", source.part)
+    assert link_bps < need_bps("0", "1"), "no second layer"
+    with static_host(tmp_path, objects_bps=link_bps) as url:
+        open_stream(page, url, "static&loop=0")
+        page.wait(f"{ELEMENT}.ended", 100)
+    stalls = page.run(f"return {ELEMENT}.player.state.stalls")
+    times = page.run("return clicks.map(({ atS }) => 1000 * atS)")
+    # Where the picture waits, sound does; between such places there is no gap.
+    assert len(times) >= frames / CLICK_FRAMES - 1 - stalls
+    assert np.sum(np.abs(np.diff(times) - CLICK_MS) > 1) <= stalls
+
+
 def test_hostile_sound_is_one_sentence_and_the_picture_plays_on(
     page: Page, host: tuple[str, Path]
 ) -> None:

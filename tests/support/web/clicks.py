@@ -11,7 +11,7 @@ from codec.stream.reader import StreamReader
 from codec.stream.sound import SAMPLE_RATE, SoundSource, first_sample
 from codec.tools.static import export_static
 from codec.tools.streamsound import add_sound
-from tests.support.hosted_streams import write_stream
+from tests.support.hosted_streams import SLICE_SIZE, write_stream
 
 CLICK_FRAMES = 15
 """Frames from click to click, the first one with frame 0."""
@@ -34,9 +34,11 @@ def write_click_file(path: Path, num_frames: int, fps: float) -> Path:
     return path
 
 
-def write_clicking_stream(folder: Path, num_frames: int, *sources: SoundSource) -> Path:
+def write_clicking_stream(
+    folder: Path, num_frames: int, *sources: SoundSource, slice_size: int = SLICE_SIZE
+) -> Path:
     """A static export with clicks from each of `sources`, in `folder`/static."""
-    stream = write_stream(folder / "trained", num_frames)
+    stream = write_stream(folder / "trained", num_frames, slice_size)
     fps = StreamReader(stream).manifest.fps
     clicks = write_click_file(folder / "clicks.wav", num_frames, fps)
     for source in sources:
