@@ -31,7 +31,7 @@ export class Bar {
     /** @type {Map<string, HTMLButtonElement>} */
     this.buttons = new Map();
     for (const { name, label, icon: iconName, key, place, run } of commands) {
-      if (place === "menu") continue;
+      if (iconName === undefined) continue; // it is in the menu alone
       const made = button(name, label, key.toUpperCase(), run);
       made.append(icon(iconName));
       made.classList.toggle("wide", place === "wide");

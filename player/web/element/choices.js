@@ -12,7 +12,6 @@ export function choicesOf(element) {
     {
       name: "rate",
       label: "Speed",
-      icon: "speed",
       values: () => rates,
       now: () => element.playbackRate,
       choose: (rate) => (element.playbackRate = rate),
@@ -20,7 +19,6 @@ export function choicesOf(element) {
     {
       name: "quality",
       label: "Quality",
-      icon: "quality",
       values: () => [
         { value: 0, label: "Auto" },
         ...Array.from({ length: element.numLayers }, (_, n) => element.numLayers - n).map(

@@ -3,7 +3,7 @@
  * @typedef {object} Command
  * @property {string} name class of its button in the bar
  * @property {string} label
- * @property {import("./icons.js").IconName} icon
+ * @property {import("./icons.js").IconName} [icon] what is in the menu alone has its icon there
  * @property {string} key as the keyboard's event names it, in lower case
  * @property {"bar" | "wide" | "menu"} place in the bar; in a wide bar, and else in the menu; in the menu
  * @property {() => void} run
@@ -31,7 +31,6 @@ export function commandsOf(element, stereo, sharing, panels) {
     {
       name: "embed",
       label: "Copy the embed code",
-      icon: "embed",
       key: "",
       place: "menu",
       run: () => sharing.copyEmbedCode(),
@@ -66,7 +65,6 @@ export function commandsOf(element, stereo, sharing, panels) {
     {
       name: "statistics",
       label: "Statistics",
-      icon: "stats",
       key: "i",
       place: "menu",
       run: () => element.toggleStats(),
@@ -75,7 +73,6 @@ export function commandsOf(element, stereo, sharing, panels) {
     {
       name: "keys",
       label: "Keys",
-      icon: "keys",
       key: "?",
       place: "menu",
       run: () => panels.use(({ keyList }) => keyList.toggle()),
@@ -101,7 +98,6 @@ function gyroscopeOf(element) {
   return {
     name: "gyroscope",
     label: "Look around by turning the phone",
-    icon: "phone",
     key: "",
     place: "menu",
     run: () => element.toggleGyroscope(),

@@ -1,24 +1,16 @@
 const SVG = "http://www.w3.org/2000/svg";
 
-/** Paths on a grid of 24 by 24. */
+/** Paths on a grid of 24 by 24, of what is not in the menu alone. */
 const PATHS = {
   play: "M8 5v14l11-7z",
   pause: "M7 5h4v14H7zm6 0h4v14h-4z",
   replay: "M12 5V1L6 6l6 5V7a5.5 5.5 0 1 1-5.5 5.5h-2A7.5 7.5 0 1 0 12 5z",
   loop: "M7 7h10v3l4-4-4-4v3H5v6h2zm10 10H7v-3l-4 4 4 4v-3h12v-6h-2z",
   reset: "M12 5a7 7 0 1 1-6.7 5H3l4-5 4 5H7.4A5 5 0 1 0 12 7z",
-  stats: "M4 19h16v2H4zM6 11h3v7H6zm5-6h3v13h-3zm5 9h3v4h-3z",
   share: "M14 9V5l7 7-7 7v-4C8 15 5 17 3 20c1-6 4-10 11-11z",
-  embed: "M9 7l-5 5 5 5-1.5 1.5L1 12l6.5-6.5zm6 0l5 5-5 5 1.5 1.5L23 12l-6.5-6.5z",
-  speed:
-    "M12 5a9 9 0 0 0-9 9c0 1.8.5 3.5 1.5 5h15A9 9 0 0 0 12 5zm0 11a2 2 0 0 1-1-3.7l5-3.3-2.3 5.5A2 2 0 0 1 12 16z",
-  quality: "M12 3l9 5-9 5-9-5zM5.5 11.5L12 15l6.5-3.5L21 13l-9 5-9-5z",
   sideBySide: "M3 6h8v12H3zm2 2v8h4V8zm8-2h8v12h-8zm2 2v8h4V8z",
   headset:
     "M4 7h16a2 2 0 0 1 2 2v6a2 2 0 0 1-2 2h-4l-2.5-3h-3L8 17H4a2 2 0 0 1-2-2V9a2 2 0 0 1 2-2zm2 3v3h4v-3zm8 0v3h4v-3z",
-  keys: "M3 6h18v12H3zm2 2v2h2V8zm3.5 0v2h2V8zm3.5 0v2h2V8zm3.5 0v2h2V8zM5 11.5v2h2v-2zm3.5 0v2h2v-2zm3.5 0v2h2v-2zm3.5 0v2h2v-2zM8 15v1.5h8V15z",
-  phone: "M7 2h10v20H7zm2 3v13h6V5zM2 9l3-3v2.5h1v1H5V12zm20 6l-3 3v-2.5h-1v-1h1V12z",
-  back: "M15 5l1.5 1.5L11 12l5.5 5.5L15 19l-7-7z",
   menu: "M12 4a2 2 0 1 1 0 4 2 2 0 0 1 0-4zm0 6a2 2 0 1 1 0 4 2 2 0 0 1 0-4zm0 6a2 2 0 1 1 0 4 2 2 0 0 1 0-4z",
   full: "M5 5h6v2H7v4H5zm14 0v6h-2V7h-4V5zM5 13h2v4h4v2H5zm12 0h2v6h-6v-2h4z",
   window: "M9 5h2v6H5V9h4zm4 0h2v4h4v2h-6zm-8 8h6v6H9v-4H5zm8 0h6v2h-4v4h-2z",

@@ -1,5 +1,19 @@
-import { icon } from "./icons.js";
+import { drawn, icon } from "./icons.js";
 import { node } from "./nodes.js";
+
+/**
+ * Icons of what is in the menu alone, by its name.
+ * @type {Record<string, string>}
+ */
+const ICONS = {
+  back: "M15 5l1.5 1.5L11 12l5.5 5.5L15 19l-7-7z",
+  rate: "M12 5a9 9 0 0 0-9 9c0 1.8.5 3.5 1.5 5h15A9 9 0 0 0 12 5zm0 11a2 2 0 0 1-1-3.7l5-3.3-2.3 5.5A2 2 0 0 1 12 16z",
+  quality: "M12 3l9 5-9 5-9-5zM5.5 11.5L12 15l6.5-3.5L21 13l-9 5-9-5z",
+  embed: "M9 7l-5 5 5 5-1.5 1.5L1 12l6.5-6.5zm6 0l5 5-5 5 1.5 1.5L23 12l-6.5-6.5z",
+  gyroscope: "M7 2h10v20H7zm2 3v13h6V5zM2 9l3-3v2.5h1v1H5V12zm20 6l-3 3v-2.5h-1v-1h1V12z",
+  statistics: "M4 19h16v2H4zM6 11h3v7H6zm5-6h3v13h-3zm5 9h3v4h-3z",
+  keys: "M3 6h18v12H3zm2 2v2h2V8zm3.5 0v2h2V8zm3.5 0v2h2V8zm3.5 0v2h2V8zM5 11.5v2h2v-2zm3.5 0v2h2v-2zm3.5 0v2h2v-2zm3.5 0v2h2v-2zM8 15v1.5h8V15z",
+};
 
 /** @typedef {import("./commands.js").Command} Command */
 
@@ -8,7 +22,6 @@ import { node } from "./nodes.js";
  * @typedef {object} Choice
  * @property {string} name
  * @property {string} label
- * @property {import("./icons.js").IconName} icon
  * @property {() => { value: number, label: string }[]} values
  * @property {() => number} now
  * @property {(value: number) => void} choose
@@ -73,7 +86,7 @@ export class Menu {
       const entry = this.#entry(
         { role: "menuitem", class: "narrow", "aria-haspopup": "menu", "data-name": choice.name },
         [
-          icon(choice.icon),
+          drawn(ICONS[choice.name]),
           node("span", {}, choice.label),
           node("span", { class: "value" }, label),
         ],
@@ -92,7 +105,8 @@ export class Menu {
           class: place === "wide" ? "narrow" : null,
         };
         const cap = key && node("kbd", {}, key.toUpperCase());
-        return this.#entry(attributes, [icon(iconName), node("span", {}, label), cap], () => {
+        const shown = iconName ? icon(iconName) : drawn(ICONS[name]);
+        return this.#entry(attributes, [shown, node("span", {}, label), cap], () => {
           this.close();
           run();
         });
@@ -116,7 +130,7 @@ export class Menu {
       /** @type {HTMLElement | null} */ (this.root.querySelector(`[data-name="${name}"]`))?.focus();
     };
     const attributes = { role: "menuitem", class: "back", "aria-label": `Back from ${label}` };
-    const header = this.#entry(attributes, [icon("back"), node("span", {}, label)], back);
+    const header = this.#entry(attributes, [drawn(ICONS.back), node("span", {}, label)], back);
     const entries = values().map(({ value, label: text }) => {
       const isNow = value === now;
       const radio = { role: "menuitemradio", "aria-checked": String(isNow) };
