@@ -29,8 +29,11 @@ _MORE = """<button popovertarget="embed">Embed</button>
 <pre id="save">swings-play {url} --capture {name}.mp4</pre>
 <button data-copy="save">Copy</button></div>"""
 
-_ALLOW = "fullscreen; xr-spatial-tracking; clipboard-write; web-share; gyroscope; accelerometer"
-"""Permissions of a frame, for full screen, headsets, links, sharing, and turning with the phone."""
+_ALLOW = (
+    "autoplay; fullscreen; xr-spatial-tracking; clipboard-write; web-share; gyroscope; "
+    "accelerometer"
+)
+"""Permissions of a frame: sound, full screen, headsets, links, sharing, turning with the phone."""
 
 _FRAME = (
     '<iframe src="{url}" title="{title}" width="{width_px}" height="{height_px}" '

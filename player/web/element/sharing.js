@@ -1,6 +1,6 @@
-/** What a frame needs for full screen, headsets, links, sharing, and turning with the phone. */
+/** What a frame needs for sound, full screen, headsets, links, sharing, and turning with the phone. */
 const ALLOW =
-  "fullscreen; xr-spatial-tracking; clipboard-write; web-share; gyroscope; accelerometer";
+  "autoplay; fullscreen; xr-spatial-tracking; clipboard-write; web-share; gyroscope; accelerometer";
 
 /** Links to the moment and the view that show, and the code that embeds the player. */
 export class Sharing {

@@ -9,6 +9,10 @@ import { SOUND_STYLE, SoundControls } from "./soundcontrols.js";
 
 const LONG_MS = 10_000;
 
+/** One for all elements: they may come and go many times. */
+const SHEET = new CSSStyleSheet();
+SHEET.replaceSync(SOUND_STYLE + CAPTIONS_STYLE);
+
 /** The sound and the captions of the streams that an element opens, and their controls. */
 export class Tracks {
   /** @type {SoundPlay | null} */
@@ -31,12 +35,12 @@ export class Tracks {
     const controls = new SoundControls(element);
     this.controls = controls;
     controls.unblock = () => this.sound?.unblock();
-    const sheet = new CSSStyleSheet();
-    sheet.replaceSync(SOUND_STYLE + CAPTIONS_STYLE);
-    const root = place.getRootNode();
-    if (root instanceof ShadowRoot) root.adoptedStyleSheets.push(sheet);
-    place.querySelector(".play")?.after(controls.mute, controls.volume);
     this.captions = new CaptionsControls(player, (message) => this.#say(message), signal);
+    if (signal.aborted) return; // the controls there are those of the next player
+    const root = place.getRootNode();
+    if (root instanceof ShadowRoot && !root.adoptedStyleSheets.includes(SHEET))
+      root.adoptedStyleSheets.push(SHEET);
+    place.querySelector(".play")?.after(controls.mute, controls.volume);
     place.querySelector(".space")?.after(this.captions.button);
     place.prepend(this.captions.text);
     place.append(controls.unmute);
@@ -48,6 +52,9 @@ export class Tracks {
     actions.push({ keys: ["shift+c"], label: "Captions", run: () => this.captions.next() });
     panels.part?.keyList.fill(actions);
     element.addEventListener("volumechange", () => this.#show(), { signal });
+    // Safari lets sound begin only while a person presses something.
+    const press = () => !element.muted && this.sound?.unblock();
+    for (const type of ["click", "keydown"]) element.addEventListener(type, press, { signal });
     signal.addEventListener("abort", () => this.#close());
   }
 

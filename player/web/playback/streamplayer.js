@@ -140,11 +140,11 @@ export class StreamPlayer {
   /** @param {Round} round */
   #replaceRound(round) {
     this.#dropNextRound();
-    const { stalls } = this.playback;
+    const { stalls, lateS } = this.playback;
     if (round.source === this.round.source) this.round.detach();
     else this.round.close();
     this.round = round;
-    round.playback.stalls = stalls;
+    Object.assign(round.playback, { stalls, lateS });
     round.playback.setPlaying(this.playing);
   }
 

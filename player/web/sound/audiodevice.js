@@ -8,26 +8,44 @@ let context = null;
 /** @type {Set<object>} players that sound */
 const users = new Set();
 let timer = 0;
+/** Whether it was asked to run since its state changed last: more of that says nothing new to a browser. */
+let isAsked = false;
+/** Whether a person had pressed anything in the page when it was asked. */
+let wasActive = false;
 
 /** The page's audio context. A browser may keep it suspended until a person presses something. */
 export function audioContext() {
-  context ??= new AudioContext({ sampleRate: SAMPLE_RATE, latencyHint: "playback" });
+  if (context === null) {
+    context = new AudioContext({ sampleRate: SAMPLE_RATE, latencyHint: "playback" });
+    context.addEventListener("statechange", () => (isAsked = false));
+  }
   return context;
 }
 
-/** @param {object} user that sounds, or would but for the browser */
-export function useDevice(user) {
+/**
+ * @param {object} user that sounds, or would but for the browser
+ * @param {boolean} [isPressed] whether a person presses something just now
+ */
+export function useDevice(user, isPressed = false) {
   users.add(user);
   clearTimeout(timer);
   const device = audioContext();
-  if (device.state !== "running") device.resume().catch(() => {});
+  if (device.state === "running") return;
+  const isActive = navigator.userActivation?.hasBeenActive ?? false;
+  if (isAsked && !isPressed && isActive === wasActive) return;
+  isAsked = true;
+  wasActive = isActive;
+  device.resume().catch(() => {});
 }
 
 /** @param {object} user that is silent now */
 export function leaveDevice(user) {
   if (!users.delete(user) || users.size > 0) return;
   clearTimeout(timer);
-  timer = setTimeout(() => context?.suspend().catch(() => {}), REST_MS);
+  timer = setTimeout(() => {
+    isAsked = false;
+    context?.suspend().catch(() => {});
+  }, REST_MS);
 }
 
 /** The samples of a file, at 48000 Hz: by a context of its own, for the page's may not run. @param {ArrayBuffer} file */

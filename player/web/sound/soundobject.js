@@ -3,6 +3,7 @@ import {
   MAX_PACKETS,
   MAX_POSITION,
   MAX_SOUND_BYTES,
+  SAMPLE_RATE,
   SOUND_HEAD,
   SOUND_MAGIC,
 } from "../constants.js";
@@ -12,6 +13,9 @@ import { corrupt } from "../format/bytes/errors.js";
 
 const CHECKED_FROM = 12;
 
+/** Packets that lie farther from their segment than this are of no use to it. */
+const MOST_ASIDE = SAMPLE_RATE;
+
 /**
  * The packets of one source in one segment (FORMAT.md, section 14).
  * @typedef {object} SoundObject
@@ -19,6 +23,7 @@ const CHECKED_FROM = 12;
  * @property {number} numSamples length of the whole source
  * @property {Uint8Array[]} packets
  * @property {number[]} positions where each packet begins, and where the last one ends
+ * @property {number} numBytes that it holds
  */
 
 /**
@@ -47,7 +52,19 @@ export function readSoundObject(bytes, numChannels) {
   reader.finish();
   const positions = [first];
   for (const [n, packet] of packets.entries()) positions.push(positions[n] + packetSamples(packet));
-  return { preSkip, numSamples, packets, positions };
+  return { preSkip, numSamples, packets, positions, numBytes: bytes.length };
+}
+
+/**
+ * Throws a FormatError if packets go far beyond the samples of their segment.
+ * @param {SoundObject} object
+ * @param {number} begin first sample
+ * @param {number} end the one after the last
+ */
+export function checkSpan({ preSkip, packets, positions }, begin, end) {
+  const [first, last] = [positions[0] - preSkip, positions[packets.length] - preSkip];
+  if (packets.length > 0 && (first < begin - MOST_ASIDE || last > end + MOST_ASIDE))
+    throw corrupt(`sound: samples ${first} to ${last}, but its segment has ${begin} to ${end}`);
 }
 
 /**

@@ -3,11 +3,10 @@ import { objectPath } from "../format/manifest.js";
 import { servedBase } from "../source/addresses.js";
 import { Fetcher } from "../source/fetcher.js";
 import { objectUrl } from "../source/objecturl.js";
-import { inCamera } from "../view/pose.js";
 import { AudioClock } from "./audioclock.js";
 import { audioContext, decode, leaveDevice, useDevice } from "./audiodevice.js";
 import { SoundRun } from "./soundrun.js";
-import { placeAt, readSources } from "./soundsource.js";
+import { heardAt, readSources } from "./soundsource.js";
 import { SoundTrack } from "./soundtrack.js";
 import { Timeline } from "./timeline.js";
 
@@ -16,6 +15,8 @@ const STEP_MS = 100;
 const FETCHED_S = 15;
 const DECODED_S = 3;
 const MOST_PIECES = 300;
+/** With as many bytes of sound nothing more is fetched ahead. */
+const MOST_BYTES = 2 * MAX_SOUND_BYTES;
 /** The picture follows the sound in steps of this at most; below the second one it stays. */
 const MOST_FOLLOWED_MS = 20;
 const LEAST_FOLLOWED_MS = 2;
@@ -61,9 +62,10 @@ export class SoundPlay extends EventTarget {
   #isRefused = false;
   #hasEnded = false;
   #ending = new AbortController();
+  #onDevice = () => this.step();
 
   /**
-   * Throws a FormatError if the manifest's sources break a rule.
+   * Throws a FormatError if the manifest's sources break a rule, and an Error without Web Audio.
    * @param {WebPlayer} player with a stream that has sound
    * @param {() => boolean} loops
    */
@@ -73,11 +75,12 @@ export class SoundPlay extends EventTarget {
     this.player = player;
     this.loops = loops;
     this.sources = readSources(manifest.sound);
-    this.timeline = new Timeline(manifest.fps, manifest.segmentFrames, player.numFrames);
+    if (typeof AudioContext === "undefined") throw new Error("this browser has no Web Audio");
+    this.timeline = new Timeline(manifest.fps, manifest.segmentFrames);
     const { signal } = this.#ending;
     player.addEventListener("line", () => this.step(), { signal });
     player.addEventListener("shown", () => this.#shown(), { signal });
-    player.addEventListener("ended", () => (this.#hasEnded = true), { signal });
+    player.addEventListener("ended", () => this.#end(), { signal });
     const timer = setInterval(() => this.step(), STEP_MS);
     signal.addEventListener("abort", () => clearInterval(timer));
   }
@@ -97,13 +100,16 @@ export class SoundPlay extends EventTarget {
 
   /** A person has pressed something: the browser may let it sound now. */
   unblock() {
-    useDevice(this);
-    audioContext().addEventListener("statechange", () => this.step(), { once: true });
+    const { signal } = this.#ending;
+    useDevice(this, true);
+    audioContext().addEventListener("statechange", this.#onDevice, { signal }); // once, however often
   }
 
   /** Looks at what is to be done. */
   step() {
-    const { line } = this.player;
+    if (this.#ending.signal.aborted) return;
+    const { line, numFrames, live } = this.player;
+    this.timeline.reach(numFrames, live);
     const isMuted = this.isMuted || this.volume === 0;
     const isDue = line?.zeroMs != null && !isMuted && this.timeline.length > 0;
     if (!isDue) {
@@ -130,6 +136,11 @@ export class SoundPlay extends EventTarget {
     if (this.run === null || this.#line !== line) this.#begin(context, line);
     this.#follow();
     this.#advance();
+  }
+
+  #end() {
+    this.#hasEnded = true;
+    this.run?.end();
   }
 
   /** @param {number} epochMs since 1970, as the worker has it; gives milliseconds of this page */
@@ -173,23 +184,25 @@ export class SoundPlay extends EventTarget {
   #advance() {
     const { run, timeline, player } = this;
     if (run === null) return;
+    const loops = this.loops() && !player.live;
+    run.setLoops(loops, performance.now() / 1000 + (this.#clock?.offsetS ?? 0));
     const ahead = (/** @type {number} */ seconds, /** @type {number} */ most) =>
-      timeline.piecesFrom(run.sample, seconds * SAMPLE_RATE * run.rate, this.loops(), most);
+      timeline.piecesFrom(run.sample, seconds * SAMPLE_RATE * run.rate, loops, most);
     const pieces = ahead(FETCHED_S, MOST_PIECES);
     const numDecoded = ahead(DECODED_S, MOST_PIECES).length;
+    const numBytes = this.#voices.reduce((sum, { track }) => sum + track.numBytes, 0);
     const { currentTime } = run.context;
     const w2c = player.workers?.requestedW2c ?? [];
     for (const { track, panner } of this.#voices) {
-      track.want(pieces, numDecoded);
+      track.want(pieces, numDecoded, numBytes >= MOST_BYTES);
       if (panner === null || w2c.length === 0) continue;
       // The listener stays where devices have it, and looks along -z: the sources move around it.
-      const place = placeAt(track.source.keys, run.sample / SAMPLE_RATE);
-      const [right, down, forward] = inCamera(w2c, place);
-      panner.positionX.setTargetAtTime(right, currentTime, TURN_S);
-      panner.positionY.setTargetAtTime(-down, currentTime, TURN_S);
-      panner.positionZ.setTargetAtTime(-forward, currentTime, TURN_S);
+      const [x, y, z] = heardAt(track.source.keys, run.sample / SAMPLE_RATE, w2c);
+      panner.positionX.setTargetAtTime(x, currentTime, TURN_S);
+      panner.positionY.setTargetAtTime(y, currentTime, TURN_S);
+      panner.positionZ.setTargetAtTime(z, currentTime, TURN_S);
     }
-    run.step(this.loops());
+    run.step();
   }
 
   /** @param {AudioContext} context */
@@ -217,7 +230,7 @@ export class SoundPlay extends EventTarget {
     };
     const refused = (/** @type {unknown} */ error) => this.#refuse(error);
     this.#voices = this.sources.map((one) => {
-      const track = new SoundTrack(one, fetchObject, decode, refused);
+      const track = new SoundTrack(one, this.timeline, fetchObject, decode, refused);
       const panner = one.keys.length > 0 ? context.createPanner() : null;
       panner?.connect(gain);
       return { track, panner, output: panner ?? gain };

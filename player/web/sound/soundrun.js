@@ -9,6 +9,8 @@ const FADE_S = 0.01;
 /** The pitch is kept between these speeds; others are silent. */
 const LEAST_RATE = 0.25;
 const MOST_RATE = 2;
+/** At another speed pieces are made in parts of so many seconds, as they are due: the page shall not wait. */
+const PART_S = 0.25;
 
 /** @typedef {import("./soundtrack.js").SoundTrack} SoundTrack */
 
@@ -30,6 +32,10 @@ export class SoundRun {
   gaps = 0;
   /** @type {Voice[]} */
   #voices;
+  /** The round that nothing follows; a loop has none. */
+  #lastRound = Infinity;
+  /** When it handed on last, by the context's clock. */
+  #steppedS = 0;
 
   /**
    * @param {BaseAudioContext} context
@@ -43,6 +49,7 @@ export class SoundRun {
     this.timeline = timeline;
     this.rate = rate;
     this.zero = Math.round(zeroS * SAMPLE_RATE);
+    this.#steppedS = context.currentTime;
     const next = this.#sampleAt(context.currentTime + SOON_S);
     this.#voices = outputs.map(([track, output]) => {
       const gain = context.createGain();
@@ -68,10 +75,44 @@ export class SoundRun {
     return Math.max(0, Math.round((timeS - this.zeroS) * this.rate * SAMPLE_RATE));
   }
 
-  /** The sample of the stream that is due now. */
+  /** The round that one of the run's samples is in. @param {number} sample */
+  #roundOf(sample) {
+    return Math.min(this.timeline.roundOf(sample), this.#lastRound);
+  }
+
+  /** The sample of the stream that is due now; beyond its end if nothing follows. */
   get sample() {
-    const { length } = this.timeline;
-    return length === 0 ? 0 : this.#sampleAt(this.context.currentTime) % length;
+    const sample = this.#sampleAt(this.context.currentTime);
+    return sample - this.timeline.beginOf(this.#roundOf(sample));
+  }
+
+  /**
+   * Whether the stream begins again after its end.
+   * @param {boolean} loops
+   * @param {number} heardS what is heard now, by the context's clock
+   */
+  setLoops(loops, heardS) {
+    if (loops) this.#lastRound = Infinity;
+    else if (this.#lastRound === Infinity)
+      this.#endWith(this.timeline.roundOf(this.#sampleAt(heardS)));
+  }
+
+  /** The pictures have reached the end of the stream: what is with the device of a next round stays silent. */
+  end() {
+    const now = this.#sampleAt(this.context.currentTime);
+    this.#endWith(Math.max(1, Math.round(now / this.timeline.length)) - 1);
+  }
+
+  /** @param {number} round the last one */
+  #endWith(round) {
+    this.#lastRound = round;
+    const seam = this.timeline.beginOf(round + 1);
+    const seamS = this.#deviceSample(seam) / SAMPLE_RATE;
+    for (const voice of this.#voices) {
+      if (voice.next <= seam) continue;
+      voice.next = seam;
+      for (const node of voice.nodes) node.stop(Math.max(seamS, this.context.currentTime));
+    }
   }
 
   /** Seconds for which all sources are with the device. */
@@ -80,18 +121,29 @@ export class SoundRun {
     return this.#deviceSample(next) / SAMPLE_RATE - this.context.currentTime;
   }
 
-  /** Hands on what is due soon. @param {boolean} loops whether it goes on with the next round */
-  step(loops) {
+  /** Hands on what is due soon. */
+  step() {
     if (this.rate < LEAST_RATE || this.rate > MOST_RATE) return;
-    const { context, timeline } = this;
+    const { context, timeline, rate } = this;
+    const part = rate === 1 ? Infinity : Math.round(PART_S * rate * SAMPLE_RATE);
+    // A part, and what has passed: in a page that nobody sees, steps are rare.
+    const count = part + (context.currentTime - this.#steppedS) * rate * SAMPLE_RATE;
+    this.#steppedS = context.currentTime;
     const least = this.#sampleAt(context.currentTime + SOON_S / 2);
     const most = this.#sampleAt(context.currentTime + AHEAD_S);
     for (const voice of this.#voices) {
-      while (voice.next < most) {
-        const round = Math.floor(voice.next / timeline.length);
-        if (timeline.length === 0 || (round > 0 && !loops)) break;
-        const base = round * timeline.length;
-        const { begin, end } = timeline.pieceAt(voice.next - base);
+      const enough = Math.min(most, Math.max(least, voice.next) + count);
+      while (voice.next < enough) {
+        const round = this.#roundOf(voice.next);
+        const base = timeline.beginOf(round);
+        if (voice.next - base >= timeline.length) {
+          if (round >= this.#lastRound) break;
+          voice.next = timeline.beginOf(round + 1);
+          continue;
+        }
+        const at = voice.next - base;
+        const { begin, end: pieceEnd } = timeline.pieceAt(at);
+        const end = pieceEnd - at < 1.5 * part ? pieceEnd : at + part; // no crumbs
         const channels = voice.track.samples(begin);
         if (voice.next < least) {
           if (voice.hasBegun) this.gaps += 1;
@@ -100,8 +152,7 @@ export class SoundRun {
           continue;
         }
         if (channels === null) break;
-        const from = voice.next - base - begin;
-        this.#start(voice, channels, from, base + end);
+        this.#start(voice, channels, at - begin, base + end);
         voice.next = base + end;
         voice.hasBegun = true;
       }
@@ -119,7 +170,8 @@ export class SoundRun {
     const at = this.#deviceSample(voice.next);
     const length = this.#deviceSample(end) - at;
     if (length <= 0) return;
-    const given = channels.map((channel) => channel.subarray(from));
+    const to = from + end - voice.next;
+    const given = channels.map((channel) => channel.subarray(from, to));
     const heard = length === given[0].length ? given : stretched(given, length);
     const buffer = context.createBuffer(heard.length, length, SAMPLE_RATE);
     for (const [n, channel] of heard.entries())

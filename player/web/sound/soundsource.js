@@ -1,6 +1,10 @@
 import { MAX_SOUND_KEYS, MAX_SOURCES, SOUND_PREFIX } from "../constants.js";
 import { corrupt } from "../format/bytes/errors.js";
 import { field, integer, list, number, text } from "../format/bytes/json.js";
+import { inCamera } from "../view/pose.js";
+
+/** Farther away nothing is heard; a device takes no number that is not finite in binary32. */
+const FAR_M = 1e6;
 
 /**
  * A source of sound of a stream.
@@ -47,4 +51,15 @@ export function placeAt(keys, timeS) {
   const [from, to] = [keys[after - 1], keys[after]];
   const share = (timeS - from[0]) / (to[0] - from[0]);
   return [1, 2, 3].map((axis) => from[axis] + share * (to[axis] - from[axis]));
+}
+
+/**
+ * Where a source with keys is for a listener who looks along -z with y up, metres; all numbers are finite.
+ * @param {number[][]} keys
+ * @param {number} timeS
+ * @param {number[]} w2c (4, 4) world to camera
+ */
+export function heardAt(keys, timeS, w2c) {
+  const [right, down, forward] = inCamera(w2c, placeAt(keys, timeS));
+  return [right, -down, -forward].map((at) => Math.max(-FAR_M, Math.min(FAR_M, at)) || 0);
 }

@@ -1,11 +1,12 @@
 import { PREROLL, SAMPLE_RATE } from "../constants.js";
 import { corrupt } from "../format/bytes/errors.js";
 import { oggOf } from "./ogg.js";
-import { readSoundObject } from "./soundobject.js";
+import { checkSpan, readSoundObject } from "./soundobject.js";
 
 /** Objects that are on their way at the same time. */
 const MOST_FETCHES = 2;
 
+/** @typedef {import("./timeline.js").Timeline} Timeline */
 /** @typedef {import("./timeline.js").Piece} Piece */
 /** @typedef {import("./soundobject.js").SoundObject} SoundObject */
 
@@ -18,34 +19,50 @@ export class SoundTrack {
   #objects = new Map();
   /** @type {Map<number, Float32Array[] | null>} samples of each channel by begin; null: on their way */
   #pieces = new Map();
-  #fetches = 0;
-  #closing = new AbortController();
+  /** @type {Map<number, AbortController>} fetches that are on their way, by segment */
+  #fetches = new Map();
+  #isClosed = false;
 
   /**
    * @param {import("./soundsource.js").SoundSource} source
+   * @param {Timeline} timeline
    * @param {(segment: number, part: string, signal: AbortSignal) => Promise<Uint8Array>} fetchObject
    * @param {(file: ArrayBuffer) => Promise<AudioBuffer>} decode at 48000 Hz
    * @param {(error: unknown) => void} refused called with what is wrong with an object
    */
-  constructor(source, fetchObject, decode, refused) {
+  constructor(source, timeline, fetchObject, decode, refused) {
     this.source = source;
+    this.timeline = timeline;
     this.fetchObject = fetchObject;
     this.decode = decode;
     this.refused = refused;
+  }
+
+  /** Bytes of the objects that are held. */
+  get numBytes() {
+    let numBytes = 0;
+    for (const object of this.#objects.values()) numBytes += object?.numBytes ?? 0;
+    return numBytes;
   }
 
   /**
    * Fetches what these pieces are made of, the first of them first, and forgets all else.
    * @param {Piece[]} pieces
    * @param {number} numDecoded of the first pieces: they are decoded, too
+   * @param {boolean} [isFull] whether nothing is fetched ahead: the first piece's object alone
    */
-  want(pieces, numDecoded) {
+  want(pieces, numDecoded, isFull = false) {
     const segments = new Set(pieces.map(({ segment }) => segment));
-    for (const [segment, object] of this.#objects)
-      if (object !== null && !segments.has(segment)) this.#objects.delete(segment);
+    for (const segment of this.#objects.keys()) {
+      if (segments.has(segment)) continue;
+      this.#fetches.get(segment)?.abort();
+      this.#fetches.delete(segment);
+      this.#objects.delete(segment);
+    }
     for (const segment of segments) {
-      if (this.#fetches >= MOST_FETCHES) break;
+      if (this.#fetches.size >= MOST_FETCHES) break;
       if (!this.#objects.has(segment)) this.#fetch(segment);
+      if (isFull) break;
     }
     const soon = pieces.slice(0, numDecoded);
     const begins = new Set(soon.map(({ begin }) => begin));
@@ -65,16 +82,22 @@ export class SoundTrack {
   /** @param {number} segment */
   async #fetch(segment) {
     const { part, channels } = this.source;
+    const fetching = new AbortController();
     this.#objects.set(segment, null);
-    this.#fetches += 1;
+    this.#fetches.set(segment, fetching);
+    /** @type {SoundObject} */
+    let object = { preSkip: 0, numSamples: 0, packets: [], positions: [0], numBytes: 0 };
     try {
-      const bytes = await this.fetchObject(segment, part, this.#closing.signal);
-      this.#objects.set(segment, readSoundObject(bytes, channels));
+      const bytes = await this.fetchObject(segment, part, fetching.signal);
+      const found = readSoundObject(bytes, channels);
+      checkSpan(found, ...this.timeline.span(segment));
+      object = found;
     } catch (error) {
-      this.#objects.set(segment, { preSkip: 0, numSamples: 0, packets: [], positions: [0] });
-      this.#refuse(error);
+      if (!fetching.signal.aborted) this.refused(error);
     }
-    this.#fetches -= 1;
+    if (fetching.signal.aborted) return;
+    this.#objects.set(segment, object);
+    this.#fetches.delete(segment);
   }
 
   /**
@@ -88,9 +111,9 @@ export class SoundTrack {
     try {
       await this.#fill(samples, begin, Math.min(end, object.numSamples), object);
     } catch (error) {
-      this.#refuse(error);
+      if (!this.#isClosed) this.refused(error);
     }
-    this.#pieces.set(begin, samples);
+    if (!this.#isClosed) this.#pieces.set(begin, samples);
   }
 
   /**
@@ -121,13 +144,9 @@ export class SoundTrack {
     }
   }
 
-  /** @param {unknown} error */
-  #refuse(error) {
-    if (!this.#closing.signal.aborted) this.refused(error);
-  }
-
   close() {
-    this.#closing.abort();
+    this.#isClosed = true;
+    for (const fetching of this.#fetches.values()) fetching.abort();
     this.#objects.clear();
     this.#pieces.clear();
   }

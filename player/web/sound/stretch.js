@@ -22,6 +22,7 @@ export function stretched(channels, length) {
   const made = channels.map(() => new Float32Array(length));
   const last = length - 2 * HOP;
   if (last <= 0 || given < 2 * HOP) return channels.map((channel) => resampled(channel, length));
+  const mono = mixed(channels);
   let from = 0;
   copy(channels, made, 0, 0, HOP);
   for (let at = HOP; at < length; at += HOP) {
@@ -30,7 +31,7 @@ export function stretched(channels, length) {
     const follows = from + HOP;
     const end = given - (length - at);
     const place = Math.round((at * given) / length);
-    const to = isLast ? end : alike(channels, follows, place, given);
+    const to = isLast ? end : alike(mono, follows, place);
     const many = Math.min(HOP, length - at);
     for (const [n, channel] of channels.entries()) {
       for (let i = 0; i < many; i++) {
@@ -60,27 +61,32 @@ function copy(channels, made, from, at, count) {
 }
 
 /**
- * Where, near `place`, what is there is most like what is at `follows`.
+ * One channel to compare. The second one counts less, so that two that cancel each other are not silence.
  * @param {Float32Array[]} channels
+ */
+function mixed([first, second]) {
+  return second === undefined ? first : first.map((sample, n) => sample + 0.6 * second[n]);
+}
+
+/**
+ * Where, near `place`, what is there is most like what is at `follows`.
+ * @param {Float32Array} mono
  * @param {number} follows
  * @param {number} place
- * @param {number} given
  */
-function alike(channels, follows, place, given) {
-  const most = given - 2 * HOP;
+function alike(mono, follows, place) {
+  const most = mono.length - 2 * HOP;
   const low = Math.max(0, Math.min(most, place - REACH));
   const high = Math.max(0, Math.min(most, place + REACH));
-  if (follows + HOP > given) return Math.max(0, Math.min(most, place));
+  if (follows + HOP > mono.length) return Math.max(0, Math.min(most, place));
   let best = low;
   let bestScore = -Infinity;
   for (let to = low; to <= high; to += STRIDE) {
     let product = 0;
     let energy = 1e-9;
-    for (const channel of channels) {
-      for (let i = 0; i < HOP; i += STRIDE) {
-        product += channel[follows + i] * channel[to + i];
-        energy += channel[to + i] ** 2;
-      }
+    for (let i = 0; i < HOP; i += STRIDE) {
+      product += mono[follows + i] * mono[to + i];
+      energy += mono[to + i] ** 2;
     }
     const score = product / Math.sqrt(energy);
     if (score > bestScore) [best, bestScore] = [to, score];

@@ -13,34 +13,66 @@ const PIECE_SAMPLES = 2 * SAMPLE_RATE;
 
 /** Which samples are heard with which frames: frame f begins at sample floor(f * 48000 / fps). */
 export class Timeline {
+  numFrames = 0;
+  live = false;
+  /** Samples of the stream. */
+  length = 0;
+
   /**
    * @param {number} fps
    * @param {number} segmentFrames
-   * @param {number} numFrames
    */
-  constructor(fps, segmentFrames, numFrames) {
+  constructor(fps, segmentFrames) {
     this.fps = fps;
     this.segmentFrames = segmentFrames;
-    this.numFrames = numFrames;
-    /** Of the stream. */
-    this.length = this.#sampleOf(numFrames);
+  }
+
+  /**
+   * Sets how long the stream is. Of a live one only whole segments count: a piece never changes.
+   * @param {number} numFrames
+   * @param {boolean} live
+   */
+  reach(numFrames, live) {
+    this.live = live;
+    this.numFrames = live ? numFrames - (numFrames % this.segmentFrames) : numFrames;
+    this.length = this.#sampleOf(this.numFrames);
   }
 
   /** @param {number} frame */
   #sampleOf(frame) {
-    return Math.floor((Math.min(frame, this.numFrames) * SAMPLE_RATE) / this.fps);
+    return Math.floor((frame * SAMPLE_RATE) / this.fps);
+  }
+
+  /** The first sample of a segment, and the one after its last. @param {number} segment */
+  span(segment) {
+    const edges = [segment, segment + 1].map((n) =>
+      this.#sampleOf(Math.min(n * this.segmentFrames, this.numFrames)),
+    );
+    return /** @type {[number, number]} */ (edges);
+  }
+
+  /** Where a round of a loop begins, in samples from the first round on. @param {number} round */
+  beginOf(round) {
+    return this.#sampleOf(round * this.numFrames);
+  }
+
+  /** The round of a sample that counts from the first round on. @param {number} sample */
+  roundOf(sample) {
+    if (this.live) return 0;
+    const round = Math.floor((sample * this.fps) / SAMPLE_RATE / this.numFrames);
+    if (this.beginOf(round + 1) <= sample) return round + 1; // the edges are rounded
+    return this.beginOf(round) > sample ? round - 1 : round;
   }
 
   /** The piece that holds a sample of the stream. @param {number} sample @returns {Piece} */
   pieceAt(sample) {
     const { fps, segmentFrames } = this;
-    const edge = (/** @type {number} */ segment) => this.#sampleOf(segment * segmentFrames);
     let segment = Math.floor((sample * fps) / SAMPLE_RATE / segmentFrames);
-    if (edge(segment + 1) <= sample) segment += 1; // the edges are rounded
-    if (edge(segment) > sample) segment -= 1;
-    const first = edge(segment);
+    if (this.span(segment)[1] <= sample) segment += 1; // the edges are rounded
+    if (this.span(segment)[0] > sample) segment -= 1;
+    const [first, last] = this.span(segment);
     const begin = first + Math.floor((sample - first) / PIECE_SAMPLES) * PIECE_SAMPLES;
-    return { segment, begin, end: Math.min(begin + PIECE_SAMPLES, edge(segment + 1)) };
+    return { segment, begin, end: Math.min(begin + PIECE_SAMPLES, last) };
   }
 
   /**

@@ -35,8 +35,10 @@ import { Placement } from "../../../player/web/stereo/placement.js";
 import { pinholeOf, poseOfTransform } from "../../../player/web/stereo/xrview.js";
 import { readCues, textAt } from "../../../player/web/captions/webvtt.js";
 import { oggOf } from "../../../player/web/sound/ogg.js";
-import { readSoundObject } from "../../../player/web/sound/soundobject.js";
-import { placeAt, readSources } from "../../../player/web/sound/soundsource.js";
+import { checkSpan, readSoundObject } from "../../../player/web/sound/soundobject.js";
+import { SoundRun } from "../../../player/web/sound/soundrun.js";
+import { heardAt, placeAt, readSources } from "../../../player/web/sound/soundsource.js";
+import { SoundTrack } from "../../../player/web/sound/soundtrack.js";
 import { stretched } from "../../../player/web/sound/stretch.js";
 import { Timeline } from "../../../player/web/sound/timeline.js";
 import { Orbit } from "../../../player/web/view/orbit.js";
@@ -139,8 +141,10 @@ const ANSWERS = {
   async packet({ bytes, limit }) {
     return hex(await inflatePacket(unhex(bytes), limit));
   },
-  sound({ bytes, channels }) {
-    const { preSkip, numSamples, packets, positions } = readSoundObject(unhex(bytes), channels);
+  sound({ bytes, channels, span }) {
+    const object = readSoundObject(unhex(bytes), channels);
+    if (span) checkSpan(object, span[0], span[1]);
+    const { preSkip, numSamples, packets, positions } = object;
     return { preSkip, numSamples, positions, packets: packets.map(hex) };
   },
   cues({ text, timeS }) {
@@ -153,6 +157,88 @@ const ANSWERS = {
   place({ keys, timeS }) {
     return placeAt(keys, timeS);
   },
+  heard({ keys, timeS, w2c }) {
+    return heardAt(keys, timeS, w2c);
+  },
+  /**
+   * The segments whose sound is asked for and aborted by each of these wants, [second, isFull], of segments
+   * of a second: nothing is ever answered.
+   */
+  async wanted({ wants }) {
+    const timeline = new Timeline(30, 30);
+    timeline.reach(3000, false);
+    /** @type {{ asked: number[], aborted: number[] }} */
+    let found = { asked: [], aborted: [] };
+    const fetchObject = (
+      /** @type {number} */ segment,
+      /** @type {string} */ _part,
+      /** @type {AbortSignal} */ signal,
+    ) => {
+      found.asked.push(segment);
+      return new Promise((_, reject) =>
+        signal.addEventListener("abort", () => {
+          found.aborted.push(segment);
+          reject(signal.reason);
+        }),
+      );
+    };
+    const refuse = (/** @type {unknown} */ error) => {
+      throw error;
+    };
+    const source = { part: "audio-main", channels: 1, keys: [] };
+    const track = new SoundTrack(source, timeline, fetchObject, refuse, refuse);
+    const all = [];
+    for (const [second, isFull] of wants) {
+      track.want(timeline.piecesFrom(48000 * second, 5 * 48000, false, 100), 2, isFull);
+      await new Promise((resolve) => setImmediate(resolve));
+      all.push(found);
+      found = { asked: [], aborted: [] };
+    }
+    track.close();
+    await new Promise((resolve) => setImmediate(resolve));
+    return [...all, found];
+  },
+  /** What each step of a run at a rate, 0.1 s apart, hands to the device: [first sample, samples]. */
+  handed({ rate, steps }) {
+    const timeline = new Timeline(30, 300);
+    timeline.reach(3000, false);
+    /** @type {number[][]} */
+    let found = [];
+    const param = { setValueAtTime() {}, setTargetAtTime() {} };
+    const context = {
+      currentTime: 0,
+      createGain: () => ({ gain: param, connect() {} }),
+      createBuffer: (/** @type {number} */ _, /** @type {number} */ length) => ({
+        length,
+        copyToChannel() {},
+      }),
+      createBufferSource: () => {
+        const node = {
+          buffer: { length: 0 },
+          connect() {},
+          start: (/** @type {number} */ atS) =>
+            found.push([Math.round(48000 * atS), node.buffer.length]),
+        };
+        return node;
+      },
+    };
+    const track = {
+      samples: (/** @type {number} */ begin) => [
+        new Float32Array(timeline.pieceAt(begin).end - begin),
+      ],
+    };
+    const outputs = /** @type {any} */ ([[track, {}]]);
+    const run = new SoundRun(/** @type {any} */ (context), timeline, outputs, 0, rate);
+    run.setLoops(false, 0);
+    const all = [];
+    for (let n = 0; n < steps; n++) {
+      run.step();
+      all.push(found);
+      found = [];
+      context.currentTime += 0.1;
+    }
+    return { all, gaps: run.gaps };
+  },
   ogg({ packets, ends, channels }) {
     return hex(oggOf(packets.map(unhex), ends, channels));
   },
@@ -160,8 +246,9 @@ const ANSWERS = {
     const given = channels.map((/** @type {number[]} */ one) => Float32Array.from(one));
     return stretched(given, length).map((one) => [...one]);
   },
-  pieces({ fps, segmentFrames, numFrames, sample, count, loops }) {
-    const timeline = new Timeline(fps, segmentFrames, numFrames);
+  pieces({ fps, segmentFrames, numFrames, live, sample, count, loops }) {
+    const timeline = new Timeline(fps, segmentFrames);
+    timeline.reach(numFrames, live);
     return { length: timeline.length, pieces: timeline.piecesFrom(sample, count, loops, 1000) };
   },
   manifest({ bytes }) {

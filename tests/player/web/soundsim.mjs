@@ -1,7 +1,9 @@
 /**
  * Ten minutes of a clip with clicks in virtual time: the real player of a worker and the real sound of a
  * page, on clocks that run apart, with a device that plays what it is given. Prints when each click is
- * heard and each frame shows, in milliseconds of the page's clock.
+ * heard and each frame shows, in milliseconds of the page's clock. What happens meanwhile is chosen:
+ * `seeks` (and stalls, in a loop), `live` (half of the time it grows, then it loops) or `once` (the loop is
+ * switched off just before the end of its second round).
  */
 import { ChunkFeed } from "../../../player/web/playback/chunkfeed.js";
 import { StreamPlay } from "../../../player/web/playback/streamplay.js";
@@ -11,6 +13,8 @@ import { SoundPlay } from "../../../player/web/sound/soundplay.js";
 import { SoundTrack } from "../../../player/web/sound/soundtrack.js";
 
 const [fps, numFrames, clickFrames, lastsS, seed] = process.argv.slice(2).map(Number);
+const what = process.argv[7];
+const isLive = what === "live";
 /** The device's clock runs faster than the page's. */
 const FASTER = 1 + 2e-4;
 const LATENCY_S = 0.06;
@@ -106,7 +110,7 @@ const manifest = {
   numGs: 1,
   numLayers: 1,
   shDegree: 0,
-  live: false,
+  live: isLive,
   layout,
   parts: [],
 };
@@ -128,12 +132,17 @@ const source = () => ({
   failure: null,
   isDone: true,
 });
-SoundTrack.prototype.want = () => {};
+/** Whether anything was wanted of a live stream that was heard already. */
+let isOldWanted = false;
+SoundTrack.prototype.want = (pieces) => {
+  const shownS = page.shownFrame / fps;
+  if (page.live && pieces.some(({ end }) => end / 48000 < shownS - 0.1)) isOldWanted = true;
+};
 const clickAt = (/** @type {number} */ frame) => Math.floor((frame * 48000) / fps);
 SoundTrack.prototype.samples = function (begin) {
   const { end } = sound.timeline.pieceAt(begin);
   const made = new Float32Array(end - begin);
-  for (let frame = 0; frame < numFrames; frame += clickFrames) {
+  for (let frame = 0; frame < page.numFrames; frame += clickFrames) {
     const at = clickAt(frame) - begin;
     if (at >= 0 && at < made.length) made[at] = 1;
   }
@@ -147,6 +156,7 @@ const page = Object.assign(new EventTarget(), {
   base: "http://x/",
   source: null,
   numFrames,
+  live: isLive,
   line: /** @type {any} */ (null),
   shownFrame: -1,
   isSeeking: false,
@@ -158,6 +168,7 @@ const page = Object.assign(new EventTarget(), {
 });
 const outlet = {
   post: (/** @type {any} */ message) => {
+    if (message.kind === "ended") add(() => page.dispatchEvent(new Event("ended")), 1);
     if (message.kind !== "line") return;
     add(() => {
       page.line = message;
@@ -187,14 +198,30 @@ const stream = { manifest, numFrames, cache, base: "", pictures: null, play: sou
 const player = new StreamPlayer(/** @type {any} */ (stream), /** @type {any} */ ({}), outlet, {
   loop: true,
 });
-const sound = new SoundPlay(/** @type {any} */ (page), () => true);
+const sound = new SoundPlay(/** @type {any} */ (page), () => player.loop);
 player.setPlaying(true);
 player.wake();
+
+/** @param {number} frames that have come @param {boolean} live */
+function grow(frames, live) {
+  stream.numFrames += frames;
+  page.numFrames = stream.numFrames;
+  page.live = manifest.live = live;
+  player.grow();
+  page.dispatchEvent(new Event("grown"));
+}
+if (isLive) {
+  const segmentMs = (1000 * manifest.segmentFrames) / fps;
+  for (let ms = segmentMs; ms < 500 * lastsS; ms += segmentMs)
+    add(() => grow(manifest.segmentFrames, true), ms);
+  add(() => grow(7, false), 500 * lastsS);
+}
+if (what === "once") add(() => (player.loop = false), (2000 * numFrames) / fps - 400);
 
 // What a viewer and a link do: 20 seeks, 3 stalls; the loops come by themselves.
 /** @type {number[]} when something was disturbed */
 const disturbed = [];
-for (let n = 0; n < 20; n++) {
+for (let n = 0; what === "seeks" && n < 20; n++) {
   add(
     () => {
       disturbed.push(nowMs);
@@ -204,7 +231,7 @@ for (let n = 0; n < 20; n++) {
     1000 * lastsS * ((n + 0.3 + 0.4 * random()) / 20),
   );
 }
-for (let n = 0; n < 3; n++) {
+for (let n = 0; what === "seeks" && n < 3; n++) {
   add(
     () => {
       isStalled = true;
@@ -240,6 +267,7 @@ process.stdout.write(
     disturbed,
     gaps: sound.gaps,
     stalls: player.playback.stalls,
+    isOldWanted,
     endMs,
   }),
 );

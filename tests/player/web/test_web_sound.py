@@ -7,6 +7,7 @@ import random
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,22 +56,28 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]
         yield url, folder
 
 
-@pytest.mark.parametrize("seed", [7, 8, 9])
-def test_ten_minutes_of_clicks_and_flashes(seed: int) -> None:
-    """In virtual time, on clocks 200 ppm apart, with 20 seeks, 3 stalls, and loops of 10 s: what
-    was with the device before a seek is heard out, all else is with its picture."""
+def simulated(fps: float, frames: int, lasts_s: float, seed: int, what: str) -> Any:
+    """What soundsim.mjs prints, with the times of its clicks and flashes as arrays."""
     if NODE is None:
         pytest.skip("needs Node.js: apt-get install nodejs")
-    frames, lasts_s = 300, 600
     script = Path(__file__).with_name("soundsim.mjs")
-    command = [NODE, str(script), *map(str, (FPS, frames, CLICK_FRAMES, lasts_s, seed))]
+    command = [NODE, str(script), *map(str, (fps, frames, CLICK_FRAMES, lasts_s, seed, what))]
     done = subprocess.run(command, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     shown = [one["atMs"] for one in found["shown"] if one["frame"] % CLICK_FRAMES == 0]
-    flashes = np.asarray(shown)
+    heard = np.asarray([time for time in found["heard"] if time < found["endMs"] - 100])
+    return {**found, "flashes": np.asarray(shown), "clicks": heard}
+
+
+@pytest.mark.parametrize("seed", [7, 8, 9])
+def test_ten_minutes_of_clicks_and_flashes(seed: int) -> None:
+    """In virtual time, on clocks 200 ppm apart, with 20 seeks, 3 stalls, and loops of 10 s: what
+    was with the device before a seek is heard out, all else is with its picture."""
+    frames, lasts_s = 300, 600
+    found = simulated(FPS, frames, lasts_s, seed, "seeks")
+    flashes, clicks = found["flashes"], found["clicks"]
     disturbed = np.asarray(found["disturbed"])
-    clicks = np.asarray([time for time in found["heard"] if time < found["endMs"] - 100])
     assert len(disturbed) == 23
     assert (found["stalls"], found["gaps"]) == (3, 0)
     assert len(clicks) > 0.9 * lasts_s * FPS / CLICK_FRAMES
@@ -78,6 +85,32 @@ def test_ten_minutes_of_clicks_and_flashes(seed: int) -> None:
     is_old = ((after_ms > 0) & (after_ms < HEARD_OUT_MS)).any(axis=1)
     apart = np.abs(clicks[~is_old, None] - flashes).min(axis=1)
     assert apart.max() <= APART_MS
+
+
+def test_a_live_stream_goes_on_with_its_sound_and_loops_once_it_is_finished() -> None:
+    """It grows by half a second for 20 s, then it ends with a part of a segment, and loops."""
+    found = simulated(FPS, 60, 60, 1, "live")
+    flashes, clicks = found["flashes"], found["clicks"]
+    assert (found["stalls"], found["gaps"], found["isOldWanted"]) == (0, 0, False)
+    assert len(flashes) - len(clicks) in range(3)
+    assert np.abs(clicks[:, None] - flashes).min(axis=1).max() <= APART_MS
+    assert np.diff(clicks).max() < 1.1 * CLICK_MS
+
+
+def test_a_loop_that_is_switched_off_near_its_end_is_silent_after_it() -> None:
+    found = simulated(FPS, 90, 12, 1, "once")
+    flashes, clicks = found["flashes"], found["clicks"]
+    assert len(flashes) == 2 * 90 / CLICK_FRAMES
+    assert len(flashes) - len(clicks) in range(2), "the first one may come before the sound"
+    assert np.abs(clicks[:, None] - flashes).min(axis=1).max() <= APART_MS
+
+
+def test_many_short_rounds_stay_in_step() -> None:
+    """A round of 3 frames at 29.97 a second has 4804.8 samples."""
+    found = simulated(29.97, 3, 200, 1, "loop")
+    flashes, clicks = found["flashes"], found["clicks"]
+    assert (found["stalls"], found["gaps"]) == (0, 0)
+    assert np.abs(clicks[:, None] - flashes).min(axis=1).max() <= APART_MS
 
 
 def open_stream(page: Page, url: str, query: str, player: str = "web") -> None:
@@ -199,7 +232,9 @@ Object.defineProperty(AudioContext.prototype, "state", {
   configurable: true,
   get() { return window.isPressed ? "running" : "suspended"; },
 });
+window.resumes = 0;
 AudioContext.prototype.resume = async function () {
+  window.resumes += 1;
   if (window.isPressed) this.dispatchEvent(new Event("statechange"));
 };
 """
@@ -222,6 +257,7 @@ def test_a_browser_that_waits_for_a_person(
     shown = page.run(f"return {ELEMENT}.player.shownFrame")
     page.wait(f"{ELEMENT}.player.shownFrame !== {shown}")  # the picture plays meanwhile
     assert page.run("return clicks.length") == 0
+    assert page.run("return resumes") <= 2, "asked once, and again by a person alone"
     page.run("window.isPressed = true")
     page.click(".unmute")
     wait_for_clicks(page, 2)

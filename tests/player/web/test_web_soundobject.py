@@ -34,10 +34,14 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> StreamReader:
 
 
 def test_objects_are_read_as_in_the_package(browser: BrowserCode, reader: StreamReader) -> None:
+    frames = [*(record.first_frame for record in reader.records), NUM_FRAMES]
+    edges = [first_sample(frame, reader.manifest.fps) for frame in frames]
     for source in SOURCES:
         for segment in range(len(reader.records)):
             found = read_sound(reader, segment, source)
-            said = browser.ask("sound", bytes=found.pack().hex(), channels=source.channels)
+            span = edges[segment : segment + 2]
+            question = {"bytes": found.pack().hex(), "channels": source.channels}
+            said = browser.ask("sound", **question, span=span)
             ends = itertools.accumulate(map(packet_samples, found.packets), initial=found.first)
             assert said == {
                 "preSkip": found.pre_skip,
@@ -73,6 +77,34 @@ def test_damaged_objects_are_refused_as_in_the_package(
         assert browser.takes("sound", bytes=case.hex(), channels=2) == is_taken
 
 
+def test_packets_far_from_their_segment_are_refused(browser: BrowserCode) -> None:
+    """An object of 16 MB may hold an hour of sound: no segment has as much."""
+    packets = (b"\xf8\0",) * 3000  # of 20 ms
+    data = SoundObject(1, 312, 60 * SAMPLE_RATE, 0, packets).pack().hex()
+
+    def is_taken(*span_s: int) -> bool:
+        span = [second * SAMPLE_RATE for second in span_s]
+        return browser.takes("sound", bytes=data, channels=1, span=span)
+
+    assert is_taken(0, 60)
+    assert is_taken(0, 59)
+    assert not is_taken(0, 58)
+    assert not is_taken(10, 60)
+
+
+def test_a_seek_aborts_what_is_no_longer_wanted(browser: BrowserCode) -> None:
+    wants = [[0, False], [0, False], [1, False], [50, False], [50, True], [70, True]]
+    assert browser.ask("wanted", wants=wants) == [
+        {"asked": [0, 1], "aborted": []},
+        {"asked": [], "aborted": []},
+        {"asked": [2], "aborted": [0]},
+        {"asked": [50, 51], "aborted": [1, 2]},
+        {"asked": [], "aborted": []},
+        {"asked": [70], "aborted": [50, 51]},
+        {"asked": [], "aborted": [70]},
+    ]
+
+
 def test_sources_are_read_as_in_the_package(browser: BrowserCode) -> None:
     good = [source.to_json() for source in SOURCES]
     assert [found["part"] for found in browser.ask("sources", sound=good)] == [
@@ -105,19 +137,42 @@ def test_a_source_moves_as_in_the_package(browser: BrowserCode) -> None:
         )
 
 
+def test_places_without_bounds_are_finite_to_a_device(browser: BrowserCode) -> None:
+    most = 1e308
+    w2c = [0.0, 1.0, 0.0, 5.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, -2.0, 0.0, 0.0, 0.0, 1.0]
+    for keys in (
+        [[0, 1e39, -1e39, 0]],
+        [[0, most, -most, most], [1, -most, most, -most]],
+        [[-most, 1, 2, 3], [most, 4, 5, 6]],
+    ):
+        for time_s in (0, 0.25, 0.5, 2):
+            heard = browser.ask("heard", keys=keys, timeS=time_s, w2c=w2c)
+            assert np.isfinite(np.asarray(heard, np.float32)).all()
+    assert browser.ask("heard", keys=[[0, 1, 2, 3]], timeS=0, w2c=w2c) == [7, 1, -1]
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     fps=st.sampled_from([23.976, 24, 29.97, 30, 60, 1000]),
     segment_frames=st.integers(1, 300),
     num_frames=st.integers(1, 2000),
+    live=st.booleans(),
     data=st.data(),
 )
 def test_pieces_cover_the_stream_once(
-    browser: BrowserCode, fps: float, segment_frames: int, num_frames: int, data: st.DataObject
+    browser: BrowserCode,
+    fps: float,
+    segment_frames: int,
+    num_frames: int,
+    live: bool,
+    data: st.DataObject,
 ) -> None:
+    """Of a live stream its whole segments: the last one may grow."""
+    question = {"fps": fps, "segmentFrames": segment_frames, "numFrames": num_frames, "live": live}
+    if live:
+        num_frames -= num_frames % segment_frames
     length = first_sample(num_frames, fps)
     begin = data.draw(st.integers(0, max(0, length - 1)))
-    question = {"fps": fps, "segmentFrames": segment_frames, "numFrames": num_frames}
     found = browser.ask("pieces", **question, sample=begin, count=length, loops=False)
     assert found["length"] == length
     pieces = found["pieces"]
@@ -174,6 +229,19 @@ def test_another_speed_keeps_the_pitch(browser: BrowserCode, rate: float) -> Non
     assert steps.max() <= 1.2 * np.abs(np.diff(tone)).max()
     assert left[:500] == pytest.approx(tone[:500], abs=1e-6)
     assert left[-3:] == pytest.approx(tone[-3:], abs=1e-3)
+
+
+@pytest.mark.parametrize("rate", [0.25, 0.7, 1.0, 1.9])
+def test_another_speed_is_made_in_parts(browser: BrowserCode, rate: float) -> None:
+    """A step makes half a second at most, so that the page goes on; nothing is left out."""
+    found = browser.ask("handed", rate=rate, steps=100)
+    parts = [tuple(part) for step in found["all"] for part in step]
+    assert found["gaps"] == 0
+    assert all(at + length == after for (at, length), (after, _) in itertools.pairwise(parts))
+    assert sum(parts[-1]) >= 10.8 * SAMPLE_RATE
+    if rate != 1:
+        assert max(length for _, length in parts) <= 0.38 * SAMPLE_RATE
+        assert max(sum(n for _, n in step) for step in found["all"]) <= 0.63 * SAMPLE_RATE
 
 
 @settings(max_examples=30, deadline=None)
