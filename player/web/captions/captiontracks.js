@@ -16,14 +16,16 @@ const MAX_CAPTIONS = 16;
  * @returns {CaptionTrack[]}
  */
 export function readCaptionTracks(value) {
-  return list(value, 0, MAX_CAPTIONS, "captions").map((one) => {
+  const tracks = list(value, 0, MAX_CAPTIONS, "captions").map((one) => {
     const language = text(field(one, "language"), "language");
     if (!/^[A-Za-z0-9]{1,8}(?:-[A-Za-z0-9]{1,8}){0,3}$/.test(language))
       throw corrupt("manifest: captions have no such language");
-    return {
-      language,
-      label: text(field(one, "label"), "label"),
-      file: `captions-${language}.vtt`,
-    };
+    const label = text(field(one, "label"), "label");
+    if (!/^(?:[^\p{C}\p{Z}]| ){1,80}$/u.test(label))
+      throw corrupt("manifest: a label of captions is not 1 to 80 printable characters");
+    return { language, label, file: `captions-${language}.vtt` };
   });
+  if (new Set(tracks.map(({ language }) => language.toLowerCase())).size !== tracks.length)
+    throw corrupt("manifest: two captions have the same language");
+  return tracks;
 }

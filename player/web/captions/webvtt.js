@@ -2,6 +2,7 @@
 
 const TIME = "(?:(\\d{2,}):)?([0-5]\\d):([0-5]\\d)\\.(\\d{3})";
 const TIMING = new RegExp(`^[ \\t]*${TIME}[ \\t]*-->[ \\t]*${TIME}(?:[ \\t].*)?$`);
+/** @type {Record<string, string>} */
 const NAMED = { amp: "&", lt: "<", gt: ">", nbsp: "\u00a0", lrm: "\u200e", rlm: "\u200f" };
 
 /**
@@ -42,10 +43,24 @@ function seconds(parts) {
 
 /** Without tags and escapes. @param {string} text */
 function plain(text) {
-  const named = /** @type {Record<string, string>} */ (NAMED);
   return text
     .replace(/<[^>]*>?/g, "")
-    .replace(/&(amp|lt|gt|nbsp|lrm|rlm);/g, (_, name) => named[name]);
+    .replace(/&(?:#(\d+)|#x([\da-f]+)|[a-z][a-z\d]*);/gi, (escape, ten, sixteen) => {
+      if (ten || sixteen) return character(parseInt(ten ?? sixteen, ten ? 10 : 16));
+      return NAMED[escape.slice(1, -1)] ?? named(escape);
+    });
+}
+
+/** @param {number} code */
+function character(code) {
+  const isOne = code > 0 && code <= 0x10ffff && (code < 0xd800 || code > 0xdfff);
+  return isOne ? String.fromCodePoint(code) : "\ufffd";
+}
+
+/** What a browser's own reader of captions makes of an escape; it runs nothing. @param {string} escape */
+function named(escape) {
+  if (typeof VTTCue === "undefined") return escape;
+  return new VTTCue(0, 1, escape).getCueAsHTML().textContent ?? escape;
 }
 
 /** What shows at a time, one cue below the other. @param {Cue[]} cues @param {number} timeS */

@@ -52,6 +52,7 @@ export class Tracks {
     actions.push({ keys: ["shift+c"], label: "Captions", run: () => this.captions.next() });
     panels.part?.keyList.fill(actions);
     element.addEventListener("volumechange", () => this.#show(), { signal });
+    element.addEventListener("emptied", () => this.open(), { signal });
     // Safari lets sound begin only while a person presses something.
     const press = () => !element.muted && this.sound?.unblock();
     for (const type of ["click", "keydown"]) element.addEventListener(type, press, { signal });
@@ -63,7 +64,7 @@ export class Tracks {
     this.hints.say(message, LONG_MS);
   }
 
-  /** The player has opened a stream. */
+  /** The player has opened a stream, or closed it. */
   open() {
     this.#close();
     const { player, element, signal } = this;

@@ -33,6 +33,7 @@ import { floatWords, latticeWords, roomFor } from "../../../player/web/renderer/
 import { middleOf, sideBySide } from "../../../player/web/stereo/eyes.js";
 import { Placement } from "../../../player/web/stereo/placement.js";
 import { pinholeOf, poseOfTransform } from "../../../player/web/stereo/xrview.js";
+import { readCaptionTracks } from "../../../player/web/captions/captiontracks.js";
 import { readCues, textAt } from "../../../player/web/captions/webvtt.js";
 import { oggOf } from "../../../player/web/sound/ogg.js";
 import { checkSpan, readSoundObject } from "../../../player/web/sound/soundobject.js";
@@ -150,6 +151,9 @@ const ANSWERS = {
   cues({ text, timeS }) {
     const cues = readCues(text);
     return { cues, text: textAt(cues ?? [], timeS) };
+  },
+  captions({ captions }) {
+    return readCaptionTracks(captions);
   },
   sources({ sound }) {
     return readSources(sound);

@@ -10,8 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.errors import CorruptError
-from codec.stream.captions import Captions, parse_webvtt, text_at
+from codec.errors import CodecError, CorruptError
+from codec.stream.captions import (
+    Captions,
+    captions_of,
+    check_captions,
+    parse_webvtt,
+    text_at,
+)
 from codec.tools.static import export_static
 from codec.tools.streamcaptions import add_captions
 from scripts import webbundle
@@ -35,6 +41,7 @@ LINES = st.lists(
             "00:0.5 --> 00:01.000",
             "a <b>bold</b> word",
             "1 &lt; 2 &amp;&nbsp;3",
+            "it&#39;s &#x20AC;5 &#xD800;&#0;&#1114112; &; &#; &#x;",
             "<v Ann",
             "-->",
         ]
@@ -59,6 +66,33 @@ def test_files_are_read_as_in_the_package(
         {"startS": cue.start_s, "endS": cue.end_s, "text": cue.text} for cue in cues
     ]
     assert said["text"] == text_at(cues, 0.75)
+
+
+def test_what_a_manifest_says_is_read_as_in_the_package(browser: BrowserCode) -> None:
+    english = {"language": "en", "label": "English"}
+    cases: list[tuple[bool, object]] = [
+        (True, []),
+        (True, [english, {"language": "pt-BR", "label": "Português (Brasil) 字幕 😀"}]),
+        (True, [{"language": "en", "label": "x" * 80}]),
+        (False, [english, english]),
+        (False, [english, {"language": "EN", "label": "Upper"}]),
+        (False, [{"language": "en", "label": ""}]),
+        (False, [{"language": "en", "label": "x" * 81}]),
+        (False, [{"language": "en", "label": "a\nb"}]),
+        (False, [{"language": "en", "label": "a\u202eb"}]),
+        (False, [{"language": "en", "label": "a\u00a0b"}]),
+        (False, [{"language": "en"}]),
+        (False, [{"language": "../x", "label": "x"}]),
+        (False, [{"language": str(n), "label": "x"} for n in range(17)]),
+        (False, {}),
+    ]
+    for is_right, captions in cases:
+        try:
+            check_captions(captions_of({"captions": captions}))
+            is_taken = True
+        except CodecError:
+            is_taken = False
+        assert browser.takes("captions", captions=captions) == is_taken == is_right, captions
 
 
 @pytest.fixture(scope="module")
@@ -117,12 +151,26 @@ def test_the_language_stays_for_the_next_stream_and_one_without_has_no_button(
     page.wait(f"{BUTTON}?.checkVisibility()")
     page.run(f"{BUTTON}.click()")
     page.wait(f"{SHOWN} !== ''")
+    page.run(f"{ELEMENT}.src = '../missing'; await null")
+    assert page.run(f"return {SHOWN}") == "", "nothing of a stream that is closed"
+    assert page.run(f"return {BUTTON}.checkVisibility()") is False
     page.run(f"{ELEMENT}.src = '../bare'")
     page.wait(f"{ELEMENT}.player.manifest && {ELEMENT}.player.shownFrame >= 0")
     page.wait(f"!{BUTTON}.checkVisibility()")
     assert page.run(f"return {SHOWN}") == ""
     page.run(f"{ELEMENT}.src = '../static'")
     page.wait(f"{SHOWN} !== ''")
+
+
+def test_named_characters_are_those_of_browsers(page: Page, url: str, folder: Path) -> None:
+    path = folder / "static" / "captions-de.vtt"
+    written = path.read_text()
+    path.write_text("WEBVTT\n\n00:00.000 --> 00:03.000\ncaf&eacute; &hellip;&nosuch; <b>b</b>\n")
+    open_stream(page, url, "static&t=1.5")
+    page.wait(f"{BUTTON}?.checkVisibility()")
+    page.run(f"{BUTTON}.click(); {BUTTON}.click()")
+    page.wait(f"{SHOWN} === 'café …&nosuch; b'")
+    path.write_text(written)
 
 
 def test_what_cannot_be_read_is_one_sentence(page: Page, url: str, folder: Path) -> None:
