@@ -216,6 +216,7 @@ export class MediaInterface extends PictureInterface {
 
   /** Loads the stream of `src` anew, from its beginning. */
   load() {
+    this.muted = this.muted; // from now on the attribute has no effect, as in HTML
     this.#unload();
     if (this.player === null || !this.getAttribute("src")) return;
     this.error = null;

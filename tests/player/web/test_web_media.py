@@ -93,6 +93,10 @@ def test_it_loads_plays_and_ends_as_a_media_element(page: Page, host: str) -> No
 
     page.run("heard.length = 0; player.volume = 0.5; player.muted = true; player.muted = true")
     assert heard() == ["volumechange", "volumechange"]
+    page.run("player.muted = false; player.defaultMuted = true")
+    assert heard() == ["volumechange"]
+    assert page.run("return player.muted") is False, "the attribute has no effect later"
+    page.run("player.defaultMuted = false")
     # Promises of play whose playing never begins.
     paused = f"player.load(); const played = ({OUTCOME})(player.play()); player.pause();"
     assert page.run(f"{paused} return played") == "AbortError"
