@@ -125,6 +125,7 @@ async def picture(call: Call) -> Response:
         read = stream.read_captions if content_type is CAPTIONS_TYPE else stream.read_picture
         data = await asyncio.to_thread(read, name)
     if data is None or content_type is None:
-        raise RequestError(404, f"{stream.name} has no picture {name[:80]!a}")
+        what = "captions" if content_type is CAPTIONS_TYPE else "picture"
+        raise RequestError(404, f"{stream.name} has no {what} {name[:80]!a}")
     sha256 = hashlib.sha256(data).hexdigest()
     return respond(call.request, Content(data, len(data), sha256, content_type, REVALIDATE))

@@ -83,6 +83,18 @@ def test_one_that_is_replaced_or_comes_later_is_served_as_it_is(root: Path) -> N
 
 
 @pytest.mark.parametrize(
+    ("name", "what"), [("none.jpg", "picture"), ("captions-en.vtt", "captions")]
+)
+def test_what_is_missing_is_called_by_its_kind(root: Path, name: str, what: str) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get(f"/v1/streams/walk/{name}") as response:
+            assert response.status == 404
+            assert f"walk has no {what} '{name}'" in await response.text()
+
+    on_server(root, check)
+
+
+@pytest.mark.parametrize(
     ("name", "content_type"),
     [
         ("art/front view.PNG", "image/png"),
