@@ -189,8 +189,10 @@ class SoundObject:
 
     def check_covers(self, begin: int, stop: int) -> None:
         """Raises CorruptError unless the packets hold the samples from `begin` to `stop`, and
-        PREROLL before them, as far as the source goes."""
+        PREROLL before them, as far as the source goes; or if they go far beyond that."""
         stop = min(stop, self.num_samples)
+        if self.packets and self.end > stop + self.pre_skip + 2 * MAX_PACKET_SAMPLES:
+            raise CorruptError(f"sound: packets up to {self.end}, but it ends at sample {stop}", 20)
         if begin >= stop:
             return
         if self.first > max(0, begin + self.pre_skip - PREROLL) or self.end < stop + self.pre_skip:

@@ -5,12 +5,16 @@ Rule: pure. Bytes come in, samples go out.
 
 from __future__ import annotations
 
+from itertools import accumulate
+
 import numpy as np
 
 from codec.errors import CorruptError, UnsupportedError
 from codec.stream.manifest import Manifest
 from codec.stream.sound import (
     MAX_PACKET_SAMPLES,
+    PREROLL,
+    SAMPLE_RATE,
     SoundObject,
     SoundSource,
     first_sample,
@@ -18,16 +22,19 @@ from codec.stream.sound import (
 )
 from codec.tools.soundfile import PacketDecoder, Samples
 
-MAX_SEGMENT_S = 600
-"""Sound in longer segments is not played: all samples of one are held."""
+MAX_SEGMENT_S = 1200
+"""Seconds of sound in a segment, of all channels of all sources together. More is not played: all
+samples of a segment are held."""
 
 
 def check_playable(manifest: Manifest) -> None:
-    """Raises UnsupportedError for segments too long to hold their samples."""
-    if manifest.segment_frames > MAX_SEGMENT_S * manifest.fps:
+    """Raises UnsupportedError for segments of too much sound to hold their samples."""
+    channels = sum(source.channels for source in manifest.sound)
+    _, stop = segment_span(manifest, 0)
+    if channels * stop > MAX_SEGMENT_S * SAMPLE_RATE:
         raise UnsupportedError(
-            f"its segments of {manifest.segment_frames} frames are longer than {MAX_SEGMENT_S} s; "
-            "play it with --mute"
+            f"its segments of {manifest.segment_frames} frames hold {channels} channels of sound, "
+            f"more than {MAX_SEGMENT_S} s together; play it with --mute"
         )
 
 
@@ -60,19 +67,19 @@ class SegmentDecoder:
         found.check_covers(begin, stop)
         samples = np.zeros((stop - begin, found.channels), np.int16)
         last = min(stop, found.num_samples)
-        goes_on = segment == self._segment + 1 and found.first <= self._end <= found.end
+        # Packets before the first of these positions, and after the other, are not needed: a
+        # stranger may send very many of them.
+        least, most = begin + found.pre_skip - PREROLL, last + found.pre_skip
+        starts = list(accumulate(map(packet_samples, found.packets), initial=found.first))
+        goes_on = segment == self._segment + 1 and max(starts[0], least) <= self._end <= starts[-1]
         if not goes_on:
-            self._decoder, self._end, self._tail = (
-                PacketDecoder(found.channels),
-                found.first,
-                samples[:0],
-            )
-        pieces, at = [self._tail], found.first
-        for packet in found.packets:
-            if at == self._end:
+            self._decoder, self._tail = PacketDecoder(found.channels), samples[:0]
+            self._end = max((at for at in starts if at <= least), default=found.first)
+        pieces = [self._tail]
+        for at, packet in zip(starts, found.packets, strict=False):
+            if at == self._end and at < most:
                 pieces.append(self._decoder.decode(packet))
                 self._end += len(pieces[-1])
-            at += packet_samples(packet)
         decoded = np.concatenate(pieces)
         self._segment = segment
         # The next segment begins in the last packet.

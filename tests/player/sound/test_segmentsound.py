@@ -1,0 +1,78 @@
+"""Segments of sound as anybody may write them: decoded as far as they are heard, and no farther."""
+
+from __future__ import annotations
+
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from codec.errors import CorruptError, UnsupportedError
+from codec.stream.sound import (
+    MAX_PACKET_SAMPLES,
+    MAX_PACKETS,
+    SAMPLE_RATE,
+    SoundObject,
+    SoundSource,
+    packet_samples,
+)
+from player.sound.segmentsound import (
+    MAX_SEGMENT_S,
+    SegmentDecoder,
+    check_playable,
+    segment_span,
+)
+from tests.support.hosted_streams import small_manifest
+
+MAIN = SoundSource("main", 2)
+MANIFEST = replace(small_manifest(), sound=(MAIN,))
+SILENCE = bytes([0x0B, 0x06])
+"""The longest packet in the fewest bytes: six frames of 20 ms."""
+
+
+def silent_object(num_packets: int, num_samples: int) -> SoundObject:
+    assert packet_samples(SILENCE) == MAX_PACKET_SAMPLES
+    return SoundObject(2, 312, num_samples, 0, (SILENCE,) * num_packets)
+
+
+@pytest.mark.parametrize("num_samples", [0, 1 << 40])
+def test_packets_far_behind_the_segment_are_refused(num_samples: int) -> None:
+    whole = silent_object(MAX_PACKETS, num_samples)
+    for segment in (0, 7):
+        with pytest.raises(CorruptError, match="sound: packets up to"):
+            SegmentDecoder(MAIN, MANIFEST).decode(segment, whole.pack())
+
+
+def test_packets_far_before_the_segment_are_not_decoded() -> None:
+    num_packets, segment = 3000, 0
+    while segment_span(MANIFEST, segment)[1] < (num_packets - 2) * MAX_PACKET_SAMPLES:
+        segment += 1
+    whole = silent_object(num_packets, 1 << 40)
+    short = silent_object(0, 0)
+    begin, stop = segment_span(MANIFEST, segment)
+    decoder = SegmentDecoder(MAIN, MANIFEST)
+    tracemalloc.start()
+    try:
+        assert decoder.decode(segment, whole.pack()).shape == (stop - begin, 2)
+        # A source that had ended, and goes on after all.
+        assert not decoder.decode(segment - 1, short.pack()).any()
+        assert decoder.decode(segment, whole.pack()).shape == (stop - begin, 2)
+        _, most_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most_bytes < 4e6  # all samples have 69 MB
+
+
+def test_segments_of_too_many_samples_are_not_played() -> None:
+    manifest = small_manifest(fps=30.0, segment_frames=MAX_SEGMENT_S // 16 * 30)
+    sources = tuple(SoundSource(f"s{n}", 1) for n in range(16))
+    check_playable(replace(manifest, sound=sources))
+    for wrong in (
+        replace(manifest, sound=(*sources[1:], MAIN)),
+        replace(manifest, sound=sources, segment_frames=manifest.segment_frames + 1),
+    ):
+        with pytest.raises(UnsupportedError, match="play it with --mute"):
+            check_playable(wrong)
+    assert segment_span(manifest, 0)[1] * 16 == MAX_SEGMENT_S * SAMPLE_RATE
+    assert np.int16(0).nbytes * MAX_SEGMENT_S * SAMPLE_RATE < 1.2e8
