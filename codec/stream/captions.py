@@ -29,9 +29,10 @@ CAPTIONS_TYPE = "text/vtt; charset=utf-8"
 LANGUAGE = "[A-Za-z0-9]{1,8}(?:-[A-Za-z0-9]{1,8}){0,3}"
 """Regular expression of a language, as BCP 47 writes them."""
 
-_TIME = r"(?:(\d{2,}):)?([0-5]\d):([0-5]\d)\.(\d{3})"
+_TIME = r"(?:(\d{2,6}):)?([0-5]\d):([0-5]\d)\.(\d{3})"
 _TIMING = re.compile(rf"[ \t]*{_TIME}[ \t]*-->[ \t]*{_TIME}(?:[ \t].*)?", re.ASCII)
 _TAG = re.compile(r"<[^>]*>?")
+_LONG_REFERENCE = re.compile(r"&#([0-9]{8,})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +113,7 @@ def parse_webvtt(data: bytes) -> tuple[Cue, ...]:
         while at < len(lines) and lines[at] and "-->" not in lines[at]:
             at += 1
         start_s, end_s = _seconds(found.groups()[:4]), _seconds(found.groups()[4:])
-        said = html.unescape(_TAG.sub("", "\n".join(lines[begin:at]))).strip()
+        said = _unescaped(_TAG.sub("", "\n".join(lines[begin:at]))).strip()
         if start_s < end_s and said:
             cues.append(Cue(start_s, end_s, said))
     if len(cues) > MAX_CUES:
@@ -123,6 +124,12 @@ def parse_webvtt(data: bytes) -> tuple[Cue, ...]:
 def _seconds(parts: Sequence[str | None]) -> float:
     hours, minutes, seconds, thousandths = (int(part or 0) for part in parts)
     return 3600 * hours + 60 * minutes + seconds + thousandths / 1000
+
+
+def _unescaped(text: str) -> str:
+    # Python's int refuses thousands of digits. Eight that count are as wrong as more of them.
+    short = _LONG_REFERENCE.sub(lambda found: f"&#{found[1].lstrip('0')[:8] or 0}", text)
+    return html.unescape(short)
 
 
 def text_at(cues: Sequence[Cue], time_s: float) -> str:

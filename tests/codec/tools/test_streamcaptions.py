@@ -152,6 +152,24 @@ def test_cues_are_read() -> None:
     assert text_at(CUES, 2.0) == ""
 
 
+def test_numbers_of_thousands_of_digits_are_no_crash() -> None:
+    long = "9" * 5000
+    for hours in (long, "9" * 400, "9" * 7):
+        assert parse_webvtt(f"WEBVTT\n\n{hours}:00:00.000 --> {hours}:00:01.000\na".encode()) == ()
+    (cue,) = parse_webvtt(b"WEBVTT\n\n999999:00:00.000 --> 999999:00:01.000\na")
+    assert cue == Cue(3600.0 * 999999, 3600.0 * 999999 + 1, "a")
+    for reference, text in (
+        (f"&#{long};", "\ufffd"),
+        (f"&#{long}", "\ufffd"),
+        (f"&#x{'f' * 5000};", "\ufffd"),
+        (f"&#{'0' * 5000}65;", "A"),
+        (f"&#{'0' * 5000};", "\ufffd"),
+        ("&#00000128512;", "\U0001f600"),
+    ):
+        (cue,) = parse_webvtt(f"WEBVTT\n\n00:00.000 --> 00:01.000\n({reference})".encode())
+        assert cue.text == f"({text})"
+
+
 @given(st.binary(max_size=300))
 def test_any_bytes_are_cues_or_an_error(data: bytes) -> None:
     for begin in (b"", b"WEBVTT\n\n", b"WEBVTT\n\n00:00.000 --> 00:01.000\n"):
