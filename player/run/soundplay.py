@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 from codec.camera import Camera
@@ -15,6 +15,7 @@ from player.report.soundcounts import SoundCounts
 from player.source.soundfiles import SoundFiles
 
 if TYPE_CHECKING:
+    from player.sound.decodedsound import DecodedSound
     from player.sound.soundfeed import SoundFeed, Whereabouts
     from player.sound.soundplayer import SoundPlayer
 
@@ -53,30 +54,30 @@ def sounding(
         log.warning("playing without sound: %s", error)
         yield None
         return
-    decoded = DecodedSound(manifest)
-    files = open_files()
-    try:
-        feed = SoundFeed(manifest, files, decoded, lambda: _whereabouts(conductor))
-        player = SoundPlayer(decoded, manifest.fps, time, conductor.media_at, camera, volume)
-        device = SoundDevice(player, backends)
-    except (MiniaudioError, CodecError) as error:
-        files.close()
-        reason = error.args[0] if isinstance(error, MiniaudioError) else error
-        log.warning("playing without sound: %s", reason)
-        yield None
-        return
-    try:
-        with feed, device:
-            yield player
-    finally:
-        _count(counts, files, feed, decoded.missing_s)
+    decoded, files = DecodedSound(manifest), open_files()
+    with ExitStack() as playing:
+        playing.callback(files.close)
+        player: SoundPlayer | None = None
+        try:
+            feed = SoundFeed(manifest, files, decoded, lambda: _whereabouts(conductor))
+            player = SoundPlayer(decoded, manifest.fps, time, conductor.media_at, camera, volume)
+            device = SoundDevice(player, backends)
+            playing.callback(_count, counts, files, feed, decoded)
+            playing.enter_context(feed)
+            playing.enter_context(device)
+        except (MiniaudioError, CodecError) as error:
+            player = None
+            playing.close()
+            reason = error.args[0] if isinstance(error, MiniaudioError) else error
+            log.warning("playing without sound: %s", reason)
+        yield player
 
 
-def _count(counts: SoundCounts, files: SoundFiles, feed: SoundFeed, missing_s: float) -> None:
+def _count(counts: SoundCounts, files: SoundFiles, feed: SoundFeed, decoded: DecodedSound) -> None:
     counts.received_bytes += files.received_bytes
     counts.segments += feed.loaded
     counts.failed_segments += len(feed.failed)
-    counts.missing_s += missing_s
+    counts.missing_s += decoded.missing_s
 
 
 def _whereabouts(conductor: Conductor) -> Whereabouts:

@@ -69,7 +69,12 @@ class SoundDevice:
         )
 
     def __enter__(self) -> SoundDevice:
-        self._device.start(self._blocks)
+        """Raises miniaudio.MiniaudioError where the device does not start."""
+        try:
+            self._device.start(self._blocks)
+        except miniaudio.MiniaudioError:
+            self._device.close()
+            raise
         return self
 
     def __exit__(self, *error: object) -> None:

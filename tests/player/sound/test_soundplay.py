@@ -115,16 +115,20 @@ def test_clicks_and_flashes_in_real_time(tmp_path: Path, monkeypatch: pytest.Mon
     assert counts.segments >= FRAMES // 5
 
 
+@pytest.mark.parametrize("part", ["__init__", "start"])
 def test_without_a_device_the_pictures_go_on(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, part: str
 ) -> None:
     stream = write_stream(tmp_path / "s", 10, slice_size=8)
     add_clicks(stream, (2,))
 
     def refuse(*arguments: object, **named: object) -> None:
-        raise miniaudio.MiniaudioError("failed to init device")
+        raise miniaudio.MiniaudioError("failed to start audio device", -1)
 
-    monkeypatch.setattr(miniaudio, "PlaybackDevice", refuse)
+    if part == "__init__":
+        monkeypatch.setattr(miniaudio.PlaybackDevice, "close", lambda device: None)
+    monkeypatch.setattr(miniaudio.PlaybackDevice, part, refuse)
+    backends: list[Any] = [miniaudio.Backend.NULL]
     clock = Clock(True)
     source = DirectorySource(stream, FrameRange(), None)
 
@@ -134,6 +138,9 @@ def test_without_a_device_the_pictures_go_on(
     with Conductor(lambda _: source, make_events, clock) as conductor:
         conductor.attach(CpuRenderer(source.manifest))
         files, camera = FolderSound(stream), source.manifest.camera()
-        with sounding(conductor, DeviceTime(), camera, lambda: files, SoundCounts()) as sound:
+        with sounding(
+            conductor, DeviceTime(), camera, lambda: files, SoundCounts(), 1.0, backends
+        ) as sound:
             assert sound is None
-    assert "playing without sound: failed to init device" in caplog.text
+            assert "sound" not in {thread.name for thread in threading.enumerate()}
+    assert "playing without sound: failed to start audio device" in caplog.text
