@@ -67,12 +67,25 @@ class _Play:
         self.source, self.events, self.number = source, events, number
         self.whole = False
         """Whether it was asked for with all layers, for a picture that stands."""
+        self.follows_end: int | None = None
+        """Where the frames before it end, if they are the round of a loop."""
         self.handoff: Handoff | None = None
         self._threads = Threads(source, events, changed)
         self._threads.__enter__()
 
     def update(self, renderer: Renderer) -> None:
         self.handoff = self._threads.update(renderer)
+
+    def media_frame(self, now_s: float, late: bool) -> float | None:
+        """The frame that is drawn at `now_s` of the clock, see `Events.media_frame`. late: pictures
+        are drawn a frame after their time, and the first one stands until then."""
+        frame = self.events.media_frame(now_s)
+        if frame is None or not late:
+            return frame
+        first_frame = self.source.frames.first
+        if frame >= first_frame + 1:
+            return frame - 1
+        return None if self.follows_end is None else frame - 1 - first_frame + self.follows_end
 
     @property
     def drawn(self) -> bool:
@@ -269,15 +282,18 @@ class Conductor:
             return min(max(passed_s * self.transport.fps, 0.0), 1.0)
 
     def media_at(self, world_s: float) -> tuple[float, float] | None:
-        """The frame, with its fraction, whose time it is at `world_s` of the clock's `time_s`, and
-        the rate of the playback; None while the picture stands. Never waits for a renderer."""
+        """The frame, with its fraction, that is to be drawn at `world_s` of the clock's `time_s`,
+        and the rate of the playback; None while the picture stands. Like `share`, a frame late
+        where pictures between frames are drawn. Never waits for a renderer."""
         shown = self._clock.at(world_s)
         if shown is None or self._wanted is not None:
             return None
+        now_s, rate = shown
+        late = self.smoothing.shows_between(rate * self.transport.fps)
         for play in (self._current, self._following):
-            frame = play.events.media_frame(shown[0]) if play is not None else None
+            frame = play.media_frame(now_s, late) if play is not None else None
             if frame is not None:
-                return frame, shown[1]
+                return frame, rate
         return None
 
     def state(self) -> PlayState:
@@ -412,6 +428,7 @@ class Conductor:
     def _follow(self, current: _Play) -> None:
         """Asks for the next play of a loop, whose frames show behind those of `current`."""
         following = self._start_play(self.transport.first_frame, current.events.end_s or 0.0)
+        following.follows_end = current.events.end_frame
         with self._changed:
             self._following = following
 

@@ -53,6 +53,14 @@ def wanted_segments(manifest: Manifest, at: Whereabouts) -> list[int]:
     return found
 
 
+def segment_before(manifest: Manifest, at: Whereabouts) -> int:
+    """The segment that was just heard, which a step back needs, and the end of which is still heard
+    where pictures are drawn a frame late. May be one that there is not."""
+    segment, first = (frame // manifest.segment_frames for frame in (at.frame, at.first_frame))
+    starts_anew = at.loops and segment == first
+    return (at.end_frame - 1) // manifest.segment_frames if starts_anew else segment - 1
+
+
 class SoundFeed:
     """Fills `decoded` while the `with` block runs. A segment that cannot be had stays silent, and
     is logged."""
@@ -87,9 +95,9 @@ class SoundFeed:
 
     def _run(self) -> None:
         while not self._stopped.is_set():
-            wanted = wanted_segments(self._manifest, self._where())
-            # A step back finds what was just heard.
-            self._decoded.keep({*wanted, *(segment - 1 for segment in wanted[:1])})
+            at = self._where()
+            wanted = wanted_segments(self._manifest, at)
+            self._decoded.keep({*wanted, segment_before(self._manifest, at)})
             lacking = (one for one in wanted if not self._decoded.has(one))
             segment = next((one for one in lacking if one not in self.failed), None)
             if segment is None:

@@ -335,3 +335,40 @@ def test_it_says_how_far_the_way_from_frame_to_frame_is_over(tmp_path: Path) -> 
         assert moved > 2 * len(whole)
         conductor.toggle_pause()
         assert conductor.share == 1.0
+
+
+def test_sound_is_drawn_as_late_as_the_pictures_between_frames(tmp_path: Path) -> None:
+    path = write_busy_stream(tmp_path / "s", 40, small_layout(3, (4, 3), 0, 5), fps=FPS)
+    with conducted(path, real=True, plays=math.inf, first=30) as (played, _):
+        conductor = played.conductor
+        played.smoothing.on = True
+        compared: dict[int, set[int]] = {}  # the frames of each play
+        stood, sought = set[int](), False
+
+        def look() -> bool:
+            nonlocal sought
+            if not played.records:
+                return False
+            before = conductor.media_at(time.monotonic())
+            share, newest = conductor.share, played.records[-1]
+            after = conductor.media_at(time.monotonic())
+            if newest.play == 3 and newest.frame == 34 and not sought:
+                sought = True
+                conductor.seek(32)
+            elif before is None and after is None and newest.frame in (30, 32) and share < 1:
+                stood.add(newest.frame)
+            elif before is not None and after is not None and 0 < share < 1:
+                behind = 40 if newest.frame == 30 else newest.frame
+                assert before[0] - 1e-3 <= behind - 1 + share <= after[0] + 1e-3
+                assert before[1] == 1.0
+                play = -1 if sought and newest.play > 3 else newest.play
+                compared.setdefault(play, set()).add(newest.frame)
+            return sought and newest.play > 3 and newest.frame >= 36
+
+        played.poll_until(look)
+    # A picture stands until it is followed by motion; in a loop the end is heard meanwhile.
+    assert stood == {30, 32}
+    assert 30 not in compared.get(0, ())
+    assert 32 not in compared.get(-1, ())
+    assert any(30 in compared.get(play, ()) for play in (1, 2, 3))
+    assert sum(map(len, compared.values())) > 15

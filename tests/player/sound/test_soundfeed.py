@@ -15,7 +15,13 @@ from codec.stream.sound import SAMPLE_RATE
 from player.network.retry import RetryConfig
 from player.sound.decodedsound import DecodedSound
 from player.sound.segmentsound import segment_span
-from player.sound.soundfeed import AHEAD_S, SoundFeed, Whereabouts, wanted_segments
+from player.sound.soundfeed import (
+    AHEAD_S,
+    SoundFeed,
+    Whereabouts,
+    segment_before,
+    wanted_segments,
+)
 from player.source.opener import Opener, SourceConfig
 from tests.support.hosted_streams import served, small_manifest, static_host, write_stream
 from tests.support.sounding import add_clicks, heard
@@ -93,3 +99,10 @@ def test_no_more_is_wanted_than_is_heard_soon() -> None:
     long = small_manifest(fps=30.0, segment_frames=900)
     assert wanted_segments(long, Whereabouts(0, 0, 9000, False)) == [0, 1]
     assert wanted_segments(long, Whereabouts(9000, 0, 9000, False)) == []
+
+
+def test_what_was_just_heard_is_kept_also_where_a_loop_begins_anew() -> None:
+    manifest = small_manifest(fps=30.0, segment_frames=30)
+    assert segment_before(manifest, Whereabouts(95, 40, 3000, True)) == 2
+    assert segment_before(manifest, Whereabouts(40, 40, 3000, False)) == 0
+    assert segment_before(manifest, Whereabouts(40, 40, 3000, True)) == 99
