@@ -197,7 +197,8 @@ class Scene:
         seen, alpha = self.camera(camera, size), background != BLACK
         if share:
             check_drawable(self.manifest)
-            picture = render_splats(self.splats(frame), seen, self.manifest.near_m, alpha)
+            near_m = self.manifest.near_of(seen)
+            picture = render_splats(self.splats(frame), seen, near_m, alpha)
             return on_background(picture, background) if alpha else picture
         renderer = self._drawing()
         try:

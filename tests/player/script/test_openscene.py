@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 import subprocess
 import sys
 import threading
@@ -107,6 +108,18 @@ def test_between_two_frames_it_comes_from_one_and_goes_to_the_other(
         for wrong in (NUM_FRAMES - 0.5, -0.5, float("nan")):
             with pytest.raises(InvalidError, match="there is no frame"):
                 scene.splats(wrong)
+
+
+def test_between_two_frames_the_near_plane_is_the_cameras(library: Path, tmp_path: Path) -> None:
+    path = tmp_path / "near"
+    shutil.copytree(library / "busy", path)
+    manifest = StreamReader(path).manifest
+    planes_m = tuple(4.0 if camera.name == "c1" else 0.5 for camera in manifest.cameras)
+    (path / "manifest.json").write_bytes(replace(manifest, camera_near_m=planes_m).to_json())
+    with Scene.open(path, renderer="cpu") as scene, Scene.open(library / "busy") as other:
+        frame = scene.render(14, "c1")
+        assert np.abs(scene.render(14 + 1e-5, "c1") - frame).mean() < 5e-3
+        assert np.abs(other.render(14 + 1e-5, "c1") - frame).mean() > 0.02
 
 
 @pytest.mark.parametrize("name", STREAMS)
