@@ -15,7 +15,6 @@ from player.report.soundcounts import SoundCounts
 from player.source.soundfiles import SoundFiles
 
 if TYPE_CHECKING:
-    from player.sound.decodedsound import DecodedSound
     from player.sound.soundfeed import SoundFeed, Whereabouts
     from player.sound.soundplayer import SoundPlayer
 
@@ -62,7 +61,7 @@ def sounding(
             feed = SoundFeed(manifest, files, decoded, lambda: _whereabouts(conductor))
             player = SoundPlayer(decoded, manifest.fps, time, conductor.media_at, camera, volume)
             device = SoundDevice(player, backends)
-            playing.callback(_count, counts, files, feed, decoded)
+            playing.callback(_count, counts, files, feed, player)
             playing.enter_context(feed)
             playing.enter_context(device)
         except (MiniaudioError, CodecError) as error:
@@ -73,11 +72,11 @@ def sounding(
         yield player
 
 
-def _count(counts: SoundCounts, files: SoundFiles, feed: SoundFeed, decoded: DecodedSound) -> None:
+def _count(counts: SoundCounts, files: SoundFiles, feed: SoundFeed, player: SoundPlayer) -> None:
     counts.received_bytes += files.received_bytes
     counts.segments += feed.loaded
     counts.failed_segments += len(feed.failed)
-    counts.missing_s += decoded.missing_s
+    counts.missing_s += player.missing_s
 
 
 def _whereabouts(conductor: Conductor) -> Whereabouts:

@@ -49,8 +49,6 @@ class DecodedSound:
     def __init__(self, manifest: Manifest) -> None:
         self._manifest = manifest
         self._segments: dict[int, list[Samples]] = {}
-        self.missing_s = 0.0
-        """Seconds that were to be heard before their segment was there."""
 
     def segment_at(self, sample: int) -> int:
         """The segment with which `sample` is heard."""
@@ -96,8 +94,6 @@ class DecodedSound:
             first, end = segment_span(self._manifest, segment)
             last = min(stop, end)
             found = self._segments.get(segment)
-            if found is None:
-                self.missing_s += (last - begin) / SAMPLE_RATE
-            else:
+            if found is not None:
                 yield begin, found, begin - first, last - first
             begin = last

@@ -44,6 +44,8 @@ class SoundPlayer:
         self.volume = volume
         """0 to 1."""
         self.muted = False
+        self.missing_s = 0.0
+        """Seconds that were to be heard before their segment was there."""
 
     def _read(self, begin: int, stop: int) -> Stereo:
         return self._decoded.mix(begin, stop, self.camera)
@@ -56,6 +58,9 @@ class SoundPlayer:
             due = self._media_at(begin_s + have / SAMPLE_RATE)
             frame, rate = due or (None, 1.0)
             sample = None if frame is None else frame * SAMPLE_RATE / self._fps
+            if sample is not None:
+                is_there = self._decoded.has(self._decoded.segment_at(int(sample)))
+                self.missing_s += 0.0 if is_there else HOP / SAMPLE_RATE
             pieces.append(self._splicer.hop(sample, rate))
             have += HOP
         samples = np.concatenate(pieces)
