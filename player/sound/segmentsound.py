@@ -59,12 +59,13 @@ class SegmentDecoder:
 
     def decode(self, segment: int, data: bytes) -> Samples:
         """All samples of `segment`, (n, channels), with the object `data`; silence where the source
-        has ended. Raises CorruptError."""
+        or its packets have ended. Raises CorruptError."""
         found = SoundObject.parse(data)
         if found.channels != self._source.channels:
             raise CorruptError(f"sound: {found.channels} channels, not {self._source.channels}", 12)
         begin, stop = segment_span(self._manifest, segment)
-        found.check_covers(begin, stop)
+        # The last segment is shorter; which one that is, is not known while the stream is live.
+        found.check_covers(begin, min(stop, found.end - found.pre_skip))
         samples = np.zeros((stop - begin, found.channels), np.int16)
         last = min(stop, found.num_samples)
         # Packets before the first of these positions, and after the other, are not needed: a

@@ -15,8 +15,11 @@ from codec.stream.sound import (
     SAMPLE_RATE,
     SoundObject,
     SoundSource,
+    first_sample,
     packet_samples,
+    segment_sound,
 )
+from codec.tools.soundfile import PACKET_SAMPLES, decode, encode
 from player.sound.segmentsound import (
     MAX_SEGMENT_S,
     SegmentDecoder,
@@ -42,6 +45,26 @@ def test_packets_far_behind_the_segment_are_refused(num_samples: int) -> None:
     for segment in (0, 7):
         with pytest.raises(CorruptError, match="sound: packets up to"):
             SegmentDecoder(MAIN, MANIFEST).decode(segment, whole.pack())
+
+
+@pytest.mark.parametrize("more_frames", [-2, 0, 9])
+def test_the_last_segment_may_be_short_whatever_the_length_of_the_source(more_frames: int) -> None:
+    num_frames = 3 * MANIFEST.segment_frames + 2
+    length = first_sample(num_frames + more_frames, MANIFEST.fps)
+    sound = np.random.default_rng(1).integers(-9000, 9000, (length, 2)).astype(np.int16)
+    whole = encode([sound], 2, length, 96000)
+    expected = np.concatenate(list(decode(whole.packets, 2)))[whole.pre_skip :][:length]
+    decoder = SegmentDecoder(MAIN, MANIFEST)
+    for segment in range(4):
+        begin, end = segment_span(MANIFEST, segment)
+        stop = min(end, first_sample(num_frames, MANIFEST.fps))
+        data = segment_sound(whole, begin, stop).pack()
+        samples = decoder.decode(segment, data)
+        there = expected[begin:stop]
+        assert len(samples) == end - begin
+        np.testing.assert_array_equal(samples[: len(there)], there)
+        # What lies in the last packet is heard, and silence after it.
+        assert not samples[stop - begin + PACKET_SAMPLES :].any()
 
 
 def test_packets_far_before_the_segment_are_not_decoded() -> None:
