@@ -159,8 +159,9 @@ class PlayConfig:
     such URLs of one stream may be given, separated by commas: if a host stops answering, the player
     switches to the next URL."""
     capture: Annotated[Path | None, tyro.conf.arg(metavar="OUT")] = None
-    """Write every frame, exactly once, to this .mp4 (H.264), .mov (ProRes 4444) or folder of PNGs.
-    Without this option, the stream plays in a window."""
+    """Write the frames to this .mp4 (H.264), .mov (ProRes 4444) or folder of PNGs: each exactly
+    once, or a picture for each moment of --fps. Without this option, the stream plays in a
+    window."""
     fps: float | None = None
     """Pictures per second of the --capture, up to 1000. Without this option, the rate of the
     stream."""
@@ -274,6 +275,8 @@ class PlayConfig:
             if self.capture is None or self.still is not None:
                 raise InvalidError("--fps is the rate of a film; add --capture, without --still")
             check_fps(self.fps)
+            not_colour = self.picture is not PictureKind.COLOUR
+            self._refuse("--fps", (f"--picture {self.picture}", not_colour))
         if self.profile is not None:
             self._check_profile()
         self._check_background()

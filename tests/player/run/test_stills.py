@@ -183,6 +183,10 @@ def test_a_turntable_may_swing_and_be_a_video(library: Path, tmp_path: Path) -> 
         (("--picture", "mask", "--still", 3, "--capture", "o.jpg"), "a .png or .exr file"),
         (("--picture", "depth", "--capture", "o.exr"), "name an .mp4 or .mov file, or a folder"),
         (("--picture", "depth", "--capture", "o", "--loop", "2"), "--loop cannot be combined"),
+        (
+            ("--picture", "depth", "--capture", "o", "--fps", "60"),
+            "--picture depth cannot be combined with --fps",
+        ),
         (("--picture", "depth"), "--picture depth needs an output"),
         (("--capture", "o", "--exr"), "--exr cannot be combined with --picture colour"),
         (
