@@ -21,7 +21,7 @@ LARGEST_PART = 1001
 
 
 def exact_rate(fps: float) -> Fraction:
-    """The rate that `fps` stands for, such as 30000/1001 for 29.97."""
+    """The rate that `fps` stands for: 30000/1001 for 29.97002997, but 2997/100 for 29.97."""
     return Fraction(fps).limit_denominator(LARGEST_PART)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -16,6 +15,7 @@ import numpy as np
 
 from codec.files import DISK_ERRORS, replacing
 from codec.stream.sound import SAMPLE_RATE
+from player.playout.outputtimes import exact_rate
 from player.view.path import Size
 
 from .sink import (
@@ -140,7 +140,7 @@ class VideoSink:
         self._padding = ((0, more_px[0]), (0, more_px[1]), (0, 0))
         self._container = av.open(str(temporary), "w", format=form.container)
         try:
-            rate = Fraction(fps).limit_denominator(1001)
+            rate = exact_rate(fps)
             stream: av.VideoStream = self._container.add_stream(form.encoder, rate=rate)  # type: ignore[assignment]
             stream.width = size.width_px + more_px[1]
             stream.height = size.height_px + more_px[0]

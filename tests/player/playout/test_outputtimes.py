@@ -15,6 +15,11 @@ from player.playout.smoothing import Smoothing
 RATES = st.sampled_from([1.0, 10.0, 23.976, 24.0, 25.0, 29.97, 30.0, 50.0, 60.0, 120.0, 999.0])
 
 
+def test_rates_are_those_of_films() -> None:
+    assert exact_rate(30000 / 1001) == exact_rate(29.97002997) == Fraction(30000, 1001)
+    assert exact_rate(29.97) == Fraction(2997, 100)
+
+
 def drawn(
     stream_fps: float, fps: float, interpolates: bool, plays: list[int]
 ) -> list[tuple[int, Picture]]:
