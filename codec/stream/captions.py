@@ -61,6 +61,10 @@ class Captions:
         """The file beside the manifest."""
         return f"captions-{self.language}.vtt"
 
+    def is_in(self, language: str) -> bool:
+        """Whether they are in `language`; upper and lower case are the same."""
+        return self.language.lower() == language.lower()
+
     def to_json(self) -> dict[str, Any]:
         return {"language": self.language, "label": self.label}
 
@@ -130,8 +134,3 @@ def _unescaped(text: str) -> str:
     # Python's int refuses thousands of digits. Eight that count are as wrong as more of them.
     short = _LONG_REFERENCE.sub(lambda found: f"&#{found[1].lstrip('0')[:8] or 0}", text)
     return html.unescape(short)
-
-
-def text_at(cues: Sequence[Cue], time_s: float) -> str:
-    """What shows at `time_s`: the cues that are due, one below the other."""
-    return "\n".join(cue.text for cue in cues if cue.start_s <= time_s < cue.end_s)
