@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.console import run_command
-from codec.edit.editing import Options, edit_stream, join, trim_stream
+from codec.edit.editing import Options, edit_stream
 from codec.edit.recolour import ColourOptions
 from codec.edit.transform import TransformOptions
 from codec.errors import InvalidError
@@ -27,6 +27,7 @@ from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import snapshot_part
+from codec.tools.cutting import join, trim_stream
 from tests.support.slots.edited import FrameEdit, least_psnr_db, objects_bytes
 from tests.support.slots.slot_streams import slot_manifest
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates

@@ -1,32 +1,23 @@
-"""Every kind of edit by one call: from places and options to the finished stream."""
+"""Every edit of all frames by one call: from places and options to the finished stream."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from codec.errors import InvalidError
-from codec.framerange import FrameRange
 from codec.storage.openstorage import Place
 from codec.stream.pictures import Draw
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 
 from .crop import Crop, CropOptions
 from .floaters import FloaterOptions, Floaters
-from .join import join_streams
 from .recolour import Colour, ColourOptions
-from .rewrite import Edited, Progress, open_source, rewrite
+from .rewrite import Edited, Progress, no_progress, open_source, rewrite
 from .transform import Transform, TransformOptions
-from .trim import trim
 from .walk import Walk
 
 Options = CropOptions | TransformOptions | ColourOptions | FloaterOptions
 """Options of an edit that `edit_stream` applies to every frame."""
-
-
-def _nothing(done: int, total: int) -> None:
-    pass
 
 
 def edit_stream(
@@ -34,7 +25,7 @@ def edit_stream(
     out: Path,
     options: Options,
     draw: Draw | None = None,
-    progress: Progress = _nothing,
+    progress: Progress = no_progress,
     max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
 ) -> Edited:
     """Writes the stream at `stream`, as far as it has come, edited and finished to `out`, absent or
@@ -60,29 +51,3 @@ def edit_stream(
         progress(frame + 1, total)
     made = rewrite(reader, out, floaters, draw, lambda done, half: progress(half + done, total))
     return replace(made, notes=floaters.notes)
-
-
-def trim_stream(
-    stream: Place,
-    out: Path,
-    frames: FrameRange,
-    draw: Draw | None = None,
-    progress: Progress = _nothing,
-    max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
-) -> Edited:
-    """Writes `frames` of the stream at `stream` to `out`; see `trim` and `edit_stream`."""
-    return trim(open_source(stream, max_gaussians), out, frames, draw, progress)
-
-
-def join(
-    streams: Sequence[Place],
-    out: Path,
-    draw: Draw | None = None,
-    progress: Progress = _nothing,
-    max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
-) -> Edited:
-    """Writes `streams` one after another to `out`; see `join_streams` and `edit_stream`."""
-    if len(streams) < 2:
-        raise InvalidError("only one stream to join; name another one")
-    readers = [open_source(stream, max_gaussians) for stream in streams]
-    return join_streams(readers, out, draw, progress)

@@ -16,7 +16,7 @@ from codec.stream.reader import StreamReader
 from .copying import copy_segment
 from .edit import Edit
 from .recoder import Recoder
-from .rewrite import Edited, Progress, coder_of_stream, objects_bytes, writing
+from .rewrite import AddSound, Edited, Progress, coder_of_stream, objects_bytes, writing
 from .segmentfiles import SegmentFiles
 from .walk import SourceSlice, Walk
 
@@ -25,7 +25,11 @@ SAME = ("fps", "swin_size", "slots", "lattice", "segment_frames", "sh_degree", "
 
 
 def join_streams(
-    readers: Sequence[StreamReader], out: Path, draw: Draw | None, progress: Progress
+    readers: Sequence[StreamReader],
+    out: Path,
+    draw: Draw | None,
+    progress: Progress,
+    sound: AddSound | None = None,
 ) -> Edited:
     """Writes the streams of `readers` one after another as one at `out`, with the title, cameras
     and near plane of the first.
@@ -41,7 +45,7 @@ def join_streams(
     def show(num_done: int) -> None:
         progress(num_done, total)
 
-    with writing(out, manifest, coder_of_stream(readers[0]), draw) as files:
+    with writing(out, manifest, coder_of_stream(readers[0]), draw, sound=sound) as files:
         recoder = Recoder(files)
         for number, reader in enumerate(readers):
             is_last = number == len(readers) - 1

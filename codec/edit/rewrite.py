@@ -28,6 +28,14 @@ from .walk import Walk
 Progress = Callable[[int, int], None]
 """Called after each frame with the number of frames done and their total."""
 
+AddSound = Callable[[SegmentFiles], None]
+"""Adds objects of sound to the files of a stream whose segments are all written, and their sources
+to its manifest. Raises a SwingsError."""
+
+
+def no_progress(done: int, total: int) -> None:
+    """Shows nothing."""
+
 
 @dataclass(frozen=True, slots=True)
 class Edited:
@@ -72,12 +80,13 @@ def writing(
     coder: Coder,
     draw: Draw | None,
     tracks: StreamReader | None = None,
+    sound: AddSound | None = None,
 ) -> Iterator[SegmentFiles]:
     """Gives what the segments of a new stream at `out`, absent or an empty folder, are put into.
 
     It appears there, finished, when the block is left normally, and with a poster and a storyboard
     if there is something to draw them with; else nothing does. tracks: the stream whose sound and
-    captions go along, segment by segment; without it the new one has none.
+    captions go along, segment by segment; without it the new one has none but what `sound` adds.
     """
     pictures = (None, None) if draw is None else (POSTER_NAME, STORYBOARD_NAME)
     manifest = replace(manifest, poster=pictures[0], storyboard=pictures[1])
@@ -87,6 +96,8 @@ def writing(
         yield files
         if tracks is not None:
             copy_tracks(tracks, folder)
+        if sound is not None:
+            sound(files)
         files.finish()
         if draw is not None:
             write_poster(folder, draw)

@@ -23,27 +23,28 @@ class SegmentFiles:
 
     def __init__(self, folder: Path, manifest: Manifest, coder: Coder) -> None:
         """coder: of all packets that are put."""
-        self._folder = folder
+        self.folder = folder
         # The objects lie here, whatever other place the manifest of a source names.
         self.manifest = replace(manifest, live=False, object_url=OBJECT_URL)
         self.coder = coder
         self._packets: dict[Part, list[tuple[int, bytes]]] = {}
-        self._records: list[SegmentRecord] = []
+        self.records: list[SegmentRecord] = []
+        """One for each segment that is written."""
 
     @property
     def num_frames(self) -> int:
         """Frames in the segments that are written."""
-        return sum(record.num_frames for record in self._records)
+        return sum(record.num_frames for record in self.records)
 
     @property
     def num_segments(self) -> int:
         """Segments that are written."""
-        return len(self._records)
+        return len(self.records)
 
     @property
     def size_bytes(self) -> int:
         """Bytes of the objects that are written."""
-        return sum(sum(record.part_bytes) for record in self._records)
+        return sum(sum(record.part_bytes) for record in self.records)
 
     def put(self, part: Part, birth: int, packet: bytes) -> None:
         """Takes a packet of the segment that is written next; one of no bytes changes nothing."""
@@ -60,15 +61,15 @@ class SegmentFiles:
 
     def add(self, objects: Mapping[Part, bytes], num_frames: int, psnr_db: Scores | None) -> None:
         """Writes the objects of the next segment as they are."""
-        segment, layers = len(self._records), self.manifest.num_layers
+        segment, layers = len(self.records), self.manifest.num_layers
         data_of_parts = [objects[part] for part in self.manifest.parts]
         for part, data in zip(self.manifest.parts, data_of_parts, strict=True):
-            path = object_file(self._folder, segment, part)
+            path = object_file(self.folder, segment, part)
             path.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(path, data)
         sizes = tuple(map(len, data_of_parts))
         hashes = tuple(hashlib.sha256(data).digest() for data in data_of_parts)
-        self._records.append(
+        self.records.append(
             SegmentRecord(
                 segment,
                 segment * self.manifest.segment_frames,
@@ -83,5 +84,5 @@ class SegmentFiles:
 
     def finish(self) -> None:
         """Writes index and manifest."""
-        write_atomic(self._folder / INDEX_NAME, b"".join(map(pack_record, self._records)))
-        write_atomic(self._folder / MANIFEST_NAME, self.manifest.to_json())
+        write_atomic(self.folder / INDEX_NAME, b"".join(map(pack_record, self.records)))
+        write_atomic(self.folder / MANIFEST_NAME, self.manifest.to_json())

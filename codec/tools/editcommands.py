@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from codec.edit.crop import CropOptions
-from codec.edit.editing import edit_stream, join, trim_stream
+from codec.edit.editing import edit_stream
 from codec.edit.floaters import FloaterOptions
 from codec.edit.recolour import ColourOptions
 from codec.edit.rewrite import Edited
@@ -17,9 +17,9 @@ from codec.edit.transform import TransformOptions
 from codec.framerange import FRAMES, FrameRange
 from codec.progressline import counted
 from codec.stream.pictures import Draw
-from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 
-from .streamsound import add_cuts
+from .cutting import join, trim_stream
 
 Source = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="STREAM")]]
 Target = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
@@ -109,26 +109,7 @@ def run_edit(config: Edit, draw: Draw | None = None) -> str:
                 made = edit_stream(
                     edit.stream, edit.out, edit.options, draw, progress, edit.max_gaussians
                 )
-    return _describe(edit.out, made) + _cut_tracks(edit)
-
-
-def _cut_tracks(edit: _Job) -> str:
-    """Gives a trimmed or joined stream its sound; lines about sound and captions that are left out.
-    All other edits have copied them."""
-    if not isinstance(edit, Trim | Join):
-        return ""
-    places = (edit.stream, *(edit.then if isinstance(edit, Join) else ()))
-    readers = [StreamReader(place, None) for place in places]
-    note = ""
-    if any(reader.manifest.sound for reader in readers):
-        frames = edit.frames if isinstance(edit, Trim) else FrameRange()
-        cuts = [(reader, frames.of(reader.num_frames, reader.name)) for reader in readers]
-        left_out = add_cuts(edit.out, cuts)
-        if left_out:
-            note += f"\nsound        left out: {', '.join(left_out)}; see swings-stream audio add"
-    if any(reader.manifest.captions for reader in readers):
-        note += "\ncaptions     left out; add them again with swings-stream captions add"
-    return note
+    return _describe(edit.out, made)
 
 
 def _describe(out: Path, made: Edited) -> str:

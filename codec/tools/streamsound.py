@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from codec.edit.segmentfiles import SegmentFiles
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.files import replacing, write_atomic
+from codec.stream.index import SegmentRecord
 from codec.stream.manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest, object_file
 from codec.stream.reader import StreamReader, read_stream_file
 from codec.stream.sound import (
@@ -30,9 +32,8 @@ from .soundfile import Samples, decode, encode, read_samples, shifted
 MAX_OFFSET_S = 1e6
 
 
-def _span(reader: StreamReader, segment: int) -> tuple[int, int]:
-    """The samples that are heard with `segment`: the first, and the one after the last."""
-    record, fps = reader.records[segment], reader.manifest.fps
+def _span(record: SegmentRecord, fps: float) -> tuple[int, int]:
+    """The samples that are heard with a segment: the first, and the one after the last."""
     first = record.first_frame
     return first_sample(first, fps), first_sample(first + record.num_frames, fps)
 
@@ -50,28 +51,33 @@ def add_sound(
     if not abs(offset_s) <= MAX_OFFSET_S:
         raise InvalidError(f"an offset of {offset_s} s is out of range; at most {MAX_OFFSET_S}")
     pieces = shifted(read_samples(file, source.channels), source.channels, offset_s)
-    return _add(finished(stream), stream, pieces, source, bitrate_bps)
+    reader = finished(stream)
+    manifest = _with_source(reader.manifest, source)
+    described = manifest.to_json()
+    size = _write(stream, reader.records, manifest.fps, pieces, source, bitrate_bps)
+    write_atomic(stream / MANIFEST_NAME, described)
+    return size
 
 
-def _add(
-    reader: StreamReader,
-    stream: Path,
+def _with_source(manifest: Manifest, source: SoundSource) -> Manifest:
+    return replace(manifest, sound=(*manifest.sound, source))
+
+
+def _write(
+    folder: Path,
+    records: Sequence[SegmentRecord],
+    fps: float,
     pieces: Iterable[Samples],
     source: SoundSource,
     bitrate_bps: int = DEFAULT_BITRATE_BPS,
 ) -> int:
-    """Adds the sound `pieces`, see `add_sound`. reader: of the folder `stream`."""
-    manifest = replace(reader.manifest, sound=(*reader.manifest.sound, source))
-    described = manifest.to_json()
-    length = first_sample(reader.num_frames, manifest.fps)
+    """Writes the objects of `source`, whose samples are `pieces`, beside those of all segments;
+    gives their bytes."""
+    _, length = _span(records[-1], fps)
     whole = encode(pieces, source.channels, length, bitrate_bps)
-    objects = [
-        segment_sound(whole, *_span(reader, segment)).pack()
-        for segment in range(len(reader.records))
-    ]
-    for segment, data in enumerate(objects):
-        write_atomic(object_file(stream, segment, source.part), data)
-    write_atomic(stream / MANIFEST_NAME, described)
+    objects = [segment_sound(whole, *_span(record, fps)).pack() for record in records]
+    for record, data in zip(records, objects, strict=True):
+        write_atomic(object_file(folder, record.segment, source.part), data)
     return sum(map(len, objects))
 
 
@@ -102,7 +108,7 @@ def read_sound(reader: StreamReader, segment: int, source: SoundSource) -> Sound
         found = SoundObject.parse(data)
         if found.channels != source.channels:
             raise CorruptError(f"sound: {found.channels} channels, not {source.channels}", 12)
-        found.check_covers(*_span(reader, segment))
+        found.check_covers(*_span(reader.records[segment], reader.manifest.fps))
     except CodecError as error:
         raise error.within(reader.storage.place(path)) from error
     return found
@@ -164,10 +170,10 @@ Cut = tuple[StreamReader, range]
 """Some frames of a stream, one after another."""
 
 
-def add_cuts(stream: Path, cuts: Sequence[Cut]) -> list[str]:
-    """Adds the sound of `cuts` to the stream in the folder `stream`, whose frames are theirs one
-    after another; it is encoded again. Gives the names of sources that are left out: of several
-    cuts those that move, or differ in place or channels. Raises a SwingsError."""
+def add_cuts(files: SegmentFiles, cuts: Sequence[Cut]) -> list[str]:
+    """Adds the sound of `cuts` to `files`, whose frames are theirs one after another; it is encoded
+    again. Gives the names of sources that are left out: of several cuts those that move, or differ
+    in place or channels. Raises a SwingsError."""
     names = dict.fromkeys(one.name for reader, _ in cuts for one in reader.manifest.sound)
     left_out = []
     for name in names:
@@ -177,7 +183,8 @@ def add_cuts(stream: Path, cuts: Sequence[Cut]) -> list[str]:
             left_out.append(name)
             continue
         pieces = _cut_samples(cuts, found, source.channels)
-        _add(finished(stream), stream, pieces, source)
+        _write(files.folder, files.records, files.manifest.fps, pieces, source)
+        files.manifest = _with_source(files.manifest, source)
     return left_out
 
 

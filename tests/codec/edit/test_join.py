@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from codec.edit.editing import join, trim_stream
 from codec.errors import InvalidError
 from codec.files import write_atomic
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 from codec.tools.audit import verify_stream
+from codec.tools.cutting import join, trim_stream
 from tests.support.slots.edited import (
     SEGMENT_FRAMES,
     frames_of,

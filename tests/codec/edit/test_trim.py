@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from codec.edit.editing import trim_stream
 from codec.errors import CorruptError, InvalidError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import MASKS
 from codec.tools.audit import verify_stream
+from codec.tools.cutting import trim_stream
 from tests.support.slots.edited import (
     NUM_FRAMES,
     SEGMENT_FRAMES,

@@ -22,13 +22,14 @@ from codec.stream.sound import (
     segment_sound,
 )
 from codec.tools.audit import verify_stream
+from codec.tools.cutting import join
 from codec.tools.packing import pack_stream
 from codec.tools.soundfile import Samples, decode, encode, read_samples
 from codec.tools.static import export_static
 from codec.tools.streamsound import read_sound, samples
 from tests.support.commands import run, run_ok
-from tests.support.sounding import best_shift, heard
-from tests.support.tiny_stream import files_of, tiny_manifest, tiny_slice, write_tiny
+from tests.support.sounding import add_clicks, best_shift, heard
+from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, tiny_slice, write_tiny
 
 CLICKS = (0, 4000, 9600, 14400)
 
@@ -305,3 +306,45 @@ def test_a_joined_source_that_moves_is_left_out_and_named(stream: Path, tmp_path
     run_ok("swings-stream", "edit", "trim", stream, tmp_path / "t", "--frames", "3:9")
     (steps,) = StreamReader(tmp_path / "t").manifest.sound
     assert steps.keys[1][0] == pytest.approx(0.2 - 3 / StreamReader(stream).manifest.fps)
+
+
+def test_sound_that_cannot_be_cut_leaves_no_stream(stream: Path, tmp_path: Path) -> None:
+    write_clicks(tmp_path / "in.wav", 16000)
+    run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
+    path = stream / "segments" / "1" / "audio-main"
+    data = path.read_bytes()
+    path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    out, before = tmp_path / "out", sorted(tmp_path.iterdir())
+    for edit in (["trim", stream, out, "--frames", "3:9"], ["join", stream, out, "--then", stream]):
+        done = run("swings-stream", "edit", *edit)
+        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+        assert "segments/1/audio-main" in done.stderr
+        assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_stream_that_grows_while_it_is_joined_keeps_the_sound_in_step(
+    stream: Path, tmp_path: Path
+) -> None:
+    fps = StreamReader(stream).manifest.fps
+    add_clicks(stream, [2, 7])
+    (source,) = StreamReader(stream).manifest.sound
+    hush = encode([np.zeros((first_sample(16, fps), 2), np.int16)], 2, 1 << 20, 96000)
+
+    def objects(first_frame: int, end_frame: int) -> dict[str, bytes]:
+        begin, stop = first_sample(first_frame, fps), first_sample(end_frame, fps)
+        return {source.part: segment_sound(hush, begin, stop).pack()}
+
+    writer = StreamWriter.create(tmp_path / "live", replace(tiny_manifest(), sound=(source,)))
+    writer.sound = objects
+    append_tiny(writer, 8)
+
+    def grow(done: int, total: int) -> None:
+        append_tiny(writer, 16)
+
+    join([tmp_path / "live", stream], tmp_path / "both", progress=grow)
+    writer.close()
+    assert StreamReader(tmp_path / "live").num_frames == 16
+    verify_stream(tmp_path / "both")
+    found, begin = heard(tmp_path / "both"), first_sample(8, fps)
+    assert len(found) == first_sample(18, fps)
+    assert best_shift(heard(stream), found[begin:], 30) == 0
