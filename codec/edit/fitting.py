@@ -1,7 +1,8 @@
 """How coarse an edit that rounds is, so that the edited stream is not larger than its source.
 
 What was grey or lay along the axes takes more bits once it is tinted or turned. Slightly larger
-steps save them.
+steps save them. They cannot always: an oblique turn of a model with few harmonics gives it many.
+Then the steps stay as they were, and the stream grows.
 """
 
 from __future__ import annotations
@@ -43,27 +44,31 @@ class Weighed(SegmentFiles):
 
 def fitted(reader: StreamReader, edit: Edit, coder: Coder) -> Edit:
     """`edit`, with the smallest steps found with which the first segment of the stream of `reader`
-    takes no more bytes than before. Raises a SwingsError."""
+    takes no more bytes than before; as it is if MOST is not enough. Raises a SwingsError."""
     if not edit.rounds:
         return edit
     limit_bytes, made, log_factor = sum(reader.records[0].part_bytes), edit, 0.0
-    first_excess_bytes = 0
+    first_excess_bytes, most = 0, np.log(MOST)
     for tries in range(TRIES):
-        excess_bytes = _first_segment_bytes(reader, made, coder) - limit_bytes
-        if excess_bytes <= 0 or log_factor >= np.log(MOST):
+        excess_bytes = first_segment_bytes(reader, made, coder) - limit_bytes
+        if excess_bytes <= 0:
+            return made
+        if log_factor >= most:
             break
         step = np.log(FIRST)
         if not tries:
             first_excess_bytes = excess_bytes
+        elif tries == TRIES - 2:
+            step = most
         elif first_excess_bytes > excess_bytes:
             # Sizes fall about evenly, but not from one factor to a near one.
             step = log_factor * excess_bytes / (first_excess_bytes - excess_bytes)
-        log_factor = min(log_factor + max(step, np.log(LEAST)), np.log(MOST))
+        log_factor = min(log_factor + max(step, np.log(LEAST)), most)
         made = edit.coarser(float(np.exp(log_factor)))
-    return made
+    return edit
 
 
-def _first_segment_bytes(reader: StreamReader, edit: Edit, coder: Coder) -> int:
+def first_segment_bytes(reader: StreamReader, edit: Edit, coder: Coder) -> int:
     """Size of the objects of the first segment after `edit`."""
     files = Weighed(Path(), edit.manifest(reader.manifest), coder)
     walk, recoder = Walk(reader), Recoder(files)
