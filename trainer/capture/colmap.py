@@ -47,6 +47,7 @@ from .masks import MASKS_NAME, MaskFiles, mask_source, mirrored_masks
 from .picturefiles import (
     FRAMES_NAME,
     IMAGES_NAME,
+    folder_names,
     natural_order,
     picture_source,
     pictures_by_camera,
@@ -82,7 +83,9 @@ def open_colmap(root: Path) -> Capture:
     lenses = [found[name][1] for name in names]
     masks: list[MaskFiles | None]
     if has_mask_folders(root, cameras):
-        masks = folder_masks(root, cameras, lenses, len(files[0]))
+        others = folder_names(files[0][0].parent if by_frame else pictures)
+        unposed = [Path(name).stem if by_frame else name for name in others]
+        masks = folder_masks(root, cameras, lenses, len(files[0]), unposed)
     else:
         mirrored = mirrored_masks(root / MASKS_NAME, pictures, files)
         masks = list(map(mask_source, cameras, lenses, mirrored))

@@ -7,7 +7,7 @@ The numbers may start anywhere but must not have a gap; the first is frame 0 of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from codec.camera import Camera
@@ -30,18 +30,26 @@ def has_mask_folders(root: Path, cameras: Sequence[Camera]) -> bool:
 
 
 def folder_masks(
-    root: Path, cameras: Sequence[Camera], lenses: Sequence[Lens], num_frames: int
+    root: Path,
+    cameras: Sequence[Camera],
+    lenses: Sequence[Lens],
+    num_frames: int,
+    unposed: Collection[str] = (),
 ) -> list[MaskFiles | None]:
     """The masks of each camera; None for a camera without a folder.
 
-    Raises CaptureError if the folder of masks has one that is no camera's, if a mask is missing,
-    or if the first of a camera has another size than its pictures.
+    unposed: names of cameras that have pictures but no pose; their masks are left out. Raises
+    CaptureError if a folder is no camera's although it holds masks, or none is any camera's, if a
+    mask is missing, or if the first of a camera has another size than its pictures.
     """
     folder = root / MASKS_NAME
     if not folder.is_dir():
         return [None] * len(cameras)
     names = [camera.name for camera in cameras]
-    strange = sorted(name for name in folder_names(folder) if name not in names)
+    folders = sorted(name for name in folder_names(folder) if (folder / name).is_dir())
+    strange = [name for name in folders if name not in names and name not in unposed]
+    if len(strange) < len(folders):  # beside masks of cameras, folders may hold anything else
+        strange = [name for name in strange if _holds_masks(folder / name)]
     if strange:
         known = ", ".join(names[:MAX_NAMED]) + ", ..." * (len(names) > MAX_NAMED)
         raise CaptureError(
@@ -54,9 +62,14 @@ def folder_masks(
     ]
 
 
+def _holds_masks(folder: Path) -> bool:
+    files = map(Path, folder_names(folder))
+    return any(frame_number(f.stem) is not None and f.suffix.lower() in SUFFIXES for f in files)
+
+
 def _files(folder: Path, num_frames: int) -> tuple[Path, ...]:
     """The masks of a camera, a file per frame or one for all; none without the folder."""
-    if not folder.exists():
+    if not folder.is_dir():
         return ()
     files = numbered_files(folder, SUFFIXES)
     if len(files) not in (1, num_frames):

@@ -49,7 +49,15 @@ from .held_out import HELD_OUT_NAME, read_held_out
 from .lens import straight_source
 from .maskfolders import folder_masks
 from .masks import mask_source
-from .picturefiles import natural_order, picture_source, read_fps, require_files, safe_path
+from .picturefiles import (
+    IMAGES_NAME,
+    folder_names,
+    natural_order,
+    picture_source,
+    read_fps,
+    require_files,
+    safe_path,
+)
 from .points import points_depths, read_ply, read_points
 from .transforms import TRANSFORMS_NAME, Transforms, read_entries
 from .video import VideoSource, check_synchronised, check_video_size, probe_video
@@ -101,7 +109,8 @@ def _mask_sources(
 ) -> list[MaskSource | None]:
     """The masks of each camera; None for a camera without any."""
     if not any(p.masks for p in rig):
-        return [*folder_masks(root, cameras, [p.entry.lens for p in rig], num_frames)]
+        lenses, unposed = [p.entry.lens for p in rig], folder_names(root / IMAGES_NAME)
+        return [*folder_masks(root, cameras, lenses, num_frames, unposed)]
     require_files([p.masks for p in rig], f"a mask_path of {TRANSFORMS_NAME} names it")
     return [
         mask_source(camera, p.entry.lens, p.masks) for p, camera in zip(rig, cameras, strict=True)

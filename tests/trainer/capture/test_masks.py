@@ -258,7 +258,10 @@ def test_a_folder_of_masks_that_cannot_be_used(tmp_path: Path, layout: str) -> N
     assert "masks/cam01/2.png: is 63x36 px" in refusal(lambda: mask(capture, 1, 2))
     save_mask(folder / "2.png", 1, 2)
     (root / "masks/kamera").mkdir()
+    open_capture(root)
+    save_mask(root / "masks/kamera/0.png", 1, 0)
     assert "masks/kamera: is not the name of a camera (cam00, cam01, cam02" in said()
+    (root / "masks/kamera/0.png").unlink()
     (root / "masks/kamera").rmdir()
     for file in folder.iterdir():
         file.unlink()
@@ -266,6 +269,40 @@ def test_a_folder_of_masks_that_cannot_be_used(tmp_path: Path, layout: str) -> N
         "masks: has no mask" if layout.startswith("colmap") else "masks/cam01: holds no numbered"
     )
     assert wrong in said()
+
+
+@pytest.mark.parametrize("layout", ["colmap", "colmap by camera", "nerfstudio"])
+def test_masks_of_a_camera_with_pictures_but_no_pose_are_left_out(
+    tmp_path: Path, layout: str
+) -> None:
+    if layout == "nerfstudio":
+        _, value = write_nerfstudio(tmp_path, listed=True)
+        del value["frames"][2 * NUM_FRAMES :]
+        write_transforms(tmp_path, value)
+    else:
+        cameras = tiny_rig(3)
+        write_model(tmp_path / "sparse", cameras[:2], ["cam00.png", "cam01.png"], True)
+        write_pictures(tmp_path, cameras, NUM_FRAMES, by_frame=layout == "colmap")
+    for index in range(3):
+        for frame in range(NUM_FRAMES):
+            save_mask(tmp_path / f"masks/cam0{index}/{frame + 7:04d}.png", index, frame)
+    capture = open_capture(tmp_path)
+    assert [c.camera.name for c in capture.cameras if c.masks] == ["cam00", "cam01"]
+    expect(capture, 1, 2, 2)
+    save_mask(tmp_path / "masks/cam09/0007.png", 1, 0)  # which has no pictures either
+    assert "masks/cam09: is not the name" in refusal(lambda: open_capture(tmp_path))
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_plain_file_beside_masks_is_none(tmp_path: Path, layout: str) -> None:
+    root = tmp_path / "c"
+    write_layout(root, layout)
+    (root / "masks").mkdir()
+    (root / "masks/README.txt").write_text("By hand.")
+    if not layout.startswith("colmap"):  # its folder shall not be there for nothing
+        assert not any(c.masks for c in open_capture(root).cameras)
+    save_mask(root / "masks/cam02/0.png", 2, 1)
+    assert [c.camera.name for c in open_capture(root).cameras if c.masks] == ["cam02"]
 
 
 def test_the_segmentation_of_a_data_set_is_no_mask(tmp_path: Path) -> None:
