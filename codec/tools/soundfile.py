@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import av
 import av.stream
@@ -29,14 +29,15 @@ Samples = npt.NDArray[np.int16]
 LAYOUTS = {1: "mono", 2: "stereo"}
 
 
-def read_samples(path: Path, channels: int) -> Iterator[Samples]:
+def read_samples(path: Path, channels: int, opened: BinaryIO | None = None) -> Iterator[Samples]:
     """The first sound in the file at `path`, at SAMPLE_RATE, piece by piece; that of a video from
-    its first picture on, with silence if it begins later. Raises InvalidError if it has none,
-    CorruptError if it cannot be read."""
+    its first picture on, with silence if it begins later. opened: its bytes, if they do not lie
+    there. Raises InvalidError if it has none, CorruptError if it cannot be read."""
     if not path.is_file():
         raise InvalidError(f"{path} is not a file; name one with sound")
+    source = f"file:{path}" if opened is None else opened
     try:
-        with av.open(f"file:{path}", "r", options={"protocol_whitelist": "file"}) as container:
+        with av.open(source, "r", options={"protocol_whitelist": "file"}) as container:
             if not container.streams.audio:
                 raise InvalidError(f"{path} has no sound")
             resampler = av.AudioResampler("s16", LAYOUTS[channels], SAMPLE_RATE)

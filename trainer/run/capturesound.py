@@ -7,12 +7,12 @@ gets its packets when it is written.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from codec.errors import SwingsError
+from codec.errors import InvalidError, SwingsError
 from codec.stream.sound import (
     DEFAULT_BITRATE_BPS,
     SAMPLE_RATE,
@@ -21,8 +21,9 @@ from codec.stream.sound import (
     first_sample,
     segment_sound,
 )
-from codec.tools.soundfile import encode, read_samples, shifted
+from codec.tools.soundfile import Samples, encode, read_samples, shifted
 from trainer.capture.capture import Capture
+from trainer.storedfiles import block_file, by_its_name, translated
 
 from .config import TrainConfig
 
@@ -51,19 +52,19 @@ def capture_sound(
     """The sound of `frames` of the capture: of `config.audio` from the capture's frame 0 on, else
     of the first of its videos that has any; None without. fps_of: of the stream; is called where
     there is sound. Raises a SwingsError for a file that was asked for; a video whose sound cannot
-    be read is logged."""
+    be read is logged and left out."""
     if config.audio is not None:
         return _encoded(config.audio, frames, fps_of())
     if config.silent:
         return None
     for video in capture.videos:
-        if not _has_sound(video):
-            continue
         try:
+            if not _has_sound(video):
+                continue
             found = _encoded(video, frames, fps_of())
         except SwingsError as error:
-            log.warning("training without sound: %s", error)
-            return None
+            log.warning("the sound of a video is left out: %s", error)
+            continue
         log.info("the stream gets the sound of %s", video)
         return found
     return None
@@ -71,13 +72,19 @@ def capture_sound(
 
 def _encoded(file: Path, frames: range, fps: float) -> CaptureSound:
     offset_s = -first_sample(frames.start, fps) / SAMPLE_RATE
-    pieces = shifted(read_samples(file, SOURCE.channels), SOURCE.channels, offset_s)
+    pieces = shifted(_samples(file), SOURCE.channels, offset_s)
     length = first_sample(len(frames), fps)
     return CaptureSound(encode(pieces, SOURCE.channels, length, DEFAULT_BITRATE_BPS), fps)
 
 
 def _has_sound(video: Path) -> bool:
     try:
-        return any(len(piece) for piece in islice(read_samples(video, SOURCE.channels), 1))
-    except SwingsError:
+        return any(len(piece) for piece in islice(_samples(video), 1))
+    except InvalidError:
         return False
+
+
+def _samples(file: Path) -> Iterator[Samples]:
+    """What `read_samples` gives, of a file that may lie in an object store."""
+    with by_its_name(file), translated():
+        yield from read_samples(file, SOURCE.channels, block_file(file))

@@ -10,13 +10,20 @@ import av
 import numpy as np
 import pytest
 
+from codec.storage import objectstore
 from codec.stream import StreamReader
 from codec.stream.sound import SAMPLE_RATE, SoundSource, first_sample
 from codec.tools.audit import verify_stream
 from codec.tools.streamsound import add_sound
 from tests.support.commands import run, run_ok
 from tests.support.sounding import best_shift, heard, write_clicks
+from tests.support.stores.s3_server import BUCKET, s3_server
 from tests.support.tiny_capture import write_dynerf
+from trainer.capture.capture import Capture
+from trainer.capture.layout import open_capture
+from trainer.run.capturesound import CaptureSound, capture_sound
+from trainer.run.config import TrainConfig
+from trainer.storedfiles import forget_stored
 
 SETTINGS = (
     "--num-gs", 100, "--genesis-iterations", 10, "--settle-rounds", 0, "--window-iterations", 4,
@@ -83,6 +90,34 @@ def test_a_video_gives_its_sound_unless_it_is_to_be_silent(capture: Path, tmp_pa
     assert best_shift(whole[:count], found[:count], 40) == 0
     run_ok("swings-train", films, tmp_path / "silent", *SETTINGS, "--silent")
     assert not StreamReader(tmp_path / "silent").manifest.sound
+
+
+def test_a_video_in_an_object_store_gives_its_sound(
+    capture: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr(objectstore, "PATIENT", objectstore.BRIEF)
+    films, url = tmp_path / "films", f"s3://{BUCKET}/films"
+    shutil.copytree(capture, films)
+    write_clicks(tmp_path / "a.wav", 20000, (4000, 9000, 12000))
+    with_sound(films / "cam01.mp4", tmp_path / "a.wav")
+
+    def sound_of(opened: Capture) -> CaptureSound | None:
+        config = TrainConfig(films, tmp_path / "s")
+        return capture_sound(config, opened, range(2, NUM_FRAMES), lambda: 30.0)
+
+    here = sound_of(open_capture(films))
+    assert here is not None
+    with s3_server() as server:
+        server.upload(films, "films")
+        stored = open_capture(url)
+        assert sound_of(stored) == here
+        server.delete("films/cam01.mp4")
+        assert sound_of(stored) is None
+        assert f"the sound of a video is left out: {url}/cam01.mp4" in caplog.text
+        forget_stored()
 
 
 @pytest.mark.parametrize(
