@@ -76,7 +76,7 @@ def scored(config: FlipConfig) -> dict[str, Scores]:
             seen = seen_of(held_out, frame)
             splats = reader.active_splats(frame, manifest.num_layers)
             for index, camera in enumerate(held_out.cameras):
-                shown = displayed(splats, camera, manifest.near_m)
+                shown = displayed(splats, camera, manifest.near_of(camera))
                 for column, values in zip(
                     found[camera.name], picture_scores(shown, seen, index), strict=True
                 ):

@@ -83,12 +83,13 @@ def drawn_between(
     reader: StreamReader, frame: int, gap: int, cameras: list[Camera], scores: Scores
 ) -> Iterator[dict[str, Floats]]:
     """For each camera the pictures of `frame` from the two frames `gap` apart around it."""
-    near_m, layers = reader.manifest.near_m, reader.manifest.num_layers
+    manifest, layers = reader.manifest, reader.manifest.num_layers
     first, last = frame - gap // 2, frame + gap // 2
     motion = reader.motion(first, last, layers)
     scores.goes_on.append(1 - float(motion.enters.mean()))
     before, halfway = reader.active_splats(first, layers), motion.all_at(0.5)
     for camera in cameras:
+        near_m = manifest.near_of(camera)
         held, there = (
             displayed(splats, camera, near_m)
             for splats in (before, reader.active_splats(last, layers))
@@ -115,7 +116,7 @@ def against_stream(reader: StreamReader, gap: int, config: BetweenConfig) -> Sco
         true = reader.active_splats(frame, reader.manifest.num_layers)
         shown = drawn_between(reader, frame, gap, cameras, scores)
         for camera, pictures in zip(cameras, shown, strict=True):
-            truth = displayed(true, camera, reader.manifest.near_m)
+            truth = displayed(true, camera, reader.manifest.near_of(camera))
             movement = movement_of(
                 Shot(to_bytes(pictures[HELD]), None), Shot(to_bytes(truth), None)
             )
@@ -134,7 +135,7 @@ def against_film(config: BetweenConfig) -> Scores:
             shown = drawn_between(reader, frame, 2, cameras, scores)
             shots = zip(held_out.shots(frame - 1), held_out.shots(frame), strict=True)
             for camera, pictures, (before, now) in zip(cameras, shown, shots, strict=True):
-                pictures[SENT] = displayed(sent, camera, reader.manifest.near_m)
+                pictures[SENT] = displayed(sent, camera, reader.manifest.near_of(camera))
                 scores.add(pictures, captured(now.picture), movement_of(before, now))
     return scores
 

@@ -20,7 +20,7 @@ from bench.play.between import (
 )
 from codec.errors import InvalidError
 from codec.stream import StreamReader
-from tests.bench.scored_stream import write_scored
+from tests.bench.scored_stream import NEAR, write_scored
 from tests.player.render.test_glide import write_body
 
 
@@ -49,6 +49,18 @@ def test_both_tables_are_printed(tmp_path: Path) -> None:
     row = next(line for line in shown.get().splitlines() if "2 frames" in line)
     cells = [cell.strip() for cell in row.split("|")]
     assert float(cells[2]) == pytest.approx(np.mean(film.whole[SENT]), abs=0.006)
+
+
+def test_a_camera_has_its_own_near_plane(tmp_path: Path) -> None:
+    tables = []
+    for name, changes in NEAR.items():
+        stream, capture = write_scored(tmp_path / name, **changes)
+        config = BetweenConfig(stream, capture, pictures=2)
+        tables.append((against_stream(StreamReader(stream), 2, config), against_film(config)))
+    every, own, none = tables
+    assert own == every
+    assert own[0] != none[0]
+    assert own[1] != none[1]
 
 
 @pytest.mark.parametrize("gap", [1, 3, 100])

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from bench.flip import FlipConfig, flip_map, scored, table
-from tests.bench.scored_stream import FRAMES, write_scored
+from tests.bench.scored_stream import FRAMES, NEAR, write_scored
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 
 
@@ -20,6 +20,15 @@ def test_flip_tells_no_difference_from_the_largest() -> None:
     assert flip_map(black, white).min() > 0.8
     slightly = flip_map(black, black + np.float32(0.05)).mean()
     assert 0 < slightly < flip_map(black, black + np.float32(0.2)).mean()
+
+
+def test_a_camera_has_its_own_near_plane(tmp_path: Path) -> None:
+    every, own, none = (
+        scored(FlipConfig(*write_scored(tmp_path / name, **changes), every=3))
+        for name, changes in NEAR.items()
+    )
+    assert own == every
+    assert own != none
 
 
 def test_a_stream_is_scored(tmp_path: Path) -> None:
