@@ -57,13 +57,20 @@ class CommandServer:
             request = Request(entry, argv, arguments, environment, where, str(out), str(err))
             self._process.stdin.write(request.to_line().encode())
             self._process.stdin.flush()
-            pid = self._answer(timeout_s)
-            assert pid is not None
-            status = self._answer(timeout_s)
-            if status is None:
-                os.kill(pid, signal.SIGKILL)
-                self._answer(timeout_s)
-                raise subprocess.TimeoutExpired(argv, timeout_s)
+            pid = None
+            try:
+                pid = self._answer(timeout_s)
+                assert pid is not None
+                status = self._answer(timeout_s)
+                if status is None:
+                    raise subprocess.TimeoutExpired(argv, timeout_s)
+            except BaseException:
+                # A test's own limit can end it anywhere. What is still due is not for the next one.
+                if pid is not None:
+                    os.kill(pid, signal.SIGKILL)
+                self.close()
+                command_server.cache_clear()
+                raise
             return subprocess.CompletedProcess(argv, status, out.read_text(), err.read_text())
 
     def _answer(self, timeout_s: float) -> int | None:
@@ -74,6 +81,7 @@ class CommandServer:
         return int(self._process.stdout.readline())
 
     def close(self) -> None:
+        atexit.unregister(self.close)
         self._process.kill()
         self._process.communicate()
 
