@@ -295,6 +295,7 @@ def all_options() -> frozenset[str]:
     kinds = ("crop", "transform", "colour", "floaters", "trim", "join")
     subcommands += [["swings-stream", "edit", kind] for kind in kinds]
     subcommands += [["swings-stream", "audio", kind] for kind in ("add", "remove", "extract")]
+    subcommands += [["swings-stream", "captions", kind] for kind in ("add", "remove")]
     for name, *words in [*([name] for name in ENTRY), *subcommands]:
         told += run_ok(name, *words, "--help")
     return frozenset(re.findall(r"--[a-z][a-z0-9.-]*", told))
