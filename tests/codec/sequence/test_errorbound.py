@@ -74,8 +74,21 @@ class Stated:
 
     error: ErrorBound
     size_m: float
-    lowest: float
-    """The least log-scale that its lattice holds."""
+    lowest: Doubles
+    """(M,) the least log-scale that the lattice of each Gaussian's layer holds."""
+
+
+def lowest_of(reader: StreamReader, frame: int) -> Doubles:
+    """(M,) the least log-scale that the layer of each Gaussian of a frame holds."""
+    lowest = np.zeros(0)
+    before = reader.active_splats(frame, 1).take(slice(0))
+    for layer, lattice in enumerate(reader.manifest.lattice):
+        splats = reader.active_splats(frame, layer + 1)
+        assert same_splats(splats.take(slice(len(before))), before)  # a layer follows those below
+        least = lattice.log_scale_base - 128 * lattice.log_scale
+        lowest = np.append(lowest, np.full(len(splats) - len(before), least))
+        before = splats
+    return lowest
 
 
 def usual_size_m(splats: Splats) -> float:
@@ -110,9 +123,10 @@ def within(source: Splats, found: Splats, stated: Stated) -> npt.NDArray[np.bool
     form = np.zeros_like(fits)
     have = vectors(matrices(found.quats.astype(np.float64)))
     wanted_turns = matrices(source.quats.astype(np.float64))
-    scales = np.maximum(source.log_scales.astype(np.float64), stated.lowest)
+    scales = source.log_scales.astype(np.float64)
     for turn in cube_turns():
-        sizes = abs((scales @ abs(turn))[:, None] - found.log_scales[None].astype(np.float64))
+        wanted = np.maximum((scales @ abs(turn))[:, None], stated.lowest[:, None])
+        sizes = abs(wanted - found.log_scales[None].astype(np.float64))
         turns = abs(vectors(wanted_turns @ turn)[:, None] - have[None])
         form |= (sizes <= error.of("size") + SLACK).all(2) & (
             turns <= error.of("turn") + 10 * SLACK
@@ -191,19 +205,18 @@ def test_every_frame_is_within_the_stated_errors(
         assert verify_stream(root / "s").num_frames == len(frames)
         reader = StreamReader(root / "s")
         sizes_m = [usual_size_m(splats) for splats in frames if len(splats)]
-        lattices = reader.manifest.lattice
-        lowest = max(one.log_scale_base - 128 * one.log_scale for one in lattices)
-        stated = Stated(error, min(sizes_m, default=1.0), lowest)
+        size_m = min(sizes_m, default=1.0)
         for number, splats in enumerate(frames):
             found = reader.active_splats(number, reader.manifest.num_layers)
             assert len(found) == len(splats)
             if not len(splats):
                 continue
+            stated = Stated(error, size_m, lowest_of(reader, number))
             fits = within(splats, found, stated) | exact(splats, found)
             pairs = maximum_bipartite_matching(csr_matrix(fits), perm_type="column")
             assert (pairs >= 0).all()
         for kind, value in made.errors.items():
-            most = error.of(kind) * (stated.size_m if kind == "position" else 1)
+            most = error.of(kind) * (size_m if kind == "position" else 1)
             assert value <= most * (1 + SLACK)
         # What is less exact is not larger by much, whatever the files are like.
         whole = sum(4 * (11 + 3 * sh_count(degree)) * len(splats) for splats in frames)
