@@ -71,6 +71,16 @@ class ErrorBound:
         """The bound of one of KINDS."""
         return float(getattr(self, kind)) / self.finer
 
+    def coarser(self, factor: float) -> ErrorBound:
+        """These bounds times `factor`, but for the opacity's."""
+        return replace(
+            self,
+            position=self.position * factor,
+            size=self.size * factor,
+            turn=self.turn * factor,
+            colour=self.colour * factor,
+        )
+
     def in_layer(
         self, coarseness: float, sh_degree: int, reach: float, spread: float
     ) -> ErrorBound:

@@ -26,7 +26,7 @@ from codec.pose import Doubles
 from codec.slice import Slice
 from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_SLOTS, MAX_SLOTS
 from codec.splats import MAX_SH_DEGREE, Splats
-from codec.stream.layers import RANKS, Rank, RankFunction, split_counts, split_layers
+from codec.stream.layers import RANKS, Rank, split_counts, split_layers
 from codec.stream.manifest import MAX_FPS, MIN_FPS, Manifest, Point
 from codec.stream.pictures import Draw
 from codec.stream.poster import POSTER_NAME, write_poster
@@ -38,7 +38,7 @@ from codec.stream.writer import StreamWriter
 from .errorbound import HOLD, KINDS, ErrorBound, spread_of, steps_of
 from .importscore import ImportScore, cameras_around
 from .numberedfiles import FPS_NAME, FramePlace, find_frames
-from .slotfiller import SlotFiller, SlotPlan
+from .slotfiller import SLACK, SlotFiller, SlotPlan
 from .survey import Survey, read_frame
 
 WIDTH_PX, HEIGHT_PX = 1280, 720
@@ -194,7 +194,7 @@ def make_plan(survey: Survey, options: ImportOptions, example: Splats) -> SlotPl
     which the layers are weighed."""
     size_m = survey.size_m if survey.num_gs else 1.0
     lattice = survey.lattice
-    wanted = options.error.lattice(size_m, survey.lowest, survey.highest)
+    wanted = _lattice(options.error, survey)
     is_given = lattice is not None and 4 * lattice.position_m >= wanted.position_m
     if lattice is None or not is_given:
         lattice = wanted
@@ -214,22 +214,35 @@ def make_plan(survey: Survey, options: ImportOptions, example: Splats) -> SlotPl
             options.error.in_layer(coarseness, survey.sh_degree, survey.reach, spread)
             for coarseness in layer_coarseness([example.take(rows) for rows in layers])
         )
-        lattices = tuple(error.lattice(size_m, survey.lowest, survey.highest) for error in errors)
+        lattices = tuple(_lattice(error, survey) for error in errors)
     bounds = np.array([[error.of(kind) for kind in KINDS] for error in errors])
     bounds[:, 0] *= size_m
     shares = options.shares if len(slots) == options.layers else (1.0,)
     return SlotPlan(slots, shares, survey.sh_degree, lattices, bounds, *survey.box, is_given)
 
 
-def still_lattices(splats: Splats, plan: SlotPlan, rank: RankFunction) -> tuple[Lattice, ...]:
+def _lattice(error: ErrorBound, survey: Survey) -> Lattice:
+    size_m = survey.size_m if survey.num_gs else 1.0
+    return error.lattice(size_m, survey.lowest, survey.highest)
+
+
+def still_lattices(
+    splats: Splats, plan: SlotPlan, options: ImportOptions, survey: Survey
+) -> tuple[Lattice, ...] | None:
     """The lattice of each layer of a single file: the less its Gaussians paint, the coarser, as far
     as the bounds allow. Such a value is rounded, so half a step off, where one of a sequence may be
-    held HOLD steps off."""
-    if len(set(plan.lattices)) > 1:
-        return plan.lattices  # they differ by layer already
-    layers = [splats.take(rows) for rows in split_layers(splats, plan.slots, rank)]
-    coarseness = layer_coarseness(layers)
-    return tuple(plan.lattices[0].coarser(min(f, HOLD / 0.5)) for f in coarseness)
+    held HOLD steps off. None where that is more than a bound, so that some would have to escape."""
+    lattices = plan.lattices
+    if set(lattices) == {_lattice(options.error, survey)}:  # or they differ by layer already
+        layers = [
+            splats.take(rows) for rows in split_layers(splats, plan.slots, RANKS[options.rank])
+        ]
+        lattices = tuple(
+            _lattice(options.error.coarser(min(factor, HOLD / 0.5)), survey)
+            for factor in layer_coarseness(layers)
+        )
+    most = np.array([steps_of(lattice) for lattice in lattices]) / 2
+    return lattices if (most <= plan.bounds * (1 + SLACK)).all() else None
 
 
 def fps_of(source: Path, options: ImportOptions, known: float | None = None) -> float:
@@ -298,7 +311,8 @@ def import_stream(
         filler, lattices = SlotFiller(plan, rank), plan.lattices
         is_still = len(files) == 1 and survey.lattice is None
         if is_still and not options.exact:
-            lattices = still_lattices(options.kept(splats), plan, rank)
+            rounded = still_lattices(options.kept(splats), plan, options, survey)
+            is_still, lattices = rounded is not None, rounded or lattices
         manifest = make_manifest(survey, options, title, plan.slots, lattices)
         score = None
         if draw is not None:
