@@ -11,7 +11,7 @@ import { add, dot, length, subtract, times } from "./vectors.js";
  * @property {Vector} forward
  */
 
-/** @param {import("../format/camera.js").Camera} camera @returns {Pose} */
+/** @param {{ w2c: number[] }} camera @returns {Pose} */
 export function poseOf({ w2c }) {
   const [right, down, forward] = [0, 4, 8].map((at) => w2c.slice(at, at + 3));
   const shift = [w2c[3], w2c[7], w2c[11]];
