@@ -228,16 +228,18 @@ def test_mute_volume_and_keys(page: Page, host: tuple[str, Path]) -> None:
 
 
 BLOCKED = """
-Object.defineProperty(AudioContext.prototype, "state", {
-  configurable: true,
-  get() { return window.isPressed ? "running" : "suspended"; },
-});
+let [state, isPressed] = ["suspended", false];
+Object.defineProperty(AudioContext.prototype, "state", { configurable: true, get: () => state });
 window.resumes = 0;
 AudioContext.prototype.resume = async function () {
   window.resumes += 1;
-  if (window.isPressed) this.dispatchEvent(new Event("statechange"));
+  if (!isPressed) return;
+  state = "running";
+  this.dispatchEvent(new Event("statechange"));
 };
+addEventListener("click", () => (isPressed = true), { capture: true });
 """
+"""It runs once it is asked by a click or after one: until then the button to click stays."""
 
 
 def test_a_browser_that_waits_for_a_person(
@@ -258,7 +260,6 @@ def test_a_browser_that_waits_for_a_person(
     page.wait(f"{ELEMENT}.player.shownFrame !== {shown}")  # the picture plays meanwhile
     assert page.run("return clicks.length") == 0
     assert page.run("return resumes") <= 2, "asked once, and again by a person alone"
-    page.run("window.isPressed = true")
     page.click(".unmute")
     wait_for_clicks(page, 2)
     assert page.run(PARTS)["pill"] is False
