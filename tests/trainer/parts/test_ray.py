@@ -131,6 +131,7 @@ def stop_at(file: str, number: signal.Signals, stream: Path, arguments: list[obj
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_a_run_that_is_stopped_goes_on_with_what_is_there(
     capture: Path, one: Path, tmp_path: Path
 ) -> None:
