@@ -447,7 +447,7 @@ def test_a_broken_object_is_named(tmp_path: Path) -> None:
 def test_a_server_that_comes_back_is_asked_again(library: Path) -> None:
     with (
         served(library) as first,
-        Scene.open(f"{first.url}/watch/whole", delivery=SourceConfig(RetryConfig(3.0))) as scene,
+        Scene.open(f"{first.url}/watch/whole", delivery=SourceConfig(RetryConfig(8.0))) as scene,
     ):
         first.kill()
         second: list[ServerProcess] = []
