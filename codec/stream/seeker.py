@@ -44,9 +44,9 @@ def roll(
     decoder: SlotDecoder,
     with_motion: bool = False,
 ) -> list[Slice]:
-    """Applies to `decoder` the slices behind the one that it stands at, up to that of `frame`, and
-    gives them, as `SlotDecoder.apply` does. Raises a CodecError that names the object at fault; the
-    decoder stands before its slice then."""
+    """Applies to `decoder` the slices behind the one that it stands at, up to that of `frame`.
+    with_motion: gives them, with their motion; else none is kept. Raises a CodecError that names
+    the object at fault; the decoder stands before its slice then."""
     assert decoder.frame is not None
     made = []
     for birth in range(decoder.frame + 1, frame + 1):
@@ -64,7 +64,9 @@ def roll(
             return (masks if layer is None else layers[layer]).blamed(error, birth)
 
         changes = [found.content(birth) for found in layers]
-        made.append(decoder.apply(birth, masks.content(birth), changes, blamed, with_motion))
+        slice = decoder.apply(birth, masks.content(birth), changes, blamed, with_motion)
+        if with_motion:
+            made.append(slice)
     return made
 
 
