@@ -1,4 +1,4 @@
-"""What edits make of the bytes of a stream: all objects after an edit, of those before, and PSNR
+"""The bytes of a stream after an edit, as a share of those before, and the PSNR
 against the same edit made on the exported frames.
 
 Usage: scripts/bench edits [--gs N] [--frames F] [--model FILE]

@@ -42,11 +42,11 @@ class FlipConfig:
 
 
 COLUMNS = {"PSNR\ndB": ".2f", "FLIP": ".4f", "moving\ndB": ".2f", "moving\nFLIP": ".4f"}
-"""Of the table, and how their values are written."""
+"""The columns of the table, and how their values are written."""
 
 Scores = list[list[float]]
-"""Of each column a value for each picture; those in which too little moves have none of what
-moves."""
+"""For each column a value for each picture; pictures in which too little moves have no value for
+moving pixels."""
 
 
 def flip_map(truth: Floats, shown: Floats) -> Floats:
@@ -56,7 +56,7 @@ def flip_map(truth: Floats, shown: Floats) -> Floats:
 
 
 def picture_scores(shown: Floats, seen: Seen, camera: int) -> Scores:
-    """Of one picture, as `seen` from the camera of that number."""
+    """The scores of one picture, as `seen` from the camera of that number."""
     truth, mask = seen.truths[camera], seen.masks[camera]
     error = flip_map(truth, shown)
     counting = error if mask is None else error[mask > 0]

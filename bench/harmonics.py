@@ -36,7 +36,7 @@ from tests.support.deforming import FPS, Deforming
 from tests.support.trained_like import trained_like_splats
 
 ROOM_M = 4.0
-"""What lies farther from the middle is left out of the model."""
+"""Gaussians farther from the middle are left out of the model."""
 MATERIALS, GRAIN = 300, 0.01
 """Rows of harmonics that the second model has, and how far each Gaussian is from its row."""
 STEPS = 0.04, 0.08, 0.16, 0.32
@@ -88,7 +88,7 @@ class Model:
         return drawn
 
     def psnr_db(self, splats: Splats) -> float:
-        """Of the pictures of `splats` against those of the model."""
+        """The PSNR of the pictures of `splats` against those of the model."""
         pairs = enumerate(self._wanted)
         squares = [np.mean((self._drawn(splats, n) - wanted) ** 2) for n, wanted in pairs]
         return float(-10 * np.log10(max(np.mean(squares), 1e-10)))

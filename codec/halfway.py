@@ -19,12 +19,12 @@ axis, does not move: one Gaussian ends there and another begins. In a trained st
 slots that move goes 1.5 of them in a frame, and the farthest ones cross the room."""
 
 LEAST_LOGIT = -30.0
-"""Of an opacity that has faded to nothing."""
+"""The logit of an opacity that has faded to nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What changes from one frame to a later one, as the pictures between them need it.
+    """The changes from one frame to a later one, as the pictures between them need them.
 
     A slot that goes on moves from one place to the other. Where a slot ends, begins, or is given to
     another Gaussian, no Gaussian moves: the old one fades out where it was while the new one fades

@@ -1,4 +1,4 @@
-"""What pictures between two frames of a stream are worth: held, faded and interpolated.
+"""The quality of pictures between two frames of a stream: held, faded and interpolated.
 
 Usage: scripts/bench between STREAM [--capture CAPTURE]
 

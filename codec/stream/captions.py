@@ -42,7 +42,7 @@ class Captions:
     language: str
     """As BCP 47 writes it, such as en or pt-BR."""
     label: str
-    """What a viewer chooses, such as English."""
+    """Name that viewers choose, such as English."""
 
     def __post_init__(self) -> None:
         if re.fullmatch(LANGUAGE, self.language) is None:

@@ -26,7 +26,7 @@ class Add:
     language: str = "en"
     """Language as BCP 47 writes it, such as en or pt-BR."""
     label: str = ""
-    """What viewers choose, such as English; by default the language."""
+    """Name that viewers choose, such as English; by default the language."""
 
 
 @dataclass(frozen=True, slots=True)
