@@ -75,9 +75,8 @@ def test_a_short_training_is_as_good(config: FitConfig) -> None:
         for name in ("cpu", "torch")
     }
     assert min(by_seed["cpu"]) > 18
-    # Rounding, and with it how kernels are compiled, decides where Gaussians go: a seed alone
-    # scatters by 0.15 dB.
-    assert np.mean(by_seed["torch"]) == pytest.approx(np.mean(by_seed["cpu"]), abs=0.2)
+    # No worse: rounding decides where Gaussians go, and three seeds of either may be luckier.
+    assert np.mean(by_seed["torch"]) > np.mean(by_seed["cpu"]) - 0.1
 
 
 @pytest.mark.parametrize("config", [SHORT, LEASED], ids=["whole slices", "leases"])
