@@ -17,8 +17,8 @@ from tests.support.slots.updates import small_layout
 
 LIMIT_MB = 200
 
-MIXING_MB = 15
-"""More in a window where no GPU is: what the software driver compiles to mix two frames."""
+BETWEEN_MB = 5
+"""More in a window, which draws between two frames: measured 199 to 201 MB with it, 195 without."""
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 
@@ -89,5 +89,5 @@ def test_a_play_takes_little_beside_picture_and_gaussians(tmp_path: Path, kind: 
     with x_server() as display, static_host(tmp_path) as host:
         driver_mb = output_mb(EMPTY, display) if kind == "window" else 0.0
         peak_mb = output_mb(PLAY, display, f"{host}/s", str(tmp_path / kind), kind)
-    limit_mb = LIMIT_MB + (MIXING_MB if kind == "window" else 0)
+    limit_mb = LIMIT_MB + (BETWEEN_MB if kind == "window" else 0)
     assert 50 < peak_mb - driver_mb <= limit_mb, (peak_mb, driver_mb)
