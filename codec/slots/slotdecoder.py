@@ -7,16 +7,15 @@ layout.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from codec.errors import CodecError, CorruptError, InvalidError
-from codec.halfway import Motion
 from codec.lattice.lattice import Bytes, Flags, Ints
 from codec.slice import Slice, window_births
 from codec.splats import Splats
 
+from .heldslots import HeldSlots
 from .mask import MaskHistory, decode_mask
 from .slotchange import decode_change
 from .slotchunk import BIRTH_AT, LAYER_AT
@@ -42,16 +41,6 @@ LOG_SHARE = 6
 """The bound as a multiple of the bytes of the slots, where that is more than MIN_LOG_BYTES.
 Measured: while the snapshots of three of four layers are missing, a segment of 30 frames that
 changes 30 % of the slots in each keeps about 4 times their bytes."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Held:
-    """M slots of a lane before a slice that changes them."""
-
-    rows: Ints  # (M,) rising, counted over all layers
-    splats: Splats  # M
-    here: Flags  # (M,) where there is a Gaussian
-    renewed: Flags  # (M,) those that the slice does not predict
 
 
 class SlotDecoder:
@@ -200,9 +189,9 @@ class SlotDecoder:
         self.history.note(birth, statuses)
         self._go_on(birth, statuses)
         changed = self._changed(birth, [part != KEPT for part in parts])
-        return changed if held is None else _with_motion(changed, held)
+        return changed if held is None else held.with_motion(changed)
 
-    def _held(self, lane: int, parts: list[Bytes]) -> _Held:
+    def _held(self, lane: int, parts: list[Bytes]) -> HeldSlots:
         """What the slots of a lane that `parts` change hold, as it was handed out."""
         rows, here, statuses = [], [], []
         for layer, (part, slots) in enumerate(zip(parts, self.lanes[lane], strict=True)):
@@ -214,7 +203,8 @@ class SlotDecoder:
             here.append(holds(slots.conditions[rows[-1]]))
             statuses.append(part[rows[-1]])
         numbers, splats, _ = self._drawn(lane, rows)
-        return _Held(numbers, splats, np.concatenate(here), np.concatenate(statuses) != PREDICTED)
+        renewed = np.concatenate(statuses) != PREDICTED
+        return HeldSlots(numbers, splats, np.concatenate(here), renewed)
 
     def _go_on(self, birth: int, statuses: Bytes | None) -> None:
         """Notes that the slices have come to `birth`; statuses: None if its mask is missing."""
@@ -442,15 +432,3 @@ class SlotDecoder:
             starts[part] = slots.starts[of_layer]
             numbers[part] = of_layer + edges[layer]
         return numbers, Splats(*arrays), starts
-
-
-def _with_motion(changed: Slice, held: _Held) -> Slice:
-    """`changed`, with the motion of the rows that are `held`. Gaussians that start later do not
-    show yet."""
-    assert changed.rows is not None
-    places = np.searchsorted(changed.rows, held.rows)
-    is_here = changed.start_offsets[places] == 0
-    motion = Motion.of(
-        held.rows, held.splats, held.here, changed.splats.take(places), is_here, held.renewed
-    )
-    return replace(changed, motion=motion)

@@ -90,9 +90,10 @@ export function pointAt(camera, xPx, yPx, depthM) {
  * @param {{ w2c: number[] }} view
  */
 export function nearOf({ nearM, cameraNearM, cameras }, view) {
+  if (!cameraNearM.length) return nearM;
   const { position } = poseOf(view);
   const awayM = cameras.map((camera) => length(subtract(poseOf(camera).position, position)));
   const leastM = Math.min(...awayM);
-  const ownM = cameraNearM[awayM.indexOf(leastM)] ?? nearM;
+  const ownM = cameraNearM[awayM.indexOf(leastM)];
   return ownM < nearM ? Math.min(ownM + leastM, nearM) : Math.max(ownM - leastM, nearM);
 }
