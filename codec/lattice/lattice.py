@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -109,6 +109,19 @@ class Lattice:
             BASE_ROTATION,
             BASE_COLOUR,
             OPACITY_LEVELS,
+        )
+
+    def coarser(self, factor: float) -> Lattice:
+        """The lattice with steps of `factor` times the size, but for the opacity. Where a base
+        makes the largest log-scale fit, it still does."""
+        log_scale, base = self.log_scale * factor, self.log_scale_base
+        return replace(
+            self,
+            position_m=self.position_m * factor,
+            log_scale=log_scale,
+            log_scale_base=base + LARGEST * (self.log_scale - log_scale) if base else base,
+            rotation=self.rotation * factor,
+            colour=self.colour * factor,
         )
 
 
