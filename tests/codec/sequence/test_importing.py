@@ -343,15 +343,15 @@ def test_a_killed_import_leaves_no_stream_and_the_next_one_goes_through(
     out = tmp_path / "s"
     words = command("swings-stream", "import", folder, out, "--fps", 30)
     process = subprocess.Popen(
-        words, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        words, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     )
     working = tmp_path / ".s.tmp" / "segments" / "0"
     until_s = time.monotonic() + 120
     while not working.exists() and process.poll() is None and time.monotonic() < until_s:
         time.sleep(0.002)
     os.kill(process.pid, number)
-    code = process.wait(timeout=60)
-    assert code == (-number if number == signal.SIGKILL else 128 + number)
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == (-number if number == signal.SIGKILL else 128 + number), said
     assert not out.exists()
     if number != signal.SIGKILL:
         assert [path.name for path in tmp_path.iterdir()] == ["seq"]
