@@ -66,7 +66,7 @@ class EditsConfig:
 
 
 def still_model(count: int) -> Splats:
-    """A generated model without what is far from its room."""
+    """A generated model without the Gaussians far outside its room."""
     splats = trained_like_splats(count)
     return splats.take(np.flatnonzero(np.abs(splats.means).max(axis=1) < ROOM_M))
 
@@ -91,7 +91,7 @@ def sequence(config: EditsConfig, root: Path, swin_size: int) -> Path:
 
 
 def on_frames(options: Options) -> FrameEdit:
-    """The same edit of one exported frame."""
+    """The edit that `options` describe, as a function of one exported frame."""
     if isinstance(options, TransformOptions):
         similarity = options.similarity()
         return lambda splats, _: similarity.moved(splats)

@@ -1,11 +1,11 @@
-"""How different a stream looks from its capture to an eye: FLIP beside PSNR, over the whole picture
-and over what moves.
+"""The visible difference between a stream and its capture: FLIP beside PSNR, over the whole picture
+and over its moving pixels.
 
 Usage: scripts/bench flip STREAM CAPTURE [--every N]
 
 FLIP (Andersson et al. 2020; `pip install flip-evaluator`) models a viewer who flips between two
 pictures at 67 pixels per degree: 0 is no difference, 1 the largest. Means over the held-out cameras
-and the frames, all layers; what moves has changed since the frame before, as in swings-eval.
+and the frames, with all layers; moving pixels are those of swings-eval.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ COLUMNS = {"PSNR\ndB": ".2f", "FLIP": ".4f", "moving\ndB": ".2f", "moving\nFLIP"
 """The columns of the table, and how their values are written."""
 
 Scores = list[list[float]]
-"""For each column a value for each picture; pictures in which too little moves have no value for
-moving pixels."""
+"""One list for each column, with one value for each picture. Pictures with too few moving pixels
+have no value in the moving columns."""
 
 
 def flip_map(truth: Floats, shown: Floats) -> Floats:
@@ -56,7 +56,7 @@ def flip_map(truth: Floats, shown: Floats) -> Floats:
 
 
 def picture_scores(shown: Floats, seen: Seen, camera: int) -> Scores:
-    """The scores of one picture, as `seen` from the camera of that number."""
+    """The scores of one picture against what camera number `camera` has `seen`."""
     truth, mask = seen.truths[camera], seen.masks[camera]
     error = flip_map(truth, shown)
     counting = error if mask is None else error[mask > 0]
@@ -68,7 +68,7 @@ def picture_scores(shown: Floats, seen: Seen, camera: int) -> Scores:
 
 
 def scored(config: FlipConfig) -> dict[str, Scores]:
-    """By the name of each held-out camera. Raises what `open_held_out` raises."""
+    """The scores of each held-out camera, by name. Raises the errors of `open_held_out`."""
     with open_held_out(config.stream, config.capture) as held_out:
         reader, manifest = held_out.reader, held_out.reader.manifest
         found: dict[str, Scores] = {c.name: [[] for _ in COLUMNS] for c in held_out.cameras}

@@ -1,6 +1,5 @@
-"""What harmonics of degree 1 to 3 take in bytes, and what other ways to code them would: a stream
-of each degree, one step for all harmonics, and a palette of rows as SOG has it; of a sequence the
-streams alone.
+"""The bytes of harmonics of degree 1 to 3, coded in several ways: a stream of each degree, one step
+for all harmonics, and a palette of rows as in SOG. For a sequence only the streams are compared.
 
 PSNR is against the source with all its harmonics. Usage: scripts/bench harmonics [--gs N]
 """
@@ -38,11 +37,11 @@ from tests.support.trained_like import trained_like_splats
 ROOM_M = 4.0
 """Gaussians farther from the middle are left out of the model."""
 MATERIALS, GRAIN = 300, 0.01
-"""Rows of harmonics that the second model has, and how far each Gaussian is from its row."""
+"""Rows of harmonics in the second model, and the noise of each Gaussian around its row."""
 STEPS = 0.04, 0.08, 0.16, 0.32
 PALETTES = 256, 1024, 4096, 16384
 EVERY = 10
-"""Frames from one that is compared to the next."""
+"""Step between compared frames."""
 NEAR_M = 0.01
 
 
@@ -61,7 +60,7 @@ class HarmonicsConfig:
 
 
 def models(count: int) -> Iterator[tuple[str, Splats]]:
-    """One whose Gaussians have harmonics of their own, and one of a few materials."""
+    """Two models by name: each Gaussian has its own harmonics, or those of one of 300 materials."""
     splats = trained_like_splats(count, 0, 3)
     splats = splats.take(np.flatnonzero(np.abs(splats.means).max(axis=1) < ROOM_M))
     yield "own harmonics", splats
@@ -73,7 +72,7 @@ def models(count: int) -> Iterator[tuple[str, Splats]]:
 
 
 class Model:
-    """A model as a stream, and what it looks like."""
+    """A model as a stream, and its pictures."""
 
     def __init__(self, splats: Splats, root: Path) -> None:
         self._root, self.splats = root, splats
@@ -94,7 +93,7 @@ class Model:
         return float(-10 * np.log10(max(np.mean(squares), 1e-10)))
 
     def stream(self, degree: int, finer: float = 1.0) -> tuple[int, Splats]:
-        """Bytes of the model as a stream, and what it shows."""
+        """Bytes of the model as a stream, and the decoded Gaussians."""
         out = self._root / f"stream {degree} {finer:g}"
         options = ImportOptions(
             fps=30, sh_degree=degree, by_paint=True, error=ErrorBound(finer=finer)

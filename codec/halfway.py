@@ -99,7 +99,7 @@ class Motion:
         return means
 
     def all_at(self, share: float) -> Splats:
-        """All that shows when `share` of the way is over: the M Gaussians and those that leave."""
+        """All visible Gaussians at `share` of the way: the M that go on and those that fade out."""
         return Splats.concatenate([self.at(share), self.leaving_at(share)])
 
     def leaving_at(self, share: float) -> Splats:

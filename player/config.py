@@ -217,10 +217,10 @@ class PlayConfig:
     """Draw only this frame, or the frame at this time (2.5s), to the .png file of --capture. All
     layers are drawn unless --layers is given."""
     picture: PictureKind = PictureKind.COLOUR
-    """What --capture, --still and --turntable draw: colour; depth along the viewing axis, 0 where
-    nothing is; or mask, what the Gaussians cover. PNGs hold depth in thousandths of the stream's
-    unit (16 bits) and masks in 8 bits; a .exr holds either in 32-bit floats, depth in the stream's
-    unit."""
+    """Kind of the pictures of --capture, --still and --turntable: colour; depth along the viewing
+    axis, 0 where nothing is; or mask, the share of a pixel that Gaussians cover. PNGs hold depth
+    in thousandths of the stream's unit (16 bits) and masks in 8 bits; a .exr holds either in 32-bit
+    floats, depth in the stream's unit."""
     exr: bool = False
     """Fill a folder with OpenEXR files instead of PNGs, for --picture depth and mask."""
     turntable: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
@@ -372,7 +372,7 @@ class PlayConfig:
 
     @property
     def draws_frames(self) -> bool:
-        """Whether frames are drawn one by one, without playing the stream."""
+        """Whether this draws frames one by one instead of playing the stream."""
         return self.still is not None or self.picture is not PictureKind.COLOUR
 
     @property

@@ -41,7 +41,7 @@ from trainer.score.truth import open_held_out
 from trainer.step.loss import psnr_db
 
 HELD, FADED, INTERPOLATED, SENT = "held", "faded", "interpolated", "sent"
-"""How a picture between two frames comes about; SENT: it is the stream's own frame."""
+"""The ways to make a picture between two frames. SENT is the frame that the stream itself has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,8 @@ class Scores:
 def drawn_between(
     reader: StreamReader, frame: int, gap: int, cameras: list[Camera], scores: Scores
 ) -> Iterator[dict[str, Floats]]:
-    """For each camera the pictures of `frame` from the two frames `gap` apart around it."""
+    """For each camera the pictures of `frame` by each way, made of the two frames around it that
+    are `gap` apart."""
     manifest, layers = reader.manifest, reader.manifest.num_layers
     first, last = frame - gap // 2, frame + gap // 2
     motion = reader.motion(first, last, layers)

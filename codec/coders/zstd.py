@@ -31,7 +31,7 @@ BLOCK_HEAD, CHECKSUM = 3, 4
 """Bytes before each block, and behind the last one."""
 
 REPEATED, COMPRESSED = 1, 2
-"""Kinds of blocks; others are as they are."""
+"""Kinds of blocks (RFC 8878: RLE and compressed); a block of the third kind is raw."""
 
 MAX_EXPANSION = 1 << 15
 """zstd cannot inflate more: a block of 128 KiB takes 4 bytes at least."""

@@ -1,4 +1,4 @@
-"""Where the Gaussians of a source lie in the slots of the edited stream.
+"""The order of a source's Gaussians in the slots of the edited stream.
 
 A position is coded as the difference to that of the new Gaussian before it, so a writer orders the
 slots for the axes of the world. Turned axes call for another order. Which slot of its layer a new
@@ -23,7 +23,7 @@ class Arrangement:
 
     def __init__(self) -> None:
         self._sources: dict[tuple[int, int], Rows] = {}
-        """By lane and layer: (S,) slots of the source."""
+        """(S,) slots of the source for each lane and layer."""
 
     def arranged(self, turn: Turn, edit: Edit) -> Turn:
         """`turn`, of the next slice of its lane, with the slots of the edited stream.

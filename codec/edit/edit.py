@@ -53,10 +53,11 @@ class Edit:
     """Whether `states` may give the same integers for Gaussians that differ."""
 
     rearranges = False
-    """Whether Gaussians get other slots, because their order in space is another one."""
+    """Whether new Gaussians are assigned to slots again, because the edit changes their order in
+    space."""
 
     def coarser(self, factor: float) -> Edit:
-        """This edit, if it rounds with steps of what it rounds that are larger by `factor`."""
+        """This edit with `factor` times the steps in all that it rounds."""
         return self
 
     def manifest(self, source: Manifest) -> Manifest:

@@ -1,7 +1,7 @@
-"""How coarse an edit that rounds is, so that the edited stream is not larger than its source.
+"""The steps of an edit that rounds, chosen so that the edited stream is not larger than its source.
 
-What was grey or lay along the axes takes more bits once it is tinted or turned. Slightly larger
-steps save them. They cannot always: an oblique turn of a model with few harmonics gives it many.
+Grey colours that are tinted, and Gaussians along the axes that are turned, take more bits. Slightly
+larger steps save them, but not always: an oblique turn of a model with few harmonics gives it many.
 Then the steps stay as they were, and the stream grows.
 """
 
@@ -34,7 +34,7 @@ TRIES = 8
 
 
 class Weighed(SegmentFiles):
-    """Segments of which nothing is kept but their size."""
+    """Segments that are encoded only to measure their size; nothing is written."""
 
     weight_bytes = 0
 

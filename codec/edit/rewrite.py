@@ -34,7 +34,7 @@ to its manifest. Raises a SwingsError."""
 
 
 def no_progress(done: int, total: int) -> None:
-    """Shows nothing."""
+    """Reports no progress."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ class SegmentFiles:
         self.coder = coder
         self._packets: dict[Part, list[tuple[int, bytes]]] = {}
         self.records: list[SegmentRecord] = []
-        """One for each segment that is written."""
+        """The index records of the segments written so far."""
 
     @property
     def num_frames(self) -> int:

@@ -168,7 +168,7 @@ class Transform(Edit):
         return mapped
 
     def _key(self, key: Key) -> Key:
-        """Where a sound is at a time, mapped."""
+        """`key` of a sound's path, with its place mapped; the time stays."""
         time_s, *place = key
         x, y, z = self._places(np.array([place]))[0].tolist()
         return time_s, x, y, z

@@ -126,8 +126,8 @@ class ErrorBound:
 
 
 def spread_of(size_m: float, lowest: float, highest: float) -> float:
-    """How far apart the log-scales are that must fit, without those of what is flat; see
-    `ErrorBound.lattice`."""
+    """The range of log-scales that a lattice must hold, without the thin axes of flat Gaussians;
+    see `ErrorBound.lattice`."""
     return highest - max(lowest, float(np.log(max(size_m, TINY_M))) - FLAT)
 
 

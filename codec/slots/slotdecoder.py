@@ -192,7 +192,7 @@ class SlotDecoder:
         return changed if held is None else held.with_motion(changed)
 
     def _held(self, lane: int, parts: list[Bytes]) -> HeldSlots:
-        """What the slots of a lane that `parts` change hold, as it was handed out."""
+        """The content that players last received for the slots of `lane` that `parts` change."""
         rows, here, statuses = [], [], []
         for layer, (part, slots) in enumerate(zip(parts, self.lanes[lane], strict=True)):
             changes = part != KEPT

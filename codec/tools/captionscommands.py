@@ -36,7 +36,7 @@ class Remove:
     stream: Folder
     """Folder of the stream."""
     language: str = "en"
-    """Their language."""
+    """Language of the captions to remove, as BCP 47 writes it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class Captions:
 
 
 def run_captions(config: Captions) -> str:
-    """Does what `config` says; gives a line about it."""
+    """Runs the subcommand that `config` describes; gives the line to print."""
     match config.captions:
         case Add(stream=stream, file=file, language=language, label=label):
             count = add_captions(stream, file, Language(language, label or language))

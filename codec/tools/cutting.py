@@ -51,8 +51,8 @@ def join(
 
 
 def _with_sound(cuts: Sequence[Cut], write: Callable[[AddSound], Edited]) -> Edited:
-    """What `write` makes of the frames of `cuts`, with notes about sound and captions that are left
-    out."""
+    """Calls `write` with a function that adds the sound of `cuts`; gives its result, with notes
+    about sound and captions that are left out."""
     left_out: list[str] = []
 
     def add(files: SegmentFiles) -> None:

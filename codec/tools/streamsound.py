@@ -33,7 +33,7 @@ MAX_OFFSET_S = 1e6
 
 
 def _span(record: SegmentRecord, fps: float) -> tuple[int, int]:
-    """The samples that are heard with a segment: the first, and the one after the last."""
+    """The range of samples heard with a segment: the first one, and the one after the last."""
     first = record.first_frame
     return first_sample(first, fps), first_sample(first + record.num_frames, fps)
 
@@ -167,13 +167,13 @@ def verify_sound(reader: StreamReader) -> None:
 
 
 Cut = tuple[StreamReader, range]
-"""Some frames of a stream, one after another."""
+"""A range of frames of a stream."""
 
 
 def add_cuts(files: SegmentFiles, cuts: Sequence[Cut]) -> list[str]:
-    """Adds the sound of `cuts` to `files`, whose frames are theirs one after another; it is encoded
-    again. Gives the names of sources that are left out: of several cuts those that move, or differ
-    in place or channels. Raises a SwingsError."""
+    """Adds the sound of `cuts`, joined in this order and encoded again, to `files`. Gives the names
+    of sources that are left out: with several cuts, those that move, or differ in place or
+    channels. Raises a SwingsError."""
     names = dict.fromkeys(one.name for reader, _ in cuts for one in reader.manifest.sound)
     left_out = []
     for name in names:
@@ -193,7 +193,7 @@ def _named(manifest: Manifest, name: str) -> SoundSource | None:
 
 
 def _joined(sources: Sequence[SoundSource], first: Cut) -> SoundSource | None:
-    """The source that is all of `sources`; None if there is none. first: what begins the stream."""
+    """The source that all of `sources` agree on; None if they differ. first: the first cut."""
     one = sources[0]
     if len(sources) > 1 or not any(one is own for own in first[0].manifest.sound):
         alike = all((each.keys, each.channels) == (one.keys, one.channels) for each in sources)

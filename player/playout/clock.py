@@ -40,8 +40,8 @@ class Clock:
             return self._now_s()
 
     def at(self, world_s: float) -> tuple[float, float] | None:
-        """What this clock will show at `world_s`, a little later than now by `time_s`, and its
-        rate; None while it is stopped."""
+        """The time on this clock at `world_s`, a moment of `time_s` shortly after now, and the rate
+        of this clock; None while it is stopped."""
         with self._lock:
             if not self._running:
                 return None

@@ -66,9 +66,9 @@ class _Play:
     ) -> None:
         self.source, self.events, self.number = source, events, number
         self.whole = False
-        """Whether it was asked for with all layers, for a picture that stands."""
+        """Whether this play fetches all layers, for a still picture."""
         self.follows_end: int | None = None
-        """Where the frames before it end, if they are the round of a loop."""
+        """End of the frames before this play, if it continues a loop."""
         self.handoff: Handoff | None = None
         self._threads = Threads(source, events, changed)
         self._threads.__enter__()
@@ -119,7 +119,7 @@ class Conductor:
         self._interrupt, self._open_whole = interrupt, open_whole
         self._clock = clock
         self.smoothing = smoothing or Smoothing()
-        """Whether pictures between frames are drawn, which a person may change."""
+        """Whether pictures between frames are drawn; a key of the window switches it."""
         self._first_frame, self._plays = first_frame, plays
         self._changed = threading.Condition()
         self._renderer: Renderer | None = None

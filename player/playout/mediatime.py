@@ -1,4 +1,4 @@
-"""The time by which a window plays: that of the sound device, where there is one.
+"""The time that a window plays by: that of the sound device, if there is one.
 
 Rule: pure, but for `time_s`, which asks the world's clock. A device takes its samples in blocks, at
 moments that scatter, by a crystal of its own. Their count says how fast its time passes; this
@@ -30,7 +30,7 @@ class DeviceTime:
         self._latest_s = 0.0
 
     def time_s(self) -> float:
-        """Now; never less than before."""
+        """The present time; never earlier than the last answer."""
         with self._lock:
             return self._time_s()
 

@@ -1,4 +1,4 @@
-"""Which pictures a film of another rate than the stream's has, and what each of them shows.
+"""The pictures of a film whose rate differs from the stream's, and the moment that each shows.
 
 Rule: pure, and exact: picture n shows the stream n / rate seconds after its first frame, by
 fractions, however long the film.
@@ -21,12 +21,12 @@ LARGEST_PART = 1001
 
 
 def exact_rate(fps: float) -> Fraction:
-    """The rate that `fps` stands for: 30000/1001 for 29.97002997, but 2997/100 for 29.97."""
+    """`fps` as an exact fraction: 30000/1001 for 29.97002997, but 2997/100 for 29.97."""
     return Fraction(fps).limit_denominator(LARGEST_PART)
 
 
 def check_fps(fps: float) -> None:
-    """Raises InvalidError for a rate that no film has."""
+    """Raises InvalidError unless `fps` is a possible rate of a film."""
     if not 1 / LARGEST_PART <= fps <= MAX_FPS:
         raise InvalidError(f"fps {fps:g} is not within 0.001..{MAX_FPS:g}")
 
@@ -36,11 +36,11 @@ class Picture:
     """A picture of the film."""
 
     number: int
-    """From 0 on."""
+    """Number of the picture in the film, from 0."""
     position: Fraction
-    """Frames of the stream before it, from the first one on; not whole between two frames."""
+    """Its time in frames of the stream, from the first one; a fraction between two frames."""
     share: float
-    """Of the way from the frame before to the one that is uploaded: 1 shows that frame as it is."""
+    """Share of the way from the previous frame to the uploaded one; 1 is the uploaded frame."""
 
 
 class OutputTimes:

@@ -153,7 +153,7 @@ class Events:
 
     @property
     def shows_between(self) -> bool:
-        """Whether there are pictures between a frame and the next."""
+        """Whether pictures between frames are drawn at the current rate of the clock."""
         return self._smoothing.shows_between(self._clock.rate * self._playout.fps)
 
     def step(self) -> bool:

@@ -51,7 +51,7 @@ class Arrivals(Generic[Item]):
 
 
 class Glide:
-    """What changes with the newest uploaded slice, and how far that has come."""
+    """The changes of the newest uploaded slice, and the share of their way that is drawn."""
 
     def __init__(self) -> None:
         self._moving: list[tuple[int, Motion]] = []

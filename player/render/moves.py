@@ -1,4 +1,4 @@
-"""How Gaussians that a slice changes come to their places, for renderers that mix on the GPU."""
+"""The kind of motion of each Gaussian that a slice changes, for renderers that mix on the GPU."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from codec.slice import Slice
 Ints = npt.NDArray[np.int32]
 
 MOVES, ENTERS, LEAVES = 1, 2, 3
-"""From where its slot was; out of nothing; or the one before it into nothing."""
+"""Kinds of motion: a slot moves from its previous place; a Gaussian fades in; the slot's previous
+Gaussian fades out."""
 
 LEAVING_AT = 8
-"""First bit of what says where the Gaussian before fades out: the spare slot, from 1 on."""
+"""First bit of the number of the spare slot, from 1, in which the previous Gaussian fades out."""
 
 LEAST_SPARE, SPARE_SHARE = 64, 16
 """Gaussians that can fade out at once: the least number, and the part of a lane. In a trained

@@ -56,7 +56,7 @@ class PlaySummary:
     cache: CacheCounts | None = None
     """Savings of `--cache`; None without it."""
     sound: SoundCounts | None = None
-    """What the sound came to; None without it."""
+    """Counters of the sound; None without sound."""
     interrupted: bool = False
     journal: Journal = field(default_factory=Journal)
     _before: PlayoutTotals = field(default_factory=PlayoutTotals)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class SoundCounts:
-    """What the sound of a playback came to."""
+    """Amounts of sound received, decoded and missing in a playback."""
 
     received_bytes: int = 0
-    """Bytes of its objects."""
+    """Bytes of the objects of sound."""
     segments: int = 0
     """Segments that were decoded."""
     failed_segments: int = 0
-    """Segments that could not be had, and were silent."""
+    """Segments that could not be fetched or decoded, and were silent."""
     missing_s: float = 0.0
-    """Time for which it was silent because a segment was not there yet."""
+    """Seconds of silence because a segment had not arrived yet."""

@@ -238,7 +238,8 @@ class _Playback:
 
     @contextmanager
     def _sounding(self, conductor: Conductor, camera: Camera) -> Iterator[SoundPlayer | None]:
-        """What plays the sound, unless it is muted or the stream has none."""
+        """The sound player while the `with` block runs; None if muted, or if the stream has no
+        sound."""
         if self._config.mute or not conductor.source.manifest.sound:
             yield None
             return
@@ -360,7 +361,7 @@ class _Files:
         self._drawn(self._written, self._total)
 
     def write_sound(self, frame: int, path: CameraPath) -> None:
-        """What is heard while the stream shows `frame`, once for each."""
+        """Writes the sound of `frame` to the sink; call it once for each frame."""
         if self._track is not None:
             self._sink.write_sound(self._track.piece(frame, path(frame), path(frame + 1)))
 

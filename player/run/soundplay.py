@@ -1,4 +1,4 @@
-"""The sound of a window: its device, the thread that fetches, and what it came to."""
+"""The sound of a window: its device, the thread that fetches it, and its counters."""
 
 from __future__ import annotations
 

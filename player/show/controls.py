@@ -27,7 +27,7 @@ BAR_S = 2.0
 """Seconds for which the bar stays when the mouse has rested."""
 
 VOLUME_STEP = 0.1
-"""How much louder or softer a key makes the sound."""
+"""Change of the volume for one press of a key; 1 is the full volume."""
 
 FLY_PER_S = 0.5
 """Distances to the scene's centre that one flies in a second."""

@@ -60,11 +60,11 @@ FORMATS = {
         "mov", "prores_ks", "yuva444p10le", "rgba", {"profile": "4444"}, 1, "pcm_s16le",
     ),
 }  # fmt: skip
-"""By suffix: H.264 in 8 bits 4:2:0 and AAC, and ProRes 4444, which keeps the alpha channel, and
-plain samples; BT.709."""
+"""Video formats by suffix: .mp4 has H.264 in 8 bits 4:2:0 and AAC; .mov has ProRes 4444, which
+keeps the alpha channel, and plain samples. Colours are BT.709."""
 
 SOUND_BITRATE_BPS = 192000
-"""Of AAC."""
+"""Bitrate of the AAC track."""
 
 # As FFmpeg numbers them.
 _BT709 = 1

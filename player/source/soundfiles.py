@@ -1,4 +1,4 @@
-"""Where the objects of sound of a stream come from: its folder, or its hosts."""
+"""Readers of a stream's objects of sound: from its folder, or from its hosts."""
 
 from __future__ import annotations
 

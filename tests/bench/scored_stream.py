@@ -17,8 +17,8 @@ NEAR: dict[str, dict[str, Any]] = {
     "own": {"camera_near_m": (6.9,) * 4},
     "none": {},
 }
-"""Near planes as changes of a manifest: one for every view, the same as each camera's own, and one
-that cuts nothing."""
+"""Changes of a manifest that set near planes: one plane for every view, the same plane as each
+camera's own, and none."""
 
 
 def write_scored(path: Path, swin_size: int = 2, **changes: object) -> tuple[Path, Path]:

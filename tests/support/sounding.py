@@ -61,7 +61,7 @@ def track_of(video: Path) -> npt.NDArray[np.int16]:
 
 
 def best_shift(a: npt.NDArray[np.int16], b: npt.NDArray[np.int16], most: int) -> int:
-    """By how many samples `b` is later than `a`, which are equally long, at their best match."""
+    """The delay of `b` after `a` at their best match, samples; both are equally long."""
     x, y = a.astype(float), b.astype(float)
     inner = slice(most, len(x) - most)
     scores = [float(np.sum(x[inner] * np.roll(y, -n, 0)[inner])) for n in range(-most, most + 1)]

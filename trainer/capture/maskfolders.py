@@ -23,8 +23,8 @@ MAX_NAMED = 4
 
 
 def has_mask_folders(root: Path, cameras: Sequence[Camera]) -> bool:
-    """Whether the masks of a capture lie in folders with the names of cameras, by number: not under
-    the whole names of pictures."""
+    """Whether the capture has masks in a folder for each camera, named by number and not by the
+    names of pictures."""
     names = [name for c in cameras for name in folder_names(root / MASKS_NAME / c.name)]
     return bool(names) and all(frame_number(Path(name).stem) is not None for name in names)
 

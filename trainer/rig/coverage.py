@@ -31,7 +31,7 @@ MAX_COVERED = 8
 
 
 def unseen_shares(capture: Capture) -> dict[str, float]:
-    """What `unseen_share` gives for each held-out camera, by name, the largest first."""
+    """The `unseen_share` of each held-out camera, by name, the largest first."""
     cameras = [capture.cameras[i].camera for i in capture.held_out]
     shares = {camera.name: unseen_share(capture, camera) for camera in cameras}
     return dict(sorted(shares.items(), key=lambda row: -row[1]))
@@ -52,8 +52,8 @@ def describe_coverage(capture: Capture, shares: Mapping[str, float]) -> list[str
 
 
 def coverage_doubts(shares: Mapping[str, float]) -> list[str]:
-    """A line about the held-out cameras that look where no training camera does. shares: what
-    `unseen_shares` gives."""
+    """A line about the held-out cameras that look where no training camera does. shares:
+    the result of `unseen_shares`."""
     found = [
         f"{share:.0%} of {name}'s picture" for name, share in shares.items() if share > UNSEEN_SHARE
     ]

@@ -100,9 +100,8 @@ def near_plane(capture: Capture, seen: Seen | None) -> float | None:
 
 
 def near_planes(capture: Capture, seen: Seen | None) -> tuple[float, ...]:
-    """For each camera the depth in front of which nothing is drawn in its own view, metres: that of
-    views from anywhere, or less where this camera has something nearer in view. Empty where the rig
-    gives none, or declares it.
+    """The near plane of each camera's own view, metres: that of views from anywhere, or less where
+    this camera has something nearer in view. Empty where the rig gives none, or declares it.
 
     Never farther: what no camera sees is not trained, and would hang as fog before views from
     between them. What is known of a held-out camera's view are places that training cameras agree

@@ -35,7 +35,7 @@ SOURCE = SoundSource("main", 2)
 
 @dataclass(frozen=True, slots=True)
 class CaptureSound:
-    """All packets of SOURCE."""
+    """The encoded sound of a capture, whole, to be cut into the segments of its stream."""
 
     whole: SoundObject
     fps: float
@@ -85,6 +85,6 @@ def _has_sound(video: Path) -> bool:
 
 
 def _samples(file: Path) -> Iterator[Samples]:
-    """What `read_samples` gives, of a file that may lie in an object store."""
+    """The samples of `file`, which may lie in an object store; see `read_samples`."""
     with by_its_name(file), translated():
         yield from read_samples(file, SOURCE.channels, block_file(file))

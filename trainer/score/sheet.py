@@ -25,7 +25,7 @@ ERROR_GAIN = 4
 HEADER_PX = 16
 """Height of a label."""
 ENLARGED = 2
-"""What moves is drawn this many times larger: a box of the whole picture's size, so enlarged."""
+"""Enlargement of the box with the moving pixels; enlarged, it is as large as the whole picture."""
 
 
 def comparison(shown: Floats, truth: Floats) -> npt.NDArray[np.uint8]:
@@ -40,7 +40,7 @@ def comparison(shown: Floats, truth: Floats) -> npt.NDArray[np.uint8]:
 def enlarged_comparison(
     shown: Floats, truth: Floats, movement: Movement
 ) -> npt.NDArray[np.uint8] | None:
-    """`comparison` of the box in which most moves, enlarged; None where too little does."""
+    """`comparison` of the box with most moving pixels, enlarged; None where too few move."""
     height_px, width_px = (max(side // ENLARGED, 1) for side in truth.shape[:2])
     box = movement.busiest(height_px, width_px)
     if box is None:

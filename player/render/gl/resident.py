@@ -43,8 +43,8 @@ class Resident(Protocol[Packed]):
         ...
 
     def start_glide(self, frame: int) -> None:
-        """All slices up to `frame` are uploaded; what the one born at `frame` changes may be drawn
-        on its way. Puts all else where it belongs."""
+        """Called when all slices up to `frame` are uploaded: the changes of the slice born at
+        `frame` may be drawn on their way. Puts all other Gaussians at their final places."""
         ...
 
     def glide(self, share: float) -> int | None:

@@ -1,4 +1,4 @@
-"""OpenGL 3.3: what the newest slice changes, on its way from where it was, mixed on the GPU."""
+"""OpenGL 3.3: the changes of the newest slice, interpolated on the GPU between two frames."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .programs import Constants, compile_program
 Ints = npt.NDArray[np.int32]
 
 SIDE_PX = 2048
-"""Width of the textures of what is set aside."""
+"""Width of the textures with Gaussians that are set aside."""
 
 
 @dataclass(frozen=True, slots=True)

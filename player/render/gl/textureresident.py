@@ -107,7 +107,7 @@ class TextureResident:
         return num_bytes
 
     def _mixture(self, packed: PackedSlice) -> Mixture | None:
-        """What of the slice is drawn on its way; None if nothing is."""
+        """The changes of the slice that are drawn on their way; None if there are none."""
         rows, moves = packed.rows, packed.moves
         if rows is None or moves is None or not moves.any():
             return None

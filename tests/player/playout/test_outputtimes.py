@@ -23,7 +23,7 @@ def test_rates_are_those_of_films() -> None:
 def drawn(
     stream_fps: float, fps: float, interpolates: bool, plays: list[int]
 ) -> list[tuple[int, Picture]]:
-    """All pictures of plays of so many frames, each with the frame that is uploaded for it."""
+    """All pictures of plays with these numbers of frames, each with the frame uploaded for it."""
     times, found, frame = OutputTimes(stream_fps, fps, interpolates), list[tuple[int, Picture]](), 0
     for count in plays:
         for _ in range(count):

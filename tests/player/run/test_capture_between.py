@@ -65,8 +65,8 @@ def test_a_loop_begins_anew_without_a_way_back(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("status", [NEW, PREDICTED, ENDED])
 def test_no_slot_that_is_used_again_shows_on_the_way(tmp_path: Path, status: int) -> None:
-    """All slots go from one place to another and back, as new Gaussians, as coded differences, or
-    after a frame in which they are empty: what shows is always in one of both places."""
+    """All slots jump to another place and back, as new Gaussians, as coded differences, or after a
+    frame in which they are empty: pictures show Gaussians in these two places only."""
     body = random_splats(50, 0, 3)
     small = np.full((50, 3), -2.5, np.float32)  # so that 2 m are a jump
     body = Splats(body.means, small, *body.arrays[2:])

@@ -90,7 +90,7 @@ def expected(library: Path) -> dict[tuple[str, int, int], Floats]:
 
 
 def shows_the_same(found: Splats, wanted: Splats) -> bool:
-    """Whether both are the same Gaussians, in any order, but for those that nobody sees."""
+    """Whether both have the same visible Gaussians, in any order."""
     found, wanted = (one.take(np.flatnonzero(one.opacities > 1e-3)) for one in (found, wanted))
     attributes = [
         np.column_stack([one.means, one.log_scales, one.opacities, one.sh.reshape(len(one), -1)])

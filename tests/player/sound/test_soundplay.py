@@ -45,7 +45,7 @@ class NotedTime(DeviceTime):
 
 
 class Clicks:
-    """When each click is heard, by the playback's clock."""
+    """Records the time of each click on the playback's clock."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, time: NotedTime, clock: Clock) -> None:
         self.heard_s: list[float] = []

@@ -28,7 +28,7 @@ from tests.support.sounding import BURST
 
 MINUTES = 10
 EVERY = 23
-"""Each so many frames, one flashes and clicks."""
+"""Frames from one flash with a click to the next."""
 
 PERIOD = 960
 LATENCY_S = 0.04
@@ -53,7 +53,7 @@ def stream_of(num_frames: int) -> tuple[Manifest, DecodedSound]:
 
 @dataclass
 class World:
-    """One playback in simulated time, by the code of the player but for its threads."""
+    """A playback in simulated time, by the player's own code without its threads."""
 
     num_frames: int
     drift: float

@@ -1,4 +1,4 @@
-"""What the sound device is given, and what of it was not there in time."""
+"""The samples that the sound device gets, and the count of those that were late."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from player.sound.soundplayer import SoundPlayer
 from tests.support.hosted_streams import small_manifest
 
 NUM_FRAMES = 20
-"""Of 4 segments."""
+"""Frames of the stream, in 4 segments."""
 
 
 @pytest.mark.parametrize("lacking", [set(), {1}, {3}, {0, 1, 2, 3}])

@@ -17,10 +17,10 @@ from tests.support.web.heaps import PLAY_UNTIL, opened
 
 
 def growth_bytes(page: Page, frames: range, lead_frames: int) -> list[float]:
-    """Of the page and its two workers, for each frame played: the median of the slopes between all
-    looks (Theil and Sen's), one after each of so many frames. What is on its way at a look makes
-    200 kB and more, and of nine looks two may be far off. lead_frames: of the stream, that are
-    there before anything is counted."""
+    """Growth of the heaps of the page and its two workers for each frame played, bytes: the median
+    of the slopes between all pairs of samples (Theil and Sen's), one sample at each of `frames`.
+    Data in transit makes 200 kB and more of a sample, so of nine samples two may be far off.
+    lead_frames: frames that must be buffered before a sample is taken."""
     found: list[list[int]] = []
     for frame in frames:
         page.run(PLAY_UNTIL, frame)

@@ -28,7 +28,8 @@ FPS = 30
 CLICK_MS = 1000 * CLICK_FRAMES / FPS
 APART_MS = 20
 HEARD_OUT_MS = 100
-"""What the device was given is heard so long: its own delay is 60 ms there, and fading takes 20."""
+"""Longest time for which earlier samples are heard after a seek: the device delays them by 60 ms,
+and fading takes 20."""
 
 PARTS = f"""
 const parts = {SHADOW};
@@ -57,7 +58,7 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]
 
 
 def simulated(fps: float, frames: int, lasts_s: float, seed: int, what: str) -> Any:
-    """What soundsim.mjs prints, with the times of its clicks and flashes as arrays."""
+    """The results of soundsim.mjs, with the times of its clicks and flashes as arrays."""
     if NODE is None:
         pytest.skip("needs Node.js: apt-get install nodejs")
     script = Path(__file__).with_name("soundsim.mjs")
@@ -72,8 +73,8 @@ def simulated(fps: float, frames: int, lasts_s: float, seed: int, what: str) -> 
 
 @pytest.mark.parametrize("seed", [7, 8, 9])
 def test_ten_minutes_of_clicks_and_flashes(seed: int) -> None:
-    """In virtual time, on clocks 200 ppm apart, with 20 seeks, 3 stalls, and loops of 10 s: what
-    was with the device before a seek is heard out, all else is with its picture."""
+    """Virtual time, clocks that differ by 200 ppm, 20 seeks, 3 stalls, and loops of 10 s: each
+    click is in step with its flash, but for samples that the device had before a seek."""
     frames, lasts_s = 300, 600
     found = simulated(FPS, frames, lasts_s, seed, "seeks")
     flashes, clicks = found["flashes"], found["clicks"]
@@ -88,7 +89,7 @@ def test_ten_minutes_of_clicks_and_flashes(seed: int) -> None:
 
 
 def test_a_live_stream_goes_on_with_its_sound_and_loops_once_it_is_finished() -> None:
-    """It grows by half a second for 20 s, then it ends with a part of a segment, and loops."""
+    """The stream grows by half a second for 20 s, ends with a part of a segment, and loops."""
     found = simulated(FPS, 60, 60, 1, "live")
     flashes, clicks = found["flashes"], found["clicks"]
     assert (found["stalls"], found["gaps"], found["isOldWanted"]) == (0, 0, False)
@@ -125,8 +126,8 @@ def wait_for_clicks(page: Page, count: int) -> None:
 
 
 def apart_ms(page: Page) -> np.ndarray:
-    """By how much the picture of each click that was heard was due after it, with what a picture
-    takes to show once it is due."""
+    """The delay of each click's picture after the click, in milliseconds, including the usual delay
+    between the due time of a picture and its drawing."""
     found = page.run(f"""
       const {{ line }} = {ELEMENT}.player;
       return {{ clicks, shown, rate: line.rate, zeroMs: line.zeroMs - performance.timeOrigin }};
@@ -135,7 +136,7 @@ def apart_ms(page: Page) -> np.ndarray:
     round_ms = step_ms * NUM_FRAMES
 
     def phase_ms(time_ms: float) -> float:
-        """In the round of a loop, from -half of it to half of it."""
+        """`time_ms` in the loop, from minus half of its length to half of it."""
         return float((time_ms + round_ms / 2) % round_ms - round_ms / 2)
 
     late_ms = np.median(
@@ -147,8 +148,8 @@ def apart_ms(page: Page) -> np.ndarray:
 
 
 def check_in_step(page: Page, count: int) -> None:
-    """How late pictures are drawn changes with what else this machine does, and sound does not jump
-    after it: so it may take a moment."""
+    """Waits until clicks and flashes are in step, at most six times `count` clicks. The delay of
+    pictures varies with the load of the machine, and the sound follows it slowly."""
     for _ in range(6):
         wait_for_clicks(page, count)
         found = np.abs(apart_ms(page)).max()
@@ -239,7 +240,7 @@ AudioContext.prototype.resume = async function () {
 };
 addEventListener("click", () => (isPressed = true), { capture: true });
 """
-"""It runs once it is asked by a click or after one: until then the button to click stays."""
+"""An AudioContext that starts only in a click or after one, as in a browser that blocks sound."""
 
 
 def test_a_browser_that_waits_for_a_person(

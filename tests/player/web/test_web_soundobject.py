@@ -167,7 +167,7 @@ def test_pieces_cover_the_stream_once(
     live: bool,
     data: st.DataObject,
 ) -> None:
-    """Of a live stream its whole segments: the last one may grow."""
+    """A live stream counts with its whole segments only, because the last one may grow."""
     question = {"fps": fps, "segmentFrames": segment_frames, "numFrames": num_frames, "live": live}
     if live:
         num_frames -= num_frames % segment_frames
@@ -209,7 +209,7 @@ def test_a_decoder_of_files_gives_all_samples(browser: BrowserCode, reader: Stre
 
 
 def pitch_hz(samples: np.ndarray) -> float:
-    """Of the loudest tone."""
+    """The frequency of the loudest tone, Hz."""
     spectrum = np.abs(np.fft.rfft(samples * np.hanning(len(samples))))
     return float(np.argmax(spectrum)) * SAMPLE_RATE / len(samples)
 

@@ -55,7 +55,7 @@ class NodeProcess:
         return json.loads(line)
 
     def close(self) -> None:
-        """Waits for its end."""
+        """Waits for the process to end."""
         with suppress(BrokenPipeError), self._process:
             pass
 
