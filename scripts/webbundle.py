@@ -1,4 +1,4 @@
-"""The bundle of player/web: a page and four scripts instead of a hundred modules.
+"""The bundle of player/web: a page and five scripts instead of a hundred modules.
 
 Run by scripts/webbundle. The bundle is committed, so that whoever installs swings needs no Node.js;
 a test compares it with the sources.
