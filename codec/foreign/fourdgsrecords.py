@@ -59,7 +59,6 @@ MAX_FRONT_BYTES = 1 << 20
 """Longest header, grids or table of windows."""
 MAX_BLOCK_BYTES = 1 << 30
 """Longest keyframe or delta."""
-MAX_WINDOWS = MAX_FRONT_BYTES // SPAN.size
 BIN = np.iinfo(np.int32)
 
 Streams = dict[int, Ints]

@@ -25,7 +25,6 @@ from .project import (
 from .recipe import TILE_PX
 from .sort import near_first
 
-Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
 Flags = npt.NDArray[np.bool_]
 

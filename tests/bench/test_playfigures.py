@@ -16,8 +16,6 @@ from bench.serve.playload import Body
 from codec.stream.playrecord import SliceRecord, encode_record
 
 SHAPE = Shape(fps=10.0, num_layers=2, rest_s=0.2, max_rest_s=0.4)
-REST_FRAMES = 3
-"""Frames that a burst brings: the server rests 0.3 s, between rest_s and twice that."""
 
 
 def seen(

@@ -15,9 +15,7 @@ import numpy.typing as npt
 from codec.errors import InvalidError
 from trainer.step.raster import Parameters
 
-Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int32]
 
 MAX_COPIES = 51
 """Gaussians that may share one place, with the one that is there. 3DGS-MCMC."""

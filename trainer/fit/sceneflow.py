@@ -21,7 +21,6 @@ from .renew import Comparison
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
-Flags = npt.NDArray[np.bool_]
 
 CAMERAS = 6
 """Cameras that a Gaussian is followed in: those that see most of it."""

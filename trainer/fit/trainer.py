@@ -38,7 +38,6 @@ from .sceneflow import scene_flow
 from .schedule import Schedule, WindowPlan
 from .selections import Selections
 
-Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 

@@ -14,7 +14,7 @@ const INT32_END = 2 ** 31;
  * @param {Uint8Array} body
  * @returns {PlayRecord}
  */
-export function decodeRecord(body) {
+function decodeRecord(body) {
   const reader = new ByteReader(body, "play");
   const map = readMap(reader);
   reader.finish();

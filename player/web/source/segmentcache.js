@@ -1,5 +1,5 @@
 /** Held unless a page asks for another limit. */
-export const DEFAULT_BUFFER_BYTES = 64e6;
+const DEFAULT_BUFFER_BYTES = 64e6;
 
 /** What a packet takes in memory besides its own bytes. */
 const PACKET_OVERHEAD_BYTES = 128;

@@ -157,7 +157,7 @@ function headingExcess({ up, north, heading }, pose) {
  * @param {Pose} pose
  * @param {Vector} up
  */
-export function pitchOf({ forward, down }, up) {
+function pitchOf({ forward, down }, up) {
   return Math.atan2(-dot(forward, up), -dot(down, up));
 }
 

@@ -28,23 +28,10 @@ from codec.tools.soundfile import Samples, decode, encode, read_samples
 from codec.tools.static import export_static
 from codec.tools.streamsound import read_sound, samples
 from tests.support.commands import run, run_ok
-from tests.support.sounding import add_clicks, best_shift, heard
+from tests.support.sounding import add_clicks, best_shift, heard, write_clicks
 from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, tiny_slice, write_tiny
 
 CLICKS = (0, 4000, 9600, 14400)
-
-
-def write_clicks(path: Path, num_samples: int) -> None:
-    """A stereo WAV file of short bursts that begin at CLICKS."""
-    data = np.zeros((num_samples, 2), np.int16)
-    for at in CLICKS:
-        burst = 20000 * np.sin(np.arange(240) * 2 * np.pi / 24)
-        data[at : at + 240] = burst[: max(0, num_samples - at), None]
-    with wave.open(str(path), "wb") as file:
-        file.setnchannels(2)
-        file.setsampwidth(2)
-        file.setframerate(SAMPLE_RATE)
-        file.writeframes(data.astype("<i2").tobytes())
 
 
 @pytest.fixture
@@ -58,7 +45,7 @@ def test_add_extract_and_remove(stream: Path, tmp_path: Path) -> None:
     before = files_of(stream)
     fps = StreamReader(stream).manifest.fps
     length = first_sample(10, fps)
-    write_clicks(tmp_path / "in.wav", length + 5000)
+    write_clicks(tmp_path / "in.wav", length + 5000, CLICKS)
     run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
     run_ok("swings-stream", "verify", stream)
     run_ok("swings-stream", "audio", "extract", stream, tmp_path / "out.wav")
@@ -67,16 +54,13 @@ def test_add_extract_and_remove(stream: Path, tmp_path: Path) -> None:
         heard = np.frombuffer(file.readframes(length), "<i2").reshape(-1, 2)
     with wave.open(str(tmp_path / "in.wav")) as file:
         given = np.frombuffer(file.readframes(length), "<i2").reshape(-1, 2)
-    # In step to the sample: the best shift of what is heard against what was given is none.
-    a, b = given[:, 0].astype(float), heard[:, 0].astype(float)
-    scores = [float(np.dot(np.roll(a, shift), b)) for shift in range(-30, 31)]
-    assert int(np.argmax(scores)) == 30
+    assert best_shift(given[:, 0], heard[:, 0], 30) == 0
     run_ok("swings-stream", "audio", "remove", stream)
     assert files_of(stream) == before
 
 
 def test_a_segment_decodes_by_itself(stream: Path, tmp_path: Path) -> None:
-    write_clicks(tmp_path / "in.wav", 40000)
+    write_clicks(tmp_path / "in.wav", 40000, CLICKS)
     run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav", "--at-m", "0", "1", "2")
     reader = StreamReader(stream)
     (source,) = reader.manifest.sound
@@ -93,7 +77,7 @@ def test_a_segment_decodes_by_itself(stream: Path, tmp_path: Path) -> None:
 
 
 def test_several_sources_of_other_formats(stream: Path, tmp_path: Path) -> None:
-    write_clicks(tmp_path / "music.wav", 9000)
+    write_clicks(tmp_path / "music.wav", 9000, CLICKS)
     with av.open(str(tmp_path / "voice.flac"), "w") as out:
         track = out.add_stream("flac", rate=44100)
         frame = av.AudioFrame.from_ndarray(np.full((1, 2 * 8192), 900, np.int16), "s16", "stereo")
@@ -112,7 +96,7 @@ def test_several_sources_of_other_formats(stream: Path, tmp_path: Path) -> None:
 
 
 def test_static_export_carries_it_and_one_file_refuses(stream: Path, tmp_path: Path) -> None:
-    write_clicks(tmp_path / "in.wav", 9000)
+    write_clicks(tmp_path / "in.wav", 9000, CLICKS)
     run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
     export_static(stream, tmp_path / "static")
     verify_stream(tmp_path / "static")
@@ -124,7 +108,7 @@ def test_static_export_carries_it_and_one_file_refuses(stream: Path, tmp_path: P
 
 
 def test_any_changed_byte_is_found(stream: Path, tmp_path: Path) -> None:
-    write_clicks(tmp_path / "in.wav", 9000)
+    write_clicks(tmp_path / "in.wav", 9000, CLICKS)
     run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
     path = stream / "segments" / "1" / "audio-main"
     data = path.read_bytes()
@@ -203,7 +187,7 @@ def test_an_offset_moves_the_sound(stream: Path, tmp_path: Path, offset_s: float
 
 
 def test_a_source_moves_along_the_places_of_a_file(stream: Path, tmp_path: Path) -> None:
-    write_clicks(tmp_path / "in.wav", 9000)
+    write_clicks(tmp_path / "in.wav", 9000, CLICKS)
     path = tmp_path / "path.json"
     path.write_text("[[0, 0, 1, 0], [2.5, 4, 1, 0]]")
     add = ("swings-stream", "audio", "add", stream, tmp_path / "in.wav", "--path", path)
@@ -225,7 +209,7 @@ def test_a_source_moves_along_the_places_of_a_file(stream: Path, tmp_path: Path)
 
 def test_a_live_stream_has_sound_as_far_as_it_goes(tmp_path: Path) -> None:
     path, fps = tmp_path / "s", tiny_manifest().fps
-    write_clicks(tmp_path / "in.wav", 40000)
+    write_clicks(tmp_path / "in.wav", 40000, CLICKS)
     whole = encode(read_samples(tmp_path / "in.wav", 2), 2, first_sample(10, fps), 96000)
 
     def objects(first_frame: int, end_frame: int) -> dict[str, bytes]:
@@ -255,7 +239,7 @@ def test_a_live_stream_has_sound_as_far_as_it_goes(tmp_path: Path) -> None:
 
 
 def test_edits_of_all_frames_keep_the_sound(stream: Path, tmp_path: Path) -> None:
-    write_clicks(tmp_path / "in.wav", 16000)
+    write_clicks(tmp_path / "in.wav", 16000, CLICKS)
     add = ("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
     run_ok(*add)
     run_ok(*add, "--name", "voice", "--at-m", "0", "1", "2")
@@ -276,7 +260,7 @@ def test_edits_of_all_frames_keep_the_sound(stream: Path, tmp_path: Path) -> Non
 def test_trimmed_and_joined_streams_keep_the_sound(
     stream: Path, tmp_path: Path, first: int
 ) -> None:
-    write_clicks(tmp_path / "in.wav", 16000)
+    write_clicks(tmp_path / "in.wav", 16000, CLICKS)
     run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
     fps = StreamReader(stream).manifest.fps
     cut, both = tmp_path / "cut", tmp_path / "both"
@@ -296,7 +280,7 @@ def test_trimmed_and_joined_streams_keep_the_sound(
 
 
 def test_a_joined_source_that_moves_is_left_out_and_named(stream: Path, tmp_path: Path) -> None:
-    write_clicks(tmp_path / "in.wav", 16000)
+    write_clicks(tmp_path / "in.wav", 16000, CLICKS)
     (tmp_path / "path.json").write_text("[[0, 0, 1, 2], [0.2, 4, 1, 2]]")
     add = ("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
     run_ok(*add, "--name", "steps", "--path", tmp_path / "path.json")
@@ -309,7 +293,7 @@ def test_a_joined_source_that_moves_is_left_out_and_named(stream: Path, tmp_path
 
 
 def test_sound_that_cannot_be_cut_leaves_no_stream(stream: Path, tmp_path: Path) -> None:
-    write_clicks(tmp_path / "in.wav", 16000)
+    write_clicks(tmp_path / "in.wav", 16000, CLICKS)
     run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
     path = stream / "segments" / "1" / "audio-main"
     data = path.read_bytes()

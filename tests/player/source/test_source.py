@@ -32,7 +32,6 @@ from tests.support.hosted_streams import (
     write_stream,
 )
 
-ALL_FRAMES = FrameRange()
 QUICK = RetryConfig(patience_s=0.1, first_delay_s=0.01, max_delay_s=0.01)
 
 

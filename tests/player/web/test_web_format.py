@@ -232,10 +232,6 @@ def test_storyboards_are_laid_out_alike(browser: BrowserCode) -> None:
     ]
 
 
-def record_is_taken(data: bytes) -> object:
-    return RecordParser().feed(data)
-
-
 CHECKED: dict[str, tuple[Callable[[bytes], object], Callable[[BrowserCode, bytes], object]]] = {
     "manifest": (
         Manifest.from_json,

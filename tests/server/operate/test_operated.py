@@ -134,10 +134,6 @@ def test_idle_clients_beyond_all_descriptors_are_waited_out_quietly(
         assert len(server.log_lines()) <= 11, server.log.read_text()[:2000]
 
 
-def layers_of(line: str) -> float:
-    return float(line.split(" layers=")[1].split()[0])
-
-
 def test_too_much_egress_sheds_layers_then_refuses_and_recovers(root: Path, tmp_path: Path) -> None:
     options = "--max-egress-bps", 6e6, "--smooth-s", 0.3, "--recover-per-s", 0.5
     with server_process(root, tmp_path, *options) as server, ExitStack() as stack:
