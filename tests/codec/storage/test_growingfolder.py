@@ -1,0 +1,47 @@
+"""Objects that threads write: none is written once an interrupt has come out."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from codec.storage import growingfolder
+from codec.storage.growingfolder import GrowingFolder
+from codec.storage.growingplace import Shape
+
+
+@pytest.mark.parametrize("last", [1, 2, 3])
+def test_no_thread_writes_after_an_interrupt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: int
+) -> None:
+    """Ctrl-C comes while thread number `last` starts, before its pool knows it."""
+    place = GrowingFolder(tmp_path / "s", Shape(log="log", head="head", folder="objects"))
+    place.begin(b"{}")
+    started: list[threading.Thread] = []
+    begun: list[Path] = []
+    ended: list[Path] = []
+
+    def write_slowly(path: Path, data: bytes) -> None:
+        begun.append(path)
+        time.sleep(0.1)
+        ended.append(path)
+
+    def start_interrupted(thread: threading.Thread) -> None:
+        start(thread)
+        started.append(thread)
+        if len(started) == last:
+            time.sleep(0.02)
+            raise KeyboardInterrupt
+
+    start = threading.Thread.start
+    monkeypatch.setattr(growingfolder, "write_atomic", write_slowly)
+    monkeypatch.setattr(threading.Thread, "start", start_interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        place.add(0, {str(number): b"" for number in range(4)})
+    assert len(begun) == len(ended)
+    for thread in started:
+        thread.join()
+    assert len(begun) == len(ended) <= last
