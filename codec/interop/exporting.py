@@ -37,7 +37,9 @@ def chosen_format(
         return SplatFormat(suffix)
     except ValueError as error:
         names = ", ".join([*SplatFormat, *SequenceFormat])
-        raise InvalidError(f"{out}: give --format, one of {names}") from error
+        raise InvalidError(
+            f"{out}: the name ends with no known suffix; give --format, one of {names}"
+        ) from error
 
 
 def numbered(out: Path, frame: int, format: SplatFormat) -> Path:

@@ -50,7 +50,11 @@ def read_samples(path: Path, channels: int, opened: BinaryIO | None = None) -> I
     except (av.FFmpegError, ValueError) as error:
         if isinstance(error, InvalidError):
             raise
-        raise CorruptError(f"{path}: its sound cannot be read: {error}") from error
+        reason = getattr(error, "strerror", None) or error
+        raise CorruptError(
+            f"{path}: its sound cannot be read: {reason}; "
+            "give WAV, FLAC, Opus, or a video with sound"
+        ) from error
 
 
 def _late_s(container: Any, first: Any) -> float:

@@ -64,7 +64,10 @@ def add_key(path: Path) -> str:
 
 def _read(path: Path) -> str:
     # Not blocking: a FIFO is refused below and must not hold us up here.
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except FileNotFoundError as error:
+        raise InvalidError(f"{path} is missing; swings-sign {path} --new-key makes it") from error
     with os.fdopen(descriptor, "rb") as file:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):

@@ -55,7 +55,7 @@ def test_layers_and_formats_of_a_frame(stream: Path, tmp_path: Path) -> None:
         (None, "4:4", "a.ply", None, "hold no frame"),
         (None, "6:", "a.ply", None, "has frames 0:6"),
         (None, "4", "a.ply", None, "not FIRST:END"),
-        (0, None, "a.obj", None, "give --format, one of ply, splat, spz, sog, glb, gltf"),
+        (0, None, "a.obj", None, "no known suffix; give --format, one of ply, splat, spz, sog"),
         (0, None, "a.ply", 3, "3 layers of 2"),
         (0, None, "a.ply", 0, "0 layers of 2"),
     ],

@@ -145,6 +145,16 @@ def played(path: Path, codec: str, video: bool, late_s: float = 0.0) -> None:
         out.mux(track.encode(None))
 
 
+def test_a_file_without_sound_is_refused_in_plain_words(stream: Path, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("no sound")
+    told = run("swings-stream", "audio", "add", stream, tmp_path / "notes.txt")
+    assert told.returncode == 1
+    assert told.stderr.splitlines() == [
+        f"swings-stream: {tmp_path}/notes.txt: its sound cannot be read: Invalid data found when "
+        "processing input; give WAV, FLAC, Opus, or a video with sound"
+    ]
+
+
 @pytest.mark.parametrize(
     ("name", "codec"),
     [("a.opus", "libopus"), ("a.mp4", "aac"), ("a.mkv", "libopus"), ("a.ogg", "flac")],

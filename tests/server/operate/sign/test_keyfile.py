@@ -50,6 +50,11 @@ def test_a_file_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> No
         add_key(path)
 
 
+def test_a_missing_file_is_named_with_what_makes_it(tmp_path: Path) -> None:
+    with pytest.raises(InvalidError, match=r"keys is missing; swings-sign .*keys --new-key"):
+        read_keys(tmp_path / "keys")
+
+
 @pytest.mark.parametrize(
     ("text", "word"),
     [
