@@ -11,7 +11,6 @@ import os
 import shutil
 import stat
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -114,7 +113,7 @@ def making_folder(path: Path) -> Iterator[Path]:
         temporary.rename(path)
         sync_folder(path.parent)
     except BaseException as error:
-        _remove_folder(temporary)
+        shutil.rmtree(temporary, ignore_errors=True)
         if isinstance(error, OSError) and error.filename is not None:
             inside = Path(os.fsdecode(error.filename))
             if inside.is_relative_to(temporary):
@@ -137,17 +136,7 @@ def temporary_folder(path: Path) -> Iterator[Path]:
             error.filename = str(path)
         raise
     finally:
-        _remove_folder(temporary)
-
-
-def _remove_folder(folder: Path) -> None:
-    """Removes `folder` as well as it can. A thread that was being started when Ctrl-C came is not
-    waited for, and may put one more file there meanwhile."""
-    for _ in range(100):
-        shutil.rmtree(folder, ignore_errors=True)
-        if not folder.exists():
-            return
-        time.sleep(0.01)
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def append_durably(path: Path, size_bytes: int, data: bytes) -> None:

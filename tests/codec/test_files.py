@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import os
 import resource
-import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from codec.errors import CorruptError, InvalidError
-from codec.files import (
-    append_durably,
-    making_folder,
-    read_bounded,
-    replacing,
-    temporary_beside,
-    write_atomic,
-)
+from codec.files import append_durably, read_bounded, replacing, temporary_beside, write_atomic
 
 
 def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
@@ -60,34 +52,6 @@ def test_a_disk_that_fails_leaves_the_old_file_and_nothing_else(
         write_atomic(path, b"new")
     assert path.read_bytes() == b"old"
     assert os.listdir(tmp_path) == ["file"]
-
-
-def interrupted_while_threads_write(path: Path, threads: list[threading.Thread]) -> None:
-    begun = threading.Barrier(5, timeout=10)
-
-    def write_on(folder: Path, first: int) -> None:
-        begun.wait()
-        for number in range(first, 10_000, 4):
-            try:
-                (folder / str(number)).write_bytes(b"late")
-            except FileNotFoundError:  # the folder has gone
-                return
-
-    with making_folder(path) as folder:
-        for first in range(4):
-            threads.append(threading.Thread(target=write_on, args=[folder, first]))
-            threads[-1].start()
-        begun.wait()
-        raise KeyboardInterrupt
-
-
-def test_a_folder_is_removed_though_threads_still_write_in_it(tmp_path: Path) -> None:
-    threads: list[threading.Thread] = []
-    with pytest.raises(KeyboardInterrupt):
-        interrupted_while_threads_write(tmp_path / "folder", threads)
-    for thread in threads:
-        thread.join()
-    assert not os.listdir(tmp_path)
 
 
 @pytest.mark.parametrize("path", [Path("/"), Path()])
