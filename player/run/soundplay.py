@@ -83,4 +83,4 @@ def _whereabouts(conductor: Conductor) -> Whereabouts:
     from player.sound.soundfeed import Whereabouts
 
     state = conductor.state()
-    return Whereabouts(state.frame, state.first_frame, state.end_frame, state.loops)
+    return Whereabouts(state.frame, state.first_frame, state.end_frame, state.loops, state.rate)

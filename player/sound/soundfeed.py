@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -23,6 +24,14 @@ AHEAD_S = 10.0
 LOOK_S = 0.05
 """How often it is looked where the playback is, seconds."""
 
+REST_SHARE = 4.0
+"""After a segment that was fetched ahead the link belongs to the pictures, for so many times as
+long as the segment took."""
+
+URGENT_S = 0.3
+"""A segment is fetched without such a rest if it is to be heard in less than this and twice as long
+as the one before took."""
+
 
 @dataclass(frozen=True, slots=True)
 class Whereabouts:
@@ -32,6 +41,7 @@ class Whereabouts:
     first_frame: int
     end_frame: int
     loops: bool
+    rate: float = 1.0
 
 
 def wanted_segments(manifest: Manifest, at: Whereabouts) -> list[int]:
@@ -51,6 +61,34 @@ def wanted_segments(manifest: Manifest, at: Whereabouts) -> list[int]:
         if frame == at.end_frame and at.loops:
             frame = at.first_frame
     return found
+
+
+def due_s(manifest: Manifest, at: Whereabouts, segment: int) -> float:
+    """Seconds until `segment`, one of those wanted, is heard."""
+    frames = segment * manifest.segment_frames - at.frame
+    if frames < 0 and segment != at.frame // manifest.segment_frames:
+        frames += at.end_frame - at.first_frame  # in the next round
+    return max(0, frames) / manifest.fps / at.rate
+
+
+class FetchPace:
+    """When the link is for the next segment of sound, and when for the pictures alone. A play
+    shares a link that carries little more than layer 0 with whatever is fetched beside it: ten
+    seconds of sound at once would stall the pictures, and the sound with them. Pure: times come
+    in."""
+
+    def __init__(self) -> None:
+        self._took_s = 0.0
+        self._rests_until_s = -math.inf
+
+    def fetched(self, began_s: float, now_s: float) -> None:
+        """A segment took from `began_s` until now."""
+        self._took_s = now_s - began_s
+        self._rests_until_s = now_s + REST_SHARE * self._took_s
+
+    def allows(self, due_s: float, now_s: float) -> bool:
+        """Whether a segment that is heard in `due_s` is to be fetched now."""
+        return now_s >= self._rests_until_s or due_s < URGENT_S + 2 * self._took_s
 
 
 def segment_before(manifest: Manifest, at: Whereabouts) -> int:
@@ -75,7 +113,7 @@ class SoundFeed:
         """files: is closed at the end. Raises UnsupportedError for a stream whose sound is not
         played."""
         self._manifest, self._files, self._decoded, self._where = manifest, files, decoded, where
-        self._loader = SegmentLoader(manifest, files.read)
+        self._loader, self._pace = SegmentLoader(manifest, files.read), FetchPace()
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="sound")
         self.failed: set[int] = set()
@@ -100,12 +138,16 @@ class SoundFeed:
             self._decoded.keep({*wanted, segment_before(self._manifest, at)})
             lacking = (one for one in wanted if not self._decoded.has(one))
             segment = next((one for one in lacking if one not in self.failed), None)
-            if segment is None:
+            began_s = time.monotonic()
+            if segment is None or not self._pace.allows(
+                due_s(self._manifest, at, segment), began_s
+            ):
                 self._stopped.wait(LOOK_S)
                 continue
             try:
                 self._decoded.put(segment, self._loader.load(segment))
                 self.loaded += 1
+                self._pace.fetched(began_s, time.monotonic())
             except StoppedError:
                 return
             except SwingsError as error:

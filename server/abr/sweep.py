@@ -50,6 +50,8 @@ class SweepConfig:
     spare_share: float = 0.1
     """How fast it gets there: by this many seconds for each second of layer 0 that the link carries
     beyond the stream."""
+    guessed_patience_s: float = 1.0
+    """The least of layer 0 before the link is measured."""
     memory_s: float = 10.0
     """Seconds after which what a link did counts half for how long packets can wait."""
     least_patience_s: float = 0.1
@@ -105,7 +107,8 @@ class UrgencyTimeConstant:
         upper_s = self._bounded(config.patience_s * self._share(whole_bps, context) ** 2)
         most_s = config.left_share * self._left_s(context)
         if not context.measured:
-            return min(most_s, base_s), min(most_s, upper_s)
+            # Of what is sent by a guess layer 0 comes first: the link may be far thinner.
+            return min(most_s, max(config.guessed_patience_s, base_s)), min(most_s, upper_s)
         if self._mean_s is not None:
             since_s = context.now_s - self._at_s
             kept = 0.5 ** (since_s / config.memory_s)
