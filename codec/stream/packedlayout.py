@@ -27,6 +27,7 @@ from .manifest import (
     object_name,
     snapshot_part,
 )
+from .packedtracks import TRACKS_NAME, TrackSizes
 from .pictures import MAX_PICTURE_BYTES, picture_path
 from .zipentry import (
     LOCAL,
@@ -46,13 +47,18 @@ EXTRA_ID = 0x5753
 """Marks the extra field of the first local header: `SW`."""
 
 LAYOUT_VERSION = 1
+TRACKS_VERSION = 2
+"""The layout of a stream that has sound or captions."""
 
 # id, bytes that follow, version, reserved; bytes of the index, the poster and the storyboard
 EXTRA = struct.Struct("<HHHHIII")
 assert EXTRA.size == 20
 
+# with TRACKS_VERSION behind it: bytes of the table of sizes
+EXTRA_TRACKS = struct.Struct("<I")
+
 HEAD_BYTES = local_bytes(MANIFEST_NAME, EXTRA.size)
-"""Where the manifest begins."""
+"""Where the manifest begins, without sound and captions."""
 
 FIRST_BYTES = 32 << 10
 """A reader asks for so many bytes first: in most streams they hold the manifest and the index."""
@@ -68,25 +74,41 @@ class PackedHead:
     """0 for none."""
     storyboard_bytes: int
     """0 for none, and for one that is the poster as well."""
+    tracks_bytes: int = 0
+    """Of the table of the sizes of captions and sound; 0 without any."""
 
     @property
     def manifest_at(self) -> int:
-        return HEAD_BYTES
+        return HEAD_BYTES + (EXTRA_TRACKS.size if self.tracks_bytes else 0)
 
     @property
     def index_at(self) -> int:
-        return HEAD_BYTES + self.manifest_bytes + local_bytes(INDEX_NAME)
+        return self.manifest_at + self.manifest_bytes + local_bytes(INDEX_NAME)
+
+    @property
+    def index_end(self) -> int:
+        return self.index_at + self.index_bytes
+
+    @property
+    def tracks_at(self) -> int:
+        return self.end - self.tracks_bytes
 
     @property
     def end(self) -> int:
-        """Where the index ends: a reader needs the bytes before it to find all others."""
-        return self.index_at + self.index_bytes
+        """Where the index, or the table, ends: a reader needs the bytes before it to find all
+        others."""
+        header_bytes = local_bytes(TRACKS_NAME) if self.tracks_bytes else 0
+        return self.index_end + header_bytes + self.tracks_bytes
 
     @property
     def extra(self) -> bytes:
         """The extra field of the manifest's local header."""
         sizes = self.index_bytes, self.poster_bytes, self.storyboard_bytes
-        return EXTRA.pack(EXTRA_ID, EXTRA.size - 4, LAYOUT_VERSION, 0, *sizes)
+        if not self.tracks_bytes:
+            return EXTRA.pack(EXTRA_ID, EXTRA.size - 4, LAYOUT_VERSION, 0, *sizes)
+        following = EXTRA.size + EXTRA_TRACKS.size - 4
+        known = EXTRA.pack(EXTRA_ID, following, TRACKS_VERSION, 0, *sizes)
+        return known + EXTRA_TRACKS.pack(self.tracks_bytes)
 
     @staticmethod
     def parse(data: bytes) -> PackedHead:
@@ -98,17 +120,26 @@ class PackedHead:
         name = data[LOCAL.size : LOCAL.size + len(MANIFEST_NAME)]
         extra_at = LOCAL.size + len(MANIFEST_NAME)
         extra = EXTRA.unpack_from(data, extra_at)
-        known = (LOCAL_MAGIC, len(MANIFEST_NAME), EXTRA.size, EXTRA_ID, EXTRA.size - 4)
-        if (magic, name_bytes, extra_bytes, *extra[:2]) != known or name != MANIFEST_NAME.encode():
+        known = (LOCAL_MAGIC, len(MANIFEST_NAME), EXTRA_ID, extra_bytes - 4)
+        if (magic, name_bytes, *extra[:2]) != known or name != MANIFEST_NAME.encode():
             raise CorruptError(
                 "packed stream: does not begin as one; make it with swings-stream pack", 0
             )
         _, _, version, reserved, index_bytes, *pictures = extra
-        if version != LAYOUT_VERSION or reserved:
+        if version not in (LAYOUT_VERSION, TRACKS_VERSION) or reserved:
             raise UnsupportedError(
-                f"packed stream: layout {version}, but this program reads {LAYOUT_VERSION}",
+                f"packed stream: layout {version}, but this program reads {LAYOUT_VERSION} and "
+                f"{TRACKS_VERSION}",
                 extra_at + 4,
             )
+        has_tracks = version == TRACKS_VERSION
+        tracks_at = extra_at + EXTRA.size
+        more_bytes = EXTRA_TRACKS.size if has_tracks else 0
+        if extra_bytes != EXTRA.size + more_bytes or len(data) < tracks_at + more_bytes:
+            raise CorruptError(f"packed stream: {extra_bytes} bytes about layout {version}", 28)
+        tracks_bytes = EXTRA_TRACKS.unpack_from(data, tracks_at)[0] if has_tracks else 0
+        if has_tracks and not 0 < tracks_bytes <= MAX_INDEX_BYTES:
+            raise CorruptError(f"packed stream: a table of {tracks_bytes} bytes", tracks_at)
         if size_bytes != stored_bytes or not 0 < size_bytes <= MAX_MANIFEST_BYTES:
             raise CorruptError(f"packed stream: a manifest of {size_bytes} bytes", 18)
         if not 0 < index_bytes <= MAX_INDEX_BYTES:
@@ -117,7 +148,8 @@ class PackedHead:
             if picture_bytes > MAX_PICTURE_BYTES:
                 message = f"packed stream: a picture of {picture_bytes} bytes"
                 raise CorruptError(message, extra_at + 12 + 4 * number)
-        return PackedHead(size_bytes, index_bytes, *pictures)
+        poster_bytes, storyboard_bytes = pictures
+        return PackedHead(size_bytes, index_bytes, poster_bytes, storyboard_bytes, tracks_bytes)
 
 
 def packed_parts(num_layers: int) -> tuple[Part, ...]:
@@ -130,25 +162,40 @@ def packed_parts(num_layers: int) -> tuple[Part, ...]:
 class PackedLayout:
     """Where the files of one stream lie. `find` gives the places; all numbers are bytes."""
 
-    def __init__(self, head: PackedHead, manifest: Manifest, records: list[SegmentRecord]) -> None:
-        """Raises CorruptError if the head names pictures that the manifest does not."""
+    def __init__(
+        self,
+        head: PackedHead,
+        manifest: Manifest,
+        records: list[SegmentRecord],
+        tracks: bytes = b"",
+    ) -> None:
+        """tracks: the table of a stream with sound or captions. Raises CorruptError if it is wrong,
+        or if the head names pictures that the manifest does not."""
         self.head = head
         self.manifest = manifest
         self.records = records
-        self.pictures = _pictures(head, manifest)
-        """Paths and sizes of the pictures, as they follow on the index."""
-        self._parts = packed_parts(manifest.num_layers)
+        try:
+            self.tracks = TrackSizes.parse(tracks, manifest, len(records))
+        except CorruptError as error:
+            raise error.moved(head.tracks_at) from error
+        captions = [each.file_name for each in manifest.captions]
+        self._beside = _pictures(head, manifest)
+        """Paths and sizes of pictures and captions, as they follow each other."""
+        self._beside += zip(captions, self.tracks.captions, strict=True)
+        sources = [source.part for source in manifest.sound]
+        self._parts = (*sources, *packed_parts(manifest.num_layers))
         self._column = {part: column for column, part in enumerate(self._parts)}
-        objects_at = head.end + sum(local_bytes(name) + size for name, size in self.pictures)
-        order = [manifest.part_number(part) for part in self._parts]
+        objects_at = head.end + sum(local_bytes(name) + size for name, size in self._beside)
+        order = [manifest.part_number(part) for part in self._parts[len(sources) :]]
         sizes = np.array([record.part_bytes for record in records], np.int64)[:, order]
+        sizes = np.concatenate([self.tracks.sound, sizes], axis=1)
         names = _name_bytes(self._parts, len(records))
         steps = LOCAL.size + names + sizes
         ends = objects_at + np.cumsum(steps).reshape(steps.shape)
         self._sizes = sizes
         self._places = ends - sizes
         self.directory_at = int(ends[-1, -1])
-        fixed = [MANIFEST_NAME, INDEX_NAME, *(name for name, _ in self.pictures)]
+        fixed = self._fixed
         names_bytes = int(names.sum()) + sum(len(name.encode()) for name in fixed)
         num_far = int(np.count_nonzero(ends - steps >= MOST_32))
         count = len(fixed) + sizes.size
@@ -156,10 +203,18 @@ class PackedLayout:
             count, names_bytes, num_far, self.directory_at
         )
 
+    @property
+    def _fixed(self) -> list[str]:
+        """Paths of what lies before the segments."""
+        tables = [TRACKS_NAME] if self.head.tracks_bytes else []
+        return [MANIFEST_NAME, INDEX_NAME, *tables, *(name for name, _ in self._beside)]
+
     @staticmethod
-    def parse(head: PackedHead, manifest_json: bytes, index: bytes) -> PackedLayout:
-        """The layout of a file with this head, manifest and index. Raises a CodecError, whose place
-        is one in the file."""
+    def parse(
+        head: PackedHead, manifest_json: bytes, index: bytes, tracks: bytes = b""
+    ) -> PackedLayout:
+        """The layout of a file with this head, manifest, index and table. Raises a CodecError,
+        whose place is one in the file."""
         try:
             manifest = Manifest.from_json(manifest_json)
         except CodecError as error:
@@ -171,7 +226,7 @@ class PackedLayout:
             check_index_end(len(index), manifest, len(records))
         except CodecError as error:
             raise error.moved(head.index_at) from error
-        return PackedLayout(head, manifest, records)
+        return PackedLayout(head, manifest, records, tracks)
 
     def check_size(self, file_bytes: int) -> None:
         """Raises CorruptError unless a file of `file_bytes` is whole."""
@@ -190,11 +245,13 @@ class PackedLayout:
     def find(self, path: str) -> tuple[int, int] | None:
         """Where the file at `path` begins, and its size; None if there is none."""
         if path == MANIFEST_NAME:
-            return HEAD_BYTES, self.head.manifest_bytes
+            return self.head.manifest_at, self.head.manifest_bytes
         if path == INDEX_NAME:
             return self.head.index_at, self.head.index_bytes
+        if path == TRACKS_NAME and self.head.tracks_bytes:
+            return self.head.tracks_at, self.head.tracks_bytes
         at = self.head.end
-        for name, size_bytes in self.pictures:
+        for name, size_bytes in self._beside:
             at += local_bytes(name)
             if name == path:
                 return at, size_bytes
@@ -209,8 +266,7 @@ class PackedLayout:
 
     def files(self) -> Iterator[tuple[str, int, int]]:
         """All files in order: path, where its bytes begin, and their number."""
-        fixed = [MANIFEST_NAME, INDEX_NAME, *(name for name, _ in self.pictures)]
-        for path in fixed:
+        for path in self._fixed:
             at, size_bytes = self.find(path) or (0, 0)
             yield path, at, size_bytes
         for segment in range(len(self.records)):
@@ -243,9 +299,10 @@ def read_layout(read: ReadRange, max_index_bytes: int = MAX_INDEX_BYTES) -> Pack
     one in the file, and what `read` raises."""
     data, file_bytes = read(0, FIRST_BYTES)
     head = PackedHead.parse(data)
-    if head.index_bytes > max_index_bytes:
+    largest_bytes = max(head.index_bytes, head.tracks_bytes)
+    if largest_bytes > max_index_bytes:
         raise UnsupportedError(
-            f"packed stream: an index of {head.index_bytes} bytes; {max_index_bytes} can be read"
+            f"packed stream: an index of {largest_bytes} bytes; {max_index_bytes} can be read"
         )
     if head.end > file_bytes:
         raise CorruptError("packed stream: ends before its index does", file_bytes)
@@ -253,7 +310,8 @@ def read_layout(read: ReadRange, max_index_bytes: int = MAX_INDEX_BYTES) -> Pack
         rest, _ = read(len(data), head.end - len(data))
         data += rest
     manifest_json = data[head.manifest_at : head.manifest_at + head.manifest_bytes]
-    layout = PackedLayout.parse(head, manifest_json, data[head.index_at : head.end])
+    index, tracks = data[head.index_at : head.index_end], data[head.tracks_at : head.end]
+    layout = PackedLayout.parse(head, manifest_json, index, tracks)
     layout.check_size(file_bytes)
     return layout
 

@@ -259,6 +259,16 @@ class SoundObject:
         return SoundObject(channels, pre_skip, num_samples, first, tuple(packets))
 
 
+def checked_object(data: bytes, source: SoundSource, begin: int, stop: int) -> SoundObject:
+    """The object in `data`, if it is one of `source` and holds the samples from `begin` to `stop`.
+    Raises CorruptError."""
+    found = SoundObject.parse(data)
+    if found.channels != source.channels:
+        raise CorruptError(f"sound: {found.channels} channels, not {source.channels}", 12)
+    found.check_covers(begin, stop)
+    return found
+
+
 def segment_sound(whole: SoundObject, begin: int, stop: int) -> SoundObject:
     """The packets of a segment with the samples `begin` to `stop`, chosen from the entire source in
     `whole`."""

@@ -6,10 +6,13 @@ import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.files import making_folder, replacing, write_atomic
 from codec.storage.openstorage import Place
 from codec.storage.storage import Storage
+from codec.stream.captions import MAX_CAPTIONS_BYTES
 from codec.stream.index import INDEX_NAME
 from codec.stream.integrity import MAX_INDEX_BYTES, check_index_end, check_object_bytes
 from codec.stream.manifest import MANIFEST_NAME, Part, object_name
@@ -21,8 +24,10 @@ from codec.stream.packedlayout import (
     picture_paths,
 )
 from codec.stream.packedstorage import PackedStorage
+from codec.stream.packedtracks import TRACKS_NAME, TrackSizes
 from codec.stream.pictures import read_picture
 from codec.stream.reader import StreamReader, read_stream_file
+from codec.stream.sound import MAX_SOUND_BYTES, checked_object, first_sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,20 +54,13 @@ def pack_stream(stream: Place, out: Path) -> Packed:
         raise InvalidError(f"{reader.name} is live; pack it when it is finished")
     if not reader.records:
         raise InvalidError(f"{reader.name} has no frames; there is nothing to pack")
-    if reader.manifest.sound:
-        raise InvalidError(
-            f"{reader.name} has sound, which one file cannot hold yet; remove it from a copy "
-            "first: swings-stream audio remove"
-        )
-    if reader.manifest.captions:
-        raise InvalidError(
-            f"{reader.name} has captions, which one file cannot hold yet; remove them from a copy "
-            "first: swings-stream captions remove"
-        )
     files = _Files(reader)
-    sizes = [len(files.pictures.get(path or "", b"")) for path in picture_paths(reader.manifest)]
-    head = PackedHead(len(reader.manifest_json), len(files.index), *sizes)
-    layout = PackedLayout(head, reader.manifest, reader.records)
+    poster, storyboard = (
+        len(files.pictures.get(path or "", b"")) for path in picture_paths(reader.manifest)
+    )
+    manifest_bytes, index_bytes = len(reader.manifest_json), len(files.index)
+    head = PackedHead(manifest_bytes, index_bytes, poster, storyboard, len(files.tracks))
+    layout = PackedLayout(head, reader.manifest, reader.records, files.tracks)
     with replacing(out) as temporary, open(temporary, "wb") as file:
         content = b""
 
@@ -76,7 +74,7 @@ def pack_stream(stream: Place, out: Path) -> Packed:
             file.write(piece)
             file.write(content)
             content = b""
-    num_files = sum(1 for _ in layout.files())
+    num_files = sum(path != TRACKS_NAME for path, _, _ in layout.files())
     return Packed(reader.num_frames, num_files, layout.size_bytes)
 
 
@@ -93,19 +91,54 @@ class _Files:
             raise error.within(storage.place(INDEX_NAME)) from error
         found = {path: read_picture(storage, path) for path in picture_paths(reader.manifest)}
         self.pictures = {path: data for path, data in found.items() if path and data}
+        self.captions = {
+            each.file_name: read_stream_file(storage, each.file_name, MAX_CAPTIONS_BYTES)
+            for each in reader.manifest.captions
+        }
+        self._sound = {
+            object_name(record.segment, source.part): (record, source)
+            for record in reader.records
+            for source in reader.manifest.sound
+        }
+        self.tracks = self._tracks()
         self._objects: dict[str, tuple[int, Part]] = {
             object_name(record.segment, part): (record.segment, part)
             for record in reader.records
             for part in reader.manifest.parts
         }
 
+    def _tracks(self) -> bytes:
+        """The table of sizes. Reads all objects of sound, one after another: they are small."""
+        sound = [len(self._sound_object(path)) for path in self._sound]
+        shape = len(self._reader.records), len(self._reader.manifest.sound)
+        captions = tuple(map(len, self.captions.values()))
+        return TrackSizes(captions, np.array(sound, np.int64).reshape(shape)).to_bytes()
+
+    def _sound_object(self, path: str) -> bytes:
+        """An object of sound, if it is one of its source and segment."""
+        record, source = self._sound[path]
+        data = read_stream_file(self._reader.storage, path, MAX_SOUND_BYTES)
+        frames = record.first_frame, record.first_frame + record.num_frames
+        begin, stop = (first_sample(frame, self._reader.manifest.fps) for frame in frames)
+        try:
+            checked_object(data, source, begin, stop)
+        except CodecError as error:
+            raise error.within(self._reader.storage.place(path)) from error
+        return data
+
     def read(self, path: str) -> bytes:
         if path == MANIFEST_NAME:
             return self._reader.manifest_json
         if path == INDEX_NAME:
             return self.index
+        if path == TRACKS_NAME:
+            return self.tracks
         if path in self.pictures:
             return self.pictures[path]
+        if path in self.captions:
+            return self.captions[path]
+        if path in self._sound:
+            return self._sound_object(path)
         segment, part = self._objects[path]
         # The hash is enough: what is in it stays as it is.
         data = read_stream_file(self._reader.storage, path, MAX_OBJECT_BYTES)
@@ -130,6 +163,8 @@ def unpack_stream(packed: Place, out: Path) -> Packed:
     files, size_bytes, num_files = _Files(reader), 0, 0
     with making_folder(out) as folder:
         for path, _, _ in storage.layout.files():
+            if path == TRACKS_NAME:
+                continue
             data = files.read(path)
             target = folder / path
             target.parent.mkdir(parents=True, exist_ok=True)

@@ -21,6 +21,7 @@ from codec.stream.sound import (
     SAMPLE_RATE,
     SoundObject,
     SoundSource,
+    checked_object,
     first_sample,
     packet_samples,
     segment_sound,
@@ -105,13 +106,9 @@ def read_sound(reader: StreamReader, segment: int, source: SoundSource) -> Sound
     path = f"{SEGMENTS_NAME}/{segment}/{source.part}"
     data = read_stream_file(reader.storage, path, MAX_SOUND_BYTES)
     try:
-        found = SoundObject.parse(data)
-        if found.channels != source.channels:
-            raise CorruptError(f"sound: {found.channels} channels, not {source.channels}", 12)
-        found.check_covers(*_span(reader.records[segment], reader.manifest.fps))
+        return checked_object(data, source, *_span(reader.records[segment], reader.manifest.fps))
     except CodecError as error:
         raise error.within(reader.storage.place(path)) from error
-    return found
 
 
 def _packets(reader: StreamReader, source: SoundSource) -> Iterator[bytes]:

@@ -114,7 +114,7 @@ def fetch_packed(fetcher: Fetcher, url: str) -> HostedPlace:
     except CodecError as error:
         raise FetchError(f"{error.within(url)}; this is not a stream") from error
     index = HostedIndex(layout.manifest)
-    index.add(bytes(read[layout.head.index_at : layout.head.end]), url)
+    index.add(bytes(read[layout.head.index_at : layout.head.index_end]), url)
     return HostedPlace((place,), layout.manifest, index, layout)
 
 

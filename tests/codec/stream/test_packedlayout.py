@@ -121,13 +121,14 @@ def test_sizes_that_lie_are_refused() -> None:
         put(head_at + 12, 4),
         put(head_at + 16, 4),  # there is no storyboard
         put(28, 0, 2),
+        put(head_at + 4, 2, 2),  # it has no sound and no captions
         data + b"\0",
         b"PK\3\4" + bytes(200),
     ):
         with pytest.raises(CorruptError) as caught:
             opened(lie)
         assert "\n" not in str(caught.value)
-    for later in (put(head_at + 4, 2, 2), put(head_at + 6, 1, 2)):
+    for later in (put(head_at + 4, 3, 2), put(head_at + 6, 1, 2)):
         with pytest.raises(UnsupportedError):
             opened(later)
     live = data.replace(b'"live": false', b'"live":  true')

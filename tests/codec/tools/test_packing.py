@@ -11,16 +11,21 @@ from zipfile import ZipFile
 import pytest
 
 import codec
-from codec.errors import CodecError, InvalidError
+from codec.errors import CodecError, CorruptError, InvalidError
 from codec.interop.exporting import export_stream
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.captions import Captions
+from codec.stream.packedstorage import PackedStorage, open_place
 from codec.tools.audit import summarise, verify_stream
 from codec.tools.packing import pack_stream, unpack_stream, verify_packed
+from codec.tools.streamcaptions import add_captions
 from tests.support.commands import run_ok
 from tests.support.drawn import same_splats
+from tests.support.sounding import add_clicks
 from tests.support.stores.s3_server import BUCKET, s3_server
 from tests.support.tiny_stream import files_of, tiny_manifest, tiny_slice, write_tiny
 
+VTT = b"WEBVTT\n\n00:00.000 --> 00:01.000\nHere\n"
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(range(200))
 
 
@@ -55,6 +60,41 @@ def test_packing_and_unpacking_loses_nothing(stream: Path, tmp_path: Path) -> No
     if shutil.which("unzip"):
         tested = subprocess.run(["unzip", "-t", str(packed)], capture_output=True, text=True)
         assert "No errors detected" in tested.stdout, tested.stdout + tested.stderr
+
+
+def test_sound_and_captions_are_packed_and_unpacked(stream: Path, tmp_path: Path) -> None:
+    add_clicks(stream, (0, 4, 9))
+    add_clicks(stream, (3,), "voice", ((0.0, 1.0, 2.0, 3.0),))
+    for language in ("en", "pt-BR"):
+        (tmp_path / "in.vtt").write_bytes(VTT + language.encode())
+        add_captions(stream, tmp_path / "in.vtt", Captions(language, language))
+    packed = tmp_path / "one.swings"
+    made = pack_stream(stream, packed)
+    assert (made.num_files, made.size_bytes) == (len(files_of(stream)), packed.stat().st_size)
+    verify_stream(packed)
+    unpack_stream(packed, tmp_path / "again")
+    assert files_of(tmp_path / "again") == files_of(stream)
+    pack_stream(tmp_path / "again", tmp_path / "two.swings")
+    assert (tmp_path / "two.swings").read_bytes() == packed.read_bytes()
+    storage = open_place(packed)
+    assert isinstance(storage, PackedStorage)
+    with ZipFile(packed) as archive:
+        assert archive.testzip() is None
+        assert {*archive.namelist()} == {*files_of(stream), ".tracks"}
+        for name in archive.namelist():
+            assert storage.read(name, 1 << 20) == archive.read(name)
+    # A size in the table that lies is found: by the size of the file, or by the headers.
+    at, size = storage.layout.find(".tracks") or (0, 0)
+    assert size == 4 * (2 + 2 * 3)
+    whole = packed.read_bytes()
+    for lie in range(at, at + size, 4):
+        for by in (1, 255):
+            packed.write_bytes(whole[:lie] + bytes([whole[lie] ^ by]) + whole[lie + 1 :])
+            with pytest.raises(CorruptError):
+                verify_stream(packed)
+    (stream / "segments" / "1" / "audio-voice").unlink()
+    with pytest.raises(CorruptError, match="audio-voice is missing"):
+        pack_stream(stream, packed)
 
 
 def test_all_that_reads_a_folder_reads_the_file(stream: Path, tmp_path: Path) -> None:

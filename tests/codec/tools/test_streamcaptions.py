@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from codec.errors import CodecError, CorruptError, InvalidError
+from codec.errors import CodecError, CorruptError
 from codec.stream import StreamReader
 from codec.stream.captions import MAX_CAPTIONS_BYTES, Captions, Cue, parse_webvtt
+from codec.stream.packedstorage import open_place
 from codec.tools.audit import verify_stream
 from codec.tools.packing import pack_stream
 from codec.tools.static import export_static
@@ -91,15 +92,16 @@ def test_add_replace_and_remove(stream: Path, file: Path) -> None:
     assert files_of(stream) == before
 
 
-def test_they_are_exported_edited_and_served_but_not_packed_or_cut(
+def test_they_are_exported_packed_edited_and_served_but_not_cut(
     stream: Path, file: Path, tmp_path: Path
 ) -> None:
     add_captions(stream, file, Captions("en", "English"))
     export_static(stream, tmp_path / "static")
     assert (tmp_path / "static" / "captions-en.vtt").read_text() == VTT
     verify_stream(tmp_path / "static")
-    with pytest.raises(InvalidError, match="has captions"):
-        pack_stream(stream, tmp_path / "s.swings")
+    pack_stream(stream, tmp_path / "one.swings")
+    verify_stream(tmp_path / "one.swings")
+    assert open_place(tmp_path / "one.swings").read("captions-en.vtt", 1 << 20).decode() == VTT
     run_ok("swings-stream", "edit", "colour", stream, tmp_path / "dark", "--exposure", "-1")
     verify_stream(tmp_path / "dark")
     assert (tmp_path / "dark" / "captions-en.vtt").read_text() == VTT

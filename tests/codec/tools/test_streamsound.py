@@ -12,7 +12,7 @@ import av
 import numpy as np
 import pytest
 
-from codec.errors import CodecError, CorruptError, InvalidError
+from codec.errors import CodecError, CorruptError
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.sound import (
     SAMPLE_RATE,
@@ -95,7 +95,7 @@ def test_several_sources_of_other_formats(stream: Path, tmp_path: Path) -> None:
     assert [source.name for source in StreamReader(stream).manifest.sound] == ["voice"]
 
 
-def test_static_export_carries_it_and_one_file_refuses(stream: Path, tmp_path: Path) -> None:
+def test_static_export_and_one_file_carry_it(stream: Path, tmp_path: Path) -> None:
     write_clicks(tmp_path / "in.wav", 9000, CLICKS)
     run_ok("swings-stream", "audio", "add", stream, tmp_path / "in.wav")
     export_static(stream, tmp_path / "static")
@@ -103,7 +103,13 @@ def test_static_export_carries_it_and_one_file_refuses(stream: Path, tmp_path: P
     for n in range(3):
         name = f"segments/{n}/audio-main"
         assert (tmp_path / "static" / name).read_bytes() == (stream / name).read_bytes()
-    with pytest.raises(InvalidError, match="has sound"):
+    pack_stream(stream, tmp_path / "s.swings")
+    verify_stream(tmp_path / "s.swings")
+    for place in (stream, tmp_path / "s.swings"):
+        run_ok("swings-stream", "audio", "extract", place, tmp_path / f"{place.name}.wav")
+    assert (tmp_path / "s.wav").read_bytes() == (tmp_path / "s.swings.wav").read_bytes()
+    (stream / "segments" / "1" / "audio-main").write_bytes(b"SWA1")
+    with pytest.raises(CorruptError, match="segments/1/audio-main: byte 0: sound"):
         pack_stream(stream, tmp_path / "s.swings")
 
 

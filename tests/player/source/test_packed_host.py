@@ -9,23 +9,28 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
+from codec.stream.captions import Captions
 from codec.stream.manifest import MASKS, Part, snapshot_part
 from codec.tools.packing import pack_stream
+from codec.tools.streamcaptions import add_captions
 from player.network.faults import BrokenError
 from player.network.fetch import FetchError
 from player.network.retry import RetryConfig
 from player.script.openscene import Scene
+from player.sound.decodedsound import DecodedSound, SegmentLoader
 from player.source.opener import Opener, SourceConfig, opened
 from player.source.source import SlicePackets, Source
 from player.source.webstorage import WebStorage
 from tests.support.delivery.assembled import assembled, checked
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.hosted_streams import static_host, write_stream
+from tests.support.sounding import add_clicks, heard
 
 NUM_FRAMES = 40
 PATIENT = SourceConfig(RetryConfig(10, first_delay_s=0.01, max_delay_s=0.05))
@@ -228,3 +233,30 @@ def test_the_poster_comes_out_of_the_file(made: Path, tmp_path: Path) -> None:
                 assert preview is not None
                 assert preview.poster == poster
         assert len(host.asked) == 2
+
+
+def test_sound_comes_by_ranges_and_captions_can_be_read(tmp_path: Path) -> None:
+    stream = write_stream(tmp_path / "s", 23)
+    add_clicks(stream, (0, 4, 5, 10, 19, 22))
+    (tmp_path / "in.vtt").write_text("WEBVTT\n\n00:00.000 --> 00:01.000\nHere\n")
+    add_captions(stream, tmp_path / "in.vtt", Captions("en", "English"))
+    pack_stream(stream, tmp_path / "s.swings")
+    whole = heard(stream)
+    with range_host(tmp_path) as host:
+        for source in (f"{host.url}/s.swings", str(tmp_path / "s.swings")):
+            with closing(Opener(source)) as opener:
+                opener.open(FrameRange(), None).close()
+                manifest = opener.manifest
+                assert manifest is not None
+                decoded, files = DecodedSound(manifest), opener.sound_files()
+                with closing(files):
+                    loader = SegmentLoader(manifest, files.read)
+                    for segment in range(5):
+                        decoded.put(segment, loader.load(segment))
+            mixed = decoded.mix(0, len(whole), manifest.camera())
+            np.testing.assert_array_equal(np.rint(mixed * 32768), whole)
+        assert {path for path, _ in host.asked} == {"/s.swings"}
+        assert all(asked for _, asked in host.asked)
+        with closing(WebStorage(f"{host.url}/s.swings")) as storage:
+            text = storage.read("captions-en.vtt", 1 << 20)
+    assert text == (tmp_path / "in.vtt").read_bytes()

@@ -10,17 +10,25 @@ from urllib.request import Request, urlopen
 
 import pytest
 
+from codec.stream.captions import Captions
 from codec.stream.reader import StreamReader
 from codec.tools.packing import pack_stream, unpack_stream
+from codec.tools.streamcaptions import add_captions
 from server.library import Library
 from tests.support.hosted_streams import served, write_stream
+from tests.support.sounding import add_clicks
 from tests.support.stores.s3_server import BUCKET, s3_server
 from tests.support.tiny_stream import files_of
 
 
 @pytest.fixture(scope="module")
 def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_stream(tmp_path_factory.mktemp("made") / "s", 13)
+    """With sound and captions."""
+    stream = write_stream(tmp_path_factory.mktemp("made") / "s", 13)
+    add_clicks(stream, (0, 6))
+    (stream.parent / "in.vtt").write_text("WEBVTT\n\n00:00.000 --> 00:01.000\nHere\n")
+    add_captions(stream, stream.parent / "in.vtt", Captions("en", "English"))
+    return stream
 
 
 def look(library: Library) -> None:
@@ -48,7 +56,8 @@ def test_a_packed_stream_is_served_like_its_folder(
         for path, data in files_of(stream).items():
             assert fetch(f"{base}/{path}") == (200, data), path
             assert fetch(f"{base}/{path}", Range="bytes=3-9") == (206, data[3:10]), path
-        assert fetch(f"{base}/segments/9/0")[0] == 404
+        for name in ("segments/9/0", "segments/0/audio-other", "captions-fr.vtt", ".tracks"):
+            assert fetch(f"{base}/{name}")[0] == 404
         assert fetch(f"{server.url}/watch/talk")[0] == 200
 
 
