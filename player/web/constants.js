@@ -141,6 +141,7 @@ export const PACKED_SUFFIX = ".swings";
 export const PACKED_EXTRA = "<HHHHIII";
 export const PACKED_EXTRA_ID = 22355;
 export const PACKED_VERSION = 1;
+export const PACKED_TRACKS_VERSION = 2;
 export const FIRST_PACKED_BYTES = 32768;
 
 // codec.stream.playrecord

@@ -1,6 +1,7 @@
 import { readCues, textAt } from "../captions/webvtt.js";
 import { readCaptionTracks } from "../captions/captiontracks.js";
 import { Fetcher } from "../source/fetcher.js";
+import { fileBytes } from "../source/filebytes.js";
 import { drawn } from "./icons.js";
 import { node } from "./nodes.js";
 
@@ -89,7 +90,7 @@ export class CaptionsControls {
     const { file, language } = this.#tracks[at];
     this.text.lang = language;
     try {
-      const bytes = await new Fetcher().get(this.#base + file, MAX_BYTES);
+      const bytes = await fileBytes(new Fetcher(), this.#base, file, this.player.files, MAX_BYTES);
       const cues = readCues(new TextDecoder().decode(bytes));
       if (choice !== this.#choices) return;
       if (cues === null) throw new Error(`${file} is not WebVTT`);

@@ -44,8 +44,8 @@ export class StreamSession extends EventTarget {
   numFrames = 0;
   /** URL of the stream's folder, with a slash at its end, or of its file. */
   base = "";
-  /** @type {import("../source/source.js").SourceStream["pictures"]} */
-  pictures = null;
+  /** @type {import("../source/source.js").SourceStream["files"]} */
+  files = null;
   /** Whether the stream may still grow. */
   live = false;
   /** @type {PlayState} */
@@ -160,7 +160,7 @@ export class StreamSession extends EventTarget {
         this.manifest = data.manifest;
         this.numFrames = data.numFrames;
         this.base = data.base;
-        this.pictures = data.pictures;
+        this.files = data.files;
         this.live = data.manifest.live;
         this.#applyPlaying();
         this.onOpened(isFirst);

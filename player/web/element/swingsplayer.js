@@ -260,7 +260,7 @@ export class SwingsPlayerElement extends MediaInterface {
    * @param {string} path
    */
   async #showPoster(player, path) {
-    const url = await pictureUrl(player.base, path, player.pictures).catch(() => null);
+    const url = await pictureUrl(player.base, path, player.files).catch(() => null);
     if (url !== null && player === this.player && !this.#overlay.hasPoster)
       this.#overlay.setPoster(url);
   }

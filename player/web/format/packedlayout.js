@@ -6,7 +6,9 @@ import {
   MAX_PICTURE_BYTES,
   PACKED_EXTRA,
   PACKED_EXTRA_ID,
+  PACKED_TRACKS_VERSION,
   PACKED_VERSION,
+  SOUND_PREFIX,
   ZIP_LOCAL,
   ZIP_LOCAL_MAGIC,
 } from "../constants.js";
@@ -15,11 +17,8 @@ import { corrupt, unsupported } from "./bytes/errors.js";
 
 const MANIFEST_NAME = "manifest.json";
 const INDEX_NAME = "index.bin";
-/** Bytes of a local header without the name, and of the extra field of the first one. */
-const [LOCAL_BYTES, EXTRA_BYTES] = [30, 20];
-
-/** Where the manifest begins. */
-const MANIFEST_AT = localBytes(MANIFEST_NAME) + EXTRA_BYTES;
+/** Bytes of a local header without the name, and of that of `.tracks`. */
+const [LOCAL_BYTES, TRACKS_LOCAL_BYTES] = [30, 37];
 
 /**
  * A run of bytes of the file.
@@ -33,6 +32,7 @@ const MANIFEST_AT = localBytes(MANIFEST_NAME) + EXTRA_BYTES;
  * @typedef {object} PackedHead
  * @property {Place} manifest
  * @property {Place} index
+ * @property {Place} tracks the table of the sizes of captions and sound; empty without any
  * @property {number} posterBytes 0 for none
  * @property {number} storyboardBytes 0 for none, and for one that is the poster as well
  */
@@ -59,26 +59,37 @@ export function readPackedHead(bytes) {
     magic === ZIP_LOCAL_MAGIC &&
     nameBytes === MANIFEST_NAME.length &&
     isMagic(name, MANIFEST_NAME) &&
-    extraBytes === EXTRA_BYTES &&
     id === PACKED_EXTRA_ID &&
-    following === EXTRA_BYTES - 4;
+    following === extraBytes - 4;
   if (!isPacked) throw corrupt("packed stream: does not begin as one; make it with swings-stream");
-  if (version !== PACKED_VERSION || reserved !== 0)
+  const hasTracks = version === PACKED_TRACKS_VERSION;
+  if (!(version === PACKED_VERSION || hasTracks) || reserved !== 0)
     throw unsupported(`packed stream: unknown layout ${version}`);
+  // Where this is not as long as its layout says, nothing is found where it should be.
+  const tracksBytes = hasTracks ? reader.u32() : 0;
   if (manifestBytes !== storedBytes || !(manifestBytes > 0 && manifestBytes <= MAX_MANIFEST_BYTES))
     throw corrupt(`packed stream: a manifest of ${manifestBytes} bytes`);
-  if (!(indexBytes > 0 && indexBytes <= MAX_INDEX_BYTES))
+  if (!(indexBytes > 0 && Math.max(indexBytes, tracksBytes) <= MAX_INDEX_BYTES))
     throw corrupt(`packed stream: an index of ${indexBytes} bytes`);
   if (Math.max(posterBytes, storyboardBytes) > MAX_PICTURE_BYTES)
     throw corrupt("packed stream: too large a picture");
-  const indexAt = MANIFEST_AT + manifestBytes + localBytes(INDEX_NAME);
+  const manifestAt = localBytes(MANIFEST_NAME) + extraBytes;
+  const indexAt = manifestAt + manifestBytes + localBytes(INDEX_NAME);
+  const tracksAt = indexAt + indexBytes + (hasTracks ? TRACKS_LOCAL_BYTES : 0);
   return {
-    manifest: { first: MANIFEST_AT, size: manifestBytes },
+    manifest: { first: manifestAt, size: manifestBytes },
     index: { first: indexAt, size: indexBytes },
+    tracks: { first: tracksAt, size: tracksBytes },
     posterBytes,
     storyboardBytes,
   };
 }
+
+/** @param {import("./streamindex.js").SegmentRecord} record @param {string} part */
+const pathOf = ({ segment }, part) => `segments/${segment}/${part}`;
+
+/** The names in a list of the manifest, which the page checks. @param {any} value @param {string} key */
+const names = (value, key) => [value ?? []].flat().map((one) => one?.[key]);
 
 /** Where everything else lies. */
 export class PackedLayout {
@@ -86,8 +97,9 @@ export class PackedLayout {
    * @param {PackedHead} head
    * @param {import("./manifest.js").Manifest} manifest
    * @param {import("./streamindex.js").SegmentRecord[]} records
+   * @param {Uint8Array} tracks the table of sizes
    */
-  constructor(head, manifest, records) {
+  constructor(head, manifest, records, tracks) {
     this.manifest = manifest;
     this.records = records;
     const layers = Array.from({ length: manifest.numLayers }, (_, layer) => layer);
@@ -97,9 +109,16 @@ export class PackedLayout {
       "masks",
       ...layers.map(String),
     ];
-    let at = head.index.first + head.index.size;
-    /** @type {Record<string, Place>} by path */
-    this.pictures = {};
+    const sources = names(manifest.sound, "name");
+    const sizes = new ByteReader(tracks, "packed stream");
+    let at = head.tracks.first + head.tracks.size;
+    /** @type {Record<string, Place>} pictures, captions and sound by path */
+    this.files = {};
+    const add = (/** @type {string} */ path, /** @type {number} */ size) => {
+      at += localBytes(path);
+      this.files[path] = { first: at, size };
+      at += size;
+    };
     const { poster } = manifest;
     const storyboard = manifest.storyboard === poster ? null : manifest.storyboard;
     for (const [path, size] of /** @type {[string | null, number][]} */ ([
@@ -108,17 +127,19 @@ export class PackedLayout {
     ])) {
       if (size === 0) continue;
       if (path === null) throw corrupt("packed stream: a picture that the manifest does not name");
-      at += localBytes(path);
-      this.pictures[path] = { first: at, size };
-      at += size;
+      add(path, size);
     }
-    /** Where each segment begins. */
+    for (const language of names(manifest.captions, "language"))
+      add(`captions-${language}.vtt`, sizes.u32());
+    /** Where the parts of each segment begin. */
     this.starts = records.map((record) => {
+      for (const name of sources) add(pathOf(record, SOUND_PREFIX + name), sizes.u32());
       const start = at;
       for (const part of this.parts)
-        at += this.#headerBytes(record, part) + this.#size(record, part);
+        at += localBytes(pathOf(record, part)) + this.#size(record, part);
       return start;
     });
+    sizes.finish();
     /** Where the objects end. */
     this.endByte = at;
   }
@@ -131,16 +152,11 @@ export class PackedLayout {
   object(record, part) {
     let at = this.starts[record.segment];
     for (const before of this.parts) {
-      at += this.#headerBytes(record, before);
+      at += localBytes(pathOf(record, before));
       if (before === part) break;
       at += this.#size(record, before);
     }
     return { first: at, size: this.#size(record, part) };
-  }
-
-  /** @param {import("./streamindex.js").SegmentRecord} record @param {string} part */
-  #headerBytes({ segment }, part) {
-    return LOCAL_BYTES + `segments/${segment}/${part}`.length;
   }
 
   /** @param {import("./streamindex.js").SegmentRecord} record @param {string} part */

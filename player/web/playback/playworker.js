@@ -45,8 +45,8 @@ async function open({ base, maxGaussians, otherHosts, bufferBytes, isHeld }) {
   try {
     const most = maxGaussians ?? null;
     const stream = await openSource(base, fetcher, most, otherHosts ?? false, bufferBytes);
-    const { manifest, numFrames, base: found, pictures } = stream;
-    const opened = { manifest: plain(manifest), numFrames, base: found, pictures };
+    const { manifest, numFrames, base: found, files } = stream;
+    const opened = { manifest: plain(manifest), numFrames, base: found, files };
     scope.postMessage({ kind: "opened", ...opened });
     const port = sorter;
     if (port !== null) {

@@ -2,9 +2,11 @@ import { MAX_SOUND_BYTES, SAMPLE_RATE } from "../constants.js";
 import { objectPath } from "../format/manifest.js";
 import { servedBase } from "../source/addresses.js";
 import { Fetcher } from "../source/fetcher.js";
+import { fileBytes } from "../source/filebytes.js";
 import { objectUrl } from "../source/objecturl.js";
 import { AudioClock } from "./audioclock.js";
 import { audioContext, decode, leaveDevice, useDevice } from "./audiodevice.js";
+import { FetchPace } from "./fetchpace.js";
 import { SoundRun } from "./soundrun.js";
 import { heardAt, readSources } from "./soundsource.js";
 import { SoundTrack } from "./soundtrack.js";
@@ -60,6 +62,7 @@ export class SoundPlay extends EventTarget {
   #lates = [];
   #waitsSinceMs = 0;
   #isRefused = false;
+  #pace = new FetchPace();
   #hasEnded = false;
   #ending = new AbortController();
   #onDevice = () => this.step();
@@ -193,8 +196,11 @@ export class SoundPlay extends EventTarget {
     const numBytes = this.#voices.reduce((sum, { track }) => sum + track.numBytes, 0);
     const { currentTime } = run.context;
     const w2c = player.workers?.requestedW2c ?? [];
+    const passed = run.sample - (pieces[0]?.begin ?? 0);
+    const allows = (/** @type {number} */ numBefore) =>
+      this.#pace.allows((1000 * (numBefore - passed)) / SAMPLE_RATE / run.rate, performance.now());
     for (const { track, panner } of this.#voices) {
-      track.want(pieces, numDecoded, numBytes >= MOST_BYTES);
+      track.want(pieces, numDecoded, numBytes >= MOST_BYTES, allows);
       if (panner === null || w2c.length === 0) continue;
       // The listener stays where devices have it, and looks along -z: the sources move around it.
       const [x, y, z] = heardAt(track.source.keys, run.sample / SAMPLE_RATE, w2c);
@@ -213,7 +219,7 @@ export class SoundPlay extends EventTarget {
     gain.connect(context.destination);
     this.#gain = gain;
     const { player } = this;
-    const { base, manifest, source } = player;
+    const { base, manifest, source, files } = player;
     const fetcher = new Fetcher();
     const isServed = servedBase(base) !== null;
     const urlOf = (/** @type {number} */ segment, /** @type {string} */ part) =>
@@ -226,7 +232,13 @@ export class SoundPlay extends EventTarget {
       /** @type {AbortSignal} */ signal,
     ) => {
       const init = /** @type {RequestInit} */ ({ signal, priority: "high" });
-      return fetcher.get(urlOf(segment, part), MAX_SOUND_BYTES, undefined, init);
+      const beganMs = performance.now();
+      const bytes =
+        files === null
+          ? await fetcher.get(urlOf(segment, part), MAX_SOUND_BYTES, undefined, init)
+          : await fileBytes(fetcher, base, `segments/${segment}/${part}`, files, 0, init);
+      this.#pace.fetched(beganMs, performance.now());
+      return bytes;
     };
     const refused = (/** @type {unknown} */ error) => this.#refuse(error);
     this.#voices = this.sources.map((one) => {

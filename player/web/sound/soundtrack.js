@@ -50,8 +50,10 @@ export class SoundTrack {
    * @param {Piece[]} pieces
    * @param {number} numDecoded of the first pieces: they are decoded, too
    * @param {boolean} [isFull] whether nothing is fetched ahead: the first piece's object alone
+   * @param {(numBefore: number) => boolean} [allows] whether a piece that so many samples of the others lie
+   *   before is to be fetched now
    */
-  want(pieces, numDecoded, isFull = false) {
+  want(pieces, numDecoded, isFull = false, allows = () => true) {
     const segments = new Set(pieces.map(({ segment }) => segment));
     for (const segment of this.#objects.keys()) {
       if (segments.has(segment)) continue;
@@ -59,10 +61,14 @@ export class SoundTrack {
       this.#fetches.delete(segment);
       this.#objects.delete(segment);
     }
-    for (const segment of segments) {
-      if (this.#fetches.size >= MOST_FETCHES) break;
-      if (!this.#objects.has(segment)) this.#fetch(segment);
+    let numBefore = 0;
+    for (const { segment, begin, end } of pieces) {
+      if (!this.#objects.has(segment)) {
+        if (this.#fetches.size >= MOST_FETCHES || !allows(numBefore)) break;
+        this.#fetch(segment);
+      }
       if (isFull) break;
+      numBefore += end - begin;
     }
     const soon = pieces.slice(0, numDecoded);
     const begins = new Set(soon.map(({ begin }) => begin));

@@ -119,8 +119,8 @@ export class HostedStream {
     return packets;
   }
 
-  /** Where the pictures lie in the one file of a packed stream; null: beside the manifest. */
-  get pictures() {
+  /** Where pictures, captions and sound lie in the one file of a packed stream; null: beside the manifest. */
+  get files() {
     return /** @type {Record<string, import("../format/packedlayout.js").Place> | null} */ (null);
   }
 

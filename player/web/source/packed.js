@@ -38,7 +38,7 @@ export class PackedStream extends HostedStream {
     const first = await fetcher.range(url, { first: 0, size: FIRST_PACKED_BYTES });
     const { fileBytes } = first;
     const head = readPackedHead(first.bytes);
-    const end = head.index.first + head.index.size;
+    const end = head.tracks.first + head.tracks.size;
     let { bytes } = first;
     if (end > bytes.length) {
       const missing = { first: bytes.length, size: end - bytes.length };
@@ -54,7 +54,8 @@ export class PackedStream extends HostedStream {
     const manifest = readManifest(part(head.manifest));
     checkGaussians(manifest, maxGaussians, url);
     if (manifest.live) throw corrupt(`${url}: a packed stream is never live`);
-    const layout = new PackedLayout(head, manifest, readIndex(part(head.index), manifest));
+    const records = readIndex(part(head.index), manifest);
+    const layout = new PackedLayout(head, manifest, records, part(head.tracks));
     if (fileBytes !== null && fileBytes < layout.endByte)
       throw corrupt(`${url} has ${fileBytes} bytes, but its objects end at ${layout.endByte}`);
     if (layout.records.length === 0) throw corrupt(`${url} has no frames`);
@@ -62,8 +63,8 @@ export class PackedStream extends HostedStream {
   }
 
   /** @override */
-  get pictures() {
-    return this.layout.pictures;
+  get files() {
+    return this.layout.files;
   }
 
   /**

@@ -4,7 +4,7 @@
  * Where the page finds a picture of the stream at `base`; null if there is none.
  * @param {string} base
  * @param {string} path as the manifest names it
- * @param {Record<string, import("../format/packedlayout.js").Place> | null} places of the pictures in
+ * @param {Record<string, import("../format/packedlayout.js").Place> | null} places of the files in
  *   a packed stream
  * @returns {Promise<string | null>}
  */

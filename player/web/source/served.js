@@ -68,7 +68,7 @@ export class ServedStream {
   }
 
   /** They lie beside the manifest. */
-  get pictures() {
+  get files() {
     return null;
   }
 

@@ -32,8 +32,8 @@ import { ServedStream } from "./served.js";
  * A stream, wherever it comes from.
  * @typedef {object} SourceStream
  * @property {string} base URL of its folder, with a slash at its end, or of its file
- * @property {Record<string, import("../format/packedlayout.js").Place> | null} pictures where its
- *   pictures lie in that file; null: beside the manifest
+ * @property {Record<string, import("../format/packedlayout.js").Place> | null} files where its
+ *   pictures, captions and sound lie in that file, by path; null: beside the manifest
  * @property {import("../format/manifest.js").Manifest} manifest whose `live` is as it is now
  * @property {number} numFrames that there are now
  * @property {import("./segmentcache.js").SegmentCache} cache what is here

@@ -532,7 +532,7 @@ const ANSWERS = {
     return { numGs: stream.manifest.numGs, peakMb: Number(found?.[1]) / 1024 };
   },
   /** How many bytes the first object of the hosted stream at a URL was fetched with. */
-  /** The objects of a stream as they come, and its pictures' paths. */
+  /** The objects of a stream as they come, and the other files of a packed one but manifest and index. */
   async allObjects({ url }) {
     try {
       const stream = /** @type {HostedStream} */ (
@@ -546,7 +546,13 @@ const ANSWERS = {
           found[`segments/${record.segment}/${part}`] = Buffer.from(bytes).toString("hex");
         }
       }
-      return { found, pictures: Object.keys(stream.pictures ?? {}) };
+      const files = await Promise.all(
+        Object.entries(stream.files ?? {}).map(async ([path, place]) => {
+          const { bytes } = await stream.fetcher.range(stream.base, place);
+          return [path, Buffer.from(bytes).toString("hex")];
+        }),
+      );
+      return { found, files: Object.fromEntries(files) };
     } catch (error) {
       if (error instanceof SourceError) return { failed: error.message };
       throw error;

@@ -194,7 +194,7 @@ const outlet = {
   },
 };
 let seeks = 0;
-const stream = { manifest, numFrames, cache, base: "", pictures: null, play: source };
+const stream = { manifest, numFrames, cache, base: "", files: null, play: source };
 const player = new StreamPlayer(/** @type {any} */ (stream), /** @type {any} */ ({}), outlet, {
   loop: true,
 });

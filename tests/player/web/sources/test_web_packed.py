@@ -10,17 +10,21 @@ from PIL import Image
 
 from codec.errors import CodecError
 from codec.stream import StreamReader
+from codec.stream.captions import Captions
 from codec.tools.packing import pack_stream
 from codec.tools.static import export_static
+from codec.tools.streamcaptions import add_captions
 from tests.support.commands import ROOT
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.hosted_streams import static_host, write_stream
+from tests.support.sounding import add_clicks
 from tests.support.tiny_stream import files_of
 from tests.support.web.browsercode import BrowserCode
 from tests.support.web.chromium import Page
 
 PLAYER = "document.querySelector('swings-player')"
 POSTER = f"{PLAYER}.shadowRoot.querySelector('.poster')"
+TAP = Path(__file__).parents[1] / "soundtap.js"
 NUM_FRAMES = 30
 
 
@@ -32,6 +36,10 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (trained / "manifest.json").write_bytes(manifest.to_json())
     for name, width_px in (("poster.png", 64), ("tiles.png", 128)):
         Image.new("RGB", (width_px, 48), (200, 40, 40)).save(trained / name)
+    add_clicks(trained, (0, 7, 20))
+    add_clicks(trained, (9,), "voice", ((0.0, 1.0, 2.0, 3.0),))
+    (root / "in.vtt").write_text("WEBVTT\n\n00:00.000 --> 01:00.000\nHere\n")
+    add_captions(trained, root / "in.vtt", Captions("en", "English"))
     export_static(trained, root / "folder")
     export_static(trained, root / "packed.swings")
     (root / "web").symlink_to(ROOT / "player" / "web")
@@ -47,11 +55,13 @@ def test_a_static_export_to_one_file_is_its_folder(root: Path, tmp_path: Path) -
 def test_every_object_of_it_comes_as_it_is(browser: BrowserCode, root: Path) -> None:
     with range_host(root) as host:
         got = browser.ask("allObjects", url=f"{host.url}/packed.swings")
-        files = files_of(root / "folder").items()
-        assert got["found"] == {path: data.hex() for path, data in files if "/" in path}
-        assert got["pictures"] == ["poster.png", "tiles.png"]
+        files = {path: data.hex() for path, data in files_of(root / "folder").items()}
+        assert got["found"] | got["files"] == {
+            path: data for path, data in files.items() if path not in ("manifest.json", "index.bin")
+        }
+        assert not got["found"].keys() & got["files"].keys()
         assert all(asked.startswith("bytes=") for _, asked in host.asked)
-        assert len(host.asked) == 1 + len(got["found"])
+        assert len(host.asked) == 1 + len(got["found"]) + len(got["files"])
 
 
 def complaint(browser: BrowserCode, url: str) -> str:
@@ -79,6 +89,8 @@ def test_hosts_and_files_that_will_not_do_are_said(browser: BrowserCode, root: P
             whole[:55] + b"\xff\xff\xff\x0f" + whole[59:],  # the poster
             whole[:18] + b"\xff\xff\x0f\0" * 2 + whole[26:],  # the manifest
             whole[:48] + b"\1" + whole[49:],
+            whole[:63] + b"\xff\xff\xff\x0f" + whole[67:],  # the table of sound and captions
+            whole[:47] + b"\1" + whole[48:],  # without it
         ):
             bad.write_bytes(data)
             said = complaint(browser, f"{host.url}/bad.swings")
@@ -106,6 +118,20 @@ def test_a_page_plays_it_and_seeks_in_it_like_in_a_folder(page: Page, root: Path
         page.run(f"{PLAYER}.play()")
         page.wait(f"{PLAYER}.player.shownFrame === {NUM_FRAMES - 1}", 60)
         assert page.run(f"return {PLAYER}.error") is None
+
+
+def test_a_page_plays_its_sound_and_shows_its_captions(page: Page, root: Path) -> None:
+    with range_host(root) as host:
+        page.open(f"{host.url}/web/watch.html?src=../packed.swings", 320, 240, scripts=[TAP])
+        page.wait(f"{PLAYER}?.player?.shownFrame >= 0", 60)
+        page.wait("clicks.length >= 4", 60)
+        page.run(f"{PLAYER}.focus()")
+        page.press("Shift+C")
+        page.wait(f"{PLAYER}.shadowRoot.querySelector('.captions').textContent === 'Here'")
+        ours = [asked for path, asked in host.asked if path.startswith("/packed")]
+        assert ours
+        assert all(ours)
+        assert not page.complaints
 
 
 def test_a_page_of_another_origin_plays_it(page: Page, root: Path) -> None:

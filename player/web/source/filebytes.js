@@ -1,0 +1,17 @@
+import { SourceError } from "./fetcher.js";
+
+/**
+ * The bytes of a file of the stream at `base` that lies beside its manifest, or in the same file.
+ * Rejects with a SourceError.
+ * @param {import("./fetcher.js").Fetcher} fetcher
+ * @param {string} base
+ * @param {string} path
+ * @param {import("./source.js").SourceStream["files"]} files
+ * @param {number} mostBytes of a file beside the manifest
+ * @param {RequestInit} [init]
+ */
+export async function fileBytes(fetcher, base, path, files, mostBytes, init) {
+  if (files === null) return fetcher.get(base + path, mostBytes, undefined, init);
+  if (!Object.hasOwn(files, path)) throw new SourceError(`${base} holds no ${path}`);
+  return (await fetcher.range(base, files[path], undefined, init)).bytes;
+}
