@@ -255,8 +255,9 @@ def _export_static(config: Export) -> str:
         raise InvalidError("--static writes the whole stream; leave out the options for frames")
     made = export_static(config.stream, config.out, config.max_gaussians)
     share = 100 * made.size_bytes / made.source_bytes
+    noun = "segment" if made.num_segments == 1 else "segments"
     return (
-        f"{config.out}: {made.num_frames} frames in {made.num_segments} segments for any web "
+        f"{config.out}: {made.num_frames} frames in {made.num_segments} {noun} for any web "
         f"server, {made.size_bytes} bytes, {share:.1f} % of the {made.source_bytes} of "
         f"{config.stream}"
     )

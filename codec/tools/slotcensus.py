@@ -127,6 +127,6 @@ def describe_slots(summary: SlotSummary) -> list[str]:
     for layer, size in enumerate(s.first_snapshot_bytes):
         joins = s.join_snapshot_bytes[layer]
         lines.append(
-            f"snapshots {layer:<2} {size:>12} bytes of frame 0, {joins} for joining players"
+            f"snapshots {layer:<2} {size:>12} bytes of frame 0, {joins} bytes for joining players"
         )
     return lines
