@@ -40,9 +40,12 @@ def _train(config: TrainConfig) -> None:
 def synth() -> None:
     from trainer.synth.film import SynthConfig, synthesise
 
-    run_command(
-        SynthConfig, synthesise, "swings-synth", "Generates a procedural capture to try swings."
-    )
+    def film(config: SynthConfig) -> None:
+        synthesise(config)
+        cameras = f"{config.cameras} cameras, {config.held_out} of them held out"
+        say(f"{config.out}: {cameras}, {config.frames} frames at {config.fps:g} a second")
+
+    run_command(SynthConfig, film, "swings-synth", "Generates a procedural capture to try swings.")
 
 
 def train() -> None:

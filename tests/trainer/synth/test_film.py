@@ -14,6 +14,7 @@ from rich.console import Console
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from tests.support.commands import run_ok
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.synth.film import Studio, SynthConfig, check_config, make_scene, synthesise
@@ -142,6 +143,12 @@ def test_a_standing_foot_stands() -> None:
         cones = moving_parts(float(time_s), 1).parts.cones
         lowest = np.maximum(cones[:, 1] + cones[:, 3], cones[:, 5] + cones[:, 7]).max()
         assert lowest < 0.035  # shoes and ball may sink into the floor by no more
+
+
+def test_the_command_prints_what_it_made(tmp_path: Path) -> None:
+    size = ("--width-px", 32, "--height-px", 32, "--points", 50)
+    told = run_ok("swings-synth", tmp_path / "c", "--frames", 2, "--cameras", 5, *size)
+    assert told == f"{tmp_path}/c: 5 cameras, 2 of them held out, 2 frames at 30 a second\n"
 
 
 def test_a_taken_folder_is_refused(tmp_path: Path) -> None:
