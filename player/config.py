@@ -16,6 +16,7 @@ from codec.console import option
 from codec.errors import InvalidError
 from codec.framerange import FRAMES, FrameRange
 from codec.storage.credentials import without_credentials
+from codec.stream.captions import LANGUAGE
 from codec.stream.manifest import Manifest
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.link.linktext import read_link
@@ -137,6 +138,8 @@ SIZE = option("WxH", Size.parse)
 LINK = option("RATE|TRACE", read_link)
 
 
+NO_CAPTIONS = "off"
+
 MAX_TURN_S = 3600.0
 """Longest turn of the camera around a still, seconds."""
 
@@ -230,6 +233,8 @@ class PlayConfig:
     """Play without the stream's sound, and capture without a sound track."""
     volume: float = 1.0
     """Loudness of the sound, 0 to 1."""
+    captions: Annotated[str, tyro.conf.arg(metavar="LANG|off")] = NO_CAPTIONS
+    """Show the captions in this language, such as en, in the window. The key C changes it."""
     viser: Annotated[int | None, PORT] = None
     """Show the stream in a browser with viser (pip install '.[viser]' in the swings folder), at
     this port or the next free port. Without PORT, the port is 8080."""
@@ -267,6 +272,10 @@ class PlayConfig:
             raise InvalidError(f"cache {self.cache} is not a folder")
         if not 0 <= self.volume <= 1:
             raise InvalidError(f"volume {self.volume} is not within 0..1")
+        if not re.fullmatch(LANGUAGE, self.captions):
+            raise InvalidError(
+                f"captions {self.captions!r} is neither off nor a language such as en or pt-BR"
+            )
         if self.cache_bytes < 1:
             raise InvalidError(f"cache-bytes {self.cache_bytes} is not positive")
         if self.capture is not None:
@@ -308,6 +317,7 @@ class PlayConfig:
         return (
             ("--rate", self.rate != 1),
             ("--record", self.record is not None),
+            ("--captions", self.captions != NO_CAPTIONS),
         )
 
     @property

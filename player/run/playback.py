@@ -16,7 +16,7 @@ from codec.camera import Camera
 from codec.files import write_atomic
 from codec.framerange import FrameRange
 from codec.progressline import Counter, counted
-from player.config import PlayConfig
+from player.config import NO_CAPTIONS, PlayConfig
 from player.link.linkprocess import LinkProcess
 from player.playout.clock import Clock
 from player.playout.conductor import Conductor
@@ -198,6 +198,7 @@ class _Playback:
             self._play_in(window, poster, size)
 
     def _play_in(self, window: GlWindow, poster: PosterScreen, size: Size) -> None:
+        from player.show.captionchoice import CaptionChoice
         from player.show.window import show_window
 
         config = self._config
@@ -218,6 +219,10 @@ class _Playback:
             with conductor:
                 source = conductor.source
                 path = config.camera.of(source.manifest, size, source.frames)
+                language = None if config.captions == NO_CAPTIONS else config.captions
+                captions = CaptionChoice(
+                    source.manifest.captions, self._opener.read_captions, language
+                )
                 recorder = PathRecorder(scene_centre(source.manifest))
                 with self._sounding(conductor, path(source.frames.first)) as sound:
                     show_window(
@@ -229,7 +234,8 @@ class _Playback:
                         self._note,
                         recorder.add,
                         config.window_background,
-                        sound,
+                        captions=captions,
+                        sound=sound,
                     )
         finally:
             self._summary.received_bytes += conductor.received_bytes

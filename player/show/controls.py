@@ -15,6 +15,7 @@ from codec.camera import Camera
 from player.playout.conductor import Conductor
 from player.view.mouse import View
 
+from .captionchoice import CaptionChoice
 from .overlay import BAR_PX, frame_at
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ HELP = (
     "[  ]\tslower, faster; backspace: normal speed",
     "L\tloop on or off",
     "M\tsound off or on; up, down: louder, softer",
+    "C\tcaptions: the next language, or none",
     "B\tmotion between frames on or off",
     "F\tfull screen; escape: leave it, or close the window",
     "I\tplayback statistics",
@@ -60,6 +62,7 @@ class Controls:
         conductor: Conductor,
         view: View,
         focal_px: float,
+        captions: CaptionChoice,
         sound: SoundPlayer | None = None,
     ) -> None:
         self._window, self._conductor, self._sound = window, conductor, sound
@@ -85,6 +88,7 @@ class Controls:
             glfw.KEY_M: lambda _: self._toggle_sound(),
             glfw.KEY_UP: lambda _: self._change_volume(VOLUME_STEP),
             glfw.KEY_DOWN: lambda _: self._change_volume(-VOLUME_STEP),
+            glfw.KEY_C: lambda _: captions.next(),
             glfw.KEY_B: lambda _: self._toggle_smoothing(),
             glfw.KEY_F: lambda _: self._toggle_full_screen(),
             glfw.KEY_ESCAPE: lambda _: self._escape(),

@@ -23,6 +23,12 @@ MARGIN_PX = 8
 BAR_PX = 30
 """Height of the strip that the bar lies in: what the mouse may hit."""
 
+CAPTIONS_IN_HEIGHT = 28
+"""Letters of captions are this part of the picture's height."""
+
+CAPTION_SHARE = 0.86
+"""Most of the picture's width that captions take, as in the browser."""
+
 TRACK_PX = 6
 KNOB_PX = 7
 
@@ -46,8 +52,8 @@ class Placed:
 
 
 @cache
-def _font() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    return ImageFont.load_default(TEXT_PX)
+def _font(size_px: int = TEXT_PX) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(size_px)
 
 
 def text_panel(lines: Sequence[str]) -> Pixels:
@@ -67,6 +73,37 @@ def text_panel(lines: Sequence[str]) -> Pixels:
         for left_px, text in zip((MARGIN_PX, second_px), row, strict=False):
             draw.text((left_px, MARGIN_PX + n * LINE_PX), text, font=font, fill=_TEXT)
     return np.array(image)
+
+
+def caption_panel(lines: Sequence[str], size: tuple[int, int]) -> Pixels:
+    """The lines, each centred, on a dark panel that a picture of `size` holds; what is too long for
+    CAPTION_SHARE of its width goes on in another line."""
+    text_px = max(TEXT_PX, size[1] // CAPTIONS_IN_HEIGHT)
+    font, most_px = _font(text_px), max(1, int(size[0] * CAPTION_SHARE))
+    rows = [row for line in lines for row in _wrapped(line, font, most_px)]
+    line_px, margin_px = text_px * LINE_PX // TEXT_PX, text_px * MARGIN_PX // TEXT_PX
+    widths_px = [int(font.getlength(row)) for row in rows]
+    width_px = min(max(widths_px, default=0) + 2 * margin_px, size[0])
+    image = Image.new("RGBA", (width_px, len(rows) * line_px + margin_px), _BACK)
+    draw = ImageDraw.Draw(image)
+    for n, (row, row_px) in enumerate(zip(rows, widths_px, strict=True)):
+        at_px = ((width_px - row_px) // 2, margin_px // 2 + n * line_px)
+        draw.text(at_px, row, font=font, fill=_TEXT)
+    return np.array(image)
+
+
+def _wrapped(
+    line: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, most_px: int
+) -> list[str]:
+    """The words of `line` in rows of `most_px`; a longer word has a row of its own."""
+    rows: list[str] = []
+    for word in line.split():
+        longer = f"{rows[-1]} {word}" if rows else word
+        if rows and font.getlength(longer) <= most_px:
+            rows[-1] = longer
+        else:
+            rows.append(word)
+    return rows
 
 
 def _track(width_px: int) -> tuple[int, int]:

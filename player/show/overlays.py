@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 from player.playout.conductor import Conductor, PlayState
 
+from .captionchoice import CaptionChoice
 from .controls import HELP, Controls
-from .overlay import BAR_PX, MARGIN_PX, Pixels, Placed, seek_bar, text_panel
+from .overlay import BAR_PX, MARGIN_PX, Pixels, Placed, caption_panel, seek_bar, text_panel
 from .playmeter import PlayMeter
 
 Make = Callable[[], tuple[Pixels, tuple[int, int]]]
@@ -17,10 +18,10 @@ INFO_EVERY_S = 0.25
 
 
 class Overlays:
-    """The info at the top, the help below it, the bar at the bottom."""
+    """The info at the top, the help below it, the bar at the bottom, captions above that."""
 
-    def __init__(self, meter: PlayMeter, fps: float) -> None:
-        self._meter, self._fps = meter, fps
+    def __init__(self, meter: PlayMeter, fps: float, captions: CaptionChoice) -> None:
+        self._meter, self._fps, self._captions = meter, fps, captions
         self._held: dict[str, tuple[object, Placed]] = {}
         self._info_s = -INFO_EVERY_S
 
@@ -42,7 +43,18 @@ class Overlays:
             shown.append(self._text("help", HELP, top_px))
         if controls.shows_bar and size[1] > BAR_PX:
             shown.append(self._bar(state, size))
+        if (lines := self._captions.lines(state.frame / self._fps)) and all(size):
+            shown.append(self._caption(lines, size))
         return shown
+
+    def _caption(self, lines: tuple[str, ...], size: tuple[int, int]) -> Placed:
+        def make() -> tuple[Pixels, tuple[int, int]]:
+            pixels = caption_panel(lines, size)
+            height_px, width_px, _ = pixels.shape
+            top_px = max(0, size[1] - BAR_PX - MARGIN_PX - height_px)
+            return pixels, ((size[0] - width_px) // 2, top_px)
+
+        return self._keep("captions", (lines, size), make)
 
     def _lines(self, conductor: Conductor, state: PlayState, now_s: float) -> tuple[str, ...]:
         source = conductor.source

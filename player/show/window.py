@@ -19,6 +19,7 @@ from player.render.steptimes import StepTimes
 from player.view.mouse import view_of
 from player.view.path import CameraPath
 
+from .captionchoice import CaptionChoice
 from .controls import Controls
 from .glwindow import GlWindow
 from .overlaygl import OverlayPainter
@@ -46,6 +47,8 @@ def show_window(
     note: Note,
     record_camera: Callable[[int, Camera], object],
     background: Colour = BLACK,
+    *,
+    captions: CaptionChoice,
     sound: SoundPlayer | None = None,
 ) -> None:
     """Shows what plays until the window is closed: first the poster, at last the last picture.
@@ -60,7 +63,7 @@ def show_window(
     with closing(renderer):
         conductor.smoothing.pictures_hz = window.pictures_hz
         conductor.attach(renderer)
-        _Shown(window, poster, conductor, path, background, sound).show(
+        _Shown(window, poster, conductor, path, background, captions, sound).show(
             renderer, note, record_camera
         )
 
@@ -75,6 +78,7 @@ class _Shown:
         conductor: Conductor,
         path: CameraPath,
         background: Colour,
+        captions: CaptionChoice,
         sound: SoundPlayer | None,
     ) -> None:
         source = conductor.source
@@ -83,11 +87,11 @@ class _Shown:
         self._conductor, self._path, self._background = conductor, path, background
         self._view = view_of(source.manifest)
         self._controls = Controls(
-            window.handle, conductor, self._view, path(source.frames.first).fy_px, sound
+            window.handle, conductor, self._view, path(source.frames.first).fy_px, captions, sound
         )
         self._painter = OverlayPainter(window.context)
         self._meter = PlayMeter()
-        self._overlays = Overlays(self._meter, source.manifest.fps)
+        self._overlays = Overlays(self._meter, source.manifest.fps, captions)
 
     def show(
         self, renderer: GlRenderer, note: Note, record_camera: Callable[[int, Camera], object]

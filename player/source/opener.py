@@ -17,8 +17,10 @@ from pathlib import Path
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from codec.storage.credentials import without_credentials
+from codec.stream.captions import MAX_CAPTIONS_BYTES
 from codec.stream.manifest import Manifest, object_name
-from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, check_gaussians
+from codec.stream.packedstorage import open_place
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, check_gaussians, read_stream_file
 from player.network.diskcache import DiskCache
 from player.network.faults import BrokenError, StoppedError
 from player.network.fetch import FetchConfig, Fetcher
@@ -124,6 +126,21 @@ class Opener:
             bases = tuple(f"{url}/" for url in place.urls)
             return HostedSound(Mirrors(bases, fetcher, retry), fetcher, object_name)
         return HostedSound(place.mirrors(fetcher, retry), fetcher, place.reference)
+
+    def read_captions(self, name: str) -> bytes:
+        """The file of captions `name` of the stream, which was opened before, over a connection of
+        its own. Blocks; for any thread. Raises a SwingsError."""
+        place, retry = self._place, self._config.retry
+        assert place is not None
+        if isinstance(place, Path):
+            return read_stream_file(open_place(place), name, MAX_CAPTIONS_BYTES)
+        with closing(self._fetcher.another(self._fetcher.config)) as fetcher:
+            if isinstance(place, ServedPlace):
+                bases = tuple(f"{url}/" for url in place.urls)
+                mirrors = Mirrors(bases, fetcher, retry)
+            else:
+                mirrors = place.mirrors(fetcher, retry)
+            return bytes(mirrors.get(name, MAX_CAPTIONS_BYTES).data)
 
     def _find(self, fetcher: Fetcher) -> Place:
         if self._place is None:

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from codec.stream.captions import Captions
+from codec.tools.streamcaptions import add_captions
 from player.show.overlay import BAR_PX
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import write_stream
@@ -102,6 +104,25 @@ def test_time_stands_steps_and_is_sought(stream: Path, tmp_path: Path) -> None:
     back = next(n for n in range(len(frames)) if frames[n + 1] < frames[n]) + 1
     stood = frames[back]
     assert frames[back - 2 : back + 3] == [stood, stood + 1, stood, stood + 30, stood]
+
+
+def test_captions_show_and_a_key_hides_them(tmp_path: Path) -> None:
+    stream = write_stream(tmp_path / "s", FRAMES)
+    (tmp_path / "in.vtt").write_text("WEBVTT\n\n00:00.000 --> 01:00.000\nWWWW WWWW\n")
+    add_captions(stream, tmp_path / "in.vtt", Captions("en", "English"))
+    with playing(stream, tmp_path / "r.json", "--captions", "en") as person:
+        person.presses("space")
+        shown = person.sees_rest()
+        person.presses("c")
+        person.wait_for(lambda: differ(shown, person.sees()) > 0.001)
+        hidden = person.sees_rest()
+        rows, columns = np.nonzero((shown != hidden).any(axis=2))
+        height_px, width_px = shown.shape[:2]
+        assert rows.min() > height_px / 2
+        assert rows.max() < height_px - BAR_PX
+        assert abs(columns.min() + columns.max() - width_px) < 12, "in the middle"
+        person.presses("c")
+        person.wait_for(lambda: differ(shown, person.sees()) == 0)
 
 
 def test_the_bar_seeks_to_where_it_is_dragged(stream: Path, tmp_path: Path) -> None:
