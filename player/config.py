@@ -211,7 +211,7 @@ class PlayConfig:
     loop: Annotated[int | None, LOOP] = 1
     """Play the frames N times, or forever. Each repetition requests the stream again."""
     rate: float = 1.0
-    """Playback rate in a window: seconds of the stream per second, 0.25 to 4."""
+    """Playback rate in a window: seconds of the stream per second, 0.1 to 4."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
     """Record your camera movements in the window to this file, for use with --camera."""
     background: Annotated[Colour | None, BACKGROUND] = BLACK

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from codec.errors import InvalidError
 
-MIN_RATE, MAX_RATE = 0.25, 4.0
+MIN_RATE, MAX_RATE = 0.1, 4.0
 """Slowest and fastest, seconds of media in a second."""
 
 

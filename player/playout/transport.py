@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from codec.errors import InvalidError
 
-RATES = (0.25, 0.5, 1.0, 1.5, 2.0, 4.0)
+RATES = (0.1, 0.25, 0.5, 1.0, 1.5, 2.0, 4.0)
 """Rates that the keys step through, seconds of media per second."""
 
 

@@ -246,7 +246,7 @@ def test_a_server_that_dies_leaves_no_half_video(library: Path, tmp_path: Path) 
             ("--still", "3", "--capture", "x.png", "--rate", "2"),
             "--rate cannot be combined with --still",
         ),
-        (("--rate", "5"), "not within 0.25..4"),
+        (("--rate", "5"), "not within 0.1..4"),
         (("--background", "blue"), "is not RRGGBB"),
     ],
 )

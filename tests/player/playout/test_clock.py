@@ -78,7 +78,7 @@ def test_skipping_goes_on_only() -> None:
     assert clock.now_s() == 4.0
 
 
-@pytest.mark.parametrize("rate", [0.0, -1.0, 0.2, 4.1, float("nan"), float("inf")])
+@pytest.mark.parametrize("rate", [0.0, -1.0, 0.09, 4.1, float("nan"), float("inf")])
 def test_rates_that_nobody_can_watch_are_refused(rate: float) -> None:
     with pytest.raises(InvalidError, match="rate"):
         Clock(True).set_rate(rate)

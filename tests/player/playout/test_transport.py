@@ -65,7 +65,7 @@ def test_rates_go_up_and_down_a_ladder() -> None:
     assert next_rate(1.0, -2) == 0.25
     assert next_rate(4.0, 1) == 4.0
     assert next_rate(0.3, 0) == 0.25
-    assert RATES[0] == 0.25
+    assert RATES[0] == 0.1
 
 
 def test_no_frames_cannot_be_played() -> None:
