@@ -1,4 +1,4 @@
-"""The bundle of player/web: a page and five scripts instead of a hundred modules.
+"""The bundle of player/web: a page and seven scripts instead of a hundred modules.
 
 Run by scripts/webbundle. The bundle is committed, so that whoever installs swings needs no Node.js;
 a test compares it with the sources.
@@ -19,10 +19,12 @@ MODULES = {
     "sortworker.js": "playback/sortworker.js",
     "extras.js": "element/extras.js",
     "tracks.js": "element/tracks.js",
+    "smoothing.js": "element/smoothing.js",
+    "packedlayout.js": "format/packedlayout.js",
 }
 """Each module of the bundle and the source that it begins with."""
 
-LATER = {"extras.js", "tracks.js"}
+LATER = {"extras.js", "tracks.js", "smoothing.js", "packedlayout.js"}
 """Modules that are loaded when a viewer needs them."""
 
 PAGE_SCRIPT, PAGE_SOURCE = "page.js", "watch.js"

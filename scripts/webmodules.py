@@ -15,7 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from codec import camera, slice, splats
+from codec import camera, halfway, slice, splats
 from codec.coders import coder, gzip, zstd
 from codec.lattice import lattice, quantise
 from codec.slots import (
@@ -42,7 +42,7 @@ from codec.stream import (
     storyboard,
     zipentry,
 )
-from player.render import pack, recipe
+from player.render import moves, pack, recipe
 
 ROOT = Path(__file__).parents[1]
 WEB = ROOT / "player" / "web"
@@ -51,6 +51,8 @@ CONSTANTS: dict[ModuleType, str] = {
     recipe: "LOW_PASS_PX2 JACOBIAN_CLAMP ALPHA_MAX ALPHA_MIN MAX_EXTENT_SIGMA SH_C1 SH_C2 SH_C3 "
     "COLOUR_TURN_RAD",
     pack: "COLOUR_COLUMNS",
+    moves: "MOVES ENTERS LEAST_SPARE SPARE_SHARE",
+    halfway: "JUMP_SIGMAS",
     splats: "SH_C0 MAX_SH_DEGREE",
     slice: "MAX_SWIN_SIZE HIDDEN",
     camera: "MAX_IMAGE_PX",

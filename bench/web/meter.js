@@ -30,6 +30,8 @@ let uploadBytes = 0;
 let isNew = false;
 /** Nothing is drawn while it plays: a device without a GPU takes the cores that the workers need. */
 let draws = false;
+/** Calls that draw. */
+let numDraws = 0;
 /** @type {{ texture: WebGLTexture, words: Uint32Array } | null} of the mode that uploads all */
 let whole = null;
 
@@ -75,16 +77,17 @@ const { draw } = Painter.prototype;
 const { update } = SplatRenderer.prototype;
 
 Painter.prototype.draw = function (...given) {
+  numDraws += 1;
   if (!draws) return;
   const beganMs = performance.now();
   draw.apply(this, given);
   mainMs -= performance.now() - beganMs;
 };
 
-SplatRenderer.prototype.update = function (updates, order) {
+SplatRenderer.prototype.update = function (updates, order, frame) {
   const beganMs = performance.now();
   uploadBytes = 0;
-  update.call(this, updates, order);
+  update.call(this, updates, order, frame);
   isNew = true;
   uploadMs = performance.now() - beganMs;
   if (whole === null) return;
@@ -155,10 +158,30 @@ async function measure({ rate, uploadsAll, isMoving }) {
   return {
     pictures: pictures.slice(WARM_UP_PICTURES),
     picturesPerS: pictures.length / playedS,
+    drawnPerS: numDraws / playedS,
     stalls: player().state.stalls,
     drawMs: uploadsAll ? 0 : finishedDrawMs(),
     device: gl.getParameter(info?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER),
   };
 }
 
-Object.assign(window, { measure });
+/**
+ * Milliseconds until the device has drawn what shows, in turns as it is and half of the way from the frame
+ * before; each number is the median of some.
+ */
+function measureBetween() {
+  const { renderer } = player();
+  /** @type {number[][]} */
+  const times = [[], []];
+  const inbetween = renderer.inbetween;
+  for (let round = 0; round < NUM_DRAWS; round++) {
+    for (const n of [0, 1]) {
+      inbetween.share = n === 0 ? 1 : 0.5;
+      times[n].push(finishedDrawMs());
+    }
+  }
+  inbetween.share = 1;
+  return times;
+}
+
+Object.assign(window, { measure, measureBetween });

@@ -19,6 +19,15 @@ export const COLOUR_TURN_RAD = 0.002;
 // player.render.pack
 export const COLOUR_COLUMNS = 2048;
 
+// player.render.moves
+export const MOVES = 1;
+export const ENTERS = 2;
+export const LEAST_SPARE = 64;
+export const SPARE_SHARE = 16;
+
+// codec.halfway
+export const JUMP_SIGMAS = 8;
+
 // codec.splats
 export const SH_C0 = 0.28209479177387814;
 export const MAX_SH_DEGREE = 3;

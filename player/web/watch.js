@@ -2,8 +2,8 @@
  * The script of a page with one player: takes what the address selects over to the element, and sends
  * the first requests while the element's own code is still being loaded.
  *
- * Query: t (seconds), view, loop, autoplay, max-gaussians, other-hosts, buffer-mb; and src (the stream's folder)
- * where the page itself names none.
+ * Query: t (seconds), view, loop, autoplay, interpolate, max-gaussians, other-hosts, buffer-mb; and src (the
+ * stream's folder) where the page itself names none.
  */
 
 import { firstUrls, folderUrl } from "./source/addresses.js";
@@ -24,6 +24,7 @@ for (const [name, attribute] of [
   ["view", "view"],
   ["max-gaussians", "max-gaussians"],
   ["buffer-mb", "buffer-mb"],
+  ["interpolate", "interpolate"],
 ]) {
   const value = query.get(name);
   if (value !== null) player.setAttribute(attribute, value);

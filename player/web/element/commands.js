@@ -14,7 +14,7 @@
  * The commands of a player, in the order of the bar and of the menu.
  * @param {import("./swingsplayer.js").SwingsPlayerElement} element
  * @param {import("./stereocontrols.js").StereoControls} stereo
- * @param {{ share: () => void, copyEmbedCode: () => void }} sharing
+ * @param {import("./lazypart.js").LazyPart<import("./sharing.js").Sharing>} sharing
  * @param {import("./lazypart.js").LazyPart<import("./panels.js").Panels>} panels
  * @returns {Command[]}
  */
@@ -26,14 +26,14 @@ export function commandsOf(element, stereo, sharing, panels) {
       icon: "share",
       key: "",
       place: "wide",
-      run: () => sharing.share(),
+      run: () => sharing.use((part) => part.share()),
     },
     {
       name: "embed",
       label: "Copy the embed code",
       key: "",
       place: "menu",
-      run: () => sharing.copyEmbedCode(),
+      run: () => sharing.use((part) => part.copyEmbedCode()),
     },
     {
       name: "loop",
@@ -56,10 +56,18 @@ export function commandsOf(element, stereo, sharing, panels) {
       name: "side-by-side",
       label: "Side-by-side stereo view",
       icon: "sideBySide",
-      key: "b",
+      key: "e",
       place: "wide",
       run: () => stereo.toggleSideBySide(),
       isOn: () => stereo.isSideBySide,
+    },
+    {
+      name: "interpolate",
+      label: "Motion between frames",
+      key: "b",
+      place: "menu",
+      run: () => (element.interpolate = !element.interpolate),
+      isOn: () => element.interpolate,
     },
     ...(element.hasGyroscope ? [gyroscopeOf(element)] : []),
     {

@@ -5,4 +5,5 @@
 
 export { Headset } from "../stereo/headset.js";
 export { Panels } from "./panels.js";
+export { Sharing } from "./sharing.js";
 export { Storyboard } from "./storyboard.js";

@@ -1,6 +1,6 @@
 import { cameraKeys } from "../view/camerakeys.js";
 
-export const RATES = [0.25, 0.5, 1, 1.5, 2];
+export const RATES = [0.1, 0.25, 0.5, 1, 1.5, 2];
 
 /** An arrow key and J or L move by so much, or by a share of a clip that is shorter. */
 const STEP_S = 5;

@@ -17,7 +17,7 @@ export class LazyPart {
     this.failed = failed;
   }
 
-  /** Has it do something, now or as soon as it is here. @param {(part: Part) => void} action */
+  /** Has it do something, now or as soon as it is here. @param {(part: Part) => unknown} action */
   async use(action) {
     try {
       this.#loading ??= this.load();
@@ -27,6 +27,6 @@ export class LazyPart {
       this.failed();
       return;
     }
-    action(this.part);
+    await action(this.part);
   }
 }

@@ -38,6 +38,15 @@ export class MediaAttributes extends HTMLElement {
     this.toggleAttribute("loop", value);
   }
 
+  /** Whether pictures between two frames show motion, where the screen is faster than the stream. */
+  get interpolate() {
+    return this.getAttribute("interpolate") !== "false";
+  }
+
+  set interpolate(value) {
+    this.setAttribute("interpolate", String(Boolean(value)));
+  }
+
   /**
    * What is fetched before `play()`: nothing, the description of the stream, or the first seconds too.
    * @returns {"none" | "metadata" | "auto"}

@@ -11,6 +11,7 @@ const ICONS = {
   quality: "M12 3l9 5-9 5-9-5zM5.5 11.5L12 15l6.5-3.5L21 13l-9 5-9-5z",
   embed: "M9 7l-5 5 5 5-1.5 1.5L1 12l6.5-6.5zm6 0l5 5-5 5 1.5 1.5L23 12l-6.5-6.5z",
   gyroscope: "M7 2h10v20H7zm2 3v13h6V5zM2 9l3-3v2.5h1v1H5V12zm20 6l-3 3v-2.5h-1v-1h1V12z",
+  interpolate: "M3 8h4v8H3zm7 0h1v8h-1zm3 0h1v8h-1zm4 0h4v8h-4z",
   statistics: "M4 19h16v2H4zM6 11h3v7H6zm5-6h3v13h-3zm5 9h3v4h-3z",
   keys: "M3 6h18v12H3zm2 2v2h2V8zm3.5 0v2h2V8zm3.5 0v2h2V8zm3.5 0v2h2V8zM5 11.5v2h2v-2zm3.5 0v2h2v-2zm3.5 0v2h2v-2zm3.5 0v2h2v-2zM8 15v1.5h8V15z",
 };

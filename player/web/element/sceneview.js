@@ -33,9 +33,19 @@ const IDLE_MS = 100;
  * draw), `headset`, `select`, `lost`, `restored`, `gone` (of the WebGL context).
  */
 export class SceneView extends EventTarget {
-  /** @param {HTMLCanvasElement} canvas Throws a RendererError without WebGL2. */
-  constructor(canvas) {
+  /** Whether pictures between two frames show motion, where the screen is faster than the stream. */
+  interpolates = true;
+  /** @type {import("./smoothing.js").Smoothing | null} null until a stream plays */
+  smoothing = null;
+  #isLoading = false;
+
+  /**
+   * @param {HTMLCanvasElement} canvas Throws a RendererError without WebGL2.
+   * @param {import("./streamsession.js").StreamSession} session when its frames are due
+   */
+  constructor(canvas, session) {
     super();
+    this.session = session;
     this.canvas = canvas;
     this.painter = new Painter(canvas);
     this.loop = new FrameLoop((nowMs) => this.#drawOnCanvas(nowMs));
@@ -96,9 +106,20 @@ export class SceneView extends EventTarget {
   /** @param {SortedFrame} sorted @param {boolean} isHeld whether it is drawn even if the page is not */
   receive(sorted, isHeld) {
     this.sorted = this.sorted === null ? sorted : joined(this.sorted, sorted);
+    if (this.interpolates && this.session.line?.zeroMs && !this.#isLoading) this.#loadSmoothing();
     if (this.headset !== null) return;
     if (isHeld && this.loop.waitedMs > IDLE_MS) this.loop.flush();
     else this.loop.request();
+  }
+
+  async #loadSmoothing() {
+    this.#isLoading = true;
+    try {
+      const { Smoothing } = await import("./smoothing.js");
+      this.smoothing = new Smoothing(this);
+    } catch {
+      // Without it each frame stands.
+    }
   }
 
   /** The camera, the size or the number of pictures has changed. */
@@ -109,7 +130,8 @@ export class SceneView extends EventTarget {
 
   /** Whether the next picture would be the same as the last one. */
   get isSettled() {
-    return this.sorted === null && (this.workers?.isSettled ?? true);
+    const isMoving = this.smoothing?.isMoving ?? false;
+    return this.sorted === null && !isMoving && (this.workers?.isSettled ?? true);
   }
 
   /** Where the camera is; null until a stream is open. */
@@ -197,7 +219,8 @@ export class SceneView extends EventTarget {
   #draw(viewpoint, nowMs) {
     const { painter, size } = this;
     if (this.sorted !== null) this.#upload(this.sorted);
-    this.workers?.requestOrder(viewpoint.w2c, nearOf(this.manifest, viewpoint));
+    const isMoving = this.smoothing?.step(nowMs) ?? false;
+    this.workers?.requestOrder(viewpoint.w2c, nearOf(this.manifest, viewpoint), isMoving);
     if (!this.needsDrawing || this.isEmpty) return;
     this.needsDrawing = false;
     const beganMs = performance.now();
@@ -218,7 +241,8 @@ export class SceneView extends EventTarget {
     if (renderer === null || (this.isEmpty && !isWhole)) return;
     this.isEmpty = false;
     const beganMs = performance.now();
-    renderer.update(updates, order);
+    this.smoothing?.attach(renderer);
+    renderer.update(updates, order, frame);
     this.timings.uploadMs = performance.now() - beganMs;
     this.timings.sortMs = sortMs;
     this.needsDrawing = true;

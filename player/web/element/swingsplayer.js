@@ -18,7 +18,6 @@ import { prefersStill } from "./motion.js";
 import { node } from "./nodes.js";
 import { Overlay } from "./overlay.js";
 import { Scrubber } from "./scrubber.js";
-import { Sharing } from "./sharing.js";
 import { StereoControls } from "./stereocontrols.js";
 import { STYLE } from "./style.js";
 import { WebPlayer } from "./webplayer.js";
@@ -29,13 +28,13 @@ const LONG_MS = 10_000;
  * `<swings-player src="URL of a stream's folder or file">`: plays a stream, with controls.
  *
  * Attributes: `src`, `autoplay`, `loop`, `preload`, `start` (seconds), `view` (as a share link has it),
- * `poster`, `muted`, `link` (the page that share links open), `max-gaussians`, `other-hosts`,
- * `buffer-mb`. docs/EMBED.md has them all, and what a script can do.
+ * `poster`, `muted`, `interpolate`, `link` (the page that share links open), `max-gaussians`,
+ * `other-hosts`, `buffer-mb`. docs/EMBED.md has them all, and what a script can do.
  */
 export class SwingsPlayerElement extends MediaInterface {
   /** Of the player. */
   static version = PLAYER_VERSION;
-  static observedAttributes = ["src", "loop", "preload"];
+  static observedAttributes = ["src", "loop", "preload", "interpolate"];
 
   #canvas = node("canvas", {
     tabindex: "0",
@@ -46,7 +45,13 @@ export class SwingsPlayerElement extends MediaInterface {
   #overlay = new Overlay(() => this.play());
   #hints = new Hints();
   #failure = new Failure(() => this.retry());
-  #sharing = new Sharing(this, (message, forMs) => this.#hints.say(message, forMs));
+  #sharing = new LazyPart(
+    async () => {
+      const { Sharing } = await import("./extras.js");
+      return new Sharing(this, (message, forMs) => this.#hints.say(message, forMs));
+    },
+    () => this.#notLoaded(),
+  );
   /** What there is for a player that works. */
   #controls = node("div", { class: "controls" });
   #frame = node(
@@ -89,6 +94,7 @@ export class SwingsPlayerElement extends MediaInterface {
     const listening = new AbortController();
     this.#listen(this.player, listening.signal);
     this.#stopListening = () => listening.abort();
+    this.#showMotion(this.player);
     this.load();
   }
 
@@ -107,7 +113,13 @@ export class SwingsPlayerElement extends MediaInterface {
     if (this.player === null) return;
     if (name === "src") this.load();
     else if (name === "preload") this.preloadChanged();
+    else if (name === "interpolate") this.#showMotion(this.player);
     else this.#setLoop(this.loop);
+  }
+
+  /** @param {WebPlayer} player */
+  #showMotion(player) {
+    player.view.interpolates = this.interpolate;
   }
 
   /** @override */
@@ -152,8 +164,7 @@ export class SwingsPlayerElement extends MediaInterface {
       this.#show(player);
     };
     const stereo = new StereoControls(player, (message) => hints.say(message, LONG_MS));
-    const notLoaded = () =>
-      hints.say("This could not be loaded; check the network and try again", LONG_MS);
+    const notLoaded = () => this.#notLoaded();
     const panels = new LazyPart(async () => {
       const { Panels } = await import("./extras.js");
       const wake = () => visibility.wake();
@@ -358,7 +369,11 @@ export class SwingsPlayerElement extends MediaInterface {
 
   /** Copies a link that opens the page at this moment and view. */
   copyLink() {
-    return this.#sharing.copyLink();
+    return this.#sharing.use((sharing) => sharing.copyLink());
+  }
+
+  #notLoaded() {
+    this.#hints.say("This could not be loaded; check the network and try again", LONG_MS);
   }
 
   toggleStats() {

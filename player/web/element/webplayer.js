@@ -33,7 +33,7 @@ export class WebPlayer extends StreamSession {
   constructor(canvas) {
     super();
     this.canvas = canvas;
-    this.view = new SceneView(canvas);
+    this.view = new SceneView(canvas, this);
     this.sight = new Sight(canvas, this.view.loop, () => this.#followSight());
     this.addEventListener("state", () => this.sight.check());
     this.#listen();

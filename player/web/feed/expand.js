@@ -26,7 +26,7 @@ export function expandLattice(words, shDegree, lattices) {
   const bytes = new Uint8Array(words.buffer, words.byteOffset, words.byteLength);
   /** @type {number[][]} where each begins, by layer */
   const places = lattices.map(() => []);
-  for (let at = 0; at < count * each; at += each) places[words[at + 3] >>> 24].push(at);
+  for (let at = 0; at < count * each; at += each) places[(words[at + 3] >>> 24) & 15].push(at);
   return places.map((found, layer) => {
     const rows = new Slots(found.length, numAttributes, ON_LATTICE);
     const slots = new Uint32Array(found.length);
@@ -69,7 +69,7 @@ export function expandFloats(words, shDegree) {
     )
   );
   for (let i = 0; i < count; i++) {
-    slots[i] = words[each * i];
+    slots[i] = words[each * i] & 0xffffff;
     let at = each * i + 1;
     for (const [name, width] of Object.entries(widths)) {
       const array = gaussians[/** @type {keyof typeof widths} */ (name)];

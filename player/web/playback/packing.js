@@ -2,7 +2,8 @@
 
 import { opacityLogits } from "../format/dequantise.js";
 import { NEVER } from "../renderer/depthorder.js";
-import { ALPHA_MIN, ESCAPED, ON_LATTICE } from "../constants.js";
+import { ALPHA_MIN, ENTERS, ESCAPED, ON_LATTICE } from "../constants.js";
+import { LEFT, spareSlots } from "../format/slots/moves.js";
 import { floatWords, latticeWords, roomFor } from "../renderer/resident.js";
 
 /** One that is nowhere opaque enough to show is left out of every frame. */
@@ -17,12 +18,14 @@ const LEAST_LOGIT = Math.log(ALPHA_MIN / (1 - ALPHA_MIN));
  * @property {Uint32Array} slots (N)
  * @property {Float32Array} means (N, 3) metres
  * @property {Int32Array} starts (N) the first frame that shows it, or NEVER
+ * @property {Uint8Array} moves (N) how it comes to its place: MOVES, ENTERS, or 0: at once
+ * @property {Uint32Array} leaving slots whose Gaussians fade out, if they showed
  */
 
 /** The buffers of an update, to be handed to another thread. @param {SplatUpdate} update */
 export function buffersOf(update) {
-  const { lattice, floats, slots, means, starts } = update;
-  return [lattice, floats, slots, means, starts].map(
+  const { lattice, floats, slots, means, starts, moves, leaving } = update;
+  return [lattice, floats, slots, means, starts, moves, leaving].map(
     (array) => /** @type {ArrayBuffer} */ (array.buffer),
   );
 }
@@ -40,21 +43,30 @@ export function packSlots(decoder, slice, frame) {
   let count = 0;
   let numLattice = 0;
   let numFloats = 0;
+  let numLeaving = 0;
   for (const [layer, rows] of slice.rows.entries()) {
     const { conditions } = lane[layer];
+    for (const move of slice.moves?.[layer] ?? []) if (move & LEFT) numLeaving++;
     count += rows.length;
     for (const row of rows) {
       if (conditions[row] === ON_LATTICE) numLattice++;
       else if (conditions[row] === ESCAPED) numFloats++;
     }
   }
+  // Where more is exchanged than can fade out, all of it changes at once.
+  const fades = numLeaving <= spareSlots(layout.numSlots);
   const packer = new Packer(layout.shDegree, frame, count, numLattice, numFloats);
   for (const [layer, rows] of slice.rows.entries()) {
     const slots = lane[layer];
     const first = slice.lane * layout.numSlots + rowEdges[layer];
     const lattice = layout.lattices[layer];
     const logits = opacityLogits(lattice.opacityLevels);
-    for (const row of rows) {
+    const moves = slice.moves?.[layer];
+    for (const [i, row] of rows.entries()) {
+      const move = moves?.[i] ?? 0;
+      packer.move = move & ~LEFT;
+      if (!fades && packer.move === ENTERS) packer.move = 0;
+      if (fades && move & LEFT) packer.leaving.push(first + row);
       const start = slice.birth + slots.starts[row];
       if (slots.conditions[row] === ON_LATTICE) {
         packer.addLattice(first + row, layer, slots, row, start, lattice, logits);
@@ -67,6 +79,7 @@ export function packSlots(decoder, slice, frame) {
       }
     }
   }
+  packer.update.leaving = Uint32Array.from(packer.leaving);
   return packer.update;
 }
 
@@ -89,7 +102,13 @@ class Packer {
       slots: new Uint32Array(count),
       means: new Float32Array(3 * count),
       starts: new Int32Array(count),
+      moves: new Uint8Array(count),
+      leaving: new Uint32Array(),
     };
+    /** @type {number[]} */
+    this.leaving = [];
+    /** Of what is added next. */
+    this.move = 0;
     this.latticeBytes = new Uint8Array(this.update.lattice.buffer);
     this.floatValues = new Float32Array(this.update.floats.buffer);
     this.at = 0;
@@ -121,7 +140,7 @@ class Packer {
       words[word + axis] = (q << 8) | attributes[from + axis];
       means[3 * this.at + axis] = q * lattice.positionM;
     }
-    words[word + 3] = (layer << 24) | slot;
+    words[word + 3] = (this.move << 28) | (layer << 24) | slot;
     const to = 4 * (word + 4) - 3;
     for (let i = 3; i < numAttributes; i++) this.latticeBytes[to + i] = attributes[from + i];
     const logit = logits[attributes[from + numAttributes - 1]];
@@ -135,7 +154,7 @@ class Packer {
    */
   addFloats(slot, values, start) {
     const word = this.floatWords * this.atFloats++;
-    this.update.floats[word] = slot;
+    this.update.floats[word] = (this.move << 28) | slot;
     this.floatValues.set(values, word + 1);
     this.update.means.set(values.subarray(0, 3), 3 * this.at);
     this.#add(slot, values[10] >= LEAST_LOGIT ? start : NEVER);
@@ -147,6 +166,7 @@ class Packer {
    */
   #add(slot, start) {
     this.update.slots[this.at] = slot;
+    this.update.moves[this.at] = this.move;
     this.update.starts[this.at] = start;
     this.at++;
   }

@@ -5,7 +5,11 @@ const SLOT_MASK = 0xffffff;
 
 /**
  * Words for the renderer's textures; see renderer/resident.js.
- * @typedef {{ lattice: Uint32Array, floats: Uint32Array }} Words
+ * @typedef {object} Words
+ * @property {number} frame from which it shows; -1: of several frames
+ * @property {Uint32Array} lattice
+ * @property {Uint32Array} floats
+ * @property {Uint32Array} leaving slots whose Gaussians fade out, then zeros, in whole texels
  */
 
 /**
@@ -26,12 +30,17 @@ export class PendingUpdates {
     this.numEntries = 0;
   }
 
-  /** @param {Words} words are kept, not copied */
-  add({ lattice, floats }) {
-    if (lattice.length + floats.length === 0) return;
-    this.updates.push({ lattice, floats });
+  /**
+   * @param {Words} words are kept, not copied
+   * @returns {boolean} whether they are by themselves
+   */
+  add({ frame, lattice, floats, leaving }) {
+    if (lattice.length + floats.length + leaving.length === 0) return true;
+    this.updates.push({ frame, lattice, floats, leaving });
     this.numEntries += this.#countLattice(lattice) + this.#countFloats(floats);
-    if (this.numEntries > this.numSlots) this.#merge();
+    const isMuch = this.numEntries > this.numSlots;
+    if (isMuch) this.#merge();
+    return !isMuch;
   }
 
   /** All that is pending, oldest first; none of it is pending afterwards. @returns {Words[]} */
@@ -66,7 +75,8 @@ export class PendingUpdates {
       floats.addBackwards(update.floats);
       lattice.addBackwards(update.lattice);
     }
-    this.updates = [{ lattice: lattice.words, floats: floats.words }];
+    const leaving = new Uint32Array();
+    this.updates = [{ frame: -1, lattice: lattice.words, floats: floats.words, leaving }];
     this.numEntries = lattice.count + floats.count;
   }
 }

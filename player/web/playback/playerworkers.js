@@ -20,6 +20,8 @@ export class PlayerWorkers {
   #request = "none";
   /** Number of the last request; an earlier one may be answered while it is on its way. */
   #lastRequest = 0;
+  /** Whether Gaussians were on their way at the last request. */
+  #isMoving = false;
   /** Ends early requests. */
   #opening = new AbortController();
   /** @type {number[]} (4, 4) world to camera of the last request */
@@ -71,14 +73,19 @@ export class PlayerWorkers {
    * has moved. At most one of the second kind is underway.
    * @param {number[]} w2c (4, 4) world to camera
    * @param {number} nearM
+   * @param {boolean} isMoving whether Gaussians are on their way: it is the order half way then, with those
+   *   that fade out
    */
-  requestOrder(w2c, nearM) {
-    const isMoved = w2c.some((entry, i) => entry !== this.requestedW2c[i]);
+  requestOrder(w2c, nearM, isMoving) {
+    const isMoved =
+      isMoving !== this.#isMoving || w2c.some((entry, i) => entry !== this.requestedW2c[i]);
     if (this.#request === "due" || (this.#request === "waiting" && !isMoved)) return;
     this.#lastRequest += 1;
-    this.sorter.postMessage({ view: { w2c, nearM, request: this.#lastRequest }, isMoved });
+    const view = { w2c, nearM, isMoving, request: this.#lastRequest };
+    this.sorter.postMessage({ view, isMoved });
     this.#request = isMoved ? "due" : "waiting";
     this.requestedW2c = w2c;
+    this.#isMoving = isMoving;
   }
 
   terminate() {

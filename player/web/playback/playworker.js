@@ -1,8 +1,7 @@
 /** Network and decoding, in a thread of their own; see WebPlayer. */
 
-import { FormatError } from "../format/bytes/errors.js";
 import { expectEarly } from "../source/early/earlyresponses.js";
-import { Fetcher, SourceError } from "../source/fetcher.js";
+import { Fetcher } from "../source/fetcher.js";
 import { openSource } from "../source/source.js";
 import { StreamPlayer } from "./streamplayer.js";
 import { scope } from "./workerscope.js";
@@ -18,7 +17,8 @@ let release = null;
 
 /** @param {unknown} error */
 function fail(error) {
-  const isOurs = error instanceof SourceError || error instanceof FormatError;
+  // A bundle has no class in common with the code that is loaded later.
+  const isOurs = error instanceof Error && /^(Source|Format)Error$/.test(error.name);
   const message = error instanceof Error ? error.message : String(error);
   scope.postMessage({
     kind: "failed",

@@ -3,6 +3,7 @@
  * one that draws, and gives that one both at once: what is new, and the order in which to draw it.
  */
 
+import { spareSlots } from "../format/slots/moves.js";
 import { DepthOrder } from "../renderer/depthorder.js";
 import { PendingUpdates } from "./pendingupdates.js";
 import { scope } from "./workerscope.js";
@@ -17,18 +18,23 @@ import { scope } from "./workerscope.js";
  * @property {number} seeks that the player had made
  * @property {boolean} isWhole whether `updates` have all that shows, whatever the renderer holds
  * @property {import("./pendingupdates.js").Words[]} updates
- * @property {Uint16Array | Uint32Array} order slots, farthest first
+ * @property {Uint16Array | Uint32Array} order slots, farthest first; behind the last slot those that the
+ *   newest update lets fade out, in its order, if that was wanted
  * @property {number} sortMs
  */
+
+const NONE = new Uint32Array();
 
 /** @type {DepthOrder | null} */
 let order = null;
 /** @type {Incoming | null} */
 let newest = null;
+/** @type {import("./packing.js").SplatUpdate | null} the newest, while it counts as half way there */
+let moving = null;
 /** @type {PendingUpdates | null} */
 let pending = null;
 let isWhole = false;
-/** @type {{ w2c: number[], nearM: number, request: number } | null} set while the thread that draws waits */
+/** @type {{ w2c: number[], nearM: number, isMoving: boolean, request: number } | null} set while the thread that draws waits */
 let wanted = null;
 /** Whether a frame or a camera has come since the last order. */
 let isStale = false;
@@ -36,21 +42,35 @@ let isStale = false;
 /** @param {Incoming} shown */
 function take(shown) {
   if (order === null || pending === null || shown.isJoin) {
-    order = new DepthOrder(shown.numSlots);
+    order = new DepthOrder(shown.numSlots, spareSlots(shown.numSlots));
     pending = new PendingUpdates(shown.numSlots, shown.shDegree);
+    moving = null;
     isWhole = true;
   }
   for (const update of shown.updates) {
-    order.put(update.slots, update.means, update.starts);
-    pending.add(update);
+    settle(order);
+    const { frame } = update;
+    const leaving = order.leave(frame === shown.frame ? update.leaving : NONE, frame);
+    order.put(update.slots, update.means, update.starts, update.moves);
+    moving = update;
+    // Where the page is far behind, nothing moves.
+    if (!pending.add({ ...update, leaving })) settle(order);
   }
   newest = shown;
   isStale = true;
 }
 
+/** All that moves is there, and what fades out is gone. @param {DepthOrder} order */
+function settle(order) {
+  if (moving !== null) order.put(moving.slots, moving.means, moving.starts);
+  moving = null;
+  order.leave(NONE, 0);
+}
+
 /** Answers the thread that draws, once there is something new. */
 function sort() {
   if (wanted === null || order === null || newest === null || pending === null || !isStale) return;
+  if (!wanted.isMoving) settle(order);
   const beganMs = performance.now();
   const slots = order.farFirst(newest.frame, wanted.w2c, wanted.nearM);
   const sortMs = performance.now() - beganMs;
@@ -59,13 +79,13 @@ function sort() {
   const { request } = wanted;
   /** @type {SortedFrame} */
   const sorted = { request, frame, seeks, isWhole, updates, order: slots, sortMs };
-  const arrays = [slots, ...updates.flatMap(({ lattice, floats }) => [lattice, floats])];
+  const arrays = updates.flatMap(({ lattice, floats, leaving }) => [lattice, floats, leaving]);
   wanted = null;
   isWhole = false;
   isStale = false;
   scope.postMessage(
     sorted,
-    arrays.map((array) => /** @type {ArrayBuffer} */ (array.buffer)),
+    [slots, ...arrays].map((array) => /** @type {ArrayBuffer} */ (array.buffer)),
   );
 }
 

@@ -1,3 +1,6 @@
+import { MOVES } from "../constants.js";
+import { roomFor } from "./resident.js";
+
 /** Start of a Gaussian that no frame shows. */
 export const NEVER = 2 ** 31 - 1;
 
@@ -6,13 +9,18 @@ const NUM_VALUES = 1 << DIGIT_BITS;
 
 /** Which Gaussians show in a frame, farthest first (player/render/order.py, sort.py). */
 export class DepthOrder {
-  /** @param {number} numSlots */
-  constructor(numSlots) {
-    this.means = new Float32Array(3 * numSlots);
-    this.starts = new Int32Array(numSlots).fill(NEVER);
-    this.depths = new Float32Array(numSlots);
-    this.keys = [new Uint32Array(this.depths.buffer), new Uint32Array(numSlots)];
-    this.slots = [new Uint32Array(numSlots), new Uint32Array(numSlots)];
+  /**
+   * @param {number} numSlots
+   * @param {number} numSpare places behind them, for Gaussians that fade out
+   */
+  constructor(numSlots, numSpare = 0) {
+    this.numSlots = numSlots;
+    const total = numSlots + numSpare;
+    this.means = new Float32Array(3 * total);
+    this.starts = new Int32Array(total).fill(NEVER);
+    this.depths = new Float32Array(total);
+    this.keys = [new Uint32Array(this.depths.buffer), new Uint32Array(total)];
+    this.slots = [new Uint32Array(total), new Uint32Array(total)];
     this.counts = new Uint32Array(3 * NUM_VALUES);
   }
 
@@ -21,15 +29,37 @@ export class DepthOrder {
    * @param {Uint32Array} slots
    * @param {Float32Array} means (N, 3) metres
    * @param {Int32Array} starts (N) the first frame that shows it, or NEVER
+   * @param {Uint8Array} [moves] (N) those with MOVES count as half way there until they are put without
    */
-  put(slots, means, starts) {
+  put(slots, means, starts, moves) {
     for (let i = 0; i < slots.length; i++) {
       const slot = slots[i];
-      this.means[3 * slot] = means[3 * i];
-      this.means[3 * slot + 1] = means[3 * i + 1];
-      this.means[3 * slot + 2] = means[3 * i + 2];
+      const back = moves?.[i] === MOVES ? 0.5 : 0;
+      for (let n = 0; n < 3; n++) {
+        const at = 3 * slot + n;
+        this.means[at] = back * this.means[at] + (1 - back) * means[3 * i + n];
+      }
       this.starts[slot] = starts[i];
     }
+  }
+
+  /**
+   * Copies those of `slots` that show before `frame` behind the slots, in place of what is there. Gives
+   * them, filled up to whole texels.
+   * @param {Uint32Array} slots
+   * @param {number} frame
+   */
+  leave(slots, frame) {
+    const { means, starts, numSlots } = this;
+    starts.fill(NEVER, numSlots);
+    const left = slots.filter((slot) => starts[slot] < frame);
+    for (const [n, slot] of left.entries()) {
+      means.copyWithin(3 * (numSlots + n), 3 * slot, 3 * slot + 3);
+      starts[numSlots + n] = frame;
+    }
+    const padded = roomFor(left.length, 1);
+    padded.set(left);
+    return padded;
   }
 
   /**

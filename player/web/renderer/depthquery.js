@@ -1,5 +1,3 @@
-import { SPLAT } from "./glsl.js";
-import { makeProgram } from "./program.js";
 import { makeTexture } from "./texture.js";
 
 /** A pixel that is less opaque than this has no depth. */
@@ -9,11 +7,11 @@ const LEAST_ALPHA = 0.25;
 export class DepthQuery {
   /**
    * @param {WebGL2RenderingContext} gl which can draw into floats
-   * @param {Record<string, number>} defines of the program that draws the picture
+   * @param {import("./program.js").Program} splats draws depths
    */
-  constructor(gl, defines) {
+  constructor(gl, splats) {
     this.gl = gl;
-    this.splats = makeProgram(gl, SPLAT, { ...defines, DEPTH: 1 });
+    this.splats = splats;
     this.texture = makeTexture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, 1, 1);
     this.framebuffer = gl.createFramebuffer();

@@ -60,6 +60,8 @@ export class Resident {
     this.nextStaged = 0;
     /** @type {import("./colourpass.js").ColourPass | null} keeps the colours of what is put */
     this.colours = null;
+    /** @type {import("./inbetween.js").Inbetween | null} sets aside what is about to change */
+    this.inbetween = null;
     this.uploadedBytes = 0;
     /** Nothing is read from it: the shaders count points. */
     this.points = gl.createVertexArray();
@@ -110,21 +112,23 @@ export class Resident {
   #put(words, wordsEach, program, slotWord) {
     if (words.length === 0) return;
     const { gl } = this;
-    const staged = this.#stage(words);
+    const staged = this.stage(words);
     const count = Math.floor(words.length / wordsEach);
+    const saved = this.inbetween?.setAside(staged, count, wordsEach, slotWord);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
     gl.viewport(0, 0, this.widthPx, this.heightPx);
     gl.disable(gl.BLEND);
     gl.useProgram(program.program);
     gl.uniform1i(program.at("staged"), 0);
     gl.uniform2f(program.at("size_px"), this.widthPx, this.heightPx);
+    if (saved) gl.uniform2ui(program.at("saved"), ...saved);
     gl.bindVertexArray(this.points);
     gl.drawArrays(gl.POINTS, 0, count * this.texels);
     this.colours?.put(this.texture, staged, count, wordsEach, slotWord);
   }
 
   /** Uploads `words` into the next staging texture, binds and gives it. @param {Uint32Array} words */
-  #stage(words) {
+  stage(words) {
     const { gl } = this;
     const staged = this.staged[this.nextStaged];
     this.nextStaged = (this.nextStaged + 1) % NUM_STAGED;

@@ -12,6 +12,7 @@ const expanding = (main) => /* glsl */ `
 
 uniform usampler2D staged;
 uniform vec2 size_px;
+uniform uvec2 saved;    // serial number of the update, place of its first item among those set aside
 
 flat out uvec4 texel;
 
@@ -23,7 +24,7 @@ uint word(int item, int n) {
 // Coefficient k, RGB, of the harmonics of an item.
 vec3 coefficient(int item, int k);
 
-void finish(int item, uint slot, int n, vec3 mean, vec3 log_scales, vec4 quat, float opacity) {
+void finish(int item, uint place, int n, vec3 mean, vec3 log_scales, vec4 quat, float opacity) {
   vec4 q = quat / length(quat);
   mat3 turned = mat3(
     1.0 - 2.0 * (q.z * q.z + q.w * q.w), 2.0 * (q.y * q.z + q.x * q.w), 2.0 * (q.y * q.w - q.x * q.z),
@@ -46,6 +47,9 @@ void finish(int item, uint slot, int n, vec3 mean, vec3 log_scales, vec4 quat, f
     }
   }
   texel = floatBitsToUint(found);
+  // Two words that no Gaussian needs: how it came here.
+  if (n == TEXELS - 1) texel.zw = uvec2(saved.x, (saved.y + uint(item)) << 2 | place >> 28);
+  uint slot = place & 0xffffffu;
   ivec2 at = ivec2((int(slot) % COLUMNS) * TEXELS + n, int(slot) / COLUMNS);
   gl_Position = vec4((vec2(at) + 0.5) / size_px * 2.0 - 1.0, 0.0, 1.0);
   gl_PointSize = 1.0;
@@ -65,8 +69,8 @@ void main() {
 `;
 
 /**
- * Gaussians on a lattice: three positions of 24 bits, each with a log scale behind it, slot and layer,
- * then the other attributes, a byte each.
+ * Gaussians on a lattice: three positions of 24 bits, each with a log scale behind it, slot, layer and
+ * move in 24, 4 and 4 bits, then the other attributes, a byte each.
  */
 export const EXPAND_LATTICE = /* @__PURE__ */ expanding(/* glsl */ `
 uniform vec4 steps[16];         // of each layer: position, log scale, log scale's base, rotation
@@ -77,7 +81,7 @@ int code_of(int item, int i) {
 }
 
 vec3 coefficient(int item, int c) {
-  float size = more_steps[int(word(item, 3) >> 24)].x;
+  float size = more_steps[int(word(item, 3) >> 24) & 15].x;
   float y = float(code_of(item, 3 + c)) * size;
   float co = float(code_of(item, 3 + K + c)) * size;
   float cg = float(code_of(item, 3 + 2 * K + c)) * size;
@@ -87,7 +91,7 @@ vec3 coefficient(int item, int c) {
 void main() {
   int item = gl_VertexID / TEXELS;
   uint place = word(item, 3);
-  int layer = int(place >> 24);
+  int layer = int(place >> 24) & 15;
   vec4 sizes = steps[layer];
   vec2 more = more_steps[layer];
   ivec3 place_and_scale = ivec3(word(item, 0), word(item, 1), word(item, 2));
@@ -96,11 +100,11 @@ void main() {
   vec3 turn = vec3(code_of(item, 0), code_of(item, 1), code_of(item, 2)) * sizes.w;
   vec4 quat = vec4(sqrt(max(1.0 - dot(turn, turn), 0.0)), turn);
   float opacity = float(code_of(item, 3 + 3 * K) & 255) / more.y;
-  finish(item, place & 0xffffffu, gl_VertexID % TEXELS, mean, a * sizes.y + sizes.z, quat, opacity);
+  finish(item, place, gl_VertexID % TEXELS, mean, a * sizes.y + sizes.z, quat, opacity);
 }
 `);
 
-/** Gaussians as floats: slot, mean, log scales, quaternion, logit, harmonics. */
+/** Gaussians as floats: slot and move, mean, log scales, quaternion, logit, harmonics. */
 export const EXPAND_FLOATS = /* @__PURE__ */ expanding(/* glsl */ `
 float number(int item, int n) {
   return uintBitsToFloat(word(item, n));
@@ -116,9 +120,8 @@ vec3 coefficient(int item, int k) {
 
 void main() {
   int item = gl_VertexID / TEXELS;
-  uint slot = floatBitsToUint(number(item, 0));
   vec4 quat = vec4(number(item, 7), three(item, 8));
   float opacity = 1.0 / (1.0 + exp(-number(item, 11)));
-  finish(item, slot, gl_VertexID % TEXELS, three(item, 1), three(item, 4), quat, opacity);
+  finish(item, word(item, 0), gl_VertexID % TEXELS, three(item, 1), three(item, 4), quat, opacity);
 }
 `);

@@ -32,7 +32,9 @@ export class SplatRenderer {
     this.defines = defines;
     this.colours = shDegree >= 2 ? new ColourPass(gl, shape, defines) : null;
     this.resident.colours = this.colours;
-    this.splats = makeProgram(gl, SPLAT, defines);
+    this.splats = this.makeSplats();
+    /** @type {import("./inbetween.js").Inbetween | null} draws between two frames */
+    this.inbetween = null;
     this.screen = makeProgram(gl, SCREEN);
     this.order = gl.createBuffer();
     this.numDrawn = 0;
@@ -50,6 +52,15 @@ export class SplatRenderer {
     this.depths = null;
   }
 
+  /**
+   * A program that draws Gaussians.
+   * @param {Record<string, number>} [defines]
+   * @param {string} [text] in front of the shader's
+   */
+  makeSplats(defines = {}, text = "") {
+    return makeProgram(this.gl, text + SPLAT, { ...this.defines, ...defines });
+  }
+
   /** Bytes of Gaussians and orders that were uploaded so far. */
   get uploadedBytes() {
     return this.resident.uploadedBytes + this.orderBytes;
@@ -57,14 +68,17 @@ export class SplatRenderer {
 
   /**
    * Takes in what is new, and the order in which to draw from now on: both or none are seen.
-   * @param {{ lattice: Uint32Array, floats: Uint32Array }[]} updates
-   * @param {Uint16Array | Uint32Array} order slots, farthest first
+   * @param {import("../playback/pendingupdates.js").Words[]} updates
+   * @param {Uint16Array | Uint32Array} order slots, farthest first; behind them what the update of `frame` left
+   * @param {number} frame
    */
-  update(updates, order) {
-    const { gl } = this;
-    for (const { lattice, floats } of updates) {
-      this.resident.putLattice(lattice);
-      this.resident.putFloats(floats);
+  update(updates, order, frame) {
+    const { gl, inbetween } = this;
+    inbetween?.reach(frame);
+    for (const update of updates) {
+      inbetween?.begin(update);
+      this.resident.putLattice(update.lattice);
+      this.resident.putFloats(update.floats);
     }
     gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
     // A new store: the frame before may still be read from the old one.
@@ -111,7 +125,7 @@ export class SplatRenderer {
    */
   depthAt(camera, xPx, yPx) {
     if (!this.isFine) return null;
-    this.depths ??= new DepthQuery(this.gl, this.defines);
+    this.depths ??= new DepthQuery(this.gl, this.makeSplats({ DEPTH: 1 }));
     this.depths.begin();
     const cxPx = camera.cxPx - Math.floor(xPx);
     const cyPx = camera.cyPx - Math.floor(yPx);
@@ -132,6 +146,7 @@ export class SplatRenderer {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.useProgram(splats.program);
     this.#setCamera(camera, splats);
+    if (splats === this.splats) this.inbetween?.bind();
     if (this.colours !== null) {
       gl.activeTexture(gl.TEXTURE1);
       gl.bindTexture(gl.TEXTURE_2D, this.colours.texture);
@@ -202,6 +217,7 @@ export class SplatRenderer {
     this.#dropPicture();
     this.depths?.close();
     this.colours?.close();
+    this.inbetween?.close();
     this.resident.close();
     gl.deleteBuffer(this.order);
     for (const array of [this.quads, this.nothing]) gl.deleteVertexArray(array);

@@ -1,19 +1,18 @@
 import { FIRST_PACKED_BYTES } from "../constants.js";
 import { corrupt } from "../format/bytes/errors.js";
 import { checkGaussians, readManifest } from "../format/manifest.js";
-import { PackedLayout, readPackedHead } from "../format/packedlayout.js";
 import { readIndex } from "../format/streamindex.js";
 import { SourceError } from "./fetcher.js";
 import { HostedStream } from "./hosted.js";
 
 /** @typedef {import("../format/packedlayout.js").Place} Place */
 
-/** A stream in one file on any static host that sends ranges of it. */
+/** A stream in one file on any static host that sends ranges of it. What knows the layout is loaded for it. */
 export class PackedStream extends HostedStream {
   /**
    * @param {string} url
    * @param {import("./fetcher.js").Fetcher} fetcher
-   * @param {PackedLayout} layout
+   * @param {import("../format/packedlayout.js").PackedLayout} layout
    * @param {number | null} fileBytes null: the host hides it
    * @param {number} [bufferBytes] most that is kept of it
    */
@@ -35,7 +34,10 @@ export class PackedStream extends HostedStream {
    * @param {number} [bufferBytes] most that is kept of it
    */
   static async open(url, fetcher, maxGaussians = null, _otherHosts = false, bufferBytes) {
-    const first = await fetcher.range(url, { first: 0, size: FIRST_PACKED_BYTES });
+    const [{ PackedLayout, readPackedHead }, first] = await Promise.all([
+      import("../format/packedlayout.js"),
+      fetcher.range(url, { first: 0, size: FIRST_PACKED_BYTES }),
+    ]);
     const { fileBytes } = first;
     const head = readPackedHead(first.bytes);
     const end = head.tracks.first + head.tracks.size;

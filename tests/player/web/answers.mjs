@@ -15,6 +15,7 @@ import { RecordParser } from "../../../player/web/format/playrecord.js";
 import { SlotDecoder } from "../../../player/web/format/slots/slotdecoder.js";
 import { SlotLayout } from "../../../player/web/format/slots/slotlayout.js";
 import { EMPTY, ON_LATTICE, UNKNOWN } from "../../../player/web/constants.js";
+import { shareAt, Smoothing } from "../../../player/web/element/smoothing.js";
 import { RateEstimator } from "../../../player/web/source/estimator.js";
 import { Fetcher, SourceError } from "../../../player/web/source/fetcher.js";
 import { GrowingIndex } from "../../../player/web/source/growingindex.js";
@@ -296,8 +297,9 @@ const ANSWERS = {
     return decoder.load(unhex(bytes));
   },
   apply({ birth, mask, changes }) {
-    const { lane, rows } = decoder.apply(birth, optional(mask), changes.map(optional));
-    return { lane, rows: rows.map((of) => [...of]) };
+    const slice = decoder.apply(birth, optional(mask), changes.map(optional));
+    const plain = (/** @type {ArrayLike<number>[]} */ layers) => layers.map((of) => Array.from(of));
+    return { lane: slice.lane, rows: plain(slice.rows), moves: plain(slice.moves ?? []) };
   },
   late({ birth, layer, bytes }) {
     return decoder.late(birth, layer, unhex(bytes));
@@ -635,7 +637,8 @@ const ANSWERS = {
     const values = new Array(numSlots).fill(0);
     let mostEntries = 0;
     for (const { isHanded, ...update } of updates) {
-      const words = { lattice: new Uint32Array(0), floats: new Uint32Array(0) };
+      const [none, frame] = [new Uint32Array(0), 0];
+      const words = { frame, lattice: none, floats: none, leaving: none };
       for (const kind of /** @type {const} */ (["lattice", "floats"])) {
         words[kind] = roomFor(update[kind].length, widths[kind]);
         for (const [i, [slot, value]] of update[kind].entries()) {
@@ -658,6 +661,48 @@ const ANSWERS = {
       }
     }
     return { values, mostEntries };
+  },
+  /** How much of the way to each [frame] is over at each [ms]. */
+  shares({ line, fps, numFrames, moments }) {
+    return moments.map((/** @type {[number, number]} */ [nowMs, frame]) =>
+      shareAt(nowMs, line, frame, fps, numFrames),
+    );
+  },
+  /**
+   * Whether a view shows motion before each picture, of a screen and a stream with so many pictures and
+   * frames a second; `busyMs`: how much later than it could each picture is drawn.
+   */
+  smoothed({ screenHz, fps, busyMs, count, interpolates }) {
+    const renderer = { inbetween: { share: 1 } };
+    const line = { zeroMs: performance.timeOrigin, rate: 1, line: 1 };
+    let isAsked = false;
+    const view = {
+      session: { line, numFrames: 1000 },
+      manifest: { fps, numGs: 1 },
+      painter: { renderer },
+      headset: null,
+      interpolates,
+      isEmpty: false,
+      needsDrawing: false,
+      shownFrame: 0,
+      loop: { request: () => (isAsked = true) },
+    };
+    const smoothing = new Smoothing(/** @type {any} */ (view));
+    const found = [];
+    let nowMs = 0;
+    for (let n = 0; n < count; n++) {
+      view.shownFrame = Math.floor((nowMs / 1000) * fps);
+      view.needsDrawing = false;
+      isAsked = false;
+      const isMoving = smoothing.step(nowMs);
+      if (isMoving !== isAsked) throw new Error("the next picture is asked for while it moves");
+      found.push({ nowMs, isMoving, draws: view.needsDrawing, share: renderer.inbetween.share });
+      // While nothing moves, pictures come with frames.
+      const nextMs = isMoving ? nowMs + 1 : (1000 * (view.shownFrame + 1)) / fps;
+      const stepMs = 1000 / screenHz;
+      nowMs = Math.ceil((nextMs + busyMs[n % busyMs.length]) / stepMs) * stepMs;
+    }
+    return found;
   },
   /** What a playback shows of a stream that grows and ends, of which all that there is has come. */
   growing({ fps, numFrames, firstFrame, events }) {

@@ -16,6 +16,7 @@ from codec.tools.static import export_static
 from player.render.cpu import render_splats
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.reference_render import cameras_all_round, drawn_psnr_db
+from tests.support.slots.moving_updates import write_jumps, write_moving_stream
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 from tests.support.web.browsercamera import for_browser
@@ -24,6 +25,9 @@ from tests.support.web.chromium import Page
 
 ROOT = Path(__file__).parents[3]
 FRAME = 7
+LEAST_HALF_WAY_DB, LEAST_BETWEEN_DB = 45.0, 36.0
+"""Between two frames covariances are mixed, where the CPU mixes sizes and turns, and the order is
+that half way at any share."""
 
 
 def made_stream(path: Path, kind: str) -> Path:
@@ -79,10 +83,56 @@ def test_every_degree_is_drawn(page: Page, tmp_path: Path, sh_degree: int, kind:
         assert drawn_psnr_db(picture, splats, camera, most=1.0) >= LEAST_PSNR_DB
 
 
+@pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
+def test_between_two_frames(page: Page, tmp_path: Path, sh_degree: int) -> None:
+    """Gaussians that move, jump, end, begin and are given to others, as the CPU draws them."""
+    layout = small_layout(1, (500, 300), sh_degree, 5)
+    stream = write_moving_stream(tmp_path / "stream", FRAME + 2, layout)
+    reader = StreamReader(stream)
+    near_m, layers = reader.manifest.near_m, reader.manifest.num_layers
+    camera = reader.manifest.camera().resized(320, 240)
+    motion = reader.motion(FRAME - 1, FRAME, layers)
+    assert 0.3 < (~motion.enters).mean() < 1
+    assert len(motion.left) > 10
+    assert motion.enters.sum() > 10
+    shares = [0.0, 0.25, 0.5, 0.75, 1.0]
+    pictures = drawn(page, tmp_path, stream, [camera], first=FRAME - 2, shares=shares)
+    expected = [render_splats(motion.all_at(s), camera, near_m).clip(0, 1) for s in shares]
+    assert psnr_db(expected[0], expected[-1]) < 30
+    found_db = [psnr_db(a, b) for a, b in zip(pictures, expected, strict=True)]
+    assert found_db[2] >= LEAST_HALF_WAY_DB, found_db
+    assert min(found_db) >= LEAST_BETWEEN_DB, found_db
+    assert found_db[-1] >= LEAST_PSNR_DB, found_db
+
+
+def test_no_gaussian_jumps_and_comes_back(page: Page, tmp_path: Path) -> None:
+    """One that jumps, and one whose slot is given to another, fade where they are while what comes
+    after them fades in; between their places nothing shows at any time."""
+    places_m = np.array([[-1, -0.6, 4], [1, -0.6, 4], [0, 0, 4], [-1, 0.6, 4], [1, 0.6, 4]])
+    stream = write_jumps(tmp_path / "stream", FRAME + 1, FRAME, places_m.astype(np.float32))
+    reader = StreamReader(stream)
+    camera = reader.manifest.camera().resized(320, 240)
+    splats = reader.active_splats(FRAME - 1, 1), reader.active_splats(FRAME, 1)
+    before, after = (render_splats(s, camera, reader.manifest.near_m).clip(0, 1) for s in splats)
+    shares = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]
+    pictures = drawn(page, tmp_path, stream, [camera], first=FRAME - 2, shares=shares)
+    shown = np.maximum(before, after).max(axis=2) > 0
+    assert 0.01 < shown.mean() < 0.5
+    ends, begins = (one.max(axis=2) > 0.1 for one in (before - after, after - before))
+    assert min(ends.sum(), begins.sum()) > 100
+    for share, picture in zip(shares, pictures, strict=True):
+        assert picture[~shown].max() < 2 / 255
+        part = picture[ends].sum() / before[ends].sum(), picture[begins].sum() / after[begins].sum()
+        assert part == pytest.approx((1 - share, share), abs=0.06)
+        stays = before[110:130, 150:170]
+        assert np.abs(picture[110:130, 150:170] - stays).max() < 3 / 255
+
+
 def drawn(
     page: Page, tmp_path: Path, stream: Path, cameras: list[Camera], **more: object
 ) -> list[npt.NDArray[np.float64]]:
-    """(height, width, 3) what the browser draws of FRAME for each of `cameras`, of one size."""
+    """(height, width, 3) what the browser draws of FRAME for each of `cameras`, of one size, and
+    for each of the shares."""
     (tmp_path / "player").symlink_to(ROOT / "player")
     (tmp_path / "render.html").write_bytes((Path(__file__).parent / "render.html").read_bytes())
     export_static(stream, tmp_path / "static")

@@ -50,6 +50,8 @@ class BrowserSlots:
     ) -> None:
         self._browser = browser
         self._edges = layout.row_edges
+        self.moves: list[int] = []
+        """How the rows that the last slice changed came to what they hold; see `movesOf`."""
         browser.ask(
             "layout",
             swinSize=layout.swin_size,
@@ -82,6 +84,8 @@ class BrowserSlots:
             mask=None if mask is None else mask.hex(),
             changes=[None if change is None else change.hex() for change in changes],
         )
+        layers = zip(found["moves"], found["rows"], strict=False)
+        self.moves = [move for moves, rows in layers for move in moves or [0] * len(rows)]
         pairs = zip(found["rows"], self._edges, strict=False)
         return [edge + row for rows, edge in pairs for row in rows]
 

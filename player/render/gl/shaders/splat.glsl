@@ -31,16 +31,27 @@ flat out vec2 splat_px;
 flat out vec4 conic_opacity;
 flat out vec3 colour;
 
-vec4 texel(int n) {
+uvec4 words(int n) {
 #ifdef RESIDENT_BUFFER
-    return uintBitsToFloat(gaussians[int(slot) * TEXELS + n]);
+    return gaussians[int(slot) * TEXELS + n];
 #else
     int column = (int(slot) % COLUMNS) * TEXELS + n;
-    return uintBitsToFloat(texelFetch(gaussians, ivec2(column, int(slot) / COLUMNS), 0));
+    return texelFetch(gaussians, ivec2(column, int(slot) / COLUMNS), 0);
 #endif
 }
 
+vec4 texel(int n) {
+    vec4 there = uintBitsToFloat(words(n));
+#ifdef MOVING
+    there = on_its_way(there, n);
+#endif
+    return there;
+}
+
 void main() {
+#ifdef MOVING                   // what the renderer puts in front of this text
+    set_out(int(slot), words(TEXELS - 1).zw);
+#endif
     vec4 place = texel(0);      // mean, opacity
     vec4 cov_first = texel(1);  // xx xy xz yy, m^2
     vec4 cov_last = texel(2);   // yz zz, red, green
@@ -69,7 +80,7 @@ void main() {
     splat_px = focal_px * ratio + centre_px;
     conic_opacity = vec4(0.0);
     colour = vec3(0.0);
-    if (!(det > 0.0)) return;
+    if (!(det > 0.0 && place.w >= ALPHA_MIN)) return;
 #ifdef STALE_ORDER
     // The order is of a moment ago, when the camera looked elsewhere.
     if (seen.z <= near_m) return;
@@ -79,6 +90,9 @@ void main() {
 #if SH_DEGREE >= 2
     ivec2 there = ivec2(int(slot) % COLOUR_COLUMNS, int(slot) / COLOUR_COLUMNS);
     colour = uintBitsToFloat(texelFetch(colours, there, 0).rgb);
+#ifdef MOVING
+    colour = colour_on_its_way(colour);
+#endif
 #else
     colour = vec3(cov_last.zw, rest.x);
 #endif

@@ -38,7 +38,6 @@ void main() {
     if (gl_VertexID == 0) {
         if (move == ENTERS) mixed.w *= share;
         if (move == LEAVES) mixed.w *= 1.0 - share;
-        mixed.w = max(mixed.w, 1.00001 * ALPHA_MIN);    // a quad of no size
     }
     found = share < 1.0 ? floatBitsToUint(mixed) : last;
     ivec2 there = in_slots(int(item.x));

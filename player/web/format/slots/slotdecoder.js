@@ -4,6 +4,7 @@ import { KEPT, LOG_SHARE, MIN_LOG_BYTES, NEW, PREDICTED, UNKNOWN } from "../../c
 import { decodeChange } from "./change.js";
 import { FormatError, corrupt } from "../bytes/errors.js";
 import { MaskHistory, decodeMask } from "./mask.js";
+import { movesOf } from "./moves.js";
 import { changedRows, Slots } from "./slots.js";
 import { decodeSnapshot } from "./snapshot.js";
 
@@ -25,6 +26,8 @@ import { decodeSnapshot } from "./snapshot.js";
  * @property {number} birth
  * @property {number} lane
  * @property {Uint32Array[]} rows the slots of each layer
+ * @property {Uint8Array[]} [moves] how they came to what they hold, see `movesOf`; fewer where it is not
+ *   known, and none of a whole window
  */
 
 /**
@@ -161,8 +164,10 @@ export class SlotDecoder {
     const deltas = this.lanes[lane].map((slots, layer) =>
       this.#delta(birth, layer, slots, parts[layer], changes[layer] ?? null),
     );
+    const moves = [];
     for (const [layer, delta] of deltas.entries()) {
       const slots = this.lanes[lane][layer];
+      moves.push(movesOf(slots, delta, parts[layer], this.layout.lattices[layer]));
       if (layer < changes.length) this.#remember(birth, layer, slots, parts[layer], changes[layer]);
       else this.logs.delete(key(lane, layer));
       slots.advance(delta);
@@ -170,7 +175,7 @@ export class SlotDecoder {
     }
     this.history.note(birth, statuses);
     this.#goOn(birth, statuses);
-    return this.#handOut(birth, parts);
+    return this.#handOut(birth, parts, moves);
   }
 
   /**
@@ -257,17 +262,19 @@ export class SlotDecoder {
   /**
    * @param {number} birth
    * @param {Uint8Array[]} parts the statuses of each layer
+   * @param {Uint8Array[]} moves
    * @returns {SlotSlice}
    */
-  #handOut(birth, parts) {
+  #handOut(birth, parts, moves) {
     const lane = this.layout.lane(birth);
     const rows = parts.map((statuses, layer) => {
       const pending = this.pending.get(key(lane, layer));
       if (pending === undefined) return changedRows(statuses);
       this.pending.delete(key(lane, layer));
+      moves[layer] = new Uint8Array(); // what comes late does not move
       return changedRows(pending.map((flag, i) => flag | statuses[i]));
     });
-    return { birth, lane, rows };
+    return { birth, lane, rows, moves };
   }
 
   /**

@@ -237,7 +237,7 @@ export class Slots {
 }
 
 /** A byte as two's complement. @param {number} byte */
-function signed(byte) {
+export function signed(byte) {
   return (byte << 24) >> 24;
 }
 

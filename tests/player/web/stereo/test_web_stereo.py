@@ -100,7 +100,7 @@ def test_side_by_side(
         both = canvas_of(page)
         half = from_browser(page.run(f"return {PLAYER}.camera"))
         page.screenshot(tmp_path / "side-by-side.png")
-        page.press("b")
+        page.press("e")
         again = page.run(f"return window.readCanvas({PLAYER})")
     assert again == alone
     whole = reader.manifest.camera().fitted(WIDTH_PX, HEIGHT_PX)

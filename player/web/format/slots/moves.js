@@ -1,0 +1,57 @@
+import {
+  ENTERS,
+  JUMP_SIGMAS,
+  LEAST_SPARE,
+  MOVES,
+  ON_LATTICE,
+  PREDICTED,
+  SPARE_SHARE,
+} from "../../constants.js";
+import { signed } from "./slots.js";
+
+/** Beside it: what was in the slot fades out. */
+export const LEFT = 4;
+
+/** Gaussians that can fade out at once, of so many slots. @param {number} numSlots */
+export function spareSlots(numSlots) {
+  return Math.max(LEAST_SPARE, Math.floor(numSlots / SPARE_SHARE));
+}
+
+/**
+ * How each slot that a slice changes comes to what it holds then: MOVES, ENTERS or 0 where nothing
+ * shows yet, and LEFT (codec/halfway.py).
+ * @param {import("./slots.js").Slots} slots before the slice
+ * @param {import("./slots.js").Delta} delta
+ * @param {Uint8Array} statuses of the slots
+ * @param {import("./slotlayout.js").Lattice} lattice
+ */
+export function movesOf(slots, delta, statuses, lattice) {
+  return Uint8Array.from(delta.rows, (row, d) => {
+    const was = slots.conditions[row] >= ON_LATTICE;
+    const is = delta.conditions[d] >= ON_LATTICE && delta.starts[d] === 0;
+    if (was && is && statuses[row] === PREDICTED && !jumps(slots, row, delta, d, lattice))
+      return MOVES;
+    return (is ? ENTERS : 0) | (was ? LEFT : 0);
+  });
+}
+
+/**
+ * Whether a Gaussian goes farther than JUMP_SIGMAS along its longest axis.
+ * @param {import("./slots.js").Slots} slots
+ * @param {number} row
+ * @param {import("./slots.js").Delta} delta
+ * @param {number} d
+ * @param {import("./slotlayout.js").Lattice} lattice
+ */
+function jumps(slots, row, delta, d, { positionM, logScale, logScaleBase }) {
+  const width = slots.numAttributes;
+  let squared = 0;
+  let longest = -128;
+  for (let axis = 0; axis < 3; axis++) {
+    squared += (delta.positions[3 * d + axis] - slots.positions[3 * row + axis]) ** 2;
+    const size = signed(slots.attributes[width * row + axis]);
+    longest = Math.max(longest, size, signed(delta.attributes[width * d + axis]));
+  }
+  const limitM = JUMP_SIGMAS * Math.exp(longest * logScale + logScaleBase);
+  return positionM * Math.sqrt(squared) > limitM;
+}
