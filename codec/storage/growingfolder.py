@@ -7,36 +7,16 @@ from __future__ import annotations
 
 import os
 import shutil
-import threading
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from codec.errors import InvalidError
 from codec.files import append_durably, sync_folder, temporary_beside, write_atomic
+from codec.interrupts import postponed_interrupts
 
 from .folder import FolderStorage
 from .growingplace import Shape
-
-
-class _FileWrite:
-    """A file that a thread of a pool writes. The pool does not wait for a thread during whose start
-    Ctrl-C came; this does, so that nobody writes into a folder that is being removed."""
-
-    def __init__(self, path: Path, data: bytes) -> None:
-        self._path, self._data = path, data
-        self._lock = threading.Lock()
-        self._given_up = False
-
-    def run(self) -> None:
-        with self._lock:
-            if not self._given_up:
-                write_atomic(self._path, self._data)
-
-    def give_up(self) -> None:
-        """Waits for the write if it runs, and prevents it if it has not begun."""
-        with self._lock:
-            self._given_up = True
 
 
 class GrowingFolder(FolderStorage):
@@ -97,15 +77,13 @@ class GrowingFolder(FolderStorage):
         folder = self._folder / self._shape.folder
         parent = folder / str(entry)
         parent.mkdir(exist_ok=True)
-        writes = [_FileWrite(parent / name, data) for name, data in files.items()]
-        try:
-            # The disk makes several files last in about the time of one.
-            with ThreadPoolExecutor(max_workers=max(1, len(files))) as threads:
-                list(threads.map(_FileWrite.run, writes))
-        except BaseException:
-            for write in writes:
-                write.give_up()
-            raise
+        # The disk makes several files last in about the time of one.
+        with (
+            postponed_interrupts(),
+            ThreadPoolExecutor(max_workers=max(1, len(files))) as threads,
+        ):
+            paths = [parent / name for name in files]
+            list(threads.map(write_atomic, paths, files.values()))
         sync_folder(folder)
 
     def append(self, log_bytes: int, records: bytes) -> None:

@@ -1,9 +1,11 @@
-"""Objects that threads write: none is written once an interrupt has come out."""
+"""Objects that threads write: no thread writes on once an interrupt has come out."""
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,14 @@ import pytest
 from codec.storage import growingfolder
 from codec.storage.growingfolder import GrowingFolder
 from codec.storage.growingplace import Shape
+
+
+@pytest.fixture(autouse=True)
+def interruptible() -> Iterator[None]:
+    """Python's own handler of Ctrl-C, which a shell may have switched off for this process."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.parametrize("last", [1, 2, 3])
@@ -34,14 +44,13 @@ def test_no_thread_writes_after_an_interrupt(
         started.append(thread)
         if len(started) == last:
             time.sleep(0.02)
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
 
     start = threading.Thread.start
     monkeypatch.setattr(growingfolder, "write_atomic", write_slowly)
     monkeypatch.setattr(threading.Thread, "start", start_interrupted)
     with pytest.raises(KeyboardInterrupt):
         place.add(0, {str(number): b"" for number in range(4)})
-    assert len(begun) == len(ended)
-    for thread in started:
-        thread.join()
-    assert len(begun) == len(ended) <= last
+    assert len(begun) == len(ended) == 4
+    assert not any(thread.is_alive() for thread in started)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
