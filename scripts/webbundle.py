@@ -1,4 +1,4 @@
-"""The bundle of player/web: a page and seven scripts instead of a hundred modules.
+"""The bundle of player/web: a page and its scripts instead of a hundred modules.
 
 Run by scripts/webbundle. The bundle is committed, so that whoever installs swings needs no Node.js;
 a test compares it with the sources.
@@ -21,11 +21,12 @@ MODULES = {
     "tracks.js": "element/tracks.js",
     "smoothing.js": "element/smoothing.js",
     "packedlayout.js": "format/packedlayout.js",
+    "passing.js": "format/slots/passing.js",
 }
 """Each module of the bundle and the source that it begins with."""
 
-LATER = {"extras.js", "tracks.js", "smoothing.js", "packedlayout.js"}
-"""Modules that are loaded when a viewer needs them."""
+LATER = {"extras.js", "tracks.js", "smoothing.js", "packedlayout.js", "passing.js"}
+"""Modules that are loaded when a viewer, or a stream, needs them."""
 
 PAGE_SCRIPT, PAGE_SOURCE = "page.js", "watch.js"
 """The script that pages have inline, so that the first requests leave with the page itself."""

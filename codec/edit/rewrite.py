@@ -60,6 +60,11 @@ def open_source(stream: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS
     reader = StreamReader(stream, max_gaussians)
     if not reader.records:
         raise InvalidError(f"{reader.name} has no frames yet; there is nothing to edit")
+    if reader.manifest.temporal_period > 1:
+        raise InvalidError(
+            f"{reader.name} has a temporal layer, which an edit cannot carry over; edit the stream "
+            "that it was made from"
+        )
     return reader
 
 

@@ -118,7 +118,11 @@ def follow_folder(
     called with the number of frames. By an exception the stream stays live, to be resumed. Raises
     InvalidError for options that do not go together, and what StreamWriter raises.
     """
-    for name, given in (("--exact", options.exact), ("--frames", options.frames != FrameRange())):
+    for name, given in (
+        ("--exact", options.exact),
+        ("--frames", options.frames != FrameRange()),
+        ("--temporal", options.temporal > 1),
+    ):
         if given:
             raise InvalidError(f"{name} cannot be combined with --follow")
     _rehearse()

@@ -47,26 +47,35 @@ def cameras_around(front: Camera, centre: Doubles) -> list[Camera]:
 
 
 class ImportScore:
-    """A Quality (codec.stream.draft) that compares with `source`: the caller sets it to the file of
-    the frame before it appends that frame.
+    """A Quality (codec.stream.draft) that compares with the files: the caller hands over that of
+    each frame before it appends the frame.
 
     Both are drawn with harmonics of every degree that they have: degrees that the stream leaves out
     count as an error.
     """
 
-    def __init__(self, draw: Draw, cameras: Sequence[Camera], near_m: float, every: int) -> None:
-        """every: frames from one that is scored to the next."""
+    def __init__(
+        self, draw: Draw, cameras: Sequence[Camera], near_m: float, every: int, run: int = 1
+    ) -> None:
+        """every: frames from a run of `run` scored frames to the next."""
         self._draw, self._cameras, self._near_m, self._every = draw, cameras, near_m, every
-        self.source: Splats | None = None
+        self._run = run
+        self._sources: dict[int, Splats] = {}
         self.scores_db: list[tuple[float, ...]] = []
         """PSNR in dB of each scored frame with 1, 2, ... layers."""
 
+    def expect(self, birth: int, source: Splats) -> None:
+        """Hands over the file of a frame that is to be appended."""
+        if birth % self._every < self._run:
+            self._sources[birth] = source
+
     def __call__(self, birth: int, slices: Sequence[Slice]) -> Sequence[float] | None:
-        if birth < 0 or birth % self._every or self.source is None:
+        source = self._sources.pop(birth, None)
+        if source is None:
             return None
         errors = np.zeros(len(slices))
         for camera in self._cameras:
-            wanted = self._drawn(self.source, camera)
+            wanted = self._drawn(source, camera)
             for n, part in enumerate(slices):
                 shown = part.splats.take(np.flatnonzero(part.active(birth, 1)))
                 errors[n] += np.mean((self._drawn(shown, camera) - wanted) ** 2)

@@ -9,10 +9,11 @@ import numpy as np
 
 from codec.coders.coder import EncodedChunk
 from codec.errors import InvalidError
-from codec.lattice.lattice import Bytes, States
+from codec.lattice.lattice import Bytes, Flags, States
 from codec.slice import HIDDEN, window_births
 
 from .mask import MaskHistory, encode_mask
+from .passing import composed, encode_passing
 from .slotchange import Newcomers, encode_change
 from .slotdecoder import SlotDecoder
 from .slotlayout import SlotLayout
@@ -61,6 +62,10 @@ class SlotEncoder:
         ]
         """The values of the slots, lane after lane, layer after layer."""
         self.history = MaskHistory(layout)
+        self.staying = self.lanes[0]
+        """With a temporal layer: the slots after the last slice that was not a passing one."""
+        self.renewed: Flags = np.zeros(layout.num_slots, np.bool_)
+        """Slots that do not hold the Gaussian any more that they hold in `staying`."""
 
     @staticmethod
     def resumed(decoder: SlotDecoder) -> SlotEncoder:
@@ -69,6 +74,11 @@ class SlotEncoder:
             raise InvalidError("an encoder can only continue from a decoder that has all layers")
         own, made = decoder.copy(), SlotEncoder(decoder.layout)
         made.lanes, made.history, made.next_birth = own.lanes, own.history, decoder.frame + 1
+        made.staying = list(made.lanes[0])
+        if own.passing is not None:
+            made.lanes = [own.passing.slots]
+            statuses = np.concatenate(own.passing.statuses)
+            made.renewed = (statuses == NEW) | (statuses == ENDED)
         return made
 
     @staticmethod
@@ -76,6 +86,10 @@ class SlotEncoder:
         """An encoder that goes on after the updates `opening`, which say all that shows by then: of
         each lane the last one, in order of birth, and nothing in them is predicted."""
         made = SlotEncoder(layout)
+        if layout.temporal_layer is not None:
+            raise InvalidError(
+                "a stream with a temporal layer cannot be written in pieces; write it in one"
+            )
         if len(opening) != layout.swin_size:
             raise InvalidError(f"{len(opening)} updates open {layout.swin_size} lanes")
         made.next_birth = opening[0].birth
@@ -89,30 +103,60 @@ class SlotEncoder:
         made.layout, made.next_birth = self.layout, self.next_birth
         made.lanes = [list(lane) for lane in self.lanes]  # `append` replaces slots
         made.history = self.history.copy()
+        made.staying, made.renewed = list(self.staying), self.renewed.copy()
         return made
 
     def append(self, update: Update) -> EncodedSlice | None:
         """`encode`, and goes on to the slice of `update`."""
-        encoded = self.encode(update)
-        lane = self.lanes[self.layout.lane(update.birth)]
-        for part in self._parts(update):
+        birth, lane = update.birth, self.lanes[self.layout.lane(update.birth)]
+        layered = self.layout.temporal_layer is not None and birth > 0
+        encoded = None if layered else self.encode(update)
+        if layered:
+            self._check(update)
+            self.renewed |= (update.statuses == NEW) | (update.statuses == ENDED)
+        for part in self._parts(update, lane):
             slots = part.slots.copy()
             slots.advance(_delta(part))
             lane[part.layer] = slots
-        if update.birth > 0:
-            self.history.note(update.birth, update.statuses)
-        self.next_birth = update.birth + 1
+        if layered:
+            update = composed(self.layout, birth, self.staying, lane, self.renewed)
+            encoded = self._encoded_layered(update)
+        if birth > 0:
+            passes = self.layout.is_passing(birth)
+            kept = Update.keeping(birth, self.layout).statuses
+            self.history.note(birth, kept if passes else update.statuses)
+        if not self.layout.is_passing(birth):
+            self.staying = list(lane)
+            self.renewed = np.zeros_like(self.renewed)
+        self.next_birth = birth + 1
         return encoded
+
+    def _encoded_layered(self, update: Update) -> EncodedSlice:
+        """The chunks of `update`, which says what is different from `staying`."""
+        encoded = self._encoded(update, self.staying)
+        if not self.layout.is_passing(update.birth):
+            return encoded
+        nothing = EncodedChunk(update.birth, b"", (0, 0))
+        *changes, _ = encoded.changes
+        passing = encode_passing(self.layout, encoded.mask, changes)
+        return EncodedSlice(update.birth, nothing, (*(nothing for _ in changes), passing))
 
     def encode(self, update: Update) -> EncodedSlice | None:
         """The chunks of the slice of `update`, which is not yet taken in; None before frame 0. The
         slice of frame 0 keeps all, for what it brings is in the snapshot of frame 0."""
+        if self.layout.temporal_layer is not None and update.birth > 0:
+            return self.copy().append(update)
         self._check(update)
         birth = update.birth
         if birth < 0:
             return None
         if birth == 0:
             update = Update.keeping(birth, self.layout)
+        return self._encoded(update, self.lanes[self.layout.lane(birth)])
+
+    def _encoded(self, update: Update, lane: Sequence[Slots]) -> EncodedSlice:
+        """The chunks of `update` upon the slots of `lane`."""
+        birth = update.birth
         mask = encode_mask(self.layout, birth, update.statuses, self.history.of(birth))
         changes = (
             encode_change(
@@ -123,7 +167,7 @@ class SlotEncoder:
                 part.new,
                 part.start_offsets,
             )
-            for part in self._parts(update)
+            for part in self._parts(update, lane)
         )
         return EncodedSlice(birth, mask, tuple(changes))
 
@@ -145,7 +189,7 @@ class SlotEncoder:
         if update.birth != self.next_birth:
             raise InvalidError(f"update born at {update.birth}, expected {self.next_birth}")
         update.check(self.layout)
-        for part in self._parts(update):
+        for part in self._parts(update, self.lanes[self.layout.lane(update.birth)]):
             conditions = part.slots.conditions[part.predicted_rows]
             if (conditions != ON_LATTICE).any():
                 first = int(np.argmax(conditions != ON_LATTICE))
@@ -155,9 +199,8 @@ class SlotEncoder:
                     f"{part.layer} is predicted, but it {why}; make it a new one"
                 )
 
-    def _parts(self, update: Update) -> Iterator[_Part]:
-        """The parts of `update`, which is checked, one for each layer."""
-        lane = self.lanes[self.layout.lane(update.birth)]
+    def _parts(self, update: Update, lane: Sequence[Slots]) -> Iterator[_Part]:
+        """The parts of `update`, which is checked, upon `lane`, one for each layer."""
         edges = self.layout.row_edges
         coded_before = escapes_before = 0
         for layer in range(self.layout.num_layers):

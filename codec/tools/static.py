@@ -13,6 +13,7 @@ from codec.coders.coder import Coder
 from codec.edit.trackcopy import copy_tracks
 from codec.errors import InvalidError
 from codec.files import making_folder, temporary_folder, write_atomic
+from codec.slots.passing import passing_elsewhere
 from codec.slots.slotchange import encoded_elsewhere
 from codec.slots.slotchunk import Kind
 from codec.storage.openstorage import Place
@@ -111,11 +112,13 @@ def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) ->
 
 def _recoded(source: CheckedObject, birth: int) -> bytes:
     """The packet of `birth`, coded with gzip."""
-    data, manifest, part = source.content(birth), source.manifest, source.part
+    data, layout, part = source.content(birth), source.manifest.slot_layout, source.part
+    if part == layout.temporal_layer:
+        return encode_packet(passing_elsewhere(layout, data), Coder.GZIP)
     kind = Kind.CHANGE if type(part) is int else Kind.SNAPSHOT
     if part == MASKS:
         kind = Kind.MASK
-    return encode_packet(encoded_elsewhere(manifest.slot_layout, kind, data), Coder.GZIP)
+    return encode_packet(encoded_elsewhere(layout, kind, data), Coder.GZIP)
 
 
 def _copy_pictures(reader: StreamReader, folder: Path) -> None:

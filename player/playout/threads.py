@@ -70,7 +70,10 @@ def update_thread(
             if due is None:
                 break
             began_s = time.perf_counter()
-            for slice in assembler.assemble(due.record.frame, due.packets, events.shows_between):
+            slices = assembler.assemble(
+                due.record.frame, due.packets, events.shows_between, due.ahead
+            )
+            for slice in slices:
                 renderer.put(slice)
             handoff.put(replace(due.record, decode_s=time.perf_counter() - began_s))
         handoff.finish()

@@ -19,7 +19,14 @@ _TYPES = {".js": "text/javascript", ".html": "text/html"}
 _BUNDLE = "bundle"
 _PAGE_SCRIPT = "page.js"
 _FIRST = ("player.js", "playworker.js", "sortworker.js")
-_MODULES = (*_FIRST, "extras.js", "tracks.js", "smoothing.js", "packedlayout.js")
+_MODULES = (
+    *_FIRST,
+    "extras.js",
+    "tracks.js",
+    "smoothing.js",
+    "packedlayout.js",
+    "passing.js",
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from codec.errors import InvalidError
+from codec.slots.slotlayout import MAX_TEMPORAL_PERIOD
 from codec.storage.openstorage import Target, is_url
 from codec.storage.targetargument import target_named
 from codec.stream.manifest import MAX_FPS, MIN_FPS
@@ -96,6 +97,10 @@ class TrainConfig:
     segment_frames: int = 15
     """Number of frames in a segment. A segment is the most that a stopped writer can lose, and the
     unit of caching."""
+    temporal: int = 1
+    """Period of a temporal layer, 2 to 8: all frames but every second (third, ...) one are in a
+    layer of their own on top, which players on slow links leave out; they show motion in its place.
+    Segments become as much longer as that needs. 1 makes none."""
     backend: BackendName = "cpu"
     """Backend that computes the training steps: cpu (numba), cuda (gsplat on an NVIDIA GPU), torch
     (plain torch on any of its devices), or auto, the best that works: cuda, else torch on a GPU,
@@ -155,6 +160,18 @@ class TrainConfig:
         if self.audio is not None and (self.silent or self.ray is not None):
             other = "--silent" if self.silent else "--ray, whose stream swings-stream audio adds to"
             raise InvalidError(f"--audio cannot be combined with {other}")
+        if not 1 <= self.temporal <= MAX_TEMPORAL_PERIOD:
+            raise InvalidError(f"temporal {self.temporal}: choose 1 to {MAX_TEMPORAL_PERIOD}")
+        if self.temporal > 1 and self.fit.swin_size > 1:
+            raise InvalidError(
+                f"--temporal needs --swin-size 1, where every slot may change in every frame, not "
+                f"{self.fit.swin_size}"
+            )
+        if self.temporal > 1 and self.ray is not None:
+            raise InvalidError(
+                "--temporal cannot be combined with --ray: a part would begin without what the "
+                "one before it ended with"
+            )
         if self.serve is not None and not 0 <= self.serve <= 65535:
             raise InvalidError(f"serve {self.serve}: choose a port, 0 to 65535")
         if self.snapshot_every < 0:

@@ -198,7 +198,8 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
             config.fit, pictures, initial, prepared.training_planes, prepared.far_m,
             prepared.picked.backend,
             (monitor, GenesisKeeper(lambda: keep(), KeepTimer(KEEP_S)), *observers),
-            None if config.whole_slices or manifest is None else manifest.slot_layout,
+            None if config.whole_slices or manifest is None
+            else manifest.slot_layout.without_temporal(),
             prepared.search_from_m,
         )  # fmt: skip
         if found is not None:

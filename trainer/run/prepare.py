@@ -276,7 +276,7 @@ def make_manifest(
     if config.whole_slices:
         rows = split_layers(gaussians, slots, RANKS[writer_rank(config.rank)])
         coarseness = layer_coarseness([gaussians.take(part) for part in rows])
-    return Manifest(
+    manifest = Manifest(
         fps=fps_of(capture, config),
         swin_size=config.fit.swin_size,
         slots=slots,
@@ -298,3 +298,4 @@ def make_manifest(
         title=config.title or capture.root.resolve().name,
         capture_frame=prepared.frames.start,
     )
+    return manifest.with_temporal_layer(config.temporal)

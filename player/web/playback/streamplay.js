@@ -10,7 +10,7 @@ export class StreamPlay {
   /** @param {import("../format/manifest.js").Manifest} manifest */
   constructor(manifest) {
     this.layout = manifest.layout;
-    this.decoder = new SlotDecoder(this.layout);
+    this.decoder = this.#newDecoder();
     /** @type {Map<number, Uint8Array>} by birth */
     this.masks = new Map();
     /** @type {Map<number, (Uint8Array | null)[]>} by birth, of each layer */
@@ -23,6 +23,10 @@ export class StreamPlay {
     this.isLate = false;
   }
 
+  #newDecoder() {
+    return new (this.layout.Decoder ?? SlotDecoder)(this.layout);
+  }
+
   /** The frame that was brought last; null before the first. */
   get frame() {
     return this.decoder.frame;
@@ -32,7 +36,7 @@ export class StreamPlay {
   get layers() {
     const { numLayers } = this.layout;
     for (let layer = 0; layer < numLayers; layer++) if (this.#lacksAnything(layer)) return layer;
-    return numLayers;
+    return numLayers - this.decoder.numMissing;
   }
 
   /** @param {number} layer */
@@ -109,7 +113,7 @@ export class StreamPlay {
    */
   join(frame) {
     const first = this.layout.segmentStart(frame);
-    this.decoder = new SlotDecoder(this.layout);
+    this.decoder = this.#newDecoder();
     this.masks.delete(first);
     this.changes.delete(first);
     this.#load(first);
@@ -144,7 +148,7 @@ export class StreamPlay {
     this.masks.delete(birth);
     this.changes.delete(birth);
     try {
-      return this.decoder.apply(birth, mask, changes);
+      return this.decoder.apply(birth, mask, changes, this);
     } catch (error) {
       if (!(error instanceof FormatError)) throw error;
     }
@@ -153,7 +157,7 @@ export class StreamPlay {
       const takes = () => this.decoder.takes(birth, mask, layer, change);
       return change !== null && this.#try(takes) ? change : null;
     });
-    return this.decoder.apply(birth, mask, taken);
+    return this.decoder.apply(birth, mask, taken, this);
   }
 
   /** Loads the snapshots of `frame` of layers that lack something. @param {number} frame */

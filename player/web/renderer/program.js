@@ -10,18 +10,23 @@ import {
   SH_C3,
 } from "../constants.js";
 
-/** @type {Record<string, number>} */
-const RECIPE = {
-  ALPHA_MAX,
-  ALPHA_MIN,
-  COLOUR_COLUMNS,
-  LOW_PASS_PX2,
-  MAX_EXTENT_SIGMA,
-  SH_C0,
-  SH_C1,
-  ...Object.fromEntries(SH_C2.map((value, n) => [`SH_C2_${n}`, value])),
-  ...Object.fromEntries(SH_C3.map((value, n) => [`SH_C3_${n}`, value])),
-};
+/** The constants of the recipe by name. @returns {Record<string, number>} */
+function recipe() {
+  return {
+    ALPHA_MAX,
+    ALPHA_MIN,
+    COLOUR_COLUMNS,
+    LOW_PASS_PX2,
+    MAX_EXTENT_SIGMA,
+    SH_C0,
+    SH_C1,
+    ...Object.fromEntries(SH_C2.map((value, n) => [`SH_C2_${n}`, value])),
+    ...Object.fromEntries(SH_C3.map((value, n) => [`SH_C3_${n}`, value])),
+  };
+}
+
+// Workers, which draw nothing, go without.
+const RECIPE = /* @__PURE__ */ recipe();
 const HEAD = `#version 300 es
 precision highp float;
 precision highp int;

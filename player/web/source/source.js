@@ -1,3 +1,5 @@
+import { FormatError } from "../format/bytes/errors.js";
+import { SlotDecoder } from "../format/slots/slotdecoder.js";
 import { isPacked, servedBase } from "./addresses.js";
 import { HostedStream } from "./hosted.js";
 import { PackedStream } from "./packed.js";
@@ -54,9 +56,22 @@ import { ServedStream } from "./served.js";
  * @param {number} [bufferBytes] most that is kept of the stream
  * @returns {Promise<SourceStream>}
  */
-export function openSource(url, fetcher, maxGaussians = null, otherHosts = false, bufferBytes) {
+export async function openSource(
+  url,
+  fetcher,
+  maxGaussians = null,
+  otherHosts = false,
+  bufferBytes,
+) {
   const served = servedBase(url);
-  if (served !== null) return ServedStream.open(served, fetcher, maxGaussians, bufferBytes);
   const Hosted = isPacked(url) ? PackedStream : HostedStream;
-  return Hosted.open(url, fetcher, maxGaussians, otherHosts, bufferBytes);
+  const stream = await (served === null
+    ? Hosted.open(url, fetcher, maxGaussians, otherHosts, bufferBytes)
+    : ServedStream.open(served, fetcher, maxGaussians, bufferBytes));
+  const { layout } = stream.manifest;
+  if (layout.period > 1) {
+    const { passingDecoder } = await import("../format/slots/passing.js");
+    layout.Decoder = passingDecoder(SlotDecoder, FormatError);
+  }
+  return stream;
 }

@@ -35,13 +35,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_commands_run(folder: Path) -> None:
-    assert len(COMMANDS) == 9
+    assert len(COMMANDS) == 10
     assert {line.split()[0] for line in COMMANDS} <= set(ENTRY)
 
 
 def test_they_do_what_the_page_says(folder: Path) -> None:
     sizes, streams = {}, {}
-    for name in ("my-stream", "finer-stream", "back-stream", "exact-stream", "two-layers"):
+    names = "my-stream", "finer-stream", "back-stream", "exact-stream", "two-layers", "halved"
+    for name in names:
         streams[name] = StreamReader(folder / name)
         sizes[name] = sum(sum(record.part_bytes) for record in streams[name].records)
         assert streams[name].num_frames == 4
@@ -53,6 +54,7 @@ def test_they_do_what_the_page_says(folder: Path) -> None:
         one, other = (streams[n].active_splats(frame, 4) for n in ("my-stream", "back-stream"))
         assert gaussians(one) == gaussians(other)
     assert streams["two-layers"].manifest.num_layers == 2
+    assert streams["halved"].manifest.num_layers == 5
 
 
 def test_the_page_has_the_defaults() -> None:

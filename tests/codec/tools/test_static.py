@@ -15,6 +15,7 @@ from codec.coders.coder import Coder, coder_of
 from codec.errors import CorruptError, InvalidError
 from codec.files import write_atomic
 from codec.framerange import FrameRange
+from codec.slots.passing import passing_elsewhere
 from codec.slots.slotchange import encoded_elsewhere
 from codec.slots.slotchunk import Kind
 from codec.slots.slotencoder import SlotEncoder
@@ -42,6 +43,7 @@ LAYOUTS = [
     small_layout(3, (9, 6), 0, 4),
     small_layout(1, (4,), 2, 3),
     small_layout(2, (5, 4, 3), 1, 8),
+    small_layout(1, (5, 3), 0, 4, 2),
 ]
 
 
@@ -81,13 +83,19 @@ def test_an_entropy_coder_is_told_the_same_edges_as_at_first(layout: SlotLayout)
         encoded = encoder.append(update)
         if encoded is None:
             continue
-        chunks = [(Kind.MASK, encoded.mask), *((Kind.CHANGE, one) for one in encoded.changes)]
+        *changes, last = encoded.changes
+        is_passing = layout.is_passing(max(update.birth, 0))
+        chunks = [(Kind.MASK, encoded.mask), *((Kind.CHANGE, one) for one in changes)]
+        chunks.append((Kind.PASSING if is_passing else Kind.CHANGE, last))
         if update.birth % layout.segment_frames == 0:
             chunks += [(Kind.SNAPSHOT, chunk) for chunk in encoder.snapshots()]
         for kind, chunk in chunks:
             if not chunk.data:  # nothing changes, and there is no packet
                 continue
-            again = encoded_elsewhere(layout, kind, chunk.data)
+            if kind is Kind.PASSING:
+                again = passing_elsewhere(layout, chunk.data)
+            else:
+                again = encoded_elsewhere(layout, kind, chunk.data)
             assert (again.birth, again.data) == (chunk.birth, chunk.data)
             assert list(again.edges) == list(chunk.edges)
 

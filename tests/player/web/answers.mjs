@@ -13,6 +13,7 @@ import { readObject } from "../../../player/web/format/objecttable.js";
 import { inflatePacket } from "../../../player/web/format/packet.js";
 import { RecordParser } from "../../../player/web/format/playrecord.js";
 import { SlotDecoder } from "../../../player/web/format/slots/slotdecoder.js";
+import { passingDecoder } from "../../../player/web/format/slots/passing.js";
 import { SlotLayout } from "../../../player/web/format/slots/slotlayout.js";
 import { EMPTY, ON_LATTICE, UNKNOWN } from "../../../player/web/constants.js";
 import { shareAt, Smoothing } from "../../../player/web/element/smoothing.js";
@@ -69,7 +70,8 @@ function held() {
   const lanes = Array.from({ length: layout.swinSize }, () => []);
   for (let birth = (frame ?? 0) - layout.swinSize + 1; birth <= (frame ?? 0); birth++) {
     const lane = layout.lane(birth);
-    for (const [layer, slots] of decoder.lanes[lane].entries()) {
+    const shown = decoder.whole(birth).slots ?? decoder.lanes[lane];
+    for (const [layer, slots] of shown.entries()) {
       const rows = Uint32Array.from(slots.conditions, (_, i) => i);
       const floats = slots.gaussians(rows, layout.lattices[layer]);
       const widths = [3, 3, 4, 1, 3 * layout.k];
@@ -288,16 +290,21 @@ const ANSWERS = {
       ),
     );
   },
-  layout({ swinSize, segmentFrames, shDegree, slots, lattices, numLayers }) {
-    const layout = new SlotLayout(swinSize, segmentFrames, shDegree, slots, lattices);
-    decoder = new SlotDecoder(layout, numLayers ?? undefined);
+  layout({ swinSize, segmentFrames, shDegree, slots, lattices, period, numLayers }) {
+    const layout = new SlotLayout(swinSize, segmentFrames, shDegree, slots, lattices, period);
+    if (period > 1) layout.Decoder = passingDecoder(SlotDecoder, FormatError);
+    decoder = new (layout.Decoder ?? SlotDecoder)(layout, numLayers ?? undefined);
     return null;
   },
   load({ bytes }) {
     return decoder.load(unhex(bytes));
   },
-  apply({ birth, mask, changes }) {
-    const slice = decoder.apply(birth, optional(mask), changes.map(optional));
+  apply({ birth, mask, changes, ahead }) {
+    const [next, nextMask, nextChanges] = ahead ?? [0, "", []];
+    const slice = decoder.apply(birth, optional(mask), changes.map(optional), {
+      masks: new Map(ahead ? [[next, unhex(nextMask)]] : []),
+      changes: new Map(ahead ? [[next, nextChanges.map(optional)]] : []),
+    });
     const plain = (/** @type {ArrayLike<number>[]} */ layers) => layers.map((of) => Array.from(of));
     return { lane: slice.lane, rows: plain(slice.rows), moves: plain(slice.moves ?? []) };
   },

@@ -118,6 +118,41 @@ def both_apply(
     return True
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_passing_slices(browser: BrowserCode, seed: int) -> None:
+    """Here, missing, altered on the way; with the slice after them, and without."""
+    rng, random_bytes = np.random.default_rng(seed), random.Random(seed)
+    period, slots_of_layers = 2 + seed % 3, ((7,), (6, 5), (1, 4, 3))[seed % 3]
+    length = period * (1 + seed % 2)
+    plain = small_layout(1, slots_of_layers, seed % 2, length)
+    layout = small_layout(1, slots_of_layers, seed % 2, length, period)
+    chunks = encoded_chunks(layout, patternless_updates(plain, NUM_FRAMES, seed, calm=3))
+    ours, theirs = SlotDecoder(layout), BrowserSlots(browser, layout)
+    for snapshot in chunks.snapshots[0]:
+        assert theirs.load(snapshot) == ours.load(snapshot)
+    for birth in range(1, NUM_FRAMES):
+        mask, changes = chunks.masks[birth], [*chunks.changes[birth]]
+        come: list[bytes | None] = [
+            None if rng.random() < 0.2 and (layer or birth % period) else change
+            for layer, change in enumerate(changes)
+        ]
+        next_birth, ahead, wanted = layout.following(birth), None, None
+        if birth % period and next_birth < NUM_FRAMES and rng.random() < 0.7:
+            wanted = chunks.masks[next_birth], [*chunks.changes[next_birth]]
+            ahead = next_birth, *wanted
+        if come[-1] and rng.random() < 0.3:
+            torn = [*come[:-1], altered(come[-1], random_bytes)]
+            try:
+                ours.copy().apply(birth, mask, torn)
+            except CodecError:
+                with pytest.raises(CodecError):
+                    theirs.apply(birth, mask, torn)
+        rows = ours.apply(birth, mask, come, ahead=wanted).rows
+        assert rows is not None
+        assert sorted(theirs.apply(birth, mask, come, ahead)) == rows.tolist()
+        assert theirs.held() == held(ours)
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_an_altered_snapshot(browser: BrowserCode, seed: int) -> None:
     rng = random.Random(seed)

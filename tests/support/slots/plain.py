@@ -126,7 +126,9 @@ def held(decoder: SlotDecoder) -> Held:
     for part in decoder.window(frame):
         lane = layout.lane(part.birth)
         flat = [array.reshape(len(array), -1) for array in part.splats.arrays]
-        for slots, first in zip(decoder.lanes[lane], layout.row_edges, strict=False):
+        passing = decoder.passing
+        shown = decoder.lanes[lane] if passing is None else passing.slots
+        for slots, first in zip(shown, layout.row_edges, strict=False):
             row: list[object] = []
             for slot, condition in enumerate(slots.conditions):
                 offset = int(part.start_offsets[first + slot])

@@ -69,6 +69,7 @@ class BrowserSlots:
                 }
                 for lattice in layout.lattices
             ],
+            period=layout.temporal_period,
             numLayers=num_layers,
         )
 
@@ -76,13 +77,25 @@ class BrowserSlots:
         used: bool = self._browser.ask("load", bytes=snapshot.hex())
         return used
 
-    def apply(self, birth: int, mask: bytes | None, changes: Sequence[bytes | None]) -> list[int]:
-        """The rows of the lane that changed, counted over all layers."""
+    def apply(
+        self,
+        birth: int,
+        mask: bytes | None,
+        changes: Sequence[bytes | None],
+        ahead: tuple[int, bytes, Sequence[bytes | None]] | None = None,
+    ) -> list[int]:
+        """The rows of the lane that changed, counted over all layers. ahead: a later birth, its
+        mask and its changes."""
+
+        def hexed(chunks: Sequence[bytes | None]) -> list[str | None]:
+            return [None if chunk is None else chunk.hex() for chunk in chunks]
+
         found = self._browser.ask(
             "apply",
             birth=birth,
             mask=None if mask is None else mask.hex(),
-            changes=[None if change is None else change.hex() for change in changes],
+            changes=hexed(changes),
+            ahead=None if ahead is None else (ahead[0], ahead[1].hex(), hexed(ahead[2])),
         )
         layers = zip(found["moves"], found["rows"], strict=False)
         self.moves = [move for moves, rows in layers for move in moves or [0] * len(rows)]

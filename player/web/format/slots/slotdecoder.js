@@ -28,6 +28,14 @@ import { decodeSnapshot } from "./snapshot.js";
  * @property {Uint32Array[]} rows the slots of each layer
  * @property {Uint8Array[]} [moves] how they came to what they hold, see `movesOf`; fewer where it is not
  *   known, and none of a whole window
+ * @property {Slots[]} [slots] what shows of the layers, if it is not the lane itself
+ */
+
+/**
+ * The chunks of slices that come later, by birth.
+ * @typedef {object} Ahead
+ * @property {Map<number, Uint8Array>} masks
+ * @property {Map<number, (Uint8Array | null)[]>} changes of each layer
  */
 
 /**
@@ -54,6 +62,8 @@ export class SlotDecoder {
     /** @type {Slots[][]} lane after lane, layer after layer */
     this.lanes = Array.from({ length: layout.swinSize }, () => this.#unknownLane());
     this.history = new MaskHistory(layout);
+    /** Layers of which the frame is missing, but nothing else. */
+    this.numMissing = 0;
     /** @type {Map<string, Log>} by lane and layer, the oldest first */
     this.logs = new Map();
     /** @type {Map<number, Uint8Array>} statuses of this segment's slices, for late snapshots */
@@ -151,9 +161,10 @@ export class SlotDecoder {
    * @param {Uint8Array | null} mask null: it is missing, and all slots of the lane are unknown
    * @param {(Uint8Array | null)[]} changes of layers 0, 1, ...; null for one that is missing, which
    *   may come late; layers behind the last are not expected
+   * @param {Ahead} [_ahead] for the decoder of passing.js
    * @returns {SlotSlice}
    */
-  apply(birth, mask, changes) {
+  apply(birth, mask, changes, _ahead) {
     if (this.frame === null || birth !== this.frame + 1) {
       throw new RangeError(`the slice born at ${birth} does not follow ${this.frame}`);
     }
@@ -216,7 +227,11 @@ export class SlotDecoder {
     return true;
   }
 
-  /** All slots of the lane of `birth`, for a renderer that has nothing yet. @param {number} birth */
+  /**
+   * All slots of the lane of `birth`, for a renderer that has nothing yet.
+   * @param {number} birth
+   * @returns {SlotSlice}
+   */
   whole(birth) {
     const lane = this.layout.lane(birth);
     const rows = this.lanes[lane].map((slots) => Uint32Array.from(slots.conditions, (_, i) => i));

@@ -21,8 +21,12 @@ export class SlotLayout {
    * @param {number} shDegree
    * @param {number[]} slots of a lane in each layer
    * @param {Lattice[]} lattices of each layer
+   * @param {number} [period] over 1: the last layer is a temporal one, without slots
    */
-  constructor(swinSize, segmentFrames, shDegree, slots, lattices) {
+  constructor(swinSize, segmentFrames, shDegree, slots, lattices, period = 1) {
+    this.period = period;
+    /** @type {typeof import("./slotdecoder.js").SlotDecoder | undefined} with a temporal layer */
+    this.Decoder = undefined;
     this.swinSize = swinSize;
     this.segmentFrames = segmentFrames;
     this.shDegree = shDegree;
@@ -56,7 +60,10 @@ export class SlotLayout {
 
   /** Bytes of the longest change of a layer. @param {number} layer */
   maxChangeBytes(layer) {
-    return 32 + this.slots[layer] * this.#maxSlotBytes;
+    const count = this.slots[layer];
+    // A passing slice brings a mask and the changes of all other layers.
+    const more = count ? 32 : this.maxMaskBytes + 36 * this.numLayers - 20;
+    return more + (count || this.numSlots) * this.#maxSlotBytes;
   }
 
   /** Bytes of the longest snapshot of a layer. @param {number} layer */

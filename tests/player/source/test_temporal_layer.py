@@ -1,0 +1,112 @@
+"""A stream with a temporal layer, over every way to a player: it comes as any layer does, is the
+first to stay behind, and where it does what goes on is drawn on its way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from codec.framerange import FrameRange
+from codec.stream import StreamReader, StreamWriter
+from codec.tools.packing import pack_stream
+from codec.tools.static import export_static
+from player.playout.assembler import Assembler
+from player.playout.timeline import Playout
+from player.source.hostedplay import HostedPlay
+from player.source.opener import opened
+from player.source.source import SlicePackets
+from tests.player.source.test_hosted_play import MadeLink, need_bps
+from tests.support.delivery.assembled import assembled, checked
+from tests.support.drawn import same_splats
+from tests.support.hosted_streams import served, static_host
+from tests.support.slots.slot_streams import Shown, busy_updates, slot_manifest
+from tests.support.slots.updates import small_layout
+
+NUM_FRAMES, FPS, TEMPORAL = 80, 30.0, 2
+"""Frames, frames a second, and the number of the temporal layer."""
+
+QUALITY_DB = 30.0, 33.0, 33.5
+"""By the index: half a decibel is what the temporal layer adds in the demo."""
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("root")
+    layout = small_layout(1, (60, 60), 0, 20, 2)
+    manifest = slot_manifest(layout, fps=FPS)
+    with StreamWriter.create(path / "s", manifest, quality=lambda *_: QUALITY_DB) as writer:
+        for update in busy_updates(layout, NUM_FRAMES):
+            writer.append(update)
+    export_static(path / "s", path / "static")
+    pack_stream(path / "s", path / "packed.swings")
+    return path
+
+
+@pytest.fixture(scope="module")
+def reader(root: Path) -> StreamReader:
+    return StreamReader(root / "s")
+
+
+@pytest.mark.parametrize("first", [0, 27])
+def test_every_source_brings_all_of_it(root: Path, reader: StreamReader, first: int) -> None:
+    frames = FrameRange(first, NUM_FRAMES)
+    with static_host(root) as static_url, served(root) as server:
+        for place in (
+            str(root / "s"),
+            f"{static_url}/static",
+            str(root / "packed.swings"),
+            f"{server.url}/v1/streams/s",
+            f"{server.url}/v1/streams/static",
+        ):
+            with opened(place, frames, TEMPORAL + 1) as source:
+                seen = list(checked(reader, assembled(source), TEMPORAL + 1))
+            assert [one.frame for one in seen] == list(range(first, NUM_FRAMES))
+            assert {one.layers for one in seen} == {TEMPORAL + 1}
+
+
+def played(playout: Playout, assembler: Assembler, reader: StreamReader, layers: int) -> int:
+    """Plays all that is in `playout`; gives how many frames it was."""
+    shown, count = Shown(reader.manifest), 0
+    while (due := playout.pop_due()) is not None:
+        frame = due.record.frame
+        slices = assembler.assemble(frame, due.packets, ahead=due.ahead)
+        assert same_splats(shown.after(slices, frame), reader.active_splats(frame, layers))
+        count += 1
+    return count
+
+
+@pytest.mark.parametrize(("layers", "first"), [(1, 0), (2, 0), (2, 27), (3, 0)])
+def test_a_play_without_it_shows_what_a_reader_does(
+    root: Path, reader: StreamReader, layers: int, first: int
+) -> None:
+    with opened(str(root / "s"), FrameRange(first, NUM_FRAMES), layers) as source:
+        playout = Playout(reader.manifest, first, NUM_FRAMES, needed=layers)
+        for packets in source.packets():
+            playout.push(packets, 0.0)
+        playout.finish(0.0)
+        assembler = Assembler(reader.manifest, layers, first)
+        assert played(playout, assembler, reader, layers) == NUM_FRAMES - first
+
+
+def shares_of(reader: StreamReader, rate_share: float) -> list[float]:
+    """Share of the bytes of each layer that comes over a link of this share of what the stream
+    needs, without a stall."""
+    play = HostedPlay(reader.manifest, reader.records, FrameRange(0, NUM_FRAMES), 0.0)
+    link = MadeLink(reader, play)
+    come = [0.0] * (TEMPORAL + 1)
+    while True:
+        for one in link.packets(rate_share * need_bps(reader)):
+            if isinstance(one, SlicePackets):
+                come[one.first_layer] += sum(map(len, one.packets))
+        if link.over:
+            break
+    assert play.session.clock.stalls == 0
+    sizes = [sum(record.object_bytes[n] for record in reader.records) for n in range(TEMPORAL + 1)]
+    return [num_bytes / size for num_bytes, size in zip(come, sizes, strict=True)]
+
+
+def test_on_a_thin_link_it_stays_behind_first(reader: StreamReader) -> None:
+    base, upper, temporal = shares_of(reader, 0.7)
+    assert temporal < 0.1 < 0.4 < upper < base
+    assert min(shares_of(reader, 2.0)) > 0.7  # it begins with the second segment
