@@ -1,0 +1,87 @@
+"""Rate against quality of a stream with and without a temporal layer.
+
+Usage: scripts/bench temporal STREAM CAPTURE
+
+Writes the stream again, the same Gaussians in every frame, with a temporal layer of each period,
+and scores them all against what the held-out cameras saw, with 1, 2, ... layers, as swings-eval
+does. The last layer of a stream with a period is the temporal one: the row before it is the same
+stream without it, where what goes on is drawn on its way in the frames that are left out.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+import tyro
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from codec.console import run_command
+from codec.stream import StreamReader, StreamWriter
+from codec.tools.recordedupdates import recorded_slices, recorded_update
+from trainer.score.evaluate import EvaluateConfig, LayerScore, evaluate_stream
+
+
+@dataclass(frozen=True, slots=True)
+class TemporalConfig:
+    """Scores a stream with and without a temporal layer."""
+
+    stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STREAM")]
+    """Folder of the stream; it has no temporal layer, and a swin_size of 1."""
+    capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
+    """Folder of the capture that it was trained from."""
+    periods: tuple[int, ...] = (2, 4)
+    """Periods of the temporal layers."""
+    every: int = 1
+    """Frames from one that is scored to the next."""
+
+
+def with_period(stream: Path, out: Path, period: int) -> None:
+    """Writes `stream` with a temporal layer to `out`."""
+    reader = StreamReader(stream, max_gaussians=None)
+    manifest = reader.manifest.with_temporal_layer(period)
+    with StreamWriter.create(out, manifest) as writer:
+        for birth, decoder, statuses in recorded_slices(reader):
+            writer.append(recorded_update(decoder, birth, statuses))
+
+
+def scored(stream: Path, config: TemporalConfig) -> list[LayerScore]:
+    """The scores of a stream with 1, 2, ... layers."""
+    made = evaluate_stream(EvaluateConfig(stream, config.capture, every=config.every))
+    return made.layers
+
+
+def run(config: TemporalConfig) -> None:
+    table = Table(box=box.MARKDOWN)
+    for name in ("period", "layers", "kB a frame", "PSNR, dB", "moving pixels, dB"):
+        table.add_column(name, justify="right")
+    with TemporaryDirectory() as folder:
+        for period in (1, *config.periods):
+            stream = config.stream
+            if period > 1:
+                stream = Path(folder) / f"period-{period}"
+                with_period(config.stream, stream, period)
+            rows = scored(stream, config)
+            for number, row in enumerate(rows, start=1):
+                temporal = " with the temporal one" if period > 1 and number == len(rows) else ""
+                moving = "-" if row.moving_psnr_db is None else f"{row.moving_psnr_db:.2f}"
+                table.add_row(
+                    "-" if period == 1 else str(period),
+                    f"{number}{temporal}",
+                    f"{row.bytes_per_frame / 1e3:.2f}",
+                    f"{row.psnr_db:.2f}",
+                    moving,
+                )
+    Console(width=120).print(table)
+
+
+if __name__ == "__main__":
+    description = "Rate against quality of a stream with and without a temporal layer."
+    run_command(TemporalConfig, run, "scripts/bench temporal", description)
