@@ -87,8 +87,8 @@ class DecodedSound:
         return mix(pieces, stop - begin)
 
     def _spans(self, begin: int, stop: int) -> Iterator[tuple[int, list[Samples], int, int]]:
-        """What is there of the samples `begin` to `stop`: sample, segment, and from where to where
-        in that."""
+        """The parts of the samples `begin` to `stop` that are here: the first sample of each, its
+        segment, and where the part begins and ends in that."""
         while begin < stop:
             segment = self.segment_at(begin)
             first, end = segment_span(self._manifest, segment)

@@ -23,11 +23,12 @@ REFERENCE_M = 1.0
 """A source is at its full loudness up to this distance."""
 
 Gains = tuple[float, float]
-"""Of the left and of the right ear."""
+"""Gains of the left and of the right ear."""
 
 
 def gains_of(source: SoundSource, time_s: float, camera: Camera) -> Gains:
-    """How loud `source` is at `time_s` of the stream for who is at `camera` and looks its way."""
+    """The gains of `source` at `time_s` of the stream for a listener at `camera`, who looks along
+    it."""
     place = source.position_m(time_s)
     if place is None:
         return 1.0, 1.0

@@ -37,7 +37,7 @@ def own_backends() -> list[Any] | None:
 
 
 def _blocks(player: SoundPlayer) -> Generator[bytes, int, None]:
-    """What miniaudio asks for: it sends the number of samples."""
+    """The generator that miniaudio calls: it sends the number of samples."""
     count = yield b""
     while True:
         try:

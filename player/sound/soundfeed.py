@@ -22,7 +22,7 @@ AHEAD_S = 10.0
 """Seconds of sound that are fetched before they are heard."""
 
 LOOK_S = 0.05
-"""How often it is looked where the playback is, seconds."""
+"""Seconds between two looks at where the playback is."""
 
 REST_SHARE = 4.0
 """After a segment that was fetched ahead the link belongs to the pictures, for so many times as

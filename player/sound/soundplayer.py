@@ -1,4 +1,4 @@
-"""What the sound device is given, block by block: the samples of where the playback is.
+"""The samples for the sound device, block by block, from where the playback is.
 
 Rule: pure but for its clock; the device and the thread that fetches are elsewhere.
 """
@@ -40,7 +40,7 @@ class SoundPlayer:
         self._splicer = Splicer(self._read)
         self._rest: Stereo = np.zeros((0, 2), np.float32)
         self.camera = camera
-        """Where the listener is."""
+        """The listener is here, and looks along it."""
         self.volume = volume
         """0 to 1."""
         self.muted = False

@@ -20,7 +20,8 @@ SLACK = 240
 """A piece goes on where the one before ends, if it is to begin no farther away than this."""
 
 SEARCH = 240
-"""How far from its place a piece may begin where the rate is not 1: half a period of 100 Hz."""
+"""Samples by which a piece may begin away from its place where the rate is not 1: half a period of
+100 Hz."""
 
 FADE = (0.5 - 0.5 * np.cos(np.pi * (np.arange(2 * HOP) + 0.5) / HOP)).astype(np.float32)[:, None]
 """(2 HOP, 1) the weight of a piece; that of two which overlap is 1."""
@@ -59,7 +60,7 @@ class Splicer:
         return wanted if rate == 1 else self._most_alike(wanted, self._next)
 
     def _most_alike(self, wanted: int, goes_on: int) -> int:
-        """Where around `wanted` the samples are most like those from `goes_on` on."""
+        """The sample near `wanted` from which on the stream is most like that from `goes_on` on."""
         model = self._read(goes_on, goes_on + HOP).sum(axis=1)
         around = self._read(wanted - SEARCH, wanted + SEARCH + HOP).sum(axis=1)
         energy: npt.NDArray[np.float64] = np.cumsum(np.concatenate([[0.0], around**2]))
