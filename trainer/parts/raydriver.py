@@ -22,10 +22,11 @@ from codec.storage.openstorage import open_growing
 from codec.stream.index import SegmentRecord
 from codec.stream.manifest import Manifest
 from codec.stream.writer import SHAPE
+from trainer.run.capturesound import CaptureSound, capture_sound
 from trainer.run.config import TrainConfig
 from trainer.run.finished import finish_outputs, show_finished
 from trainer.run.outputs import check_targets
-from trainer.run.prepare import Prepared, prepare
+from trainer.run.prepare import Prepared, fps_of, prepare
 from trainer.run.runlog import LOG_NAME, RunLog
 from trainer.run.storedconfig import config_to_json
 
@@ -85,6 +86,8 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
     with console.status("reading what the cameras see"):
         prepared = prepare(afresh)
         run = plan(afresh, prepared)
+    fps = partial(fps_of, prepared.capture, afresh)
+    sound = capture_sound(afresh, prepared.capture, prepared.frames, fps)
     try:
         with open_cluster(address, config.worker_cpus, console) as ray:
             for doubt in () if config.resume else prepared.doubts:
@@ -95,7 +98,7 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
             with ProgressLine(console) as line, RunLog(log_path, config.tensorboard) as runlog:
                 monitor = JoinMonitor(line, runlog, len(prepared.frames))
                 draw = partial(draw_joined, config, prepared)
-                return _train(run, files, resumed, ray, monitor, draw)
+                return _train(run, sound, files, resumed, ray, monitor, draw)
     except KeyboardInterrupt:
         with suppress(OSError):  # the terminal may be gone
             console.print("stopped; --resume continues from there", highlight=False)
@@ -123,6 +126,7 @@ def _begin(run: Run, files: GrowingPlace, resume: bool) -> bool:
 
 def _train(
     run: Run,
+    sound: CaptureSound | None,
     files: GrowingPlace,
     resumed: bool,
     ray: Any,
@@ -132,7 +136,7 @@ def _train(
     config = run.config
     remote = remote_task(ray, config)
     tally = ray.remote(num_cpus=0, max_restarts=-1)(Tally).remote()
-    joiner = Joiner(run)
+    joiner = Joiner(run, sound)
     queue = TaskQueue(run, lambda task: files.holds(task.last_path))
     monitor.begin(sum(task.iterations for task in queue.waiting))
     begun = False

@@ -157,9 +157,8 @@ class TrainConfig:
             raise InvalidError(f"fps {self.fps:g}: choose {MIN_FPS:g} to {MAX_FPS:g}")
         if self.point_share is not None and not 0 <= self.point_share <= 1:
             raise InvalidError(f"point_share {self.point_share:g}: choose 0 to 1")
-        if self.audio is not None and (self.silent or self.ray is not None):
-            other = "--silent" if self.silent else "--ray, whose stream swings-stream audio adds to"
-            raise InvalidError(f"--audio cannot be combined with {other}")
+        if self.audio is not None and self.silent:
+            raise InvalidError("--audio cannot be combined with --silent")
         if not 1 <= self.temporal <= MAX_TEMPORAL_PERIOD:
             raise InvalidError(f"temporal {self.temporal}: choose 1 to {MAX_TEMPORAL_PERIOD}")
         if self.temporal > 1 and self.fit.swin_size > 1:
