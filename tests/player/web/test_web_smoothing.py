@@ -26,12 +26,13 @@ LEFT = 4
 """Stands in the browser's table beside how a slot came to what it holds: it held another one."""
 
 
-@pytest.mark.parametrize("kind", ["moving", "without a pattern", "of two lanes"])
+@pytest.mark.parametrize("kind", ["moving", "without a pattern", "of two lanes", "passing"])
 def test_which_go_on(browser: BrowserCode, kind: str) -> None:
     """As the package says of the same slices."""
-    layout = small_layout(2 if kind == "of two lanes" else 1, (60, 40), 0, 4)
-    make = moving_updates if kind == "moving" else patternless_updates
-    chunks = encoded_chunks(layout, list(make(layout, NUM_FRAMES)))
+    plain = small_layout(2 if kind == "of two lanes" else 1, (60, 40), 0, 4)
+    layout = small_layout(1, (60, 40), 0, 4, 2) if kind == "passing" else plain
+    make = moving_updates if kind in ("moving", "passing") else patternless_updates
+    chunks = encoded_chunks(layout, list(make(plain, NUM_FRAMES)))
     ours, theirs = SlotDecoder(layout), BrowserSlots(browser, layout)
     for snapshot in chunks.snapshots[0]:
         ours.load(snapshot)

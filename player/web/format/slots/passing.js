@@ -3,10 +3,11 @@
  * Loaded for streams with a temporal layer, as few have one.
  */
 
-import { JUMP_SIGMAS, NEW, ON_LATTICE, PREDICTED } from "../../constants.js";
+import { ENDED, JUMP_SIGMAS, NEW, ON_LATTICE, PREDICTED } from "../../constants.js";
 import { FormatError, corrupt } from "../bytes/errors.js";
 import { decodeChange } from "./change.js";
 import { MaskHistory, decodeMask } from "./mask.js";
+import { movesOf } from "./moves.js";
 import { PASSING, expectChunk, readSlotHead } from "./slotchunk.js";
 
 /** @typedef {import("./slots.js").Slots} Slots */
@@ -58,19 +59,37 @@ export function passingDecoder(Decoder, Refusal) {
         if (chunk !== null) return decodePassing(this, birth, chunk);
         return passes ? interpolated(this, birth, ahead) : null;
       });
-      const slice = super.apply(birth, passes ? none : mask, changes.slice(0, last));
       const before = this.passing;
+      const shown = (before?.slots ?? this.lanes[0]).map((slots) => slots.copy());
+      const said = passes || mask === null ? null : refusing(() => this.#statusesIn(birth, mask));
+      const slice = super.apply(birth, passes ? none : mask, changes.slice(0, last));
       this.passing = passing;
       this.numMissing = passes && chunk === null ? 1 : 0;
+      const { moves } = slice;
       const rows = slice.rows.map((of, layer) => {
-        const parts = [passing, before].flatMap((one) => one?.parts[layer] ?? []);
+        const parts = [passing?.parts, before?.parts].flatMap((one) => one?.[layer] ?? []);
         if (parts.length === 0) return of;
         const changed = new Set(of);
         for (const part of parts) part.forEach((status, row) => status && changed.add(row));
-        if (slice.moves) slice.moves[layer] = new Uint8Array(); // they were of other rows
-        return Uint32Array.from(changed).sort();
+        const all = Uint32Array.from(changed).sort();
+        const slots = passing?.slots[layer] ?? this.lanes[0][layer];
+        const wasAltered = moves?.[layer].length !== of.length; // by bytes that came late
+        if (said !== null) parts.push(said[layer]);
+        if (moves !== undefined && !wasAltered)
+          moves[layer] = movesBetween(shown[layer], slots, all, parts, layout.lattices[layer]);
+        return all;
       });
-      return { ...slice, rows, slots: passing?.slots };
+      return { ...slice, rows, moves, slots: passing?.slots };
+    }
+
+    /**
+     * The statuses of each layer in a mask; null if it cannot be read.
+     * @param {number} birth
+     * @param {Uint8Array} mask
+     */
+    #statusesIn(birth, mask) {
+      if (!this.history.isReadable(birth)) return null;
+      return byLayer(this, decodeMask(this.layout, birth, mask, this.history.of(birth)));
     }
 
     /** @param {number} birth */
@@ -186,6 +205,33 @@ function deltaOf({ layout, lanes }, birth, layer, statuses, bytes) {
     statuses.reduce((sum, status) => sum + (status === wanted ? 1 : 0), 0);
   const change = decodeChange(layout, layer, birth, bytes, count(PREDICTED), count(NEW));
   return lanes[0][layer].delta(statuses, change, layout.lattices[layer].opacityLevels);
+}
+
+/**
+ * How the slots in `rows` come from what they showed to what they show, see `movesOf`.
+ * @param {Slots} before
+ * @param {Slots} after
+ * @param {Uint32Array} rows
+ * @param {Uint8Array[]} parts statuses of the slices that lie between
+ * @param {import("./slotlayout.js").Lattice} lattice
+ */
+function movesBetween(before, after, rows, parts, lattice) {
+  const width = after.numAttributes;
+  const delta = {
+    rows,
+    conditions: Uint8Array.from(rows, (row) => after.conditions[row]),
+    positions: new Int32Array(3 * rows.length),
+    attributes: new Uint8Array(width * rows.length),
+    starts: Uint8Array.from(rows, (row) => after.starts[row]),
+    escapes: new Map(),
+  };
+  const statuses = new Uint8Array(after.count).fill(PREDICTED);
+  rows.forEach((row, d) => {
+    delta.positions.set(after.positions.subarray(3 * row, 3 * row + 3), 3 * d);
+    delta.attributes.set(after.attributes.subarray(width * row, width * (row + 1)), width * d);
+    if (parts.some((part) => part[row] === NEW || part[row] === ENDED)) statuses[row] = NEW;
+  });
+  return movesOf(before, delta, statuses, lattice);
 }
 
 /**
