@@ -32,7 +32,12 @@ def layout_of(shape: plain.Shape) -> SlotLayout:
     lattices = [Lattice(**{n: getattr(one, n) for n in names}) for one in shape.lattice]
     sh_degree = {1: 0, 4: 1, 9: 2, 16: 3}[shape.num_coefficients]
     return SlotLayout(
-        shape.swin_size, shape.slots, sh_degree, tuple(lattices), shape.segment_frames
+        shape.swin_size,
+        shape.slots,
+        sh_degree,
+        tuple(lattices),
+        shape.segment_frames,
+        shape.temporal_period,
     )
 
 
