@@ -111,7 +111,7 @@ def test_what_is_refused() -> None:
             decode_mask(layout, 9, wrong, history)
     with pytest.raises(CorruptError, match="birth 9 where birth 10 belongs"):
         decode_mask(layout, 10, data, history)
-    for place, value in ((4, 3), (6, 1), (6, 128), (7, 1)):
+    for place, value in ((4, 4), (6, 1), (6, 128), (7, 1)):
         wrong = data[:place] + bytes([value]) + data[place + 1 :]
         with pytest.raises(UnsupportedError):
             decode_mask(layout, 9, wrong, history)
