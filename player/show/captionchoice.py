@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from itertools import islice
 
 from codec.errors import InvalidError, SwingsError
 from codec.stream.captions import Captions, Cue, parse_webvtt
@@ -11,6 +12,9 @@ from codec.stream.captions import Captions, Cue, parse_webvtt
 from .backgroundtask import BackgroundTask
 
 log = logging.getLogger(__name__)
+
+MAX_LINES, MAX_LINE_CHARS = 12, 200
+"""The lines that show at once, and the letters of each: a stranger's file may have a million."""
 
 
 class CaptionChoice:
@@ -55,9 +59,11 @@ class CaptionChoice:
             log.warning("no captions in %s: %s", captions.language, error)
 
     def lines(self, time_s: float) -> tuple[str, ...]:
-        """The lines that show at `time_s` of the stream, top to bottom."""
+        """The lines that show at `time_s` of the stream, top to bottom; MAX_LINES of MAX_LINE_CHARS
+        at most."""
         if self.chosen is None:
             return ()
         cues = self._cues[self.chosen.language]
         due = (cue for cue in cues if cue.start_s <= time_s < cue.end_s)
-        return tuple(line for cue in due for line in cue.text.split("\n"))
+        lines = (line for cue in due for line in cue.text.split("\n", MAX_LINES)[:MAX_LINES])
+        return tuple(line[:MAX_LINE_CHARS] for line in islice(lines, MAX_LINES))

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -56,6 +58,16 @@ def _font(size_px: int = TEXT_PX) -> ImageFont.FreeTypeFont | ImageFont.ImageFon
     return ImageFont.load_default(size_px)
 
 
+@cache
+def _caption_font(size_px: int) -> ImageFont.FreeTypeFont:
+    """The font that matplotlib brings: Pillow's own has hardly more than ASCII."""
+    found = find_spec("matplotlib")
+    assert found is not None
+    assert found.origin is not None
+    fonts = Path(found.origin).parent / "mpl-data" / "fonts" / "ttf"
+    return ImageFont.truetype(str(fonts / "DejaVuSans.ttf"), size_px)
+
+
 def text_panel(lines: Sequence[str]) -> Pixels:
     """The lines, white on a dark panel that is just large enough; what stands behind a tab is a
     second column."""
@@ -77,11 +89,12 @@ def text_panel(lines: Sequence[str]) -> Pixels:
 
 def caption_panel(lines: Sequence[str], size: tuple[int, int]) -> Pixels:
     """The lines, each centred, on a dark panel that a picture of `size` holds; what is too long for
-    CAPTION_SHARE of its width goes on in another line."""
+    CAPTION_SHARE of its width goes on in another line, and what is too high is left out."""
     text_px = max(TEXT_PX, size[1] // CAPTIONS_IN_HEIGHT)
-    font, most_px = _font(text_px), max(1, int(size[0] * CAPTION_SHARE))
-    rows = [row for line in lines for row in _wrapped(line, font, most_px)]
+    font, most_px = _caption_font(text_px), max(1, int(size[0] * CAPTION_SHARE))
     line_px, margin_px = text_px * LINE_PX // TEXT_PX, text_px * MARGIN_PX // TEXT_PX
+    rows = [row for line in lines for row in _wrapped(line, font, most_px)]
+    rows = rows[: max(1, (size[1] - margin_px) // line_px)]
     widths_px = [int(font.getlength(row)) for row in rows]
     width_px = min(max(widths_px, default=0) + 2 * margin_px, size[0])
     image = Image.new("RGBA", (width_px, len(rows) * line_px + margin_px), _BACK)
@@ -92,17 +105,19 @@ def caption_panel(lines: Sequence[str], size: tuple[int, int]) -> Pixels:
     return np.array(image)
 
 
-def _wrapped(
-    line: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, most_px: int
-) -> list[str]:
-    """The words of `line` in rows of `most_px`; a longer word has a row of its own."""
+def _wrapped(line: str, font: ImageFont.FreeTypeFont, most_px: int) -> list[str]:
+    """The words of `line` in rows of `most_px`; a longer word is cut."""
     rows: list[str] = []
     for word in line.split():
         longer = f"{rows[-1]} {word}" if rows else word
         if rows and font.getlength(longer) <= most_px:
             rows[-1] = longer
-        else:
-            rows.append(word)
+            continue
+        rows.append("")
+        for letter in word:
+            if rows[-1] and font.getlength(rows[-1] + letter) > most_px:
+                rows.append("")
+            rows[-1] += letter
     return rows
 
 

@@ -28,6 +28,10 @@ REST_SHARE = 4.0
 """After a segment that was fetched ahead the link belongs to the pictures, for so many times as
 long as the segment took."""
 
+GROWTH_SHARE = 0.8
+"""A segment is fetched at least this often, as a share of its length: where latency takes the time
+and not the link, the lead grows all the same."""
+
 URGENT_S = 0.3
 """A segment is fetched without such a rest if it is to be heard in less than this and twice as long
 as the one before took."""
@@ -81,10 +85,11 @@ class FetchPace:
         self._took_s = 0.0
         self._rests_until_s = -math.inf
 
-    def fetched(self, began_s: float, now_s: float) -> None:
-        """A segment took from `began_s` until now."""
-        self._took_s = now_s - began_s
-        self._rests_until_s = now_s + REST_SHARE * self._took_s
+    def fetched(self, began_s: float, now_s: float, length_s: float) -> None:
+        """A segment that is heard for `length_s` took from `began_s` until now."""
+        self._took_s = took_s = now_s - began_s
+        rest_s = min(REST_SHARE * took_s, max(0.0, GROWTH_SHARE * length_s - took_s))
+        self._rests_until_s = now_s + rest_s
 
     def allows(self, due_s: float, now_s: float) -> bool:
         """Whether a segment that is heard in `due_s` is to be fetched now."""
@@ -147,7 +152,8 @@ class SoundFeed:
             try:
                 self._decoded.put(segment, self._loader.load(segment))
                 self.loaded += 1
-                self._pace.fetched(began_s, time.monotonic())
+                length_s = self._manifest.segment_frames / self._manifest.fps / at.rate
+                self._pace.fetched(began_s, time.monotonic(), length_s)
             except StoppedError:
                 return
             except SwingsError as error:

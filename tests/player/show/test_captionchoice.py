@@ -15,7 +15,7 @@ from codec.framerange import FrameRange
 from codec.stream.captions import Captions
 from codec.tools.packing import pack_stream
 from codec.tools.streamcaptions import add_captions
-from player.show.captionchoice import CaptionChoice
+from player.show.captionchoice import MAX_LINE_CHARS, MAX_LINES, CaptionChoice
 from player.show.overlay import caption_panel
 from player.source.opener import Opener
 from tests.support.delivery.rangehost import range_host
@@ -101,3 +101,23 @@ def test_long_lines_are_wrapped_between_words() -> None:
     assert narrow.shape[1] <= 200
     assert len(narrow) > 5 * len(wide)
     assert wide.shape[1] > 1000
+
+
+@pytest.mark.parametrize("letter", "éłйαע")
+def test_letters_of_many_languages_are_drawn(letter: str) -> None:
+    drawn, missing = (caption_panel([text], (640, 360)) for text in (letter, "\U000effff"))
+    assert drawn.shape != missing.shape or (drawn != missing).any()
+
+
+@pytest.mark.parametrize("text", ["W" * 900_000, "a\n" * 400_000, "W " * 400_000])
+def test_a_strangers_text_fills_no_memory(text: str) -> None:
+    content = f"WEBVTT\n\n00:00.000 --> 00:09.000\n{text}\n".encode()
+    choice = CaptionChoice(TRACKS, lambda name: content, "en")
+    wait_until(lambda: bool(choice.lines(1)))
+    lines = choice.lines(1)
+    assert len(lines) <= MAX_LINES
+    assert max(map(len, lines)) <= MAX_LINE_CHARS
+    width_px, height_px = 320, 240
+    pixels = caption_panel(lines, (width_px, height_px))
+    assert pixels.shape[0] <= height_px
+    assert pixels.shape[1] <= width_px

