@@ -39,5 +39,5 @@ def postponed_interrupts() -> Iterator[None]:
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
-    if came:
-        signal.raise_signal(came[0])
+        if len(came) == 1:  # of two, the second has had its way
+            signal.raise_signal(came[0])

@@ -36,3 +36,13 @@ def test_an_ignored_signal_stays_ignored() -> None:
             signal.raise_signal(signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_a_signal_is_not_lost_to_an_error_of_the_block() -> None:
+    def failing() -> None:
+        with postponed_interrupts():
+            signal.raise_signal(signal.SIGINT)
+            raise OSError("no space")
+
+    with pytest.raises(KeyboardInterrupt):
+        failing()
