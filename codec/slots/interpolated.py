@@ -68,6 +68,7 @@ def _jumps(before: States, after: States, lattice: Lattice) -> Flags:
     scales = np.maximum(
         before.attributes[:, :3].view(np.int8), after.attributes[:, :3].view(np.int8)
     )
-    longest_m = np.exp(scales.max(axis=1) * lattice.log_scale + lattice.log_scale_base)
-    jumped: Flags = np.linalg.norm(away, axis=1) * lattice.position_m > JUMP_SIGMAS * longest_m
+    with np.errstate(over="ignore"):
+        longest_m = np.exp(scales.max(axis=1) * lattice.log_scale + lattice.log_scale_base)
+        jumped: Flags = np.linalg.norm(away, axis=1) * lattice.position_m > JUMP_SIGMAS * longest_m
     return jumped

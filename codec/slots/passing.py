@@ -14,14 +14,14 @@ from itertools import accumulate, pairwise
 import numpy as np
 
 from codec.coders.coder import EncodedChunk
-from codec.errors import CodecError, CorruptError
+from codec.errors import CodecError, CorruptError, InvalidError
 from codec.lattice.lattice import Bytes, Flags, States
 from codec.splats import Splats
 
 from .mask import decode_mask
 from .slotchange import decode_change, encoded_elsewhere
 from .slotchunk import Kind, SlotHeader
-from .slotlayout import HEADER_BYTES, SlotLayout
+from .slotlayout import HEADER_BYTES, MAX_SLOT_CHUNK_BYTES, SlotLayout
 from .slotstate import ESCAPED, Slots, holds
 from .update import ENDED, KEPT, NEW, PREDICTED, Update
 
@@ -58,7 +58,7 @@ def encode_passing(
     layout: SlotLayout, mask: EncodedChunk, changes: Sequence[EncodedChunk]
 ) -> EncodedChunk:
     """The chunk of a passing slice, of no bytes if it changes nothing. changes: of the layers that
-    have slots."""
+    have slots. Raises InvalidError if it becomes too large."""
     chunks = mask, *changes
     if not mask.data:
         return mask
@@ -72,7 +72,12 @@ def encode_passing(
             for start, chunk in zip(starts, chunks, strict=True)
         )
     )
-    return EncodedChunk(mask.birth, head + b"".join(chunk.data for chunk in chunks), sorted(edges))
+    data = head + b"".join(chunk.data for chunk in chunks)
+    if len(data) > MAX_SLOT_CHUNK_BYTES:
+        raise InvalidError(
+            f"passing: {len(data)} bytes, at most {MAX_SLOT_CHUNK_BYTES}; use fewer slots"
+        )
+    return EncodedChunk(mask.birth, data, sorted(edges))
 
 
 def passing_elsewhere(layout: SlotLayout, data: bytes) -> EncodedChunk:
@@ -87,6 +92,17 @@ def passing_elsewhere(layout: SlotLayout, data: bytes) -> EncodedChunk:
         for change in changes
     )
     return encode_passing(layout, first, tuple(others))
+
+
+def passing_statuses(layout: SlotLayout, birth: int, data: bytes, history: Bytes) -> Bytes:
+    """(S,) the statuses in the chunk of a passing slice. history: `MaskHistory.of(birth)`. Raises a
+    CodecError."""
+    last = layout.temporal_layer
+    assert last is not None
+    if not data:
+        return np.full(layout.num_slots, KEPT, np.uint8)
+    SlotHeader.read(data, Kind.PASSING).expect(birth, last)
+    return decode_mask(layout, birth, _split(last, memoryview(data))[1][0], history)
 
 
 def _split(num_layers: int, data: memoryview) -> tuple[list[int], list[memoryview]]:

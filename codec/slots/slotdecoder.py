@@ -218,7 +218,10 @@ class SlotDecoder:
         if self.passing is not None:
             for layer, part in enumerate(self.passing.statuses):
                 changed[layer] |= part != KEPT
+                # Both count from the slots that stay: a Gaussian that is new there may be the same.
+                same = (part == NEW) & (said[layer] == NEW)
                 renewed[layer] |= (part == NEW) | (part == ENDED)
+                renewed[layer] &= ~same
         held = self._held(lane, changed, renewed) if with_motion else None
         for layer, delta in enumerate(deltas):
             slots = self.lanes[lane][layer]

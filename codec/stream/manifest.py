@@ -20,7 +20,7 @@ from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.lattice.lattice import Lattice
 from codec.slice import window_births
 from codec.slots.slotlayout import MAX_LAYERS as MAX_LAYERS
-from codec.slots.slotlayout import SlotLayout
+from codec.slots.slotlayout import MAX_SEGMENT_FRAMES, MAX_SEGMENT_SLOTS, SlotLayout
 
 from .captions import Captions, captions_of, check_captions
 from .manifestjson import (
@@ -313,7 +313,8 @@ class Manifest:
 
     def with_temporal_layer(self, period: int) -> Manifest:
         """The manifest of a stream in which all frames but every `period`-th are in a temporal
-        layer; segments are as much longer as that needs. 1 changes nothing. Raises InvalidError."""
+        layer; segments are longer or shorter by as much as that needs. 1 changes nothing. Raises
+        InvalidError."""
         if period == 1:
             return self
         if self.swin_size != 1:
@@ -321,11 +322,14 @@ class Manifest:
                 f"a temporal layer needs slots that may change in every frame, a swin_size of 1, "
                 f"not {self.swin_size}"
             )
+        length = -(-self.segment_frames // period) * period
+        if length > MAX_SEGMENT_FRAMES or length * self.slot_layout.num_slots > MAX_SEGMENT_SLOTS:
+            length = max(period, length - period)
         return replace(
             self,
             slots=(*self.slots, 0),
             lattice=(*self.lattice, self.lattice[-1]),
-            segment_frames=-(-self.segment_frames // period) * period,
+            segment_frames=length,
             temporal_period=period,
         )
 

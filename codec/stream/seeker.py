@@ -65,7 +65,8 @@ def roll(
 
         changes = [found.content(birth) for found in layers]
         mask, ahead = masks.content(birth), None
-        if layout.is_passing(birth) and decoder.num_layers != layout.num_layers:
+        shows = with_motion or birth == frame
+        if shows and layout.is_passing(birth) and decoder.num_layers != layout.num_layers:
             ahead = _following(find, manifest, birth, decoder.num_layers)
         slice = decoder.apply(birth, mask, changes, blamed, with_motion, ahead)
         if with_motion:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from codec.errors import InvalidError
-from codec.slots.slotlayout import MAX_TEMPORAL_PERIOD
+from codec.slots.slotlayout import MAX_LAYERS, MAX_TEMPORAL_PERIOD
 from codec.storage.openstorage import Target, is_url
 from codec.storage.targetargument import target_named
 from codec.stream.manifest import MAX_FPS, MIN_FPS
@@ -161,6 +161,10 @@ class TrainConfig:
             raise InvalidError("--audio cannot be combined with --silent")
         if not 1 <= self.temporal <= MAX_TEMPORAL_PERIOD:
             raise InvalidError(f"temporal {self.temporal}: choose 1 to {MAX_TEMPORAL_PERIOD}")
+        if self.temporal > 1 and len(self.layers) == MAX_LAYERS:
+            raise InvalidError(
+                f"--temporal adds a layer; choose --layers of {MAX_LAYERS - 1} shares"
+            )
         if self.temporal > 1 and self.fit.swin_size > 1:
             raise InvalidError(
                 f"--temporal needs --swin-size 1, where every slot may change in every frame, not "

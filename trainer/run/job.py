@@ -227,8 +227,8 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
         for window in trainer.windows():
             frame = window.first_frame
             # While the next window is trained, what the one after it brings is read. The frame that
-            # was just finished is still scored.
-            pictures.prefetch(frame + 1 + swin_size, frame)
+            # was just finished is still scored, with a temporal layer those before it, too.
+            pictures.prefetch(frame + 1 + swin_size, max(0, frame + 1 - config.temporal))
             if window.updates:
                 outputs.deliver(window.updates)
                 trainer.record_sent_bytes(window, outputs.slice_bytes)

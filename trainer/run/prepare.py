@@ -190,6 +190,7 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
         **({"camera_near_m": list(prepared.camera_near_m)} if prepared.camera_near_m else {}),
         "far_m": prepared.far_m,
         "search_from_m": prepared.search_from_m,
+        **({"temporal": config.temporal} if config.temporal > 1 else {}),
         **{
             name: getattr(config, name)
             for name in (

@@ -43,6 +43,18 @@ def size_of(stream: Path, pattern: str) -> int:
     return sum(path.stat().st_size for path in stream.glob(pattern))
 
 
+def test_passing_slices_are_counted_in_their_layer(tmp_path: Path) -> None:
+    layout = small_layout(1, (9, 6), 0, 4, 2)
+    write_slots(tmp_path / "s", NUM_FRAMES, layout)
+    census = count_slots(StreamReader(tmp_path / "s"))
+    sums = census.statuses.sum(axis=2).tolist()
+    assert sums == [[9, 6, 0], [9, 6, 15]] * (NUM_FRAMES // 2)
+    kept = census.statuses[:, :, 0]
+    assert (kept[1::2, :2] == [9, 6]).all()
+    assert (kept[1::2, 2] < 15).any()
+    assert (kept[2::2, :2].sum(axis=1) < 15).any()
+
+
 def test_slots_are_counted_as_the_updates_say(stream: Path, updates: list[Update]) -> None:
     census = count_slots(StreamReader(stream))
     assert census.statuses[0].tolist() == [[9, 0, 0, 0], [6, 0, 0, 0]]

@@ -39,6 +39,7 @@ def test_a_temporal_layer_changes_no_frame(tmp_path: Path) -> None:
         (("--temporal", 9), "temporal 9: choose 1 to 8"),
         (("--temporal", 2, "--swin-size", 5), "--temporal needs --swin-size 1"),
         (("--temporal", 2, "--ray"), "cannot be combined with --ray"),
+        (("--temporal", 2, "--layers", *[1 / 16] * 16), "choose --layers of 15 shares"),
     ],
 )
 def test_options_that_do_not_go_together(
