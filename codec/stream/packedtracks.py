@@ -1,6 +1,7 @@
 """What the index of a packed stream does not know: the sizes of its captions and its sound.
 
-Rule: pure. The table is as long as manifest and index say, so that it needs no length of its own.
+Rule: pure. The length of the table follows from manifest and index; the head of the file repeats
+it, because a reader needs it first.
 """
 
 from __future__ import annotations
