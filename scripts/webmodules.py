@@ -30,6 +30,7 @@ from codec.slots import (
     update,
 )
 from codec.stream import (
+    captions,
     index,
     integrity,
     manifest,
@@ -79,6 +80,7 @@ CONSTANTS: dict[ModuleType, str] = {
     zstd: "ZSTD_MAGIC=MAGIC",
     index: "INDEX_HEAD=HEAD INDEX_LAYER=LAYER INDEX_SIDE=SIDE INDEX_CHECKSUM=CHECKSUM",
     integrity: "MAX_INDEX_BYTES",
+    captions: "MAX_CAPTIONS MAX_CAPTIONS_BYTES",
     pictures: "MAX_PICTURE_BYTES",
     zipentry: "ZIP_LOCAL=LOCAL ZIP_LOCAL_MAGIC=LOCAL_MAGIC",
     packedlayout: "PACKED_SUFFIX PACKED_EXTRA=EXTRA PACKED_EXTRA_ID=EXTRA_ID "

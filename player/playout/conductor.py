@@ -129,6 +129,8 @@ class Conductor:
         self._target: int | None = None  # what was sought and does not show yet
         self._source: Source | None = None  # of the play that was begun last
         self._newest: FrameRecord | None = None  # that was polled
+        self._shared: FrameRecord | None = None  # of which `_share` was given
+        self._share = 1.0
         self._changed_s = 0.0  # when it was, or somebody touched the clock
         self._number = 0
         self._stopped = False
@@ -272,14 +274,20 @@ class Conductor:
     def share(self) -> float:
         """How much of the way from the frame before to the one that shows is over, for a Renderer's
         `glide`: less than 1 only where pictures between frames are drawn, and then up to a frame
-        later than the frame itself is due. A paused playback shows an exact frame."""
+        later than the frame itself is due. A paused playback shows an exact frame, and goes on from
+        there: within a frame the share never falls."""
         with self._changed:
-            if self._newest is None or not self._clock.running:
-                return 1.0
-            if not self.smoothing.shows_between(self._clock.rate * self.transport.fps):
-                return 1.0
-            passed_s = self._clock.now_s() - self._newest.shown_s
-            return min(max(passed_s * self.transport.fps, 0.0), 1.0)
+            least = self._share if self._newest is self._shared else 0.0
+            self._shared, self._share = self._newest, max(least, self._share_now())
+            return self._share
+
+    def _share_now(self) -> float:
+        if self._newest is None or not self._clock.running:
+            return 1.0
+        if not self.smoothing.shows_between(self._clock.rate * self.transport.fps):
+            return 1.0
+        passed_s = self._clock.now_s() - self._newest.shown_s
+        return min(max(passed_s * self.transport.fps, 0.0), 1.0)
 
     def media_at(self, world_s: float) -> tuple[float, float] | None:
         """The frame, with its fraction, that is to be drawn at `world_s` of the clock's `time_s`,

@@ -140,6 +140,10 @@ export const INDEX_CHECKSUM = "<I";
 // codec.stream.integrity
 export const MAX_INDEX_BYTES = 268435456;
 
+// codec.stream.captions
+export const MAX_CAPTIONS = 16;
+export const MAX_CAPTIONS_BYTES = 1048576;
+
 // codec.stream.pictures
 export const MAX_PICTURE_BYTES = 1048576;
 

@@ -1,13 +1,15 @@
 /**
  * The format, the fetching and the clock of the player, without a page: for workers, servers and tools.
  * A source's play fills the stream's cache; a Round inflates what shows soon, and its `playback` gives
- * what is due.
+ * what is due. A stream with a temporal layer needs `passingDecoder(SlotDecoder, FormatError)` as its
+ * `layout.Decoder`; openSource sees to that.
  */
 
 export { FormatError } from "./format/bytes/errors.js";
 export { objectPath, readManifest } from "./format/manifest.js";
 export { readObject } from "./format/objecttable.js";
 export { inflatePacket } from "./format/packet.js";
+export { passingDecoder } from "./format/slots/passing.js";
 export { SlotDecoder } from "./format/slots/slotdecoder.js";
 export { readIndex } from "./format/streamindex.js";
 export { Scene } from "./feed/scene.js";

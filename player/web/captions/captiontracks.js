@@ -1,7 +1,6 @@
+import { MAX_CAPTIONS } from "../constants.js";
 import { corrupt } from "../format/bytes/errors.js";
 import { field, list, text } from "../format/bytes/json.js";
-
-const MAX_CAPTIONS = 16;
 
 /**
  * @typedef {object} CaptionTrack

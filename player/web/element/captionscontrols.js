@@ -1,3 +1,4 @@
+import { MAX_CAPTIONS_BYTES } from "../constants.js";
 import { readCues, textAt } from "../captions/webvtt.js";
 import { readCaptionTracks } from "../captions/captiontracks.js";
 import { Fetcher } from "../source/fetcher.js";
@@ -5,7 +6,6 @@ import { fileBytes } from "../source/filebytes.js";
 import { drawn } from "./icons.js";
 import { node } from "./nodes.js";
 
-const MAX_BYTES = 1 << 20;
 const ICON =
   "M4 5h16a1 1 0 0 1 1 1v12a1 1 0 0 1-1 1H4a1 1 0 0 1-1-1V6a1 1 0 0 1 1-1zm6.5 5.5a3 3 0 1 0 0 3l-1.3-.8a1.5 1.5 0 1 1 0-1.4zm7 0a3 3 0 1 0 0 3l-1.3-.8a1.5 1.5 0 1 1 0-1.4z";
 
@@ -90,7 +90,13 @@ export class CaptionsControls {
     const { file, language } = this.#tracks[at];
     this.text.lang = language;
     try {
-      const bytes = await fileBytes(new Fetcher(), this.#base, file, this.player.files, MAX_BYTES);
+      const bytes = await fileBytes(
+        new Fetcher(),
+        this.#base,
+        file,
+        this.player.files,
+        MAX_CAPTIONS_BYTES,
+      );
       const cues = readCues(new TextDecoder().decode(bytes));
       if (choice !== this.#choices) return;
       if (cues === null) throw new Error(`${file} is not WebVTT`);

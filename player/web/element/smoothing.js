@@ -2,7 +2,7 @@ import { Inbetween } from "../renderer/inbetween.js";
 
 /** Pictures are drawn between frames where there are so many times as many (player/playout/smoothing.py). */
 const FASTER = 1.05;
-/** The screen's rate is the median of so many intervals; it is not known before there are LEAST of them. */
+/** The screen's rate is the median of so many intervals, and of no fewer than LEAST of them. */
 const MOST_INTERVALS = 15;
 const LEAST_INTERVALS = 5;
 /** It is measured again after so long: a page that was busy seems to have a slow screen. */
@@ -31,12 +31,16 @@ export function shareAt(nowMs, { zeroMs, rate }, frame, fps, numFrames) {
 export class Smoothing {
   /** Whether the next picture shows more of the way. */
   isMoving = false;
-  /** @type {number[]} milliseconds between pictures that were asked for one after the other */
+  /** @type {number[]} milliseconds between pictures that were requested one after the other */
   #intervals = [];
+  /** Whether the picture that comes was requested by the last one. */
+  #isRequested = false;
   #lastMs = 0;
-  #measuredMs = 0;
-  /** @type {Line | null} to which these belong */
-  #line = null;
+  #measuredMs = -Infinity;
+  /** Milliseconds between two pictures of the screen; unknown, frames are drawn as they are. */
+  #screenMs = Infinity;
+  /** The frame of the last picture. */
+  #frame = -1;
 
   /** @param {import("./sceneview.js").SceneView} view */
   constructor(view) {
@@ -63,35 +67,43 @@ export class Smoothing {
     const { view } = this;
     const { session, manifest, painter, shownFrame, interpolates } = view;
     const { line, numFrames } = session;
-    if (this.isMoving) {
-      this.#intervals.push(nowMs - this.#lastMs);
-      this.#measuredMs = nowMs;
-    }
-    if (this.#intervals.length > MOST_INTERVALS) this.#intervals.shift();
-    if (line !== this.#line || nowMs - this.#measuredMs > AGAIN_MS) this.#intervals = [];
-    this.#line = line;
-    this.#lastMs = nowMs;
+    this.#measure(nowMs);
     const { renderer } = painter;
+    this.isMoving = false;
     if (renderer === null || view.isEmpty) return false;
     this.attach(renderer);
-    const isRunning = interpolates && line?.zeroMs != null;
-    this.isMoving = isRunning && this.#isFast(manifest.fps * line.rate);
-    const nowFrom1970Ms = performance.timeOrigin + nowMs;
-    const share =
-      this.isMoving && line ? shareAt(nowFrom1970Ms, line, shownFrame, manifest.fps, numFrames) : 1;
     const { inbetween } = renderer;
+    // Within a frame it only grows: after a pause, which shows all of it, nothing jumps back.
+    let share = shownFrame === this.#frame ? (inbetween?.share ?? 1) : 0;
+    this.#frame = shownFrame;
+    if (interpolates && line?.zeroMs != null) {
+      this.isMoving = 1000 > FASTER * manifest.fps * line.rate * this.#screenMs;
+      this.#isRequested = this.isMoving || this.#intervals.length < LEAST_INTERVALS;
+      const nowFrom1970Ms = performance.timeOrigin + nowMs;
+      const way = shareAt(nowFrom1970Ms, line, shownFrame, manifest.fps, numFrames);
+      share = Math.max(share, way);
+    }
+    if (!this.isMoving) share = 1;
     if (inbetween && inbetween.share !== share) {
       inbetween.share = share;
-      view.needsDrawing = true;
+      view.needsDrawing ||= inbetween.isMoving;
     }
-    if (this.isMoving && view.headset === null) view.loop.request();
+    if (this.#isRequested && view.headset === null) view.loop.request();
     return this.isMoving;
   }
 
-  /** Whether the screen shows more pictures than there are frames, or it is not known. @param {number} framesHz */
-  #isFast(framesHz) {
+  /** Measures the screen's rate by pictures that follow one another. @param {number} nowMs */
+  #measure(nowMs) {
+    if (this.#isRequested) {
+      this.#intervals.push(nowMs - this.#lastMs);
+      this.#measuredMs = nowMs;
+    }
+    this.#isRequested = false;
+    this.#lastMs = nowMs;
+    if (this.#intervals.length > MOST_INTERVALS) this.#intervals.shift();
+    if (nowMs - this.#measuredMs > AGAIN_MS) this.#intervals = [];
+    if (this.#intervals.length < LEAST_INTERVALS) return;
     const sorted = [...this.#intervals].sort((a, b) => a - b);
-    const medianMs = sorted[sorted.length >> 1];
-    return sorted.length < LEAST_INTERVALS || 1000 > FASTER * framesHz * medianMs;
+    this.#screenMs = sorted[sorted.length >> 1];
   }
 }

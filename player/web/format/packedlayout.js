@@ -1,9 +1,11 @@
 /** A packed stream: one file with all files of a stream, at places that follow from its beginning. */
 
 import {
+  MAX_CAPTIONS,
   MAX_INDEX_BYTES,
   MAX_MANIFEST_BYTES,
   MAX_PICTURE_BYTES,
+  MAX_SOURCES,
   PACKED_EXTRA,
   PACKED_EXTRA_ID,
   PACKED_TRACKS_VERSION,
@@ -67,6 +69,7 @@ export function readPackedHead(bytes) {
     throw unsupported(`packed stream: unknown layout ${version}`);
   // Where this is not as long as its layout says, nothing is found where it should be.
   const tracksBytes = hasTracks ? reader.u32() : 0;
+  if (hasTracks && tracksBytes === 0) throw corrupt("packed stream: an empty table of sizes");
   if (manifestBytes !== storedBytes || !(manifestBytes > 0 && manifestBytes <= MAX_MANIFEST_BYTES))
     throw corrupt(`packed stream: a manifest of ${manifestBytes} bytes`);
   if (!(indexBytes > 0 && Math.max(indexBytes, tracksBytes) <= MAX_INDEX_BYTES))
@@ -88,8 +91,17 @@ export function readPackedHead(bytes) {
 /** @param {import("./streamindex.js").SegmentRecord} record @param {string} part */
 const pathOf = ({ segment }, part) => `segments/${segment}/${part}`;
 
-/** The names in a list of the manifest, which the page checks. @param {any} value @param {string} key */
-const names = (value, key) => [value ?? []].flat().map((one) => one?.[key]);
+/**
+ * The names in a list of the manifest, which the page checks.
+ * @param {any} value
+ * @param {string} key
+ * @param {number} most
+ */
+function names(value, key, most) {
+  const found = [value ?? []].flat();
+  if (found.length > most) throw corrupt(`manifest: ${found.length} tracks, at most ${most}`);
+  return found.map((one) => one?.[key]);
+}
 
 /** Where everything else lies. */
 export class PackedLayout {
@@ -109,7 +121,7 @@ export class PackedLayout {
       "masks",
       ...layers.map(String),
     ];
-    const sources = names(manifest.sound, "name");
+    const sources = names(manifest.sound, "name", MAX_SOURCES);
     const sizes = new ByteReader(tracks, "packed stream");
     let at = head.tracks.first + head.tracks.size;
     /** @type {Record<string, Place>} pictures, captions and sound by path */
@@ -129,7 +141,7 @@ export class PackedLayout {
       if (path === null) throw corrupt("packed stream: a picture that the manifest does not name");
       add(path, size);
     }
-    for (const language of names(manifest.captions, "language"))
+    for (const language of names(manifest.captions, "language", MAX_CAPTIONS))
       add(`captions-${language}.vtt`, sizes.u32());
     /** Where the parts of each segment begin. */
     this.starts = records.map((record) => {

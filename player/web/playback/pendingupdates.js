@@ -6,7 +6,7 @@ const SLOT_MASK = 0xffffff;
 /**
  * Words for the renderer's textures; see renderer/resident.js.
  * @typedef {object} Words
- * @property {number} frame from which it shows; -1: of several frames
+ * @property {number} frame from which it shows; -1: nothing of it is on its way
  * @property {Uint32Array} lattice
  * @property {Uint32Array} floats
  * @property {Uint32Array} leaving slots whose Gaussians fade out, then zeros, in whole texels

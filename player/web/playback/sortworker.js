@@ -53,8 +53,8 @@ function take(shown) {
     const leaving = order.leave(frame === shown.frame ? update.leaving : NONE, frame);
     order.put(update.slots, update.means, update.starts, update.moves);
     moving = update;
-    // Where the page is far behind, nothing moves.
-    if (!pending.add({ ...update, leaving })) settle(order);
+    // What a join brings appears at once; where the page is far behind, nothing moves either.
+    if (!pending.add({ ...update, frame: shown.isJoin ? -1 : frame, leaving })) settle(order);
   }
   newest = shown;
   isStale = true;

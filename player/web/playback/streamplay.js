@@ -117,7 +117,8 @@ export class StreamPlay {
     this.masks.delete(first);
     this.changes.delete(first);
     this.#load(first);
-    for (let birth = first + 1; birth <= frame; birth++) this.#apply(birth);
+    for (let birth = first + 1; birth <= frame; birth++)
+      this.#apply(birth, birth < frame ? undefined : this);
     return this.again(frame);
   }
 
@@ -135,29 +136,32 @@ export class StreamPlay {
   advance(frame) {
     if (!this.hasSlice(frame) && this.snapshots.get(frame)?.[0])
       return { isJoin: true, updates: this.join(frame) };
-    const slice = this.#apply(frame);
+    const slice = this.#apply(frame, this);
     if (frame === this.layout.segmentStart(frame)) this.#load(frame);
     return { isJoin: false, updates: [packSlots(this.decoder, slice, frame)] };
   }
 
-  /** @param {number} birth */
-  #apply(birth) {
+  /**
+   * @param {number} birth
+   * @param {StreamPlay} [ahead] if it shows
+   */
+  #apply(birth, ahead) {
     const mask = this.masks.get(birth) ?? null;
-    const none = new Array(this.layout.numLayers).fill(null);
-    const changes = this.changes.get(birth) ?? none;
+    const changes = this.#row(this.changes, birth);
     this.masks.delete(birth);
     this.changes.delete(birth);
     try {
-      return this.decoder.apply(birth, mask, changes, this);
+      return this.decoder.apply(birth, mask, changes, ahead);
     } catch (error) {
       if (!(error instanceof FormatError)) throw error;
     }
     // A change that is refused counts as missing (FORMAT.md, section 7).
     const taken = changes.map((change, layer) => {
-      const takes = () => this.decoder.takes(birth, mask, layer, change);
+      const takes = () =>
+        this.decoder.takes(birth, mask, layer, /** @type {Uint8Array} */ (change));
       return change !== null && this.#try(takes) ? change : null;
     });
-    return this.decoder.apply(birth, mask, taken, this);
+    return this.decoder.apply(birth, mask, taken, ahead);
   }
 
   /** Loads the snapshots of `frame` of layers that lack something. @param {number} frame */

@@ -15,6 +15,8 @@ export class DepthOrder {
    */
   constructor(numSlots, numSpare = 0) {
     this.numSlots = numSlots;
+    /** Gaussians that fade out. */
+    this.numLeft = 0;
     const total = numSlots + numSpare;
     this.means = new Float32Array(3 * total);
     this.starts = new Int32Array(total).fill(NEVER);
@@ -53,6 +55,7 @@ export class DepthOrder {
     const { means, starts, numSlots } = this;
     starts.fill(NEVER, numSlots);
     const left = slots.filter((slot) => starts[slot] < frame);
+    this.numLeft = left.length;
     for (const [n, slot] of left.entries()) {
       means.copyWithin(3 * (numSlots + n), 3 * slot, 3 * slot + 3);
       starts[numSlots + n] = frame;
@@ -84,7 +87,7 @@ export class DepthOrder {
     }
     this.#sort(found);
     const order = this.slots[1].subarray(0, found);
-    return starts.length <= 2 ** 16 ? new Uint16Array(order) : order.slice();
+    return this.numSlots + this.numLeft <= 2 ** 16 ? new Uint16Array(order) : order.slice();
   }
 
   /**

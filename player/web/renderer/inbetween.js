@@ -122,15 +122,21 @@ export class Inbetween {
     this.renderer = renderer;
     this.texels = defines.SH_DEGREE >= 2 ? 4 : resident.texels;
     const more = { SAVED: this.texels, STAGED_WIDTH_PX, NUM_SLOTS: numSlots, ENTERS, MOVES };
+    // Where this fails, the renderer draws frames as they are.
+    this.program = makeProgram(gl, SET_ASIDE, { ...defines, ...more });
     const plain = renderer.splats;
     renderer.splats = renderer.makeSplats({ ...more, MOVING: 1 }, MOVING);
     gl.deleteProgram(plain.program);
-    this.program = makeProgram(gl, SET_ASIDE, { ...defines, ...more });
     this.framebuffer = gl.createFramebuffer();
     /** @type {WebGLTexture | null} */
     this.texture = null;
     renderer.inbetween = this;
     resident.inbetween = this;
+  }
+
+  /** Whether the picture depends on the share. */
+  get isMoving() {
+    return this.#moving !== 0;
   }
 
   /** `frame` shows from now on, whatever it changes. @param {number} frame */
@@ -148,22 +154,25 @@ export class Inbetween {
     const { resident } = this.renderer;
     const { shDegree } = resident;
     const numItems = lattice.length / latticeWords(shDegree) + floats.length / floatWords(shDegree);
-    this.#reserve(leaving.length + numItems);
-    if (leaving.length > 0) this.setAside(resident.stage(leaving), leaving.length, 1, 0);
+    if (!this.#reserve(leaving.length + numItems)) this.#moving = 0;
+    else if (leaving.length > 0) this.setAside(resident.stage(leaving), leaving.length, 1, 0);
   }
 
-  /** @param {number} count Gaussians */
+  /** @param {number} count Gaussians; gives whether the device has room for them */
   #reserve(count) {
     const { gl } = this;
     const { columns } = this.renderer.resident;
     const heightPx = Math.ceil(count / columns);
-    if (heightPx <= this.#heightPx) return;
-    this.#heightPx = Math.ceil(1.25 * heightPx);
+    if (heightPx <= this.#heightPx) return true;
+    const limitPx = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+    if (heightPx > limitPx) return false;
+    this.#heightPx = Math.min(Math.ceil(1.25 * heightPx), limitPx);
     gl.deleteTexture(this.texture);
     this.texture = makeTexture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, columns * this.texels, this.#heightPx);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
+    return true;
   }
 
   /**

@@ -236,8 +236,17 @@ export class SoundPlay extends EventTarget {
       const bytes =
         files === null
           ? await fetcher.get(urlOf(segment, part), MAX_SOUND_BYTES, undefined, init)
-          : await fileBytes(fetcher, base, `segments/${segment}/${part}`, files, 0, init);
-      this.#pace.fetched(beganMs, performance.now());
+          : await fileBytes(
+              fetcher,
+              base,
+              `segments/${segment}/${part}`,
+              files,
+              MAX_SOUND_BYTES,
+              init,
+            );
+      const [first, end] = this.timeline.span(segment);
+      const lengthMs = (1000 * (end - first)) / SAMPLE_RATE / (this.#line?.rate ?? 1);
+      this.#pace.fetched(beganMs, performance.now(), lengthMs);
       return bytes;
     };
     const refused = (/** @type {unknown} */ error) => this.#refuse(error);

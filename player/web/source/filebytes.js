@@ -7,11 +7,14 @@ import { SourceError } from "./fetcher.js";
  * @param {string} base
  * @param {string} path
  * @param {import("./source.js").SourceStream["files"]} files
- * @param {number} mostBytes of a file beside the manifest
+ * @param {number} mostBytes
  * @param {RequestInit} [init]
  */
 export async function fileBytes(fetcher, base, path, files, mostBytes, init) {
   if (files === null) return fetcher.get(base + path, mostBytes, undefined, init);
   if (!Object.hasOwn(files, path)) throw new SourceError(`${base} holds no ${path}`);
+  const { size } = files[path];
+  if (!(size > 0 && size <= mostBytes))
+    throw new SourceError(`${base}: ${path} has ${size} bytes, at most ${mostBytes}`);
   return (await fetcher.range(base, files[path], undefined, init)).bytes;
 }

@@ -335,6 +335,20 @@ def test_it_says_how_far_the_way_from_frame_to_frame_is_over(tmp_path: Path) -> 
         assert moved > 2 * len(whole)
         conductor.toggle_pause()
         assert conductor.share == 1.0
+        conductor.poll()
+        paused = played.records[-1].frame
+        conductor.toggle_pause()
+        after: dict[int, list[float]] = {}
+
+        def look_again() -> bool:
+            frame = played.records[-1].frame
+            after.setdefault(frame, []).append(conductor.share)
+            return frame >= paused + 3
+
+        played.poll_until(look_again)
+        assert after.pop(paused, [1.0])[-1] == 1.0
+        assert all(rising == sorted(rising) for rising in after.values())
+        assert min(map(min, after.values())) < 0.5
 
 
 def test_sound_is_drawn_as_late_as_the_pictures_between_frames(tmp_path: Path) -> None:

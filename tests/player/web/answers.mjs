@@ -14,6 +14,7 @@ import { inflatePacket } from "../../../player/web/format/packet.js";
 import { RecordParser } from "../../../player/web/format/playrecord.js";
 import { SlotDecoder } from "../../../player/web/format/slots/slotdecoder.js";
 import { passingDecoder } from "../../../player/web/format/slots/passing.js";
+import { passingDecoder as bundledDecoder } from "../../../player/web/bundle/passing.js";
 import { SlotLayout } from "../../../player/web/format/slots/slotlayout.js";
 import { EMPTY, ON_LATTICE, UNKNOWN } from "../../../player/web/constants.js";
 import { shareAt, Smoothing } from "../../../player/web/element/smoothing.js";
@@ -37,6 +38,7 @@ import { Placement } from "../../../player/web/stereo/placement.js";
 import { pinholeOf, poseOfTransform } from "../../../player/web/stereo/xrview.js";
 import { readCaptionTracks } from "../../../player/web/captions/captiontracks.js";
 import { readCues, textAt } from "../../../player/web/captions/webvtt.js";
+import { FetchPace } from "../../../player/web/sound/fetchpace.js";
 import { oggOf } from "../../../player/web/sound/ogg.js";
 import { checkSpan, readSoundObject } from "../../../player/web/sound/soundobject.js";
 import { SoundRun } from "../../../player/web/sound/soundrun.js";
@@ -290,9 +292,10 @@ const ANSWERS = {
       ),
     );
   },
-  layout({ swinSize, segmentFrames, shDegree, slots, lattices, period, numLayers }) {
+  layout({ swinSize, segmentFrames, shDegree, slots, lattices, period, numLayers, isBundled }) {
     const layout = new SlotLayout(swinSize, segmentFrames, shDegree, slots, lattices, period);
-    if (period > 1) layout.Decoder = passingDecoder(SlotDecoder, FormatError);
+    const made = /** @type {typeof passingDecoder} */ (isBundled ? bundledDecoder : passingDecoder);
+    if (period > 1) layout.Decoder = made(SlotDecoder, FormatError);
     decoder = new (layout.Decoder ?? SlotDecoder)(layout, numLayers ?? undefined);
     return null;
   },
@@ -324,6 +327,7 @@ const ANSWERS = {
       else if (kind === "snapshot") play.addSnapshot(frame, layer, unhex(bytes));
       else if (kind === "join") play.join(frame);
       else if (kind === "show") play.advance(frame);
+      else if (kind === "state") found.push([play.isLate, play.layers, play.refused]);
       else {
         decoder = play.decoder;
         found.push(held());
@@ -679,9 +683,15 @@ const ANSWERS = {
    * Whether a view shows motion before each picture, of a screen and a stream with so many pictures and
    * frames a second; `busyMs`: how much later than it could each picture is drawn.
    */
-  smoothed({ screenHz, fps, busyMs, count, interpolates }) {
-    const renderer = { inbetween: { share: 1 } };
-    const line = { zeroMs: performance.timeOrigin, rate: 1, line: 1 };
+  smoothed({ screenHz, fps, busyMs, count, interpolates, paused, moves }) {
+    const renderer = { inbetween: { share: 1, isMoving: moves } };
+    const line = {
+      zeroMs: /** @type {number | null} */ (performance.timeOrigin),
+      rate: 1,
+      line: 1,
+    };
+    const [pausedFrom, pausedTo] = paused;
+    let zeroMs = 0;
     let isAsked = false;
     const view = {
       session: { line, numFrames: 1000 },
@@ -698,16 +708,42 @@ const ANSWERS = {
     const found = [];
     let nowMs = 0;
     for (let n = 0; n < count; n++) {
-      view.shownFrame = Math.floor((nowMs / 1000) * fps);
+      if (n === pausedFrom) line.zeroMs = null;
+      if (n === pausedTo) {
+        zeroMs = nowMs - (1000 * view.shownFrame) / fps; // the frame that stands has its whole time
+        line.zeroMs = performance.timeOrigin + zeroMs;
+      }
+      if (line.zeroMs !== null)
+        view.shownFrame = Math.floor(((nowMs - zeroMs) / 1000) * fps + 1e-6);
       view.needsDrawing = false;
       isAsked = false;
       const isMoving = smoothing.step(nowMs);
-      if (isMoving !== isAsked) throw new Error("the next picture is asked for while it moves");
-      found.push({ nowMs, isMoving, draws: view.needsDrawing, share: renderer.inbetween.share });
+      if (isMoving && !isAsked) throw new Error("the next picture is asked for while it moves");
+      const { needsDrawing: draws, shownFrame: frame } = view;
+      found.push({ nowMs, isMoving, isAsked, draws, frame, share: renderer.inbetween.share });
       // While nothing moves, pictures come with frames.
-      const nextMs = isMoving ? nowMs + 1 : (1000 * (view.shownFrame + 1)) / fps;
+      const frameMs = zeroMs + (1000 * (view.shownFrame + 1)) / fps;
+      const nextMs = isAsked ? nowMs + 1 : Math.max(nowMs + 1, frameMs);
       const stepMs = 1000 / screenHz;
       nowMs = Math.ceil((nextMs + busyMs[n % busyMs.length]) / stepMs) * stepMs;
+    }
+    return found;
+  },
+  /**
+   * What a feed of sound does whose segments of `lengthMs` each take `tookMs`, and are played from the
+   * first one on: when each was asked for and came, and when it is due.
+   */
+  paced({ lengthMs, aheadMs, tookMs, rounds }) {
+    const pace = new FetchPace();
+    const found = [];
+    for (let nowMs = 0; nowMs < rounds * lengthMs; ) {
+      const playedMs = Math.max(0, nowMs - tookMs);
+      const dueMs = Math.max(0, found.length * lengthMs - playedMs);
+      if (dueMs < Math.max(aheadMs, lengthMs) && pace.allows(dueMs, nowMs)) {
+        pace.fetched(nowMs, nowMs + tookMs, lengthMs);
+        found.push([nowMs, nowMs + tookMs, found.length * lengthMs + tookMs]);
+        nowMs += tookMs;
+      } else nowMs += 0.01 * lengthMs;
     }
     return found;
   },

@@ -153,6 +153,100 @@ def test_passing_slices(browser: BrowserCode, seed: int) -> None:
         assert theirs.held() == held(ours)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_a_passing_slice_that_comes_late(browser: BrowserCode, seed: int) -> None:
+    """While its frame shows, the frame becomes what it would have been; later it is of no use."""
+    rng, random_bytes = np.random.default_rng(seed), random.Random(seed)
+    period, slots_of_layers = 2 + seed % 3, ((7,), (6, 5), (1, 4, 3))[seed % 3]
+    length = period * (1 + seed % 2)
+    plain = small_layout(1, slots_of_layers, seed % 2, length)
+    layout = small_layout(1, slots_of_layers, seed % 2, length, period)
+    temporal = layout.num_layers - 1
+    chunks = encoded_chunks(layout, patternless_updates(plain, NUM_FRAMES, seed, calm=3))
+    ours, theirs = SlotDecoder(layout), BrowserSlots(browser, layout)
+    for snapshot in chunks.snapshots[0]:
+        theirs.load(snapshot)
+        ours.load(snapshot)
+    was_late = False
+    for birth in range(1, NUM_FRAMES):
+        mask, changes = chunks.masks[birth], [*chunks.changes[birth]]
+        next_birth, ahead = layout.following(birth), None
+        if next_birth < NUM_FRAMES and rng.random() < 0.7:
+            ahead = next_birth, chunks.masks[next_birth], [*chunks.changes[next_birth]]
+        is_late = birth % period > 0 and rng.random() < 0.6
+        come = [*changes[:-1], None] if is_late else changes
+        torn = altered(changes[-1], random_bytes) if changes[-1] else b""
+        is_torn = refuses(ours, birth, mask, [*changes[:-1], torn])
+        found = theirs.apply(birth, mask, come, ahead)
+        rows = ours.apply(birth, mask, changes).rows
+        assert rows is not None
+        if not is_late:  # what stood for the one before may have shown in other slots
+            more = set(found) - set(rows.tolist())
+            assert set(rows.tolist()) | more == set(found)
+            assert was_late or not more
+        if is_late:
+            if is_torn:
+                assert taken(theirs, birth, temporal, torn) == "refused"
+            assert theirs.late(birth, temporal, changes[-1])
+        assert theirs.held() == held(ours)
+        assert not theirs.late(birth, temporal, changes[-1])
+        assert not theirs.late(birth - 1, temporal, chunks.changes[birth - 1][-1])
+        was_late = is_late
+
+
+def test_a_damaged_slice_ahead_does_not_end_a_play(browser: BrowserCode) -> None:
+    """Nor in the bundle, where what reads passing slices has classes of errors of its own."""
+    rng = random.Random(4)
+    plain, layout = (small_layout(1, (6, 5), 0, 4, period) for period in (1, 2))
+    chunks = encoded_chunks(layout, patternless_updates(plain, 5, 3, calm=1))
+    come, moved = [*chunks.changes[1][:-1], None], []
+    for _ in range(30):
+        torn = [altered(change, rng) if change else change for change in chunks.changes[2]]
+        found = []
+        for is_bundled in (False, True):
+            theirs = BrowserSlots(browser, layout, None, is_bundled)
+            for snapshot in chunks.snapshots[0]:
+                theirs.load(snapshot)
+            theirs.apply(1, chunks.masks[1], come, (2, chunks.masks[2], torn))
+            found.append(theirs.held())
+        assert found[0] == found[1]
+        theirs = BrowserSlots(browser, layout)
+        for snapshot in chunks.snapshots[0]:
+            theirs.load(snapshot)
+        theirs.apply(1, chunks.masks[1], come)
+        moved.append(found[0] != theirs.held())
+    assert not all(moved)
+
+
+def refuses(decoder: SlotDecoder, birth: int, mask: bytes, changes: list[bytes]) -> bool:
+    try:
+        decoder.copy().apply(birth, mask, changes)
+    except CodecError:
+        return True
+    return False
+
+
+def test_a_paused_play_shows_a_passing_slice_that_comes_late(browser: BrowserCode) -> None:
+    plain, layout = (small_layout(1, (6, 5), 0, 4, period) for period in (1, 2))
+    chunks = encoded_chunks(layout, patternless_updates(plain, 5, 3, calm=1))
+    ours = SlotDecoder(layout)
+    for snapshot in chunks.snapshots[0]:
+        ours.load(snapshot)
+    ours.apply(1, chunks.masks[1], chunks.changes[1])
+    theirs = BrowserSlots(browser, layout)
+    events: list[list[object]] = [
+        ["snapshot", 0, layer, snapshot.hex()] for layer, snapshot in enumerate(chunks.snapshots[0])
+    ]
+    events.append(["mask", 1, None, chunks.masks[1].hex()])
+    changes = [["change", 1, layer, data.hex()] for layer, data in enumerate(chunks.changes[1])]
+    events += [*changes[:-1], ["join", 1], ["look"], ["state"], changes[-1], ["look"], ["state"]]
+    before, state, after, late_state = browser.ask("arrivals", events=events)
+    assert state == [False, 2, 0]
+    assert late_state == [True, 3, 0]
+    assert before != after
+    assert theirs.held() == held(ours)
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_an_altered_snapshot(browser: BrowserCode, seed: int) -> None:
     rng = random.Random(seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ from tests.support.web.canvas import ELEMENT, PIXELS, PLAYER
 from tests.support.web.chromium import Page
 
 NUM_FRAMES = 14
+LEAST_INTERVALS = 5
+"""So many intervals between pictures are known before the screen's rate is."""
 LEFT = 4
 """Stands in the browser's table beside how a slot came to what it holds: it held another one."""
 
@@ -91,7 +94,7 @@ def test_nothing_is_on_its_way_while_nothing_runs(browser: BrowserCode) -> None:
 @pytest.mark.parametrize("screen_hz", [50, 60, 90, 120, 144])
 def test_a_screen_that_is_faster(browser: BrowserCode, screen_hz: int) -> None:
     found = smoothed(browser, screen_hz, 30)
-    assert all(one["isMoving"] for one in found)
+    assert all(one["isMoving"] for one in found[LEAST_INTERVALS:])
     shares = [one["share"] for one in found[screen_hz // 10 :]]
     assert len({round(share, 2) for share in shares}) > 1
     assert 0.2 < np.mean(shares) < 0.7
@@ -99,11 +102,26 @@ def test_a_screen_that_is_faster(browser: BrowserCode, screen_hz: int) -> None:
 
 @pytest.mark.parametrize(("screen_hz", "fps"), [(60, 60), (30, 30), (60, 59.94), (50, 60)])
 def test_a_screen_that_is_not(browser: BrowserCode, screen_hz: float, fps: float) -> None:
-    """It is found out by a few pictures; each frame is drawn as it is then."""
-    found = smoothed(browser, screen_hz, fps, count=120)
-    tries = [n for n, one in enumerate(found) if one["isMoving"]]
-    assert len(tries) <= 12
-    assert all(one["share"] == 1 for one in found if not one["isMoving"])
+    """Each frame is drawn as it is, while the screen is measured, too: now and then by a few
+    pictures."""
+    found = smoothed(browser, screen_hz, fps, count=400)
+    assert not any(one["isMoving"] or one["draws"] or one["share"] < 1 for one in found)
+    assert 2 * LEAST_INTERVALS <= sum(one["isAsked"] for one in found) <= 25
+
+
+@given(st.integers(20, 200), st.integers(1, 100), st.sampled_from([3.0, 24.0, 30.0]))
+@settings(max_examples=30, deadline=None)
+def test_a_pause(browser: BrowserCode, first: int, count: int, fps: float) -> None:
+    """A paused player shows a frame as it is, and no picture of that frame is behind it later."""
+    found = smoothed(browser, 60, fps, paused=(first, first + count))
+    assert all(one["share"] == 1 for one in found[first : first + count])
+    for one, after in pairwise(found):
+        assert after["frame"] > one["frame"] or after["share"] >= one["share"]
+    assert min(one["share"] for one in found[first + count :]) < 0.6
+
+
+def test_nothing_is_drawn_anew_where_nothing_moves(browser: BrowserCode) -> None:
+    assert not any(one["draws"] for one in smoothed(browser, 120, 30, moves=False))
 
 
 def test_a_page_that_is_busy_for_a_while(browser: BrowserCode) -> None:
@@ -127,9 +145,16 @@ def smoothed(
     busy_ms: list[float] | None = None,
     count: int = 300,
     interpolates: bool = True,
+    paused: tuple[int, int] = (-1, -1),
+    moves: bool = True,
 ) -> list[dict[str, float]]:
+    """What pictures showed. paused: the first one while it paused, and the first one after that.
+    moves: whether anything is on its way."""
     question = {"screenHz": screen_hz, "fps": fps, "count": count, "interpolates": interpolates}
-    found: list[dict[str, float]] = browser.ask("smoothed", busyMs=busy_ms or [0.0], **question)
+    busy = busy_ms or [0.0]
+    found: list[dict[str, float]] = browser.ask(
+        "smoothed", busyMs=busy, paused=paused, moves=moves, **question
+    )
     return found
 
 

@@ -23,6 +23,7 @@ from tests.support.web.browsercode import BrowserCode
 from tests.support.web.clicks import write_clicking_stream
 
 NUM_FRAMES = 45
+REST_SHARE, GROWTH_SHARE, URGENT_MS = 4, 0.8, 300
 SOURCES = (SoundSource("main", 2), SoundSource("voice", 1, ((0.0, 1.0, 2.0, 3.0),)))
 
 
@@ -257,3 +258,29 @@ def test_any_piece_is_stretched(browser: BrowserCode, count: int, rate: float) -
 def test_a_folder_of_clicks_is_what_it_says(tmp_path: Path) -> None:
     static = write_clicking_stream(tmp_path, 20, SOURCES[0])
     assert (static / "segments/0/audio-main").is_file()
+
+
+@given(st.floats(1, 2000), st.floats(500, 10000), st.floats(0.02, 0.3))
+@settings(max_examples=60, deadline=None)
+def test_sound_is_in_time_and_leaves_the_link_to_the_pictures(
+    browser: BrowserCode, length_ms: float, ahead_ms: float, share: float
+) -> None:
+    """Segments of `length_ms` that each take that share of it. None is late, and beyond what is
+    heard soon they take a small part of the time."""
+    took_ms = share * length_ms
+    question = {"lengthMs": length_ms, "aheadMs": ahead_ms, "tookMs": took_ms, "rounds": 60}
+    for fetched, (_, came_ms, due_ms) in enumerate(browser.ask("paced", **question), 1):
+        assert came_ms <= due_ms + 1e-6
+        soon_ms = URGENT_MS + 3 * took_ms + length_ms
+        most = max(1 / (1 + REST_SHARE), share / GROWTH_SHARE)
+        heard_ms = max(0.0, came_ms - took_ms)
+        assert took_ms * fetched <= share * (heard_ms + soon_ms) + most * came_ms + 1e-6
+
+
+@given(st.floats(0.01, 0.7))
+@settings(max_examples=20, deadline=None)
+def test_the_lead_of_sound_grows(browser: BrowserCode, share: float) -> None:
+    """However much of its length a segment takes, for latency it may be."""
+    question = {"lengthMs": 500, "aheadMs": 15000, "tookMs": 500 * share, "rounds": 200}
+    *_, (_, came_ms, due_ms) = browser.ask("paced", **question)
+    assert due_ms - came_ms > 13000

@@ -46,8 +46,14 @@ class BrowserSlots:
     """The slot decoder of player/web/format, with the calls of `SlotDecoder`."""
 
     def __init__(
-        self, browser: BrowserCode, layout: SlotLayout, num_layers: int | None = None
+        self,
+        browser: BrowserCode,
+        layout: SlotLayout,
+        num_layers: int | None = None,
+        is_bundled: bool = False,
     ) -> None:
+        """is_bundled: what reads passing slices is that of the bundle, which has classes of errors
+        of its own."""
         self._browser = browser
         self._edges = layout.row_edges
         self.moves: list[int] = []
@@ -71,6 +77,7 @@ class BrowserSlots:
             ],
             period=layout.temporal_period,
             numLayers=num_layers,
+            isBundled=is_bundled,
         )
 
     def load(self, snapshot: bytes) -> bool:

@@ -26,31 +26,47 @@ export function spareSlots(numSlots) {
  * @param {import("./slotlayout.js").Lattice} lattice
  */
 export function movesOf(slots, delta, statuses, lattice) {
-  return Uint8Array.from(delta.rows, (row, d) => {
-    const was = slots.conditions[row] >= ON_LATTICE;
-    const is = delta.conditions[d] >= ON_LATTICE && delta.starts[d] === 0;
-    if (was && is && statuses[row] === PREDICTED && !jumps(slots, row, delta, d, lattice))
-      return MOVES;
-    return (is ? ENTERS : 0) | (was ? LEFT : 0);
-  });
+  const { rows } = delta;
+  const moves = new Uint8Array(rows.length);
+  for (let d = 0; d < rows.length; d++)
+    moves[d] = moveOf(slots, rows[d], delta, d, statuses[rows[d]] === PREDICTED, lattice);
+  return moves;
+}
+
+/** @typedef {Pick<import("./slots.js").Delta, "conditions" | "positions" | "attributes" | "starts">} States */
+
+/**
+ * How slot `row` comes to state `d` of `next`, see `movesOf`.
+ * @param {import("./slots.js").Slots} slots
+ * @param {number} row
+ * @param {States} next
+ * @param {number} d
+ * @param {boolean} isSame whether it is the same Gaussian
+ * @param {import("./slotlayout.js").Lattice} lattice
+ */
+export function moveOf(slots, row, next, d, isSame, lattice) {
+  const was = slots.conditions[row] >= ON_LATTICE;
+  const is = next.conditions[d] >= ON_LATTICE && next.starts[d] === 0;
+  if (was && is && isSame && !jumps(slots, row, next, d, lattice)) return MOVES;
+  return (is ? ENTERS : 0) | (was ? LEFT : 0);
 }
 
 /**
  * Whether a Gaussian goes farther than JUMP_SIGMAS along its longest axis.
  * @param {import("./slots.js").Slots} slots
  * @param {number} row
- * @param {import("./slots.js").Delta} delta
+ * @param {States} next
  * @param {number} d
  * @param {import("./slotlayout.js").Lattice} lattice
  */
-function jumps(slots, row, delta, d, { positionM, logScale, logScaleBase }) {
+export function jumps(slots, row, next, d, { positionM, logScale, logScaleBase }) {
   const width = slots.numAttributes;
   let squared = 0;
   let longest = -128;
   for (let axis = 0; axis < 3; axis++) {
-    squared += (delta.positions[3 * d + axis] - slots.positions[3 * row + axis]) ** 2;
+    squared += (next.positions[3 * d + axis] - slots.positions[3 * row + axis]) ** 2;
     const size = signed(slots.attributes[width * row + axis]);
-    longest = Math.max(longest, size, signed(delta.attributes[width * d + axis]));
+    longest = Math.max(longest, size, signed(next.attributes[width * d + axis]));
   }
   const limitM = JUMP_SIGMAS * Math.exp(longest * logScale + logScaleBase);
   return positionM * Math.sqrt(squared) > limitM;

@@ -3,12 +3,13 @@
  * Loaded for streams with a temporal layer, as few have one.
  */
 
-import { ENDED, JUMP_SIGMAS, NEW, ON_LATTICE, PREDICTED } from "../../constants.js";
+import { ENDED, NEW, ON_LATTICE, PREDICTED } from "../../constants.js";
 import { FormatError, corrupt } from "../bytes/errors.js";
 import { decodeChange } from "./change.js";
 import { MaskHistory, decodeMask } from "./mask.js";
-import { movesOf } from "./moves.js";
+import { jumps, moveOf } from "./moves.js";
 import { PASSING, expectChunk, readSlotHead } from "./slotchunk.js";
+import { changedRows, signed } from "./slots.js";
 
 /** @typedef {import("./slots.js").Slots} Slots */
 
@@ -17,8 +18,17 @@ import { PASSING, expectChunk, readSlotHead } from "./slotchunk.js";
  * @typedef {object} Passing
  * @property {number} birth
  * @property {Uint8Array[]} parts the statuses of each layer
- * @property {Uint8Array[] | null} changes of each layer that has slots; null: it stands for a missing one
+ * @property {(Uint8Array | null)[]} changes of each layer that has slots
+ * @property {Next | null} next if it stands for a missing one: the slice to which slots are on their way
  * @property {Slots[]} slots
+ */
+
+/**
+ * The slice after a passing one that is missing; `changes` are those of it then.
+ * @typedef {object} Next
+ * @property {number} birth
+ * @property {Uint8Array[]} parts the statuses of each layer
+ * @property {number} share of the way
  */
 
 /**
@@ -40,6 +50,8 @@ export function passingDecoder(Decoder, Refusal) {
   return class extends Decoder {
     /** @type {Passing | null} what shows if the last slice passes */
     passing = null;
+    /** @type {Uint8Array | null} what the mask in the last slice is read with, if that has not come */
+    #historyOfMissing = null;
 
     /**
      * @param {number} birth
@@ -52,44 +64,40 @@ export function passingDecoder(Decoder, Refusal) {
       const last = layout.numLayers - 1;
       const passes = birth % layout.period > 0;
       const chunk = changes[last] ?? null;
+      const history = this.history.isReadable(birth) ? this.history.of(birth) : null;
       const passing = refusing(() => {
-        if (!this.history.isReadable(birth)) return null;
-        if (passes && decodeMask(layout, birth, mask ?? none, this.history.of(birth)).some(Boolean))
+        if (history === null) return null;
+        if (passes && mask?.length && decodeMask(layout, birth, mask, history).some(Boolean))
           throw corrupt("mask: a passing slice does not keep all slots");
-        if (chunk !== null) return decodePassing(this, birth, chunk);
+        if (chunk !== null) return decodePassing(this, birth, chunk, history);
         return passes ? interpolated(this, birth, ahead) : null;
       });
+      const isMissing = passes && chunk === null;
+      const historyOfMissing = isMissing && history !== null ? history.slice() : null;
       const before = this.passing;
-      const shown = (before?.slots ?? this.lanes[0]).map((slots) => slots.copy());
-      const said = passes || mask === null ? null : refusing(() => this.#statusesIn(birth, mask));
-      const slice = super.apply(birth, passes ? none : mask, changes.slice(0, last));
+      const from = before?.slots ?? [...this.lanes[0]];
+      const slice = super.apply(birth, passes ? none : mask, changes.slice(0, last), ahead);
       this.passing = passing;
-      this.numMissing = passes && chunk === null ? 1 : 0;
+      this.#historyOfMissing = historyOfMissing;
+      if (passes) this.numMissing = isMissing ? 1 : 0;
       const { moves } = slice;
-      const rows = slice.rows.map((of, layer) => {
-        const parts = [passing?.parts, before?.parts].flatMap((one) => one?.[layer] ?? []);
-        if (parts.length === 0) return of;
-        const changed = new Set(of);
-        for (const part of parts) part.forEach((status, row) => status && changed.add(row));
-        const all = Uint32Array.from(changed).sort();
+      const said = this.statuses && byLayer(this, this.statuses);
+      const rows = slice.rows.map((own, layer) => {
+        const parts = [passing, before].flatMap((one) => one?.parts[layer] ?? []);
+        if (!parts.some((part) => part.some(Boolean))) return own;
+        const all = joined(own, parts);
+        // What late bytes altered does not move, nor what a passing slice did not fit any more.
+        const isKnown = moves?.[layer].length === own.length;
+        if (moves === undefined || !isKnown) return all;
         const slots = passing?.slots[layer] ?? this.lanes[0][layer];
-        const wasAltered = moves?.[layer].length !== of.length; // by bytes that came late
-        if (said !== null) parts.push(said[layer]);
-        if (moves !== undefined && !wasAltered)
-          moves[layer] = movesBetween(shown[layer], slots, all, parts, layout.lattices[layer]);
+        if (from[layer] === slots) moves[layer] = new Uint8Array();
+        else {
+          if (said !== null) parts.push(said[layer]);
+          moves[layer] = movesBetween(from[layer], slots, all, parts, layout.lattices[layer]);
+        }
         return all;
       });
       return { ...slice, rows, moves, slots: passing?.slots };
-    }
-
-    /**
-     * The statuses of each layer in a mask; null if it cannot be read.
-     * @param {number} birth
-     * @param {Uint8Array} mask
-     */
-    #statusesIn(birth, mask) {
-      if (!this.history.isReadable(birth)) return null;
-      return byLayer(this, decodeMask(this.layout, birth, mask, this.history.of(birth)));
     }
 
     /** @param {number} birth */
@@ -105,7 +113,9 @@ export function passingDecoder(Decoder, Refusal) {
      */
     takes(birth, mask, layer, change) {
       if (layer < this.layout.numLayers - 1) return super.takes(birth, mask, layer, change);
-      return refusing(() => decodePassing(this, birth, change)) !== undefined;
+      return (
+        refusing(() => decodePassing(this, birth, change, this.history.of(birth))) !== undefined
+      );
     }
 
     /**
@@ -114,9 +124,27 @@ export function passingDecoder(Decoder, Refusal) {
      * @param {Uint8Array} bytes
      */
     late(birth, layer, bytes) {
+      if (layer === this.layout.numLayers - 1) return this.#latePassing(birth, bytes);
       const used = super.late(birth, layer, bytes);
       this.#showAgain(layer);
       return used;
+    }
+
+    /**
+     * Shows a passing slice whose frame shows already.
+     * @param {number} birth
+     * @param {Uint8Array} bytes
+     */
+    #latePassing(birth, bytes) {
+      const history = this.#historyOfMissing;
+      if (birth !== this.frame || history === null) return false;
+      const passing = refusing(() => decodePassing(this, birth, bytes, history));
+      for (const one of [this.passing, passing])
+        for (const [layer, part] of one?.parts.entries() ?? []) this.alter(0, layer, part);
+      this.passing = passing;
+      this.#historyOfMissing = null;
+      this.numMissing = 0;
+      return true;
     }
 
     /**
@@ -136,13 +164,26 @@ export function passingDecoder(Decoder, Refusal) {
       try {
         show(this, this.passing, layer);
       } catch (error) {
-        if (!(error instanceof FormatError)) throw error;
+        if (!isFormatError(error)) throw error;
       }
     }
   };
 }
 
 const none = new Uint8Array();
+
+/** The slots beside `own` that any of `parts` does not keep, too. @param {Uint32Array} own @param {Uint8Array[]} parts */
+function joined(own, parts) {
+  const changed = new Uint8Array(parts[0].length);
+  for (const row of own) changed[row] = 1;
+  for (const part of parts) for (let i = 0; i < part.length; i++) changed[i] |= part[i];
+  return changedRows(changed);
+}
+
+/** Whether bytes were refused: a bundle has a class of errors beside the decoder's. @param {unknown} error */
+function isFormatError(error) {
+  return error instanceof Error && error.name === "FormatError";
+}
 
 /** @typedef {import("./slotdecoder.js").SlotDecoder} SlotDecoder */
 
@@ -157,19 +198,20 @@ function byLayer(decoder, statuses) {
  * @param {SlotDecoder} decoder
  * @param {number} birth
  * @param {Uint8Array} bytes
+ * @param {Uint8Array} history what `MaskHistory.of(birth)` gave before the slice
  * @returns {Passing | null}
  */
-function decodePassing(decoder, birth, bytes) {
+function decodePassing(decoder, birth, bytes, history) {
   if (bytes.length === 0) return null;
-  const { layout, history } = decoder;
+  const { layout } = decoder;
   if (birth % layout.period === 0) throw corrupt(`passing: the slice born at ${birth} is none`);
   const { body, ...head } = readSlotHead(bytes, PASSING);
   expectChunk({ body, ...head }, birth, layout.numLayers - 1);
   const sizes = body.u32s(layout.numLayers);
   const [mask, ...changes] = Array.from(sizes, (size) => body.take(size));
   body.finish();
-  const parts = byLayer(decoder, decodeMask(layout, birth, mask, history.of(birth)));
-  const passing = { birth, parts, changes, slots: [...decoder.lanes[0]] };
+  const parts = byLayer(decoder, decodeMask(layout, birth, mask, history));
+  const passing = { birth, parts, changes, next: null, slots: [...decoder.lanes[0]] };
   for (const [layer, change] of changes.entries()) {
     if (change.length > 0 && !parts[layer].some(Boolean))
       throw corrupt("passing: a change of a layer whose slots are all kept");
@@ -184,13 +226,21 @@ function decodePassing(decoder, birth, bytes) {
  * @param {Passing} passing
  * @param {number} layer
  */
-function show(decoder, { birth, parts, changes, slots }, layer) {
+function show(decoder, { birth, parts, changes, next, slots }, layer) {
   const stays = decoder.lanes[0][layer];
   slots[layer] = stays;
-  if (changes === null || !parts[layer].some(Boolean)) return;
-  const delta = deltaOf(decoder, birth, layer, parts[layer], changes[layer]);
-  slots[layer] = stays.copy();
-  slots[layer].advance(delta);
+  const statuses = (next?.parts ?? parts)[layer];
+  const change = changes[layer];
+  if (next === null) {
+    if (!statuses.some(Boolean)) return;
+    const delta = deltaOf(decoder, birth, layer, statuses, change ?? none);
+    slots[layer] = stays.copy();
+    slots[layer].advance(delta);
+  } else if (change && statuses.includes(PREDICTED)) {
+    const delta = deltaOf(decoder, next.birth, layer, statuses, change);
+    const lattice = decoder.layout.lattices[layer];
+    slots[layer] = moved(stays, statuses, delta, lattice, next.share, parts[layer]);
+  }
 }
 
 /**
@@ -201,9 +251,9 @@ function show(decoder, { birth, parts, changes, slots }, layer) {
  * @param {Uint8Array} bytes
  */
 function deltaOf({ layout, lanes }, birth, layer, statuses, bytes) {
-  const count = (/** @type {number} */ wanted) =>
-    statuses.reduce((sum, status) => sum + (status === wanted ? 1 : 0), 0);
-  const change = decodeChange(layout, layer, birth, bytes, count(PREDICTED), count(NEW));
+  const counts = [0, 0, 0, 0];
+  for (const status of statuses) counts[status]++;
+  const change = decodeChange(layout, layer, birth, bytes, counts[PREDICTED], counts[NEW]);
   return lanes[0][layer].delta(statuses, change, layout.lattices[layer].opacityLevels);
 }
 
@@ -216,22 +266,14 @@ function deltaOf({ layout, lanes }, birth, layer, statuses, bytes) {
  * @param {import("./slotlayout.js").Lattice} lattice
  */
 function movesBetween(before, after, rows, parts, lattice) {
-  const width = after.numAttributes;
-  const delta = {
-    rows,
-    conditions: Uint8Array.from(rows, (row) => after.conditions[row]),
-    positions: new Int32Array(3 * rows.length),
-    attributes: new Uint8Array(width * rows.length),
-    starts: Uint8Array.from(rows, (row) => after.starts[row]),
-    escapes: new Map(),
-  };
-  const statuses = new Uint8Array(after.count).fill(PREDICTED);
-  rows.forEach((row, d) => {
-    delta.positions.set(after.positions.subarray(3 * row, 3 * row + 3), 3 * d);
-    delta.attributes.set(after.attributes.subarray(width * row, width * (row + 1)), width * d);
-    if (parts.some((part) => part[row] === NEW || part[row] === ENDED)) statuses[row] = NEW;
-  });
-  return movesOf(before, delta, statuses, lattice);
+  const moves = new Uint8Array(rows.length);
+  for (let i = 0; i < rows.length; i++) {
+    const row = rows[i];
+    let isSame = true;
+    for (const part of parts) if (part[row] === NEW || part[row] === ENDED) isSame = false;
+    moves[i] = moveOf(before, row, after, row, isSame, lattice);
+  }
+  return moves;
 }
 
 /**
@@ -245,26 +287,22 @@ function movesBetween(before, after, rows, parts, lattice) {
 function interpolated(decoder, birth, ahead) {
   const { layout } = decoder;
   const past = birth % layout.period;
-  const next = birth - past + layout.period;
-  const mask = ahead?.masks.get(next);
-  const changes = ahead?.changes.get(next);
+  const following = birth - past + layout.period;
+  const mask = ahead?.masks.get(following);
+  const changes = ahead?.changes.get(following);
   if (!mask || !changes) return null;
   const history = new MaskHistory(layout);
   history.recent[0].set(decoder.history.recent[0]);
-  for (let b = birth; b < next; b++) history.note(b, new Uint8Array(layout.numSlots));
+  for (let b = birth; b < following; b++) history.note(b, new Uint8Array(layout.numSlots));
   try {
-    const said = byLayer(decoder, decodeMask(layout, next, mask, history.of(next)));
+    const said = byLayer(decoder, decodeMask(layout, following, mask, history.of(following)));
+    const next = { birth: following, parts: said, share: past / layout.period };
     const parts = said.map((part) => new Uint8Array(part.length));
-    const slots = decoder.lanes[0].map((stays, layer) => {
-      const change = changes[layer];
-      if (!change || !said[layer].includes(PREDICTED)) return stays;
-      const delta = deltaOf(decoder, next, layer, said[layer], change);
-      const lattice = layout.lattices[layer];
-      return moved(stays, said[layer], delta, lattice, past / layout.period, parts[layer]);
-    });
-    return { birth, parts, changes: null, slots };
+    const passing = { birth, parts, changes, next, slots: [...decoder.lanes[0]] };
+    for (const layer of parts.keys()) show(decoder, passing, layer);
+    return passing;
   } catch (error) {
-    if (!(error instanceof FormatError)) throw error;
+    if (!isFormatError(error)) throw error;
     return null;
   }
 }
@@ -281,33 +319,33 @@ function interpolated(decoder, birth, ahead) {
 function moved(stays, statuses, delta, lattice, share, part) {
   const made = stays.copy();
   const width = made.numAttributes;
-  delta.rows.forEach((row, d) => {
-    if (statuses[row] !== PREDICTED || stays.conditions[row] !== ON_LATTICE) return;
-    const first = numbers(stays, width, row);
-    const last = numbers(delta, width, d);
-    const away = Math.hypot(last[0] - first[0], last[1] - first[1], last[2] - first[2]);
-    const scale = Math.max(...first.slice(3, 6), ...last.slice(3, 6));
-    const longestM = Math.exp(scale * lattice.logScale + lattice.logScaleBase);
-    if (away * lattice.positionM > JUMP_SIGMAS * longestM) return;
-    // w is never negative: of a rotation that passes w = 0 the other numbers change their signs.
-    const turned = first[6] * last[6] + first[7] * last[7] + first[8] * last[8];
-    if (turned * lattice.rotation ** 2 < -0.5) last.splice(6, 3, ...first.slice(6, 9));
-    const between = first.map((x, i) => Math.floor((1 - share) * x + share * last[i] + 0.5));
-    made.positions.set(between.slice(0, 3), 3 * row);
-    made.attributes.set(between.slice(3), width * row);
+  const mix = (/** @type {number} */ a, /** @type {number} */ b) =>
+    Math.floor((1 - share) * a + share * b + 0.5);
+  for (let d = 0; d < delta.rows.length; d++) {
+    const row = delta.rows[d];
+    if (statuses[row] !== PREDICTED || stays.conditions[row] !== ON_LATTICE) continue;
+    if (jumps(stays, row, delta, d, lattice)) continue;
     part[row] = PREDICTED;
-  });
+    for (let axis = 0; axis < 3; axis++) {
+      const at = 3 * row + axis;
+      made.positions[at] = mix(stays.positions[at], delta.positions[3 * d + axis]);
+    }
+    const [first, last] = [width * row, width * d];
+    let turned = 0;
+    for (let n = 3; n < 6; n++)
+      turned += signed(stays.attributes[first + n]) * signed(delta.attributes[last + n]);
+    // w is never negative: of a rotation that passes w = 0 the other numbers change their signs.
+    const flips = turned * lattice.rotation ** 2 < -0.5;
+    for (let n = 0; n < width - 1; n++) {
+      if (flips && n >= 3 && n < 6) continue;
+      const was = signed(stays.attributes[first + n]);
+      made.attributes[first + n] = mix(was, signed(delta.attributes[last + n]));
+    }
+    const opacity = width - 1;
+    made.attributes[first + opacity] = mix(
+      stays.attributes[first + opacity],
+      delta.attributes[last + opacity],
+    );
+  }
   return made;
-}
-
-/**
- * A state as numbers: position, attributes, two's complement but for the opacity.
- * @param {{ positions: Int32Array, attributes: Uint8Array }} states
- * @param {number} width of the attributes
- * @param {number} i
- */
-function numbers({ positions, attributes }, width, i) {
-  const own = attributes.subarray(width * i, width * (i + 1));
-  const signed = Array.from(own, (byte, n) => (n < width - 1 ? (byte << 24) >> 24 : byte));
-  return [...positions.subarray(3 * i, 3 * i + 3), ...signed];
 }

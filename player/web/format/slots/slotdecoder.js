@@ -1,6 +1,6 @@
 /** Masks, changes and snapshots to what a reader holds (FORMAT.md, section 7). */
 
-import { KEPT, LOG_SHARE, MIN_LOG_BYTES, NEW, PREDICTED, UNKNOWN } from "../../constants.js";
+import { LOG_SHARE, MIN_LOG_BYTES, NEW, PREDICTED, UNKNOWN } from "../../constants.js";
 import { decodeChange } from "./change.js";
 import { FormatError, corrupt } from "../bytes/errors.js";
 import { MaskHistory, decodeMask } from "./mask.js";
@@ -27,7 +27,7 @@ import { decodeSnapshot } from "./snapshot.js";
  * @property {number} lane
  * @property {Uint32Array[]} rows the slots of each layer
  * @property {Uint8Array[]} [moves] how they came to what they hold, see `movesOf`; fewer where it is not
- *   known, and none of a whole window
+ *   known, and none of a whole window, or of a slice that does not show
  * @property {Slots[]} [slots] what shows of the layers, if it is not the lane itself
  */
 
@@ -62,7 +62,9 @@ export class SlotDecoder {
     /** @type {Slots[][]} lane after lane, layer after layer */
     this.lanes = Array.from({ length: layout.swinSize }, () => this.#unknownLane());
     this.history = new MaskHistory(layout);
-    /** Layers of which the frame is missing, but nothing else. */
+    /** @type {Uint8Array | null} statuses of the slice that was applied last; null: its mask is missing */
+    this.statuses = null;
+    /** Layers of which frames are missing, but nothing else. */
     this.numMissing = 0;
     /** @type {Map<string, Log>} by lane and layer, the oldest first */
     this.logs = new Map();
@@ -161,10 +163,10 @@ export class SlotDecoder {
    * @param {Uint8Array | null} mask null: it is missing, and all slots of the lane are unknown
    * @param {(Uint8Array | null)[]} changes of layers 0, 1, ...; null for one that is missing, which
    *   may come late; layers behind the last are not expected
-   * @param {Ahead} [_ahead] for the decoder of passing.js
+   * @param {Ahead} [ahead] none if a later slice is applied before anything shows
    * @returns {SlotSlice}
    */
-  apply(birth, mask, changes, _ahead) {
+  apply(birth, mask, changes, ahead) {
     if (this.frame === null || birth !== this.frame + 1) {
       throw new RangeError(`the slice born at ${birth} does not follow ${this.frame}`);
     }
@@ -175,10 +177,11 @@ export class SlotDecoder {
     const deltas = this.lanes[lane].map((slots, layer) =>
       this.#delta(birth, layer, slots, parts[layer], changes[layer] ?? null),
     );
-    const moves = [];
+    /** @type {Uint8Array[] | undefined} */
+    const moves = ahead && [];
     for (const [layer, delta] of deltas.entries()) {
       const slots = this.lanes[lane][layer];
-      moves.push(movesOf(slots, delta, parts[layer], this.layout.lattices[layer]));
+      moves?.push(movesOf(slots, delta, parts[layer], this.layout.lattices[layer]));
       if (layer < changes.length) this.#remember(birth, layer, slots, parts[layer], changes[layer]);
       else this.logs.delete(key(lane, layer));
       slots.advance(delta);
@@ -218,13 +221,21 @@ export class SlotDecoder {
     if (log === undefined || said === undefined || !isMissing(said)) return false;
     const since = new Map(log.since).set(birth, { statuses: said.statuses, change: bytes });
     this.#replay(lane, layer, { before: log.before, since }, birth);
-    const altered = this.pending.get(key(lane, layer)) ?? new Uint8Array(said.statuses.length);
-    for (const [known, { statuses }] of since) {
-      if (known < birth) continue;
-      for (let i = 0; i < altered.length; i++) if (statuses[i] !== KEPT) altered[i] = 1;
-    }
-    this.pending.set(key(lane, layer), altered);
+    for (const [known, { statuses }] of since)
+      if (known >= birth) this.alter(lane, layer, statuses);
     return true;
+  }
+
+  /**
+   * Notes that late bytes altered what the slots hold that are not kept.
+   * @param {number} lane
+   * @param {number} layer
+   * @param {Uint8Array} statuses
+   */
+  alter(lane, layer, statuses) {
+    const altered = this.pending.get(key(lane, layer)) ?? new Uint8Array(statuses.length);
+    statuses.forEach((status, i) => (altered[i] |= status));
+    this.pending.set(key(lane, layer), altered);
   }
 
   /**
@@ -271,13 +282,14 @@ export class SlotDecoder {
       for (const [at, log] of this.logs) if (!isWaiting(log)) this.logs.delete(at);
     } else if (statuses !== null) this.said.set(birth, statuses);
     this.frame = birth;
+    this.statuses = statuses;
     while (this.#isTooMuch(this.said.size * this.layout.numSlots)) forgetOldest(this.said);
   }
 
   /**
    * @param {number} birth
    * @param {Uint8Array[]} parts the statuses of each layer
-   * @param {Uint8Array[]} moves
+   * @param {Uint8Array[]} [moves]
    * @returns {SlotSlice}
    */
   #handOut(birth, parts, moves) {
@@ -286,7 +298,7 @@ export class SlotDecoder {
       const pending = this.pending.get(key(lane, layer));
       if (pending === undefined) return changedRows(statuses);
       this.pending.delete(key(lane, layer));
-      moves[layer] = new Uint8Array(); // what comes late does not move
+      if (moves) moves[layer] = new Uint8Array(); // what comes late does not move
       return changedRows(pending.map((flag, i) => flag | statuses[i]));
     });
     return { birth, lane, rows, moves };
@@ -382,13 +394,9 @@ export class SlotDecoder {
   #delta(birth, layer, slots, statuses, bytes) {
     const { opacityLevels } = this.layout.lattices[layer];
     if (bytes === null) return slots.delta(statuses, null, opacityLevels);
-    let numPredicted = 0;
-    let numNew = 0;
-    for (let i = 0; i < statuses.length; i++) {
-      if (statuses[i] === PREDICTED) numPredicted++;
-      else if (statuses[i] === NEW) numNew++;
-    }
-    const change = decodeChange(this.layout, layer, birth, bytes, numPredicted, numNew);
+    const counts = [0, 0, 0, 0];
+    for (const status of statuses) counts[status]++;
+    const change = decodeChange(this.layout, layer, birth, bytes, counts[PREDICTED], counts[NEW]);
     return slots.delta(statuses, change, opacityLevels);
   }
 
