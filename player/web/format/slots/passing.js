@@ -270,8 +270,13 @@ function movesBetween(before, after, rows, parts, lattice) {
   for (let i = 0; i < rows.length; i++) {
     const row = rows[i];
     let isSame = true;
-    for (const part of parts) if (part[row] === NEW || part[row] === ENDED) isSame = false;
-    moves[i] = moveOf(before, row, after, row, isSame, lattice);
+    let numNew = 0;
+    for (const part of parts) {
+      if (part[row] === NEW) numNew++;
+      else if (part[row] === ENDED) isSame = false;
+    }
+    // All count from the slots that stay: a Gaussian that is new in two of them may be the same.
+    moves[i] = moveOf(before, row, after, row, isSame && numNew !== 1, lattice);
   }
   return moves;
 }
