@@ -48,7 +48,7 @@ class SmoothingConfig:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """What one play gave, means."""
+    """The figures of one play, as means."""
 
     main_ms_a_picture: float
     main_ms_a_frame: float

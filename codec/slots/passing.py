@@ -34,11 +34,11 @@ class Passing:
 
     birth: int
     statuses: list[Bytes]
-    """Of the slots of each layer."""
+    """The statuses of the slots, for each layer."""
     changes: list[memoryview] | None
     """The change of each layer that has slots; None if it only stands for a slice."""
     slots: list[Slots]
-    """What each layer shows; it is the state itself where the slice changes nothing."""
+    """The slots that show, for each layer; the state itself where the slice changes nothing."""
 
     def show(self, layout: SlotLayout, layer: int, stays: Slots) -> None:
         """Takes what the slice makes of `stays`, the state of a layer. Raises a CodecError."""

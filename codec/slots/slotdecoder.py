@@ -251,7 +251,7 @@ class SlotDecoder:
     def _interpolated(
         self, birth: int, mask: Data, changes: Sequence[Data | None]
     ) -> Passing | None:
-        """What stands for the passing slice of `birth`; None if the next one cannot be read, of
+        """The substitute for the passing slice of `birth`; None if the next one cannot be read, of
         which its own turn tells."""
         layout, following = self.layout, self.layout.following(birth)
         history = self.history.copy()
@@ -284,7 +284,7 @@ class SlotDecoder:
         return HeldSlots(numbers, splats, np.concatenate(here), np.concatenate(others))
 
     def _shown(self, lane: int) -> list[Slots]:
-        """What shows of a lane in the frame that was applied last."""
+        """The slots of a lane that show in the frame that was applied last."""
         return self.lanes[lane] if self.passing is None else self.passing.slots
 
     def _go_on(self, birth: int, statuses: Bytes | None) -> None:
