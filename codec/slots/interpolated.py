@@ -25,8 +25,8 @@ def interpolated(
     next_statuses: Sequence[Bytes],
     next_deltas: Sequence[Delta | None],
 ) -> Passing:
-    """The substitute for the passing slice of `birth`: every predicted Gaussian that does not jump is
-    between its state in `stay` and the one that the next slice that stays gives it.
+    """The substitute for the passing slice of `birth`: each predicted Gaussian that does not jump
+    is between its state in `stay` and the one that the next slice that stays gives it.
 
     next_statuses, next_deltas: that slice, layer after layer; None for a layer that has not come.
     """
