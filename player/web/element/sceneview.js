@@ -106,7 +106,8 @@ export class SceneView extends EventTarget {
   /** @param {SortedFrame} sorted @param {boolean} isHeld whether it is drawn even if the page is not */
   receive(sorted, isHeld) {
     this.sorted = this.sorted === null ? sorted : joined(this.sorted, sorted);
-    if (this.interpolates && this.session.line?.zeroMs && !this.#isLoading) this.#loadSmoothing();
+    // The first picture does not wait for it.
+    if (this.interpolates && !this.isEmpty && !this.#isLoading) this.#loadSmoothing();
     if (this.headset !== null) return;
     if (isHeld && this.loop.waitedMs > IDLE_MS) this.loop.flush();
     else this.loop.request();

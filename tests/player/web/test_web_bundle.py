@@ -21,7 +21,7 @@ ELEMENT = "document.querySelector('swings-player')"
 PLAYER = f"{ELEMENT}?.player"
 MOST_REQUESTS = 8
 MOST_SCRIPT_BYTES = 58_000
-MOST_GZIPPED_BYTES = 60 * 1024
+MOST_GZIPPED_BYTES = 61_000
 """What browsers load from a host without TLS, which they ask for nothing better than gzip."""
 
 
