@@ -352,7 +352,7 @@ def test_it_says_how_far_the_way_from_frame_to_frame_is_over(tmp_path: Path) -> 
 
 
 def test_sound_is_drawn_as_late_as_the_pictures_between_frames(tmp_path: Path) -> None:
-    path = write_busy_stream(tmp_path / "s", 40, small_layout(3, (4, 3), 0, 5), fps=FPS)
+    path = write_busy_stream(tmp_path / "s", 40, small_layout(3, (4, 3), 0, 5), fps=10.0)
     with conducted(path, real=True, plays=math.inf, first=30) as (played, _):
         conductor = played.conductor
         played.smoothing.on = True

@@ -33,9 +33,12 @@ from trainer.run.outputs import SNAPSHOT_FOLDER
 from trainer.run.runlog import LOG_NAME
 
 pytest.importorskip("ray", reason="ray is not installed")
+pytestmark = pytest.mark.timeout(600)
 
 CONFIG = TrainConfig("capture", "stream")
 KILLS = 5
+PATIENCE_S = 540
+"""For a run beside other tests, which takes 70 s alone."""
 TALLY = b"ray::Tally"
 """In the command line of the process that counts what has been done."""
 
@@ -109,7 +112,7 @@ def test_two_captures_share_a_cluster_of_four_workers(
             for stream in streams
         ]
         for driver in runs:
-            said = driver.communicate(timeout=240)[1]
+            said = driver.communicate(timeout=PATIENCE_S)[1]
             assert driver.returncode == 0, said
     for stream in streams:
         assert contents(stream) == contents(one)
@@ -131,7 +134,6 @@ def stop_at(file: str, number: signal.Signals, stream: Path, arguments: list[obj
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 def test_a_run_that_is_stopped_goes_on_with_what_is_there(
     capture: Path, one: Path, tmp_path: Path
 ) -> None:

@@ -12,6 +12,10 @@ import { PASSING, expectChunk, readSlotHead } from "./slotchunk.js";
 import { changedRows, signed } from "./slots.js";
 
 /** @typedef {import("./slots.js").Slots} Slots */
+// What the class below inherits, for the types of the npm package.
+/** @typedef {import("./slotdecoder.js").SlotSlice} SlotSlice */
+/** @typedef {import("./slotdecoder.js").Log} Log */
+/** @typedef {import("./slotdecoder.js").Said} Said */
 
 /**
  * A passing slice, and what its frame shows.
