@@ -284,6 +284,18 @@ def test_it_can_be_closed_before_anything_shows(stream: Path) -> None:
         played.conductor.seek(30)
 
 
+def blocks_with_full_queues() -> int:
+    """What the interpreter has allocated when nobody has polled for a while."""
+    before = 0
+    while True:
+        gc.collect()
+        blocks = sys.getallocatedblocks()
+        if abs(blocks - before) < 100:
+            return blocks
+        before = blocks
+        time.sleep(0.5)
+
+
 def test_an_endless_loop_takes_no_more_with_time(tmp_path: Path) -> None:
     """At the speed of the machine: no frame waits until it is due."""
     num_frames, marks = 500, (2_000, 12_000)
@@ -301,11 +313,10 @@ def test_an_endless_loop_takes_no_more_with_time(tmp_path: Path) -> None:
                 assert record.shown_s == pytest.approx(first_s + shown / FPS, abs=1e-3)
                 shown += 1
                 if shown in marks:
-                    gc.collect()
                     # Not the memory of the process, which the tests before this one made large.
-                    blocks.append(sys.getallocatedblocks())
+                    blocks.append(blocks_with_full_queues())
     grown = blocks[1] - blocks[0]
-    assert grown < (marks[1] - marks[0]) // 2, f"{grown} objects more: {blocks}"
+    assert grown < (marks[1] - marks[0]) // 20, f"{grown} objects more: {blocks}"
 
 
 def test_it_says_how_far_the_way_from_frame_to_frame_is_over(tmp_path: Path) -> None:
