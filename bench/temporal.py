@@ -24,8 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.console import run_command
-from codec.stream import StreamReader, StreamWriter
-from codec.tools.recordedupdates import recorded_slices, recorded_update
+from codec.tools.cutting import set_temporal_layer
 from trainer.score.evaluate import EvaluateConfig, LayerScore, evaluate_stream
 
 
@@ -34,22 +33,13 @@ class TemporalConfig:
     """Scores a stream with and without a temporal layer."""
 
     stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STREAM")]
-    """Folder of the stream; it has no temporal layer, and a swin_size of 1."""
+    """Folder of the stream, with a swin_size of 1."""
     capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
     """Folder of the capture that it was trained from."""
     periods: tuple[int, ...] = (2, 4)
     """Periods of the temporal layers."""
     every: int = 1
     """Frames from one that is scored to the next."""
-
-
-def with_period(stream: Path, out: Path, period: int) -> None:
-    """Writes `stream` with a temporal layer to `out`."""
-    reader = StreamReader(stream, max_gaussians=None)
-    manifest = reader.manifest.with_temporal_layer(period)
-    with StreamWriter.create(out, manifest) as writer:
-        for birth, decoder, statuses in recorded_slices(reader):
-            writer.append(recorded_update(decoder, birth, statuses))
 
 
 def scored(stream: Path, config: TemporalConfig) -> list[LayerScore]:
@@ -67,7 +57,7 @@ def run(config: TemporalConfig) -> None:
             stream = config.stream
             if period > 1:
                 stream = Path(folder) / f"period-{period}"
-                with_period(config.stream, stream, period)
+                set_temporal_layer(config.stream, stream, period)
             rows = scored(stream, config)
             for number, row in enumerate(rows, start=1):
                 temporal = " with the temporal one" if period > 1 and number == len(rows) else ""

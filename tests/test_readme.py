@@ -99,6 +99,7 @@ MADE = {
     "--gain 1 1 0.95": "my-graded/index.bin",
     "swings-stream edit floaters my-stream my-clean": "my-clean/index.bin",
     "swings-stream edit trim my-stream my-part --frames 10:30": "my-part/index.bin",
+    "swings-stream edit temporal my-stream my-halved": "my-halved/index.bin",
     "swings-stream edit join my-intro my-film --then my-stream": "my-film/index.bin",
     "swings-play my-stream": "played.mp4",
     "swings-play my-stream --capture out.mp4": "out.mp4",

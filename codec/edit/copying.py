@@ -7,11 +7,12 @@ which holds them, is coded again, and the blocks behind it are copied.
 
 from __future__ import annotations
 
-from codec.coders.coder import Coder, coder_of, with_start
+from codec.coders.coder import Coder, EncodedChunk, coder_of, with_start
+from codec.slots.passing import passing_elsewhere
 from codec.slots.slotchange import encoded_elsewhere
-from codec.slots.slotchunk import BIRTH_AT, Kind
+from codec.slots.slotchunk import Kind, with_birth
 from codec.stream.integrity import CheckedObject
-from codec.stream.manifest import MASKS, Part, is_snapshot
+from codec.stream.manifest import MASKS, is_snapshot
 from codec.stream.object import encode_packet
 from codec.stream.reader import StreamReader
 
@@ -45,22 +46,20 @@ def copy_segment(
 
 def renumbered(found: CheckedObject, birth: int, offset: int, coder: Coder) -> bytes:
     """The packet of `birth` in `found` as that of `birth` + `offset`."""
-    packet = found.packet(birth)
-    if not offset and coder_of(packet) == coder:
+    packet, is_same_coder = found.packet(birth), coder_of(found.packet(birth)) == coder
+    if is_same_coder and not offset:
         return packet
-    content = bytearray(found.content(birth))
-    content[BIRTH_AT : BIRTH_AT + 4] = (birth + offset).to_bytes(4, "little", signed=True)
-    if coder_of(packet) == coder:
-        copied = with_start(packet, bytes(content))
-        if copied is not None:
-            return copied
-    return encode_packet(
-        encoded_elsewhere(found.manifest.slot_layout, kind_of(found.part), bytes(content)), coder
-    )
+    chunk = chunk_elsewhere(found, birth, offset)
+    copied = with_start(packet, chunk.data) if is_same_coder else None
+    return encode_packet(chunk, coder) if copied is None else copied
 
 
-def kind_of(part: Part) -> Kind:
-    """The kind of the chunks of `part`."""
+def chunk_elsewhere(found: CheckedObject, birth: int, offset: int = 0) -> EncodedChunk:
+    """The chunk of `birth` in `found`, to be compressed once more as that of `birth` + `offset`."""
+    layout, part, data = found.manifest.slot_layout, found.part, found.content(birth)
+    if part == layout.temporal_layer:
+        return passing_elsewhere(layout, data, birth + offset)
+    kind = Kind.CHANGE if isinstance(part, int) else Kind.SNAPSHOT
     if part == MASKS:
-        return Kind.MASK
-    return Kind.SNAPSHOT if is_snapshot(part) else Kind.CHANGE
+        kind = Kind.MASK
+    return encoded_elsewhere(layout, kind, with_birth(data, birth + offset))

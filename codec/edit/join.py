@@ -20,7 +20,10 @@ from .rewrite import AddSound, Edited, Progress, coder_of_stream, objects_bytes,
 from .segmentfiles import SegmentFiles
 from .walk import SourceSlice, Walk
 
-SAME = ("fps", "swin_size", "slots", "lattice", "segment_frames", "sh_degree", "antialias")
+SAME = (
+    "fps", "swin_size", "slots", "lattice", "segment_frames", "temporal_period", "sh_degree",
+    "antialias",
+)  # fmt: skip
 """Fields of the manifest in which joined streams must agree."""
 
 

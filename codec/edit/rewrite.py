@@ -60,11 +60,6 @@ def open_source(stream: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS
     reader = StreamReader(stream, max_gaussians)
     if not reader.records:
         raise InvalidError(f"{reader.name} has no frames yet; there is nothing to edit")
-    if reader.manifest.temporal_period > 1:
-        raise InvalidError(
-            f"{reader.name} has a temporal layer, which an edit cannot carry over; edit the stream "
-            "that it was made from"
-        )
     return reader
 
 
@@ -115,14 +110,17 @@ def rewrite(
     edit: Edit,
     draw: Draw | None,
     progress: Progress,
+    sound: AddSound | None = None,
 ) -> Edited:
     """Writes the stream of `reader`, as far as it has come, with `edit` to `out`; see `writing`.
 
-    Raises a SwingsError that names the file at fault.
+    sound: adds the sound where segments are longer or shorter afterwards, which leaves out
+    captions; without it both go along. Raises a SwingsError that names the file at fault.
     """
     coder, num_frames = coder_of_stream(reader), reader.num_frames
     edit = fitted(reader, edit, coder)
-    with writing(out, edit.manifest(reader.manifest), coder, draw, reader) as files:
+    tracks = reader if sound is None else None
+    with writing(out, edit.manifest(reader.manifest), coder, draw, tracks, sound) as files:
         walk, recoder = Walk(reader), Recoder(files)
         for slices in (walk.opening(0), walk.slices(range(1, num_frames))):
             for birth in recoder.append(walk, slices, edit):

@@ -20,7 +20,7 @@ from codec.splats import Splats
 
 from .mask import decode_mask
 from .slotchange import decode_change, encoded_elsewhere
-from .slotchunk import Kind, SlotHeader
+from .slotchunk import Kind, SlotHeader, with_birth
 from .slotlayout import HEADER_BYTES, MAX_SLOT_CHUNK_BYTES, SlotLayout
 from .slotstate import ESCAPED, Slots, holds
 from .update import ENDED, KEPT, NEW, PREDICTED, Update
@@ -80,15 +80,15 @@ def encode_passing(
     return EncodedChunk(mask.birth, data, sorted(edges))
 
 
-def passing_elsewhere(layout: SlotLayout, data: bytes) -> EncodedChunk:
-    """The chunk in `data`, which can be decoded, to be compressed once more."""
+def passing_elsewhere(layout: SlotLayout, data: bytes, birth: int) -> EncodedChunk:
+    """The chunk in `data`, which can be decoded, to be compressed once more as that of `birth`."""
     assert layout.temporal_layer is not None
     mask, *changes = _split(layout.temporal_layer, memoryview(data))[1]
-    first = encoded_elsewhere(layout, Kind.MASK, bytes(mask))
+    first = encoded_elsewhere(layout, Kind.MASK, with_birth(mask, birth))
     others = (
-        encoded_elsewhere(layout, Kind.CHANGE, bytes(change))
+        encoded_elsewhere(layout, Kind.CHANGE, with_birth(change, birth))
         if change
-        else EncodedChunk(first.birth, b"", (0, 0))
+        else EncodedChunk(birth, b"", (0, 0))
         for change in changes
     )
     return encode_passing(layout, first, tuple(others))

@@ -19,8 +19,14 @@ FLAG_SLOT_OFFSETS = 1
 SLOT_HEADER = struct.Struct("<4sBBBBi")
 assert SLOT_HEADER.size == HEADER_BYTES
 
+BIRTH = struct.Struct("<i")
 KIND_AT, LAYER_AT, FLAGS_AT, ZERO_AT, BIRTH_AT = 4, 5, 6, 7, 8
 """Where in a chunk these fields lie."""
+
+
+def with_birth(data: bytes | memoryview, birth: int) -> bytes:
+    """The chunk in `data` as one of `birth`."""
+    return b"".join((data[:BIRTH_AT], BIRTH.pack(birth), data[BIRTH_AT + BIRTH.size :]))
 
 
 class Kind(IntEnum):

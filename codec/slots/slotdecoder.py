@@ -273,7 +273,7 @@ class SlotDecoder:
     def _held(self, lane: int, changed: list[Flags], renewed: list[Flags]) -> HeldSlots:
         """The content that players last received for the slots of `lane` that are `changed`."""
         rows, here, others = [], [], []
-        for layer, slots in enumerate(self._shown(lane)):
+        for layer, slots in enumerate(self.shown(lane)):
             changes, pending = changed[layer], self._pending.get((lane, layer))
             if pending is not None:
                 changes = changes & ~pending
@@ -283,8 +283,8 @@ class SlotDecoder:
         numbers, splats, _ = self._drawn(lane, rows)
         return HeldSlots(numbers, splats, np.concatenate(here), np.concatenate(others))
 
-    def _shown(self, lane: int) -> list[Slots]:
-        """The slots of a lane that show in the frame that was applied last."""
+    def shown(self, lane: int) -> list[Slots]:
+        """The slots of a lane that show in the frame that was applied last, layer after layer."""
         return self.lanes[lane] if self.passing is None else self.passing.slots
 
     def _go_on(self, birth: int, statuses: Bytes | None) -> None:
@@ -516,7 +516,7 @@ class SlotDecoder:
         passing, fewer = self.passing, len(rows) < self.layout.num_layers
         # Fewer layers do without a passing slice, but not without what stands for it.
         hides = fewer and passing is not None and passing.changes is not None
-        shown = self.lanes[lane] if hides else self._shown(lane)
+        shown = self.lanes[lane] if hides else self.shown(lane)
         ends = np.cumsum([0, *map(len, rows)])
         arrays = empty_arrays(ends[-1], self.layout.sh_degree)
         starts = np.empty(ends[-1], np.uint8)

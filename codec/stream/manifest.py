@@ -313,8 +313,13 @@ class Manifest:
 
     def with_temporal_layer(self, period: int) -> Manifest:
         """The manifest of a stream in which all frames but every `period`-th are in a temporal
-        layer; segments are longer or shorter by as much as that needs. 1 changes nothing. Raises
-        InvalidError."""
+        layer; segments are longer or shorter by as much as that needs. 1: without such a layer.
+        Raises InvalidError."""
+        if self.temporal_period > 1:
+            plain = replace(
+                self, slots=self.slots[:-1], lattice=self.lattice[:-1], temporal_period=1
+            )
+            return plain.with_temporal_layer(period)
         if period == 1:
             return self
         if self.swin_size != 1:

@@ -23,7 +23,8 @@ def recorded_slices(reader: StreamReader) -> Iterator[tuple[int, SlotDecoder, By
     manifest = reader.manifest
     if manifest.temporal_period > 1:
         raise InvalidError(
-            f"{reader.name} has a temporal layer; use the stream that it was made from"
+            f"{reader.name} has a temporal layer; remove it first: swings-stream edit temporal "
+            "STREAM OUT --period 1"
         )
     decoder = reader.decoder_at(0, manifest.num_layers)
     for birth in window_births(0, manifest.swin_size):

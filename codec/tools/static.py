@@ -10,16 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from codec.coders.coder import Coder
+from codec.edit.copying import chunk_elsewhere
 from codec.edit.trackcopy import copy_tracks
 from codec.errors import InvalidError
 from codec.files import making_folder, temporary_folder, write_atomic
-from codec.slots.passing import passing_elsewhere
-from codec.slots.slotchange import encoded_elsewhere
-from codec.slots.slotchunk import Kind
 from codec.storage.openstorage import Place
 from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
-from codec.stream.integrity import CheckedObject
-from codec.stream.manifest import MANIFEST_NAME, MASKS, OBJECT_URL, object_file
+from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, object_file
 from codec.stream.object import encode_packet, join_packets
 from codec.stream.packedlayout import PACKED_SUFFIX
 from codec.stream.pictures import read_picture
@@ -92,7 +89,10 @@ def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) ->
     sizes, hashes = [], []
     for source in sources:
         data = join_packets(
-            [(entry.birth, _recoded(source, entry.birth)) for entry in source.entries],
+            [
+                (entry.birth, encode_packet(chunk_elsewhere(source, entry.birth), Coder.GZIP))
+                for entry in source.entries
+            ],
             Coder.GZIP,
         )
         path = object_file(folder, segment, source.part)
@@ -108,17 +108,6 @@ def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) ->
         side_bytes=tuple(sizes[layers:]),
         side_sha256=tuple(hashes[layers:]),
     )
-
-
-def _recoded(source: CheckedObject, birth: int) -> bytes:
-    """The packet of `birth`, coded with gzip."""
-    data, layout, part = source.content(birth), source.manifest.slot_layout, source.part
-    if part == layout.temporal_layer:
-        return encode_packet(passing_elsewhere(layout, data), Coder.GZIP)
-    kind = Kind.CHANGE if type(part) is int else Kind.SNAPSHOT
-    if part == MASKS:
-        kind = Kind.MASK
-    return encode_packet(encoded_elsewhere(layout, kind, data), Coder.GZIP)
 
 
 def _copy_pictures(reader: StreamReader, folder: Path) -> None:

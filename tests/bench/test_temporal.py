@@ -6,15 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from bench.temporal import TemporalConfig, scored, with_period
+from bench.temporal import TemporalConfig, scored
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
+from codec.tools.cutting import set_temporal_layer
 from tests.bench.scored_stream import FRAMES, write_scored
 
 
 def test_the_same_stream_with_another_layer(tmp_path: Path) -> None:
     stream, capture = write_scored(tmp_path, 1)
-    with_period(stream, tmp_path / "halved", 2)
+    set_temporal_layer(stream, tmp_path / "halved", 2)
     assert verify_stream(tmp_path / "halved").num_frames == FRAMES
     assert StreamReader(tmp_path / "halved").manifest.temporal_period == 2
     config = TemporalConfig(stream, capture)

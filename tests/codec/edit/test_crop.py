@@ -53,12 +53,12 @@ def test_a_box_keeps_what_lies_in_it_and_its_complement_the_rest(
         assert gaussians(inside) + gaussians(outside) == gaussians(whole)
 
 
-@pytest.mark.parametrize("swin_size", [1, 2, 3])
+@pytest.mark.parametrize(("swin_size", "period"), [(1, 1), (2, 1), (3, 1), (1, 2), (1, 4)])
 @pytest.mark.parametrize("seed", range(2))
 def test_patternless_streams_that_escape_come_and_go(
-    swin_size: int, seed: int, tmp_path: Path
+    swin_size: int, period: int, seed: int, tmp_path: Path
 ) -> None:
-    layout = small_layout(swin_size, (20, 10), 1, 4)
+    layout = small_layout(swin_size, (20, 10), 1, 4, period)
     source = write_slot_stream(tmp_path / "s", 14, layout, seed)
     box = (-2.0, -2.0, -50.0, 1.5, 2.0, 3.0)
     edit_stream(source, tmp_path / "t", CropOptions(box=box))

@@ -25,12 +25,13 @@ from tests.support.slots.slot_streams import gaussians, write_slot_stream
 from tests.support.slots.updates import small_layout
 
 
-@pytest.mark.parametrize("swin_size", [1, 3, 6])
+@pytest.mark.parametrize(("swin_size", "period"), [(1, 1), (3, 1), (6, 1), (1, 2), (1, 4)])
 @pytest.mark.parametrize("cuts", [(4,), (3,), (8, 12), (2, 5), (7, 9), (1, 12)])
 def test_the_parts_of_a_stream_joined_are_the_stream_again(
-    cuts: tuple[int, ...], swin_size: int, tmp_path: Path
+    cuts: tuple[int, ...], swin_size: int, period: int, tmp_path: Path
 ) -> None:
-    source = write_slot_stream(tmp_path / "s", 14, small_layout(swin_size, (6, 4), 0, 4), 5)
+    layout = small_layout(swin_size, (6, 4), 0, 4, period)
+    source = write_slot_stream(tmp_path / "s", 14, layout, 5)
     edges = (0, *cuts, 14)
     parts = [tmp_path / str(n) for n in range(len(cuts) + 1)]
     for n, part in enumerate(parts):

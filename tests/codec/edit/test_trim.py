@@ -24,16 +24,18 @@ from tests.support.slots.slot_streams import gaussians, write_slot_stream
 from tests.support.slots.updates import small_layout
 
 
-@pytest.mark.parametrize("swin_size", [1, 3, 6])
+@pytest.mark.parametrize(("swin_size", "period"), [(1, 1), (3, 1), (6, 1), (1, 2), (1, 4)])
 @pytest.mark.parametrize("frames", [(0, 4), (0, 14), (3, 4), (4, 14), (5, 11), (8, 11), (13, 14)])
 def test_a_trimmed_stream_shows_the_frames_of_its_source(
-    frames: tuple[int, int], swin_size: int, tmp_path: Path
+    frames: tuple[int, int], swin_size: int, period: int, tmp_path: Path
 ) -> None:
-    source = write_slot_stream(tmp_path / "s", 14, small_layout(swin_size, (6, 4), 1, 4), 3)
+    layout = small_layout(swin_size, (6, 4), 1, 4, period)
+    source = write_slot_stream(tmp_path / "s", 14, layout, 3)
     trim_stream(source, tmp_path / "t", FrameRange(*frames))
     summary = verify_stream(tmp_path / "t")
     assert (summary.num_frames, summary.live) == (frames[1] - frames[0], False)
-    assert StreamReader(tmp_path / "t").manifest.capture_frame == frames[0]
+    manifest = StreamReader(tmp_path / "t").manifest
+    assert (manifest.capture_frame, manifest.temporal_period) == (frames[0], period)
     wanted = list(frames_of(source))[slice(*frames)]
     for before, after in zip(wanted, frames_of(tmp_path / "t"), strict=True):
         assert gaussians(before) == gaussians(after)

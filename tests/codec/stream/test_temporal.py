@@ -20,7 +20,6 @@ from codec.stream.manifest import Manifest
 from codec.tools.audit import describe, verify_stream
 from codec.tools.packing import pack_stream
 from codec.tools.static import export_static
-from tests.support.commands import run
 from tests.support.deforming import Deforming
 from tests.support.drawn import same_splats
 from tests.support.slots.folder import slots_manifest
@@ -87,15 +86,6 @@ def test_it_is_a_stream_like_others(root: Path, tmp_path: Path) -> None:
             for layers in (1, 2, 3):
                 found = StreamReader(path).active_splats(frame, layers)
                 assert same_splats(found, halved.active_splats(frame, layers))
-
-
-def test_edits_say_that_they_do_not_take_it(root: Path, tmp_path: Path) -> None:
-    failed = run(
-        "swings-stream", "edit", "trim", root / "halved", tmp_path / "out", "--frames", ":4"
-    )
-    assert failed.returncode == 1
-    assert "has a temporal layer" in failed.stderr
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_writer_that_was_stopped_goes_on(tmp_path: Path) -> None:

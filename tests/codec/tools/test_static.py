@@ -93,7 +93,7 @@ def test_an_entropy_coder_is_told_the_same_edges_as_at_first(layout: SlotLayout)
             if not chunk.data:  # nothing changes, and there is no packet
                 continue
             if kind is Kind.PASSING:
-                again = passing_elsewhere(layout, chunk.data)
+                again = passing_elsewhere(layout, chunk.data, chunk.birth)
             else:
                 again = encoded_elsewhere(layout, kind, chunk.data)
             assert (again.birth, again.data) == (chunk.birth, chunk.data)
