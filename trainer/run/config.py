@@ -172,8 +172,8 @@ class TrainConfig:
             )
         if self.temporal > 1 and self.ray is not None:
             raise InvalidError(
-                "--temporal cannot be combined with --ray: a part would begin without what the "
-                "one before it ended with"
+                "--temporal cannot be combined with --ray; add the layer to the finished stream: "
+                "swings-stream edit temporal STREAM OUT"
             )
         if self.serve is not None and not 0 <= self.serve <= 65535:
             raise InvalidError(f"serve {self.serve}: choose a port, 0 to 65535")
