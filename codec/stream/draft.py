@@ -87,7 +87,7 @@ class Draft:
         encoder = SlotEncoder(manifest.slot_layout) if read is None else SlotEncoder.resumed(read)
         packets: dict[Part, Packets] = dict.fromkeys(manifest.parts, ())
         decoder, below = read if quality else None, None
-        if decoder is not None and manifest.slot_layout.temporal_layer is not None:
+        if decoder is not None and manifest.temporal_layer is not None:
             below = decoder.without_temporal()
         return Draft(manifest, quality, encoder, decoder, packets, whole, (), effort, below)
 
@@ -139,7 +139,7 @@ class Draft:
             decoder = self.decoder.copy()
             changes = [self._content(layer) for layer in range(manifest.num_layers)]
             decoder.apply(birth, self._content(MASKS), changes)
-        if manifest.slot_layout.temporal_layer is not None:
+        if manifest.temporal_layer is not None:
             below = decoder.without_temporal() if first else self.below
             return replace(self, decoder=decoder, below=below)._scored_layered(birth, first)
         scores_db = self.scores_db

@@ -296,6 +296,11 @@ class Manifest:
         path = self.object_url.replace("{segment}", str(segment))
         return path.replace("{layer}", str(part))
 
+    @property
+    def temporal_layer(self) -> int | None:
+        """The last layer, if it is the temporal one."""
+        return self.num_layers - 1 if self.temporal_period > 1 else None
+
     def segment_of(self, birth: int) -> int:
         """The segment that holds the slice born at `birth`."""
         return max(birth, 0) // self.segment_frames

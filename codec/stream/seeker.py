@@ -122,7 +122,7 @@ class Seeker:
         """Whether a decoder of `layers` shows what one of `num_layers` would, and perhaps more:
         without the temporal layer the frames of passing slices are others."""
         manifest = self._manifest
-        temporal = manifest.slot_layout.temporal_layer is not None
+        temporal = manifest.temporal_layer is not None
         most = manifest.num_layers
         return layers >= num_layers and (not temporal or (layers == most) == (num_layers == most))
 

@@ -118,6 +118,7 @@ class PlayedMedia:
         self.fps = manifest.fps
         self.segment_frames = manifest.segment_frames
         self.num_layers = manifest.num_layers
+        self.temporal_layer = manifest.temporal_layer
         self.num_frames = 0
         self.live = manifest.live
         nothing = (0.0,) * self.num_layers

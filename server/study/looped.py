@@ -27,6 +27,7 @@ class LoopedMedia:
     num_frames: int
     fps: float
     segment_frames: int
+    temporal_layer: int | None = None
     knows_psnr: bool = True
     """Whether the index holds the PSNR; else it is guessed from the sizes."""
 
@@ -82,5 +83,6 @@ def open_media(stream: Path, length_s: float) -> LoopedMedia:
         num_frames=num_frames,
         fps=manifest.fps,
         segment_frames=segment_frames,
+        temporal_layer=manifest.temporal_layer,
         knows_psnr=not any(math.isnan(db) for record in records for db in record.psnr_db),
     )

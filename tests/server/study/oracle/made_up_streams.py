@@ -26,6 +26,7 @@ class Stream:
     num_layers: int
     segments: tuple[SegmentSizes, ...]
     live: bool = False
+    temporal_layer: int | None = None
 
     def sizes(self, birth: int) -> SegmentSizes:
         return self.segments[min(birth // self.segment_frames, len(self.segments) - 1)]
@@ -48,6 +49,7 @@ def make_stream(
     segment_frames = segment_frames or int(rng.choice([3, 7, 10, 15]))
     num_frames = max(2, int(seconds * fps))
     segments = []
+    temporal = num_layers - 1 if num_layers > 1 and rng.random() < 0.3 else None
     for _ in range(-(-num_frames // segment_frames)):
         layer_bytes = rng.uniform(2e3, 2e4, num_layers)
         if rng.random() < 0.1:
@@ -55,6 +57,8 @@ def make_stream(
         gains_db = [20 + 8 * rng.random(), *rng.uniform(0, 3, num_layers - 1).tolist()]
         snapshots = layer_bytes * rng.uniform(0.5, 12, num_layers)
         changed = rng.choice([0.0, 0.1, 0.3, 1.0], num_layers, p=[0.1, 0.4, 0.4, 0.1])
+        if temporal is not None:
+            changed[temporal], snapshots[temporal] = 1.0, 20.0
         segments.append(
             SegmentSizes(
                 tuple(layer_bytes.tolist()),
@@ -63,7 +67,9 @@ def make_stream(
                 tuple(changed.tolist()),
             )
         )
-    return Stream(fps, segment_frames, num_frames, num_layers, tuple(segments))
+    return Stream(
+        fps, segment_frames, num_frames, num_layers, tuple(segments), temporal_layer=temporal
+    )
 
 
 def make_link(rng: np.random.Generator, need_bps: float, even: bool = False) -> Link:
