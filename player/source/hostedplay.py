@@ -228,7 +228,7 @@ class HostedPlay:
         num_bytes = 0
         for part in wanted.parts:
             pieces = self._object(wanted.segment, part)
-            if not wanted.births or pieces.has(wanted.births[-1]):
+            if all(map(pieces.has, wanted.births)):
                 continue
             run = pieces.ask(wanted.births, whole=not self.knows_ranges)
             if run is not None:
