@@ -83,15 +83,15 @@ def encode_passing(
 def passing_elsewhere(layout: SlotLayout, data: bytes, birth: int) -> EncodedChunk:
     """The chunk in `data`, which can be decoded, to be compressed once more as that of `birth`."""
     assert layout.temporal_layer is not None
+
+    def moved(kind: Kind, part: memoryview) -> EncodedChunk:
+        if not part:
+            return EncodedChunk(birth, b"", (0, 0))
+        return encoded_elsewhere(layout, kind, with_birth(part, birth))
+
     mask, *changes = _split(layout.temporal_layer, memoryview(data))[1]
-    first = encoded_elsewhere(layout, Kind.MASK, with_birth(mask, birth))
-    others = (
-        encoded_elsewhere(layout, Kind.CHANGE, with_birth(change, birth))
-        if change
-        else EncodedChunk(birth, b"", (0, 0))
-        for change in changes
-    )
-    return encode_passing(layout, first, tuple(others))
+    moved_changes = tuple(moved(Kind.CHANGE, change) for change in changes)
+    return encode_passing(layout, moved(Kind.MASK, mask), moved_changes)
 
 
 def passing_statuses(layout: SlotLayout, birth: int, data: bytes, history: Bytes) -> Bytes:
