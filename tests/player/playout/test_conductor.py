@@ -93,9 +93,12 @@ class Played:
 
 @contextmanager
 def conducted(
-    path: Path, *, real: bool = False, plays: float = 1, first: int = 0
+    path: Path, *, real: bool = False, plays: float = 1, first: int = 0, paused: bool = False
 ) -> Iterator[tuple[Played, CpuRenderer]]:
-    played = Played(path, Clock(real), plays, first)
+    clock = Clock(real)
+    if paused:
+        clock.stop()
+    played = Played(path, clock, plays, first)
     with played.conductor as conductor:
         renderer = CpuRenderer(conductor.source.manifest)
         conductor.attach(renderer)
@@ -117,8 +120,7 @@ def stream(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 
 def picture(path: Path, frame: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     """The frame as it shows when one begins with it."""
-    with conducted(path, first=frame, real=True) as (played, renderer):
-        played.conductor.toggle_pause()
+    with conducted(path, first=frame, real=True, paused=True) as (played, renderer):
         played.shows(frame)
         manifest = played.conductor.source.manifest
         return renderer.render_again(frame, manifest.camera())
@@ -135,10 +137,9 @@ def test_it_plays_to_the_end_and_stands_there(stream: Path) -> None:
 def test_a_seek_shows_the_exact_frame_whatever_showed_before(stream: Path) -> None:
     frames = [33, 7, 8, 0, 39, 21]
     expected = {frame: picture(stream, frame) for frame in frames}
-    with conducted(stream, real=True) as (played, renderer):
+    with conducted(stream, real=True, paused=True) as (played, renderer):
         conductor = played.conductor
         camera = conductor.source.manifest.camera()
-        conductor.toggle_pause()
         for frame in frames:
             conductor.seek(frame)
             played.shows(frame)
@@ -149,9 +150,8 @@ def test_a_seek_shows_the_exact_frame_whatever_showed_before(stream: Path) -> No
 
 
 def test_steps_show_each_frame_once_both_ways_and_time_stands(stream: Path) -> None:
-    with conducted(stream, real=True, first=10) as (played, _):
+    with conducted(stream, real=True, paused=True, first=10) as (played, _):
         conductor = played.conductor
-        conductor.toggle_pause()
         played.shows(10)
         for frame in (11, 12, 13):
             conductor.step(1)
@@ -166,9 +166,8 @@ def test_steps_show_each_frame_once_both_ways_and_time_stands(stream: Path) -> N
 
 
 def test_seeks_that_follow_fast_end_at_the_last_of_them(stream: Path) -> None:
-    with conducted(stream, real=True) as (played, _):
+    with conducted(stream, real=True, paused=True) as (played, _):
         conductor = played.conductor
-        conductor.toggle_pause()
         for frame in (30, 3, 20, 9, 35):
             conductor.seek(frame)
         assert conductor.state().frame == 35
@@ -178,9 +177,8 @@ def test_seeks_that_follow_fast_end_at_the_last_of_them(stream: Path) -> None:
 
 
 def test_skips_add_up_while_the_first_of_them_is_on_its_way(stream: Path) -> None:
-    with conducted(stream, real=True) as (played, _):
+    with conducted(stream, real=True, paused=True) as (played, _):
         conductor = played.conductor
-        conductor.toggle_pause()
         played.shows(0)
         played.open_s = 0.1
         for n in range(1, 4):
@@ -382,6 +380,8 @@ def test_sound_is_drawn_as_late_as_the_pictures_between_frames(tmp_path: Path) -
                 conductor.seek(32)
             elif before is None and after is None and newest.frame in (30, 32) and share < 1:
                 stood.add(newest.frame)
+            elif before is not None and after is not None and after < before:
+                pass  # a play of the loop has ended in between
             elif before is not None and after is not None and 0 < share < 1:
                 behind = 40 if newest.frame == 30 else newest.frame
                 assert before[0] - 1e-3 <= behind - 1 + share <= after[0] + 1e-3
