@@ -88,12 +88,15 @@ export class SceneView extends EventTarget {
    * @param {PlayerWorkers} workers
    */
   show(manifest, workers) {
+    const { painter, size } = this;
     this.motion ??= new CameraMotion(manifest, prefersStill); // a player that was parked keeps its camera
     this.manifest = manifest;
     this.workers = workers;
     this.sorted = null;
     this.isEmpty = true;
-    this.painter.prepare({
+    // Later the page would have to wait until the device has done all that it was given by then.
+    painter.context.fit(size.widthPx, size.heightPx);
+    painter.prepare({
       numSlots: manifest.numGs,
       shDegree: manifest.shDegree,
       nearM: Math.min(manifest.nearM, ...manifest.cameraNearM), // the order leaves out what is nearer

@@ -31,7 +31,7 @@ export class SharedContext extends EventTarget {
     const gl = this.canvas.getContext("webgl2", { antialias: false, alpha: false });
     if (gl === null) {
       throw new RendererError(
-        "This browser does not support WebGL2; use a current browser or another device",
+        "This browser has no WebGL2; use a current one or another device",
       );
     }
     this.gl = gl;
