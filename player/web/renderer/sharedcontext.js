@@ -30,9 +30,7 @@ export class SharedContext extends EventTarget {
     this.canvas = document.createElement("canvas");
     const gl = this.canvas.getContext("webgl2", { antialias: false, alpha: false });
     if (gl === null) {
-      throw new RendererError(
-        "This browser has no WebGL2; use a current one or another device",
-      );
+      throw new RendererError("This browser has no WebGL2; use a current one or another device");
     }
     this.gl = gl;
     /** Whether it was lost for good: users acquire another one. */
