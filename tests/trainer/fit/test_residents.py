@@ -68,15 +68,19 @@ def quality_db(name: BackendName, config: FitConfig) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("config", [SHORT, LEASED], ids=["whole slices", "leases"])
-def test_a_short_training_is_as_good(config: FitConfig) -> None:
+@pytest.mark.parametrize(
+    ("config", "least_db"),
+    # With leases long enough to settle: before, rounding decides by 0.4 dB where Gaussians go.
+    [(SHORT, 18), (replace(LEASED, genesis_iterations=400, window_iterations=150), 27)],
+    ids=["whole slices", "leases"],
+)
+def test_a_short_training_is_as_good(config: FitConfig, least_db: float) -> None:
     by_seed = {
         name: [quality_db(name, replace(config, seed=seed)) for seed in range(3)]
         for name in ("cpu", "torch")
     }
-    assert min(by_seed["cpu"]) > 18
-    # No worse: rounding decides where Gaussians go, and three seeds of either may be luckier.
-    assert np.mean(by_seed["torch"]) > np.mean(by_seed["cpu"]) - 0.1
+    assert min(map(min, by_seed.values())) > least_db
+    assert np.mean(by_seed["torch"]) == pytest.approx(np.mean(by_seed["cpu"]), abs=0.1)
 
 
 @pytest.mark.parametrize("config", [SHORT, LEASED], ids=["whole slices", "leases"])
