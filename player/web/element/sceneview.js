@@ -40,7 +40,7 @@ export class SceneView extends EventTarget {
   #isLoading = false;
 
   /**
-   * @param {HTMLCanvasElement} canvas Throws a RendererError without WebGL2.
+   * @param {HTMLCanvasElement} canvas
    * @param {import("./streamsession.js").StreamSession} session when its frames are due
    */
   constructor(canvas, session) {
@@ -83,7 +83,8 @@ export class SceneView extends EventTarget {
   }
 
   /**
-   * Draws another stream, or the same one again. Throws a RendererError if the device cannot hold it.
+   * Draws another stream, or the same one again. Throws a RendererError without WebGL2, or if the device
+   * cannot hold it.
    * @param {any} manifest
    * @param {PlayerWorkers} workers
    */

@@ -1,5 +1,4 @@
 import { PLAYER_VERSION } from "../constants.js";
-import { RendererError } from "../renderer/program.js";
 import { pictureUrl } from "../source/pictures.js";
 import { Bar } from "./bar.js";
 import { BarVisibility } from "./barvisibility.js";
@@ -84,13 +83,7 @@ export class SwingsPlayerElement extends MediaInterface {
   }
 
   connectedCallback() {
-    try {
-      this.player = new WebPlayer(this.#canvas);
-    } catch (error) {
-      if (!(error instanceof RendererError)) throw error;
-      this.fail(error.message);
-      return;
-    }
+    this.player = new WebPlayer(this.#canvas);
     const listening = new AbortController();
     this.#listen(this.player, listening.signal);
     this.#stopListening = () => listening.abort();

@@ -29,7 +29,7 @@ export class WebPlayer extends StreamSession {
   /** Whether a live stream was at its edge when the player went out of view. */
   #wasAtEdge = false;
 
-  /** @param {HTMLCanvasElement} canvas Throws a RendererError without WebGL2. */
+  /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     super();
     this.canvas = canvas;

@@ -9,7 +9,7 @@ import { SplatRenderer } from "./splatrenderer.js";
  * Events: `lost`, `restored` (an empty renderer waits for all Gaussians), `gone`; see SharedContext.
  */
 export class Painter extends EventTarget {
-  /** @param {HTMLCanvasElement} canvas Throws a RendererError without WebGL2. */
+  /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     super();
     this.canvas = canvas;
@@ -34,8 +34,8 @@ export class Painter extends EventTarget {
   }
 
   /**
-   * Makes an empty renderer, at once or as soon as the context is back. Throws a RendererError if the
-   * device cannot hold the stream.
+   * Makes an empty renderer, at once or as soon as the context is back. Throws a RendererError without
+   * WebGL2, or if the device cannot hold the stream.
    * @param {import("./splatrenderer.js").Shape} shape
    */
   prepare(shape) {

@@ -14,7 +14,7 @@ let shared = null;
  * Events: `lost`, `restored` (everything on the device must be made anew), `gone` (it did not come back).
  */
 export class SharedContext extends EventTarget {
-  /** Counts the caller as a user. Throws a RendererError if the browser has no WebGL2. */
+  /** Counts the caller as a user. */
   static acquire() {
     shared ??= new SharedContext();
     shared.#numUsers += 1;
@@ -24,15 +24,12 @@ export class SharedContext extends EventTarget {
   #numUsers = 0;
   #restoreTimer = 0;
   #listening = new AbortController();
+  /** @type {WebGL2RenderingContext | null} */
+  #gl = null;
 
   constructor() {
     super();
     this.canvas = document.createElement("canvas");
-    const gl = this.canvas.getContext("webgl2", { antialias: false, alpha: false });
-    if (gl === null) {
-      throw new RendererError("This browser has no WebGL2; use a current one or another device");
-    }
-    this.gl = gl;
     /** Whether it was lost for good: users acquire another one. */
     this.isGone = false;
     const { signal } = this.#listening;
@@ -40,8 +37,20 @@ export class SharedContext extends EventTarget {
     this.canvas.addEventListener("webglcontextrestored", () => this.#restore(), { signal });
   }
 
+  /**
+   * Made when it is first used: the page waits for the device then, and workers have begun meanwhile.
+   * Throws a RendererError if the browser has no WebGL2.
+   */
+  get gl() {
+    const gl = (this.#gl ??= this.canvas.getContext("webgl2", { antialias: false, alpha: false }));
+    if (gl === null) {
+      throw new RendererError("This browser has no WebGL2; use a current one or another device");
+    }
+    return gl;
+  }
+
   get isLost() {
-    return this.gl.isContextLost();
+    return this.#gl?.isContextLost() ?? false;
   }
 
   /**
@@ -64,7 +73,7 @@ export class SharedContext extends EventTarget {
     this.#numUsers -= 1;
     if (this.#numUsers > 0) return;
     this.#leave();
-    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
+    this.#gl?.getExtension("WEBGL_lose_context")?.loseContext();
   }
 
   /** @param {Event} event */

@@ -20,7 +20,12 @@ from tests.support.web.publisher import Publisher
 ELEMENT = "document.querySelector('swings-player')"
 PLAYER = f"{ELEMENT}.player"
 NUM_FRAMES = 120
-NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
+NO_WEBGL = """
+const { getContext } = HTMLCanvasElement.prototype;
+HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+  return kind === "webgl2" ? null : getContext.call(this, kind, ...rest);
+};
+"""
 
 
 @dataclass(frozen=True, slots=True)
