@@ -99,7 +99,6 @@ MADE = {
     "--gain 1 1 0.95": "my-graded/index.bin",
     "swings-stream edit floaters my-stream my-clean": "my-clean/index.bin",
     "swings-stream edit trim my-stream my-part --frames 10:30": "my-part/index.bin",
-    "swings-stream edit temporal my-stream my-halved": "my-halved/index.bin",
     "swings-stream edit join my-intro my-film --then my-stream": "my-film/index.bin",
     "swings-play my-stream": "played.mp4",
     "swings-play my-stream --capture out.mp4": "out.mp4",
@@ -126,6 +125,7 @@ ELSEWHERE = {
         "codec/tools/test_streamcaptions.py"
     ),
     "swings-stream captions remove my-stream --language en": "codec/tools/test_streamcaptions.py",
+    "swings-stream edit temporal my-stream my-halved": "codec/edit/test_temporal.py",
     "swings-serve s3://BUCKET/STREAMS": "server/library/test_storelibrary.py",
     "swings-stream verify s3://BUCKET/STREAMS/NAME": "codec/storage/test_objectstore.py",
     "swings-stream unpack my-stream.swings my-folder": "codec/tools/test_packing.py",
@@ -293,7 +293,7 @@ def all_options() -> frozenset[str]:
     """Those that any help tells."""
     told = ""
     subcommands = [["swings-stream", name] for name in ("info", "verify", "import", "export")]
-    kinds = ("crop", "transform", "colour", "floaters", "trim", "join")
+    kinds = ("crop", "transform", "colour", "floaters", "trim", "join", "temporal")
     subcommands += [["swings-stream", "edit", kind] for kind in kinds]
     subcommands += [["swings-stream", "audio", kind] for kind in ("add", "remove", "extract")]
     subcommands += [["swings-stream", "captions", kind] for kind in ("add", "remove")]

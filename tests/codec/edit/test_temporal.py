@@ -15,6 +15,7 @@ from codec.splats import Splats
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
 from codec.tools.cutting import set_temporal_layer
+from tests.support.commands import run_ok
 from tests.support.slots.edited import (
     NUM_FRAMES,
     frames_of,
@@ -64,6 +65,13 @@ def test_an_edit_keeps_what_it_does_not_touch(tmp_path: Path) -> None:
     assert StreamReader(tmp_path / "grey").manifest.temporal_period == 2
     for before, after in zip(frames_of(tmp_path / "s"), frames_of(tmp_path / "grey"), strict=True):
         np.testing.assert_array_equal(np.sort(after.means, axis=0), np.sort(before.means, axis=0))
+
+
+def test_the_command_says_what_it_made(tmp_path: Path) -> None:
+    write_trained_like(tmp_path / "my-stream", 1, 200)
+    said = run_ok("swings-stream", "edit", "temporal", "my-stream", "my-halved", folder=tmp_path)
+    assert f"my-halved: {NUM_FRAMES} frames in 3 segments" in said
+    assert StreamReader(tmp_path / "my-halved").manifest.temporal_period == 2
 
 
 def test_pictures_are_drawn_and_old_scores_do_not_stay(tmp_path: Path) -> None:
