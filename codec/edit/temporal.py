@@ -11,8 +11,6 @@ from .edit import Edit
 class TemporalLayer(Edit):
     """All frames but every `period`-th are in a temporal layer; 1: there is none."""
 
-    keeps_pictures = False  # fewer layers show other frames
-
     def __init__(self, period: int) -> None:
         self._period = period
 

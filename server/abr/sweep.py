@@ -186,7 +186,7 @@ class Sweep:
         config, media, fps = self._config, context.media, context.media.fps
         birth = holding.end_birth(layer)
         if layer == media.temporal_layer and birth is not None:
-            # What cannot come in time is left out.
+            # Slices that cannot come in time are left out.
             frame = min(context.next_frame, media.num_frames - 1)
             size = media.sizes(frame).layer_bytes[layer]
             late_s = free_s + 8 * size / rate_bps - context.due_s(frame)

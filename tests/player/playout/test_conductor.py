@@ -283,7 +283,7 @@ def test_it_can_be_closed_before_anything_shows(stream: Path) -> None:
 
 
 def blocks_with_full_queues() -> int:
-    """What the interpreter has allocated when nobody has polled for a while."""
+    """The blocks that the interpreter has allocated when nobody has polled for a while."""
     before = 0
     while True:
         gc.collect()

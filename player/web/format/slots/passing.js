@@ -12,7 +12,7 @@ import { PASSING, expectChunk, readSlotHead } from "./slotchunk.js";
 import { changedRows, signed } from "./slots.js";
 
 /** @typedef {import("./slots.js").Slots} Slots */
-// What the class below inherits, for the types of the npm package.
+// Types that the class below inherits: the npm package names them.
 /** @typedef {import("./slotdecoder.js").SlotSlice} SlotSlice */
 /** @typedef {import("./slotdecoder.js").Log} Log */
 /** @typedef {import("./slotdecoder.js").Said} Said */
