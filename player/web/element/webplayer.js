@@ -193,6 +193,7 @@ export class WebPlayer extends StreamSession {
       view.show(manifest, workers);
     } catch (error) {
       if (!(error instanceof RendererError)) throw error;
+      this.stopWorkers();
       this.fail(error.message);
       return;
     }
