@@ -13,6 +13,8 @@ from tests.support.forked.commands import command_server
 
 ROOT = Path(__file__).parents[2]
 """The root of the repository."""
+PATIENCE_S = 600.0
+"""After which a command hangs, on the slowest machine and beside other tests."""
 ENTRY = {
     "swings-synth": "trainer.__main__:synth",
     "swings-train": "trainer.__main__:train",
@@ -38,7 +40,7 @@ def environment() -> dict[str, str]:
 
 
 def run(
-    name: str, *arguments: object, timeout_s: float = 240, folder: Path | None = None
+    name: str, *arguments: object, timeout_s: float = PATIENCE_S, folder: Path | None = None
 ) -> subprocess.CompletedProcess[str]:
     """The command as a process of its own, forked from one that has imported all commands. It runs
     in `folder`, or where the test does."""
@@ -53,7 +55,7 @@ def run(
 
 
 def run_ok(
-    name: str, *arguments: object, timeout_s: float = 240, folder: Path | None = None
+    name: str, *arguments: object, timeout_s: float = PATIENCE_S, folder: Path | None = None
 ) -> str:
     """Its standard output; fails the test unless it exits with 0."""
     done = run(name, *arguments, timeout_s=timeout_s, folder=folder)

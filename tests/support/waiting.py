@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 
-def wait_until(holds: Callable[..., object], timeout_s: float = 20.0) -> None:
+def wait_until(holds: Callable[..., object], timeout_s: float = 60.0) -> None:
     """Fails the test unless `holds()` becomes true in time."""
     end_s = time.monotonic() + timeout_s
     while not holds():

@@ -35,14 +35,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_commands_run(folder: Path) -> None:
-    assert len(COMMANDS) == 10
+    assert len(COMMANDS) == 11
     assert {line.split()[0] for line in COMMANDS} <= set(ENTRY)
 
 
 def test_they_do_what_the_page_says(folder: Path) -> None:
     sizes, streams = {}, {}
-    names = "my-stream", "finer-stream", "back-stream", "exact-stream", "two-layers", "halved"
-    for name in names:
+    plain = "my-stream", "finer-stream", "back-stream", "exact-stream", "two-layers"
+    for name in (*plain, "halved", "quartered"):
         streams[name] = StreamReader(folder / name)
         sizes[name] = sum(sum(record.part_bytes) for record in streams[name].records)
         assert streams[name].num_frames == 4
@@ -55,6 +55,8 @@ def test_they_do_what_the_page_says(folder: Path) -> None:
         assert gaussians(one) == gaussians(other)
     assert streams["two-layers"].manifest.num_layers == 2
     assert streams["halved"].manifest.num_layers == 5
+    assert streams["halved"].manifest.temporal_period == 2
+    assert streams["quartered"].manifest.temporal_period == 4
 
 
 def test_the_page_has_the_defaults() -> None:

@@ -22,7 +22,7 @@ import pytest
 from bench.parts import WORKER, cluster_of, processes
 from codec.errors import InvalidError
 from codec.tools.audit import verify_stream
-from tests.support.commands import environment, run, run_ok, started
+from tests.support.commands import PATIENCE_S, environment, run, run_ok, started
 from tests.support.parts import FRAMES, SETTINGS, capture_of, contents, run_of, train_in_process
 from tests.support.waiting import wait_until
 from trainer.parts.raytask import do_task, task_result
@@ -33,12 +33,10 @@ from trainer.run.outputs import SNAPSHOT_FOLDER
 from trainer.run.runlog import LOG_NAME
 
 pytest.importorskip("ray", reason="ray is not installed")
-pytestmark = pytest.mark.timeout(600)
+pytestmark = pytest.mark.timeout(1800)
 
 CONFIG = TrainConfig("capture", "stream")
 KILLS = 5
-PATIENCE_S = 540
-"""For a run beside other tests, which takes 70 s alone."""
 TALLY = b"ray::Tally"
 """In the command line of the process that counts what has been done."""
 
