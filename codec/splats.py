@@ -5,7 +5,7 @@ Rule: a `Splats` that exists is valid; nothing downstream checks it again.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import isqrt
 
@@ -104,17 +104,28 @@ class Splats:
 
     def take(self, rows: npt.NDArray[np.integer] | slice) -> Splats:
         """The Gaussians at `rows`, in that order."""
-        return Splats(*(array[rows] for array in self.arrays))
+        if isinstance(rows, slice):
+            return Splats._checked(array[rows] for array in self.arrays)
+        # Several times as fast as indexing with an array.
+        return Splats._checked(array.take(rows, axis=0) for array in self.arrays)
+
+    @staticmethod
+    def _checked(arrays: Iterable[Floats]) -> Splats:
+        """The Gaussians of arrays that come from other Splats, whose values need no second look."""
+        made = object.__new__(Splats)
+        for name, array in zip(ARRAY_NAMES, arrays, strict=True):
+            object.__setattr__(made, name, array)
+        return made
 
     def with_degree(self, sh_degree: int) -> Splats:
         """These Gaussians without the harmonics above `sh_degree`, and zeros for those that they
         lack."""
-        count = sh_count(sh_degree)
-        lacking = max(count - self.sh.shape[1], 0)
+        count, common = sh_count(sh_degree), min(sh_count(sh_degree), self.sh.shape[1])
         if self.sh.shape[1] == count:
             return self
-        sh = np.pad(self.sh[:, :count], ((0, 0), (0, lacking), (0, 0)))
-        return Splats(*self.arrays[:4], sh)
+        sh = np.zeros((len(self), count, 3), np.float32)
+        sh[:, :common] = self.sh[:, :common]
+        return Splats._checked((*self.arrays[:4], sh))
 
     @staticmethod
     def empty(sh_degree: int = 0) -> Splats:
@@ -124,4 +135,4 @@ class Splats:
     def concatenate(parts: Sequence[Splats]) -> Splats:
         """All of `parts`, which share one SH degree; at least one part."""
         columns = zip(*(part.arrays for part in parts), strict=True)
-        return Splats(*(np.concatenate(column) for column in columns))
+        return Splats._checked(np.concatenate(column) for column in columns)

@@ -7,7 +7,6 @@ pays; a decoder need not know.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -38,11 +37,8 @@ def divisions(
     which blocks should end to cost least, by their entropy and their tables. Effort.MOST gives
     several such divisions to try."""
     edges = sorted(set(edges))
-    planes = [
-        np.bincount(np.frombuffer(content[a:b], np.uint8), minlength=256)
-        for a, b in pairwise(edges)
-    ]
-    totals = np.concatenate([np.zeros((1, 256), np.int64), np.cumsum(planes, axis=0)])
+    totals = np.zeros((len(edges), 256), np.int64)
+    _count(np.frombuffer(content, np.uint8), np.array(edges), totals)
     tables = TABLES if effort is Effort.MOST else (TABLE,)
     return list(dict.fromkeys(_cheapest_division(totals, edges, table) for table in tables))
 
@@ -54,6 +50,15 @@ def _cheapest_division(totals: Ints, edges: Sequence[int], table: Table) -> tupl
     while chosen[-1]:
         chosen.append(int(origin[chosen[-1]]))
     return tuple(edges[i] for i in reversed(chosen))
+
+
+@kernel(nogil=True)
+def _count(content, edges, totals):  # type: ignore[no-untyped-def]
+    """Fills totals, zeros: how often each byte occurs before an edge."""
+    for end in range(1, edges.shape[0]):
+        totals[end] = totals[end - 1]
+        for at in range(edges[end - 1], edges[end]):
+            totals[end, content[at]] += 1
 
 
 @kernel(nogil=True)

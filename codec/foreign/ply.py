@@ -13,13 +13,12 @@ is the world of a swings stream. A reader goes by name: any order and any other 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from codec.errors import CorruptError, UnsupportedError
-from codec.splats import MAX_SH_DEGREE, Floats, Splats, sh_count
+from codec.splats import MAX_SH_DEGREE, Splats, sh_count
 
 from .limits import MAX_GAUSSIANS, Decoded, check_count
 from .plyheader import PlyElement, read_ply_elements
@@ -90,22 +89,24 @@ def decode_ply(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
 
     Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
     """
+    from numpy.lib.recfunctions import structured_to_unstructured  # loads masked arrays
+
     layout = ply_layout(data, len(data), max_gaussians)
     rows = layout.vertex.rows(data)
     made = Decoded.empty(layout.vertex.count, layout.sh_degree)
-    places: dict[str, Iterable[Floats]] = {
-        "means": made.means.T,
-        "dc": made.sh[:, 0].T,
-        # Channel-major in the file.
-        "rest": [made.sh[:, 1 + k, c] for c in range(3) for k in range(made.sh.shape[1] - 1)],
-        "opacity": [made.logit_opacities],
-        "scale": made.log_scales.T,
-        "rot": made.quats.T,
+    places = {
+        "means": made.means,
+        "dc": made.sh[:, 0],
+        "rest": made.sh[:, 1:].swapaxes(1, 2),  # channel-major in the file
+        "opacity": made.logit_opacities,
+        "scale": made.log_scales,
+        "rot": made.quats,
     }
     with np.errstate(all="ignore"):  # a double beyond float32 becomes inf, which is refused below
         for key, names in layout.names.items():
-            for name, column in zip(names, places[key], strict=True):
-                column[:] = rows[name]
+            if names:
+                place = places[key]
+                place[:] = structured_to_unstructured(rows[names]).reshape(place.shape)
     logits = made.logit_opacities
     endless = np.isinf(logits)
     logits[endless] = np.copysign(np.float32(SURE_LOGIT), logits[endless])

@@ -231,8 +231,7 @@ def lattice_values(splats: Splats, lattice: Lattice, before: States | None = Non
         darkest = -0.5 / SH_C0 if splats.sh_degree == 0 else -np.inf
         _luma_steps(splats.sh, darkest, lattice.colour, attributes[:, COLOURS:-1])
         attributes[:, -1] = splats.opacities.astype(np.float64) * (lattice.opacity_levels - 1)
-    clipped: Doubles = np.clip(values, -TAME, TAME)
-    return clipped
+    return np.clip(values, -TAME, TAME, out=values)
 
 
 def quantise(
@@ -253,21 +252,48 @@ def round_values(
     values: Doubles, lattice: Lattice, before: States | None = None, hold: float = 0.5
 ) -> tuple[States, Flags]:
     """`lattice_values` as integers, and which rows fit; see `quantise`."""
-    rounded = np.rint(values)
-    if before is not None and hold > 0.5:
-        held = before.numbers()
-        rounded = np.where(np.abs(values - held) <= hold, held, rounded)
-    # An axis thinner than the lattice holds is flat all the same.
-    sizes = rounded[:, 3 + SCALES : 3 + TURNS]
-    np.maximum(sizes, -128, out=sizes)
-    low = np.full(values.shape[1], -128.0)
-    high = np.full(values.shape[1], 127.0)
-    low[:3], high[:3] = 1 - POSITION_LIMIT, POSITION_LIMIT - 1
-    low[-1], high[-1] = 0, lattice.opacity_levels - 1
-    fits: Flags = np.all((rounded >= low) & (rounded <= high), axis=1)
-    inside = np.clip(rounded, low, high)
-    positions = inside[:, :3].astype(np.int32)
-    return States(positions, inside[:, 3:].astype(np.int16).astype(np.uint8)), fits
+    count, width = values.shape
+    states = States(np.empty((count, 3), np.int32), np.empty((count, width - 3), np.uint8))
+    fits = np.empty(count, np.bool_)
+    if before is None or hold <= 0.5:
+        before, hold = States.zeros(count, states.sh_degree), -1.0
+    _round(
+        values, lattice.opacity_levels, hold, before.positions, before.attributes,
+        states.positions, states.attributes, fits,
+    )  # fmt: skip
+    return states, fits
+
+
+@kernel(nogil=True)
+def _nearest(value, held, hold):  # type: ignore[no-untyped-def]
+    return held if abs(value - held) <= hold else np.rint(value)
+
+
+@kernel(nogil=True)
+def _round(  # type: ignore[no-untyped-def]
+    values, levels, hold, old_positions, old_attributes, positions, attributes, fits
+):
+    """Fills the last three. A hold below 0 holds nothing."""
+    last = attributes.shape[1] - 1
+    most = np.float64(POSITION_LIMIT - 1)
+    for i in range(values.shape[0]):
+        misses = 0
+        for axis in range(3):
+            number = _nearest(values[i, axis], np.float64(old_positions[i, axis]), hold)
+            inside = min(max(number, -most), most)
+            misses += number != inside
+            positions[i, axis] = np.int32(inside)
+        for a in range(last):
+            held = np.float64(np.int8(old_attributes[i, a]))
+            number = _nearest(values[i, 3 + a], held, hold)
+            inside = min(max(number, -128.0), 127.0)
+            # An axis thinner than the lattice holds is flat all the same.
+            misses += (number != inside) & ((a >= TURNS) | (number > 0))
+            attributes[i, a] = np.uint8(np.int32(inside))
+        number = _nearest(values[i, 3 + last], np.float64(old_attributes[i, last]), hold)
+        inside = min(max(number, 0.0), levels - 1.0)
+        attributes[i, last] = np.uint8(np.int32(inside))
+        fits[i] = misses == 0 and number == inside
 
 
 def dequantise(states: States, lattice: Lattice) -> Splats:

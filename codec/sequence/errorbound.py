@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from itertools import pairwise
 
 import numpy as np
 
 from codec.errors import InvalidError
-from codec.lattice.lattice import COLOURS, LARGEST, SCALES, TURNS, Lattice
+from codec.kernel import kernel
+from codec.lattice.lattice import COLOURS, LARGEST, TURNS, Lattice, States
 from codec.lattice.quantise import MAX_OPACITY_LEVELS
 from codec.pose import Doubles
 from codec.splats import MAX_SH_DEGREE, sh_count
@@ -131,18 +131,31 @@ def spread_of(size_m: float, lowest: float, highest: float) -> float:
     return highest - max(lowest, float(np.log(max(size_m, TINY_M))) - FLAT)
 
 
-EDGES = (0, 3 + SCALES, 3 + TURNS, 3 + COLOURS)
-"""Where the position and the attributes of each kind begin; the opacity is the last attribute."""
-
-
 def steps_of(lattice: Lattice) -> Doubles:
     """(5,) the steps of KINDS, in the units of ErrorBound, but those of positions in metres."""
     steps = lattice.position_m, lattice.log_scale, lattice.rotation, lattice.colour
     return np.array([*steps, 1 / (lattice.opacity_levels - 1)])
 
 
-def by_kind(values: Doubles) -> Doubles:
-    """(N, 5) the largest of each of KINDS in (N, 3 + A) values of a position and attributes."""
-    parts = [values[:, a:b] for a, b in pairwise((*EDGES, values.shape[1]))]
-    parts[3], last = parts[3][:, :-1], parts[3][:, -1]
-    return np.stack([*(part.max(axis=1) for part in parts), last], axis=1)
+def errors_of(values: Doubles, states: States) -> Doubles:
+    """(N, 5) how far each of KINDS in `states` is from (N, 3 + A) values of positions and
+    attributes, in steps. What is thinner than a lattice holds is flat, and right."""
+    errors = np.zeros((len(states), len(KINDS)))
+    _errors(values, states.positions, states.attributes, errors)
+    return errors
+
+
+@kernel(nogil=True)
+def _errors(values, positions, attributes, errors):  # type: ignore[no-untyped-def]
+    """Fills the last, which begins as zeros."""
+    last = attributes.shape[1] - 1
+    for i in range(values.shape[0]):
+        for axis in range(3):
+            errors[i, 0] = max(errors[i, 0], abs(values[i, axis] - positions[i, axis]))
+        for a in range(last):
+            value = values[i, 3 + a]
+            kind = 1 + (a >= TURNS) + (a >= COLOURS)
+            if kind == 1:
+                value = max(value, -128.0)
+            errors[i, kind] = max(errors[i, kind], abs(value - np.int8(attributes[i, a])))
+        errors[i, 4] = abs(values[i, 3 + last] - attributes[i, last])

@@ -144,15 +144,24 @@ def _pair_by_colours(
 ) -> None:
     """Fills `continued` where the colours have the same bits, which no other Gaussian of either
     file has: what a deformation network moves keeps them."""
-    old, new = _keys([before.sh[left]]), _keys([after.sh[right]])
-    old_keys, old_first, old_counts = np.unique(old, return_index=True, return_counts=True)
-    new_keys, new_first, new_counts = np.unique(new, return_index=True, return_counts=True)
-    old_first, old_keys = old_first[old_counts == 1], old_keys[old_counts == 1]
-    new_first, new_keys = new_first[new_counts == 1], new_keys[new_counts == 1]
-    _, i, j = np.intersect1d(old_keys, new_keys, assume_unique=True, return_indices=True)
-    a, b = left[old_first[i]], right[new_first[j]]
+    old, i = _alone(_keys([before.sh[left]]))
+    new, j = _alone(_keys([after.sh[right]]))
+    at = np.searchsorted(old, new)
+    found = np.flatnonzero(at < len(old))
+    found = found[old[at[found]] == new[found]]
+    a, b = left[i[at[found]]], right[j[found]]
     alike = _are_alike(before, after, a, b, _extent_m(before, left))
     continued[b[alike]] = a[alike]
+
+
+def _alone(keys: Keys) -> tuple[Keys, Rows]:
+    """The keys that are there once, rising, and where."""
+    order = np.argsort(keys)
+    rising = keys[order]
+    ends = np.ones(len(keys) + 1, np.bool_)  # where another key begins
+    ends[1:-1] = rising[1:] != rising[:-1]
+    once = ends[1:] & ends[:-1]
+    return rising[once], order[once]
 
 
 def _extent_m(splats: Splats, rows: Rows) -> float:
@@ -164,9 +173,10 @@ def _extent_m(splats: Splats, rows: Rows) -> float:
 def _are_alike(before: Splats, after: Splats, a: Rows, b: Rows, extent_m: float) -> Flags:
     """(M,) whether Gaussian a[i] of `before` may be b[i] of `after`, by its looks and by how far
     it has moved."""
-    looks = abs(_looks(before.take(a)) - _looks(after.take(b))).max(axis=1, initial=0) <= 1
-    moves_m = np.linalg.norm(before.means[a].astype(np.float64) - after.means[b], axis=1)
-    sizes_m = np.exp(np.clip(before.log_scales[a].astype(np.float64).max(axis=1), -30, 30))
+    before, after = before.with_degree(0).take(a), after.with_degree(0).take(b)
+    looks = abs(_looks(before) - _looks(after)).max(axis=1, initial=0) <= 1
+    moves_m = np.linalg.norm(before.means.astype(np.float64) - after.means, axis=1)
+    sizes_m = np.exp(np.clip(before.log_scales.astype(np.float64).max(axis=1), -30, 30))
     alike: Flags = looks & (moves_m <= ORDER_REACH * extent_m + sizes_m)
     return alike
 
@@ -193,7 +203,8 @@ def _pair_by_order(before: Splats, after: Splats, left: Rows, right: Rows, conti
 def _pair_by_place(before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows) -> None:
     """Fills `continued` with pairs each of which is the other's nearest, in place and looks, once
     what goes one way with its neighbours is carried along."""
-    old, new = _Cloud.of(before.take(left)), _Cloud.of(after.take(right))
+    old = _Cloud.of(before.with_degree(0).take(left))
+    new = _Cloud.of(after.with_degree(0).take(right))
     sampled = np.arange(0, len(left), 1 + len(left) // FLOW_SAMPLES)
     for _ in range(FLOW_ROUNDS):
         a, b = _mutual(old, new, sampled)

@@ -17,8 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.lattice.lattice import (
-    SCALES,
-    TURNS,
     Bytes,
     Flags,
     Lattice,
@@ -33,7 +31,7 @@ from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Floats, Splats
 from codec.stream.layers import RankFunction, split_counts
 
-from .errorbound import HOLD, KINDS, by_kind, steps_of
+from .errorbound import HOLD, KINDS, errors_of, steps_of
 from .findlattice import as_given
 from .matching import Rows, match
 
@@ -186,9 +184,7 @@ class SlotFiller:
         left = None if before is None else before.take(rest)
         values = lattice_values(splats.take(rest), lattice, left)
         rounded, inside = round_values(values, lattice, left, float(self._holds[layer]))
-        sizes = values[:, 3 + SCALES : 3 + TURNS]
-        np.maximum(sizes, -128, out=sizes)  # what is thinner is flat
-        errors = by_kind(abs(values - rounded.numbers()))
+        errors = errors_of(values, rounded)
         inside &= (errors <= self._limits[layer]).all(axis=1)
         worst = errors[inside].max(axis=0, initial=0) * steps_of(lattice)
         self.errors = np.maximum(self.errors, worst)
