@@ -9,7 +9,7 @@ class Effort(Enum):
     """A trade of an encoder's time against bytes."""
 
     QUICK = auto()
-    """For a live stream, whose viewers wait: with zstd 2 to 8 times as fast, for 6 % more bytes."""
+    """For a live stream, whose viewers wait; see QUICK_LEVEL."""
     USUAL = auto()
     MOST = auto()
     """Tries several ways to divide a chunk into blocks, and keeps the smallest packet."""

@@ -61,9 +61,7 @@ class _Part:
         states.put(moves, moved)
         self._escape(moves[~fits], escaped)
         if edit.rounds:
-            same = (moved.positions == before.positions).all(axis=1)
-            same &= (moved.attributes == before.attributes).all(axis=1) & fits
-            self.statuses[moves[same]] = KEPT
+            self.statuses[moves[fits & ~moved.differ(before)]] = KEPT
         inside = fresh[slots.conditions[fresh] == ON_LATTICE]
         self._escape(fresh[slots.conditions[fresh] == ESCAPED], escaped)
         brought, fits = edit.states(turn.layer, slots.states.take(inside), None)

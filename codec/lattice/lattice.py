@@ -169,6 +169,12 @@ class States:
         numbers[:, -1] = self.attributes[:, -1]
         return numbers
 
+    def differ(self, others: States) -> Flags:
+        """(N,) where `others`, as many, are not the same."""
+        found = np.empty(len(self), np.bool_)
+        _differ(self.positions, self.attributes, others.positions, others.attributes, found)
+        return found
+
     def copy(self) -> States:
         return States(self.positions.copy(), self.attributes.copy())
 
@@ -187,6 +193,17 @@ def _put(rows, positions, attributes, to_positions, to_attributes):  # type: ign
             to_positions[rows[i], axis] = positions[i, axis]
         for a in range(attributes.shape[1]):
             to_attributes[rows[i], a] = attributes[i, a]
+
+
+@kernel(nogil=True)
+def _differ(positions, attributes, other_positions, other_attributes, found):  # type: ignore[no-untyped-def]
+    for i in range(found.shape[0]):
+        bits = 0
+        for axis in range(3):
+            bits |= positions[i, axis] ^ other_positions[i, axis]
+        for a in range(attributes.shape[1]):
+            bits |= attributes[i, a] ^ other_attributes[i, a]
+        found[i] = bits != 0
 
 
 @kernel(nogil=True)

@@ -132,11 +132,27 @@ def _same_bits(before: Splats, a: Rows, after: Splats, b: Rows) -> Flags:
     return same
 
 
-def _looks(splats: Splats) -> Doubles:
-    """(N, 6) what Gaussians look like, in units of ALIKE."""
-    sizes = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, :0:-1]
-    colours = np.clip(0.5 + SH_C0 * splats.sh[:, 0].astype(np.float64), 0, 1)
-    return np.column_stack([sizes, splats.opacities, colours]) / ALIKE
+def _looks(splats: Splats, rows: Rows) -> Doubles:
+    """(M, 6) what the Gaussians `rows` look like, in units of ALIKE."""
+    looks = np.empty((len(rows), len(ALIKE)))
+    _fill_looks(splats.log_scales, splats.logit_opacities, splats.sh, rows, looks)
+    return looks / ALIKE
+
+
+@kernel(nogil=True)
+def _fill_looks(log_scales, logit_opacities, sh, rows, looks):  # type: ignore[no-untyped-def]
+    """Fills the last: the larger two log-scales, the opacity, the colour."""
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        x = np.float64(log_scales[row, 0])
+        y = np.float64(log_scales[row, 1])
+        z = np.float64(log_scales[row, 2])
+        looks[i, 0] = max(x, y, z)
+        looks[i, 1] = max(min(x, y), min(max(x, y), z))
+        looks[i, 2] = 0.5 + 0.5 * np.tanh(0.5 * np.float64(logit_opacities[row]))
+        for channel in range(3):
+            colour = 0.5 + SH_C0 * np.float64(sh[row, 0, channel])
+            looks[i, 3 + channel] = min(max(colour, 0.0), 1.0)
 
 
 def _pair_by_colours(
@@ -173,12 +189,27 @@ def _extent_m(splats: Splats, rows: Rows) -> float:
 def _are_alike(before: Splats, after: Splats, a: Rows, b: Rows, extent_m: float) -> Flags:
     """(M,) whether Gaussian a[i] of `before` may be b[i] of `after`, by its looks and by how far
     it has moved."""
-    before, after = before.with_degree(0).take(a), after.with_degree(0).take(b)
-    looks = abs(_looks(before) - _looks(after)).max(axis=1, initial=0) <= 1
-    moves_m = np.linalg.norm(before.means.astype(np.float64) - after.means, axis=1)
-    sizes_m = np.exp(np.clip(before.log_scales.astype(np.float64).max(axis=1), -30, 30))
-    alike: Flags = looks & (moves_m <= ORDER_REACH * extent_m + sizes_m)
+    alike = np.empty(len(a), np.bool_)
+    reach_m = ORDER_REACH * extent_m
+    old, new = _looks(before, a), _looks(after, b)
+    _compare(old, new, before.means, after.means, before.log_scales, a, b, reach_m, alike)
     return alike
+
+
+@kernel(nogil=True)
+def _compare(  # type: ignore[no-untyped-def]
+    old_looks, new_looks, old_means, new_means, old_log_scales, a, b, reach_m, alike
+):
+    """Fills the last."""
+    for i in range(a.shape[0]):
+        apart = 0.0
+        for kind in range(old_looks.shape[1]):
+            apart = max(apart, abs(old_looks[i, kind] - new_looks[i, kind]))
+        moved2, size = 0.0, -30.0
+        for axis in range(3):
+            moved2 += (np.float64(old_means[a[i], axis]) - np.float64(new_means[b[i], axis])) ** 2
+            size = max(size, np.float64(old_log_scales[a[i], axis]))
+        alike[i] = apart <= 1 and np.sqrt(moved2) <= reach_m + np.exp(min(size, 30.0))
 
 
 def _pair_by_order(before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows) -> None:
@@ -203,8 +234,7 @@ def _pair_by_order(before: Splats, after: Splats, left: Rows, right: Rows, conti
 def _pair_by_place(before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows) -> None:
     """Fills `continued` with pairs each of which is the other's nearest, in place and looks, once
     what goes one way with its neighbours is carried along."""
-    old = _Cloud.of(before.with_degree(0).take(left))
-    new = _Cloud.of(after.with_degree(0).take(right))
+    old, new = _Cloud.of(before, left), _Cloud.of(after, right)
     sampled = np.arange(0, len(left), 1 + len(left) // FLOW_SAMPLES)
     for _ in range(FLOW_ROUNDS):
         a, b = _mutual(old, new, sampled)
@@ -234,11 +264,10 @@ class _Cloud:
     looks: Doubles  # (N, 6)
 
     @staticmethod
-    def of(splats: Splats) -> _Cloud:
-        means_m = splats.means.astype(np.float64)
-        larger = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, 1:]
-        reach_m = REACH * np.exp(np.clip(larger.mean(axis=1), -30, 30))
-        return _Cloud(means_m, means_m, reach_m, _looks(splats))
+    def of(splats: Splats, rows: Rows) -> _Cloud:
+        means_m, looks = splats.means[rows].astype(np.float64), _looks(splats, rows)
+        sizes = looks[:, :2].mean(axis=1) * ALIKE[0]
+        return _Cloud(means_m, means_m, REACH * np.exp(np.clip(sizes, -30, 30)), looks)
 
     def take(self, rows: Rows) -> _Cloud:
         return _Cloud(

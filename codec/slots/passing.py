@@ -163,8 +163,7 @@ def composed(
     for layer, (old, new) in enumerate(zip(before, after, strict=True)):
         rows = slice(edges[layer], edges[layer + 1])
         had, has, fresh = holds(old.conditions), holds(new.conditions), renewed[rows]
-        differs = (old.states.positions != new.states.positions).any(axis=1)
-        differs |= (old.states.attributes != new.states.attributes).any(axis=1)
+        differs = old.states.differ(new.states)
         statuses[rows][had & ~has] = ENDED
         statuses[rows][has & differs] = PREDICTED
         statuses[rows][has & (fresh | ~had)] = NEW

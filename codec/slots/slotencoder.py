@@ -110,11 +110,11 @@ class SlotEncoder:
         """`encode`, and goes on to the slice of `update`."""
         birth, lane = update.birth, self.lanes[self.layout.lane(update.birth)]
         layered = self.layout.temporal_layer is not None and birth > 0
-        encoded = None if layered else self.encode(update)
+        parts = self._checked(update)
+        encoded = None if layered else self._encoded_plain(update, parts)
         if layered:
-            self._check(update)
             self.renewed |= (update.statuses == NEW) | (update.statuses == ENDED)
-        for part in self._parts(update, lane):
+        for part in parts:
             slots = part.slots.copy()
             slots.advance(_delta(part))
             lane[part.layer] = slots
@@ -133,7 +133,7 @@ class SlotEncoder:
 
     def _encoded_layered(self, update: Update) -> EncodedSlice:
         """The chunks of `update`, which says what is different from `staying`."""
-        encoded = self._encoded(update, self.staying)
+        encoded = self._encoded(update, list(self._parts(update, self.staying)))
         if not self.layout.is_passing(update.birth):
             return encoded
         nothing = EncodedChunk(update.birth, b"", (0, 0))
@@ -146,16 +146,20 @@ class SlotEncoder:
         slice of frame 0 keeps all, for what it brings is in the snapshot of frame 0."""
         if self.layout.temporal_layer is not None and update.birth > 0:
             return self.copy().append(update)
-        self._check(update)
+        return self._encoded_plain(update, self._checked(update))
+
+    def _encoded_plain(self, update: Update, parts: list[_Part]) -> EncodedSlice | None:
+        """See `encode`; without a temporal layer."""
         birth = update.birth
         if birth < 0:
             return None
         if birth == 0:
             update = Update.keeping(birth, self.layout)
-        return self._encoded(update, self.lanes[self.layout.lane(birth)])
+            parts = list(self._parts(update, self.lanes[self.layout.lane(birth)]))
+        return self._encoded(update, parts)
 
-    def _encoded(self, update: Update, lane: Sequence[Slots]) -> EncodedSlice:
-        """The chunks of `update` upon the slots of `lane`."""
+    def _encoded(self, update: Update, parts: list[_Part]) -> EncodedSlice:
+        """The chunks of `update`, whose parts these are."""
         birth = update.birth
         mask = encode_mask(self.layout, birth, update.statuses, self.history.of(birth))
         changes = (
@@ -167,7 +171,7 @@ class SlotEncoder:
                 part.new,
                 part.start_offsets,
             )
-            for part in self._parts(update, lane)
+            for part in parts
         )
         return EncodedSlice(birth, mask, tuple(changes))
 
@@ -185,11 +189,13 @@ class SlotEncoder:
             for layer in range(self.layout.num_layers)
         )
 
-    def _check(self, update: Update) -> None:
+    def _checked(self, update: Update) -> list[_Part]:
+        """The parts of `update` upon the slots of its lane. Raises InvalidError."""
         if update.birth != self.next_birth:
             raise InvalidError(f"update born at {update.birth}, expected {self.next_birth}")
         update.check(self.layout)
-        for part in self._parts(update, self.lanes[self.layout.lane(update.birth)]):
+        parts = list(self._parts(update, self.lanes[self.layout.lane(update.birth)]))
+        for part in parts:
             conditions = part.slots.conditions[part.predicted_rows]
             if (conditions != ON_LATTICE).any():
                 first = int(np.argmax(conditions != ON_LATTICE))
@@ -198,6 +204,7 @@ class SlotEncoder:
                     f"update born at {update.birth}: slot {part.predicted_rows[first]} of layer "
                     f"{part.layer} is predicted, but it {why}; make it a new one"
                 )
+        return parts
 
     def _parts(self, update: Update, lane: Sequence[Slots]) -> Iterator[_Part]:
         """The parts of `update`, which is checked, upon `lane`, one for each layer."""

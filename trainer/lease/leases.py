@@ -216,9 +216,7 @@ class Leases:
                 shows = states.attributes[:, -1] >= LEAST_SHOWN * (lattice.opacity_levels - 1)
                 status = np.full(len(rows), PREDICTED if continues else NEW, np.uint8)
                 if before is not None:
-                    same = (states.positions == before.positions).all(axis=1)
-                    same &= (states.attributes == before.attributes).all(axis=1)
-                    status[same & (start_offsets[rows] == 0)] = KEPT
+                    status[~states.differ(before) & (start_offsets[rows] == 0)] = KEPT
                 status[~fit] = NEW
                 status[~shows] = np.where(is_shown[rows[~shows]], ENDED, KEPT)
                 statuses[rows] = status
