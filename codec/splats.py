@@ -102,9 +102,9 @@ class Splats:
         opacities: Floats = half + half * np.tanh(half * self.logit_opacities)
         return opacities
 
-    def take(self, rows: npt.NDArray[np.integer] | slice) -> Splats:
+    def take(self, rows: npt.NDArray[np.integer] | npt.NDArray[np.bool_] | slice) -> Splats:
         """The Gaussians at `rows`, in that order."""
-        if isinstance(rows, slice):
+        if isinstance(rows, slice) or rows.dtype == np.bool_:
             return Splats._checked(array[rows] for array in self.arrays)
         # Several times as fast as indexing with an array.
         return Splats._checked(array.take(rows, axis=0) for array in self.arrays)

@@ -39,6 +39,22 @@ def test_printed_it_is_one_short_line() -> None:
     assert repr(Splats.empty(1)) == "Splats(0 Gaussians, SH degree 1)"
 
 
+def test_rows_are_taken_by_numbers_a_mask_or_a_slice() -> None:
+    mask = np.array([False, True, False, True])
+    for rows in (np.array([1, 3]), mask, slice(1, None, 2)):
+        for taken, array in zip(GOOD.take(rows).arrays, GOOD.arrays, strict=True):
+            np.testing.assert_array_equal(taken, array[mask])
+
+
+def test_another_degree_keeps_what_both_have() -> None:
+    more, less = GOOD.with_degree(3), GOOD.with_degree(0)
+    assert (more.sh_degree, less.sh_degree) == (3, 0)
+    np.testing.assert_array_equal(more.sh[:, :4], GOOD.sh)
+    assert not more.sh[:, 4:].any()
+    np.testing.assert_array_equal(less.sh, GOOD.sh[:, :1])
+    np.testing.assert_array_equal(more.means, GOOD.means)
+
+
 @pytest.mark.parametrize("name", ARRAY_NAMES)
 def test_the_array_at_fault_is_named(name: str) -> None:
     array = getattr(GOOD, name)
