@@ -167,12 +167,12 @@ def test_a_seek_shows_layer_0_of_that_frame_first(
             LinkProcess(link, "127.0.0.1", port) as relay,
             closing(Opener(f"{host.url}/{name}", relay.address)) as opener,
         ):
-            first = opener.open(FrameRange(), None, adaptive=True)
-            watched(first, until_frame=10)
+            before = opener.open(FrameRange(), None, adaptive=True)
+            watched(before, until_frame=10)
             monkeypatch.setattr(HostedPlay, "next", recorded)
             source = opener.open(FrameRange(75), None, adaptive=True)
             assert source.play.rate_bps is not None
-            assert source.play.rate_bps == first.play.rate_bps  # of the play before
+            assert source.play.rate_bps == before.play.rate_bps
             got = watched(source, until_frame=100)
     assert got.frames[0].frame == 75
     assert got.startup_s < 0.3
