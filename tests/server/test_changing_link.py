@@ -79,6 +79,7 @@ def faults(told: list[Told], before: float, after: float) -> list[str]:
     return found
 
 
+@pytest.mark.realtime
 @pytest.mark.quiet
 @pytest.mark.parametrize(
     ("over", "rates"),

@@ -42,7 +42,7 @@ from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 from tests.support.suite.starved import Watch
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.quiet]
 
 NUM_FRAMES, LAYERS, FPS = 120, 3, 30.0
 NAMES = ("whole", "slots")
