@@ -11,7 +11,6 @@ import numpy as np
 from codec.errors import InvalidError
 from codec.lattice.lattice import (
     COLOURS,
-    POSITION_LIMIT,
     SCALES,
     TURNS,
     Flags,
@@ -19,6 +18,7 @@ from codec.lattice.lattice import (
     States,
     dequantise,
     num_attributes,
+    round_values,
 )
 from codec.lattice.quantise import MAX_OPACITY_LEVELS, opacity_logits, to_luma
 from codec.pose import Doubles
@@ -56,11 +56,7 @@ def as_given(splats: Splats, lattice: Lattice) -> tuple[States, Flags]:
     colours = to_luma(splats.sh.astype(np.float64)).transpose(0, 2, 1) / lattice.colour
     attributes[:, COLOURS:-1] = colours.reshape(count, -1)
     attributes[:, -1] = splats.opacities.astype(np.float64) * (lattice.opacity_levels - 1)
-    low, high = np.full(values.shape[1], -128.0), np.full(values.shape[1], 127.0)
-    low[:3], high[:3] = 1 - POSITION_LIMIT, POSITION_LIMIT - 1
-    low[-1], high[-1] = 0, lattice.opacity_levels - 1
-    inside = np.clip(np.rint(values), low, high)
-    states = States(inside[:, :3].astype(np.int32), inside[:, 3:].astype(np.int16).astype(np.uint8))
+    states, _ = round_values(values, lattice)
     same = np.ones(count, np.bool_)
     for a, b in zip(dequantise(states, lattice).arrays, splats.arrays, strict=True):
         same &= (a == b).reshape(count, -1).all(axis=1)

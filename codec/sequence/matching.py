@@ -266,7 +266,7 @@ class _Cloud:
     @staticmethod
     def of(splats: Splats, rows: Rows) -> _Cloud:
         means_m, looks = splats.means[rows].astype(np.float64), _looks(splats, rows)
-        sizes = looks[:, :2].mean(axis=1) * ALIKE[0]
+        sizes = (looks[:, :2] * ALIKE[:2]).mean(axis=1)
         return _Cloud(means_m, means_m, REACH * np.exp(np.clip(sizes, -30, 30)), looks)
 
     def take(self, rows: Rows) -> _Cloud:

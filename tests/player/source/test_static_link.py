@@ -173,6 +173,7 @@ def test_a_seek_shows_layer_0_of_that_frame_first(
             source = opener.open(FrameRange(75), None, adaptive=True)
             assert source.play.rate_bps is not None
             assert source.play.rate_bps == before.play.rate_bps
+            assert 1e6 < source.play.rate_bps < 4e6
             got = watched(source, until_frame=100)
     assert got.frames[0].frame == 75
     assert got.startup_s < 0.3
