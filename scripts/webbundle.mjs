@@ -17,13 +17,14 @@ const css = (text) =>
     .replace(/\s+/g, " ")
     .replace(/ ?([{};,]) ?/g, "$1");
 
+const OPERATOR = / ?([*/%=<>(){};,?:&|]|(?<![-+] ?)[-+](?! ?[-+])) ?/g;
 /** A line of the preprocessor stays one, and `a - -b` keeps its spaces. @param {string} text */
 const glsl = (text) =>
   text
     .split("\n")
     .map((line) => line.replace(/\/\/.*/, "").trim())
     .filter((line) => line !== "")
-    .map((line) => (line.startsWith("#") ? line : line.replace(/ ?([*/=<>(){};,?:&|]) ?/g, "$1")))
+    .map((line) => (line.startsWith("#") ? line : line.replace(OPERATOR, "$1")))
     .join("\n");
 
 const compact = {

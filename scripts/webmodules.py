@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import struct
 import tomllib
 from enum import Enum, EnumType
@@ -156,6 +157,13 @@ def constants() -> str:
     return "\n".join([*lines, f" * @typedef {{{union}}} PlayRecord", " */"]) + "\n"
 
 
+WEB_BRANCHES = {
+    r"#ifdef RESIDENT_BUFFER\n.*?#else\n(.*?)#endif\n": r"\1",  # WebGL2 has no storage buffers
+    r"#ifdef STALE_ORDER\n(.*?)#endif\n": r"\1",  # its orders come from another thread
+}
+"""What the browser takes of a shader's branches."""
+
+
 def camel(name: str) -> str:
     first, *rest = name.split("_")
     return first + "".join(map(str.capitalize, rest))
@@ -166,6 +174,8 @@ def glsl() -> str:
     lines = ["/** Written by scripts/webmodules from player/render/gl/shaders. */"]
     for name in ("splat", "colours", "screen"):
         text = (files("player.render.gl") / "shaders" / f"{name}.glsl").read_text(encoding="utf-8")
+        for branches, ours in WEB_BRANCHES.items():
+            text = re.sub(branches, ours, text, flags=re.DOTALL)
         lines += ["", f"export const {name.upper()} = /* glsl */ `", text.rstrip(), "`;"]
     return "\n".join(lines) + "\n"
 

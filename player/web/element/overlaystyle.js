@@ -9,13 +9,19 @@ export const OVERLAY_STYLE = /* css */ `
 }
 .large:hover { background: rgb(60 60 68 / 0.9); }
 .large svg { width: 55%; height: 55%; }
-.spinner { position: absolute; left: 50%; top: 50%; translate: -50% -50%; pointer-events: none; text-align: center; }
+/* What begins at once shows no ring, and the device need not draw one beside the first picture. */
+.spinner {
+  --after: 0.8s;
+  position: absolute; left: 50%; top: 50%; translate: -50% -50%; pointer-events: none; text-align: center;
+  visibility: hidden; animation: appear 0s var(--after) forwards;
+}
 .ring {
   display: block; width: clamp(36px, 5cqmin, 64px); aspect-ratio: 1; box-sizing: border-box;
   border: 3px solid rgb(255 255 255 / 0.25); border-top-color: #fff; border-radius: 50%;
-  animation: turn 0.9s linear infinite;
+  animation: turn 0.9s linear var(--after) infinite;
 }
 .spinner .label { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
+@keyframes appear { to { visibility: visible; } }
 @keyframes turn { to { transform: rotate(1turn); } }
 .note.soft {
   position: absolute; left: 50%; top: 12px; translate: -50% 0; max-width: min(80%, 40em);

@@ -1,6 +1,17 @@
 /** A frame below the fold of another origin's page gets no pictures, and may learn nothing else. */
 const STARVED_MS = 2000;
 
+/**
+ * Whether an element lies in the page's window. Observers say so with the page's first picture, for
+ * which a start need not wait; in a frame only they know.
+ * @param {Element} element
+ */
+function isPlainlyInView(element) {
+  if (globalThis.parent !== globalThis.window) return false;
+  const { top, bottom, left, right } = element.getBoundingClientRect();
+  return bottom > 0 && right > 0 && top < innerHeight && left < innerWidth;
+}
+
 /** Whether a picture on an element would be seen, or is needed all the same. */
 export class Sight {
   #isIntersecting = false;
@@ -16,7 +27,8 @@ export class Sight {
   constructor(element, loop, onChange) {
     this.loop = loop;
     this.onChange = onChange;
-    this.isSeen = false;
+    this.#isIntersecting = isPlainlyInView(element);
+    this.isSeen = this.#isIntersecting && !document.hidden;
     /** @type {import("../stereo/headset.js").Headset | null} which shows the scene in place of the page */
     this.headset = null;
     this.observer = new IntersectionObserver((entries) => {

@@ -41,17 +41,25 @@ export class Smoothing {
   #screenMs = Infinity;
   /** The frame of the last picture. */
   #frame = -1;
+  /** @type {Inbetween | null} of the last renderer */
+  #inbetween = null;
 
   /** @param {import("./sceneview.js").SceneView} view */
   constructor(view) {
     this.view = view;
   }
 
-  /** @param {import("../renderer/splatrenderer.js").SplatRenderer} renderer shall draw between frames */
+  /**
+   * Does not wait for the device, which may take a second to make what draws between frames.
+   * @param {import("../renderer/splatrenderer.js").SplatRenderer} renderer shall draw between frames
+   */
   attach(renderer) {
     if (renderer.inbetween !== null) return;
     try {
-      new Inbetween(renderer, this.view.manifest.numGs);
+      if (this.#inbetween?.renderer !== renderer) {
+        this.#inbetween = new Inbetween(renderer, this.view.manifest.numGs);
+      }
+      this.#inbetween.attach();
     } catch {
       // A device that cannot do it shows each frame as it is; one that was lost gets another renderer.
       if (!renderer.gl.isContextLost()) this.view.smoothing = null;

@@ -10,6 +10,7 @@ export class DepthQuery {
    * @param {import("./program.js").Program} splats draws depths
    */
   constructor(gl, splats) {
+    splats.check();
     this.gl = gl;
     this.splats = splats;
     this.texture = makeTexture(gl);

@@ -8,11 +8,7 @@ export const SPLAT = /* glsl */ `
 #ifdef VERTEX_STAGE
 
 // TEXELS texels for each Gaussian (pack.py says what is where).
-#ifdef RESIDENT_BUFFER
-layout(std430, binding = 0) readonly buffer Gaussians { uvec4 gaussians[]; };
-#else
 uniform usampler2D gaussians;   // COLUMNS Gaussians in a row
-#endif
 
 uniform mat3 rotation;      // world to camera
 uniform vec3 translation;   // world to camera, metres
@@ -24,9 +20,7 @@ uniform vec2 size_px;
 #if SH_DEGREE >= 2
 uniform usampler2D colours; // of each slot, see colours.glsl
 #endif
-#ifdef STALE_ORDER
 uniform float near_m;
-#endif
 
 in uint slot;               // one for each instance, farthest first
 
@@ -35,12 +29,8 @@ flat out vec4 conic_opacity;
 flat out vec3 colour;
 
 uvec4 words(int n) {
-#ifdef RESIDENT_BUFFER
-    return gaussians[int(slot) * TEXELS + n];
-#else
     int column = (int(slot) % COLUMNS) * TEXELS + n;
     return texelFetch(gaussians, ivec2(column, int(slot) / COLUMNS), 0);
-#endif
 }
 
 vec4 texel(int n) {
@@ -84,10 +74,8 @@ void main() {
     conic_opacity = vec4(0.0);
     colour = vec3(0.0);
     if (!(det > 0.0 && place.w >= ALPHA_MIN)) return;
-#ifdef STALE_ORDER
     // The order is of a moment ago, when the camera looked elsewhere.
     if (seen.z <= near_m) return;
-#endif
 
     conic_opacity = vec4(yy / det, -xy / det, xx / det, place.w);
 #if SH_DEGREE >= 2
@@ -157,11 +145,7 @@ export const COLOURS = /* glsl */ `
 #ifdef VERTEX_STAGE
 
 // TEXELS texels for each Gaussian (pack.py says what is where).
-#ifdef RESIDENT_BUFFER
-layout(std430, binding = 0) readonly buffer Gaussians { uvec4 gaussians[]; };
-#else
 uniform usampler2D gaussians;   // COLUMNS Gaussians in a row
-#endif
 
 uniform vec3 position;          // of the camera in the world, metres
 uniform vec2 size_px;           // of the texture of colours
@@ -169,11 +153,7 @@ uniform vec2 size_px;           // of the texture of colours
 flat out uvec4 seen;
 
 vec4 texel(int slot, int n) {
-#ifdef RESIDENT_BUFFER
-    return uintBitsToFloat(gaussians[slot * TEXELS + n]);
-#else
     return uintBitsToFloat(texelFetch(gaussians, ivec2((slot % COLUMNS) * TEXELS + n, slot / COLUMNS), 0));
-#endif
 }
 
 #ifdef STAGED_WIDTH_PX

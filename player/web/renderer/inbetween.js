@@ -113,7 +113,7 @@ export class Inbetween {
   #heightPx = 0;
 
   /**
-   * @param {import("./splatrenderer.js").SplatRenderer} renderer draws with it from now on
+   * @param {import("./splatrenderer.js").SplatRenderer} renderer draws frames as they are until `attach`
    * @param {number} numSlots
    */
   constructor(renderer, numSlots) {
@@ -122,16 +122,23 @@ export class Inbetween {
     this.renderer = renderer;
     this.texels = defines.SH_DEGREE >= 2 ? 4 : resident.texels;
     const more = { SAVED: this.texels, STAGED_WIDTH_PX, NUM_SLOTS: numSlots, ENTERS, MOVES };
-    // Where this fails, the renderer draws frames as they are.
     this.program = makeProgram(gl, SET_ASIDE, { ...defines, ...more });
-    const plain = renderer.splats;
-    renderer.splats = renderer.makeSplats({ ...more, MOVING: 1 }, MOVING);
-    gl.deleteProgram(plain.program);
+    this.splats = renderer.makeSplats({ ...more, MOVING: 1 }, MOVING);
     this.framebuffer = gl.createFramebuffer();
     /** @type {WebGLTexture | null} */
     this.texture = null;
+  }
+
+  /** Has the renderer draw with it if its programs are made. Throws a RendererError if one was refused. */
+  attach() {
+    const { gl, renderer, program, splats } = this;
+    if (!program.isMade() || !splats.isMade()) return;
+    program.check();
+    splats.check();
+    gl.deleteProgram(renderer.splats.program);
+    renderer.splats = splats;
     renderer.inbetween = this;
-    resident.inbetween = this;
+    renderer.resident.inbetween = this;
   }
 
   /** Whether the picture depends on the share. */

@@ -34,6 +34,9 @@ precision highp sampler2D;
 precision highp usampler2D;
 `;
 
+/** Where programs that draw Gaussians take their slots from. */
+export const SLOT = 0;
+
 /** WebGL2 is not there, or cannot hold the stream. */
 export class RendererError extends Error {
   /** @param {string} message */
@@ -56,9 +59,15 @@ export class ContextLostError extends RendererError {
  * @typedef {object} Program
  * @property {WebGLProgram} program
  * @property {(name: string) => WebGLUniformLocation | null} at
+ * @property {() => boolean} isMade whether `check` need not wait; true where the browser cannot say
+ * @property {() => void} check waits for the program; throws a RendererError if it was refused
  */
 
+/** Of KHR_parallel_shader_compile, which TypeScript does not know. */
+const COMPLETION_STATUS_KHR = 0x91b1;
+
 /**
+ * Has the device make a program, which may take it a while: the page does not wait before `check`.
  * @param {WebGL2RenderingContext} gl
  * @param {string} text both stages, in GLSL ES 3.00 but for the version
  * @param {Record<string, number>} defines
@@ -77,15 +86,10 @@ export function makeProgram(gl, text, defines = {}) {
     gl.shaderSource(shader, `${HEAD}${lines.join("")}#define ${stage}\n${text}`);
     gl.compileShader(shader);
     gl.attachShader(program, shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) {
-      throw new RendererError(`a shader does not compile: ${gl.getShaderInfoLog(shader)}`);
-    }
     gl.deleteShader(shader);
   }
+  gl.bindAttribLocation(program, SLOT, "slot");
   gl.linkProgram(program);
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
-    throw new RendererError(`a program does not link: ${gl.getProgramInfoLog(program)}`);
-  }
   /** @type {Map<string, WebGLUniformLocation | null>} */
   const places = new Map();
   const at = (/** @type {string} */ name) => {
@@ -96,5 +100,13 @@ export function makeProgram(gl, text, defines = {}) {
     }
     return place;
   };
-  return { program, at };
+  const isMade = () =>
+    gl.getExtension("KHR_parallel_shader_compile") === null ||
+    gl.getProgramParameter(program, COMPLETION_STATUS_KHR);
+  const check = () => {
+    if (gl.getProgramParameter(program, gl.LINK_STATUS) || gl.isContextLost()) return;
+    const logs = gl.getAttachedShaders(program)?.map((shader) => gl.getShaderInfoLog(shader)) ?? [];
+    throw new RendererError(`a program is refused: ${[...logs, gl.getProgramInfoLog(program)]}`);
+  };
+  return { program, at, isMade, check };
 }

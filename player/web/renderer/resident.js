@@ -35,9 +35,8 @@ export class Resident {
    * @param {WebGL2RenderingContext} gl
    * @param {number} numSlots
    * @param {number} shDegree
-   * @param {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer
    */
-  constructor(gl, numSlots, shDegree, lattices) {
+  constructor(gl, numSlots, shDegree) {
     this.gl = gl;
     this.shDegree = shDegree;
     this.texels = texelsPerGaussian(shDegree);
@@ -79,6 +78,15 @@ export class Resident {
       ...defines,
       ITEM_WORDS: floatWords(shDegree),
     });
+  }
+
+  /**
+   * Waits for the programs. Throws a RendererError if one was refused.
+   * @param {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer
+   */
+  start(lattices) {
+    const { gl } = this;
+    for (const { check } of [this.lattice, this.floats]) check();
     gl.useProgram(this.lattice.program);
     for (const [layer, steps] of lattices.entries()) {
       const { positionM, logScale, logScaleBase, rotation, colour, opacityLevels } = steps;

@@ -2,7 +2,7 @@ import { JACOBIAN_CLAMP } from "../constants.js";
 import { ColourPass } from "./colourpass.js";
 import { DepthQuery } from "./depthquery.js";
 import { SCREEN, SPLAT } from "./glsl.js";
-import { makeProgram, RendererError } from "./program.js";
+import { makeProgram, RendererError, SLOT } from "./program.js";
 import { Resident } from "./resident.js";
 import { makeTexture } from "./texture.js";
 
@@ -25,10 +25,10 @@ export class SplatRenderer {
     this.gl = gl;
     this.nearM = shape.nearM;
     this.isFine = gl.getExtension("EXT_color_buffer_float") !== null;
-    this.resident = new Resident(gl, shape.numSlots, shape.shDegree, shape.lattices);
+    this.resident = new Resident(gl, shape.numSlots, shape.shDegree);
     const { columns, texels } = this.resident;
     const { shDegree } = shape;
-    const defines = { COLUMNS: columns, TEXELS: texels, SH_DEGREE: shDegree, STALE_ORDER: 1 };
+    const defines = { COLUMNS: columns, TEXELS: texels, SH_DEGREE: shDegree };
     this.defines = defines;
     this.colours = shDegree >= 2 ? new ColourPass(gl, shape, defines) : null;
     this.resident.colours = this.colours;
@@ -41,15 +41,17 @@ export class SplatRenderer {
     this.quads = gl.createVertexArray();
     gl.bindVertexArray(this.quads);
     gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    this.slot = gl.getAttribLocation(this.splats.program, "slot");
-    gl.enableVertexAttribArray(this.slot);
-    gl.vertexAttribDivisor(this.slot, 1);
+    gl.enableVertexAttribArray(SLOT);
+    gl.vertexAttribDivisor(SLOT, 1);
     this.nothing = gl.createVertexArray();
     this.orderBytes = 0;
     /** @type {{ widthPx: number, heightPx: number, texture: WebGLTexture, framebuffer: WebGLFramebuffer } | null} */
     this.picture = null;
     /** @type {DepthQuery | null} */
     this.depths = null;
+    this.resident.start(shape.lattices);
+    for (const { check } of [this.splats, this.screen]) check();
+    this.colours?.program.check();
   }
 
   /**
@@ -85,7 +87,7 @@ export class SplatRenderer {
     gl.bufferData(gl.ARRAY_BUFFER, order, gl.STREAM_DRAW);
     const type = order instanceof Uint16Array ? gl.UNSIGNED_SHORT : gl.UNSIGNED_INT;
     gl.bindVertexArray(this.quads);
-    gl.vertexAttribIPointer(this.slot, 1, type, 0, 0);
+    gl.vertexAttribIPointer(SLOT, 1, type, 0, 0);
     this.orderBytes += order.byteLength;
     this.numDrawn = order.length;
   }
