@@ -42,7 +42,11 @@ export class SharedContext extends EventTarget {
    * Throws a RendererError if the browser has no WebGL2.
    */
   get gl() {
-    const gl = (this.#gl ??= this.canvas.getContext("webgl2", { antialias: false, alpha: false }));
+    const gl = (this.#gl ??= this.canvas.getContext("webgl2", {
+      antialias: false,
+      alpha: false,
+      depth: false,
+    }));
     if (gl === null) {
       throw new RendererError("This browser has no WebGL2; use a current one or another device");
     }

@@ -39,11 +39,12 @@ const ACTIONS = {
     scene = page;
   },
   /** Opens the same address in a new page of the same browser, whose cache is warm. */
-  async reopen() {
+  async reopen({ restS }) {
     const url = page.url();
     const next = await page.context().newPage();
     await page.close();
     page = scene = next;
+    await new Promise((resolve) => setTimeout(resolve, 1000 * restS));
     await page.goto(url);
   },
   async close() {

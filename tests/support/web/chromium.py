@@ -47,9 +47,10 @@ class Page:
         paths = [str(path) for path in scripts]
         self._do("open", url=url, **size, touch=touch, scripts=paths, options=options or {})
 
-    def reopen(self) -> None:
-        """Opens the same address in a new page of the same browser, whose cache is warm."""
-        self._do("reopen")
+    def reopen(self, rest_s: float = 0) -> None:
+        """Opens the same address in a new page of the same browser, whose cache is warm, `rest_s`
+        after the old page was closed."""
+        self._do("reopen", restS=rest_s)
 
     def close(self) -> None:
         self._do("close")
