@@ -4,11 +4,10 @@ Usage: scripts/bench pagestart [--rounds N] [--rtt-ms MS]
 
 A stream of 10,000 Gaussians like trained ones is served by swings-serve behind a TCP proxy that
 adds half of the round trip each way, and a whole one for the handshake of each connection. Chromium
-opens the page with an empty cache (cold) and, 2 s after closing it, once more (warm), for each page in
-turn. bundle: the
-page as the server gives it. modules: the page of the sources, with a request for each module. The
-first picture is the first frame of the stream, not its poster. GETs and kB: on the link until then,
-with page, poster and stream.
+opens the page with an empty cache (cold) and, 2 s after closing it, once more (warm), for each page
+in turn. bundle: the page as the server gives it. modules: the page of the sources, with a request
+for each module. The first picture is the first frame of the stream, not its poster. GETs and kB: on
+the link until then, with page, poster and stream.
 """
 
 from __future__ import annotations

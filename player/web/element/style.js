@@ -46,8 +46,8 @@ canvas:active { cursor: grabbing; }
 }
 .idle .bar:not(:has(:focus-visible)) { opacity: 0; pointer-events: none; }
 .idle canvas { cursor: none; }
-.failed :is(.bar, .menu, .stats) { display: none; }
-.failed canvas { pointer-events: none; }
+[data-condition="loading"] .bar, [data-condition="failed"] :is(.bar, .menu, .stats) { display: none; }
+[data-condition="failed"] canvas { pointer-events: none; }
 .scrubber { position: relative; flex: 1 0 100%; height: max(var(--least-scrub), calc(var(--button) * 0.5)); }
 .scrub {
   display: block; width: 100%; height: 100%; margin: 0;

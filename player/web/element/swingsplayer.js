@@ -16,6 +16,7 @@ import { MediaInterface } from "./mediainterface.js";
 import { prefersStill } from "./motion.js";
 import { node } from "./nodes.js";
 import { Overlay } from "./overlay.js";
+import { NETWORK } from "./readiness.js";
 import { Scrubber } from "./scrubber.js";
 import { StereoControls } from "./stereocontrols.js";
 import { STYLE } from "./style.js";
@@ -122,7 +123,6 @@ export class SwingsPlayerElement extends MediaInterface {
     player.close();
     this.#isFresh = true;
     this.#failure.clear();
-    this.#frame.classList.remove("failed");
     this.#hints.clear();
     this.#overlay.setPoster(this.getAttribute("poster"));
     this.#show(player);
@@ -221,7 +221,7 @@ export class SwingsPlayerElement extends MediaInterface {
     this.follow(player, signal);
     const on = (/** @type {string} */ type, /** @type {(event: Event) => void} */ action) =>
       this.addEventListener(type, action, { signal });
-    for (const type of ["play", "pause", "ended"]) on(type, () => this.#show(player));
+    for (const type of ["play", "pause", "ended", "suspend"]) on(type, () => this.#show(player));
     on("play", () => (this.#isFresh = false));
     on("seeking", () => {
       if (player.shownFrame >= 0) this.#isFresh = false; // not by the start that an address selects
@@ -275,7 +275,8 @@ export class SwingsPlayerElement extends MediaInterface {
    */
   #conditionOf(player) {
     if (this.error !== null) return "failed";
-    if (player.shownFrame < 0) return "loading";
+    // With `preload` nothing may be on its way before somebody plays.
+    if (player.shownFrame < 0) return this.networkState === NETWORK.IDLE ? "start" : "loading";
     if (this.ended) return "ended";
     if (this.paused) return this.#isFresh ? "start" : "paused";
     return player.state.waiting ? "waiting" : "playing";
@@ -286,10 +287,7 @@ export class SwingsPlayerElement extends MediaInterface {
     const condition = this.#conditionOf(player);
     const isWaiting = player.state.waiting && !this.#parts?.live.hasStopped;
     this.#overlay.show(condition, player.shownFrame >= 0, isWaiting);
-    if (this.#frame.dataset.condition !== condition) {
-      this.#frame.dataset.condition = condition;
-      this.#frame.classList.toggle("failed", condition === "failed");
-    }
+    if (this.#frame.dataset.condition !== condition) this.#frame.dataset.condition = condition;
     this.#parts?.bar.showPlaying(!this.paused);
     this.#parts?.scrubber.show();
   }
@@ -394,7 +392,6 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#failure.show(message, this.player !== null);
     this.#hints.clear();
     super.fail(message);
-    this.#frame.classList.add("failed");
     this.#overlay.show("failed", this.#overlay.condition !== "loading", false);
     this.#frame.dataset.condition = "failed";
   }

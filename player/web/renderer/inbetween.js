@@ -1,5 +1,5 @@
 import { ENTERS, MOVES } from "../constants.js";
-import { makeProgram } from "./program.js";
+import { isMade, makeProgram } from "./program.js";
 import { floatWords, latticeWords } from "./resident.js";
 import { makeTexture, STAGED_WIDTH_PX } from "./texture.js";
 
@@ -132,7 +132,7 @@ export class Inbetween {
   /** Has the renderer draw with it if its programs are made. Throws a RendererError if one was refused. */
   attach() {
     const { gl, renderer, program, splats } = this;
-    if (!program.isMade() || !splats.isMade()) return;
+    if (!isMade(gl, program) || !isMade(gl, splats)) return;
     program.check();
     splats.check();
     gl.deleteProgram(renderer.splats.program);

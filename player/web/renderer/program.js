@@ -59,7 +59,6 @@ export class ContextLostError extends RendererError {
  * @typedef {object} Program
  * @property {WebGLProgram} program
  * @property {(name: string) => WebGLUniformLocation | null} at
- * @property {() => boolean} isMade whether `check` need not wait; true where the browser cannot say
  * @property {() => void} check waits for the program; throws a RendererError if it was refused
  */
 
@@ -100,13 +99,21 @@ export function makeProgram(gl, text, defines = {}) {
     }
     return place;
   };
-  const isMade = () =>
-    gl.getExtension("KHR_parallel_shader_compile") === null ||
-    gl.getProgramParameter(program, COMPLETION_STATUS_KHR);
   const check = () => {
     if (gl.getProgramParameter(program, gl.LINK_STATUS) || gl.isContextLost()) return;
     const logs = gl.getAttachedShaders(program)?.map((shader) => gl.getShaderInfoLog(shader)) ?? [];
     throw new RendererError(`a program is refused: ${[...logs, gl.getProgramInfoLog(program)]}`);
   };
-  return { program, at, isMade, check };
+  return { program, at, check };
+}
+
+/**
+ * Whether `check` need not wait for a program; true where the browser cannot say.
+ * @param {WebGL2RenderingContext} gl
+ * @param {Program} made
+ * @returns {boolean}
+ */
+export function isMade(gl, { program }) {
+  const canSay = gl.getExtension("KHR_parallel_shader_compile") !== null;
+  return !canSay || gl.getProgramParameter(program, COMPLETION_STATUS_KHR);
 }

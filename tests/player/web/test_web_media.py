@@ -153,6 +153,47 @@ def test_loading_is_reported_as_the_standard_has_it(page: Page, host: str) -> No
         assert events == expected, now_s
 
 
+OVER_PICTURE = """
+const { shadowRoot } = player;
+const how = { visibilityProperty: true };
+const shows = (name) => shadowRoot.querySelector(name).checkVisibility(how);
+return [".ring", ".large", ".bar"].filter(shows);
+"""
+
+
+@pytest.mark.parametrize("preload", ["none", "metadata"])
+def test_where_nothing_loads_the_viewer_may_play(page: Page, host: str, preload: str) -> None:
+    """The large button, and no ring that turns for ever."""
+    page.open(f"{host}/empty.html", 480, 320)
+    page.run(MAKE, {"src": "stream", "preload": preload})
+    page.wait("player.networkState === 1")
+    page.run("return new Promise((resolve) => setTimeout(resolve, 1200))")
+    assert page.run(OVER_PICTURE) == [".large", ".bar"]
+    page.click(".large")
+    page.wait("player.currentTime > 0.1")
+    assert page.run(OVER_PICTURE) == [".bar"]
+
+
+def test_what_loads_for_long_has_a_ring(page: Page, host: str) -> None:
+    """It comes after a moment, alone: what begins at once never shows it."""
+    page.open(f"{host}/empty.html", 480, 320)
+    hang = "Worker.prototype.postMessage = () => {}"  # nothing is asked for
+    page.run(f"{hang}; {MAKE}", {"src": "stream"})
+    assert page.run(OVER_PICTURE) == []
+    page.run("return new Promise((resolve) => setTimeout(resolve, 1200))")
+    assert page.run(OVER_PICTURE) == [".ring"]
+
+
+def test_workers_start_before_the_page_is_drawn(page: Page, host: str) -> None:
+    """In view they do not wait for the browser's first picture; below the fold none starts."""
+    page.open(f"{host}/empty.html", 480, 320)
+    make, _, _ = MAKE.partition("return [")
+    make += "return player.player.workers !== null;"
+    assert page.run(make, {"src": "stream"})
+    page.run("player.remove(); document.body.innerHTML = '<div style=\"height: 2000px\"></div>'")
+    assert not page.run(make, {"src": "stream"})
+
+
 def test_frames_are_reported_after_they_were_drawn(page: Page, host: str) -> None:
     """`requestVideoFrameCallback`: the pixels on the canvas are those of the frame named."""
     page.open(f"{host}/empty.html", 200, 150)
