@@ -113,8 +113,9 @@ class Reached:
         self.page.run(f"{ELEMENT}.shadowRoot.querySelector('{part}').click()")
 
     def shows(self, part: str) -> None:
-        """Waits for a part that is loaded when it is first used."""
-        self.page.wait(f"{ELEMENT}.shadowRoot.querySelector('{part}')?.checkVisibility()", 60)
+        """Waits for a part that is loaded when it is first used, or shows after a while."""
+        found = f"{ELEMENT}.shadowRoot.querySelector('{part}')"
+        self.page.wait(f"{found}?.checkVisibility({{ visibilityProperty: true }})", 60)
 
 
 def _start(at: Reached) -> None:
@@ -128,6 +129,7 @@ def _loading(at: Reached, **options: object) -> None:
     at.page.wait(f"{ELEMENT}?.player")
     at.page.run(f"{ELEMENT}.poster = '{poster}'; {ELEMENT}.src = '{at.hosts.silent_url}'")
     at.wait("loading")
+    at.shows(".spinner")
 
 
 def _playing(at: Reached) -> None:
@@ -156,6 +158,7 @@ def _ended(at: Reached) -> None:
 def _waiting(at: Reached) -> None:
     at.watch("src=../live&t=0")
     at.wait("waiting")
+    at.shows(".spinner")
 
 
 def _stopped(at: Reached) -> None:
