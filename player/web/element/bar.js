@@ -10,8 +10,8 @@ export class Bar {
    * @param {object} parts
    * @param {import("./scrubber.js").Scrubber} parts.scrubber
    * @param {HTMLElement} parts.badge
-   * @param {(at: number | null) => void} parts.openMenu with the focus on an entry, -1: the last one; null:
-   *   closes it if it is open
+   * @param {(at: number | null) => void} parts.openMenu focuses entry `at` (-1: the last one); null toggles
+   *   the menu
    * @param {Choice[]} choices
    * @param {Command[]} commands
    * @param {() => void} togglePlaying
@@ -31,7 +31,7 @@ export class Bar {
     /** @type {Map<string, HTMLButtonElement>} */
     this.buttons = new Map();
     for (const { name, label, icon: iconName, key, place, run } of commands) {
-      if (iconName === undefined) continue; // it is in the menu alone
+      if (iconName === undefined) continue; // only in the menu
       const made = button(name, label, key.toUpperCase(), run);
       made.append(icon(iconName));
       made.classList.toggle("wide", place === "wide");
@@ -126,7 +126,7 @@ function menuButton(open) {
  * @param {import("./icons.js").IconName} iconName
  */
 function rename(made, label, key, iconName) {
-  // What is written anew is laid out anew, ten times a second.
+  // This runs ten times a second, and every change to the DOM costs a layout.
   if (made.getAttribute("aria-label") === label && made.firstChild) return;
   made.replaceChildren(icon(iconName));
   made.setAttribute("aria-label", label);

@@ -1,14 +1,14 @@
 const IDLE_MS = 2500;
 
 /**
- * Whether the bar shows: while something is done, and always unless the stream plays. A mouse that
- * moves shows it; so does a tap on the picture, and another one hides it.
+ * Shows and hides the bar. It shows during user activity, and always unless the stream plays. Moving the
+ * mouse shows it; a tap on the picture shows or hides it.
  */
 export class BarVisibility {
   #timer = 0;
 
   /**
-   * @param {HTMLElement} frame has the class `idle` while the bar is hidden
+   * @param {HTMLElement} frame gets the class `idle` while the bar is hidden
    * @param {HTMLElement} canvas
    * @param {() => boolean} plays
    * @param {() => boolean} isInUse whether a part of the bar is in use
@@ -30,8 +30,8 @@ export class BarVisibility {
     let lastPointer = "mouse";
     const onPointer = (/** @type {PointerEvent} */ event) => {
       lastPointer = event.pointerType;
-      // A touch on the picture shows the bar when it turns out to be a tap: a bar that shows at once
-      // would take the tap.
+      // A touch on the picture shows the bar only once it is known to be a tap: a bar that shows at once
+      // would receive the tap.
       const isOnPicture = event.composedPath()[0] === canvas;
       if (event.pointerType !== "touch" || !isOnPicture) this.wake();
     };
@@ -56,7 +56,7 @@ export class BarVisibility {
     signal.addEventListener("abort", () => clearTimeout(this.#timer));
   }
 
-  /** Shows the bar, for a while. */
+  /** Shows the bar for some time. */
   wake() {
     this.frame.classList.remove("idle");
     clearTimeout(this.#timer);

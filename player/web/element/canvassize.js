@@ -1,7 +1,7 @@
-/** More pixels than this for each CSS pixel cost more than they show. */
+/** Beyond this ratio of device pixels to CSS pixels, the gain is not worth the cost. */
 const MOST_PIXEL_RATIO = 2;
 
-/** How many device pixels a canvas covers: follows its layout, the browser's zoom, and the screen. */
+/** Size of a canvas in device pixels: follows its layout, the browser's zoom, and the screen. */
 export class CanvasSize {
   #listening = new AbortController();
 
@@ -30,7 +30,7 @@ export class CanvasSize {
     this.#followRatio();
   }
 
-  /** A query for one resolution changes once: then another one is asked for. */
+  /** A media query matches one resolution only, so every change needs a new query. */
   #followRatio() {
     const query = matchMedia(`(resolution: ${devicePixelRatio}dppx)`);
     const follow = () => {
@@ -40,7 +40,7 @@ export class CanvasSize {
     query.addEventListener("change", follow, { once: true, signal: this.#listening.signal });
   }
 
-  /** Pixels of a picture for each CSS pixel. */
+  /** Pixels of a picture per CSS pixel. */
   get pixelRatio() {
     return Math.min(MOST_PIXEL_RATIO, devicePixelRatio || 1);
   }
@@ -59,7 +59,7 @@ export class CanvasSize {
    */
   #pixels(cssPx, devicePx) {
     const soughtPx = cssPx * this.pixelRatio;
-    // Rounded as the browser does it, unless that is of another ratio, or more than the most.
+    // The browser's own rounding, unless it belongs to another ratio or exceeds the maximum ratio.
     const isOf = devicePx !== undefined && Math.abs(devicePx - soughtPx) < 1;
     return Math.max(1, isOf ? devicePx : Math.round(soughtPx));
   }

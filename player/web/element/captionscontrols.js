@@ -20,24 +20,24 @@ export const CAPTIONS_STYLE = /* css */ `
 @media (forced-colors: active) { .captions { border: 1px solid CanvasText; background: Canvas; color: CanvasText; } }
 `;
 
-/** Captions over the picture, and their button in the bar: it goes from one language to the next, and off. */
+/** Captions over the picture, and their button in the bar, which cycles through the languages and off. */
 export class CaptionsControls {
   /** @type {import("../captions/captiontracks.js").CaptionTrack[]} */
   #tracks = [];
-  /** Which of them shows; -1: none. */
+  /** Index of the track that shows; -1: none. */
   #chosen = -1;
-  /** @type {string | null} language that a viewer has chosen, for the streams after this one, too */
+  /** @type {string | null} the language that the viewer has chosen; it also applies to later streams */
   #language = null;
   /** @type {import("../captions/webvtt.js").Cue[]} */
   #cues = [];
   #base = "";
-  /** Counts choices: what was on its way when the last one was made is not shown. */
+  /** Counts choices: captions that were requested for an earlier choice are not shown. */
   #choices = 0;
 
   /**
    * @param {import("./webplayer.js").WebPlayer} player
    * @param {(message: string) => void} say
-   * @param {AbortSignal} signal ends it
+   * @param {AbortSignal} signal ends the listening
    */
   constructor(player, say, signal) {
     this.player = player;
@@ -53,8 +53,8 @@ export class CaptionsControls {
   }
 
   /**
-   * The player has opened a stream. Throws a FormatError if the manifest breaks a rule.
-   * @param {unknown} captions of its manifest
+   * Offers the captions of a stream that was just opened. Throws a FormatError if the manifest breaks a rule.
+   * @param {unknown} captions as listed in the stream's manifest
    */
   open(captions) {
     this.#tracks = [];
@@ -64,7 +64,7 @@ export class CaptionsControls {
     this.#choose(this.#tracks.findIndex(({ language }) => language === this.#language));
   }
 
-  /** The next language; none after the last. */
+  /** Switches to the next language; after the last one, to none. */
   next() {
     if (this.#tracks.length === 0) return;
     const at = this.#chosen + 1 < this.#tracks.length ? this.#chosen + 1 : -1;

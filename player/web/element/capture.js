@@ -1,10 +1,10 @@
 /**
- * What the canvas shows as a stream of video, for recorders and peers, and in a window above all others.
+ * The canvas's picture as a video stream, for recorders and peers, and in a picture-in-picture window.
  */
 export class Capture {
   #canvas;
   #host;
-  /** @type {Set<MediaStream>} those whose tracks have not been stopped */
+  /** @type {Set<MediaStream>} streams whose tracks have not been stopped */
   #streams = new Set();
   /** @type {HTMLVideoElement | null} plays the picture in picture */
   #video = null;
@@ -19,7 +19,7 @@ export class Capture {
     this.#host = host;
   }
 
-  /** Whether somebody still uses a stream: it has a track that was not stopped. */
+  /** Whether a stream is still in use, that is, has a track that was not stopped. */
   get isLive() {
     for (const stream of this.#streams) {
       if (!stream.active) this.#streams.delete(stream);
@@ -28,8 +28,8 @@ export class Capture {
   }
 
   /**
-   * @param {number} [fps] at most so many pictures a second; by default every one that is drawn
-   * @returns {MediaStream} of one video track
+   * @param {number} [fps] maximum number of pictures per second; by default every drawn picture
+   * @returns {MediaStream} with one video track
    */
   stream(fps) {
     const stream = this.#canvas.captureStream(fps);
@@ -38,8 +38,8 @@ export class Capture {
   }
 
   /**
-   * Shows the picture in a window above all others. A person must have pressed something just now.
-   * Rejects as `HTMLVideoElement.requestPictureInPicture`.
+   * Shows the picture in a window above all others. Needs a recent user gesture.
+   * Rejects like `HTMLVideoElement.requestPictureInPicture`.
    * @returns {Promise<PictureInPictureWindow>}
    */
   async pictureInPicture() {
@@ -54,14 +54,14 @@ export class Capture {
     video.muted = true;
     const stream = this.stream();
     video.srcObject = stream;
-    // Within the element, so that it is the `pictureInPictureElement` of its page.
+    // The video is inside the element, so that the element is its page's `pictureInPictureElement`.
     this.#host.shadowRoot?.append(video);
     video.addEventListener("enterpictureinpicture", () => this.#dispatch("enterpictureinpicture"));
     video.addEventListener("leavepictureinpicture", () => this.#leave());
     try {
       await video.play();
       const opened = await video.requestPictureInPicture();
-      // From here on the window's own buttons pause and play it.
+      // From here on, the window's own buttons pause and play the player.
       video.addEventListener("pause", () => this.#host.pause?.());
       video.addEventListener("play", () => this.#host.play?.());
       return opened;

@@ -1,13 +1,13 @@
 /**
- * What a person can have the player do, by a button of the bar, an entry of the menu or a key.
+ * An action of the player that has a button in the bar, an entry in the menu or a key.
  * @typedef {object} Command
  * @property {string} name class of its button in the bar
  * @property {string} label
- * @property {import("./icons.js").IconName} [icon] what is in the menu alone has its icon there
- * @property {string} key as the keyboard's event names it, in lower case
- * @property {"bar" | "wide" | "menu"} place in the bar; in a wide bar, and else in the menu; in the menu
+ * @property {import("./icons.js").IconName} [icon] for the bar; icons of menu-only commands are in menu.js
+ * @property {string} key name as in keyboard events, in lower case
+ * @property {"bar" | "wide" | "menu"} place in the bar; in a wide bar, otherwise in the menu; in the menu
  * @property {() => void} run
- * @property {() => boolean} [isOn] of a toggle
+ * @property {() => boolean} [isOn] for toggles: whether it is on
  */
 
 /**
@@ -98,7 +98,7 @@ export function commandsOf(element, stereo, sharing, panels) {
 }
 
 /**
- * For phones alone.
+ * The gyroscope command; on phones only.
  * @param {import("./swingsplayer.js").SwingsPlayerElement} element
  * @returns {Command}
  */

@@ -1,6 +1,6 @@
 /**
- * What many viewers never use. Everything here is loaded by `import()`: a bundle has it in a file of its
- * own, which no first picture waits for.
+ * Features that many viewers never use. Everything here is loaded by `import()`: a bundle has it in a
+ * separate file, which does not delay the first picture.
  */
 
 export { Headset } from "../stereo/headset.js";

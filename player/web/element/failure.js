@@ -1,6 +1,6 @@
 import { node } from "./nodes.js";
 
-/** What a person reads in the place of a message with a URL or a status: the first that fits. */
+/** Texts shown instead of messages that contain a URL or a status; the first matching pattern applies. */
 const SENTENCES = /** @type {[RegExp, string][]} */ ([
   [/HTTP 40[13]\b/, "You have no access to this video."],
   [/HTTP (404|410)\b/, "This video does not exist, or is not here any more."],
@@ -9,7 +9,7 @@ const SENTENCES = /** @type {[RegExp, string][]} */ ([
   [/https?:|file:/, "This video cannot be played."],
 ]);
 
-/** Messages of one sentence are shown as they are, longer ones folded. */
+/** Messages up to this length are shown unchanged; longer ones are replaced, and folded below. */
 const MOST_CHARS = 120;
 
 /** @param {string} message */
@@ -20,7 +20,7 @@ export function sentenceOf(message) {
   return message.endsWith(".") ? message : `${message}.`;
 }
 
-/** The panel that says why nothing plays, with a button to try again and the folded details. */
+/** The panel that shows why playback failed, with a button to try again and the folded details. */
 export class Failure {
   /** @param {() => void} retry */
   constructor(retry) {

@@ -1,5 +1,5 @@
 /**
- * The callbacks of `requestVideoFrameCallback`: each is called once, after the next frame has been
+ * The callbacks of `requestVideoFrameCallback`: each one is called once, after the next frame has been
  * drawn. https://wicg.github.io/video-rvfc/
  */
 export class FrameCallbacks {
@@ -22,7 +22,7 @@ export class FrameCallbacks {
   }
 
   /**
-   * A frame has been drawn: runs the callbacks that were registered before this call.
+   * Runs the callbacks that were registered before this call, after a frame has been drawn.
    * @param {number} mediaTime seconds
    * @param {number} width pixels
    * @param {number} height pixels
@@ -31,7 +31,7 @@ export class FrameCallbacks {
   run(mediaTime, width, height, nowMs) {
     this.#presentedFrames += 1;
     const presentedFrames = this.#presentedFrames;
-    // Pages cannot know when the screen shows a canvas: the next refresh.
+    // Pages cannot know when the screen shows a canvas; the best guess is the next refresh.
     const times = { presentationTime: nowMs, expectedDisplayTime: nowMs, mediaTime };
     const due = [...this.#callbacks];
     for (const [handle, callback] of due) {

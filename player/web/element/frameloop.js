@@ -1,4 +1,4 @@
-/** Calls back once before the browser's next picture, if that was requested; it is idle otherwise. */
+/** Calls back once before the browser's next picture if requested; idle otherwise. */
 export class FrameLoop {
   #id = 0;
   #requestedMs = 0;
@@ -22,7 +22,7 @@ export class FrameLoop {
     return this.#id === 0 ? 0 : performance.now() - this.#requestedMs;
   }
 
-  /** Calls back now, in place of before the next picture. */
+  /** Calls back now instead of before the next picture. */
   flush() {
     this.stop();
     this.draw(performance.now());

@@ -1,6 +1,6 @@
 /**
- * Full screen. Where the browser has none for elements (iPhone) or refuses it, the player covers the
- * page instead.
+ * Full screen. If the browser does not support it for elements (iPhone) or refuses it, the player covers
+ * the page instead.
  */
 export class FullScreen {
   /**
@@ -34,7 +34,7 @@ export class FullScreen {
     }
   }
 
-  /** Ends it if the player covers the page: the browser itself ends the other one. */
+  /** Ends full screen if the player covers the page; real full screen is ended by the browser itself. */
   leave() {
     if (this.#covers) this.#cover(false);
   }

@@ -1,13 +1,13 @@
 import { Taps } from "./taps.js";
 
-/** A player that covers this share of its page's width and height fills it. */
+/** A player counts as filling its page if it covers this share of the page's width and height. */
 const FILLS_SHARE = 0.9;
-/** One finger that moves this far to the side wants to look around. */
+/** A one-finger move this far to the side is read as an attempt to look around. */
 const LOOKS_PX = 16;
 const HINT_PERIOD_MS = 1000;
 
 /**
- * What gestures need of a player.
+ * The part of a player that gestures use.
  * @typedef {object} Gestured
  * @property {import("../view/cameramotion.js").CameraMotion | null} motion
  * @property {import("../format/camera.js").Camera | null} camera
@@ -19,13 +19,14 @@ const HINT_PERIOD_MS = 1000;
 /**
  * Moves the camera by pointers.
  *
- * A mouse turns it around the scene, with the right button or shift it moves it. In a player that fills
- * its page or the screen, one finger turns, two move, and pinching or the wheel comes nearer. Elsewhere
- * the page must scroll: one finger and the wheel are the page's, two fingers turn and come nearer, three
- * move, and the wheel is taken with ctrl or while the player has the focus. A gesture that is left to the
- * page dispatches `gesturehint` (detail: what to do instead), which leaves the shadow tree.
+ * Dragging with a mouse turns the camera around the scene; with the right button or shift it moves the
+ * camera. In a player that fills its page or the screen, one finger turns, two move, and pinching or the
+ * wheel zooms. Elsewhere the page must stay scrollable: one finger and the wheel belong to the page, two
+ * fingers turn and zoom, three move, and the wheel zooms only with ctrl or while the player has the focus.
+ * A gesture that is left to the page dispatches `gesturehint` (detail: what to do instead), which leaves
+ * the shadow tree.
  *
- * A double tap, or a double click with alt, flies to what shows there.
+ * A double tap, or a double click with alt, flies to the point of the scene at that place.
  * @param {HTMLElement} surface
  * @param {Gestured} player
  * @param {AbortSignal} signal ends the listening
@@ -34,7 +35,7 @@ export function listenToGestures(surface, player, signal) {
   /** @type {Map<number, { x: number, y: number, firstX: number }>} */
   const pointers = new Map();
   const taps = new Taps();
-  /** @type {import("../view/cameramotion.js").Drag} what the pointers did last */
+  /** @type {import("../view/cameramotion.js").Drag} the kind of the last drag */
   let dragged = "turn";
   let hintedMs = -Infinity;
   const focalPx = () => (player.camera?.fxPx ?? 500) / player.pixelRatio;
@@ -104,7 +105,7 @@ export function listenToGestures(surface, player, signal) {
     on(type, (/** @type {PointerEvent} */ event) => {
       if (!pointers.delete(event.pointerId)) return;
       if (pointers.size === 0) player.motion?.release(dragged, event.timeStamp);
-      // The fingers that stay begin anew: the middle of fewer is elsewhere.
+      // The remaining fingers start a new drag, because their centre is elsewhere.
       else player.motion?.grab();
       player.moved();
       if (type === "pointerup" && event.pointerType === "touch" && taps.up(event)) {
@@ -112,7 +113,7 @@ export function listenToGestures(surface, player, signal) {
       }
     });
   }
-  // Two fingers are ours, also where one scrolls.
+  // Two-finger gestures belong to the player even where one finger scrolls the page.
   for (const type of ["touchstart", "touchmove"]) {
     const take = (/** @type {TouchEvent} */ event) => {
       if (event.touches.length > 1 && event.cancelable) event.preventDefault();
@@ -138,7 +139,7 @@ export function listenToGestures(surface, player, signal) {
 }
 
 /**
- * The middle of some places, and how far they lie from it.
+ * The centre of some places, and their mean distance from it.
  * @param {{ x: number, y: number }[]} places
  */
 function spreadOf(places) {
@@ -151,8 +152,8 @@ function spreadOf(places) {
 }
 
 /**
- * Whether nothing else could want a gesture: the player fills the screen, or a page that does not
- * scroll. A frame cannot know whether the page around it scrolls.
+ * Whether all gestures may go to the player, because it fills the screen or a page that does not
+ * scroll. In a frame only full screen counts: the code cannot know whether the page around it scrolls.
  * @param {HTMLElement} surface
  */
 function isFilling(surface) {

@@ -1,12 +1,12 @@
 import { deviceTurn, turnBetween } from "../view/deviceturn.js";
 
-/** Whether this device may report its orientation. Many computers have the event, but never send it. */
+/** Whether this device may report its orientation. Many computers define the event but never send it. */
 export function hasGyroscope() {
   const isTouched = globalThis.matchMedia?.("(pointer: coarse)").matches ?? false;
   return isTouched && globalThis.isSecureContext && "DeviceOrientationEvent" in globalThis;
 }
 
-/** Turns the camera as a phone is turned. Events: `change` (this.isOn). */
+/** Turns the camera with the phone's orientation. Events: `change` (this.isOn). */
 export class Gyroscope extends EventTarget {
   isOn = false;
   /** @type {import("../view/deviceturn.js").DeviceTurn | null} */
@@ -20,8 +20,8 @@ export class Gyroscope extends EventTarget {
   }
 
   /**
-   * Begins or ends. iOS asks for permission, for which a person must have pressed something just now.
-   * @returns {Promise<boolean>} whether it is on; false too where the person or the page refuses it
+   * Switches the gyroscope on or off. iOS asks for permission, which needs a recent user gesture.
+   * @returns {Promise<boolean>} whether it is on; also false if the user or the page denies permission
    */
   async toggle() {
     if (this.isOn) {
@@ -55,7 +55,7 @@ export class Gyroscope extends EventTarget {
     if (alpha === null || beta === null || gamma === null) return;
     const turn = deviceTurn(alpha, beta, gamma);
     const last = this.#last;
-    // A phone that lies flat has no heading: the last one stays.
+    // A phone that lies flat has no heading; the last one is kept.
     this.#last = { ...turn, headingRad: turn.headingRad ?? last?.headingRad ?? null };
     const { motion } = this.player;
     if (last === null || motion === null || motion.isInFlight) return;

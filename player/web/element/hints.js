@@ -2,7 +2,7 @@ import { node } from "./nodes.js";
 
 const SHORT_MS = 2000;
 
-/** One line above the picture: a message for a moment, or else the first condition that holds. */
+/** One line over the picture: a brief message, or otherwise the first active condition. */
 export class Hints {
   #timer = 0;
   #brief = "";
@@ -28,7 +28,7 @@ export class Hints {
   }
 
   /**
-   * A condition of this name holds from now on; "": no longer.
+   * Sets the message of a condition, which stays until it is set to "".
    * @param {string} name
    * @param {string} message
    */

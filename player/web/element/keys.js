@@ -2,7 +2,7 @@ import { cameraKeys } from "../view/camerakeys.js";
 
 export const RATES = [0.1, 0.25, 0.5, 1, 1.5, 2];
 
-/** An arrow key and J or L move by so much, or by a share of a clip that is shorter. */
+/** Step of the arrow keys, and of J and L; at most the given share of the clip's length. */
 const STEP_S = 5;
 const JUMP_S = 10;
 const STEP_SHARE = 0.1;
@@ -10,14 +10,14 @@ const JUMP_SHARE = 0.2;
 
 /**
  * @typedef {object} KeyAction
- * @property {string[]} keys as the keyboard's events name them, in lower case
+ * @property {string[]} keys names as in keyboard events, in lower case
  * @property {string} label
  * @property {(key: string) => void} run
  */
 
 /**
- * The keys of a player, in the order of the list that people see. They are those of YouTube where that
- * has them.
+ * The keys of a player, in the order of the key list that users see. They match YouTube's keys where
+ * YouTube has them.
  * @param {import("./swingsplayer.js").SwingsPlayerElement} element
  * @param {import("./webplayer.js").WebPlayer} player
  * @param {import("./commands.js").Command[]} commands
@@ -77,7 +77,7 @@ export function keysOf(element, player, commands) {
   ];
 }
 
-/** How the list of keys describes those of the camera, together where they do the like. */
+/** Descriptions of the camera's keys for the key list; keys with a similar effect share one line. */
 const CAMERA_KEYS = /** @type {[string[], string][]} */ ([
   [["w", "a", "s", "d"], "Turn the camera; in flight, move it"],
   [["shift+w", "shift+a", "shift+s", "shift+d"], "Move the camera"],
@@ -102,7 +102,7 @@ function cameraActions(player) {
 }
 
 /**
- * Has the keys do what their table says. A focused part keeps the keys that it uses itself.
+ * Runs the action of each pressed key. A focused control keeps the keys that it uses itself.
  * @param {HTMLElement} element
  * @param {KeyAction[]} actions
  * @param {() => void} escape

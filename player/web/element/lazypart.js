@@ -3,21 +3,21 @@
  * @template Part
  */
 export class LazyPart {
-  /** @type {Part | null} null until it was used */
+  /** @type {Part | null} null until it is loaded */
   part = null;
   /** @type {Promise<Part> | null} */
   #loading = null;
 
   /**
    * @param {() => Promise<Part>} load
-   * @param {() => void} failed it could not be loaded
+   * @param {() => void} failed called if the part could not be loaded
    */
   constructor(load, failed) {
     this.load = load;
     this.failed = failed;
   }
 
-  /** Has it do something, now or as soon as it is here. @param {(part: Part) => unknown} action */
+  /** Runs `action` with the part as soon as it is loaded. @param {(part: Part) => unknown} action */
   async use(action) {
     try {
       this.#loading ??= this.load();

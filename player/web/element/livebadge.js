@@ -1,9 +1,9 @@
 import { isBehind } from "../source/liveedge.js";
 import { node } from "./nodes.js";
 
-/** A live stream has stopped if it has not grown for so many times the length of a segment, */
+/** A live stream counts as stopped if it has not grown for this many times the length of a segment, */
 const STOPPED_SEGMENTS = 5;
-/** and at least for so long. */
+/** but not before this time. */
 const LEAST_STOPPED_S = 10;
 
 /** @param {{ fps: number, segmentFrames: number }} manifest */
@@ -12,8 +12,8 @@ export function stoppedAfterS({ fps, segmentFrames }) {
 }
 
 /**
- * The LIVE badge: there while a stream is live, grey where the picture is behind its edge, or where
- * its writer has stopped.
+ * The LIVE badge: visible while a stream is live, grey if the picture is behind the live edge or the
+ * stream's writer has stopped.
  */
 export class LiveBadge {
   #timer = 0;

@@ -1,7 +1,7 @@
-/** The attributes of media elements that are properties too, and the sound's settings. */
+/** The attributes of media elements that are also properties, and the sound's settings. */
 export class MediaAttributes extends HTMLElement {
   #volume = 1;
-  /** @type {boolean | null} null: as the attribute */
+  /** @type {boolean | null} null: use the attribute */
   #muted = null;
 
   /** URL of the stream's folder; absolute when read. */
@@ -48,7 +48,7 @@ export class MediaAttributes extends HTMLElement {
   }
 
   /**
-   * What is fetched before `play()`: nothing, the description of the stream, or the first seconds too.
+   * Amount fetched before `play()`: nothing, the stream's description, or also the first seconds.
    * @returns {"none" | "metadata" | "auto"}
    */
   get preload() {
@@ -94,7 +94,7 @@ export class MediaAttributes extends HTMLElement {
   }
 
   /**
-   * Dispatches an event once the script that runs now is done, as media elements do.
+   * Dispatches an event once the current script has finished, as media elements do.
    * @param {string} type
    * @param {() => void} [then] runs after the event's listeners
    */

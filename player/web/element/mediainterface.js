@@ -9,12 +9,12 @@ import { FrameRanges, SecondRanges } from "./timeranges.js";
 const ERROR = { DECODE: 3, SRC_NOT_SUPPORTED: 4 };
 
 /**
- * What a page's script uses of `<swings-player>`. Properties, methods and events that media elements of
- * HTML have too bear their names and mean the same: https://html.spec.whatwg.org/multipage/media.html.
- * docs/EMBED.md has the tables. `layerschange` is an event of its own.
+ * The scripting interface of `<swings-player>`. Properties, methods and events that HTML media elements
+ * also have keep their names and meaning: https://html.spec.whatwg.org/multipage/media.html.
+ * docs/EMBED.md has the tables. The event `layerschange` is specific to this element.
  */
 export class MediaInterface extends PictureInterface {
-  /** @type {{ code: number, message: string } | null} why nothing plays */
+  /** @type {{ code: number, message: string } | null} the reason why playback failed */
   error = null;
   #currentSrc = "";
   #readiness = new Readiness();
@@ -22,24 +22,24 @@ export class MediaInterface extends PictureInterface {
   #ended = false;
   /** Whether the last frame is due, but may not show yet. */
   #isEnding = false;
-  /** @type {PromiseWithResolvers<void> | null} of the calls of `play` whose playing has not begun */
+  /** @type {PromiseWithResolvers<void> | null} for calls of `play` that wait for playback to begin */
   #pending = null;
   #rate = 1;
   #defaultRate = 1;
   #layers = 0;
-  /** @type {number | null} seconds: where to begin, set by a script before the stream was open */
+  /** @type {number | null} start time in seconds, if a script set one before the stream was open */
   #startS = null;
   /**
-   * How a stream stood that may be opened again; timeS: null for a live one.
+   * State of a stream that may be opened again; timeS is null for a live stream.
    * @type {{ src: string, timeS: number | null, rate: number, view: string } | null}
    */
   #left = null;
   #isOpening = false;
   #played = new FrameRanges();
-  /** @type {number | null} the frame shown last, if the next one follows it */
+  /** @type {number | null} the frame shown last; null if the next frame does not continue from it */
   #playedFrame = null;
 
-  /** The absolute URL of the stream that is loaded, or was tried. */
+  /** Absolute URL of the stream that is loaded, or that failed to load. */
   get currentSrc() {
     return this.#currentSrc;
   }
@@ -56,7 +56,7 @@ export class MediaInterface extends PictureInterface {
     return this.#paused;
   }
 
-  /** Whether the last frame was reached, and nothing sought since. */
+  /** Whether the last frame was reached, with no seek since. */
   get ended() {
     return this.#ended;
   }
@@ -65,13 +65,13 @@ export class MediaInterface extends PictureInterface {
     return this.player?.isSeeking ?? false;
   }
 
-  /** Seconds; NaN until `loadedmetadata`. Of a live stream: so far. */
+  /** Seconds; NaN until `loadedmetadata`. For a live stream, its length so far. */
   get duration() {
     const { player } = this;
     return player?.manifest ? player.numFrames / player.manifest.fps : NaN;
   }
 
-  /** Of the frame that shows, or is sought, in seconds from the first. */
+  /** Time of the frame that shows, or is being sought, in seconds from the first frame. */
   get currentTime() {
     const { player } = this;
     if (!player?.manifest) return this.#startS ?? 0;
@@ -92,7 +92,7 @@ export class MediaInterface extends PictureInterface {
     this.currentTime = seconds;
   }
 
-  /** What can be shown without waiting, in seconds. */
+  /** Time ranges that can be shown without waiting, in seconds. */
   get buffered() {
     const { player } = this;
     if (!player?.manifest) return new SecondRanges([]);
@@ -102,13 +102,13 @@ export class MediaInterface extends PictureInterface {
     return frames.inSeconds(player.manifest.fps);
   }
 
-  /** All of the stream, once its duration is known. */
+  /** The whole stream, once its duration is known. */
   get seekable() {
     const { duration } = this;
     return new SecondRanges(duration > 0 ? [[0, duration]] : []);
   }
 
-  /** What has been played since the stream was opened, in seconds. */
+  /** Time ranges that have been played since the stream was opened, in seconds. */
   get played() {
     return this.#played.inSeconds(this.player?.manifest?.fps ?? 1);
   }
@@ -130,7 +130,7 @@ export class MediaInterface extends PictureInterface {
     this.queueEvent("ratechange");
   }
 
-  /** `playbackRate` of the streams that are loaded after the first one. */
+  /** The `playbackRate` that every later load starts with. */
   get defaultPlaybackRate() {
     return this.#defaultRate;
   }
@@ -141,7 +141,7 @@ export class MediaInterface extends PictureInterface {
     this.queueEvent("ratechange");
   }
 
-  /** Layers that are shown at most; 0: as many as the link carries. */
+  /** Maximum number of layers to show; 0: as many as the link carries. */
   get layers() {
     return this.#layers;
   }
@@ -155,12 +155,12 @@ export class MediaInterface extends PictureInterface {
     this.queueEvent("layerschange");
   }
 
-  /** Layers of the stream; 0 until `loadedmetadata`. */
+  /** Number of layers of the stream; 0 until `loadedmetadata`. */
   get numLayers() {
     return this.player?.manifest?.numLayers ?? 0;
   }
 
-  /** Where a person or a script has turned the camera, as links hold it; "" until `loadedmetadata`. */
+  /** The current view as text, in the form used in share links; "" until `loadedmetadata`. */
   get view() {
     return this.player?.orbit?.text ?? "";
   }
@@ -176,7 +176,7 @@ export class MediaInterface extends PictureInterface {
   }
 
   /**
-   * Plays, from the first frame after the last one has shown; as soon as the stream is open.
+   * Starts playback as soon as the stream is open; after the end, from the first frame.
    * @returns {Promise<void>} resolves when playing begins. Rejects with an AbortError if `pause`, `load`
    *   or the end comes first, and with a NotSupportedError if the stream cannot be played. Scripts may
    *   ignore it: it is never reported as unhandled.
@@ -201,7 +201,7 @@ export class MediaInterface extends PictureInterface {
       if (player?.manifest) player.setPlaying(true);
       else if (this.networkState === NETWORK.IDLE) this.#open();
     }
-    if (isReady) this.#begun();
+    if (isReady) this.#resolvePlay();
     return promise;
   }
 
@@ -211,10 +211,10 @@ export class MediaInterface extends PictureInterface {
     this.player?.setPlaying(false);
     this.queueEvent("timeupdate");
     this.queueEvent("pause");
-    this.#refuse("AbortError", "play() was interrupted by a pause");
+    this.#rejectPlay("AbortError", "play() was interrupted by a pause");
   }
 
-  /** Loads the stream of `src` anew, from its beginning. */
+  /** Loads the stream of `src` again, from its beginning. */
   load() {
     this.muted = this.muted; // from now on the attribute has no effect, as in HTML
     this.#unload();
@@ -228,7 +228,7 @@ export class MediaInterface extends PictureInterface {
     else this.#open();
   }
 
-  /** Loads the same stream anew, and goes on at its time, rate and view. */
+  /** Loads the same stream again, and continues at the same time, rate and view. */
   reload() {
     this.#keepPlace();
     this.load();
@@ -241,18 +241,18 @@ export class MediaInterface extends PictureInterface {
     this.#left = { src: this.#currentSrc, timeS, rate: this.#rate, view };
   }
 
-  /** A stream is about to be opened, now or at `play()`: the element shows its poster. */
+  /** Called before a stream is opened, now or at `play()`: the element shows its poster. */
   prepare() {}
 
   /**
    * Opens the stream of `src`.
-   * @param {boolean} isHeld whether nothing but its description is fetched until `play()` or a seek
+   * @param {boolean} isHeld whether to fetch only the stream's description until `play()` or a seek
    */
   openStream(isHeld) {
     void isHeld;
   }
 
-  /** The element is taken out of its page: its player goes, its place is kept. */
+  /** Called when the element is removed from its page: disposes of the player, but keeps the place. */
   leave() {
     const { player } = this;
     this.#keepPlace();
@@ -262,25 +262,25 @@ export class MediaInterface extends PictureInterface {
     this.#unload();
   }
 
-  /** `preload` has changed: a stream that waits for it is opened. */
+  /** Called when `preload` has changed: opens a stream that was waiting for it. */
   preloadChanged() {
     const waits = this.networkState === NETWORK.IDLE && !this.#isOpening;
     if (waits && this.preload !== "none") this.#open();
   }
 
-  /** Nothing plays, and why. @param {string} message */
+  /** Reports that the stream cannot be played. @param {string} message */
   fail(message) {
     const isOpen = this.readyState > READY.NOTHING;
     this.error = { code: isOpen ? ERROR.DECODE : ERROR.SRC_NOT_SUPPORTED, message };
     this.#readiness.network = isOpen ? NETWORK.IDLE : NETWORK.NO_SOURCE;
     this.queueEvent("error");
-    this.#refuse("NotSupportedError", message);
+    this.#rejectPlay("NotSupportedError", message);
   }
 
   /**
-   * Passes on what happens in a player as DOM events.
+   * Dispatches the events of a player as DOM events.
    * @param {WebPlayer} player
-   * @param {AbortSignal} signal ends it
+   * @param {AbortSignal} signal ends the listening
    */
   follow(player, signal) {
     const on = (/** @type {string} */ type, /** @type {() => void} */ action) =>
@@ -306,7 +306,7 @@ export class MediaInterface extends PictureInterface {
     });
   }
 
-  /** Forgets the stream that was loaded, if any. */
+  /** Resets all state of the stream that was loaded, if any. */
   #unload() {
     const { network } = this.#readiness;
     if (network === NETWORK.EMPTY) return;
@@ -320,7 +320,7 @@ export class MediaInterface extends PictureInterface {
     this.#played = new FrameRanges();
     this.#playedFrame = null;
     if (this.#rate !== this.#defaultRate) this.playbackRate = this.#defaultRate;
-    this.#refuse("AbortError", "play() was interrupted by another load");
+    this.#rejectPlay("AbortError", "play() was interrupted by another load");
   }
 
   #open() {
@@ -329,12 +329,12 @@ export class MediaInterface extends PictureInterface {
     this.openStream(this.preload === "metadata" && this.#paused && !this.#playsAlone);
   }
 
-  /** Whether it begins to play by itself: not for a viewer who asked for less motion. */
+  /** Whether playback starts by itself; never if the user prefers reduced motion. */
   get #playsAlone() {
     return this.autoplay && !prefersStill();
   }
 
-  /** It has ended once the last frame shows. @param {WebPlayer} player */
+  /** Ends playback once the last frame shows. @param {WebPlayer} player */
   #end(player) {
     if (!this.#isEnding || player.shownFrame < player.numFrames - 1) return;
     this.#isEnding = false;
@@ -360,7 +360,7 @@ export class MediaInterface extends PictureInterface {
     const start = this.getAttribute("start");
     const startS = this.#startS ?? left?.timeS ?? (start === null ? null : Number(start));
     this.#startS = null;
-    // A live stream begins at its edge by itself, others at 0.
+    // Without a start time, a live stream begins at its edge and any other stream at 0.
     if (startS !== null && startS >= 0) this.currentTime = startS;
     if (!this.#paused) player.setPlaying(true);
     else if (this.#playsAlone) this.play();
@@ -371,17 +371,17 @@ export class MediaInterface extends PictureInterface {
     const { shownFrame, manifest } = player;
     this.queueEvent("timeupdate");
     if (this.#paused) this.#playedFrame = shownFrame;
-    else if (!player.isSeeking) this.#play(shownFrame);
+    else if (!player.isSeeking) this.#notePlayed(shownFrame);
     this.#update(player);
     this.runFrameCallbacks(shownFrame / manifest.fps);
     this.#end(player);
   }
 
-  /** Notes that a frame was played. @param {number} frame */
-  #play(frame) {
+  /** Records that a frame was played. @param {number} frame */
+  #notePlayed(frame) {
     const before = this.#playedFrame ?? frame;
     if (frame < before) {
-      // Around the end of a loop, which is a seek to scripts.
+      // The stream has looped, which scripts see as a seek.
       this.queueEvent("seeking");
       this.queueEvent("seeked");
     }
@@ -403,15 +403,15 @@ export class MediaInterface extends PictureInterface {
     this.#fire(this.#readiness.update({ ...loaded, ...shown }, performance.now() / 1000));
   }
 
-  /** Events in their order; with `playing` the calls of `play` are answered. @param {string[]} types */
+  /** Queues events in order; `playing` also resolves pending calls of `play`. @param {string[]} types */
   #fire(types) {
     for (const type of types) {
       this.queueEvent(type);
-      if (type === "playing") this.#begun();
+      if (type === "playing") this.#resolvePlay();
     }
   }
 
-  #begun() {
+  #resolvePlay() {
     const pending = this.#pending;
     this.#pending = null;
     queueMicrotask(() => pending?.resolve());
@@ -421,7 +421,7 @@ export class MediaInterface extends PictureInterface {
    * @param {string} name of the DOMException
    * @param {string} message
    */
-  #refuse(name, message) {
+  #rejectPlay(name, message) {
     const pending = this.#pending;
     this.#pending = null;
     queueMicrotask(() => pending?.reject(new DOMException(message, name)));

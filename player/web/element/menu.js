@@ -2,7 +2,7 @@ import { drawn, icon } from "./icons.js";
 import { node } from "./nodes.js";
 
 /**
- * Icons of what is in the menu alone, by its name.
+ * Icons of the entries that exist only in the menu, by entry name.
  * @type {Record<string, string>}
  */
 const ICONS = {
@@ -19,7 +19,7 @@ const ICONS = {
 /** @typedef {import("./commands.js").Command} Command */
 
 /**
- * A setting that has one of some values, such as the speed.
+ * A setting with a fixed list of values, such as the speed.
  * @typedef {object} Choice
  * @property {string} name
  * @property {string} label
@@ -29,15 +29,15 @@ const ICONS = {
  */
 
 /**
- * The menu of what has no room in the bar, as https://www.w3.org/WAI/ARIA/apg/patterns/menu-button/
- * has it. A choice opens a page of its own in the place of the first one.
+ * The menu for everything that has no room in the bar, built as in
+ * https://www.w3.org/WAI/ARIA/apg/patterns/menu-button/. A choice replaces the menu by a page of its own.
  */
 export class Menu {
   /**
    * @param {HTMLElement} button
    * @param {Choice[]} choices
    * @param {Command[]} commands
-   * @param {() => void} changed it was opened or closed
+   * @param {() => void} changed called when the menu was opened or closed
    */
   constructor(button, choices, commands, changed) {
     this.button = button;
@@ -57,7 +57,7 @@ export class Menu {
     else this.open(0);
   }
 
-  /** @param {number} at which entry gets the focus; -1: the last one */
+  /** @param {number} at index of the entry that gets the focus; -1: the last one */
   open(at) {
     this.#showAll();
     this.root.hidden = false;
@@ -75,7 +75,7 @@ export class Menu {
     this.changed();
   }
 
-  /** The entries that show, from the first to the last. */
+  /** The visible entries, in order. */
   get #entries() {
     const all = /** @type {HTMLElement[]} */ ([...this.root.querySelectorAll("button")]);
     return all.filter((entry) => entry.checkVisibility());

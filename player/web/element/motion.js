@@ -1,4 +1,4 @@
-/** Whether the person has asked the device for less motion: nothing then starts by itself. */
+/** Whether the user prefers reduced motion; then nothing starts by itself. */
 export function prefersStill() {
   return globalThis.matchMedia?.("(prefers-reduced-motion: reduce)").matches ?? false;
 }

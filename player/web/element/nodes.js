@@ -1,6 +1,6 @@
 /**
- * Makes an element. The player builds its DOM by such calls, because a page's Trusted Types may forbid
- * `innerHTML`.
+ * Makes an element. The player builds its DOM with such calls because a page's Trusted Types policy may
+ * forbid `innerHTML`.
  * @template {keyof HTMLElementTagNameMap} T
  * @param {T} tag
  * @param {Record<string, string | boolean | null>} [attributes] true sets an empty attribute; false and

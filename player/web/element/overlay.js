@@ -2,11 +2,11 @@ import { icon } from "./icons.js";
 import { node } from "./nodes.js";
 
 /**
- * How the player stands, for what lies over the picture.
+ * State of the player, which decides what the overlay shows.
  * @typedef {"failed" | "loading" | "start" | "playing" | "waiting" | "paused" | "ended"} Condition
  */
 
-/** What lies over the picture but the bar: poster, spinner and the large button. */
+/** Everything over the picture except the bar: poster, spinner and the large button. */
 export class Overlay {
   /** @type {Condition} */
   condition = "loading";
@@ -14,7 +14,7 @@ export class Overlay {
   /** @param {() => void} play */
   constructor(play) {
     this.poster = node("img", { class: "poster", alt: "", hidden: true });
-    // A stream may go without the poster that it names.
+    // The poster that a stream names may be missing.
     this.poster.addEventListener("error", () => (this.poster.hidden = true));
     const ring = node("span", { class: "ring" });
     const label = node("span", { class: "label" }, "Loading");

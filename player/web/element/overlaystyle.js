@@ -1,4 +1,4 @@
-/** What lies over the picture: poster, messages, the large button. Panels have a style of their own. */
+/** Style of the poster, messages and large button over the picture. Panels have their own style. */
 export const OVERLAY_STYLE = /* css */ `
 .poster { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: contain; pointer-events: none; transition: opacity 0.3s; }
 .poster.gone { opacity: 0; }

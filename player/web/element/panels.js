@@ -3,7 +3,7 @@ import { Menu } from "./menu.js";
 import { PANEL_STYLE } from "./panelstyle.js";
 import { Statistics } from "./statistics.js";
 
-/** What opens over the picture by a command: the menu, the statistics and the list of keys. */
+/** The panels that commands open over the picture: the menu, the statistics and the list of keys. */
 export class Panels {
   /**
    * @param {import("./webplayer.js").WebPlayer} player
@@ -11,7 +11,7 @@ export class Panels {
    * @param {import("./menu.js").Choice[]} choices
    * @param {import("./commands.js").Command[]} commands
    * @param {import("./keys.js").KeyAction[]} actions
-   * @param {() => void} changed the menu was opened or closed
+   * @param {() => void} changed called when the menu was opened or closed
    */
   constructor(player, menuButton, choices, commands, actions, changed) {
     this.menu = new Menu(menuButton, choices, commands, changed);
@@ -25,7 +25,7 @@ export class Panels {
     return this.menu.isOpen || this.keyList.root.open;
   }
 
-  /** Adds them to `place`, and their style to its tree. @param {HTMLElement} place */
+  /** Adds the panels to `place`, and their style to its tree. @param {HTMLElement} place */
   addTo(place) {
     const sheet = new CSSStyleSheet();
     sheet.replaceSync(PANEL_STYLE);

@@ -1,4 +1,4 @@
-/** Players out of sight that keep their workers, and go on at once when they are back in view. */
+/** Maximum number of players out of view that keep their workers and so can resume at once. */
 const MOST_WAITING = 4;
 
 /**
@@ -8,8 +8,8 @@ const MOST_WAITING = 4;
 const waiting = new Set();
 
 /**
- * Lets a player that is out of sight keep what it has, and parks the longest unseen one if there are
- * too many of them.
+ * Lets a player that is out of view keep its resources, and parks the longest unseen player if there
+ * are too many.
  * @param {{ park: () => void }} player
  */
 export function keepWaiting(player) {
@@ -22,7 +22,7 @@ export function keepWaiting(player) {
   }
 }
 
-/** @param {{ park: () => void }} player that is seen, or has ended */
+/** @param {{ park: () => void }} player one that is in view again, or has ended */
 export function stopWaiting(player) {
   waiting.delete(player);
 }

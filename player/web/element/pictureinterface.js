@@ -4,23 +4,23 @@ import { MediaAttributes } from "./mediaattributes.js";
 
 /** @typedef {import("./webplayer.js").WebPlayer} WebPlayer */
 
-/** What a script does with the pictures of a player: their size, callbacks, and where else they go. */
+/** Scripting interface to the player's pictures: their size, frame callbacks, and capture. */
 export class PictureInterface extends MediaAttributes {
   /** @type {WebPlayer | null} while the element is in a page */
   player = null;
   #frameCallbacks = new FrameCallbacks();
   /** @type {Capture | null} */
   #capture = null;
-  /** @type {(() => void) | null} lets the player rest out of view again */
+  /** @type {(() => void) | null} lets the player pause out of view again */
   #release = null;
   #sizePx = [0, 0];
 
-  /** Width of the picture that is drawn, in pixels; 0 until `loadedmetadata`. */
+  /** Width of the drawn picture in pixels; 0 until `loadedmetadata`. */
   get videoWidth() {
     return this.#sizePx[0];
   }
 
-  /** Height of the picture that is drawn, in pixels; 0 until `loadedmetadata`. */
+  /** Height of the drawn picture in pixels; 0 until `loadedmetadata`. */
   get videoHeight() {
     return this.#sizePx[1];
   }
@@ -40,10 +40,10 @@ export class PictureInterface extends MediaAttributes {
   }
 
   /**
-   * What the canvas shows, without the controls. Throws an InvalidStateError while the element is in no
+   * Captures the canvas, without the controls. Throws an InvalidStateError while the element is not in a
    * page.
-   * @param {number} [fps] at most so many pictures a second; by default every one that is drawn
-   * @returns {MediaStream} of one video track; stop it when it is not needed any more
+   * @param {number} [fps] maximum number of pictures per second; by default every drawn picture
+   * @returns {MediaStream} with one video track; stop it when it is no longer needed
    */
   captureStream(fps) {
     const stream = this.#capturing().stream(fps);
@@ -52,8 +52,8 @@ export class PictureInterface extends MediaAttributes {
   }
 
   /**
-   * Shows the picture in a window above all others. A person must have pressed something just now.
-   * @returns {Promise<PictureInPictureWindow>} rejects as that of HTMLVideoElement
+   * Shows the picture in a window above all others. Needs a recent user gesture.
+   * @returns {Promise<PictureInPictureWindow>} rejects like the method of HTMLVideoElement
    */
   async requestPictureInPicture() {
     if (this.videoWidth === 0) {
@@ -64,7 +64,7 @@ export class PictureInterface extends MediaAttributes {
     return opening;
   }
 
-  /** A player draws off screen too while a page or a window takes its pictures. */
+  /** Keeps the player drawing off screen while a capture or picture in picture uses its pictures. */
   keepDrawing() {
     if (this.#capture?.isLive) this.#release ??= this.player?.keepAlive() ?? null;
     else {
@@ -73,7 +73,7 @@ export class PictureInterface extends MediaAttributes {
     }
   }
 
-  /** Takes in the size of the picture, or that there is none. */
+  /** Updates the size of the picture, or notes that there is none. */
   measure() {
     const { player } = this;
     const before = this.#sizePx;
@@ -84,20 +84,20 @@ export class PictureInterface extends MediaAttributes {
     }
   }
 
-  /** A frame is drawn in this task. @param {number} timeS of the frame */
+  /** Runs the frame callbacks; a frame is drawn in this task. @param {number} timeS of the frame */
   runFrameCallbacks(timeS) {
     const [width, height] = this.#sizePx;
     queueMicrotask(() => this.#frameCallbacks.run(timeS, width, height, performance.now()));
   }
 
-  /** Ends what takes pictures of this player. */
+  /** Ends all captures of this player. */
   endCapture() {
     this.#capture?.close();
     this.#capture = null;
     this.keepDrawing();
   }
 
-  /** A stream of a canvas has no picture before the next one is drawn. */
+  /** Draws again: a captured stream has no picture until the canvas is next drawn. */
   #redraw() {
     this.keepDrawing();
     this.player?.moved();

@@ -7,17 +7,17 @@ export const READY = { NOTHING: 0, METADATA: 1, CURRENT: 2, FUTURE: 3, ENOUGH: 4
 /** Seconds between two `progress` events, as the HTML standard asks for. */
 const PROGRESS_S = 0.35;
 
-/** Nothing received for so long, with a picture to show: the source has fetched what it wants for now. */
+/** Seconds without new bytes, with a picture to show, after which the source counts as suspended. */
 const QUIET_S = 0.5;
 
-/** Nothing received for so long while data is missing: `stalled`, as the HTML standard has it. */
+/** Seconds without new bytes while data is missing before `stalled` fires, as in the HTML standard. */
 const STALLED_S = 3;
 
 /** Seconds of media ahead of the shown frame that count as enough to play through. */
 const ENOUGH_S = 2;
 
 /**
- * How the play stands, as far as loading is concerned.
+ * The part of the playback state that loading depends on.
  * @typedef {object} LoadState
  * @property {number} fps
  * @property {number} frame the worker's frame
@@ -32,8 +32,8 @@ const ENOUGH_S = 2;
  */
 
 /**
- * `readyState` and `networkState` of a media element, and the events of their changes in the order of
- * https://html.spec.whatwg.org/multipage/media.html#ready-states. It reads no clock.
+ * `readyState` and `networkState` of a media element, and the events for their changes, in the order of
+ * https://html.spec.whatwg.org/multipage/media.html#ready-states. It reads no clock: callers pass the time.
  */
 export class Readiness {
   ready = READY.NOTHING;
@@ -41,11 +41,11 @@ export class Readiness {
   #hasLoaded = false;
   #isStalled = false;
   #receivedBytes = 0;
-  /** When bytes arrived last. */
+  /** Time of the last arrival of bytes. */
   #receivedS = 0;
   #progressS = -Infinity;
 
-  /** Nothing is loaded any more, and nothing is loading. */
+  /** Returns to the state in which nothing is loaded and nothing is loading. */
   reset() {
     this.ready = READY.NOTHING;
     this.network = NETWORK.EMPTY;
@@ -61,14 +61,14 @@ export class Readiness {
     return ["loadstart"];
   }
 
-  /** Fetching stops for now, because enough is there or wanted. @returns {string[]} events */
+  /** Fetching stops for now: enough is buffered, or nothing is wanted yet. @returns {string[]} events */
   suspend() {
     if (this.network !== NETWORK.LOADING) return [];
     this.network = NETWORK.IDLE;
     return ["suspend"];
   }
 
-  /** The manifest is there. @param {number} nowS @returns {string[]} events */
+  /** The manifest has arrived. @param {number} nowS @returns {string[]} events */
   open(nowS) {
     this.ready = READY.METADATA;
     this.#receivedS = nowS;
@@ -76,7 +76,7 @@ export class Readiness {
   }
 
   /**
-   * Takes in how the play stands at `nowS`.
+   * Updates both states from the playback state at `nowS`.
    * @param {LoadState} state
    * @param {number} nowS
    * @returns {string[]} events

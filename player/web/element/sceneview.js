@@ -7,9 +7,9 @@ import { CanvasSize } from "./canvassize.js";
 import { FrameLoop } from "./frameloop.js";
 import { prefersStill } from "./motion.js";
 
-/** Side by side, the plane of the screen comes no nearer to the eyes. */
+/** Side by side, the minimum distance from the eyes to the plane of the screen. */
 const LEAST_FOCUS_M = 0.5;
-/** A browser that lets a request wait for longer than this draws no pictures of this page. */
+/** If a request waits for longer than this, the browser is not drawing this page. */
 const IDLE_MS = 100;
 
 /** @typedef {import("../playback/playerworkers.js").PlayerWorkers} PlayerWorkers */
@@ -17,17 +17,17 @@ const IDLE_MS = 100;
 /** @typedef {import("../stereo/headset.js").Headset} Headset */
 
 /**
- * How long the last frame took.
+ * Durations of the last frame, and the picture rate.
  * @typedef {object} Timings
  * @property {number} sortMs
  * @property {number} uploadMs
- * @property {number} drawMs until the calls were made; the device draws later
+ * @property {number} drawMs time to issue the draw calls; the device draws later
  * @property {number} framesPerS
  */
 
 /**
- * The scene on a canvas, or on a headset: asks the sorter for orders, and draws when there is something
- * else to see.
+ * The scene on a canvas, or on a headset: requests draw orders from the sorter, and draws when the
+ * picture would change.
  *
  * Events: `frame` (a sorted frame is on the device; `lastSeeks`), `drawing` (the browser lets the page
  * draw), `headset`, `select`, `lost`, `restored`, `gone` (of the WebGL context).
@@ -41,7 +41,7 @@ export class SceneView extends EventTarget {
 
   /**
    * @param {HTMLCanvasElement} canvas
-   * @param {import("./streamsession.js").StreamSession} session when its frames are due
+   * @param {import("./streamsession.js").StreamSession} session gives the times when frames are due
    */
   constructor(canvas, session) {
     super();
@@ -52,24 +52,24 @@ export class SceneView extends EventTarget {
     this.size = new CanvasSize(canvas, () => this.redraw());
     /** @type {CameraMotion | null} */
     this.motion = null;
-    /** @type {any} the manifest of what is open */
+    /** @type {any} the manifest of the open stream */
     this.manifest = null;
     /** @type {PlayerWorkers | null} */
     this.workers = null;
-    /** @type {SortedFrame | null} that came, until the next picture */
+    /** @type {SortedFrame | null} received since the last picture, and not uploaded yet */
     this.sorted = null;
     /** @type {Timings} */
     this.timings = { sortMs: 0, uploadMs: 0, drawMs: 0, framesPerS: 0 };
     /** The frame that the renderer holds; -1 before the first. */
     this.shownFrame = -1;
-    /** Seeks that had been made when the worker showed that frame. */
+    /** Number of seeks that had been made when the worker showed that frame. */
     this.lastSeeks = 0;
     this.isSideBySide = false;
     this.eyeDistanceM = EYE_DISTANCE_M;
-    /** @type {Headset | null} while a headset shows the scene, and the canvas does not */
+    /** @type {Headset | null} set while a headset shows the scene in place of the canvas */
     this.headset = null;
     this.isDisposed = false;
-    /** Whether the renderer lacks Gaussians, so that only a whole frame is of use. */
+    /** Whether the renderer lacks Gaussians, so that only a whole frame can be drawn. */
     this.isEmpty = true;
     this.needsDrawing = false;
     this.drawnMs = 0;
@@ -83,8 +83,8 @@ export class SceneView extends EventTarget {
   }
 
   /**
-   * Draws another stream, or the same one again. Throws a RendererError without WebGL2, or if the device
-   * cannot hold it.
+   * Prepares to draw another stream, or the same one again. Throws a RendererError without WebGL2, or if
+   * the device cannot hold the stream.
    * @param {any} manifest
    * @param {PlayerWorkers} workers
    */
@@ -95,22 +95,22 @@ export class SceneView extends EventTarget {
     this.workers = workers;
     this.sorted = null;
     this.isEmpty = true;
-    // Later the page would have to wait until the device has done all that it was given by then.
+    // Later, this call would block the page until the device has finished all work queued by then.
     painter.context.fit(size.widthPx, size.heightPx);
     painter.prepare({
       numSlots: manifest.numGs,
       shDegree: manifest.shDegree,
-      nearM: Math.min(manifest.nearM, ...manifest.cameraNearM), // the order leaves out what is nearer
+      nearM: Math.min(manifest.nearM, ...manifest.cameraNearM), // the order omits Gaussians nearer than that
       lattices: manifest.lattices,
     });
     this.headset?.replace();
     this.redraw();
   }
 
-  /** @param {SortedFrame} sorted @param {boolean} isHeld whether it is drawn even if the page is not */
+  /** @param {SortedFrame} sorted @param {boolean} isHeld whether to draw even if the page is not drawn */
   receive(sorted, isHeld) {
     this.sorted = this.sorted === null ? sorted : joined(this.sorted, sorted);
-    // The first picture does not wait for it.
+    // Smoothing is loaded after the first picture, so as not to delay it.
     if (this.interpolates && !this.isEmpty && !this.#isLoading) this.#loadSmoothing();
     if (this.headset !== null) return;
     if (isHeld && this.loop.waitedMs > IDLE_MS) this.loop.flush();
@@ -123,11 +123,11 @@ export class SceneView extends EventTarget {
       const { Smoothing } = await import("./smoothing.js");
       this.smoothing = new Smoothing(this);
     } catch {
-      // Without it each frame stands.
+      // Without smoothing, each frame stands still until the next one.
     }
   }
 
-  /** The camera, the size or the number of pictures has changed. */
+  /** Draws again, because the camera, the size or the number of pictures has changed. */
   redraw() {
     this.needsDrawing = true;
     this.loop.request();
@@ -139,13 +139,13 @@ export class SceneView extends EventTarget {
     return this.sorted === null && !isMoving && (this.workers?.isSettled ?? true);
   }
 
-  /** Where the camera is; null until a stream is open. */
+  /** The camera's position and direction; null until a stream is open. */
   get orbit() {
     return this.motion?.orbit ?? null;
   }
 
   /**
-   * The point of the world that shows at a place of the canvas; null where nothing does.
+   * The point of the scene at a place of the canvas; null where the picture is empty.
    * @param {number} xPx from the left, in CSS pixels
    * @param {number} yPx from the top
    */
@@ -158,7 +158,7 @@ export class SceneView extends EventTarget {
     return depthM === null ? null : pointAt(camera, x, y, depthM);
   }
 
-  /** The camera as it is now, as large as the canvas, or as one half of it side by side. */
+  /** The current camera, with the size of the canvas, or of half the canvas side by side. */
   get camera() {
     const { orbit, manifest, size } = this;
     const widthPx = this.isSideBySide ? Math.max(1, size.widthPx >> 1) : size.widthPx;
@@ -166,8 +166,8 @@ export class SceneView extends EventTarget {
   }
 
   /**
-   * Shows the scene on a headset, at its true scale, from where the camera stands. A person must have
-   * pressed something just now. Throws a HeadsetError.
+   * Shows the scene on a headset, at its true scale, from the camera's position. Needs a recent user
+   * gesture. Throws a HeadsetError.
    */
   async enterHeadset() {
     const { Headset } = await import("./extras.js");
@@ -212,12 +212,12 @@ export class SceneView extends EventTarget {
     if (camera === null || orbit === null) return;
     const viewpoint = headset.viewpoint(frame, poseOf(camera), orbit.up);
     if (viewpoint === null) return;
-    this.needsDrawing = true; // a headset starts each picture from nothing
+    this.needsDrawing = true; // a headset needs a complete picture every time
     this.#draw(viewpoint, nowMs);
   }
 
   /**
-   * Takes in what is new, and draws if there is something else to see.
+   * Uploads new data, and draws if the picture would change.
    * @param {import("../stereo/eyes.js").Viewpoint} viewpoint
    * @param {number} nowMs
    */
@@ -262,7 +262,7 @@ export class SceneView extends EventTarget {
     this.dispatchEvent(new Event(type));
   }
 
-  /** Gives back what the device holds; the canvas keeps its picture, and the camera stays. */
+  /** Frees the device's memory; the canvas keeps its picture, and the camera stays. */
   release() {
     this.loop.stop();
     this.painter.clear();
@@ -271,7 +271,7 @@ export class SceneView extends EventTarget {
     this.isEmpty = true;
   }
 
-  /** Ends what shows; the picture stays until the next one. */
+  /** Closes the stream; its last picture stays until the next one. */
   close() {
     this.release();
     this.manifest = null;
@@ -289,8 +289,8 @@ export class SceneView extends EventTarget {
 }
 
 /**
- * Two answers of the sorter as one: the later one has only what is new since the earlier one, and both
- * can come before the browser lets the page draw.
+ * Merges two answers of the sorter: the later one holds only the changes since the earlier one, and both
+ * can arrive before the browser lets the page draw.
  * @param {SortedFrame} earlier
  * @param {SortedFrame} later
  * @returns {SortedFrame}

@@ -4,9 +4,9 @@ import { frameTimeText, positionText } from "./timetext.js";
 const THUMB_PX = 14;
 
 /**
- * The scrub bar: the frame that shows, what has been loaded, and above the pointer the time and a small
- * picture. While the thumb moves the player shows what it can of the frame there, and seeks it when the
- * thumb is let go.
+ * The scrub bar: it shows the current frame, the loaded ranges, and above the pointer the time and a
+ * small picture. While the thumb moves, the player shows an approximation of the frame there; it seeks
+ * the frame when the thumb is released.
  */
 export class Scrubber {
   #scrubbing = false;
@@ -14,7 +14,7 @@ export class Scrubber {
   #track = "";
   /** @type {import("./storyboard.js").Storyboard | null} null until the first stream that has one */
   #storyboard = null;
-  /** The frame of the preview. */
+  /** The frame that the preview shows. */
   #previewed = 0;
 
   /**
@@ -103,7 +103,7 @@ export class Scrubber {
       try {
         ({ Storyboard } = await import("./extras.js"));
       } catch {
-        return; // the time alone shows, as where its pictures do not come
+        return; // only the time shows, as for a storyboard whose pictures do not load
       }
       this.#storyboard ??= new Storyboard();
       preview.prepend(this.#storyboard.root);
@@ -111,7 +111,7 @@ export class Scrubber {
     this.#storyboard.show(player, this.#previewed);
   }
 
-  /** The frame that shows, unless a person moves the thumb. */
+  /** Moves the thumb to the current frame, unless the user is dragging it. */
   show() {
     const { state } = this.player;
     if (!this.#scrubbing) {
@@ -126,12 +126,12 @@ export class Scrubber {
     const { player, time, input } = this;
     const { fps } = player.manifest ?? { fps: 30 };
     const text = positionText(frame, player.numFrames, fps, player.live);
-    if (time.textContent === text) return; // what is written anew is laid out anew
+    if (time.textContent === text) return; // setting the same text again would cost a layout
     time.textContent = text;
     input.setAttribute("aria-valuetext", text);
   }
 
-  /** Colours the track: what was played, what has been loaded, and the rest. */
+  /** Colours the track: the part before the thumb, the loaded ranges, and the rest. */
   #showTrack() {
     const { player, input } = this;
     const { state, numFrames } = player;

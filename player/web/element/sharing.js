@@ -1,8 +1,8 @@
-/** What a frame needs for sound, full screen, headsets, links, sharing, and turning with the phone. */
+/** Permissions of an embedding frame: sound, full screen, headsets, copying, sharing, phone orientation. */
 const ALLOW =
   "autoplay; fullscreen; xr-spatial-tracking; clipboard-write; web-share; gyroscope; accelerometer";
 
-/** Links to the moment and the view that show, and the code that embeds the player. */
+/** Links to the current time and view, and the code that embeds the player. */
 export class Sharing {
   /**
    * @param {import("./swingsplayer.js").SwingsPlayerElement} element
@@ -23,7 +23,7 @@ export class Sharing {
     return url;
   }
 
-  /** A link that opens the page at this moment and view; null before there is one. */
+  /** A link that opens the page at the current time and view; null until a stream is open. */
   get link() {
     const { element } = this;
     if (!element.player?.manifest) return null;
@@ -33,7 +33,7 @@ export class Sharing {
     return url.href;
   }
 
-  /** Opens the device's way to share the link; copies the link where there is none. */
+  /** Opens the device's share dialog for the link; copies the link where there is none. */
   async share() {
     const url = this.link;
     if (url === null) return;
@@ -42,7 +42,7 @@ export class Sharing {
     try {
       await navigator.share({ title, url });
     } catch (error) {
-      // The person closed it.
+      // The user closed the dialog.
       if (error instanceof DOMException && error.name === "AbortError") return;
       await this.copyLink();
     }
@@ -73,7 +73,7 @@ export class Sharing {
       await navigator.clipboard.writeText(text);
       this.hint(done);
     } catch {
-      this.hint(text, 10_000); // the browser forbids it; the person can copy it by hand
+      this.hint(text, 10_000); // the browser forbids copying; the user can copy the shown text by hand
     }
   }
 }
@@ -82,7 +82,7 @@ export class Sharing {
 function pageUrl() {
   // @ts-ignore scripts/webbundle defines it
   if (typeof SWINGS_BUNDLE === "undefined") return new URL("../watch.html", import.meta.url).href;
-  // A server has the bundle under a name that changes with it as well; a link has to last.
+  // A server also has the bundle under a name that changes with its content; a link has to last.
   const lasting = import.meta.url.replace(/\/bundle-[0-9a-f]{16}\//, "/bundle/");
   return new URL("./watch.html", lasting).href;
 }

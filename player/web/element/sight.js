@@ -1,9 +1,9 @@
-/** A frame below the fold of another origin's page gets no pictures, and may learn nothing else. */
+/** Time without pictures after which a frame counts as out of view; a cross-origin one has no other sign. */
 const STARVED_MS = 2000;
 
 /**
- * Whether an element lies in the page's window. Observers say so with the page's first picture, for
- * which a start need not wait; in a frame only they know.
+ * Whether an element certainly lies in the page's window. Observers report it only with the page's first
+ * picture, which would delay the start; inside a frame, only they can know.
  * @param {Element} element
  */
 function isPlainlyInView(element) {
@@ -12,7 +12,7 @@ function isPlainlyInView(element) {
   return bottom > 0 && right > 0 && top < innerHeight && left < innerWidth;
 }
 
-/** Whether a picture on an element would be seen, or is needed all the same. */
+/** Tracks whether a picture on an element would be seen, or is needed although it is not seen. */
 export class Sight {
   #isIntersecting = false;
   #isStarved = false;
@@ -22,14 +22,14 @@ export class Sight {
   /**
    * @param {Element} element
    * @param {import("./frameloop.js").FrameLoop} loop
-   * @param {() => void} onChange isSeen has changed
+   * @param {() => void} onChange called when isSeen has changed
    */
   constructor(element, loop, onChange) {
     this.loop = loop;
     this.onChange = onChange;
     this.#isIntersecting = isPlainlyInView(element);
     this.isSeen = this.#isIntersecting && !document.hidden;
-    /** @type {import("../stereo/headset.js").Headset | null} which shows the scene in place of the page */
+    /** @type {import("../stereo/headset.js").Headset | null} one that shows the scene in place of the page */
     this.headset = null;
     this.observer = new IntersectionObserver((entries) => {
       this.#isIntersecting = entries[entries.length - 1].isIntersecting;
@@ -46,8 +46,8 @@ export class Sight {
   }
 
   /**
-   * Counts as seen until the returned function is called, wherever the element is: for picture in
-   * picture, `captureStream` and the like.
+   * Makes the element count as seen, wherever it is, until the returned function is called; used by
+   * picture in picture, `captureStream` and the like.
    */
   hold() {
     let isHeld = true;
@@ -61,14 +61,14 @@ export class Sight {
     };
   }
 
-  /** The browser has let the player draw. */
+  /** To be called whenever the browser lets the player draw. */
   noteFrame() {
     if (!this.#isStarved) return;
     this.#isStarved = false;
     this.update();
   }
 
-  /** To be called now and then while something is played. */
+  /** To be called regularly during playback. */
   check() {
     if (this.#isStarved || this.loop.waitedMs < STARVED_MS) return;
     this.#isStarved = true;

@@ -1,47 +1,47 @@
 import { Inbetween } from "../renderer/inbetween.js";
 
-/** Pictures are drawn between frames where there are so many times as many (player/playout/smoothing.py). */
+/** In-between pictures are drawn if the screen is this many times faster (player/playout/smoothing.py). */
 const FASTER = 1.05;
-/** The screen's rate is the median of so many intervals, and of no fewer than LEAST of them. */
+/** The screen's rate is the median of this many intervals, and of at least LEAST_INTERVALS. */
 const MOST_INTERVALS = 15;
 const LEAST_INTERVALS = 5;
-/** It is measured again after so long: a page that was busy seems to have a slow screen. */
+/** The rate is measured again after this time, because a busy page seems to have a slow screen. */
 const AGAIN_MS = 3000;
 
 /** @typedef {{ zeroMs: number | null, rate: number }} Line when frames are due, see StreamSession */
 
 /**
- * How much of the way from the frame before to the one that shows is over. It begins when the frame is
- * due, so the picture is up to one frame late.
- * @param {number} nowMs of the clock from 1970 on
+ * Progress, 0 to 1, of the motion from the previous frame to the current one. The motion begins when the
+ * frame is due, so the picture is up to one frame late.
+ * @param {number} nowMs Unix time
  * @param {Line} line
- * @param {number} frame that shows
+ * @param {number} frame the current one
  * @param {number} fps
- * @param {number} numFrames after which it may have begun anew
+ * @param {number} numFrames after which the stream may have looped
  */
 export function shareAt(nowMs, { zeroMs, rate }, frame, fps, numFrames) {
   if (zeroMs === null) return 1;
   const frames = ((nowMs - zeroMs) / 1000) * fps * rate - frame;
-  // The line may be that of an earlier round.
+  // The line may still be that of an earlier round of the loop.
   const way = frames - numFrames * Math.floor(frames / numFrames + 0.25);
   return Math.max(0, Math.min(1, way));
 }
 
-/** Has a view show motion between frames while they pass on a screen that is faster than they are. */
+/** Makes a view show motion between frames during playback, on screens faster than the stream. */
 export class Smoothing {
-  /** Whether the next picture shows more of the way. */
+  /** Whether the next picture continues the motion. */
   isMoving = false;
-  /** @type {number[]} milliseconds between pictures that were requested one after the other */
+  /** @type {number[]} milliseconds between pictures that were requested directly one after the other */
   #intervals = [];
-  /** Whether the picture that comes was requested by the last one. */
+  /** Whether the last picture requested the next one. */
   #isRequested = false;
   #lastMs = 0;
   #measuredMs = -Infinity;
-  /** Milliseconds between two pictures of the screen; unknown, frames are drawn as they are. */
+  /** Milliseconds between two refreshes of the screen; while unknown, frames are drawn as they are. */
   #screenMs = Infinity;
   /** The frame of the last picture. */
   #frame = -1;
-  /** @type {Inbetween | null} of the last renderer */
+  /** @type {Inbetween | null} made for the last renderer */
   #inbetween = null;
 
   /** @param {import("./sceneview.js").SceneView} view */
@@ -50,8 +50,9 @@ export class Smoothing {
   }
 
   /**
-   * Does not wait for the device, which may take a second to make what draws between frames.
-   * @param {import("../renderer/splatrenderer.js").SplatRenderer} renderer shall draw between frames
+   * Makes `renderer` draw between frames. Does not wait for the device, which may need a second to
+   * compile the programs.
+   * @param {import("../renderer/splatrenderer.js").SplatRenderer} renderer
    */
   attach(renderer) {
     if (renderer.inbetween !== null) return;
@@ -61,14 +62,14 @@ export class Smoothing {
       }
       this.#inbetween.attach();
     } catch {
-      // A device that cannot do it shows each frame as it is; one that was lost gets another renderer.
+      // A device without this ability shows each frame as it is; a lost device gets another renderer.
       if (!renderer.gl.isContextLost()) this.view.smoothing = null;
     }
   }
 
   /**
-   * Asks for this picture, and for the next one, if they show more of the way.
-   * @param {number} nowMs of the picture, of the page's clock
+   * Requests a redraw of this picture, and the next picture, if they continue the motion.
+   * @param {number} nowMs time of the picture, on the page's clock
    * @returns {boolean} whether Gaussians that fade out may show
    */
   step(nowMs) {
@@ -81,7 +82,7 @@ export class Smoothing {
     if (renderer === null || view.isEmpty) return false;
     this.attach(renderer);
     const { inbetween } = renderer;
-    // Within a frame it only grows: after a pause, which shows all of it, nothing jumps back.
+    // Within a frame the share only grows: a pause shows all of the motion, and nothing jumps back after it.
     let share = shownFrame === this.#frame ? (inbetween?.share ?? 1) : 0;
     this.#frame = shownFrame;
     if (interpolates && line?.zeroMs != null) {
@@ -100,7 +101,7 @@ export class Smoothing {
     return this.isMoving;
   }
 
-  /** Measures the screen's rate by pictures that follow one another. @param {number} nowMs */
+  /** Measures the screen's rate from consecutive pictures. @param {number} nowMs */
   #measure(nowMs) {
     if (this.#isRequested) {
       this.#intervals.push(nowMs - this.#lastMs);

@@ -18,7 +18,7 @@ export const SOUND_STYLE = /* css */ `
 @media (forced-colors: active) { .unmute { border: 1px solid CanvasText; background: Canvas; color: CanvasText; } }
 `;
 
-/** Mute and volume in the bar, and a button over the picture where a browser waits for a person. */
+/** Mute and volume in the bar, and a button over the picture if the browser requires a user gesture. */
 export class SoundControls {
   /** @param {import("./mediainterface.js").MediaInterface} element */
   constructor(element) {
@@ -34,7 +34,7 @@ export class SoundControls {
       element.muted = false;
       this.unblock();
     });
-    // They move its thumb, and not the film.
+    // These keys move the volume's thumb; the player must not also seek.
     this.volume.addEventListener("keydown", (event) => {
       if (/^(Arrow|Home|End|Page)/.test(event.key)) event.stopPropagation();
     });
@@ -42,7 +42,7 @@ export class SoundControls {
     this.unmute.addEventListener("click", () => this.toggle());
   }
 
-  /** Whether a person hears nothing, for whatever reason. */
+  /** Whether nothing can be heard, for whatever reason. */
   get isSilent() {
     return this.element.muted || this.element.volume === 0 || this.isBlocked;
   }

@@ -1,4 +1,4 @@
-/** Side by side and VR. */
+/** The commands for side-by-side pictures and VR. */
 export class StereoControls {
   #isStarting = false;
 
@@ -29,7 +29,7 @@ export class StereoControls {
     const look = async () => {
       const isThere = await hasHeadset();
       report(isThere);
-      // A session has to begin in the click that asks for it.
+      // A session has to begin within the click that requests it, so the code is loaded in advance.
       if (isThere) await import("./extras.js");
     };
     navigator.xr?.addEventListener("devicechange", look, { signal });
@@ -51,7 +51,7 @@ export class StereoControls {
     try {
       await player.enterHeadset();
     } catch (error) {
-      // A bundle has no class in common with the code that is loaded later.
+      // `instanceof` would fail: a bundle and the code loaded later do not share a class.
       if (!(error instanceof Error) || error.name !== "HeadsetError") throw error;
       this.hint(error.message);
     } finally {
@@ -65,6 +65,6 @@ async function hasHeadset() {
   try {
     return (await navigator.xr?.isSessionSupported("immersive-vr")) ?? false;
   } catch {
-    return false; // a frame whose page does not allow it
+    return false; // in a frame whose page does not allow WebXR
   }
 }

@@ -2,7 +2,7 @@ import { node } from "./nodes.js";
 import { pictureUrl } from "../source/pictures.js";
 import { storyboardLayout, tileOf } from "../format/storyboard.js";
 
-/** The small picture of a frame, from a stream's storyboard; hidden for a stream without one. */
+/** The preview picture of a frame, from the stream's storyboard; hidden for streams without one. */
 export class Storyboard {
   constructor() {
     this.root = node("div", { class: "tile", hidden: true });
@@ -13,7 +13,7 @@ export class Storyboard {
     this.layout = null;
   }
 
-  /** Another stream, or none. */
+  /** Forgets the storyboard, because the stream was changed or closed. */
   clear() {
     this.layout = null;
     this.root.hidden = true;
@@ -21,8 +21,8 @@ export class Storyboard {
   }
 
   /**
-   * Shows the picture of `frame`, once the storyboard is here: it is fetched at the first call. A live
-   * stream has none yet.
+   * Shows the picture of `frame` as soon as the storyboard has arrived; the first call fetches it. A live
+   * stream has no storyboard yet.
    * @param {import("./webplayer.js").WebPlayer} player
    * @param {number} frame
    */

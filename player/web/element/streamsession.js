@@ -2,21 +2,21 @@ import { PlayerWorkers } from "../playback/playerworkers.js";
 import { edgeFrame } from "../source/liveedge.js";
 
 /**
- * How a play stands.
+ * State of a play.
  * @typedef {object} PlayState
- * @property {number} frame that shows
- * @property {number} endFrame the first one that is not there
- * @property {[number, number][]} bufferedRanges [first, end) of the frames that are there
+ * @property {number} frame the one that shows
+ * @property {number} endFrame the first missing frame
+ * @property {[number, number][]} bufferedRanges [first, end) of the frames that have arrived
  * @property {boolean} playing
- * @property {boolean} waiting for what has not come
+ * @property {boolean} waiting whether playback waits for data
  * @property {number} stalls
- * @property {number} layers of what shows
+ * @property {number} layers number of layers that show
  * @property {number | null} rateBps estimated throughput
  * @property {number} receivedBytes
  * @property {number} decodeMs of the last frame
  */
 
-/** @type {PlayState} of a stream of which nothing is there yet */
+/** @type {PlayState} before anything of a stream has arrived */
 const START = {
   frame: 0,
   endFrame: 0,
@@ -31,18 +31,18 @@ const START = {
 };
 
 /**
- * A stream and the workers that play it, without pictures; see WebPlayer. All messages to the worker
- * that decodes are posted here.
+ * A stream and the workers that play it, without pictures; see WebPlayer. All messages to the decoding
+ * worker are posted here.
  */
 export class StreamSession extends EventTarget {
   /** @type {PlayerWorkers | null} null before they start, and while the player is parked */
   workers = null;
   /** @type {import("../playback/playerworkers.js").Source | null} */
   source = null;
-  /** @type {any} what the stream's manifest says; null until it is open */
+  /** @type {any} the stream's manifest; null until the stream is open */
   manifest = null;
   numFrames = 0;
-  /** URL of the stream's folder, with a slash at its end, or of its file. */
+  /** URL of the stream's folder, with a trailing slash, or of its file. */
   base = "";
   /** @type {import("../source/source.js").SourceStream["files"]} */
   files = null;
@@ -51,24 +51,24 @@ export class StreamSession extends EventTarget {
   /** @type {PlayState} */
   state = START;
   /**
-   * When frames are due, once the worker has said so: frame 0 at `zeroMs` of the clock from 1970 on, null
-   * while nothing runs.
+   * The times when frames are due, as reported by the worker: frame 0 at `zeroMs` (Unix time), which is
+   * null while playback does not run.
    * @type {{ zeroMs: number | null, rate: number, line: number } | null}
    */
   line = null;
   isSeeking = false;
-  /** Counts seeks: what was on its way when the last one began is not what it asked for. */
+  /** Counts seeks, so that results of an earlier seek can be told apart. */
   seeks = 0;
   soughtFrame = 0;
-  /** Whether it plays whenever it may. */
+  /** Whether the stream plays whenever it may. */
   wantsPlaying = false;
-  /** Whether it may play now. */
+  /** Whether the stream may play now. */
   mayPlay = false;
   /** @type {{ rate: number, loop: boolean, mostLayers: number | null }} */
   #settings = { rate: 1, loop: false, mostLayers: null };
 
   /**
-   * @param {number | null} frame to begin with; null: where the stream begins by itself
+   * @param {number | null} frame to begin with; null for the stream's own start
    * @param {(sorted: import("../playback/sortworker.js").SortedFrame) => void} onSorted
    */
   startWorkers(frame, onSorted) {
@@ -91,7 +91,7 @@ export class StreamSession extends EventTarget {
     this.#applyPlaying();
   }
 
-  /** Lets it play, or pauses it until it may play again. @param {boolean} mayPlay */
+  /** Permits playback, or pauses it until it is permitted again. @param {boolean} mayPlay */
   allow(mayPlay) {
     if (mayPlay === this.mayPlay) return;
     this.mayPlay = mayPlay;
@@ -116,14 +116,14 @@ export class StreamSession extends EventTarget {
 
   /**
    * Shows a picture near `frame` while the user drags along the track: layer 0 of the nearest segment's
-   * first frame. `seek` ends it.
+   * first frame. `seek` ends scrubbing.
    * @param {number} frame
    */
   scrub(frame) {
     this.workers?.post({ kind: "scrub", frame });
   }
 
-  /** Goes on to the edge of a live stream. */
+  /** Seeks forward to the edge of a live stream. */
   seekEdge() {
     const edge = edgeFrame(this.manifest, this.numFrames);
     if (this.state.frame < edge) this.seek(edge);
@@ -141,13 +141,13 @@ export class StreamSession extends EventTarget {
     this.workers?.post({ kind: "loop", loop });
   }
 
-  /** Shows this many layers at most. @param {number} most */
+  /** Limits the number of layers that show. @param {number} most */
   setLayers(most) {
     this.#settings.mostLayers = most;
     this.workers?.post({ kind: "layers", most });
   }
 
-  /** All that shows is sent to the renderer once more. */
+  /** Makes the worker send the whole current frame to the renderer again. */
   resend() {
     this.workers?.post({ kind: "resend" });
   }
@@ -192,7 +192,7 @@ export class StreamSession extends EventTarget {
     }
   }
 
-  /** The stream is open. @param {boolean} isFirst whether for the first time */
+  /** Called when the stream is open. @param {boolean} isFirst whether for the first time */
   onOpened(isFirst) {
     if (isFirst) this.dispatch("opened");
   }

@@ -27,12 +27,12 @@ const LONG_MS = 10_000;
 /**
  * `<swings-player src="URL of a stream's folder or file">`: plays a stream, with controls.
  *
- * Attributes: `src`, `autoplay`, `loop`, `preload`, `start` (seconds), `view` (as a share link has it),
+ * Attributes: `src`, `autoplay`, `loop`, `preload`, `start` (seconds), `view` (as in a share link),
  * `poster`, `muted`, `interpolate`, `link` (the page that share links open), `max-gaussians`,
- * `other-hosts`, `buffer-mb`. docs/EMBED.md has them all, and what a script can do.
+ * `other-hosts`, `buffer-mb`. docs/EMBED.md describes them all, and the scripting interface.
  */
 export class SwingsPlayerElement extends MediaInterface {
-  /** Of the player. */
+  /** Version of the player. */
   static version = PLAYER_VERSION;
   static observedAttributes = ["src", "loop", "preload", "interpolate"];
 
@@ -52,12 +52,12 @@ export class SwingsPlayerElement extends MediaInterface {
     },
     () => this.#notLoaded(),
   );
-  /** What there is for a player that works. */
+  /** Everything that is shown only while the player works. */
   #controls = node("div", { class: "controls" });
   #frame = node(
     "div",
     { class: "frame" },
-    // An emulator of headsets borrows the canvas, and gives it back to its parent if that is an element.
+    // A headset emulator borrows the canvas, and returns it to its parent only if that is an element.
     node("div", {}, this.#canvas),
     ...this.#overlay.parts,
     this.#hints.root,
@@ -70,7 +70,7 @@ export class SwingsPlayerElement extends MediaInterface {
   #camera = null;
   #stopListening = () => {};
   #isLooping = false;
-  /** Whether nothing was played or sought yet. */
+  /** Whether there was no play or seek yet. */
   #isFresh = true;
 
   constructor() {
@@ -144,7 +144,7 @@ export class SwingsPlayerElement extends MediaInterface {
   }
 
   /**
-   * The controls of `player`.
+   * Builds the controls of `player`.
    * @param {WebPlayer} player
    * @param {AbortSignal} signal ends their listening
    */
@@ -224,7 +224,7 @@ export class SwingsPlayerElement extends MediaInterface {
     for (const type of ["play", "pause", "ended", "suspend"]) on(type, () => this.#show(player));
     on("play", () => (this.#isFresh = false));
     on("seeking", () => {
-      if (player.shownFrame >= 0) this.#isFresh = false; // not by the start that an address selects
+      if (player.shownFrame >= 0) this.#isFresh = false; // the seek to a link's start time does not count
     });
     on("loadedmetadata", () => (this.#isFresh = this.paused));
     for (const type of ["ratechange", "layerschange"]) on(type, () => bar.showChoices());
@@ -235,7 +235,7 @@ export class SwingsPlayerElement extends MediaInterface {
       const path = event.composedPath();
       if (!path.includes(menu.root) && !path.includes(menu.button)) menu.close(false);
     });
-    // The picture has a ring where Tab brought the focus, and none after any other key.
+    // The focus ring shows after Tab, but not after any other key.
     on("keyup", (event) => {
       if (/** @type {KeyboardEvent} */ (event).key === "Tab") this.#frame.classList.add("tabbed");
     });
@@ -255,7 +255,7 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#parts?.bar.showChoices();
     const tracks = this.#parts?.tracks;
     if (manifest.sound || manifest.captions || tracks?.part) tracks?.use((part) => part.open());
-    // With reduced motion the viewer starts it, and each round of it.
+    // With reduced motion, the viewer starts playback and every round of the loop.
     this.#setLoop(this.loop && !prefersStill());
   }
 
@@ -275,7 +275,7 @@ export class SwingsPlayerElement extends MediaInterface {
    */
   #conditionOf(player) {
     if (this.error !== null) return "failed";
-    // With `preload` nothing may be on its way before somebody plays.
+    // With `preload`, it may be that nothing is fetched before playback is started.
     if (player.shownFrame < 0) return this.networkState === NETWORK.IDLE ? "start" : "loading";
     if (this.ended) return "ended";
     if (this.paused) return this.#isFresh ? "start" : "paused";
@@ -308,7 +308,7 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#setLoop(loop);
   }
 
-  /** Plays a live stream at its edge. */
+  /** Plays a live stream from its edge. */
   goLive() {
     const { player } = this;
     if (!player?.live) return;
@@ -331,7 +331,7 @@ export class SwingsPlayerElement extends MediaInterface {
     this.player?.flyToCamera(index);
   }
 
-  /** Whether this device may turn the camera as it is turned. */
+  /** Whether this device's orientation may be able to turn the camera. */
   get hasGyroscope() {
     return hasGyroscope();
   }
@@ -342,8 +342,7 @@ export class SwingsPlayerElement extends MediaInterface {
   }
 
   /**
-   * Lets the device's gyroscope turn the camera, or ends that; a person must have pressed something
-   * just now.
+   * Switches turning the camera by the device's gyroscope on or off. Needs a recent user gesture.
    * @returns {Promise<boolean>} whether it is on
    */
   async toggleGyroscope() {
@@ -358,7 +357,7 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#parts?.bar.showFull(this.#parts.fullScreen.isOn);
   }
 
-  /** Copies a link that opens the page at this moment and view. */
+  /** Copies a link that opens the page at the current time and view. */
   copyLink() {
     return this.#sharing.use((sharing) => sharing.copyLink());
   }
@@ -371,7 +370,7 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#parts?.panels.use(({ statistics }) => statistics.toggle());
   }
 
-  /** Opens the stream again after a failure, at the time, rate and view that were reached. */
+  /** Opens the stream again after a failure, at the time, rate and view it had. */
   retry() {
     const { player, paused } = this;
     if (player === null) return;

@@ -4,26 +4,26 @@ const PAUSE_MS = 300;
 const APART_PX = 40;
 
 /**
- * What a tap needs of an event.
+ * The part of a touch event that tap detection uses.
  * @typedef {object} Touched
  * @property {number} clientX
  * @property {number} clientY
  * @property {number} timeStamp ms
  */
 
-/** Knows double taps of one finger. */
+/** Detects double taps of one finger. */
 export class Taps {
   /** @type {Touched | null} */
   #down = null;
   /** @type {Touched | null} the tap before */
   #last = null;
 
-  /** A finger touches. @param {Touched} event @param {number} numFingers */
+  /** Handles a finger that touches. @param {Touched} event @param {number} numFingers */
   down({ clientX, clientY, timeStamp }, numFingers) {
     this.#down = numFingers === 1 ? { clientX, clientY, timeStamp } : null;
   }
 
-  /** A finger is lifted. @param {Touched} event @returns {boolean} whether that was a double tap */
+  /** Handles a lifted finger. @param {Touched} event @returns {boolean} whether that was a double tap */
   up({ clientX, clientY, timeStamp }) {
     const up = { clientX, clientY, timeStamp };
     const isTap = isNear(this.#down, up, TAP_MS, TAP_PX);

@@ -1,6 +1,6 @@
 /**
- * Ranges of time in seconds, ascending and apart, as `TimeRanges` of HTML: a script cannot construct
- * those of the browser.
+ * Ranges of time in seconds, ascending and disjoint, like `TimeRanges` of HTML, which a script cannot
+ * construct.
  * @implements {TimeRanges}
  */
 export class SecondRanges {
@@ -36,7 +36,7 @@ export class SecondRanges {
   }
 }
 
-/** A set of frames, kept as ranges that are ascending and apart. */
+/** A set of frames, kept as ascending, disjoint ranges. */
 export class FrameRanges {
   /** @type {[firstFrame: number, endFrame: number][]} */
   ranges = [];

@@ -1,13 +1,13 @@
-/** A clip of less than this shows tenths of seconds: its whole seconds hardly move. */
+/** A clip shorter than this shows tenths of seconds, because whole seconds hardly move. */
 const SHORT_S = 10;
 
 /**
- * A duration as people write it: 1:07, 1:00:07, or 0:07.3 with tenths.
+ * A duration as text: 1:07, 1:00:07, or 0:07.3 with tenths.
  * @param {number} seconds
  * @param {boolean} [hasTenths]
  */
 export function timeText(seconds, hasTenths = false) {
-  // A frame's time may lie just below the tenth that it stands for.
+  // Rounding may put a frame's time just below its tenth.
   const tenths = Math.max(0, Math.floor(seconds * 10 + 1e-6));
   const whole = Math.floor(tenths / 10);
   const minutes = Math.floor(whole / 60) % 60;
@@ -18,7 +18,7 @@ export function timeText(seconds, hasTenths = false) {
 }
 
 /**
- * The time of a frame: from the first frame, or behind the edge of a live stream.
+ * The time of a frame: since the first frame, or behind the edge of a live stream.
  * @param {number} frame
  * @param {number} numFrames
  * @param {number} fps
@@ -30,7 +30,7 @@ export function frameTimeText(frame, numFrames, fps, live) {
 }
 
 /**
- * The time of a frame, and the length of what is there. The last frame stands for the end.
+ * The time of a frame, and the stream's length. The last frame counts as the end.
  * @param {number} frame
  * @param {number} numFrames
  * @param {number} fps

@@ -1,6 +1,6 @@
 /**
- * What goes with the picture: its sound and its captions. It is loaded with the first stream that has any: a bundle has
- * it in a file of its own.
+ * The sound and captions of a stream. This code is loaded with the first stream that has any; a bundle has
+ * it in a separate file.
  */
 
 import { CAPTIONS_STYLE, CaptionsControls } from "./captionscontrols.js";
@@ -9,7 +9,7 @@ import { SOUND_STYLE, SoundControls } from "./soundcontrols.js";
 
 const LONG_MS = 10_000;
 
-/** One for all elements: they may come and go many times. */
+/** Shared by all elements, which may be created and removed many times. */
 const SHEET = new CSSStyleSheet();
 SHEET.replaceSync(SOUND_STYLE + CAPTIONS_STYLE);
 
@@ -21,11 +21,11 @@ export class Tracks {
   /**
    * @param {import("./swingsplayer.js").SwingsPlayerElement} element
    * @param {import("./webplayer.js").WebPlayer} player
-   * @param {HTMLElement} place of the controls, with the bar
+   * @param {HTMLElement} place the element that holds the controls and the bar
    * @param {import("./keys.js").KeyAction[]} actions
    * @param {import("./hints.js").Hints} hints
-   * @param {import("./lazypart.js").LazyPart<import("./panels.js").Panels>} panels whose list of keys may be there
-   * @param {AbortSignal} signal ends it
+   * @param {import("./lazypart.js").LazyPart<import("./panels.js").Panels>} panels with the key list, once loaded
+   * @param {AbortSignal} signal ends sound, captions and listening
    */
   constructor(element, player, place, actions, hints, panels, signal) {
     this.element = element;
@@ -36,7 +36,7 @@ export class Tracks {
     this.controls = controls;
     controls.unblock = () => this.sound?.unblock();
     this.captions = new CaptionsControls(player, (message) => this.#say(message), signal);
-    if (signal.aborted) return; // the controls there are those of the next player
+    if (signal.aborted) return; // `place` holds the controls of the next player by now
     const root = place.getRootNode();
     if (root instanceof ShadowRoot && !root.adoptedStyleSheets.includes(SHEET))
       root.adoptedStyleSheets.push(SHEET);
@@ -53,7 +53,7 @@ export class Tracks {
     panels.part?.keyList.fill(actions);
     element.addEventListener("volumechange", () => this.#show(), { signal });
     element.addEventListener("emptied", () => this.open(), { signal });
-    // Safari lets sound begin only while a person presses something.
+    // Safari lets sound begin only during a user gesture.
     const press = () => !element.muted && this.sound?.unblock();
     for (const type of ["click", "keydown"]) element.addEventListener(type, press, { signal });
     signal.addEventListener("abort", () => this.#close());
@@ -64,7 +64,7 @@ export class Tracks {
     this.hints.say(message, LONG_MS);
   }
 
-  /** The player has opened a stream, or closed it. */
+  /** Called when the player has opened or closed a stream. */
   open() {
     this.#close();
     const { player, element, signal } = this;

@@ -11,9 +11,9 @@ import { StreamSession } from "./streamsession.js";
  * uploads and draws.
  *
  * The workers start when the canvas is first in view, or at once with `preloads`. Out of view, or
- * without a WebGL context, the player pauses, and goes on by itself afterwards. If many players of a
- * page wait out of view, the one unseen for the longest is parked: it keeps its last picture and frees
- * everything else, and opens again when it is in view.
+ * without a WebGL context, the player pauses, and resumes by itself afterwards. If many players of a
+ * page are out of view, the one unseen for the longest is parked: it keeps its last picture, frees
+ * everything else, and opens the stream again when it is back in view.
  *
  * Events: `opened`, `state` (this.state), `shown` (another frame), `seeking`, `seeked`, `grown`
  * (numFrames or live has changed), `ended`, `headset` (it was put on, hidden or taken off), `select`
@@ -24,7 +24,7 @@ export class WebPlayer extends StreamSession {
   /** Whether `open` starts the workers even if the canvas is not in view. */
   preloads = false;
   isParked = false;
-  /** Whether nothing runs until `open` or `retry`. */
+  /** Whether the stream has failed, so that nothing runs until `open` or `retry`. */
   #hasFailed = false;
   /** Whether a live stream was at its edge when the player went out of view. */
   #wasAtEdge = false;
@@ -65,7 +65,7 @@ export class WebPlayer extends StreamSession {
       this.dispatch("trouble");
     });
     on("gone", () => {
-      if (this.workers === null) return; // the next start has another context
+      if (this.workers === null) return; // the next start gets another context
       this.dispatch("trouble");
       this.stopWorkers();
       this.fail("The graphics device was lost and did not come back; try again");
@@ -76,9 +76,9 @@ export class WebPlayer extends StreamSession {
    * Opens the stream whose folder, or file, is at `src`.
    * @param {string} src
    * @param {object} [options]
-   * @param {number | null} [options.maxGaussians] a stream of more fails; null for the default, 2^22
-   * @param {boolean} [options.otherHosts] whether the manifest may lead to other hosts than its own
-   * @param {number | null} [options.bufferMb] most that is kept of what was received; null for the
+   * @param {number | null} [options.maxGaussians] a larger stream fails; null for the default, 2^22
+   * @param {boolean} [options.otherHosts] whether the manifest may refer to hosts other than its own
+   * @param {number | null} [options.bufferMb] limit for the received data that is kept; null for the
    *   default, 64
    * @param {boolean} [options.isHeld] whether no frame is fetched until it plays or seeks
    */
@@ -91,7 +91,7 @@ export class WebPlayer extends StreamSession {
     this.#followSight();
   }
 
-  /** Opens the stream again after `failed`, at the frame that showed. */
+  /** Opens the stream again after `failed`, at the frame that was shown. */
   retry() {
     if (this.source === null) return;
     this.#release();
@@ -101,14 +101,14 @@ export class WebPlayer extends StreamSession {
   }
 
   /**
-   * Has the player go on out of view until the returned function is called: for picture in picture,
-   * `captureStream` and the like.
+   * Keeps the player running out of view until the returned function is called; used by picture in
+   * picture, `captureStream` and the like.
    */
   keepAlive() {
     return this.sight.hold();
   }
 
-  /** Frees all but the last picture; the player opens again by itself once it is in view. */
+  /** Frees everything except the last picture; the player opens again by itself once it is in view. */
   park() {
     if (this.workers === null) return;
     this.#release();
@@ -116,7 +116,7 @@ export class WebPlayer extends StreamSession {
     this.dispatch("parked");
   }
 
-  /** The camera has moved. */
+  /** To be called after the camera was moved. */
   moved() {
     this.view.redraw();
   }
@@ -128,10 +128,10 @@ export class WebPlayer extends StreamSession {
   }
 
   /**
-   * Flies to what shows at a place of the canvas, and turns around it from then on.
+   * Flies to the point of the scene at a place of the canvas, and turns around it from then on.
    * @param {number} xPx from the left, in CSS pixels
    * @param {number} yPx from the top
-   * @returns {boolean} whether anything shows there
+   * @returns {boolean} whether there is such a point
    */
   focusAt(xPx, yPx) {
     const point = this.view.pointAt(xPx, yPx);
@@ -141,7 +141,7 @@ export class WebPlayer extends StreamSession {
     return true;
   }
 
-  /** Shows two pictures, of the left eye and of the right one, or one. @param {boolean} isOn */
+  /** Shows two pictures, for the left and the right eye, or one. @param {boolean} isOn */
   setSideBySide(isOn) {
     this.view.isSideBySide = isOn;
     this.view.redraw();
@@ -167,7 +167,7 @@ export class WebPlayer extends StreamSession {
     this.stopWorkers();
   }
 
-  /** Starts, pauses or goes on, by whether the canvas is in view. */
+  /** Starts, pauses or resumes, depending on whether the canvas is in view. */
   #followSight() {
     const { isSeen } = this.sight;
     if (isSeen) stopWaiting(this);
@@ -204,7 +204,7 @@ export class WebPlayer extends StreamSession {
     this.dispatch("unparked");
   }
 
-  /** @param {boolean} isOther whether it is not the frame that showed before */
+  /** @param {boolean} isOther whether the frame differs from the one shown before */
   #onFrame(isOther) {
     if (isOther) this.dispatch("shown");
     if (this.view.lastSeeks === this.seeks && this.isSeeking) {
@@ -219,7 +219,7 @@ export class WebPlayer extends StreamSession {
     super.fail(message);
   }
 
-  /** @override Ends the play; another stream can be opened. */
+  /** @override Ends the play; another stream can be opened afterwards. */
   close() {
     stopWaiting(this);
     super.close();
@@ -229,7 +229,7 @@ export class WebPlayer extends StreamSession {
     this.#wasAtEdge = false;
   }
 
-  /** Ends all. */
+  /** Closes the stream and frees everything; the player cannot be used afterwards. */
   dispose() {
     this.sight.dispose();
     this.close();
@@ -257,7 +257,7 @@ export class WebPlayer extends StreamSession {
     return this.view.camera;
   }
 
-  /** Width and height of the picture that is drawn. */
+  /** Width and height of the drawn picture. */
   get pictureSizePx() {
     const { widthPx, heightPx } = this.view.size;
     return [widthPx, heightPx];
