@@ -1,8 +1,8 @@
 /**
- * Where a camera still sees what the rig has filmed. Outside of it there is fog.
+ * The bounds of the poses from which a camera still sees what the rig has filmed. Outside there is fog.
  *
- * The bounds are derived from the manifest alone: from the hull of the rig's cameras and the region that
- * they look at. All cameras of the rig lie within them.
+ * The bounds are derived from the manifest only: from the hull of the rig's cameras and the region that
+ * they look at. All cameras of the rig lie within the bounds.
  */
 
 import { meanUp, poseOf } from "./pose.js";
@@ -16,19 +16,19 @@ const RAD_PER_DEG = Math.PI / 180;
 /** A pose may look this much farther up and down than the rig's cameras do. */
 const MORE_UP_RAD = 20 * RAD_PER_DEG;
 const MORE_DOWN_RAD = 40 * RAD_PER_DEG;
-/** Beyond it up and down change places; only a camera of the rig may look steeper. */
+/** Limit of the pitch, close to where the view would turn over; only a camera of the rig may be steeper. */
 const STEEPEST_RAD = 80 * RAD_PER_DEG;
-/** A pose may turn this much farther aside than the cameras of a rig that films from one side. */
+/** In a rig that films from one side, a pose may turn this much farther aside than its cameras. */
 const MORE_ASIDE_RAD = 40 * RAD_PER_DEG;
-/** A gap between the directions of neighbouring cameras that makes a rig one-sided. */
+/** A rig is one-sided if the directions of neighbouring cameras have a gap of at least this size. */
 const OPEN_GAP_RAD = 170 * RAD_PER_DEG;
-/** Farthest from the centre, as a share of the farthest camera's distance. */
+/** Maximum distance to the centre, as a multiple of the farthest camera's distance. */
 const FARTHEST_SHARE = 1.5;
-/** A camera whose right axis points up this far was turned on its side. */
+/** If the vertical part of a camera's right axis exceeds this, the camera lies on its side. */
 const LIES = Math.SQRT1_2;
-/** The point that a camera looks at may lie this much higher or lower than the centre, in typical distances. */
+/** Limit of the looked-at point's height above or below the centre, as a share of the typical distance. */
 const HIGH_SHARE = 1 / 3;
-/** Nearest to the centre, as a share of the median camera's distance. */
+/** Minimum distance to the centre, as a share of the median camera's distance. */
 const NEAREST_SHARE = 0.1;
 
 /**
@@ -37,10 +37,10 @@ const NEAREST_SHARE = 0.1;
  * @property {Vector} up unit
  * @property {Vector} north unit, level: the heading 0
  * @property {number} scaleM typical distance of a camera to the centre
- * @property {[number, number]} distanceM to what the camera turns around
+ * @property {[number, number]} distanceM to the point that the camera turns around
  * @property {[number, number]} pitchRad down is positive
  * @property {{ middleRad: number, halfRad: number } | null} heading null: all around
- * @property {number} focusM farthest that the point the camera looks at may lie from the centre
+ * @property {number} focusM maximum distance of the point that the camera looks at from the centre
  * @property {[number, number]} focusHeightM of that point above the centre
  * @property {[number, number]} heightM of a flying camera above the centre
  */
@@ -66,7 +66,7 @@ export function boundsOf({ cameras, bounds, defaultCamera }) {
     FARTHEST_SHARE * Math.max(scaleM, ...distances),
   ];
   const pitches = poses.map((pose) => pitchOf(pose, up));
-  // The camera of an imported model says nothing about the other sides of the model.
+  // The single camera of an imported model gives no information about the model's other sides.
   const isAlone = poses.length === 1;
   const steepest = [-STEEPEST_RAD, STEEPEST_RAD];
   const margins = isAlone ? steepest : [-MORE_UP_RAD, MORE_DOWN_RAD];
@@ -100,7 +100,7 @@ export function boundsOf({ cameras, bounds, defaultCamera }) {
 }
 
 /**
- * By how much a pose is out of the bounds, in each of the ways in which it can be brought back.
+ * The amount by which a pose exceeds the bounds, for each of the motions that can bring it back.
  * @typedef {object} Excess
  * @property {number} logDistance
  * @property {number} pitchRad
@@ -111,7 +111,7 @@ export function boundsOf({ cameras, bounds, defaultCamera }) {
 /**
  * @param {Bounds} bounds
  * @param {Pose} pose
- * @param {number | null} distanceM to what the camera turns around; null: it flies
+ * @param {number | null} distanceM to the point that the camera turns around; null if the camera flies
  * @returns {Excess} all 0 within the bounds
  */
 export function excessOf(bounds, pose, distanceM) {
@@ -153,7 +153,7 @@ function headingExcess({ up, north, heading }, pose) {
 }
 
 /**
- * How far a pose looks down; over the top of the scene it goes on beyond a right angle.
+ * Downward pitch of a pose; it continues beyond a right angle when the pose goes over the scene's top.
  * @param {Pose} pose
  * @param {Vector} up
  */
@@ -162,7 +162,7 @@ function pitchOf({ forward, down }, up) {
 }
 
 /**
- * Where a pose looks, seen from above, counted to the left.
+ * Heading of a pose, seen from above, counted to the left.
  * @param {Pose} pose
  * @param {Vector} up
  * @param {Vector} north
@@ -173,7 +173,7 @@ function headingOf(pose, up, north) {
 }
 
 /**
- * The level direction of someone who faces as `pose` does, also straight up or down.
+ * The horizontal direction in which `pose` faces, defined even if it looks straight up or down.
  * @param {Pose} pose
  * @param {Vector} up
  * @returns {Vector} unit
@@ -183,14 +183,14 @@ function levelOf({ right, forward }, up) {
   const ahead = lies ? subtract(forward, times(up, dot(forward, up))) : cross(up, right);
   const size = length(ahead);
   if (size > 1e-6) return times(ahead, 1 / size);
-  // It lies on its side and looks straight down. Any level direction will do.
+  // The camera lies on its side and looks straight up or down. Any horizontal direction will do.
   const axis = Math.abs(up[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0];
   const level = cross(up, axis);
   return times(level, 1 / length(level));
 }
 
 /**
- * The point that a camera looks at, from the centre.
+ * The point that a camera looks at, relative to the centre.
  * @param {Pose} pose
  * @param {Vector} centre
  */
@@ -200,7 +200,7 @@ function lookedAt({ position, forward }, centre) {
 }
 
 /**
- * The arc in which the cameras of a one-sided rig look, with a margin; null if they look all around.
+ * The arc of headings of a one-sided rig's cameras, with a margin; null if they look in all directions.
  * @param {number[]} headings radians
  */
 function headingArc(headings) {

@@ -4,10 +4,10 @@
 /** @typedef {import("./cameramotion.js").Direction} Direction */
 
 /**
- * What keys need of a player.
+ * The part of a player that the camera keys use.
  * @typedef {object} Moved
  * @property {CameraMotion | null} motion null until a stream is open
- * @property {() => void} moved asks for a picture
+ * @property {() => void} moved requests a picture
  */
 
 /** One press turns the camera by as much as a drag of 30 pixels. */
@@ -22,8 +22,8 @@ const ARROWS = {
 };
 
 /**
- * What each key does, by its name in lower case: "w", or "shift+w" with that key held. A pressed key
- * repeats; `liftCameraKey` must hear of keys that come up.
+ * The action of each key, by its name in lower case: "w", or "shift+w" with shift held. A pressed key
+ * repeats; `liftCameraKey` must be called for released keys.
  * @param {Moved} player
  * @returns {Record<string, () => void>}
  */
@@ -44,7 +44,7 @@ export function cameraKeys(player) {
     g: moving((motion) => motion.fly(!motion.isFlying)),
     "[": toCamera(-1),
     "]": toCamera(1),
-    // Many keyboards have no brackets without a further key.
+    // On many keyboards, typing a bracket needs a modifier key.
     n: toCamera(1),
     "shift+n": toCamera(-1),
   };
@@ -58,14 +58,14 @@ export function cameraKeys(player) {
 }
 
 /**
- * A key has come up: the camera is no longer pushed by it.
+ * Ends the push of a released key.
  * @param {Moved} player
- * @param {string} key as events have it
+ * @param {string} key name as in keyboard events
  */
 export function liftCameraKey({ motion }, key) {
   if (motion === null) return;
   const name = key.toLowerCase();
   if (name in ARROWS) motion.letGo(ARROWS[name].push);
-  // Without shift the letters turn, and their own events may not come.
+  // Without shift the letters turn the camera, and a keyup event of the shifted letter may not arrive.
   else if (name === "shift" && !motion.isFlying) motion.letGo();
 }

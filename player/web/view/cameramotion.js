@@ -10,29 +10,29 @@ import { add, cross, dot, length, subtract, times, unit } from "./vectors.js";
 /** @typedef {"turn" | "pan"} Drag */
 /** @typedef {keyof typeof DIRECTIONS} Direction */
 
-/** A camera that was let go keeps 1/e of its speed after this time. */
+/** Time after which the speed of a released camera has fallen to 1/e. */
 const DRIFT_S = 0.25;
-/** The same beyond the bounds. */
+/** The same, beyond the bounds. */
 const STOP_S = 0.04;
-/** What is beyond the bounds falls to 1/e in this time. */
+/** Time after which the excess over the bounds has fallen to 1/e. */
 const SPRING_S = 0.12;
-/** A flying camera takes this long to follow a key. */
+/** Time constant with which a flying camera follows a key. */
 const FOLLOW_S = 0.1;
-/** Speed of a flying camera, as a share each second of the rig's typical distance to the centre. */
+/** Speed of a flying camera, per second, as a share of the rig's typical distance to the centre. */
 const FLY_SHARE = 0.5;
-/** A drag beyond the bounds by this much moves the camera a quarter as far: radians, factors' logs, shares. */
+/** At this excess over the bounds, a drag moves the camera a quarter as far: radians, log factors, shares. */
 const SOFT = 0.2;
-/** Beyond this, in the same units, a camera is brought back; within, it is put onto the bounds. */
+/** Excess, in the same units, that counts as within the bounds; up to twice this is removed in one step. */
 const LEAST_EXCESS = 1e-4;
-/** Slower than this, in the same units each second, a camera rests. */
+/** Below this speed, in the same units per second, a camera stops. */
 const LEAST_SPEED = 2e-3;
-/** A picture that took longer moves the camera by no more than this. */
+/** Maximum time step of the motion, even if a picture took longer. */
 const LONGEST_STEP_S = 0.25;
-/** Before the first picture of a motion there may have been none for long. */
+/** Time step of the first picture of a motion; the picture before it may be long ago. */
 const FIRST_STEP_S = 1 / 60;
-/** What was tapped comes nearer by this factor. */
+/** Factor for the distance to a tapped point. */
 const FOCUS_SHARE = 0.7;
-/** To the right, down and forward. */
+/** Unit vectors: right, down, forward. */
 const DIRECTIONS = {
   right: [1, 0, 0],
   left: [-1, 0, 0],
@@ -41,31 +41,31 @@ const DIRECTIONS = {
 };
 
 /**
- * How the camera moves: gestures and a time in, a pose out. It knows no clock and no page.
+ * The camera's motion: it takes gestures and times, and gives a pose. It uses no clock and no page.
  *
- * A drag that was let go runs out; what lies beyond the bounds of the scene springs back; flights lead
- * to other places, and any other motion ends them.
+ * After a drag, the camera drifts to a stop; a camera beyond the scene's bounds springs back; flights
+ * lead to other places, and any other motion ends them.
  */
 export class CameraMotion {
   /** @type {{ from: import("./flight.js").Place, to: import("./flight.js").Place, elapsedS: number, base: Pose } | null} */
   #flight = null;
-  /** @type {{ what: Drag, speed: number[] } | null} turn: radians; pan: shares of the distance; a second */
+  /** @type {{ what: Drag, speed: number[] } | null} per second; turn: radians; pan: shares of the distance */
   #drift = null;
   #flick = new Flick();
   #isHeld = false;
   #lastMs = -Infinity;
   #wasMoving = false;
-  /** @type {Set<Direction>} where keys that are held down push the camera */
+  /** @type {Set<Direction>} directions of the keys that are held down */
   #pushes = new Set();
-  /** Metres a second, in the world. */
+  /** Metres per second, in the world frame. */
   #velocity = [0, 0, 0];
   #isFlying = false;
-  /** Which camera of the rig the last flight has led to. */
+  /** Index of the rig's camera that the last flight led to. */
   cameraIndex;
 
   /**
    * @param {import("./orbit.js").OrbitScene} scene
-   * @param {() => boolean} isReduced whether the person asked for less motion: then all goes at once
+   * @param {() => boolean} isReduced whether the user prefers reduced motion; then every move is immediate
    */
   constructor(scene, isReduced = () => false) {
     this.orbit = new Orbit(scene);
@@ -76,7 +76,7 @@ export class CameraMotion {
     this.cameraIndex = this.homeIndex;
   }
 
-  /** Whether drags turn the camera on the spot, and keys move it. */
+  /** Whether fly mode is on: drags turn the camera on the spot, and keys move it. */
   get isFlying() {
     return this.#isFlying;
   }
@@ -98,20 +98,20 @@ export class CameraMotion {
     );
   }
 
-  /** By how much the camera is out of the scene's bounds. */
+  /** The amount by which the camera exceeds the scene's bounds. */
   get excess() {
     const { orbit, bounds } = this;
     return excessOf(bounds, orbit.pose, this.#isFlying ? null : orbit.distanceM);
   }
 
-  /** A pointer takes hold of the camera, which stops. */
+  /** Stops the camera at the start of a drag. */
   grab() {
     this.#isHeld = true;
     this.#stop();
     this.#flick = new Flick();
   }
 
-  /** The pointers have let go of it. @param {Drag} what they did last @param {number} atMs */
+  /** Lets the camera drift after a drag. @param {Drag} what kind of the last drag @param {number} atMs */
   release(what, atMs) {
     if (!this.#isHeld) return;
     this.#isHeld = false;
@@ -126,7 +126,7 @@ export class CameraMotion {
    * @param {number} atMs
    */
   dragTurn(rightPx, downPx, atMs) {
-    // What is near follows the pointer: the scene as it turns, or the surroundings in flight.
+    // The near objects follow the pointer: the front of the scene, or in fly mode the surroundings.
     const radPerPx = this.#isFlying ? TURN_RAD_PER_PX / 2 : -TURN_RAD_PER_PX;
     const by = [rightPx * radPerPx, downPx * radPerPx];
     this.#flick.add(atMs, by);
@@ -145,7 +145,7 @@ export class CameraMotion {
     this.#pan(by[0], by[1]);
   }
 
-  /** Turns around the centre, in flight on the spot. @param {number} leftRad @param {number} upRad */
+  /** Turns around the centre; in fly mode, on the spot. @param {number} leftRad @param {number} upRad */
   turn(leftRad, upRad) {
     this.#flight = null;
     const { orbit, excess } = this;
@@ -154,7 +154,7 @@ export class CameraMotion {
     orbit.turn(left, resisted(upRad, -excess.pitchRad));
   }
 
-  /** @param {number} right @param {number} down in distances to the centre */
+  /** @param {number} right @param {number} down in units of the distance to the centre */
   #pan(right, down) {
     this.#flight = null;
     const { orbit, excess } = this;
@@ -168,7 +168,7 @@ export class CameraMotion {
     else orbit.dragPan(right * share, down * share, 1);
   }
 
-  /** Makes the distance to the centre `factor` times what it was. @param {number} factor */
+  /** Multiplies the distance to the centre by `factor`. @param {number} factor */
   scale(factor) {
     if (!(factor > 0)) return;
     this.#flight = null;
@@ -178,7 +178,7 @@ export class CameraMotion {
     } else orbit.scale(Math.exp(resisted(Math.log(factor), excess.logDistance)));
   }
 
-  /** Nearer by so many steps of a wheel. @param {number} steps */
+  /** Zooms in by a number of wheel steps. @param {number} steps */
   approach(steps) {
     this.scale(0.9 ** steps);
   }
@@ -190,7 +190,7 @@ export class CameraMotion {
     this.flyTo(this.orbit.home);
   }
 
-  /** Flies to a camera of the rig; counted around its ends. @param {number} index */
+  /** Flies to a camera of the rig; the index wraps around. @param {number} index */
   flyToCamera(index) {
     const count = this.cameras.length;
     this.cameraIndex = ((index % count) + count) % count;
@@ -201,8 +201,8 @@ export class CameraMotion {
   }
 
   /**
-   * Flies until a point is in the middle, and the camera turns around it.
-   * @param {Vector} point of the world, metres
+   * Flies towards a point, which moves to the picture's centre and becomes the point to turn around.
+   * @param {Vector} point in the world frame, metres
    */
   focusOn(point) {
     this.fly(false);
@@ -220,7 +220,7 @@ export class CameraMotion {
   }
 
   /**
-   * The last point on the way from a camera to what it looks at that is still worth turning around.
+   * The farthest point on the way to `to` that lies within `focusM` of the scene's centre.
    * @param {Vector} from
    * @param {Vector} to
    */
@@ -264,7 +264,7 @@ export class CameraMotion {
     this.#isFlying = isFlying;
   }
 
-  /** Pushes the camera in a direction until it is let go. @param {Direction} direction */
+  /** Pushes the camera in a direction until `letGo`. @param {Direction} direction */
   push(direction) {
     this.#flight = null;
     this.#drift = null;
@@ -278,9 +278,9 @@ export class CameraMotion {
   }
 
   /**
-   * Moves the camera on to a time.
+   * Advances the motion to a time.
    * @param {number} nowMs
-   * @returns {boolean} whether it has moved, and may go on
+   * @returns {boolean} whether the camera has moved, and may move further
    */
   step(nowMs) {
     const sinceS = (nowMs - this.#lastMs) / 1000;
@@ -316,13 +316,13 @@ export class CameraMotion {
   #stepDrift(stepS) {
     const drift = this.#drift;
     if (drift === null) return false;
-    const outside = this.#isWithin(this.excess) ? DRIFT_S : STOP_S;
-    // The whole way of a speed that falls evenly: it does not depend on how long the steps are.
+    const decayS = this.#isWithin(this.excess) ? DRIFT_S : STOP_S;
+    // The integral of an exponentially falling speed, so the way does not depend on the step length.
     const wayS = DRIFT_S * (1 - Math.exp(-stepS / DRIFT_S));
     const [x, y] = drift.speed.map((speed) => speed * wayS);
     if (drift.what === "turn") this.turn(x, y);
     else this.#pan(x, y);
-    drift.speed = drift.speed.map((speed) => speed * Math.exp(-stepS / outside));
+    drift.speed = drift.speed.map((speed) => speed * Math.exp(-stepS / decayS));
     if (drift.speed.every((speed) => Math.abs(speed) < LEAST_SPEED)) this.#drift = null;
     return true;
   }
@@ -355,13 +355,13 @@ export class CameraMotion {
     if (excess.logDistance !== 0) {
       const { zoom } = orbit;
       orbit.scale(Math.exp(-share * excess.logDistance));
-      // A link may have put the base so far away that the zoom ends.
+      // A link may have put the base so far away that the zoom reaches its limit.
       if (orbit.zoom === zoom) orbit.rebase(orbit.pose, orbit.centre);
     }
     this.#bringBack(times(excess.offM, -share));
     const after = orbit.pose;
     const movedM = length(subtract(after.position, before.position));
-    // Where no move brings the camera nearer, it stays.
+    // If no move brings the camera nearer, it stays.
     return movedM > 1e-6 * bounds.scaleM || length(subtract(after.forward, before.forward)) > 1e-6;
   }
 
@@ -373,7 +373,7 @@ export class CameraMotion {
       if (length(byM) > 0) orbit.shift(byM);
       return;
     }
-    // As a pan, so that it goes on turning around the scene's centre.
+    // A pan, so that the camera still turns around the scene's centre.
     orbit.dragPan(-dot(byM, pose.right), -dot(byM, pose.down), distanceM);
   }
 
@@ -391,7 +391,7 @@ export class CameraMotion {
 }
 
 /**
- * A motion, less of it the farther it leads beyond the bounds.
+ * A motion, damped the more the farther it is beyond the bounds.
  * @param {number} by
  * @param {number} excess in the direction of `by`
  */

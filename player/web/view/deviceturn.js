@@ -1,13 +1,13 @@
-/** How a phone is held, as turns of a camera. */
+/** Converts the orientation of a phone to turns of a camera. */
 
 const RAD_PER_DEG = Math.PI / 180;
-/** Nearly straight up or down, where a phone has no heading. */
+/** Below this horizontal part, the phone points almost straight up or down and has no heading. */
 const LEAST_LEVEL = 0.2;
 
 /**
- * Where the back of a device points.
+ * The direction in which the back of a device points.
  * @typedef {object} DeviceTurn
- * @property {number | null} headingRad to the left, from any direction; null: straight up or down
+ * @property {number | null} headingRad to the left, from an arbitrary zero; null: straight up or down
  * @property {number} pitchRad upwards
  */
 
@@ -31,7 +31,7 @@ export function deviceTurn(alpha, beta, gamma) {
 }
 
 /**
- * By how much a camera turns when a device goes from one turn to another: to the left and up, radians.
+ * The camera turn that corresponds to a device's motion between two turns: left and up, radians.
  * @param {DeviceTurn} from
  * @param {DeviceTurn} to
  * @returns {[number, number]}

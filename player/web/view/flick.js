@@ -1,8 +1,8 @@
-/** How long before it is let go a pointer's motion counts. */
+/** Time before a pointer's release in which its motion counts. */
 const WINDOW_MS = 80;
 const MOST_SAMPLES = 32;
 
-/** How fast a pointer moves when it is let go. */
+/** Measures the speed of a pointer when it is released. */
 export class Flick {
   /** @type {{ atMs: number, by: number[] }[]} */
   #samples = [];
@@ -13,10 +13,10 @@ export class Flick {
     if (this.#samples.length > MOST_SAMPLES) this.#samples.shift();
   }
 
-  /** Units each second; 0 if the pointer has rested. @param {number} atMs @returns {number[]} */
+  /** Units per second; empty if the pointer has rested. @param {number} atMs @returns {number[]} */
   speed(atMs) {
     const recent = this.#samples.filter((sample) => atMs - sample.atMs <= WINDOW_MS);
-    // The first sample's own way began before it: it only says since when.
+    // The first sample's motion began before its time, so the sample only marks the start of the span.
     const [first, ...rest] = recent;
     if (rest.length === 0) return [];
     const spanS = Math.max(atMs - first.atMs, 8) / 1000;

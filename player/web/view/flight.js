@@ -5,7 +5,7 @@ import { axesOf, quaternionOf, slerp } from "./turn.js";
 /** @typedef {import("./pose.js").Pose} Pose */
 
 /**
- * A camera, and what it turns around.
+ * A camera's pose, and the point it turns around.
  * @typedef {object} Place
  * @property {Pose} pose
  * @property {Vector} centre metres
@@ -13,14 +13,14 @@ import { axesOf, quaternionOf, slerp } from "./turn.js";
 
 export const FLIGHT_S = 0.8;
 
-/** The share of the way at a share of the time: starts and ends at rest. @param {number} share 0 to 1 */
+/** Share of the way after a share of the time; starts and ends at rest. @param {number} share 0 to 1 */
 export function eased(share) {
   return share * share * share * (share * (6 * share - 15) + 10);
 }
 
 /**
- * The place at a share of the way from one to another. The camera turns evenly around a centre that
- * moves in a straight line, and the distance to it grows or shrinks evenly, as factors go.
+ * The place at a share of the way between two places. The camera turns evenly around a centre that moves
+ * in a straight line, and its distance to the centre changes geometrically.
  * @param {Place} from
  * @param {Place} to
  * @param {number} share 0 to 1
@@ -41,7 +41,7 @@ export function between(from, to, share) {
   return { pose: { position: subtract(centre, away.reduce(add)), ...axes }, centre };
 }
 
-/** The centre as the camera sees it: to the right, down and forward. @param {Place} place */
+/** The centre in camera coordinates: right, down and forward. @param {Place} place */
 function seenOf({ pose, centre }) {
   const towards = subtract(centre, pose.position);
   return [pose.right, pose.down, pose.forward].map((axis) =>

@@ -1,24 +1,24 @@
-/** How a picture of another shape than a camera's shows the camera's view. */
+/** Fits a camera's view into a picture of another shape. */
 
 import { fitted, inCamera } from "./pose.js";
 
 /** @typedef {import("../format/camera.js").Camera} Camera */
 
 /**
- * A narrow picture is at most this many times as high as the camera's view. Above and below it shows
- * what hardly a camera saw.
+ * A narrow picture is at most this many times as high as the camera's view. The parts above and below
+ * the view were seen by hardly any camera.
  */
 const MOST_HEIGHTS = 4 / 3;
-/** The part of that above: cameras see floors more often than ceilings, and controls lie below. */
+/** Share of the extra height above the view: cameras see more floor than ceiling, and controls lie below. */
 const SHARE_ABOVE = 1 / 4;
 
 /**
- * The lens with which a camera's view is shown in a picture of another size.
+ * The lens that shows a camera's view in a picture of another size.
  *
- * A picture that is narrower than the camera's shows a part of the view, with `centre` in its middle as
- * far as the view goes. It is halfway, as factors go, between all of the view and a picture that the
- * view fills, but not much higher than the view. A wider picture shows all of the view, and more at both
- * sides.
+ * A picture narrower than the camera's shows a part of the view, centred on `centre` as far as the view
+ * allows. Its scale is the geometric mean of showing the whole view and filling the picture with the
+ * view, but the picture is at most MOST_HEIGHTS times as high as the view. A wider picture shows the
+ * whole view, and more on both sides.
  * @param {Camera} camera
  * @param {import("./vectors.js").Vector} centre of the scene, metres
  * @param {number} widthPx

@@ -7,7 +7,7 @@ import { add, length, subtract, times, turned } from "./vectors.js";
 /** @typedef {import("./vectors.js").Vector} Vector */
 
 /**
- * What an orbit needs of a manifest.
+ * The part of a manifest that an orbit uses.
  * @typedef {object} OrbitScene
  * @property {import("../format/camera.js").Camera[]} cameras
  * @property {import("../format/camera.js").Camera} defaultCamera
@@ -15,30 +15,30 @@ import { add, length, subtract, times, turned } from "./vectors.js";
  */
 
 export const TURN_RAD_PER_PX = 0.005;
-/** Distance to the scene's centre after one step of the wheel, as a share of that before. */
+/** Factor for the distance to the scene's centre per step of the wheel. */
 const ZOOM_PER_STEP = 0.9;
 const LEAST_ZOOM = 0.02;
 const MOST_ZOOM = 50;
-/** Links may come from anywhere; a larger number would leave floats no digits for the scene. */
+/** Links may come from anywhere; larger numbers would leave floats no digits for the scene. */
 const MOST_IN_TEXT = 1e6;
 
 /**
- * Where a person has turned, moved and zoomed the camera: around `centre`, from the pose `base`. Both
- * are those of the stream at first, and others after a flight. Nothing here knows of time or of limits
- * of a scene; see cameramotion.js.
+ * The camera as turned, moved and zoomed around `centre`, starting from the pose `base`. At first both
+ * are those of the stream; a flight changes them. This class knows nothing about time or about the
+ * bounds of a scene; see cameramotion.js.
  */
 export class Orbit {
   turnRad = 0;
   tiltRad = 0;
   /** Distance to the centre as a share of the base's. */
   zoom = 1;
-  /** To the right and down, in distances to the centre per focal length. */
+  /** Right and down, in units of the distance to the centre. */
   pan = [0, 0];
 
   /** @param {OrbitScene} scene */
   constructor({ cameras, bounds, defaultCamera }) {
     const poses = cameras.map(poseOf);
-    /** What a reset returns to. */
+    /** The pose and centre that a reset returns to. */
     this.home = { pose: poseOf(defaultCamera), centre: sceneCentre(poses, bounds) };
     this.base = this.home.pose;
     this.centre = this.home.centre;
@@ -50,7 +50,7 @@ export class Orbit {
   }
 
   /**
-   * Puts the camera at `pose`, from where it turns around `centre`.
+   * Puts the camera at `pose`; from then on it turns around `centre`.
    * @param {import("./pose.js").Pose} pose
    * @param {Vector} centre
    */
@@ -63,14 +63,14 @@ export class Orbit {
     this.pan = [0, 0];
   }
 
-  /** Moves the camera and what it turns around. @param {Vector} byM */
+  /** Moves the camera and the point it turns around. @param {Vector} byM */
   shift(byM) {
     this.base = { ...this.base, position: add(this.base.position, byM) };
     this.centre = add(this.centre, byM);
   }
 
   /**
-   * The near side of the scene follows the pointer.
+   * Turns the camera so that the near side of the scene follows the pointer.
    * @param {number} rightPx
    * @param {number} downPx
    */
@@ -93,17 +93,17 @@ export class Orbit {
     this.pan = [this.pan[0] + rightPx / focalPx, this.pan[1] + downPx / focalPx];
   }
 
-  /** Nearer by so many steps of a wheel. @param {number} steps */
+  /** Zooms in by a number of wheel steps. @param {number} steps */
   approach(steps) {
     this.scale(ZOOM_PER_STEP ** steps);
   }
 
-  /** Makes the distance to the centre `factor` times what it was. @param {number} factor */
+  /** Multiplies the distance to the centre by `factor`. @param {number} factor */
   scale(factor) {
     this.zoom = Math.min(Math.max(this.zoom * factor, LEAST_ZOOM), MOST_ZOOM);
   }
 
-  /** To the centre, metres, not counting what is panned. */
+  /** Distance to the centre in metres, without the pan. */
   get distanceM() {
     return length(subtract(this.base.position, this.centre)) * this.zoom;
   }
@@ -120,7 +120,7 @@ export class Orbit {
   }
 
   /**
-   * The camera in a picture of some size, with the lens of `start`.
+   * The camera for a picture of the given size, with the lens of `start`.
    * @param {import("../format/camera.js").Camera} start
    * @param {number} widthPx
    * @param {number} heightPx
@@ -130,15 +130,15 @@ export class Orbit {
     return { ...lens, w2c: worldToCamera(this.pose) };
   }
 
-  /** Whether the camera is as `rebase` put it. */
+  /** Whether the camera has not moved since `rebase`. */
   get isAtBase() {
     const isTurned = this.turnRad !== 0 || this.tiltRad !== 0;
     return !isTurned && this.zoom === 1 && this.pan[0] === 0 && this.pan[1] === 0;
   }
 
   /**
-   * All of it as a short text, for a link: turn, tilt, zoom, pan to the right and down. After a flight
-   * the pose itself: position, quaternion, centre.
+   * The view as a short text, for links: turn, tilt, zoom, pan to the right and down. After a flight it
+   * is the pose itself: position, quaternion, centre.
    */
   get text() {
     const { base, centre, home } = this;
@@ -150,7 +150,7 @@ export class Orbit {
     return numbers.map((x) => Number(x.toFixed(4))).join(",");
   }
 
-  /** Takes what `text` gave; anything else changes nothing. @param {string} text */
+  /** Restores a view from its text; invalid text changes nothing. @param {string} text */
   set text(text) {
     const numbers = text.split(",").map(Number);
     if (!numbers.every((x) => Math.abs(x) <= MOST_IN_TEXT)) return;
@@ -168,7 +168,7 @@ export class Orbit {
 }
 
 /**
- * A pose carried around a line through `centre`.
+ * A pose rotated about an axis through `centre`.
  * @param {import("./pose.js").Pose} pose
  * @param {Vector} centre
  * @param {Vector} axis unit

@@ -3,7 +3,7 @@ import { add, dot, length, subtract, times } from "./vectors.js";
 /** @typedef {import("./vectors.js").Vector} Vector */
 
 /**
- * Where a camera is and looks: its axes in the world.
+ * A camera's position and axes in the world frame.
  * @typedef {object} Pose
  * @property {Vector} position metres
  * @property {Vector} right
@@ -32,8 +32,8 @@ export function worldToCamera({ position, right, down, forward }) {
 }
 
 /**
- * The view of a camera inside a picture of another size: all that showed still shows, and where the
- * shapes of the pictures differ there is more to see at two sides.
+ * The view of a camera in a picture of another size: the whole view still shows, and if the shapes of
+ * the pictures differ, two sides show more.
  * @param {import("../format/camera.js").Camera} camera
  * @param {number} widthPx
  * @param {number} heightPx
@@ -52,7 +52,7 @@ export function fitted(camera, widthPx, heightPx) {
   };
 }
 
-/** The direction in which the tops of the cameras' pictures point. @param {Pose[]} poses */
+/** The mean up direction of the cameras' pictures. @param {Pose[]} poses */
 export function meanUp(poses) {
   const up = [0, 1, 2].map((axis) => -poses.reduce((sum, { down }) => sum + down[axis], 0));
   const size = Math.hypot(...up);
@@ -60,7 +60,7 @@ export function meanUp(poses) {
 }
 
 /**
- * A point as a camera sees it: to the right, down and forward, metres.
+ * A point in camera coordinates: right, down and forward, metres.
  * @param {number[]} w2c (4, 4) world to camera
  * @param {Vector} point
  * @returns {Vector}
@@ -70,7 +70,7 @@ export function inCamera(w2c, point) {
 }
 
 /**
- * The point of the world that a pixel of a picture shows.
+ * The world point that a pixel shows.
  * @param {import("../format/camera.js").Camera} camera
  * @param {number} xPx from the left
  * @param {number} yPx from the top

@@ -3,8 +3,8 @@ import { add, dot, subtract, times } from "./vectors.js";
 /** @typedef {import("./vectors.js").Vector} Vector */
 
 /**
- * Where the cameras of a rig look: the point with the least squared distance to their axes, or the
- * middle of the bounds where they look the same way.
+ * The point that a rig's cameras look at: the one with the least squared distance to their axes. The
+ * middle of the bounds if the axes are almost parallel, or if that point is out of bounds or behind a camera.
  * @param {import("./pose.js").Pose[]} poses
  * @param {number[][]} bounds
  * @returns {Vector}
@@ -39,7 +39,7 @@ function closestPoint(poses) {
     return a[3 * r + c] * a[3 * s + e] - a[3 * r + e] * a[3 * s + c];
   };
   const det = a[0] * minor(0, 0) - a[1] * minor(0, 1) + a[2] * minor(0, 2);
-  // The axes are as good as parallel.
+  // The axes are almost parallel.
   if (!(det > 1e-3)) return null;
   const point = [0, 1, 2].map(
     (i) => [0, 1, 2].reduce((sum, j) => sum + ((i + j) % 2 ? -1 : 1) * minor(j, i) * b[j], 0) / det,

@@ -5,11 +5,11 @@ import { cross, unit } from "./vectors.js";
 /** @typedef {import("./vectors.js").Vector} Vector */
 /** @typedef {import("./pose.js").Pose} Pose */
 
-/** Quaternions nearer to each other than this are mixed in a straight line. */
+/** Quaternions with a larger cosine between them are interpolated linearly. */
 const NEARLY_ONE = 0.9999;
 
 /**
- * The rotation that brings the world's axes to those of a pose.
+ * The rotation from the world's axes to those of a pose.
  * @param {Pose} pose
  * @returns {number[]} unit quaternion, w x y z
  */
@@ -36,7 +36,7 @@ export function quaternionOf({ right, down, forward }) {
 }
 
 /**
- * The axes of a pose, from `quaternionOf` it.
+ * The axes of a pose, from its `quaternionOf`.
  * @param {number[]} quaternion unit, w x y z
  * @returns {{ right: Vector, down: Vector, forward: Vector }}
  */
@@ -48,7 +48,7 @@ export function axesOf([w, x, y, z]) {
 }
 
 /**
- * The rotation at a share of the way from one to another, at an even speed and the shorter way.
+ * The rotation at a share of the way between two rotations, at constant speed along the shorter way.
  * @param {number[]} from unit quaternion
  * @param {number[]} to unit quaternion
  * @param {number} share 0 to 1
