@@ -6,14 +6,14 @@ import { makeTexture, STAGED_WIDTH_PX } from "./texture.js";
 /**
  * The colour of each slot from harmonics of degree 2 or 3, in a texture for the splat shader.
  *
- * All are evaluated from one place, which follows the camera when that has moved so far that the
- * direction to what is as near as the near plane may have turned by COLOUR_TURN_RAD.
+ * All colours are evaluated for one viewing position. They are evaluated again when the camera has moved
+ * so far that the direction to a point at the near distance may have turned by COLOUR_TURN_RAD.
  */
 export class ColourPass {
   /**
    * @param {WebGL2RenderingContext} gl
    * @param {{ numSlots: number, nearM: number }} shape
-   * @param {Record<string, number>} defines of the splat shader
+   * @param {Record<string, number>} defines those of the splat shader
    */
   constructor(gl, { numSlots, nearM }, defines) {
     this.gl = gl;
@@ -26,14 +26,14 @@ export class ColourPass {
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
     this.program = makeProgram(gl, COLOURS, { ...defines, STAGED_WIDTH_PX });
-    /** Nothing is read from it: the shader counts points. */
+    /** Has no attributes: the shader uses only the number of each point. */
     this.points = gl.createVertexArray();
-    /** @type {number[] | null} the place from which all colours are, metres */
+    /** @type {number[] | null} the viewing position of all colours, metres */
     this.seenFrom = null;
   }
 
   /**
-   * Evaluates all colours anew if the camera has moved far enough.
+   * Evaluates all colours again if the camera has moved far enough.
    * @param {number[]} position of the camera in the world, metres
    * @param {WebGLTexture} gaussians
    */
@@ -44,17 +44,17 @@ export class ColourPass {
       if (moved <= this.reachM) return;
     }
     this.seenFrom = position;
-    // The second sampler needs a texture of its type, and reads nothing from it.
+    // The second sampler needs a texture of the right type, but does not read from it.
     this.#evaluate(position, gaussians, gaussians, this.numSlots, 0, 0);
   }
 
   /**
    * Evaluates the colours of Gaussians that were put into their slots.
    * @param {WebGLTexture} gaussians
-   * @param {WebGLTexture} staged what was uploaded
+   * @param {WebGLTexture} staged the uploaded items
    * @param {number} count
-   * @param {number} itemWords of each
-   * @param {number} slotWord which of them names the slot
+   * @param {number} itemWords words of each item
+   * @param {number} slotWord index of the word with the slot
    */
   put(gaussians, staged, count, itemWords, slotWord) {
     if (this.seenFrom === null) return; // all are evaluated before they are drawn

@@ -1,21 +1,21 @@
 import { MOVES } from "../constants.js";
 import { roomFor } from "./resident.js";
 
-/** Start of a Gaussian that no frame shows. */
+/** Start value of a Gaussian that no frame shows. */
 export const NEVER = 2 ** 31 - 1;
 
 const DIGIT_BITS = 11;
 const NUM_VALUES = 1 << DIGIT_BITS;
 
-/** Which Gaussians show in a frame, farthest first (player/render/order.py, sort.py). */
+/** Computes which Gaussians show in a frame, farthest first (player/render/order.py, sort.py). */
 export class DepthOrder {
   /**
    * @param {number} numSlots
-   * @param {number} numSpare places behind them, for Gaussians that fade out
+   * @param {number} numSpare places after the slots, for Gaussians that fade out
    */
   constructor(numSlots, numSpare = 0) {
     this.numSlots = numSlots;
-    /** Gaussians that fade out. */
+    /** Number of Gaussians that fade out. */
     this.numLeft = 0;
     const total = numSlots + numSpare;
     this.means = new Float32Array(3 * total);
@@ -27,11 +27,11 @@ export class DepthOrder {
   }
 
   /**
-   * Replaces what some slots hold.
+   * Replaces the Gaussians of some slots.
    * @param {Uint32Array} slots
    * @param {Float32Array} means (N, 3) metres
-   * @param {Int32Array} starts (N) the first frame that shows it, or NEVER
-   * @param {Uint8Array} [moves] (N) those with MOVES count as half way there until they are put without
+   * @param {Int32Array} starts (N) the first frame that shows each, or NEVER
+   * @param {Uint8Array} [moves] (N) Gaussians with MOVES count as half way there until the next `put`
    */
   put(slots, means, starts, moves) {
     for (let i = 0; i < slots.length; i++) {
@@ -46,8 +46,8 @@ export class DepthOrder {
   }
 
   /**
-   * Copies those of `slots` that show before `frame` behind the slots, in place of what is there. Gives
-   * them, filled up to whole texels.
+   * Copies the Gaussians of `slots` that show before `frame` to the spare places, replacing what is there.
+   * Returns their slots, padded to whole texels.
    * @param {Uint32Array} slots
    * @param {number} frame
    */
@@ -66,7 +66,7 @@ export class DepthOrder {
   }
 
   /**
-   * The slots to draw, a copy; in two bytes each where they fit.
+   * The slots to draw, as a copy; in two bytes each if they fit.
    * @param {number} frame
    * @param {number[]} w2c (4, 4) world to camera, metres
    * @param {number} nearM
@@ -76,7 +76,7 @@ export class DepthOrder {
     const slots = this.slots[0];
     const [a, b, c, d] = w2c.slice(8, 12);
     let found = 0;
-    // The last slot first: of equally far ones the first is in front, as the CPU renderer has them.
+    // The last slot first: at equal depth the lower slot is in front, as in the CPU renderer.
     for (let slot = starts.length - 1; slot >= 0; slot--) {
       if (starts[slot] > frame) continue;
       const z = a * means[3 * slot] + b * means[3 * slot + 1] + c * means[3 * slot + 2] + d;
@@ -91,8 +91,8 @@ export class DepthOrder {
   }
 
   /**
-   * A stable radix sort of the first keys, by falling depth: the bits of positive floats grow with
-   * their value. The result is in slots[1].
+   * A stable radix sort of the first `count` keys by decreasing depth. It uses that the bits of positive
+   * floats grow with their value. The result is in slots[1].
    * @param {number} count
    */
   #sort(count) {

@@ -6,7 +6,7 @@ const LEAST_ALPHA = 0.25;
 /** Draws the depths of Gaussians into one pixel, and reads it. */
 export class DepthQuery {
   /**
-   * @param {WebGL2RenderingContext} gl which can draw into floats
+   * @param {WebGL2RenderingContext} gl one that can draw into floats
    * @param {import("./program.js").Program} splats draws depths
    */
   constructor(gl, splats) {
@@ -20,7 +20,7 @@ export class DepthQuery {
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
   }
 
-  /** Binds what `draw` draws into: the pixel as a picture's first. */
+  /** Clears and binds the target: a single pixel, at the place of a picture's first pixel. */
   begin() {
     const { gl } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
@@ -28,7 +28,7 @@ export class DepthQuery {
     gl.clear(gl.COLOR_BUFFER_BIT);
   }
 
-  /** The mean depth of what shows, weighed as colours are, metres; null: hardly anything shows. */
+  /** The mean depth, weighted as colours are, in metres; null if hardly anything shows. */
   end() {
     const { gl } = this;
     const pixel = new Float32Array(4);

@@ -3,16 +3,16 @@ import { isMade, makeProgram } from "./program.js";
 import { floatWords, latticeWords } from "./resident.js";
 import { makeTexture, STAGED_WIDTH_PX } from "./texture.js";
 
-/** In front of the splat shader: mixes what the newest update changed with what was set aside of it. */
+/** Text before the splat shader: mixes Gaussians changed by the newest update with their saved state. */
 const MOVING = /* glsl */ `
 #ifdef VERTEX_STAGE
 
 uniform usampler2D before;  // SAVED texels for each Gaussian, COLUMNS of them in a row
 uniform uint serial;        // of the newest update
-uniform float share;        // of the way, 0..1
+uniform float share;        // progress of the motion, 0..1
 
-int number = -1;            // of what was set aside for this Gaussian; -1: nothing
-float back = 0.0;           // its part
+int number = -1;            // index of this Gaussian's saved state; -1: none
+float back = 0.0;           // weight of the saved state
 float fade = 1.0;
 
 void set_out(int slot, uvec2 came) {
@@ -51,8 +51,8 @@ vec3 colour_on_its_way(vec3 there) {
 `;
 
 /**
- * Sets aside what some slots hold. Of harmonics of a higher degree the colour that was seen stands in
- * the place of the constant one.
+ * Saves the state of some slots. With harmonics of degree 2 or more, the constant colour is replaced by
+ * the colour as last seen.
  */
 const SET_ASIDE = /* glsl */ `
 #ifdef VERTEX_STAGE
@@ -61,7 +61,7 @@ uniform usampler2D staged;      // items that name the slots
 uniform usampler2D gaussians;
 uniform usampler2D colours;
 uniform vec2 size_px;
-uniform ivec3 items;            // words of each, which of them names the slot, place of the first
+uniform ivec3 items;            // words of each, index of the word with the slot, place of the first
 
 flat out uvec4 texel;
 
@@ -95,20 +95,20 @@ void main() {
 `;
 
 /**
- * Draws Gaussians on their way from the frame before: those that go on are mixed with what they were,
- * others fade in, and what they replaced fades out (codec/halfway.py). All of it in the vertex stage:
- * a picture between two frames uploads nothing.
+ * Draws Gaussians in motion from the previous frame: continuing Gaussians are mixed with their previous
+ * state, new ones fade in, and replaced ones fade out (codec/halfway.py). All of it happens in the vertex
+ * stage: a picture between two frames uploads nothing.
  */
 export class Inbetween {
-  /** How much of the way to the newest frame is over, 0 .. 1. */
+  /** Progress of the motion to the newest frame, 0..1. */
   share = 1;
   /** The newest frame. */
   #frame = -1;
-  /** Of the update that is being uploaded. */
+  /** Serial number of the update that is being uploaded. */
   #serial = 0;
-  /** Serial number of what is on its way; 0: nothing. */
+  /** Serial number of the update that is in motion; 0: none. */
   #moving = 0;
-  /** Gaussians that the update has set aside. */
+  /** Number of Gaussians whose state was saved for the update. */
   #count = 0;
   #heightPx = 0;
 
@@ -129,7 +129,7 @@ export class Inbetween {
     this.texture = null;
   }
 
-  /** Has the renderer draw with it if its programs are made. Throws a RendererError if one was refused. */
+  /** Makes the renderer use it once its programs are ready. Throws a RendererError if one was refused. */
   attach() {
     const { gl, renderer, program, splats } = this;
     if (!isMade(gl, program) || !isMade(gl, splats)) return;
@@ -146,13 +146,13 @@ export class Inbetween {
     return this.#moving !== 0;
   }
 
-  /** `frame` shows from now on, whatever it changes. @param {number} frame */
+  /** Notes that `frame` shows from now on, even if it changes nothing. @param {number} frame */
   reach(frame) {
     if (frame !== this.#frame) this.#moving = 0;
     this.#frame = frame;
   }
 
-  /** An update is about to be uploaded. @param {import("../playback/pendingupdates.js").Words} update */
+  /** Prepares for the upload of an update. @param {import("../playback/pendingupdates.js").Words} update */
   begin({ frame, leaving, lattice, floats }) {
     this.#serial += 1;
     this.#count = 0;
@@ -165,7 +165,7 @@ export class Inbetween {
     else if (leaving.length > 0) this.setAside(resident.stage(leaving), leaving.length, 1, 0);
   }
 
-  /** @param {number} count Gaussians; gives whether the device has room for them */
+  /** @param {number} count of Gaussians @returns {boolean} whether the device has room for them */
   #reserve(count) {
     const { gl } = this;
     const { columns } = this.renderer.resident;
@@ -183,12 +183,12 @@ export class Inbetween {
   }
 
   /**
-   * Sets aside what slots hold that are about to change, if that is on its way then.
+   * Saves the state of slots that are about to change, if the update is in motion.
    * @param {WebGLTexture} staged items that name the slots, bound
    * @param {number} count
    * @param {number} itemWords
-   * @param {number} slotWord which of them names the slot
-   * @returns {[number, number]} serial number of the update, place of the first one
+   * @param {number} slotWord index of the word with the slot
+   * @returns {[number, number]} serial number of the update, place of the first item
    */
   setAside(staged, count, itemWords, slotWord) {
     const { gl, program, renderer } = this;
@@ -216,7 +216,7 @@ export class Inbetween {
     return [this.#serial, first];
   }
 
-  /** Hands on to the program that draws what is on its way. */
+  /** Sets the textures and uniforms of the program that draws the motion. */
   bind() {
     const { gl, texture } = this;
     const { splats, resident } = this.renderer;

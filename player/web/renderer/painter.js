@@ -4,7 +4,7 @@ import { SplatRenderer } from "./splatrenderer.js";
 
 /**
  * Draws one stream onto one canvas, with the page's shared context. The canvas keeps its last picture
- * whatever becomes of the context.
+ * even if the context is lost.
  *
  * Events: `lost`, `restored` (an empty renderer waits for all Gaussians), `gone`; see SharedContext.
  */
@@ -60,7 +60,7 @@ export class Painter extends EventTarget {
   }
 
   #lose() {
-    this.renderer = null; // what it had went with the context
+    this.renderer = null; // its resources were lost with the context
     this.dispatchEvent(new Event("lost"));
   }
 
@@ -70,7 +70,7 @@ export class Painter extends EventTarget {
   }
 
   /**
-   * Draws what the renderer holds; the canvas takes the size of the picture. Nothing happens while the
+   * Draws the renderer's Gaussians; the canvas gets the size of the picture. Does nothing while the
    * context is lost.
    * @param {import("../stereo/eyes.js").Viewpoint} viewpoint
    * @param {number} widthPx of the canvas
@@ -81,12 +81,12 @@ export class Painter extends EventTarget {
     if (renderer === null || context.isLost) return;
     if (framebuffer === null) context.fit(widthPx, heightPx);
     for (const { camera, corner } of views) renderer.draw(camera, corner, framebuffer);
-    // A context that was lost meanwhile is black.
+    // If the context was lost meanwhile, its picture is black.
     if (framebuffer === null && !context.isLost) this.#present(widthPx, heightPx);
   }
 
   /**
-   * Copies the lower left of the shared canvas.
+   * Copies the lower left part of the shared canvas to the player's canvas.
    * @param {number} widthPx
    * @param {number} heightPx
    */
@@ -98,7 +98,7 @@ export class Painter extends EventTarget {
     target.drawImage(context.canvas, 0, top, widthPx, heightPx, 0, 0, widthPx, heightPx);
   }
 
-  /** Frees what the stream has on the device; the canvas keeps its picture. */
+  /** Frees the stream's resources on the device; the canvas keeps its picture. */
   clear() {
     this.renderer?.close();
     this.renderer = null;

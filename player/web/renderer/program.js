@@ -25,7 +25,7 @@ function recipe() {
   };
 }
 
-// Workers, which draw nothing, go without.
+// Marked as pure, so that the bundles of workers, which do not draw, omit it.
 const RECIPE = /* @__PURE__ */ recipe();
 const HEAD = `#version 300 es
 precision highp float;
@@ -34,10 +34,10 @@ precision highp sampler2D;
 precision highp usampler2D;
 `;
 
-/** Where programs that draw Gaussians take their slots from. */
+/** Index of the vertex attribute from which programs that draw Gaussians read their slots. */
 export const SLOT = 0;
 
-/** WebGL2 is not there, or cannot hold the stream. */
+/** WebGL2 is not available, or cannot hold the stream. */
 export class RendererError extends Error {
   /** @param {string} message */
   constructor(message) {
@@ -46,7 +46,7 @@ export class RendererError extends Error {
   }
 }
 
-/** The context was lost before everything was made; once it is restored it can be tried again. */
+/** The context was lost before everything was made; try again once it is restored. */
 export class ContextLostError extends RendererError {
   constructor() {
     super("The graphics device was lost");
@@ -55,20 +55,20 @@ export class ContextLostError extends RendererError {
 }
 
 /**
- * A program and where its uniforms are.
+ * A program, and the locations of its uniforms.
  * @typedef {object} Program
  * @property {WebGLProgram} program
  * @property {(name: string) => WebGLUniformLocation | null} at
  * @property {() => void} check waits for the program; throws a RendererError if it was refused
  */
 
-/** Of KHR_parallel_shader_compile, which TypeScript does not know. */
+/** A constant of KHR_parallel_shader_compile, which TypeScript does not know. */
 const COMPLETION_STATUS_KHR = 0x91b1;
 
 /**
- * Has the device make a program, which may take it a while: the page does not wait before `check`.
+ * Starts compiling a program. This may take the device some time; only `check` waits for it.
  * @param {WebGL2RenderingContext} gl
- * @param {string} text both stages, in GLSL ES 3.00 but for the version
+ * @param {string} text both stages, in GLSL ES 3.00 without the version line
  * @param {Record<string, number>} defines
  * @returns {Program}
  */
@@ -108,7 +108,7 @@ export function makeProgram(gl, text, defines = {}) {
 }
 
 /**
- * Whether `check` need not wait for a program; true where the browser cannot say.
+ * Whether `check` would return without waiting; true if the browser cannot report it.
  * @param {WebGL2RenderingContext} gl
  * @param {Program} made
  * @returns {boolean}

@@ -2,21 +2,21 @@ import { ContextLostError, makeProgram, RendererError } from "./program.js";
 import { EXPAND_FLOATS, EXPAND_LATTICE } from "./shaders.js";
 import { makeTexture, STAGED_WIDTH_PX } from "./texture.js";
 
-/** A texture that the frame before still reads from is not written. */
+/** Staging textures in rotation, so that none is written while an earlier upload may still be read. */
 const NUM_STAGED = 3;
 
-/** Texels of a drawn Gaussian, as pack.py has them. @param {number} shDegree */
+/** Texels of a drawn Gaussian, as in pack.py. @param {number} shDegree */
 function texelsPerGaussian(shDegree) {
   return Math.ceil((15 + 3 * ((shDegree + 1) ** 2 - 1)) / 4);
 }
 
-/** Words of a Gaussian on the lattice as it is uploaded. @param {number} shDegree */
+/** Words of an uploaded Gaussian on the lattice. @param {number} shDegree */
 export function latticeWords(shDegree) {
   const numBytes = 4 + 3 * (shDegree + 1) ** 2; // the log scales lie with the position
   return 4 + Math.ceil(numBytes / 4);
 }
 
-/** Words of a Gaussian of floats as it is uploaded. @param {number} shDegree */
+/** Words of an uploaded Gaussian of floats. @param {number} shDegree */
 export function floatWords(shDegree) {
   return 12 + 3 * (shDegree + 1) ** 2;
 }
@@ -27,8 +27,8 @@ export function roomFor(count, wordsEach) {
 }
 
 /**
- * All slots as texels that the splat shader reads. What is new is uploaded as it came, quantised, and
- * a pass of the GPU expands it.
+ * All slots as texels that the splat shader reads. Changed Gaussians are uploaded quantised, as they were
+ * received, and a GPU pass expands them.
  */
 export class Resident {
   /**
@@ -57,12 +57,12 @@ export class Resident {
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
     this.staged = Array.from({ length: NUM_STAGED }, () => ({ texture: makeTexture(gl), rows: 0 }));
     this.nextStaged = 0;
-    /** @type {import("./colourpass.js").ColourPass | null} keeps the colours of what is put */
+    /** @type {import("./colourpass.js").ColourPass | null} evaluates the colours of changed Gaussians */
     this.colours = null;
-    /** @type {import("./inbetween.js").Inbetween | null} sets aside what is about to change */
+    /** @type {import("./inbetween.js").Inbetween | null} saves Gaussians that are about to change */
     this.inbetween = null;
     this.uploadedBytes = 0;
-    /** Nothing is read from it: the shaders count points. */
+    /** Has no attributes: the shaders use only the number of each point. */
     this.points = gl.createVertexArray();
     const defines = {
       COLUMNS: this.columns,
@@ -115,7 +115,7 @@ export class Resident {
    * @param {Uint32Array} words
    * @param {number} wordsEach
    * @param {import("./program.js").Program} program
-   * @param {number} slotWord which of a Gaussian's words names its slot
+   * @param {number} slotWord index of the word with a Gaussian's slot
    */
   #put(words, wordsEach, program, slotWord) {
     if (words.length === 0) return;
@@ -135,7 +135,7 @@ export class Resident {
     this.colours?.put(this.texture, staged, count, wordsEach, slotWord);
   }
 
-  /** Uploads `words` into the next staging texture, binds and gives it. @param {Uint32Array} words */
+  /** Uploads `words` into the next staging texture; binds and returns it. @param {Uint32Array} words */
   stage(words) {
     const { gl } = this;
     const staged = this.staged[this.nextStaged];

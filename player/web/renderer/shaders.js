@@ -1,10 +1,10 @@
-/** The shaders that expand what is uploaded; see program.js. */
+/** The shaders that expand uploaded Gaussians; see program.js. */
 
 /**
- * A program that stores a texel for each point.
+ * A program that stores one texel per point.
  *
- * Makes the texels of a Gaussian from its numbers: mean 3, opacity, covariance 6, colour 3, then
- * the harmonics from degree 1 on. Every texel is one point; all points of a Gaussian compute the same.
+ * It makes the texels of a Gaussian from its attributes: mean 3, opacity, covariance 6, colour 3, then
+ * the harmonics from degree 1 on. Every texel is one point; all points of a Gaussian do the same work.
  * @param {string} main the vertex stage, which has `coefficient` and calls `finish`
  */
 const expanding = (main) => /* glsl */ `
@@ -12,7 +12,7 @@ const expanding = (main) => /* glsl */ `
 
 uniform usampler2D staged;
 uniform vec2 size_px;
-uniform uvec2 saved;    // serial number of the update, place of its first item among those set aside
+uniform uvec2 saved;    // serial number of the update, place of its first item among the saved ones
 
 flat out uvec4 texel;
 
@@ -38,7 +38,7 @@ void finish(int item, uint place, int n, vec3 mean, vec3 log_scales, vec4 quat, 
   else if (n == 1) found = vec4(cov[0][0], cov[0][1], cov[0][2], cov[1][1]);
   else {
     if (n == 2) found.xy = vec2(cov[1][2], cov[2][2]);
-    // Word 10 is the first of the colour.
+    // The colour begins at word 10.
     for (int i = n == 2 ? 2 : 0; i < 4; i++) {
       int at = 4 * n + i - 10, k = at / 3;
       if (k >= K) break;
@@ -47,7 +47,7 @@ void finish(int item, uint place, int n, vec3 mean, vec3 log_scales, vec4 quat, 
     }
   }
   texel = floatBitsToUint(found);
-  // Two words that no Gaussian needs: how it came here.
+  // Two words that no attribute uses: the update, the place of the saved state, and the move.
   if (n == TEXELS - 1) texel.zw = uvec2(saved.x, (saved.y + uint(item)) << 2 | place >> 28);
   uint slot = place & 0xffffffu;
   ivec2 at = ivec2((int(slot) % COLUMNS) * TEXELS + n, int(slot) / COLUMNS);
@@ -69,8 +69,8 @@ void main() {
 `;
 
 /**
- * Gaussians on a lattice: three positions of 24 bits, each with a log scale behind it, slot, layer and
- * move in 24, 4 and 4 bits, then the other attributes, a byte each.
+ * Gaussians on a lattice: three position coordinates of 24 bits, each followed by a log scale; slot, layer
+ * and move in 24, 4 and 4 bits; then the other attributes, one byte each.
  */
 export const EXPAND_LATTICE = /* @__PURE__ */ expanding(/* glsl */ `
 uniform vec4 steps[16];         // of each layer: position, log scale, log scale's base, rotation

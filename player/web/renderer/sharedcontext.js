@@ -8,13 +8,13 @@ let shared = null;
 
 /**
  * The one WebGL2 context of a page, on a canvas that is in no document. All players draw with it, and
- * copy their pictures to canvases of their own: browsers keep about 16 contexts for a page, and a
- * canvas with a copy still has its picture when the context is lost.
+ * copy their pictures to their own canvases: browsers allow about 16 contexts per page, and a canvas
+ * with a copy keeps its picture when the context is lost.
  *
- * Events: `lost`, `restored` (everything on the device must be made anew), `gone` (it did not come back).
+ * Events: `lost`, `restored` (everything on the device must be made again), `gone` (it did not come back).
  */
 export class SharedContext extends EventTarget {
-  /** Counts the caller as a user. */
+  /** The page's context, with the caller counted as a user. */
   static acquire() {
     shared ??= new SharedContext();
     shared.#numUsers += 1;
@@ -30,7 +30,7 @@ export class SharedContext extends EventTarget {
   constructor() {
     super();
     this.canvas = document.createElement("canvas");
-    /** Whether it was lost for good: users acquire another one. */
+    /** Whether the context was lost for good, so that users have to acquire another one. */
     this.isGone = false;
     const { signal } = this.#listening;
     this.canvas.addEventListener("webglcontextlost", (event) => this.#lose(event), { signal });
@@ -38,8 +38,8 @@ export class SharedContext extends EventTarget {
   }
 
   /**
-   * Made when it is first used: the page waits for the device then, and workers have begun meanwhile.
-   * Throws a RendererError if the browser has no WebGL2.
+   * The context, created at its first use: that makes the page wait for the device, so it should come
+   * after the start of the workers. Throws a RendererError if the browser has no WebGL2.
    */
   get gl() {
     const gl = (this.#gl ??= this.canvas.getContext("webgl2", {
@@ -58,8 +58,8 @@ export class SharedContext extends EventTarget {
   }
 
   /**
-   * Makes the canvas large enough for a picture. It shrinks only for a single user: pictures of many
-   * sizes would have it made anew for each of them.
+   * Makes the canvas large enough for a picture. It shrinks only for a single user: with pictures of
+   * several sizes, it would be reallocated for each of them.
    * @param {number} widthPx
    * @param {number} heightPx
    */
@@ -72,7 +72,7 @@ export class SharedContext extends EventTarget {
     if (canvas.height !== height) canvas.height = height;
   }
 
-  /** One user less; the last one gives the context back to the browser. */
+  /** Removes a user; the last one returns the context to the browser. */
   release() {
     this.#numUsers -= 1;
     if (this.#numUsers > 0) return;
@@ -82,7 +82,7 @@ export class SharedContext extends EventTarget {
 
   /** @param {Event} event */
   #lose(event) {
-    event.preventDefault(); // without it the context never comes back
+    event.preventDefault(); // otherwise the context never comes back
     if (!this.isLost) return;
     this.dispatchEvent(new Event("lost"));
     this.#limitWait();
@@ -96,7 +96,7 @@ export class SharedContext extends EventTarget {
         this.dispatchEvent(new Event("gone"));
         return;
       }
-      // A page in the background may get no context until it shows.
+      // A page in the background may get no context until it is visible.
       const { signal } = this.#listening;
       const again = () => this.isLost && this.#limitWait();
       document.addEventListener("visibilitychange", again, { once: true, signal });
@@ -108,7 +108,7 @@ export class SharedContext extends EventTarget {
     this.dispatchEvent(new Event("restored"));
   }
 
-  /** No longer the page's context. */
+  /** Stops being the page's context. */
   #leave() {
     clearTimeout(this.#restoreTimer);
     this.#listening.abort();

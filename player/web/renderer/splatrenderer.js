@@ -7,11 +7,11 @@ import { Resident } from "./resident.js";
 import { makeTexture } from "./texture.js";
 
 /**
- * What a stream needs of the GPU.
+ * The properties of a stream that the renderer depends on.
  * @typedef {object} Shape
  * @property {number} numSlots
  * @property {number} shDegree
- * @property {number} nearM nothing nearer is drawn
+ * @property {number} nearM minimum depth; nothing nearer is drawn
  * @property {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer
  */
 
@@ -63,15 +63,15 @@ export class SplatRenderer {
     return makeProgram(this.gl, text + SPLAT, { ...this.defines, ...defines });
   }
 
-  /** Bytes of Gaussians and orders that were uploaded so far. */
+  /** Bytes of Gaussians and orders uploaded so far. */
   get uploadedBytes() {
     return this.resident.uploadedBytes + this.orderBytes;
   }
 
   /**
-   * Takes in what is new, and the order in which to draw from now on: both or none are seen.
+   * Uploads the changes and the new draw order, so that both take effect together.
    * @param {import("../playback/pendingupdates.js").Words[]} updates
-   * @param {Uint16Array | Uint32Array} order slots, farthest first; behind them what the update of `frame` left
+   * @param {Uint16Array | Uint32Array} order slots, farthest first; from numSlots on: fading out
    * @param {number} frame
    */
   update(updates, order, frame) {
@@ -83,7 +83,7 @@ export class SplatRenderer {
       this.resident.putFloats(update.floats);
     }
     gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    // A new store: the frame before may still be read from the old one.
+    // A new store, because the device may still read the previous frame from the old one.
     gl.bufferData(gl.ARRAY_BUFFER, order, gl.STREAM_DRAW);
     const type = order instanceof Uint16Array ? gl.UNSIGNED_SHORT : gl.UNSIGNED_INT;
     gl.bindVertexArray(this.quads);
@@ -95,7 +95,7 @@ export class SplatRenderer {
   /**
    * Draws onto a part of the canvas.
    * @param {import("../format/camera.js").Camera} camera as large as the part
-   * @param {{ xPx: number, yPx: number }} corner lower left of the part
+   * @param {{ xPx: number, yPx: number }} corner lower left corner of the part
    * @param {WebGLFramebuffer | null} target null: the canvas
    */
   draw(camera, corner = { xPx: 0, yPx: 0 }, target = null) {
@@ -119,9 +119,9 @@ export class SplatRenderer {
   }
 
   /**
-   * How far along the view what shows at a pixel lies, metres; null if hardly anything shows there, or
-   * this device cannot draw floats. Waits for the device.
-   * @param {import("../format/camera.js").Camera} camera the order is that for it
+   * Depth of the scene at a pixel, metres; null if hardly anything shows there, or this device cannot
+   * draw floats. Waits for the device.
+   * @param {import("../format/camera.js").Camera} camera the one that the current order is for
    * @param {number} xPx from the left
    * @param {number} yPx from the top
    */
@@ -136,7 +136,7 @@ export class SplatRenderer {
   }
 
   /**
-   * Blends all Gaussians into the framebuffer that is bound.
+   * Blends all Gaussians into the bound framebuffer.
    * @param {import("../format/camera.js").Camera} camera
    * @param {import("./program.js").Program} splats
    */
@@ -185,7 +185,7 @@ export class SplatRenderer {
   }
 
   /**
-   * Where a picture is blended, row 0 at its top: finer than the screen, where the device can.
+   * The target in which a picture is blended, row 0 at its top; in half floats if the device can.
    * @param {number} widthPx
    * @param {number} heightPx
    */
@@ -227,7 +227,7 @@ export class SplatRenderer {
   }
 }
 
-/** Where the camera stands in the world, metres. @param {import("../format/camera.js").Camera} camera */
+/** Position of the camera in the world, metres. @param {import("../format/camera.js").Camera} camera */
 function positionOf({ w2c: m }) {
   return [0, 1, 2].map((axis) => -(m[axis] * m[3] + m[4 + axis] * m[7] + m[8 + axis] * m[11]));
 }
