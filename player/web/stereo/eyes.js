@@ -1,4 +1,4 @@
-/** The eyes of a person, as cameras. */
+/** Cameras for the two eyes of a viewer. */
 
 import { poseOf, worldToCamera } from "../view/pose.js";
 import { add, cross, dot, subtract, times, unit } from "../view/vectors.js";
@@ -6,18 +6,18 @@ import { add, cross, dot, subtract, times, unit } from "../view/vectors.js";
 /** @typedef {import("../format/camera.js").Camera} Camera */
 /** @typedef {import("../view/pose.js").Pose} Pose */
 
-/** Between the pupils of most grown people. */
+/** Typical distance between the pupils of adults. */
 export const EYE_DISTANCE_M = 0.063;
 
 /**
- * What one eye sees, and on which part of the screen.
+ * The view of one eye, and its part of the screen.
  * @typedef {object} EyeView
- * @property {Camera} camera as large as the part
+ * @property {Camera} camera its picture has the size of the part
  * @property {{ xPx: number, yPx: number }} corner lower left of the part
  */
 
 /**
- * All that one picture is drawn from.
+ * The cameras and the target of one picture.
  * @typedef {object} Viewpoint
  * @property {number[]} w2c (4, 4) world to camera: the depths that order the Gaussians for all eyes
  * @property {EyeView[]} views
@@ -36,9 +36,9 @@ export function oneEye(camera) {
 /**
  * The left eye on the left half of the canvas, the right one on the right.
  *
- * The eyes look the same way from both sides of `camera`. So a Gaussian has the same depth for them
- * and for `camera`, and one order is exact for all three. Their pictures are shifted: what is
- * `focusM` away shows at the same place in both, and lies in the plane of the screen.
+ * The eyes look in the same direction from both sides of `camera`. So a Gaussian has the same depth for
+ * them and for `camera`, and one order is exact for all three. Their pictures are shifted so that a point
+ * at the distance `focusM` shows at the same place in both, and appears in the plane of the screen.
  * @param {Camera} camera between the eyes, as large as one half
  * @param {number} eyeDistanceM
  * @param {number} focusM
@@ -60,8 +60,8 @@ export function sideBySide(camera, eyeDistanceM, focusM) {
 }
 
 /**
- * The pose in the middle of some eyes. Where they look the same way, as in most headsets, each
- * Gaussian has one depth for all of them, but for a constant.
+ * The mean pose of some eyes. If they look in the same direction, as in most headsets, the depths of a
+ * Gaussian for the eyes differ only by a constant.
  * @param {Pose[]} poses
  * @returns {Pose}
  */

@@ -7,7 +7,7 @@ import { pinholeOf, poseOfTransform } from "./xrview.js";
 
 const MODE = "immersive-vr";
 
-/** A headset cannot be used; the message says what to do. */
+/** A headset cannot be used; the message says what the user can do. */
 export class HeadsetError extends Error {
   /** @param {string} message */
   constructor(message) {
@@ -23,7 +23,7 @@ export class HeadsetError extends Error {
  */
 export class Headset extends EventTarget {
   /**
-   * Begins a session; a person must have pressed something just now. Throws a HeadsetError.
+   * Begins a session. Needs a recent user gesture. Throws a HeadsetError.
    * @param {WebGL2RenderingContext} gl
    */
   static async begin(gl) {
@@ -80,13 +80,13 @@ export class Headset extends EventTarget {
     return this.session.visibilityState === "hidden";
   }
 
-  /** Brings the viewer back to the start. */
+  /** Returns the viewer to the start pose. */
   replace() {
     this.placement = null;
   }
 
   /**
-   * Calls `draw` for each picture, in place of the page's requestAnimationFrame.
+   * Calls `draw` for each picture; this replaces the page's requestAnimationFrame.
    * @param {(ms: number, frame: XRFrame) => void} draw
    */
   run(draw) {
@@ -98,9 +98,9 @@ export class Headset extends EventTarget {
   }
 
   /**
-   * From where to draw a frame; while the head is not tracked, as before. null: not known yet.
+   * The viewpoint of a frame; the previous one while the head is not tracked, null if not known yet.
    * @param {XRFrame} frame
-   * @param {Pose} start where the viewer begins
+   * @param {Pose} start the viewer's first pose
    * @param {import("../view/vectors.js").Vector} up of the scene, unit
    */
   viewpoint(frame, start, up) {
@@ -111,7 +111,7 @@ export class Headset extends EventTarget {
     const views = [];
     for (const view of head.views) {
       const port = this.layer.getViewport(view);
-      // A device with one eye may give the other an empty part.
+      // A device with one eye may report an empty part for the other.
       if (!port || port.width < 1 || port.height < 1) continue;
       const pose = this.placement.pose(poseOfTransform(view.transform.matrix));
       const lens = pinholeOf(view.projectionMatrix, port.width, port.height);
@@ -128,12 +128,12 @@ export class Headset extends EventTarget {
   }
 
   end() {
-    this.session.end().catch(() => {}); // it has ended already
+    this.session.end().catch(() => {}); // it may have ended already
   }
 }
 
 /**
- * Lets `gl` draw for the headset. Throws a HeadsetError if that is another graphics device.
+ * Lets `gl` draw for the headset. Throws a HeadsetError if the headset uses another graphics device.
  * @param {WebGL2RenderingContext} gl
  */
 async function makeCompatible(gl) {

@@ -1,4 +1,4 @@
-/** What WebXR says of eyes and heads, as poses and cameras. Matrices of WebXR go column by column. */
+/** Converts the eyes and heads of WebXR to poses and cameras. WebXR's matrices are column-major. */
 
 /** @typedef {import("../view/pose.js").Pose} Pose */
 
@@ -18,9 +18,9 @@ export function poseOfTransform(matrix) {
 }
 
 /**
- * The pinhole camera that projects as an eye of a headset does. Most eyes see farther to one side
- * than to the other: the principal point is then beside the middle.
- * @param {ArrayLike<number>} projection (4, 4) of an XRView, without skew, as headsets have it
+ * The pinhole camera with the projection of a headset's eye. Most eyes see farther to one side than to
+ * the other, so the principal point is not in the centre.
+ * @param {ArrayLike<number>} projection (4, 4) of an XRView; without skew, as in headsets
  * @param {number} widthPx
  * @param {number} heightPx
  * @returns {{ widthPx: number, heightPx: number, fxPx: number, fyPx: number, cxPx: number, cyPx: number }}
