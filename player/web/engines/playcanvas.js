@@ -16,8 +16,8 @@ import {
 import { SceneVideo } from "./scenevideo.js";
 
 /**
- * Settings of `app.scene.gsplat` with which its picture is nearest to that of the stream's training: all
- * splats, however small, with positions and colours as they are.
+ * Settings of `app.scene.gsplat` that bring its picture closest to the renderer used in training: all
+ * splats are drawn, however small, with unchanged positions and colours.
  */
 export const RECIPE = {
   dataFormat: GSPLATDATA_LARGE,
@@ -27,12 +27,12 @@ export const RECIPE = {
 };
 
 /**
- * The engine takes over changed splats only when it sorts them next, so it copies all of them for each
- * picture until nothing has changed for so long.
+ * The engine uses changed splats only after its next sort, so all splats are copied for each picture
+ * until nothing has changed for this time.
  */
 const SETTLE_MS = 1000;
 
-/** A texture each, of four floats for a slot. */
+/** Names of the textures; each has four floats per slot. */
 const STREAMS = ["place", "extent", "turn", "tint"];
 
 const READ_GLSL = `
@@ -55,8 +55,8 @@ fn getRotation() -> vec4f { return loadTurn(); }
  *     const entity = new SwingsEntity(app, { url: "https://streams.example.com/stream" });
  *     app.root.addChild(entity);
  *
- * The world is the stream's own, in metres; turn and move the entity as any other. Colours are those
- * without the view-dependent part: the engine has no harmonics for splats that change.
+ * The stream's world frame is kept, in metres; rotate and move the entity like any other. Colours lack
+ * the view-dependent part, because the engine has no harmonics for splats that change.
  */
 export class SwingsEntity extends Entity {
   /** @type {GSplatContainer | null} null until the stream is open */
@@ -71,7 +71,7 @@ export class SwingsEntity extends Entity {
   constructor(app, options) {
     super("swings", app);
     this.#app = app;
-    /** Plays, pauses, seeks: see SceneVideo. */
+    /** Playback control, see SceneVideo. */
     this.video = new SceneVideo(options);
     this.video.opened.then(
       (stream) => this.#show(stream),
@@ -96,7 +96,7 @@ export class SwingsEntity extends Entity {
     this.video.pause();
   }
 
-  /** An entity with a camera where the stream's own is. */
+  /** An entity with a camera at the pose of the stream's default camera. */
   async defaultCamera() {
     const { position, axes, fovDeg, nearM } = await this.video.defaultCamera();
     const camera = new Entity("camera", this.#app);
@@ -111,7 +111,7 @@ export class SwingsEntity extends Entity {
     return camera;
   }
 
-  /** Ends the play, and frees what it holds. */
+  /** Ends the play and frees its resources. */
   dispose() {
     this.destroy();
   }
@@ -140,7 +140,7 @@ export class SwingsEntity extends Entity {
     this.#app.on("update", this.#update, this);
   }
 
-  /** Writes what is new since the last picture; the engine then uploads all slots. */
+  /** Writes the slots that have changed since the last picture; the engine then uploads all slots. */
   #update() {
     const container = this.#container;
     const slots = this.video.take();
@@ -165,7 +165,7 @@ export class SwingsEntity extends Entity {
         tint[at + axis] = colours[from + axis];
       }
       place[at + 3] = opacities[slot];
-      // The engine reads w, x, y, z, whatever its documentation has.
+      // The engine reads w, x, y, z, although its documentation differs.
       turn.set(quats.subarray(at, at + 4), at);
     }
     for (const texture of textures) texture?.unlock();

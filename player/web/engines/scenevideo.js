@@ -4,7 +4,7 @@ import { poseOf } from "../view/pose.js";
 /** @typedef {import("../feed/gaussianfeed.js").FeedStream} FeedStream */
 
 /**
- * What a video in a scene is made with.
+ * Options of a video in a scene.
  * @typedef {object} SceneVideoOptions
  * @property {string} url of the stream's folder
  * @property {boolean} [autoplay] plays once it is open; true by default
@@ -14,7 +14,7 @@ import { poseOf } from "../view/pose.js";
  */
 
 /**
- * Where a camera is and how it looks, as engines with y up and -z ahead have it.
+ * A camera's pose and lens, in the convention of engines with y up and -z ahead.
  * @typedef {object} SceneCamera
  * @property {[number, number, number]} position metres
  * @property {number[]} axes of the camera in the world: right, up and backward, three numbers each
@@ -23,7 +23,7 @@ import { poseOf } from "../view/pose.js";
  */
 
 /**
- * A stream that plays by itself in the scene of another renderer, with the names of media elements.
+ * A stream that plays by itself in the scene of another renderer. Its interface follows media elements.
  *
  * Events: `ended`, `trouble` and `failed` (detail: a message, or null when the trouble is over).
  */
@@ -57,7 +57,7 @@ export class SceneVideo extends EventTarget {
     return this.#feed.stream;
   }
 
-  /** What each slot shows, as of the last `take`. */
+  /** The Gaussian of each slot, as of the last `take`. */
   get gaussians() {
     return this.#feed.gaussians;
   }
@@ -72,14 +72,14 @@ export class SceneVideo extends EventTarget {
     return stream ? stream.numFrames / stream.fps : NaN;
   }
 
-  /** Of the frame that shows, or is sought, in seconds. */
+  /** Time of the frame that shows, or is being sought, in seconds. */
   get currentTime() {
     const { stream } = this;
     const frame = this.#feed.isSeeking ? this.#soughtFrame : Math.max(0, this.#feed.frame);
     return stream ? frame / stream.fps : 0;
   }
 
-  /** Throws an error until the stream is open. */
+  /** Throws an error if the stream is not open yet. */
   set currentTime(seconds) {
     const { stream } = this;
     if (!Number.isFinite(seconds)) throw new TypeError(`currentTime: ${seconds} is not a time`);
@@ -98,7 +98,7 @@ export class SceneVideo extends EventTarget {
     if (this.stream !== null) this.#feed.setLoop(value);
   }
 
-  /** 1 is the stream's own pace. */
+  /** 1 is normal speed. */
   get playbackRate() {
     return this.#rate;
   }
@@ -111,7 +111,7 @@ export class SceneVideo extends EventTarget {
     if (this.stream !== null) this.#feed.setRate(rate);
   }
 
-  /** Plays, as soon as the stream is open; after the end from the first frame. */
+  /** Starts playback as soon as the stream is open; after the end, from the first frame. */
   play() {
     this.#paused = false;
     if (this.stream !== null) this.#feed.play();
@@ -123,14 +123,14 @@ export class SceneVideo extends EventTarget {
   }
 
   /**
-   * Brings `gaussians` to the frame that is due: to be called for each picture.
+   * Updates `gaussians` to the frame that is due; to be called for each picture.
    * @returns {Uint32Array | null} the slots that have changed, if any
    */
   take() {
     return this.#feed.take();
   }
 
-  /** Where the stream's own camera is. */
+  /** The stream's default camera. */
   async defaultCamera() {
     const { defaultCamera, nearM } = await this.opened;
     return sceneCamera(defaultCamera, nearM);

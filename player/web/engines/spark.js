@@ -4,8 +4,8 @@ import { Color, Matrix4, Object3D, PerspectiveCamera, Quaternion, Vector3 } from
 import { SceneVideo } from "./scenevideo.js";
 
 /**
- * Options of a `SparkRenderer` with which its picture is that of the stream's training: classic
- * splatting, sorted by depth.
+ * Options of a `SparkRenderer` that make it draw like the renderer used in training: classic splatting,
+ * sorted by depth.
  */
 export const RECIPE = {
   preBlurAmount: 0.3,
@@ -16,7 +16,7 @@ export const RECIPE = {
   accumExtSplats: true,
 };
 
-/** Spark keeps splats in textures with rows of this many. */
+/** Splats per row of Spark's textures. */
 const ROW_SPLATS = 2048;
 
 /**
@@ -25,13 +25,13 @@ const ROW_SPLATS = 2048;
  *     const mesh = new SwingsMesh({ url: "https://streams.example.com/stream" });
  *     scene.add(new SparkRenderer({ renderer, ...RECIPE }), mesh);
  *
- * The world is the stream's own, in metres; turn and move the mesh as any other object.
+ * The stream's world frame is kept, in metres; rotate and move the mesh like any other object.
  */
 export class SwingsMesh extends Object3D {
   /** @param {import("./scenevideo.js").SceneVideoOptions} options */
   constructor(options) {
     super();
-    /** Plays, pauses, seeks: see SceneVideo. */
+    /** Playback control, see SceneVideo. */
     this.video = new SceneVideo(options);
     /** @type {SplatMesh | null} null until the stream is open */
     this.splatMesh = null;
@@ -59,7 +59,7 @@ export class SwingsMesh extends Object3D {
   }
 
   /**
-   * A camera where the stream's own is.
+   * A camera at the pose of the stream's default camera.
    * @param {number} aspect width by height of the picture
    */
   async defaultCamera(aspect) {
@@ -71,7 +71,7 @@ export class SwingsMesh extends Object3D {
     return camera;
   }
 
-  /** Ends the play, and frees what it holds. */
+  /** Ends the play and frees its resources. */
   dispose() {
     this.video.dispose();
     this.splatMesh?.dispose();
@@ -80,7 +80,7 @@ export class SwingsMesh extends Object3D {
 
   /** @param {import("./scenevideo.js").FeedStream} stream */
   #show({ numGs, shDegree }) {
-    // One splat for each slot of the stream; those that show nothing have no opacity.
+    // One splat for each slot of the stream; slots that show nothing have zero opacity.
     const numWords = 4 * ROW_SPLATS * Math.ceil(numGs / ROW_SPLATS);
     const splats = new ExtSplats({
       extArrays: [new Uint32Array(numWords), new Uint32Array(numWords)],
@@ -90,7 +90,7 @@ export class SwingsMesh extends Object3D {
     const harmonics = 3 * ((shDegree + 1) ** 2 - 1);
     const mesh = new SplatMesh({
       extSplats: splats,
-      // Spark calls it before it reads the splats of a picture.
+      // Spark calls this before it reads the splats of a picture.
       onFrame: () => {
         const slots = this.video.take();
         if (slots === null) return;
@@ -107,7 +107,7 @@ const [mean, scale] = [new Vector3(), new Vector3()];
 const [quat, colour] = [new Quaternion(), new Color()];
 
 /**
- * Writes what is new; Spark then uploads all of them.
+ * Writes the changed slots; Spark then uploads all slots.
  * @param {ExtSplats} splats
  * @param {import("../feed/scene.js").SceneGaussians} gaussians
  * @param {Uint32Array} slots
@@ -120,7 +120,7 @@ function writeSplats(splats, { means, scales, quats, opacities, colours, harmoni
     scale.fromArray(scales, 3 * slot);
     const [w, x, y, z] = quats.subarray(4 * slot, 4 * slot + 4);
     quat.set(x, y, z, w);
-    // Spark takes colours as they are on the screen.
+    // Spark expects display colours, without a conversion.
     [colour.r, colour.g, colour.b] = colours.subarray(3 * slot, 3 * slot + 3);
     splats.setSplat(slot, mean, scale, quat, opacities[slot], colour);
     if (sh1) utils.encodeExtSh1Rgb(sh1, slot, harmonics.subarray(each * slot, each * slot + 9));
