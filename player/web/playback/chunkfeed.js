@@ -1,16 +1,16 @@
 import { inflatePacket, isGzip, limitBytes } from "../format/packet.js";
 
-/** So much of what shows next is inflated, in seconds. */
+/** Seconds of media that are inflated ahead. */
 const AHEAD_S = 1;
 const LEAST_AHEAD_FRAMES = 16;
-/** Packets that are inflated at a time. */
+/** Number of packets inflated at a time. */
 const BATCH = 16;
 
 /** @typedef {{ birth: number, part: string, packet: Uint8Array }} Arrived */
 
 /**
- * Passes the packets of a cache to a StreamPlay, inflated: those of the segment where it begins, those
- * that show soon, and what comes late to what has shown.
+ * Inflates the packets of a cache and passes them to a StreamPlay: those of the segment where it begins,
+ * those that show soon, and late ones for frames that have already shown.
  */
 export class ChunkFeed {
   /**
@@ -18,17 +18,17 @@ export class ChunkFeed {
    * @param {import("./streamplay.js").StreamPlay} play
    * @param {import("../format/manifest.js").Manifest} manifest
    * @param {number} firstFrame
-   * @param {number} numLayers that are passed on
-   * @param {number} rate of playing
+   * @param {number} numLayers number of layers that are passed on
+   * @param {number} rate playback rate
    */
   constructor(cache, play, manifest, firstFrame, numLayers, rate) {
     this.cache = cache;
     this.play = play;
     this.manifest = manifest;
     this.numLayers = numLayers;
-    /** What begins here is joined by its snapshots. */
+    /** First frame of the segment that is joined by its snapshots. */
     this.startFrame = cache.segmentOf(firstFrame) * manifest.segmentFrames;
-    /** Behind the last frame whose packets are passed on. */
+    /** End of the range of frames whose packets are passed on. */
     this.endFrame = this.startFrame;
     /** @type {Arrived[]} in the order in which they are inflated */
     this.queue = [];
@@ -36,7 +36,7 @@ export class ChunkFeed {
     this.isClosed = false;
     /** @type {unknown} */
     this.failure = null;
-    /** Called when something was passed on, or has failed. */
+    /** Called after packets were passed on, or after a failure. */
     this.onData = () => {};
     /** @type {import("../source/segmentcache.js").PacketListener} */
     this.listener = (birth, part, packet) => {
@@ -49,9 +49,9 @@ export class ChunkFeed {
   }
 
   /**
-   * Passes on what shows soon.
+   * Passes on the packets that show soon.
    * @param {number} nextFrame
-   * @param {number} rate of playing
+   * @param {number} rate playback rate
    */
   advance(nextFrame, rate) {
     const frames = AHEAD_S * this.manifest.fps * Math.max(1, rate);
@@ -61,9 +61,9 @@ export class ChunkFeed {
   }
 
   /**
-   * Passes on so many layers from now on; new ones also of what shows already.
+   * Sets the number of layers to pass on; additional layers also for the segment that shows already.
    * @param {number} numLayers
-   * @param {number} frame that shows
+   * @param {number} frame the current one
    */
   setLayers(numLayers, frame) {
     const known = this.numLayers;
@@ -75,7 +75,7 @@ export class ChunkFeed {
   }
 
   /**
-   * Enqueues what is here of a frame.
+   * Enqueues the cached packets of a frame.
    * @param {number} birth
    * @param {number} firstLayer
    */
@@ -100,7 +100,7 @@ export class ChunkFeed {
    */
   #enqueue(birth, part, packet) {
     const isSnapshot = part.startsWith("snapshot-");
-    // A segment that is joined begins with its snapshots alone.
+    // The first frame of the segment that is joined needs its snapshots only.
     if (birth === this.startFrame && !isSnapshot) return;
     if (part !== "masks" && Number(part.replace("snapshot-", "")) >= this.numLayers) return;
     this.queue.push({ birth, part, packet });

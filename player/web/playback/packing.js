@@ -1,4 +1,4 @@
-/** What changed, as the renderer and the sorting take it. */
+/** Packs changed Gaussians for the renderer and the sorter. */
 
 import { opacityLogits } from "../format/dequantise.js";
 import { NEVER } from "../renderer/depthorder.js";
@@ -6,23 +6,23 @@ import { ALPHA_MIN, ENTERS, ESCAPED, ON_LATTICE } from "../constants.js";
 import { LEFT, spareSlots } from "../format/slots/moves.js";
 import { floatWords, latticeWords, roomFor } from "../renderer/resident.js";
 
-/** One that is nowhere opaque enough to show is left out of every frame. */
+/** A Gaussian with a smaller logit is nowhere opaque enough to show, and is omitted from every frame. */
 const LEAST_LOGIT = Math.log(ALPHA_MIN / (1 - ALPHA_MIN));
 
 /**
- * Slots that hold something else from a frame on.
+ * Slots whose Gaussians change at a frame.
  * @typedef {object} SplatUpdate
  * @property {number} frame
- * @property {Uint32Array} lattice words of those on the lattice, see renderer/resident.js
- * @property {Uint32Array} floats words of the others
+ * @property {Uint32Array} lattice words of the Gaussians on the lattice, see renderer/resident.js
+ * @property {Uint32Array} floats words of the other Gaussians
  * @property {Uint32Array} slots (N)
  * @property {Float32Array} means (N, 3) metres
- * @property {Int32Array} starts (N) the first frame that shows it, or NEVER
- * @property {Uint8Array} moves (N) how it comes to its place: MOVES, ENTERS, or 0: at once
+ * @property {Int32Array} starts (N) the first frame that shows each, or NEVER
+ * @property {Uint8Array} moves (N) transition of each: MOVES, ENTERS, or 0 for an immediate change
  * @property {Uint32Array} leaving slots whose Gaussians fade out, if they showed
  */
 
-/** The buffers of an update, to be handed to another thread. @param {SplatUpdate} update */
+/** The buffers of an update, to be transferred to another thread. @param {SplatUpdate} update */
 export function buffersOf(update) {
   const { lattice, floats, slots, means, starts, moves, leaving } = update;
   return [lattice, floats, slots, means, starts, moves, leaving].map(
@@ -31,10 +31,10 @@ export function buffersOf(update) {
 }
 
 /**
- * What changed in a lane.
+ * Packs the changes of a lane.
  * @param {import("../format/slots/slotdecoder.js").SlotDecoder} decoder
  * @param {import("../format/slots/slotdecoder.js").SlotSlice} slice
- * @param {number} frame from which it shows
+ * @param {number} frame from which they show
  * @returns {SplatUpdate}
  */
 export function packSlots(decoder, slice, frame) {
@@ -53,7 +53,7 @@ export function packSlots(decoder, slice, frame) {
       else if (conditions[row] === ESCAPED) numFloats++;
     }
   }
-  // Where more is exchanged than can fade out, all of it changes at once.
+  // If more Gaussians are replaced than can fade out, all of them change at once.
   const fades = numLeaving <= spareSlots(layout.numSlots);
   const packer = new Packer(layout.shDegree, frame, count, numLattice, numFloats);
   for (const [layer, rows] of slice.rows.entries()) {
@@ -107,7 +107,7 @@ class Packer {
     };
     /** @type {number[]} */
     this.leaving = [];
-    /** Of what is added next. */
+    /** Transition of the Gaussian that is added next. */
     this.move = 0;
     this.latticeBytes = new Uint8Array(this.update.lattice.buffer);
     this.floatValues = new Float32Array(this.update.floats.buffer);

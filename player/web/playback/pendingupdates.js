@@ -1,20 +1,20 @@
 import { floatWords, latticeWords, roomFor } from "../renderer/resident.js";
 
-/** A lattice entry has its layer above the 24 bits of its slot; a stream has 2^24 slots at most. */
+/** An entry has its layer and move above the 24 bits of its slot; a stream has at most 2^24 slots. */
 const SLOT_MASK = 0xffffff;
 
 /**
  * Words for the renderer's textures; see renderer/resident.js.
  * @typedef {object} Words
- * @property {number} frame from which it shows; -1: nothing of it is on its way
+ * @property {number} frame from which it shows; -1: it shows at once, without motion
  * @property {Uint32Array} lattice
  * @property {Uint32Array} floats
  * @property {Uint32Array} leaving slots whose Gaussians fade out, then zeros, in whole texels
  */
 
 /**
- * What the renderer has not been given yet. However long it asks for nothing, at most one entry is
- * kept for each slot: the newest.
+ * Updates that the renderer has not received yet. Memory is bounded even if the renderer stops asking:
+ * once there are more entries than slots, only the newest entry of each slot is kept.
  */
 export class PendingUpdates {
   /**
@@ -32,7 +32,7 @@ export class PendingUpdates {
 
   /**
    * @param {Words} words are kept, not copied
-   * @returns {boolean} whether they are by themselves
+   * @returns {boolean} false if all pending updates were merged into one
    */
   add({ frame, lattice, floats, leaving }) {
     if (lattice.length + floats.length + leaving.length === 0) return true;
@@ -43,7 +43,7 @@ export class PendingUpdates {
     return !isMuch;
   }
 
-  /** All that is pending, oldest first; none of it is pending afterwards. @returns {Words[]} */
+  /** Removes and returns all pending updates, oldest first. @returns {Words[]} */
   take() {
     const { updates } = this;
     this.clear();
@@ -65,7 +65,7 @@ export class PendingUpdates {
     return Math.floor(words.length / this.floatWords);
   }
 
-  /** Leaves the newest entry of each slot. */
+  /** Merges all updates into one that has only the newest entry of each slot. */
   #merge() {
     const isTaken = new Uint8Array(this.numSlots);
     const lattice = new Newest(isTaken, this.numEntries, this.latticeWords, 3);
@@ -81,11 +81,11 @@ export class PendingUpdates {
   }
 }
 
-/** The entries of slots that are not taken yet. */
+/** Collects the newest entry of each slot: entries are added backwards, and later ones for a slot ignored. */
 class Newest {
   /**
-   * @param {Uint8Array} isTaken of each slot; is written
-   * @param {number} most entries
+   * @param {Uint8Array} isTaken whether each slot has its entry; is written
+   * @param {number} most maximum number of entries
    * @param {number} wordsEach
    * @param {number} slotWord the word of an entry that has its slot
    */
@@ -97,7 +97,7 @@ class Newest {
     this.count = 0;
   }
 
-  /** @param {Uint32Array} words the last entry first */
+  /** Adds entries, the last one first. @param {Uint32Array} words */
   addBackwards(words) {
     const { isTaken, room, wordsEach, slotWord } = this;
     for (let i = Math.floor(words.length / wordsEach) - 1; i >= 0; i--) {

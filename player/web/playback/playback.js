@@ -1,28 +1,28 @@
-/** Seconds of media that are there before playing begins, or goes on after a stall. */
+/** Seconds of media that must have arrived before playback begins, or continues after a stall. */
 const LEAD_S = 0.1;
 
-/** What comes late shows so often while playback is paused: all of the picture is sent anew for it. */
+/** Period at which late data is shown during a pause; each time the whole picture is sent again. */
 const REFINE_S = 0.2;
 
-/** A seek over more frames than this begins anew. */
+/** A seek over more frames than this rejoins the stream. */
 const MOST_STEPPED = 30;
 
-/** A frame that is late by more than this shows at once, and those after it count from there. */
+/** If a frame is later than this, it shows at once, and the following frames are due relative to it. */
 const LATE_S = 0.25;
-/** While sound leads, which goes on meanwhile. */
+/** The same while playback follows sound, which continues meanwhile. */
 const LATE_FOR_SOUND_S = 1;
 
 /**
- * What to show now, all at once.
+ * A frame to show now, with all its updates.
  * @typedef {object} Shown
  * @property {number} frame
- * @property {boolean} isJoin whether it begins anew: what the renderer holds is of no use
+ * @property {boolean} isJoin whether the updates are complete, so that earlier Gaussians must be dropped
  * @property {import("./packing.js").SplatUpdate[]} updates
  */
 
 /**
- * Which frame shows when: play, pause, seek, loop and rate, stalls and what ends them. It reads no
- * clock.
+ * Decides which frame shows when: play, pause, seek, loop, rate and stalls. It reads no clock: callers
+ * pass the time.
  */
 export class Playback {
   /**
@@ -36,27 +36,27 @@ export class Playback {
     this.notBeforeS = notBeforeS;
     this.play = play;
     this.fps = fps;
-    /** Frames that there are now. */
+    /** Number of frames so far. */
     this.numFrames = numFrames;
-    /** Whether there may be more later. */
+    /** Whether more frames may follow. */
     this.live = false;
     /** The frame that shows next. */
     this.nextFrame = firstFrame;
-    /** The first frame that is not there. */
+    /** The first frame that is missing. */
     this.endFrame = firstFrame;
     this.isJoined = false;
     this.playing = false;
     this.rate = 1;
-    /** @type {number | null} when nextFrame is due; null while nothing runs */
+    /** @type {number | null} when nextFrame is due; null while playback does not run */
     this.dueS = null;
-    /** Whether it would play, but for what is not there. */
+    /** Whether playback waits for missing data. */
     this.waiting = true;
     this.stalls = 0;
     this.refinedS = -Infinity;
     this.lateS = LATE_S;
   }
 
-  /** The frame that shows; that which will show first, before anything does. */
+  /** The frame that shows; before the first one, the frame that will show first. */
   get frame() {
     return this.isJoined ? this.nextFrame - 1 : this.nextFrame;
   }
@@ -75,14 +75,14 @@ export class Playback {
     this.dueS = null;
   }
 
-  /** Frames shown in a second are `rate` times those of the stream. @param {number} rate */
+  /** Sets the playback rate; 1 is normal speed. @param {number} rate */
   setRate(rate) {
     this.rate = rate;
     this.dueS = null;
   }
 
   /**
-   * What is due at `nowS`; null if nothing new is. Throws a FormatError.
+   * The frame that is due at `nowS`; null if there is nothing new. Throws a FormatError.
    * @param {number} nowS
    * @returns {Shown | null}
    */
@@ -122,7 +122,7 @@ export class Playback {
   }
 
   /**
-   * Goes on to a later frame that is here, at once; null if it is none, or too far away.
+   * Advances at once to a later frame; null if the frame is not later, too far away or missing.
    * @param {number} frame
    * @returns {Shown | null}
    */
@@ -138,7 +138,7 @@ export class Playback {
   }
 
   /**
-   * Shows the next frame, with what was not shown of those before.
+   * Shows the next frame, together with the updates of frames that were skipped.
    * @param {Shown | null} before
    * @returns {Shown}
    */
@@ -150,12 +150,12 @@ export class Playback {
     return { frame, isJoin: before.isJoin, updates: [...before.updates, ...updates] };
   }
 
-  /** Whether its first frame is not due yet: that of the round before still shows. @param {number} nowS */
+  /** Whether the first frame is not due yet and the previous round still shows. @param {number} nowS */
   isEarly(nowS) {
     return !this.isJoined && this.notBeforeS > nowS;
   }
 
-  /** When frame 0 is or was due by what is due next; null while nothing runs. @param {number} nowS */
+  /** Due time of frame 0, derived from the next frame; null while not running. @param {number} nowS */
   zeroS(nowS) {
     const isNear = !this.isJoined && this.playing && nowS - this.notBeforeS < LATE_S;
     const early = isNear ? this.notBeforeS : null;
@@ -163,14 +163,14 @@ export class Playback {
     return dueS === null ? null : dueS - this.nextFrame / (this.fps * this.rate);
   }
 
-  /** Follows sound: all that is due comes later by so much. @param {number} byS */
+  /** Follows sound: delays all due times. @param {number} byS */
   follow(byS) {
     this.lateS = LATE_FOR_SOUND_S;
     this.notBeforeS += byS;
     if (this.dueS !== null) this.dueS += byS;
   }
 
-  /** Seconds until something may be due; null: not before something comes. @param {number} nowS */
+  /** Seconds until something may be due; null: not before more data arrives. @param {number} nowS */
   restS(nowS) {
     if (this.isEarly(nowS)) return this.notBeforeS - nowS;
     if (this.dueS === null) return this.play.isLate ? REFINE_S : null;
@@ -178,7 +178,8 @@ export class Playback {
   }
 
   /**
-   * What shows, once more, if more of it has come: while frames pass, each brings what is late itself.
+   * The current frame again, if late data has improved it. Not needed during playback, where each frame
+   * brings the late data itself.
    * @param {number} nowS
    * @returns {Shown | null}
    */
@@ -188,7 +189,7 @@ export class Playback {
     return this.resend();
   }
 
-  /** All that shows, once more. @returns {Shown} */
+  /** The whole current frame again. @returns {Shown} */
   resend() {
     return { frame: this.frame, isJoin: true, updates: this.play.again(this.frame) };
   }
@@ -210,13 +211,13 @@ export class Playback {
     return { frame, isJoin: true, updates };
   }
 
-  /** Whether enough is here to play on. */
+  /** Whether enough data has arrived to continue playback. */
   #hasLead() {
     const lead = this.nextFrame + Math.ceil(LEAD_S * this.fps);
     return this.endFrame >= (this.live ? lead : Math.min(this.numFrames, lead));
   }
 
-  /** Notes how far playing can go without a gap. */
+  /** Updates endFrame, the end of the frames that can be played without a gap. */
   #reach() {
     if (!this.isJoined) return;
     const { numFrames } = this;

@@ -7,22 +7,22 @@ import { startWorker } from "./startworker.js";
 /**
  * The stream to open.
  * @typedef {object} Source
- * @property {string} base URL of its folder, with a slash at its end
+ * @property {string} base URL of its folder, with a trailing slash
  * @property {number | null} maxGaussians
  * @property {boolean} otherHosts
- * @property {number} [bufferBytes] most that is kept of what was received
- * @property {boolean} isHeld whether no frame is fetched until it plays or seeks
+ * @property {number} [bufferBytes] limit for the received data that is kept
+ * @property {boolean} isHeld whether to fetch no frame until the stream plays or seeks
  */
 
-/** The two workers of a player: one for network and decoding, one that sorts. */
+/** The two workers of a player: one for network and decoding, one for sorting. */
 export class PlayerWorkers {
-  /** @type {"none" | "waiting" | "due"} whether the sorter has a request, and answers at once */
+  /** @type {"none" | "waiting" | "due"} the sorter's request; "due": it is answered at once */
   #request = "none";
-  /** Number of the last request; an earlier one may be answered while it is on its way. */
+  /** Number of the last request; answers to earlier requests may still arrive. */
   #lastRequest = 0;
-  /** Whether Gaussians were on their way at the last request. */
+  /** Whether Gaussians were in motion at the last request. */
   #isMoving = false;
-  /** Ends early requests. */
+  /** Aborts early requests. */
   #opening = new AbortController();
   /** @type {number[]} (4, 4) world to camera of the last request */
   requestedW2c = [];
@@ -30,7 +30,7 @@ export class PlayerWorkers {
   /**
    * @param {Source} source
    * @param {import("./streamplayer.js").Start} start
-   * @param {(data: any) => void} onMessage of the worker that decodes
+   * @param {(data: any) => void} onMessage called for messages of the decoding worker
    * @param {(sorted: SortedFrame) => void} onSorted
    */
   constructor(source, start, onMessage, onSorted) {
@@ -45,36 +45,36 @@ export class PlayerWorkers {
     this.player.onmessage = ({ data }) => onMessage(data);
     for (const worker of [this.player, this.sorter]) {
       worker.onerror = ({ message }) => {
-        // A worker that never began has no message.
+        // The error of a worker that never started has no message.
         const why =
           message ?? "one of its scripts was not loaded; see the errors in the browser's console";
         onMessage({ kind: "failed", message: `The player failed: ${why}` });
       };
     }
-    // One that is opened again at a frame has been played or sought.
+    // A stream that is opened again at a frame was played or sought before.
     const isHeld = source.isHeld && start.frame === null;
     const early = offerEarly(firstUrls(source.base), this.#opening.signal);
     const ports = [port1, ...early.map(({ port }) => port)];
     this.player.postMessage({ kind: "open", ...source, isHeld, start, early, port: port1 }, ports);
   }
 
-  /** @param {{ kind: string } & Record<string, unknown>} message to the worker that decodes */
+  /** @param {{ kind: string } & Record<string, unknown>} message for the decoding worker */
   post(message) {
     this.player.postMessage(message);
   }
 
-  /** Whether the last order was that of the last camera, and no frame has come since. */
+  /** Whether the last order is up to date with the camera, and no frame has arrived since. */
   get isSettled() {
     return this.#request === "waiting";
   }
 
   /**
-   * Has the sorter always keep a request: it answers when it has a new frame, or at once if the camera
-   * has moved. At most one of the second kind is underway.
+   * Makes sure that the sorter has a request. It answers when it has a new frame, or at once if the camera
+   * has moved; at most one request of the second kind is pending.
    * @param {number[]} w2c (4, 4) world to camera
    * @param {number} nearM
-   * @param {boolean} isMoving whether Gaussians are on their way: it is the order half way then, with those
-   *   that fade out
+   * @param {boolean} isMoving whether Gaussians are in motion; the order is then that of half the way, and
+   *   includes Gaussians that fade out
    */
   requestOrder(w2c, nearM, isMoving) {
     const isMoved =

@@ -1,4 +1,4 @@
-/** Network and decoding, in a thread of their own; see WebPlayer. */
+/** Network and decoding, in a separate thread; see WebPlayer. */
 
 import { expectEarly } from "../source/early/earlyresponses.js";
 import { Fetcher } from "../source/fetcher.js";
@@ -12,12 +12,12 @@ let player = null;
 let sorter = null;
 /** @type {import("./streamplayer.js").Start} */
 let start = {};
-/** @type {(() => void) | null} makes the player of a stream that is open, but fetches no frames yet */
+/** @type {(() => void) | null} creates the player, for an open stream that fetches no frames yet */
 let release = null;
 
 /** @param {unknown} error */
 function fail(error) {
-  // A bundle has no class in common with the code that is loaded later.
+  // `instanceof` would fail: a bundle and the code loaded later do not share a class.
   const isOurs = error instanceof Error && /^(Source|Format)Error$/.test(error.name);
   const message = error instanceof Error ? error.message : String(error);
   scope.postMessage({
@@ -28,13 +28,13 @@ function fail(error) {
 }
 
 /**
- * What the page asks for.
+ * The page's request to open a stream.
  * @typedef {object} Opening
  * @property {string} base
  * @property {number} [maxGaussians]
  * @property {boolean} [otherHosts]
  * @property {number} [bufferBytes]
- * @property {boolean} [isHeld] whether no frame is fetched until it plays or seeks
+ * @property {boolean} [isHeld] whether to fetch no frame until the stream plays or seeks
  */
 
 /** @param {Opening} opening */
@@ -75,13 +75,13 @@ async function open({ base, maxGaussians, otherHosts, bufferBytes, isHeld }) {
   }
 }
 
-/** A manifest as it can be posted. @param {import("../format/manifest.js").Manifest} manifest */
+/** A manifest in a form that can be posted. @param {import("../format/manifest.js").Manifest} manifest */
 function plain(manifest) {
   const { layout, ...rest } = manifest;
   return { ...rest, lattices: layout.lattices };
 }
 
-/** Keeps a setting for the player that is made later. @param {any} message */
+/** Keeps a setting for a player that is created later. @param {any} message */
 function remember({ kind, rate, loop, most }) {
   if (kind === "rate") start.rate = rate;
   else if (kind === "loop") start.loop = loop;

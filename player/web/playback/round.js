@@ -3,15 +3,15 @@ import { Playback } from "./playback.js";
 import { StreamPlay } from "./streamplay.js";
 
 /**
- * One run through a stream, from a frame to the end or to a seek: the source that brings what is
- * missing, the chunks, and the clock.
+ * One run through a stream, from a frame to the end or to a seek: the source that fetches missing data,
+ * the chunks, and the playback state.
  */
 export class Round {
   /**
    * @param {import("../source/source.js").SourceStream} stream
    * @param {import("../source/source.js").SourcePlay} source
    * @param {number} firstFrame
-   * @param {number} numLayers shown at most
+   * @param {number} numLayers maximum number of layers to show
    * @param {number} rate
    */
   constructor(stream, source, firstFrame, numLayers, rate) {
@@ -25,25 +25,25 @@ export class Round {
     this.playback.setRate(rate);
   }
 
-  /** What ended it; null while nothing did. */
+  /** The error that ended the round; null if there is none. */
   get failure() {
     return this.source.failure ?? this.feed.failure;
   }
 
-  /** The first frame that cannot show before more is received. */
+  /** The first frame that cannot show before more data is received. */
   get endFrame() {
     const { playback, stream } = this;
     const end = stream.cache.endOf(playback.nextFrame, stream.numFrames);
     return Math.max(playback.endFrame, end);
   }
 
-  /** Brings what is missing from another source play from now on. @param {import("../source/source.js").SourcePlay} source */
+  /** Uses another source play from now on. @param {import("../source/source.js").SourcePlay} source */
   replaceSource(source) {
     this.source.close();
     this.source = source;
   }
 
-  /** Ends it, but for its source. */
+  /** Ends the round, but returns its source for further use. */
   detach() {
     this.feed.close();
     return this.source;

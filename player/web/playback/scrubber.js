@@ -2,8 +2,8 @@ import { inflatePacket, isGzip, limitBytes } from "../format/packet.js";
 import { StreamPlay } from "./streamplay.js";
 
 /**
- * Pictures while the thumb of the track moves: layer 0 of the snapshot nearest to it, from the cache
- * or by one request at a time, of which the newest target counts.
+ * Shows pictures while the thumb of the track moves: layer 0 of the snapshot nearest to the thumb, from
+ * the cache or fetched. It makes one request at a time, always for the newest target.
  */
 export class Scrubber {
   /**
@@ -15,7 +15,7 @@ export class Scrubber {
     this.stream = stream;
     this.show = show;
     this.onFetch = onFetch;
-    /** Whether the thumb is held. */
+    /** Whether the user holds the thumb. */
     this.isActive = false;
     /** @type {number | null} segment whose picture is wanted */
     this.target = null;
@@ -25,7 +25,7 @@ export class Scrubber {
     this.abort = new AbortController();
   }
 
-  /** Shows a picture near `frame`, as soon as there is one. @param {number} frame */
+  /** Shows a picture near `frame` as soon as possible. @param {number} frame */
   scrub(frame) {
     const { manifest, numFrames } = this.stream;
     if (!this.isActive) this.abort = new AbortController();
@@ -53,7 +53,7 @@ export class Scrubber {
       if (this.target === segment) this.target = null;
     }
     this.isRunning = false;
-    // It was ended and begun again meanwhile.
+    // Scrubbing was ended and begun again meanwhile.
     if (this.isActive && this.abort.signal !== signal) this.#run();
   }
 
@@ -72,7 +72,7 @@ export class Scrubber {
     this.shown = segment;
   }
 
-  /** The thumb was let go: aborts what was requested. */
+  /** Ends scrubbing when the thumb is released; aborts pending requests. */
   end() {
     this.isActive = false;
     this.target = null;

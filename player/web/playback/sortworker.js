@@ -1,6 +1,6 @@
 /**
- * Sorts, in a thread of its own: takes what is new from the thread that decodes, the camera from the
- * one that draws, and gives that one both at once: what is new, and the order in which to draw it.
+ * Sorts in a separate thread: receives changes from the decoding thread and the camera from the drawing
+ * thread, and sends the drawing thread the changes together with the order in which to draw.
  */
 
 import { spareSlots } from "../format/slots/moves.js";
@@ -11,15 +11,15 @@ import { scope } from "./workerscope.js";
 /** @typedef {import("./playback.js").Shown & { numSlots: number, shDegree: number, seeks: number }} Incoming */
 
 /**
- * A picture's order, with what is new since the last one.
+ * A picture's draw order, with the changes since the last one.
  * @typedef {object} SortedFrame
  * @property {number} request number of the request that this answers
  * @property {number} frame
- * @property {number} seeks that the player had made
- * @property {boolean} isWhole whether `updates` have all that shows, whatever the renderer holds
+ * @property {number} seeks number of seeks that the player had made
+ * @property {boolean} isWhole whether `updates` are complete, independent of the renderer's state
  * @property {import("./pendingupdates.js").Words[]} updates
- * @property {Uint16Array | Uint32Array} order slots, farthest first; behind the last slot those that the
- *   newest update lets fade out, in its order, if that was wanted
+ * @property {Uint16Array | Uint32Array} order slots, farthest first; numbers beyond the last slot are the
+ *   Gaussians that the newest update lets fade out, in the update's order, if that was requested
  * @property {number} sortMs
  */
 
@@ -29,14 +29,14 @@ const NONE = new Uint32Array();
 let order = null;
 /** @type {Incoming | null} */
 let newest = null;
-/** @type {import("./packing.js").SplatUpdate | null} the newest, while it counts as half way there */
+/** @type {import("./packing.js").SplatUpdate | null} the newest one, while it counts as half way there */
 let moving = null;
 /** @type {PendingUpdates | null} */
 let pending = null;
 let isWhole = false;
-/** @type {{ w2c: number[], nearM: number, isMoving: boolean, request: number } | null} set while the thread that draws waits */
+/** @type {{ w2c: number[], nearM: number, isMoving: boolean, request: number } | null} the pending request */
 let wanted = null;
-/** Whether a frame or a camera has come since the last order. */
+/** Whether a frame or a camera has arrived since the last order. */
 let isStale = false;
 
 /** @param {Incoming} shown */
@@ -53,21 +53,21 @@ function take(shown) {
     const leaving = order.leave(frame === shown.frame ? update.leaving : NONE, frame);
     order.put(update.slots, update.means, update.starts, update.moves);
     moving = update;
-    // What a join brings appears at once; where the page is far behind, nothing moves either.
+    // A join appears at once, without motion; so does everything if the page is far behind.
     if (!pending.add({ ...update, frame: shown.isJoin ? -1 : frame, leaving })) settle(order);
   }
   newest = shown;
   isStale = true;
 }
 
-/** All that moves is there, and what fades out is gone. @param {DepthOrder} order */
+/** Ends all motion: moving Gaussians arrive, fading ones are removed. @param {DepthOrder} order */
 function settle(order) {
   if (moving !== null) order.put(moving.slots, moving.means, moving.starts);
   moving = null;
   order.leave(NONE, 0);
 }
 
-/** Answers the thread that draws, once there is something new. */
+/** Answers the drawing thread as soon as there is something new. */
 function sort() {
   if (wanted === null || order === null || newest === null || pending === null || !isStale) return;
   if (!wanted.isMoving) settle(order);

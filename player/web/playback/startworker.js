@@ -1,7 +1,7 @@
 /**
- * Starts a worker of ours, wherever this page comes from: a page may not start one of another origin
- * itself.
- * @param {URL} url of the module among the sources; in a bundle the workers lie beside it
+ * Starts one of the player's workers. It works from any origin, although a page may not directly start
+ * a worker of another origin.
+ * @param {URL} url of the module in the sources; in a bundle, the workers are in the same folder
  */
 export function startWorker(url) {
   const name = /** @type {string} */ (url.pathname.split("/").pop());
@@ -10,7 +10,7 @@ export function startWorker(url) {
   if (module.origin === globalThis.origin) return moduleWorker(module.href);
   const script = `import ${JSON.stringify(module.href)};`;
   if (globalThis.origin === "null") {
-    // A page from a file, or in a sandbox: Chromium runs no module of its blobs.
+    // For a page from a file or in a sandbox, Chromium does not run modules from blobs.
     return moduleWorker(`data:text/javascript,${encodeURIComponent(script)}`);
   }
   const blobUrl = URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
@@ -19,11 +19,12 @@ export function startWorker(url) {
   return worker;
 }
 
-/** Where the page keeps the policy: a second copy of this code may not make another of its name. */
+/** Key of the policy in the page: a second copy of this code must not create one with the same name. */
 const POLICY = Symbol.for("swings-worker");
 
 /**
- * A page's content security policy may require Trusted Types, and names the policies it allows.
+ * Starts a module worker, also on pages whose content security policy requires Trusted Types and lists
+ * the allowed policies.
  * @param {string} url
  */
 function moduleWorker(url) {

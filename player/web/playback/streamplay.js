@@ -3,8 +3,8 @@ import { SlotDecoder } from "../format/slots/slotdecoder.js";
 import { packSlots } from "./packing.js";
 
 /**
- * The chunks of a stream that are here, and what they make of the slots, frame by frame.
- * Chunks may come in any order, and are used when their frame has shown, too.
+ * The received chunks of a stream, and the slots that result from them, frame by frame.
+ * Chunks may arrive in any order, and are used even if their frame has already shown.
  */
 export class StreamPlay {
   /** @param {import("../format/manifest.js").Manifest} manifest */
@@ -13,13 +13,13 @@ export class StreamPlay {
     this.decoder = this.#newDecoder();
     /** @type {Map<number, Uint8Array>} by birth */
     this.masks = new Map();
-    /** @type {Map<number, (Uint8Array | null)[]>} by birth, of each layer */
+    /** @type {Map<number, (Uint8Array | null)[]>} by birth; one chunk per layer */
     this.changes = new Map();
-    /** @type {Map<number, (Uint8Array | null)[]>} by first frame of a segment, of each layer */
+    /** @type {Map<number, (Uint8Array | null)[]>} by first frame of a segment; one chunk per layer */
     this.snapshots = new Map();
-    /** Chunks that were refused: their layers go without. */
+    /** Number of chunks that were refused and so are missing in their layers. */
     this.refused = 0;
-    /** Whether something came of use to what shows already, since all of it was handed out. */
+    /** Whether a late chunk has changed the current frame since the whole frame was last returned. */
     this.isLate = false;
   }
 
@@ -27,12 +27,12 @@ export class StreamPlay {
     return new (this.layout.Decoder ?? SlotDecoder)(this.layout);
   }
 
-  /** The frame that was brought last; null before the first. */
+  /** The last decoded frame; null before the first. */
   get frame() {
     return this.decoder.frame;
   }
 
-  /** Layers that show whole. */
+  /** Number of layers that show completely. */
   get layers() {
     const { numLayers } = this.layout;
     for (let layer = 0; layer < numLayers; layer++) if (this.#lacksAnything(layer)) return layer;
@@ -46,7 +46,7 @@ export class StreamPlay {
 
   /**
    * @param {number} birth
-   * @param {Uint8Array} chunk of no bytes where all is kept
+   * @param {Uint8Array} chunk empty if all slots are kept
    */
   addMask(birth, chunk) {
     if (this.frame === null || birth > this.frame) this.masks.set(birth, chunk);
@@ -55,7 +55,7 @@ export class StreamPlay {
   /**
    * @param {number} birth
    * @param {number} layer
-   * @param {Uint8Array} chunk of no bytes where nothing changes
+   * @param {Uint8Array} chunk empty if nothing changes
    */
   addChange(birth, layer, chunk) {
     if (this.frame === null || birth > this.frame) this.#row(this.changes, birth)[layer] = chunk;
@@ -74,13 +74,13 @@ export class StreamPlay {
     }
   }
 
-  /** Whether what layer 0 of a slice changes is here. @param {number} birth */
+  /** Whether the mask and layer 0's change of a slice have arrived. @param {number} birth */
   hasSlice(birth) {
     return this.masks.has(birth) && Boolean(this.changes.get(birth)?.[0]);
   }
 
   /**
-   * Whether `advance` can go on with `frame`.
+   * Whether `advance` is possible for `frame`.
    * @param {number} frame
    * @param {number} numFrames of the stream
    */
@@ -89,8 +89,8 @@ export class StreamPlay {
   }
 
   /**
-   * Whether a segment whose first slice is not here can be joined by its snapshot. While the first
-   * slice may still come with the others, it is better: it keeps what shows.
+   * Whether a segment whose first slice is missing can be joined by its snapshot. As long as the first
+   * slice may still arrive, it is better to wait for it, because it continues the current Gaussians.
    * @param {number} frame
    * @param {number} numFrames
    */
@@ -99,7 +99,7 @@ export class StreamPlay {
     return frame + 1 >= numFrames || this.hasSlice(frame + 1);
   }
 
-  /** Whether `join` can begin with `frame`: all of layer 0 that it needs is here. @param {number} frame */
+  /** Whether `join` is possible for `frame`: layer 0 has all it needs. @param {number} frame */
   has(frame) {
     const first = this.layout.segmentStart(frame);
     if (!this.snapshots.get(first)?.[0]) return false;
@@ -108,7 +108,7 @@ export class StreamPlay {
   }
 
   /**
-   * Begins with `frame`: all that it shows. Throws a FormatError if layer 0 is refused.
+   * Begins with `frame`, and returns all of it. Throws a FormatError if layer 0 is refused.
    * @param {number} frame
    */
   join(frame) {
@@ -122,15 +122,15 @@ export class StreamPlay {
     return this.again(frame);
   }
 
-  /** All that shows, with what came late. @param {number} frame that shows */
+  /** The whole current frame, including late chunks. @param {number} frame the current one */
   again(frame) {
     this.isLate = false;
     return this.decoder.handOut().map((slice) => packSlots(this.decoder, slice, frame));
   }
 
   /**
-   * Goes on by one frame: what is new in it, or all of it if it begins anew. Throws a FormatError if
-   * its mask is refused.
+   * Advances by one frame, and returns its changes, or all of it after a rejoin. Throws a FormatError if
+   * the frame's mask is refused.
    * @param {number} frame
    */
   advance(frame) {
@@ -143,7 +143,7 @@ export class StreamPlay {
 
   /**
    * @param {number} birth
-   * @param {StreamPlay} [ahead] if it shows
+   * @param {StreamPlay} [ahead] only if the frame shows
    */
   #apply(birth, ahead) {
     const mask = this.masks.get(birth) ?? null;
@@ -164,7 +164,7 @@ export class StreamPlay {
     return this.decoder.apply(birth, mask, taken, ahead);
   }
 
-  /** Loads the snapshots of `frame` of layers that lack something. @param {number} frame */
+  /** Loads the snapshots of `frame` for layers that lack something. @param {number} frame */
   #load(frame) {
     const chunks = this.snapshots.get(frame) ?? [];
     for (const [layer, chunk] of chunks.entries()) {
@@ -175,7 +175,7 @@ export class StreamPlay {
     for (const known of this.snapshots.keys()) if (known <= frame) this.snapshots.delete(known);
   }
 
-  /** @param {() => boolean} action that says whether it was of use */
+  /** @param {() => boolean} action returns whether it changed the current frame */
   #tryLate(action) {
     if (this.#try(action)) this.isLate = true;
   }

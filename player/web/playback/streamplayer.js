@@ -4,11 +4,11 @@ import { Round } from "./round.js";
 import { Scrubber } from "./scrubber.js";
 
 const STATE_PERIOD_S = 0.1;
-/** The page is told of another line of frames and times if they differ by more. */
+/** A change of the frames' due times by more than this is reported to the page. */
 const SAME_S = 0.002;
-/** What shows within so many seconds is not asked for again when more layers are wanted. */
+/** When more layers are wanted, frames that show within this time are not requested again. */
 const SOON_S = 0.5;
-/** The next round of a loop is asked for so many seconds before it begins. */
+/** The next round of a loop is requested this many seconds before it begins. */
 const NEXT_ROUND_S = 5;
 
 /** @typedef {import("../source/source.js").SourceStream} SourceStream */
@@ -16,24 +16,24 @@ const NEXT_ROUND_S = 5;
 const nowS = () => performance.now() / 1000;
 
 /**
- * Where messages go.
+ * Receivers of the player's messages.
  * @typedef {object} Outlet
- * @property {(message: object) => void} post to the page
- * @property {(shown: object, transfer: Transferable[]) => void} show to the thread that sorts
+ * @property {(message: object) => void} post sends to the page
+ * @property {(shown: object, transfer: Transferable[]) => void} show sends to the sorting thread
  * @property {(error: unknown) => void} fail
  */
 
 /**
- * How a play begins; what is left out is as in a player that was just made.
+ * Initial state of a play; properties that are left out have their defaults.
  * @typedef {object} Start
  * @property {number | null} [frame] null: the first one, or the edge of a live stream
- * @property {number} [seeks] that the page has made
+ * @property {number} [seeks] number of seeks that the page has made
  * @property {number} [rate]
  * @property {boolean} [loop]
  * @property {number | null} [mostLayers] null: all of them
  */
 
-/** Plays one stream, from its opening on: rounds of a loop, seeks, scrubbing, layers. */
+/** Plays one stream after it was opened: rounds of a loop, seeks, scrubbing, layers. */
 export class StreamPlayer {
   /**
    * @param {SourceStream} stream
@@ -47,20 +47,20 @@ export class StreamPlayer {
     this.outlet = outlet;
     this.loop = loop ?? false;
     this.playing = false;
-    /** Of the page's seeks the last one that it knows of. */
+    /** Number of the page's last known seek. */
     this.seeks = seeks ?? 0;
     this.rate = rate ?? 1;
     this.mostLayers = mostLayers ?? stream.manifest.numLayers;
     this.decodeMs = 0;
     this.postedS = 0;
-    /** @type {number | null} when frame 0 is or was due, as the page was told last */
+    /** @type {number | null} due time of frame 0, as last reported to the page */
     this.zeroS = null;
-    /** Of the lines that the page was told, the last one. */
+    /** Number of the last line that was reported to the page. */
     this.line = 0;
     this.isClosed = false;
     /** @type {number | undefined} */
     this.timer = undefined;
-    /** @type {Round | null} of a loop, begun ahead */
+    /** @type {Round | null} the next round of a loop, begun ahead */
     this.nextRound = null;
     this.scrubber = new Scrubber(
       stream,
@@ -77,9 +77,10 @@ export class StreamPlayer {
   }
 
   /**
-   * Goes to `frame`. A live stream that plays has too little to go on with behind its edge.
+   * Seeks to `frame`. A live stream that plays is limited to its edge, beyond which too little data is
+   * available to continue.
    * @param {number} frame
-   * @param {number} seeks how many that makes
+   * @param {number} seeks number of seeks, including this one
    */
   seek(frame, seeks) {
     this.seeks = seeks;
@@ -94,14 +95,14 @@ export class StreamPlayer {
     this.scrubber.scrub(frame);
   }
 
-  /** Takes in that a live stream has more frames, or has ended. */
+  /** To be called when a live stream has more frames, or has ended. */
   grow() {
     this.playback.numFrames = this.stream.numFrames;
     this.playback.live = this.stream.manifest.live;
     this.wake();
   }
 
-  /** Plays from `frame` on, with what is here. @param {number} frame */
+  /** Plays from `frame` on, using the data that has arrived. @param {number} frame */
   begin(frame) {
     const isScrubbed = this.scrubber.isActive;
     this.scrubber.end();
@@ -118,7 +119,7 @@ export class StreamPlayer {
 
   /**
    * @param {number} firstFrame
-   * @param {Round | null} [before] whose source goes on, if it need not ask for anything else
+   * @param {Round | null} [before] a round whose source is reused, if it can continue at `firstFrame`
    */
   #newRound(firstFrame, before = null) {
     const { stream, mostLayers } = this;
@@ -153,7 +154,7 @@ export class StreamPlayer {
     this.nextRound = null;
   }
 
-  /** Begins the next round of a loop ahead, once this one has all that it asks for. */
+  /** Begins the next round of a loop ahead, once this round has received all its data. */
   #prepareRound() {
     const { loop, playing, playback, stream } = this;
     const restS = (stream.numFrames - playback.nextFrame) / (playback.fps * this.rate);
@@ -168,7 +169,7 @@ export class StreamPlayer {
     this.nextRound.source.step();
   }
 
-  /** The last frame shows: begins again, or ends. */
+  /** Called when the last frame shows: starts the next round, or ends playback. */
   #end() {
     if (!this.loop) {
       this.playing = false;
@@ -189,7 +190,7 @@ export class StreamPlayer {
   }
 
   /**
-   * Shows this many layers at most, from what is not here on; more of them a little sooner.
+   * Limits the number of layers. During playback, additional layers appear after about SOON_S.
    * @param {number} most
    */
   setLayers(most) {
@@ -209,7 +210,7 @@ export class StreamPlayer {
     this.wake();
   }
 
-  /** Plays, from the beginning after the end, or pauses. @param {boolean} playing */
+  /** Plays or pauses; after the end, playback starts from the beginning. @param {boolean} playing */
   setPlaying(playing) {
     this.playing = playing;
     if (playing && this.playback.hasEnded) this.begin(0);
@@ -226,7 +227,7 @@ export class StreamPlayer {
     this.nextRound?.playback.setRate(rate);
   }
 
-  /** Follows the page's sound, if that is of the same line. @param {{ line: number, byMs: number }} how */
+  /** Follows the page's sound if it refers to the same line. @param {{ line: number, byMs: number }} how */
   follow({ line, byMs }) {
     if (line !== this.line || this.zeroS === null) return;
     const byS = byMs / 1000;
@@ -234,7 +235,7 @@ export class StreamPlayer {
     this.playback.follow(byS);
   }
 
-  /** Tells the page when frames are due, if they no longer are when it was told. */
+  /** Reports the due times of frames to the page if they have changed. */
   #postLine() {
     const isRunning = this.playing && !this.scrubber.isActive;
     const zeroS = isRunning ? this.playback.zeroS(nowS()) : null;
@@ -246,7 +247,7 @@ export class StreamPlayer {
     this.outlet.post({ kind: "line", zeroMs, rate: this.rate, line: this.line });
   }
 
-  /** Looks at once at what is to be done. */
+  /** Schedules the next step for now. */
   wake() {
     clearTimeout(this.timer);
     if (!this.isClosed) this.timer = setTimeout(() => this.step(), 0);
@@ -288,7 +289,7 @@ export class StreamPlayer {
     this.outlet.show(message, shown.updates.flatMap(buffersOf));
   }
 
-  /** Sends all that shows to a renderer that has lost it. */
+  /** Sends the whole current frame to a renderer that has lost it. */
   resend() {
     if (this.playback.isJoined) this.show(this.playback.resend());
   }

@@ -1,5 +1,5 @@
 /**
- * Messages of a worker; `self` has another type where the page's own is known.
+ * The message interface of a worker; the type of `self` is that of a page where the DOM types are loaded.
  * @typedef {object} WorkerScope
  * @property {(message: unknown, transfer?: Transferable[]) => void} postMessage
  * @property {((event: MessageEvent) => void) | null} onmessage
