@@ -1,4 +1,4 @@
-/** What the play worker hands on, as Gaussians again (playback/packing). */
+/** Unpacks the Gaussians that the play worker has packed (playback/packing). */
 
 import { numCoefficients } from "../format/gaussians.js";
 import { ON_LATTICE } from "../constants.js";
@@ -13,7 +13,7 @@ import { floatWords, latticeWords } from "../renderer/resident.js";
  */
 
 /**
- * Those on the lattice: bit for bit what a decoder gives.
+ * Unpacks Gaussians on the lattice; bit for bit equal to the decoder's output.
  * @param {Uint32Array} words `latticeWords` each
  * @param {number} shDegree
  * @param {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer
@@ -24,7 +24,7 @@ export function expandLattice(words, shDegree, lattices) {
   const numAttributes = 7 + 3 * numCoefficients(shDegree);
   const count = Math.floor(words.length / each);
   const bytes = new Uint8Array(words.buffer, words.byteOffset, words.byteLength);
-  /** @type {number[][]} where each begins, by layer */
+  /** @type {number[][]} start of each Gaussian's words, by layer */
   const places = lattices.map(() => []);
   for (let at = 0; at < count * each; at += each) places[(words[at + 3] >>> 24) & 15].push(at);
   return places.map((found, layer) => {
@@ -51,7 +51,7 @@ export function expandLattice(words, shDegree, lattices) {
 }
 
 /**
- * Those that are floats already.
+ * Unpacks Gaussians that are floats.
  * @param {Uint32Array} words `floatWords` each
  * @param {number} shDegree
  * @returns {Placed}

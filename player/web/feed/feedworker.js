@@ -1,6 +1,6 @@
 /**
- * Keeps a scene, in a thread of its own: takes what is new from the thread that decodes, and gives it
- * to the page when that asks.
+ * Keeps a scene in a separate thread: receives changes from the decoding thread, and sends them to the
+ * page on request.
  */
 
 import { scope } from "../playback/workerscope.js";
@@ -8,11 +8,11 @@ import { Scene } from "./scene.js";
 
 /** @type {Scene | null} */
 let scene = null;
-/** Whether the page waits. */
+/** Whether the page waits for an answer. */
 let isWanted = false;
-/** Whether something came since the page was last answered. */
+/** Whether changes have arrived since the last answer. */
 let isStale = false;
-/** Seeks that the play had taken in when it sent what is held here. */
+/** Number of seeks that the play had made when it sent the latest changes. */
 let seeks = 0;
 
 function answer() {

@@ -4,7 +4,7 @@ import { copyRows, emptyScene } from "./scene.js";
 /** @typedef {import("./scene.js").SceneGaussians} SceneGaussians */
 
 /**
- * What is known of a stream once it is open: its manifest.
+ * The description of an open stream: its manifest, and its number of frames.
  * @typedef {Omit<import("../format/manifest.js").Manifest, "layout"> & { numFrames: number }} FeedStream
  */
 
@@ -22,11 +22,11 @@ import { copyRows, emptyScene } from "./scene.js";
 export class GaussianFeed extends EventTarget {
   /** @type {FeedStream | null} null until it is open */
   stream = null;
-  /** @type {SceneGaussians} what each slot shows, as of the last `take`; of no slots until it is open */
+  /** @type {SceneGaussians} the Gaussian of each slot, as of the last `take`; empty until it is open */
   gaussians = emptyScene(0, 0);
-  /** The frame that they belong to; -1 before the first. */
+  /** The frame of `gaussians`; -1 before the first. */
   frame = -1;
-  /** Whether `gaussians` are still of a frame before the last seek. */
+  /** Whether `gaussians` still belong to a frame before the last seek. */
   isSeeking = false;
   #seeks = 0;
   /** @type {(import("./scene.js").SceneChange & { seeks: number }) | null} */
@@ -36,7 +36,7 @@ export class GaussianFeed extends EventTarget {
    * Opens the stream whose folder is at `src`.
    * @param {string} src
    * @param {{ maxGaussians?: number, otherHosts?: boolean }} [options] maxGaussians: `opened` rejects
-   *   for a stream of more; 2^22 by default. otherHosts: its objects may be on other hosts.
+   *   for a larger stream; 2^22 by default. otherHosts: the stream's objects may be on other hosts.
    */
   constructor(src, { maxGaussians, otherHosts } = {}) {
     super();
@@ -45,7 +45,7 @@ export class GaussianFeed extends EventTarget {
     this.player = startWorker(new URL("../playback/playworker.js", import.meta.url));
     this.keeper = startWorker(new URL("./feedworker.js", import.meta.url));
     this.keeper.onmessage = ({ data }) => (this.#change = data);
-    /** @type {Promise<FeedStream>} rejects if it cannot be opened, and says why */
+    /** @type {Promise<FeedStream>} rejects with the reason if the stream cannot be opened */
     this.opened = new Promise((resolve, reject) => {
       this.addEventListener("failed", (event) =>
         reject(new Error(/** @type {CustomEvent} */ (event).detail)),
@@ -55,7 +55,7 @@ export class GaussianFeed extends EventTarget {
         else if (data.kind !== "state") this.#say(data.kind, data.message);
       };
     });
-    // A page that does not await it gets the event `failed`.
+    // A page that does not await the promise gets the event `failed`.
     this.opened.catch(() => {});
     for (const worker of [this.player, this.keeper]) {
       worker.onerror = ({ message }) =>
@@ -67,8 +67,8 @@ export class GaussianFeed extends EventTarget {
   }
 
   /**
-   * Brings `gaussians` to the frame that is due now. Gives the slots that have changed, or null if
-   * none has: to be called for each picture.
+   * Updates `gaussians` to the frame that is due now; to be called for each picture. Returns the slots
+   * that have changed, or null if none has.
    * @returns {Uint32Array | null}
    */
   take() {
@@ -88,7 +88,7 @@ export class GaussianFeed extends EventTarget {
     return slots;
   }
 
-  /** Plays, from the first frame after the last one has shown. Not before it is open. */
+  /** Starts playback; after the end, from the first frame. Throws an error before the stream is open. */
   play() {
     this.#post({ kind: "play", playing: true });
   }
@@ -105,7 +105,7 @@ export class GaussianFeed extends EventTarget {
     this.isSeeking = true;
   }
 
-  /** @param {number} rate 1 is the stream's own */
+  /** @param {number} rate 1 is normal speed */
   setRate(rate) {
     this.#post({ kind: "rate", rate });
   }
@@ -115,12 +115,12 @@ export class GaussianFeed extends EventTarget {
     this.#post({ kind: "loop", loop });
   }
 
-  /** Shows this many layers at most. @param {number} most */
+  /** Limits the number of layers that show. @param {number} most */
   setLayers(most) {
     this.#post({ kind: "layers", most });
   }
 
-  /** Ends all. */
+  /** Ends the play and its workers. */
   close() {
     this.player.terminate();
     this.keeper.terminate();

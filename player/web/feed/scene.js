@@ -1,4 +1,4 @@
-/** The Gaussians that show, slot by slot, and which of them are new since the last look. */
+/** The Gaussians that show, slot by slot, and their changes since the last call. */
 
 import { numCoefficients } from "../format/gaussians.js";
 import { SH_C0 } from "../constants.js";
@@ -6,23 +6,23 @@ import { NEVER } from "../renderer/depthorder.js";
 import { expandFloats, expandLattice } from "./expand.js";
 
 /**
- * Gaussians as renderers take them, all f32, one after another in every array.
+ * Gaussians in the form that renderers use: all f32, one array per attribute.
  * @typedef {object} SceneGaussians
  * @property {Float32Array} means (N, 3) metres, world
  * @property {Float32Array} scales (N, 3) standard deviations along the axes, metres
  * @property {Float32Array} quats (N, 4) w, x, y, z; of length 1
  * @property {Float32Array} opacities (N) 0 .. 1; 0 where nothing shows
- * @property {Float32Array} colours (N, 3) RGB as on a screen, without what depends on the direction; they
- *   may lie outside 0 .. 1
+ * @property {Float32Array} colours (N, 3) display RGB, without the view-dependent part; may lie outside
+ *   0 .. 1
  * @property {Float32Array} harmonics (N, K - 1, 3) the other coefficients of the spherical harmonics, RGB
  */
 
 /**
- * What is new since the last look.
+ * The changes since the last call.
  * @typedef {object} SceneChange
- * @property {number} frame that shows now
- * @property {Uint32Array} slots (N)
- * @property {SceneGaussians} gaussians N: what these slots show from now on
+ * @property {number} frame the one that shows now
+ * @property {Uint32Array} slots (N) the changed ones
+ * @property {SceneGaussians} gaussians N, the new Gaussians of these slots
  */
 
 /**
@@ -61,7 +61,7 @@ export function copyRows(from, fromRow, to, toRow, count) {
   }
 }
 
-/** As large as the stream's slots, however long ago the last look was. */
+/** Collects changes until they are taken. Its size depends only on the number of slots. */
 export class Scene {
   /**
    * @param {number} numSlots
@@ -73,9 +73,9 @@ export class Scene {
     this.lattices = lattices;
     this.held = emptyScene(numSlots, shDegree);
     this.starts = new Int32Array(numSlots).fill(NEVER);
-    /** Whether a slot holds something else than when it was last looked at. */
+    /** Whether each slot's Gaussian has changed since the last `take`. */
     this.isNew = new Uint8Array(numSlots);
-    /** Whether a slot showed something when it was last looked at. */
+    /** Whether each slot showed a Gaussian at the last `take`. */
     this.wasShown = new Uint8Array(numSlots);
     /** @type {number | null} */
     this.frame = null;
@@ -95,7 +95,7 @@ export class Scene {
     this.frame = frame;
   }
 
-  /** What is new since the last call. @returns {SceneChange} */
+  /** Returns the changes since the last call. @returns {SceneChange} */
   take() {
     const frame = this.frame ?? -1;
     const changed = [];
@@ -103,7 +103,7 @@ export class Scene {
       const shows = this.starts[slot] <= frame ? 1 : 0;
       if (shows !== this.wasShown[slot] || (shows && this.isNew[slot])) changed.push(slot);
       this.wasShown[slot] = shows;
-      // What starts later is found again by that.
+      // A Gaussian that starts later is found when it begins to show.
       this.isNew[slot] = 0;
     }
     const slots = Uint32Array.from(changed);
