@@ -1,17 +1,17 @@
 import { PACKED_SUFFIX } from "../constants.js";
 
-/** A path that names a stream of a swings server. */
+/** The path of a stream on a swings server. */
 const SERVED_PATH = /^(.*)\/(?:v1\/streams|watch)\/([^/]+)\/?$/;
 
-/** Whether `url` is that of a packed stream. @param {string} url */
+/** Whether `url` refers to a packed stream. @param {string} url */
 export function isPacked(url) {
   return servedBase(url) === null && new URL(url).pathname.endsWith(PACKED_SUFFIX);
 }
 
 /**
- * The URL of a stream's folder, with a slash at its end, or of a packed stream.
- * @param {string} src as the element has it
- * @param {string} page URL that it is relative to
+ * The URL of a stream's folder, with a trailing slash, or of a packed stream.
+ * @param {string} src as in the element's attribute
+ * @param {string} page URL that `src` is relative to
  */
 export function folderUrl(src, page) {
   const url = new URL(src, page).href;
@@ -20,8 +20,8 @@ export function folderUrl(src, page) {
 }
 
 /**
- * The URL of the stream on a swings server that `url` names, with a slash at its end; null where it
- * is not such an address.
+ * The URL of the stream on a swings server that `url` refers to, with a trailing slash; null if it is
+ * not such an address.
  * @param {string} url
  */
 export function servedBase(url) {
@@ -32,7 +32,7 @@ export function servedBase(url) {
 
 /**
  * The URL of a play on a swings server.
- * @param {string} base URL of the stream, with a slash at its end
+ * @param {string} base URL of the stream, with a trailing slash
  * @param {{ fromFrame: number, untilFrame?: number, layers?: number | null, paused?: boolean }} query
  *   layers: null for the server's choice
  */
@@ -44,11 +44,11 @@ export function playUrl(base, { fromFrame, untilFrame, layers, paused }) {
   return `${base}play?${search}`;
 }
 
-/** The play with which a stream is opened: until it is known whether it plays, it does not. */
+/** The play that opens a stream: paused, because it is not yet known whether it will play. */
 export const FIRST_PLAY = { fromFrame: 0, paused: true };
 
 /**
- * The URLs that are fetched first, whatever the stream; of a packed one none is fetched whole.
+ * The URLs that are fetched first for any stream; none for a packed stream, which is never fetched whole.
  * @param {string} url see `folderUrl`
  */
 export function firstUrls(url) {

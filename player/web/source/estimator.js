@@ -1,19 +1,19 @@
-/** Busy seconds after which what was seen counts half. */
+/** Busy seconds after which a measurement counts half. */
 const HALF_LIFE_S = 0.4;
-/** Nothing is estimated from less. */
+/** Minimum amount of data for an estimate. */
 const LEAST_BYTES = 16 * 1024;
 
-/** How fast a connection carries bytes: bytes over busy time, the last ones counting most. */
+/** Estimates a connection's throughput: bytes over busy time, with exponentially decaying weights. */
 export class RateEstimator {
   constructor() {
-    /** @type {number | null} bits per second; null until enough has come */
+    /** @type {number | null} bits per second; null until enough data has arrived */
     this.rateBps = null;
     this.bytes = 0;
     this.busyS = 0;
   }
 
   /**
-   * Takes in that bytes came while something was on its way for `busyS` seconds.
+   * Adds the bytes that arrived during `busyS` seconds with data in flight.
    * @param {number} bytes
    * @param {number} busyS
    */

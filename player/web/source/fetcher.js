@@ -1,6 +1,6 @@
 import { fetchOnce } from "./early/earlyresponses.js";
 
-/** A stream that cannot be fetched; the message gives the remedy. */
+/** A stream cannot be fetched; the message gives the remedy. */
 export class SourceError extends Error {
   /** @param {string} message */
   constructor(message) {
@@ -9,24 +9,24 @@ export class SourceError extends Error {
   }
 }
 
-/** What may have gone when it is asked again. */
+/** A failure that may be over at the next try. */
 class PassingTrouble extends TypeError {}
 
 const FIRST_DELAY_S = 0.25;
-/** Well below what is buffered: a network that comes back is noticed before the picture stalls. */
+/** Well below the buffered time, so that a returning network is noticed before playback stalls. */
 const LONGEST_DELAY_S = 1;
 
-/** So often a host must have failed before it is asked whether it only refuses this page. */
+/** Number of failures of a host before checking whether it only refuses this page (CORS). */
 export const TRIES_BEFORE_DOUBT = 3;
 
-/** How long to wait before try number `tries`, seconds. @param {number} tries from 1 on */
+/** Seconds to wait after try number `tries`. @param {number} tries from 1 on */
 export function delayS(tries) {
   const mostS = Math.min(LONGEST_DELAY_S, FIRST_DELAY_S * 2 ** (tries - 1));
-  // Clients that lost a server together do not come back together.
+  // Random, so that clients that lost a server together do not return all at once.
   return mostS * (0.5 + 0.5 * Math.random());
 }
 
-/** The error for a host that only refuses this page. @param {string} url */
+/** The error for a host that works, but refuses this page (CORS). @param {string} url */
 export function refusal(url) {
   return new SourceError(
     `${new URL(url).origin} answers, but does not let pages of other hosts read ${url}; ` +
@@ -35,14 +35,14 @@ export function refusal(url) {
 }
 
 /**
- * Fetches files, again and again while the network or the server is gone.
+ * Fetches files, with retries while the network or the server is unreachable.
  */
 export class Fetcher {
   /**
    * @param {object} [options]
-   * @param {number} [options.giveUpS] seconds without a byte after which it gives up
-   * @param {(message: string | null) => void} [options.onTrouble] called with what is wrong, and
-   *   with null when it is over
+   * @param {number} [options.giveUpS] seconds without success after which it gives up
+   * @param {(message: string | null) => void} [options.onTrouble] called with a description of the
+   *   problem, and with null when it is over
    */
   constructor({ giveUpS = 60, onTrouble = () => {} } = {}) {
     this.giveUpS = giveUpS;
@@ -51,13 +51,13 @@ export class Fetcher {
   }
 
   /**
-   * The bytes at a URL, at most `limitBytes`. Rejects with a SourceError, or as the signal of `init` is aborted.
+   * The bytes at a URL, at most `limitBytes`. Rejects with a SourceError, or if the signal of `init` aborts.
    * @param {string} url
    * @param {number} limitBytes
-   * @param {(numBytes: number) => void} [onBytes] called with the size of each piece; a try that
-   *   broke off takes its bytes back as a negative number
+   * @param {(numBytes: number) => void} [onBytes] called with the size of each piece; after a failed try,
+   *   its bytes are subtracted by a call with a negative number
    * @param {RequestInit} [init]
-   * @param {(response: Response) => void} [check] throws if the response is not what was asked for
+   * @param {(response: Response) => void} [check] throws if the response does not match the request
    * @returns {Promise<Uint8Array>}
    */
   async get(url, limitBytes, onBytes = () => {}, init = {}, check = () => {}) {
@@ -81,7 +81,7 @@ export class Fetcher {
       } catch (error) {
         onBytes(-came);
         init.signal?.throwIfAborted();
-        // What fetch throws when there is no network is a TypeError.
+        // Without a network, fetch throws a TypeError.
         if (!(error instanceof TypeError)) throw error;
         const isPassing = error instanceof PassingTrouble;
         if (!isPassing && tries >= TRIES_BEFORE_DOUBT && (await this.isRefused(url))) {
@@ -97,8 +97,8 @@ export class Fetcher {
   }
 
   /**
-   * A run of bytes of the file at a URL, shorter only where the file ends, and the size of that file:
-   * null if the host hides it. Rejects as `get` does, and if the host does not send ranges.
+   * A byte range of the file at a URL, shorter only at the file's end, and the size of the file, which is
+   * null if the host hides it. Rejects like `get`, and if the host does not support ranges.
    * @param {string} url
    * @param {import("../format/packedlayout.js").Place} place
    * @param {(numBytes: number) => void} [onBytes] see `get`
@@ -114,7 +114,7 @@ export class Fetcher {
             "or swings-stream unpack",
         );
       }
-      // Of another origin the header shows only if the host exposes it.
+      // From another origin, the header is visible only if the host exposes it.
       const found = /^bytes (\d+)-\d+\/(\d+)$/.exec(response.headers.get("Content-Range") ?? "");
       if (found === null) return;
       fileBytes = Number(found[2]);
@@ -122,15 +122,15 @@ export class Fetcher {
         throw new SourceError(`${url}: the host sent another part than requested`);
     };
     const headers = { Range: `bytes=${first}-${first + size - 1}` };
-    // In its cache a browser would make all parts of one file wait for each other.
+    // The browser's cache would serialise the requests for parts of the same file.
     const request = /** @type {RequestInit} */ ({ ...init, headers, cache: "no-store" });
     const bytes = await this.get(url, size, onBytes, request, check);
     return { bytes, fileBytes: /** @type {number | null} */ (fileBytes) };
   }
 
   /**
-   * Whether a host of another origin is there, but never lets this page read what it sends: to a page
-   * that looks like a network that is gone.
+   * Whether a host of another origin is reachable, but does not let this page read its responses. To a
+   * page, this looks like a missing network.
    * @param {string} url
    */
   async isRefused(url) {

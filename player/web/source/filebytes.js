@@ -1,7 +1,7 @@
 import { SourceError } from "./fetcher.js";
 
 /**
- * The bytes of a file of the stream at `base` that lies beside its manifest, or in the same file.
+ * The bytes of a file of the stream at `base`, from the manifest's folder or from the packed stream.
  * Rejects with a SourceError.
  * @param {import("./fetcher.js").Fetcher} fetcher
  * @param {string} base

@@ -1,12 +1,12 @@
 import { followPeriodS } from "./liveedge.js";
 
-/** A host may be wrong for so long, while its files are replaced, say. */
-const PATIENCE_S = 60;
+/** Errors of a host are tolerated for this time, for example while its files are replaced. */
+const TOLERATED_S = 60;
 
 /**
- * Follows a live stream until it has ended. Rejects with what was wrong if that lasts.
+ * Follows a live stream until it has ended. Rejects with the host's error if that lasts.
  * @param {import("./hosted.js").HostedStream} stream
- * @param {() => void} onGrown called when it has more frames, or has ended
+ * @param {() => void} onGrown called when the stream has more frames, or has ended
  */
 export async function follow(stream, onGrown) {
   let goodMs = performance.now();
@@ -17,7 +17,7 @@ export async function follow(stream, onGrown) {
       goodMs = performance.now();
       if (isNew) onGrown();
     } catch (error) {
-      if (performance.now() - goodMs > 1000 * PATIENCE_S) throw error;
+      if (performance.now() - goodMs > 1000 * TOLERATED_S) throw error;
     }
   }
 }

@@ -13,21 +13,21 @@ export class GrowingIndex {
     this.url = url;
     this.fetcher = fetcher;
     this.manifest = manifest;
-    /** @type {import("../format/streamindex.js").SegmentRecord[]} of all segments that are known */
+    /** @type {import("../format/streamindex.js").SegmentRecord[]} records of all known segments */
     this.records = [];
   }
 
   /**
-   * Takes in the records that were appended since, and gives them. Rejects with a SourceError or a
-   * FormatError, and then knows what it knew.
+   * Fetches the records that were appended since the last call, adds them and returns them. Rejects with
+   * a SourceError or a FormatError, and is then unchanged.
    */
   async refresh() {
     const { url, manifest, records } = this;
     const known = records.length - 1;
     /** @type {RequestInit} */
     const init = { cache: "no-store" };
-    // From the last known record on: it tells the range from the whole, which some hosts send anyway,
-    // and this stream from another one.
+    // The range starts with the last known record. That record tells a range from a whole file, which
+    // some hosts send anyway, and this stream from another one.
     if (known > 0) init.headers = { Range: `bytes=${known * recordBytes(manifest)}-` };
     const bytes = await this.fetcher.get(url, MAX_INDEX_BYTES, undefined, init);
     const isRange = known > 0 && bytes.length >= 4 && firstSegment(bytes) === known;

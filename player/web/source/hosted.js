@@ -10,14 +10,14 @@ import { followPeriodS } from "./liveedge.js";
 import { objectUrl } from "./objecturl.js";
 import { SegmentCache } from "./segmentcache.js";
 
-/** A stream of files on any static host: whole objects are fetched, see LayerRule. */
+/** A stream of files on any static host. It fetches whole objects, see LayerRule. */
 export class HostedStream {
   /**
-   * @param {string} base URL of the folder, with a slash at its end
+   * @param {string} base URL of the folder, with a trailing slash
    * @param {import("./fetcher.js").Fetcher} fetcher
    * @param {import("../format/manifest.js").Manifest} manifest
    * @param {boolean} otherHosts whether objects may be on other hosts than the manifest
-   * @param {number} [bufferBytes] most that is kept of it
+   * @param {number} [bufferBytes] limit for the received data that is kept
    */
   constructor(base, fetcher, manifest, otherHosts, bufferBytes) {
     this.base = base;
@@ -26,7 +26,7 @@ export class HostedStream {
     this.manifest = manifest;
     this.cache = new SegmentCache(manifest, bufferBytes);
     this.index = new GrowingIndex(`${base}index.bin`, fetcher, manifest);
-    /** @type {number | null} what the last play took the link to carry */
+    /** @type {number | null} the last play's estimate of the link's throughput */
     this.rateBps = null;
   }
 
@@ -37,7 +37,7 @@ export class HostedStream {
    * @param {import("./fetcher.js").Fetcher} fetcher
    * @param {number | null} maxGaussians see `checkGaussians`
    * @param {boolean} otherHosts whether objects may be on other hosts than the manifest
-   * @param {number} [bufferBytes] most that is kept of it
+   * @param {number} [bufferBytes] limit for the received data that is kept
    */
   static async open(base, fetcher, maxGaussians = null, otherHosts = false, bufferBytes) {
     const manifest = await fetchManifest(base, fetcher);
@@ -55,9 +55,9 @@ export class HostedStream {
     return stream;
   }
 
-  /** Takes in what is new of a live stream; gives whether anything is. Rejects as `open` does. */
+  /** Updates a live stream; returns whether it has grown or ended. Rejects like `open`. */
   async refresh() {
-    // Before the index: a manifest that says finished then goes with a whole index.
+    // The manifest is read before the index, so that a finished manifest implies a complete index.
     const { live } = await fetchManifest(this.base, this.fetcher);
     const fresh = await this.index.refresh();
     const hasEnded = this.manifest.live && !live;
@@ -71,8 +71,8 @@ export class HostedStream {
   }
 
   /**
-   * Brings the snapshot of a layer into the cache. Rejects with a SourceError or a FormatError, or as
-   * `signal` is aborted.
+   * Fetches the snapshot of a layer into the cache. Rejects with a SourceError or a FormatError, or if
+   * `signal` aborts.
    * @param {number} segment
    * @param {number} layer
    * @param {AbortSignal} signal
@@ -84,7 +84,7 @@ export class HostedStream {
     this.cache.addObject(record, part, packets);
   }
 
-  /** Follows it while it grows. @param {() => void} onGrown */
+  /** Follows the stream while it grows. @param {() => void} onGrown */
   follow(onGrown) {
     return follow(this, onGrown);
   }
@@ -119,13 +119,13 @@ export class HostedStream {
     return packets;
   }
 
-  /** Where pictures, captions and sound lie in the one file of a packed stream; null: beside the manifest. */
+  /** Places of pictures, captions and sound in a packed stream; null: they are beside the manifest. */
   get files() {
     return /** @type {Record<string, import("../format/packedlayout.js").Place> | null} */ (null);
   }
 
   /**
-   * The bytes of an object, and what errors call it.
+   * The bytes of an object, and its name in error messages.
    * @param {import("../format/streamindex.js").SegmentRecord} record
    * @param {string} part
    * @param {(numBytes: number) => void} onBytes
@@ -140,7 +140,7 @@ export class HostedStream {
 }
 
 /**
- * The manifest as it is now. Rejects with a SourceError or a FormatError.
+ * The current manifest. Rejects with a SourceError or a FormatError.
  * @param {string} base
  * @param {import("./fetcher.js").Fetcher} fetcher
  */

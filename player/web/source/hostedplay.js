@@ -1,9 +1,9 @@
 import { RateEstimator } from "./estimator.js";
 import { LayerRule } from "./layerrule.js";
 
-/** Taken for the rate of a link of which nothing is known. */
+/** Assumed throughput of a link before the first estimate. */
 const FIRST_RATE_BPS = 4e6;
-/** So much is on its way at most, in seconds of the link. */
+/** Maximum amount of requested data in flight, in seconds of the link. */
 const QUEUE_S = 0.2;
 const QUEUE_BYTES = 32 * 1024;
 const STEP_S = 0.1;
@@ -32,15 +32,15 @@ export class HostedPlay {
     /** @type {unknown} */
     this.failure = null;
     this.isClosed = false;
-    /** Objects that were asked for and have not come. */
+    /** Number of objects that were requested and have not arrived. */
     this.underway = 0;
-    /** Whether nothing more will be asked for. */
+    /** Whether nothing more will be requested. */
     this.isDone = false;
-    /** @type {() => void} called when something has come or failed */
+    /** @type {() => void} called when data has arrived or a request has failed */
     this.onData = () => {};
   }
 
-  /** What the link is taken to carry, bits per second; null while nothing is known. */
+  /** Estimated throughput of the link, bits per second; null while unknown. */
   get rateBps() {
     return this.estimator.rateBps ?? this.stream.rateBps;
   }
@@ -57,16 +57,16 @@ export class HostedPlay {
   }
 
   /**
-   * Goes on from another frame, see SourcePlay.
+   * Continues from another frame, see SourcePlay.
    * @param {number} frame
    * @param {boolean} isStep
    */
   moveTo(frame, isStep) {
-    // A new play asks for what a join needs besides what is here.
+    // A join may need further objects, which only a new play requests.
     return isStep && frame >= this.nextFrame;
   }
 
-  /** Asks for what is worth it now; gives seconds until it should be called again, at most. */
+  /** Requests the objects that the rule chooses now; returns the maximum seconds until the next call. */
   step() {
     this.#measure();
     for (;;) {
@@ -87,7 +87,7 @@ export class HostedPlay {
     }
   }
 
-  /** Takes in what came since the last look, while something was on its way. */
+  /** Updates the throughput estimate with the bytes that arrived since the last call. */
   #measure() {
     const nowS = this.nowS();
     if (this.queuedBytes > 0 || this.comeBytes > 0) {

@@ -1,35 +1,36 @@
-/** What a play of a static host plans with; bench/network/hosted.py measures it. */
+/** Parameters of the plan for a static host; bench/network/hosted.py measures them. */
 const PLAN = {
-  /** Share of the estimated rate. */
+  /** Share of the estimated throughput that is planned with. */
   safety: 0.9,
-  /** Seconds of layer 0 that are there before other layers are asked for. */
+  /** Seconds of layer 0 that are requested before other layers. */
   baseS: 9,
-  /** Seconds of layer 0 at most. */
+  /** Maximum seconds of layer 0 ahead. */
   mostS: 15,
-  /** Part of a segment by which another layer of it may come late. */
+  /** Share of a segment's duration by which a layer above 0 may arrive late. */
   lateShare: 0.5,
-  /** A layer is taken up if the link carries this share of it and of those before it. */
+  /** A layer is started if the link carries this share of it and the layers below. */
   riseShare: 0.8,
 };
 
 /**
- * The playback and its link at one moment.
+ * The current state of the playback and its link.
  * @typedef {object} PlaybackState
  * @property {number} nextFrame the frame that shows next
  * @property {boolean} paused
- * @property {number} rateBps what the link is taken to carry
- * @property {number} queuedBytes asked for, but not here
- * @property {number} rate seconds of the stream that show in a second
+ * @property {number} rateBps estimated throughput of the link
+ * @property {number} queuedBytes requested, but not received
+ * @property {number} rate playback rate; 1 is normal speed
  */
 
 /**
- * Whether an object is here already.
+ * Whether an object has been received already.
  * @typedef {(record: import("../format/streamindex.js").SegmentRecord, part: string) => boolean} IsHere
  */
 
 /**
- * Which objects of a static host are fetched in which order: layer 0 some seconds ahead, then one
- * layer after another of what is ahead, as far as the link brings it in time, then more of layer 0.
+ * Decides which objects of a static host are fetched, and in which order: layer 0 some seconds ahead,
+ * then further layers of the segments ahead, one after another, as far as the link delivers them in
+ * time, then more of layer 0.
  */
 export class LayerRule {
   /**
@@ -45,13 +46,13 @@ export class LayerRule {
     this.records = records;
     this.mostLayers = mostLayers;
     this.first = this.#segmentOf(firstFrame);
-    /** @type {Map<number, number>} by segment, how many of its layers were asked for */
+    /** @type {Map<number, number>} by segment, the number of its layers that were requested */
     this.levels = new Map();
   }
 
   /**
-   * The segment that gets one more layer now; null if none is worth it.
-   * @param {PlaybackState} standing
+   * The segment for which one more layer should be requested now; null if there is none.
+   * @param {PlaybackState} state
    */
   choose({ nextFrame, paused, rateBps, queuedBytes, rate }) {
     const { fps, segmentFrames } = this.manifest;
@@ -65,7 +66,7 @@ export class LayerRule {
     const isStill = paused && base > current && this.#level(current) < this.mostLayers;
     if (isStill) return current;
     if (wantsBase && startS(base) < PLAN.baseS) return base;
-    const plannedBps = (PLAN.safety * rateBps) / rate; // in time of the stream
+    const plannedBps = (PLAN.safety * rateBps) / rate; // per second of the stream
     const lateS = (PLAN.lateShare * segmentFrames) / fps;
     for (let layer = 1; layer < this.mostLayers; layer++) {
       for (let segment = current; segment < base; segment++) {
@@ -80,14 +81,14 @@ export class LayerRule {
     return wantsBase ? base : null;
   }
 
-  /** Whether every segment up to the last one has its layer 0, or it was asked for. */
+  /** Whether layer 0 of the last segment was requested, and so that of all segments before. */
   get isAtEnd() {
     return this.#level(this.records.length - 1) > 0;
   }
 
   /**
-   * The parts that bring the next layer of a segment, and are not here. One that the segment before
-   * does not have begins with its snapshot.
+   * The missing parts of a segment's next layer. A layer that the previous segment lacks begins with its
+   * snapshot.
    * @param {number} segment
    */
   parts(segment) {
@@ -97,13 +98,13 @@ export class LayerRule {
     return parts.filter((part) => !this.isHere(this.records[segment], part));
   }
 
-  /** Whether the next layer of a segment continues that of the segment before. @param {number} segment */
+  /** Whether the next layer of a segment continues the previous segment's. @param {number} segment */
   #follows(segment) {
     return segment !== this.first && this.#level(segment - 1) > this.#level(segment);
   }
 
   /**
-   * What parts of a segment take.
+   * Size of some parts of a segment.
    * @param {number} segment
    * @param {string[]} parts
    */
@@ -112,13 +113,13 @@ export class LayerRule {
     return parts.reduce((sum, part) => sum + objectBytes[this.manifest.parts.indexOf(part)], 0);
   }
 
-  /** One more layer of a segment was asked for. @param {number} segment */
+  /** Notes that one more layer of a segment was requested. @param {number} segment */
   add(segment) {
     this.levels.set(segment, this.#level(segment) + 1);
   }
 
   /**
-   * Whether a link carries one more layer from a segment on.
+   * Whether the link carries one more layer, from the given segment on.
    * @param {number} segment
    * @param {number} plannedBps
    */

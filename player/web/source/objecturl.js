@@ -2,10 +2,10 @@ import { corrupt } from "../format/bytes/errors.js";
 import { SourceError } from "./fetcher.js";
 
 /**
- * The URL of an object. Throws a FormatError if it is none, and a SourceError if it leads to another
- * origin than the manifest's without `otherHosts`.
+ * The URL of an object. Throws a FormatError if it is not a URL, and a SourceError if its origin is not
+ * the manifest's and `otherHosts` is false.
  * @param {string} base
- * @param {string} path as the manifest gives it, perhaps a whole URL
+ * @param {string} path as given by the manifest, possibly a whole URL
  * @param {boolean} otherHosts
  */
 export function objectUrl(base, path, otherHosts) {

@@ -7,14 +7,14 @@ import { HostedStream } from "./hosted.js";
 
 /** @typedef {import("../format/packedlayout.js").Place} Place */
 
-/** A stream in one file on any static host that sends ranges of it. What knows the layout is loaded for it. */
+/** A stream in one file on any static host that supports ranges. The code for its layout is loaded on use. */
 export class PackedStream extends HostedStream {
   /**
    * @param {string} url
    * @param {import("./fetcher.js").Fetcher} fetcher
    * @param {import("../format/packedlayout.js").PackedLayout} layout
-   * @param {number | null} fileBytes null: the host hides it
-   * @param {number} [bufferBytes] most that is kept of it
+   * @param {number | null} fileBytes null if the host hides it
+   * @param {number} [bufferBytes] limit for the received data that is kept
    */
   constructor(url, fetcher, layout, fileBytes, bufferBytes) {
     super(url, fetcher, layout.manifest, false, bufferBytes);
@@ -24,14 +24,14 @@ export class PackedStream extends HostedStream {
   }
 
   /**
-   * Reads the beginning of the file, by one request or two. Rejects with a SourceError or a
+   * Reads the beginning of the file, with one or two requests. Rejects with a SourceError or a
    * FormatError.
    * @override
    * @param {string} url
    * @param {import("./fetcher.js").Fetcher} fetcher
    * @param {number | null} maxGaussians see `checkGaussians`
-   * @param {boolean} [_otherHosts] of no use: all of it is in the file
-   * @param {number} [bufferBytes] most that is kept of it
+   * @param {boolean} [_otherHosts] unused, because everything is in the file
+   * @param {number} [bufferBytes] limit for the received data that is kept
    */
   static async open(url, fetcher, maxGaussians = null, _otherHosts = false, bufferBytes) {
     const [{ PackedLayout, readPackedHead }, first] = await Promise.all([

@@ -1,9 +1,9 @@
 /** The pictures that a manifest names: the poster and the storyboard. */
 
 /**
- * Where the page finds a picture of the stream at `base`; null if there is none.
+ * The URL of a picture of the stream at `base`; null if there is none.
  * @param {string} base
- * @param {string} path as the manifest names it
+ * @param {string} path as in the manifest
  * @param {Record<string, import("../format/packedlayout.js").Place> | null} places of the files in
  *   a packed stream
  * @returns {Promise<string | null>}

@@ -4,11 +4,11 @@ import { playUrl } from "./addresses.js";
 import { fetchOnce } from "./early/earlyresponses.js";
 import { delayS, refusal, SourceError, TRIES_BEFORE_DOUBT } from "./fetcher.js";
 
-/** The server is gone, or has no time; it may be back soon. */
+/** The server is unreachable or overloaded; it may be back soon. */
 export class GoneError extends Error {
   /**
    * @param {string} message
-   * @param {number} afterS not to be tried again before so many seconds
+   * @param {number} afterS minimum seconds before the next try
    */
   constructor(message, afterS = 0) {
     super(message);
@@ -26,10 +26,10 @@ const BUSY = "The server is busy";
  * @property {number} fromFrame
  * @property {number} [untilFrame] the first frame that is not sent
  * @property {number | null} [layers] null for the server's choice
- * @property {string | null} [lastToken] of the play before this one
- * @property {number | null} [rateBps] the last estimate of the link that a server sent
- * @property {boolean} [paused] whether it begins with a still picture
- * @property {number | null} [nextFrame] the frame that shows next, if the frames up to fromFrame are here
+ * @property {string | null} [lastToken] token of the previous play
+ * @property {number | null} [rateBps] the last estimate of the link's throughput that a server sent
+ * @property {boolean} [paused] whether the play begins paused
+ * @property {number | null} [nextFrame] the frame that shows next, if the frames up to fromFrame are cached
  */
 
 /** One response of a swings server to `play?plain=1`, record by record (FORMAT.md, section 12). */
@@ -45,16 +45,16 @@ export class PlayResponse {
     this.abort = abort;
     this.reader = body.getReader();
     this.parser = new RecordParser();
-    /** @type {import("../constants.js").PlayRecord[]} parsed, but not handed out */
+    /** @type {import("../constants.js").PlayRecord[]} parsed, but not returned yet */
     this.records = [];
     this.uncountedBytes = 0;
   }
 
   /**
-   * Rejects with a GoneError, or with a SourceError if trying again would not help.
-   * @param {string} base URL of the stream, with a slash at its end
+   * Sends the request. Rejects with a GoneError, or with a SourceError if trying again would not help.
+   * @param {string} base URL of the stream, with a trailing slash
    * @param {PlayQuery} query
-   * @param {AbortSignal} [signal] ends it
+   * @param {AbortSignal} [signal] aborts the request and the response
    */
   static async open(base, query, signal) {
     const { lastToken, rateBps, nextFrame } = query;
@@ -80,7 +80,7 @@ export class PlayResponse {
 
   /**
    * The next record; null at the end of the body. Rejects with a GoneError, or with a FormatError.
-   * @param {(numBytes: number) => void} [onBytes] called with the decoded bytes that no call has had yet
+   * @param {(numBytes: number) => void} [onBytes] called with the number of decoded bytes not yet reported
    * @returns {Promise<import("../constants.js").PlayRecord | null>}
    */
   async next(onBytes) {
@@ -110,10 +110,10 @@ export class PlayResponse {
 /** @typedef {{ response: PlayResponse, start: import("../constants.js").StartRecord }} OpenedPlay */
 
 /**
- * A response, and how it starts. Rejects as PlayResponse.open does.
+ * Opens a play, and reads its start record. Rejects like PlayResponse.open.
  * @param {string} base
  * @param {PlayQuery} query
- * @param {AbortSignal} [signal] ends it
+ * @param {AbortSignal} [signal] aborts the play
  * @returns {Promise<OpenedPlay>}
  */
 export async function openPlay(base, query, signal) {
@@ -124,31 +124,32 @@ export async function openPlay(base, query, signal) {
   return { response, start };
 }
 
-/** How often and how long a server that is gone is tried again. */
+/** Repeats requests to an unreachable server: the delays between tries, and when to give up. */
 export class ServerRetry {
   /**
-   * @param {import("./fetcher.js").Fetcher} fetcher whose `giveUpS` and `onTrouble` hold
+   * @param {import("./fetcher.js").Fetcher} fetcher its `giveUpS` and `onTrouble` are used
    * @param {string} base URL of the stream
    */
   constructor(fetcher, base) {
     this.fetcher = fetcher;
     this.base = base;
-    /** What was wrong last. */
+    /** The reason of the last failure. */
     this.why = GONE;
     this.tries = 0;
     this.sinceMs = 0;
-    /** Whether nothing waits for it any more. */
+    /** Whether the caller has ended, so that no further try is made. */
     this.isOver = false;
   }
 
-  /** All is well. */
+  /** To be called after a success: the trouble is over. */
   reset() {
     if (this.tries > 0) this.fetcher.onTrouble(null);
     this.tries = 0;
   }
 
   /**
-   * Tries until it works. Rejects with a SourceError after a while, and with what else goes wrong.
+   * Repeats `action` until it succeeds. Rejects with a SourceError after `giveUpS`, and at once with errors
+   * other than a GoneError.
    * @param {() => Promise<OpenedPlay>} action
    */
   async begin(action) {
@@ -166,7 +167,7 @@ export class ServerRetry {
   }
 
   /**
-   * Reports what is wrong, and waits until the next try. Rejects with a SourceError after a while.
+   * Reports the problem, and waits until the next try. Rejects with a SourceError after `giveUpS`.
    * @param {number} leastS
    */
   async wait(leastS = 0) {

@@ -1,17 +1,17 @@
-/** Held unless a page asks for another limit. */
+/** Limit of the cache unless a page sets another one. */
 const DEFAULT_BUFFER_BYTES = 64e6;
 
-/** What a packet takes in memory besides its own bytes. */
+/** Memory of a packet in addition to its own bytes. */
 const PACKET_OVERHEAD_BYTES = 128;
 
-/** Segments that begin to show within so many seconds are not evicted. */
+/** Segments that begin to show within this many seconds are not evicted. */
 export const AHEAD_S = 20;
 
 const EMPTY = new Uint8Array(0);
 
 /**
- * The packets of one segment that are here. An array of packets goes by frame, counted from the
- * segment's first one.
+ * The received packets of one segment. Arrays of packets are indexed by frame, from the segment's first
+ * one on.
  * @typedef {object} HeldSegment
  * @property {number} numBytes
  * @property {(Uint8Array | null)[]} masks
@@ -20,15 +20,16 @@ const EMPTY = new Uint8Array(0);
  */
 
 /**
- * Called for each packet that is new in a cache: `part` is `masks`, a layer or `snapshot-` and a layer.
+ * Called for each new packet in a cache: `part` is `masks`, a layer, or `snapshot-` and a layer.
  * @typedef {(birth: number, part: string, packet: Uint8Array) => void} PacketListener
  */
 
 /**
- * The packets of a stream that have been received, as they were received: coded. Holds at most
- * `limitBytes`, or else what plays next, for which sources ask only while `hasRoomFor` allows it. Loops, seeks and steps read from it.
+ * The received packets of a stream, in coded form. The cache holds at most `limitBytes`, or more if the
+ * segments that play next need it; sources request those only while `hasRoomFor` allows it. Loops, seeks
+ * and steps read from the cache.
  *
- * A packet of no bytes means that nothing changes; one that is missing is null.
+ * An empty packet means that nothing changes; a missing packet is null.
  */
 export class SegmentCache {
   /**
@@ -46,13 +47,13 @@ export class SegmentCache {
     this.listeners = new Set();
     this.aheadSegments = Math.ceil((AHEAD_S * fps) / segmentFrames);
     this.playhead = 0;
-    /** @type {number | null} segments of the stream, if segment 0 plays after the last one */
+    /** @type {number | null} number of segments of the stream if it loops; otherwise null */
     this.loopSegments = null;
   }
 
   /**
    * Sets which segments play next.
-   * @param {number} frame that shows next
+   * @param {number} frame the one that shows next
    * @param {number | null} loopFrames length of the stream if it plays in a loop
    */
   setPlayhead(frame, loopFrames) {
@@ -120,19 +121,19 @@ export class SegmentCache {
     return this.segments.get(segment)?.snapshots[layer] ?? null;
   }
 
-  /** Whether the mask and layer 0 of a slice are here. @param {number} birth */
+  /** Whether the mask and layer 0 of a slice are cached. @param {number} birth */
   hasSlice(birth) {
     return this.mask(birth) !== null && this.change(birth, 0) !== null;
   }
 
-  /** Whether layer 0 of a frame is here, for one that follows the frame before. @param {number} frame */
+  /** Whether layer 0 of a frame is cached, assuming that the previous frame is. @param {number} frame */
   hasFrame(frame) {
     const isFirst = frame % this.segmentFrames === 0;
     return this.hasSlice(frame) || (isFirst && this.snapshot(this.segmentOf(frame), 0) !== null);
   }
 
   /**
-   * Whether all packets of an object are here.
+   * Whether all packets of an object are cached.
    * @param {number} segment
    * @param {string} part
    * @param {number} numFrames of the segment
@@ -146,8 +147,8 @@ export class SegmentCache {
   }
 
   /**
-   * Whether a segment shows with all of these layers after the segment before: its first frame by
-   * changes, or by snapshots.
+   * Whether a segment can continue the previous one with all of these layers; its first frame comes from
+   * changes or from snapshots.
    * @param {number} segment
    * @param {number} numFrames of the segment
    * @param {number} numLayers
@@ -164,7 +165,7 @@ export class SegmentCache {
   }
 
   /**
-   * Whether all slices behind the first one of a segment are here.
+   * Whether all slices of a segment after its first one are cached.
    * @param {number} segment
    * @param {number} numFrames of the segment
    * @param {number} numLayers
@@ -176,7 +177,7 @@ export class SegmentCache {
   }
 
   /**
-   * The layers whose snapshot is not here.
+   * The layers whose snapshot is missing.
    * @param {number} segment
    * @param {number} numLayers
    */
@@ -185,7 +186,7 @@ export class SegmentCache {
     return layers.filter((layer) => this.snapshot(segment, layer) === null);
   }
 
-  /** The first frame from `frame` on that is not here. @param {number} frame @param {number} numFrames */
+  /** The first missing frame from `frame` on. @param {number} frame @param {number} numFrames */
   endOf(frame, numFrames) {
     let end = frame;
     while (end < numFrames && this.hasFrame(end)) end += 1;
@@ -193,7 +194,7 @@ export class SegmentCache {
   }
 
   /**
-   * The frames that are here, as [first, end) pairs in order.
+   * The cached frames, as [first, end) pairs in order.
    * @param {number} numFrames
    * @returns {[number, number][]}
    */
@@ -213,7 +214,7 @@ export class SegmentCache {
   }
 
   /**
-   * Whether a segment should be asked for: what plays before it leaves room.
+   * Whether a segment should be requested, because the segments that play before it leave room.
    * @param {number} segment
    */
   hasRoomFor(segment) {
@@ -248,7 +249,7 @@ export class SegmentCache {
    * @param {number} birth
    * @param {string} part
    * @param {(Uint8Array | null)[]} row
-   * @param {number} at in the row
+   * @param {number} at index in the row
    * @param {Uint8Array} packet
    */
   #put(birth, part, row, at, packet) {
@@ -262,8 +263,8 @@ export class SegmentCache {
   }
 
   /**
-   * Evicts the segment that is needed last; gives whether there was one.
-   * @param {number} newest the segment that was added to: it was just asked for
+   * Evicts the segment that is needed last; returns whether there was one.
+   * @param {number} newest the segment that was just added to; it is not evicted
    */
   #evictOne(newest) {
     let victim = null;
@@ -272,7 +273,7 @@ export class SegmentCache {
     for (const segment of this.segments.keys()) {
       const distance = this.#distance(segment);
       if (segment === newest || distance <= (isLoop ? 1 : this.aheadSegments)) continue;
-      // Without a loop it is unknown what plays again: the least recently used one, the first, goes.
+      // Without a loop it is unknown what plays again; the first one, least recently used, is evicted.
       const rank = isLoop ? distance : 0;
       if (rank <= farthest) continue;
       farthest = rank;
@@ -284,7 +285,7 @@ export class SegmentCache {
     return true;
   }
 
-  /** Segments until this one plays; Infinity if it does not without a seek. @param {number} segment */
+  /** Number of segments until this one plays; Infinity if that needs a seek. @param {number} segment */
   #distance(segment) {
     if (segment >= this.playhead) return segment - this.playhead;
     return this.loopSegments === null ? Infinity : segment + this.loopSegments - this.playhead;

@@ -8,20 +8,20 @@ import { openPlay, ServerRetry } from "./playresponse.js";
 import { SegmentCache } from "./segmentcache.js";
 import { ServedPlay } from "./servedplay.js";
 
-/** Seconds until a stream without frames is asked for again. */
+/** Seconds until a stream without frames is requested again. */
 const RETRY_S = 1;
-/** Bytes of an object besides its packets: the table of one packet. */
+/** Bytes of an object in addition to its packet: the table. */
 const TABLE_BYTES = 32;
 
 /** @typedef {import("./playresponse.js").PlayResponse} PlayResponse */
 
-/** A stream of a swings server, which chooses itself what it sends when. */
+/** A stream of a swings server, which itself chooses what to send when. */
 export class ServedStream {
   /**
    * @param {string} base
    * @param {import("./fetcher.js").Fetcher} fetcher
    * @param {import("./playresponse.js").OpenedPlay} first
-   * @param {number} [bufferBytes] most that is kept of it
+   * @param {number} [bufferBytes] limit for the received data that is kept
    */
   constructor(base, fetcher, first, bufferBytes) {
     this.base = base;
@@ -29,29 +29,29 @@ export class ServedStream {
     this.manifest = readManifest(first.start.manifest);
     this.numFrames = first.start.numFrames;
     this.cache = new SegmentCache(this.manifest, bufferBytes);
-    /** Whether the server's objects have a form that this browser reads. */
+    /** Whether the server's objects have a form that this browser can read. */
     this.hasObjects = true;
-    /** @type {PlayResponse | null} for the play that begins where it does */
+    /** @type {PlayResponse | null} the first response, for a play that begins at the same frame */
     this.first = first.response;
-    /** @type {string | null} of the last play: the server knows the link from there */
+    /** @type {string | null} token of the last play, by which the server finds what it knows of the link */
     this.lastToken = first.response.token;
-    /** @type {number | null} what the server took the link to carry when it last said so */
+    /** @type {number | null} the server's last reported estimate of the link's throughput */
     this.rateBps = null;
     this.onGrown = () => {};
   }
 
   /**
-   * Begins to play from the first frame on; waits for the first frames of a live stream. Rejects with
-   * a SourceError or a FormatError.
-   * @param {string} base URL of the stream, with a slash at its end
+   * Opens a play from the first frame on; waits for the first frames of a live stream. Rejects with a
+   * SourceError or a FormatError.
+   * @param {string} base URL of the stream, with a trailing slash
    * @param {import("./fetcher.js").Fetcher} fetcher
    * @param {number | null} maxGaussians see `checkGaussians`
-   * @param {number} [bufferBytes] most that is kept of it
+   * @param {number} [bufferBytes] limit for the received data that is kept
    */
   static async open(base, fetcher, maxGaussians = null, bufferBytes) {
-    const patience = new ServerRetry(fetcher, base);
+    const retry = new ServerRetry(fetcher, base);
     for (;;) {
-      const opened = await patience.begin(() => openPlay(base, FIRST_PLAY));
+      const opened = await retry.begin(() => openPlay(base, FIRST_PLAY));
       const stream = new ServedStream(base, fetcher, opened, bufferBytes);
       try {
         checkGaussians(stream.manifest, maxGaussians, base);
@@ -67,7 +67,7 @@ export class ServedStream {
     }
   }
 
-  /** They lie beside the manifest. */
+  /** Null: pictures, captions and sound are beside the manifest. */
   get files() {
     return null;
   }
@@ -77,15 +77,15 @@ export class ServedStream {
     return new ServedPlay(this, request);
   }
 
-  /** Frames of a segment that there are now. @param {number} segment */
+  /** Current number of frames of a segment. @param {number} segment */
   framesIn(segment) {
     const { segmentFrames } = this.manifest;
     return Math.max(0, Math.min(segmentFrames, this.numFrames - segment * segmentFrames));
   }
 
   /**
-   * Brings the snapshot of a layer into the cache; gives whether it is there. Rejects with a
-   * SourceError, a GoneError or a FormatError, or as `signal` is aborted.
+   * Fetches the snapshot of a layer into the cache; returns whether it is there. Rejects with a
+   * SourceError, a GoneError or a FormatError, or if `signal` aborts.
    * @param {number} segment
    * @param {number} layer
    * @param {AbortSignal} signal
@@ -97,13 +97,13 @@ export class ServedStream {
       if (packet !== null) this.cache.addSnapshot(frame, layer, packet);
       this.hasObjects = packet !== null;
     }
-    // A browser that is not sent objects as chunks gets layer 0 as the first records of a play.
+    // A browser that cannot read the server's objects gets layer 0 from the first records of a play.
     if (!this.hasObjects && layer === 0) await this.#playSnapshot(frame, signal);
     return this.cache.snapshot(segment, layer) !== null;
   }
 
   /**
-   * The packet of a snapshot, or the chunk in it; null if it is an object of coder zstd as stored.
+   * The packet of a snapshot, or its chunk; null if the server sends the stored object of coder zstd.
    * @param {number} segment
    * @param {number} layer
    * @param {AbortSignal} signal
@@ -134,15 +134,15 @@ export class ServedStream {
     }
   }
 
-  /** Its plays see it grow. @param {() => void} onGrown */
+  /** Calls `onGrown` when a play reports that the stream has grown. @param {() => void} onGrown */
   async follow(onGrown) {
     this.onGrown = onGrown;
   }
 
   /**
-   * Takes in that frames up to `numFrames` are there.
+   * Notes that the stream has at least `numFrames` frames.
    * @param {number} numFrames
-   * @param {boolean} live whether there may be more
+   * @param {boolean} live whether more frames may follow
    */
   grow(numFrames, live) {
     if (numFrames <= this.numFrames && live === this.manifest.live) return;

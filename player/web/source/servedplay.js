@@ -12,14 +12,14 @@ const REPORT_S = 1;
 /**
  * Frames that the cache lacks.
  * @typedef {object} Gap
- * @property {number} fromFrame to ask the server for
- * @property {number | undefined} untilFrame the first frame behind the gap that is here
- * @property {number[]} snapshots layers, if their snapshots are all that is missing of its segment
+ * @property {number} fromFrame the first frame to request from the server
+ * @property {number | undefined} untilFrame the first frame after the gap that is cached
+ * @property {number[]} snapshots layers, if only their snapshots are missing in the segment
  */
 
 /**
- * One play of a swings server: asks for the frames that the cache lacks, as far ahead as the cache
- * holds them, and again if the connection breaks.
+ * One play of a swings server: requests the frames that the cache lacks, as far ahead as the cache can
+ * hold them, and again if the connection breaks.
  */
 export class ServedPlay {
   /**
@@ -31,26 +31,26 @@ export class ServedPlay {
     this.mostLayers = mostLayers;
     this.nowS = nowS;
     this.firstFrame = firstFrame;
-    /** Behind the last frame that was found in the cache, or was sent. */
+    /** End of the range of frames that were found in the cache, or were sent. */
     this.endBirth = firstFrame;
     this.nextFrame = firstFrame;
     this.paused = false;
     this.reportedS = -Infinity;
-    /** @type {number | null} what the server takes the link to carry */
+    /** @type {number | null} the server's estimate of the link's throughput */
     this.rateBps = null;
     /** @type {unknown} */
     this.failure = null;
     this.isClosed = false;
-    /** Whether nothing more will be asked for. */
+    /** Whether nothing more will be requested. */
     this.isDone = false;
-    /** @type {() => void} called when something has come or failed */
+    /** @type {() => void} called when data has arrived or a request has failed */
     this.onData = () => {};
     this.abort = new AbortController();
     /** @type {PlayResponse | null} */
     this.response = null;
     this.moveOn = () => {};
     this.patience = new ServerRetry(stream.fetcher, stream.base);
-    // After the first report of the position.
+    // Deferred, so that the caller can report the position first.
     Promise.resolve()
       .then(() => this.#run())
       .catch((error) => this.#fail(error));
@@ -68,13 +68,13 @@ export class ServedPlay {
   }
 
   /**
-   * Forwards the position to the server, once a second at most.
+   * Forwards the position to the server, at most once a second at normal speed.
    * @param {number} frame
    * @param {boolean} paused
    * @param {number} rate
    */
   reportPosition(frame, paused, rate) {
-    // Before its first frame a play stands still there.
+    // Before its first frame, a play counts as paused there.
     const isEarly = frame < 0;
     const isPaused = paused || isEarly;
     this.nextFrame = isEarly ? this.firstFrame : frame;
@@ -96,12 +96,12 @@ export class ServedPlay {
       const rateBps = Number(answer.headers.get("Swings-Rate"));
       if (rateBps > 0) this.rateBps = this.stream.rateBps = rateBps;
     } catch {
-      // The response shows soon enough that the server is gone.
+      // Ignored: if the server is unreachable, the response breaks off as well.
     }
   }
 
   /**
-   * Goes on from another frame, see SourcePlay.
+   * Continues from another frame, see SourcePlay.
    * @param {number} frame
    * @param {boolean} isStep
    */
@@ -139,9 +139,9 @@ export class ServedPlay {
       if (this.isClosed) this.response.close();
       this.reportedS = -Infinity; // so that the next report goes to this response
       try {
-        if (await this.#takeAll(this.response, gap)) {
+        if (await this.#receiveAll(this.response, gap)) {
           patience.reset();
-          // What a server left out of these frames it is not asked for again in this play.
+          // Parts of these frames that the server left out are not requested again in this play.
           this.endBirth = Math.max(endBirth, gap.untilFrame ?? stream.numFrames);
           continue;
         }
@@ -152,13 +152,13 @@ export class ServedPlay {
         this.response = null;
       }
       if (this.isClosed) return;
-      // A server that answers and then breaks off may do so for ever.
+      // A server that answers and then breaks off may do so every time, so tries without progress count.
       if (this.endBirth > endBirth) patience.reset();
       else await patience.wait();
     }
   }
 
-  /** The first frames from `endBirth` on that are not here; null if there are none. @returns {Gap | null} */
+  /** The first missing frames from `endBirth` on; null if there are none. @returns {Gap | null} */
   #findGap() {
     const { stream, firstFrame } = this;
     const { cache, numFrames, manifest } = stream;
@@ -177,7 +177,7 @@ export class ServedPlay {
         this.endBirth = start + size;
         continue;
       }
-      // The first slice of a segment is not sent to a play that begins with it, nor needed there.
+      // A play that begins with a segment gets a snapshot; it needs no first slice, and is sent none.
       const first = isJoin ? firstFrame : start;
       const hasBase = !isJoin || cache.snapshot(segment, 0) !== null;
       const end = hasBase ? cache.endOf(isJoin ? start : first, start + size) : first;
@@ -187,8 +187,8 @@ export class ServedPlay {
   }
 
   /**
-   * The next frame behind a segment that need not be sent: it is here, or too far ahead for a still
-   * picture.
+   * The next frame after a segment that need not be sent, because it is cached, or too far ahead for a
+   * still picture.
    * @param {number} segment
    */
   #endOfGap(segment) {
@@ -201,11 +201,11 @@ export class ServedPlay {
     return undefined;
   }
 
-  /** Whether it is time to ask for a gap: a paused play only needs its own segment. @param {Gap} gap */
+  /** Whether to request a gap now; a paused play needs only its own segment. @param {Gap} gap */
   #isNear({ fromFrame }) {
     const { stream, nextFrame } = this;
     if (this.#segmentOf(fromFrame) <= this.#segmentOf(nextFrame)) return true;
-    // Only its plays show that a live stream grows.
+    // A live stream is also requested during a pause: only a play shows that it grows.
     const isWanted = !this.paused || stream.manifest.live;
     const hasRoom = stream.cache.hasRoomFor(this.#segmentOf(fromFrame));
     return isWanted && hasRoom && fromFrame <= nextFrame + this.#mostAhead;
@@ -221,7 +221,7 @@ export class ServedPlay {
   }
 
   /**
-   * Fetches these layers' snapshots, layer 0 first.
+   * Fetches the snapshots of some layers, layer 0 first.
    * @param {number} segment
    * @param {number[]} layers
    */
@@ -239,7 +239,7 @@ export class ServedPlay {
     }
   }
 
-  /** The response that brings what is not here. @param {Gap} gap */
+  /** Opens a response with the frames of a gap. @param {Gap} gap */
   async #open({ fromFrame, untilFrame }) {
     const { stream, mostLayers } = this;
     const { first, base, lastToken, rateBps } = stream;
@@ -250,7 +250,7 @@ export class ServedPlay {
     }
     first?.close();
     const paused = this.paused && fromFrame === this.nextFrame;
-    // Else the server would send a whole lead beyond the one that is here.
+    // Without this, the server would count the cached frames as missing, and send a whole lead after them.
     const nextFrame = fromFrame > this.nextFrame ? this.nextFrame : null;
     const query = { fromFrame, untilFrame, layers, lastToken, rateBps, paused, nextFrame };
     const { signal } = this.abort;
@@ -260,11 +260,11 @@ export class ServedPlay {
   }
 
   /**
-   * Puts all that a response brings into the cache; gives whether it came to its end.
+   * Puts all records of a response into the cache; returns whether the response was complete.
    * @param {PlayResponse} response
    * @param {Gap} gap
    */
-  async #takeAll(response, gap) {
+  async #receiveAll(response, gap) {
     const { stream } = this;
     for (;;) {
       const record = await response.next((numBytes) => (stream.fetcher.receivedBytes += numBytes));
@@ -278,18 +278,18 @@ export class ServedPlay {
         this.patience.why = `The server reports: ${record.message}`;
         return false;
       }
-      if (record.kind !== "start") this.#take(record);
+      if (record.kind !== "start") this.#cacheRecord(record);
       this.onData();
       await this.#room();
     }
   }
 
   /** @param {import("../constants.js").SliceRecord | import("../constants.js").SnapshotRecord} record */
-  #take(record) {
+  #cacheRecord(record) {
     const { manifest, cache } = this.stream;
     const isSnapshot = record.kind === "snapshot";
     const birth = isSnapshot ? record.frame : record.birth;
-    // What comes far ahead of layer 0 is of no use, and would stay.
+    // A record far ahead of layer 0 is useless, and would stay in the cache.
     if (birth < 0 || birth > this.endBirth + manifest.segmentFrames) {
       throw corrupt(`play: the slice born at ${birth} arrived, but birth ${this.endBirth} is next`);
     }
@@ -312,7 +312,7 @@ export class ServedPlay {
     this.stream.grow(this.endBirth, manifest.live);
   }
 
-  /** Waits while too much is here that has not shown. */
+  /** Waits while too much data is cached that has not shown yet. */
   async #room() {
     const { cache, manifest } = this.stream;
     const isFar = () =>
@@ -321,14 +321,14 @@ export class ServedPlay {
     while (!this.isClosed && isFar()) await this.#position();
   }
 
-  /** Whether layers of a still picture are missing: they may come behind what shows later. */
+  /** Whether layers of a still picture are missing; they may arrive after later frames. */
   get #isRefining() {
     if (!this.paused) return false;
     const segment = this.#segmentOf(this.nextFrame);
     return !this.#hasChanges(segment) || this.#missingSnapshots(segment).length > 0;
   }
 
-  /** Whether all changes of a segment that this play needs are here. @param {number} segment */
+  /** Whether all changes of a segment that this play needs are cached. @param {number} segment */
   #hasChanges(segment) {
     const { stream, mostLayers } = this;
     const size = stream.framesIn(segment);
@@ -337,7 +337,7 @@ export class ServedPlay {
       : stream.cache.isComplete(segment, size, mostLayers);
   }
 
-  /** Layers whose snapshots this play needs and lacks. @param {number} segment */
+  /** Layers whose snapshots this play needs but lacks. @param {number} segment */
   #missingSnapshots(segment) {
     const { cache } = this.stream;
     return this.#isJoin(segment) ? cache.missingSnapshots(segment, this.mostLayers) : [];
@@ -365,8 +365,8 @@ export class ServedPlay {
 }
 
 /**
- * A packet as it comes: of coder gzip, or the chunk in one of coder zstd, of which `most` bytes are
- * allowed.
+ * Checks a received packet: either it is of coder gzip, or it is the chunk of a zstd packet, which may
+ * have at most `most` bytes.
  * @param {Uint8Array} packet
  * @param {number} most
  */

@@ -10,50 +10,49 @@ import { ServedStream } from "./served.js";
  * @typedef {object} PlayRequest
  * @property {number} firstFrame
  * @property {number} mostLayers
- * @property {() => number} nowS the clock
+ * @property {() => number} nowS clock, seconds
  */
 
 /**
- * One play, from a frame on: brings what is missing into the stream's cache.
+ * One play, from a frame on: fetches missing data into the stream's cache.
  * @typedef {object} SourcePlay
- * @property {() => number} step does what is to be done; gives seconds until it should be called
- *   again, at most
- * @property {(frame: number, paused: boolean, rate: number) => void} reportPosition takes the
- *   frame that shows next, or while playback is paused the one that shows; a negative one if frame 0
- *   shows only after so many others
- * @property {(frame: number, isStep: boolean) => boolean} moveTo goes on from another frame, if a new
- *   play would ask for nothing else; gives whether. isStep: the frame follows on what shows.
- * @property {number | null} rateBps what the link is taken to carry
- * @property {unknown} failure what ended it; null while nothing did
- * @property {() => void} onData called when something has come or failed
- * @property {boolean} isDone whether nothing more will be asked for
- * @property {() => void} close aborts what was asked for
+ * @property {() => number} step sends requests that are due; returns the maximum seconds until the next
+ *   call
+ * @property {(frame: number, paused: boolean, rate: number) => void} reportPosition reports the frame
+ *   that shows next, or during a pause the current one; -n if n other frames show before frame 0
+ * @property {(frame: number, isStep: boolean) => boolean} moveTo continues from another frame, unless
+ *   that needs a new play; returns whether it does. isStep: the frame continues the current picture.
+ * @property {number | null} rateBps estimated throughput of the link
+ * @property {unknown} failure the error that ended the play; null if there is none
+ * @property {() => void} onData called when data has arrived or a request has failed
+ * @property {boolean} isDone whether nothing more will be requested
+ * @property {() => void} close aborts all requests
  */
 
 /**
- * A stream, wherever it comes from.
+ * A stream from any kind of source.
  * @typedef {object} SourceStream
- * @property {string} base URL of its folder, with a slash at its end, or of its file
- * @property {Record<string, import("../format/packedlayout.js").Place> | null} files where its
- *   pictures, captions and sound lie in that file, by path; null: beside the manifest
- * @property {import("../format/manifest.js").Manifest} manifest whose `live` is as it is now
- * @property {number} numFrames that there are now
- * @property {import("./segmentcache.js").SegmentCache} cache what is here
+ * @property {string} base URL of its folder, with a trailing slash, or of its file
+ * @property {Record<string, import("../format/packedlayout.js").Place> | null} files places of pictures,
+ *   captions and sound in the file, by path; null: they are beside the manifest
+ * @property {import("../format/manifest.js").Manifest} manifest its `live` is kept up to date
+ * @property {number} numFrames current number of frames
+ * @property {import("./segmentcache.js").SegmentCache} cache the received packets
  * @property {(request: PlayRequest) => SourcePlay} play
  * @property {(segment: number, layer: number, signal: AbortSignal) => Promise<unknown>} fetchSnapshot
- *   brings a snapshot into the cache
- * @property {(onGrown: () => void) => Promise<void>} follow calls `onGrown` when there are more
- *   frames, or never will be; rejects if the source fails
+ *   fetches a snapshot into the cache
+ * @property {(onGrown: () => void) => Promise<void>} follow calls `onGrown` when there are more frames,
+ *   or when the stream has ended; rejects if the source fails
  */
 
 /**
- * The stream at a URL: of a swings server where the URL is one of its own, else a folder of files or a
- * packed stream on any host. Rejects with a SourceError or a FormatError.
+ * Opens the stream at a URL: on a swings server if the URL is one of its addresses, otherwise a folder of
+ * files or a packed stream on any host. Rejects with a SourceError or a FormatError.
  * @param {string} url see `folderUrl`
  * @param {import("./fetcher.js").Fetcher} fetcher
- * @param {number | null} maxGaussians most of a stream that is opened; null for the default
- * @param {boolean} otherHosts whether a manifest may lead to other hosts than its own
- * @param {number} [bufferBytes] most that is kept of the stream
+ * @param {number | null} maxGaussians limit for the stream's Gaussians; null for the default
+ * @param {boolean} otherHosts whether a manifest may refer to hosts other than its own
+ * @param {number} [bufferBytes] limit for the received data that is kept
  * @returns {Promise<SourceStream>}
  */
 export async function openSource(

@@ -1,18 +1,18 @@
 /**
- * Requests that a page sends while the player itself is still on its way. Runs in the page; the
- * worker's part is in earlyresponses.js.
+ * Requests that a page sends while the player itself is still being loaded. This module runs in the page;
+ * the worker's part is in earlyresponses.js.
  */
 
 /**
- * A request whose response has not been taken yet.
+ * A request whose response was not used yet.
  * @typedef {object} EarlyRequest
  * @property {Promise<Response>} response
  * @property {AbortController} abort
  */
 
-/** @typedef {{ url: string, port: MessagePort }} EarlyOffer a response on its way to a worker */
+/** @typedef {{ url: string, port: MessagePort }} EarlyOffer a response to be passed to a worker */
 
-/** The page's own script and the player are bundled apart from each other. */
+/** Global, because the page's own script and the player are in separate bundles. */
 const shared = /** @type {{ swingsEarly?: Map<string, EarlyRequest> }} */ (globalThis);
 const requests = (shared.swingsEarly ??= new Map());
 
@@ -20,14 +20,14 @@ const requests = (shared.swingsEarly ??= new Map());
 export function requestEarly(url) {
   const abort = new AbortController();
   const response = fetch(url, { cache: "no-store", signal: abort.signal });
-  response.catch(() => {}); // the worker tries again, and reports it
+  response.catch(() => {}); // the worker tries again, and reports errors
   requests.set(url, { response, abort });
 }
 
 /**
- * Hands the early responses for `urls` over to a worker: each can be taken once.
+ * Offers the early responses for `urls` to a worker; each one can be used once.
  * @param {string[]} urls
- * @param {AbortSignal} signal ends them
+ * @param {AbortSignal} signal aborts them
  * @returns {EarlyOffer[]} to be posted, with their ports transferred
  */
 export function offerEarly(urls, signal) {
@@ -55,7 +55,7 @@ async function send({ response, abort }, port) {
     const head = { status, headers: [...headers] };
     port.postMessage({ ...head, body }, body === null ? [] : [body]);
   } catch {
-    // No network, or a browser that cannot transfer streams: the worker asks by itself.
+    // Without a network, or in a browser that cannot transfer streams, the worker sends its own request.
     abort.abort();
     port.postMessage(null);
   }

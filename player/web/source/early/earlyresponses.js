@@ -7,13 +7,13 @@
 /** @type {Map<string, MessagePort>} by URL */
 const ports = new Map();
 
-/** Takes in what the page offers. @param {EarlyOffer[]} offers */
+/** Registers the page's offers. @param {EarlyOffer[]} offers */
 export function expectEarly(offers) {
   for (const { url, port } of offers) ports.set(url, port);
 }
 
 /**
- * The response to a GET: the page's own, if it has asked for this URL, else a new one.
+ * The response to a GET: that of the page if it has requested this URL, otherwise a new one.
  * @param {string} url
  * @param {RequestInit} [init]
  * @returns {Promise<Response>} rejects as `fetch` does
