@@ -1,13 +1,13 @@
-/** A clock that differs by more has jumped. */
+/** A larger difference between the clocks counts as a jump. */
 const JUMP_S = 0.05;
 const SHARE = 0.1;
 
 /**
- * When what is scheduled in an AudioContext is heard: its clock against that of the page. The device
- * reports that unevenly, so it is averaged.
+ * Relates the clock of an AudioContext, as heard, to that of the page. The device's reports are uneven, so
+ * they are averaged.
  */
 export class AudioClock {
-  /** @type {number | null} seconds of the context less those of the page, of what is heard now */
+  /** @type {number | null} context time of the sound heard now, minus the page's time, seconds */
   offsetS = null;
 
   /** @param {AudioContext} context */
@@ -15,7 +15,7 @@ export class AudioClock {
     this.context = context;
   }
 
-  /** Looks at both clocks. */
+  /** Reads both clocks, and updates the offset. */
   look() {
     const foundS = this.#found();
     const differS = foundS - (this.offsetS ?? Infinity);

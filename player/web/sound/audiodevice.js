@@ -1,19 +1,19 @@
 import { SAMPLE_RATE } from "../constants.js";
 
-/** Nobody has sounded for so long: the device may rest. */
+/** The device is suspended after this time without sound. */
 const REST_MS = 10_000;
 
-/** @type {AudioContext | null} one for all players of a page: browsers allow few */
+/** @type {AudioContext | null} shared by all players of a page, because browsers allow few */
 let context = null;
-/** @type {Set<object>} players that sound */
+/** @type {Set<object>} players that play sound */
 const users = new Set();
 let timer = 0;
-/** Whether it was asked to run since its state changed last: more of that says nothing new to a browser. */
+/** Whether `resume` was called since the last change of state; further calls would have no effect. */
 let isAsked = false;
-/** Whether a person had pressed anything in the page when it was asked. */
+/** Whether there had been a user gesture in the page at that call. */
 let wasActive = false;
 
-/** The page's audio context. A browser may keep it suspended until a person presses something. */
+/** The page's audio context. A browser may keep it suspended until a user gesture. */
 export function audioContext() {
   if (context === null) {
     context = new AudioContext({ sampleRate: SAMPLE_RATE, latencyHint: "playback" });
@@ -23,8 +23,9 @@ export function audioContext() {
 }
 
 /**
- * @param {object} user that sounds, or would but for the browser
- * @param {boolean} [isPressed] whether a person presses something just now
+ * Runs the device for a player.
+ * @param {object} user a player with sound to play, even if the browser blocks it
+ * @param {boolean} [isPressed] whether this is called during a user gesture
  */
 export function useDevice(user, isPressed = false) {
   users.add(user);
@@ -38,7 +39,7 @@ export function useDevice(user, isPressed = false) {
   device.resume().catch(() => {});
 }
 
-/** @param {object} user that is silent now */
+/** @param {object} user a player that is silent now */
 export function leaveDevice(user) {
   if (!users.delete(user) || users.size > 0) return;
   clearTimeout(timer);
@@ -48,7 +49,7 @@ export function leaveDevice(user) {
   }, REST_MS);
 }
 
-/** The samples of a file, at 48000 Hz: by a context of its own, for the page's may not run. @param {ArrayBuffer} file */
+/** Decodes a file at 48000 Hz, in a separate context: the page's may not run. @param {ArrayBuffer} file */
 export function decode(file) {
   return new OfflineAudioContext(1, 1, SAMPLE_RATE).decodeAudioData(file);
 }

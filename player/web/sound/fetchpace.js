@@ -1,21 +1,21 @@
-/** After a segment that was fetched ahead the link belongs to the pictures, for so many times as long as it took. */
+/** After a segment was fetched, the link is left to the pictures for this multiple of its fetch time. */
 const REST_SHARE = 4;
-/** Together they take this share of what the segment lasts at most: the lead of the sound always grows. */
+/** Fetch and rest take at most this share of the segment's duration, so that the lead of the sound grows. */
 const GROWTH_SHARE = 0.8;
-/** Without such a rest comes what is heard in less than this and twice as long as the one before took. */
+/** A segment due in less than this plus twice the last fetch time is fetched without waiting for the rest. */
 const URGENT_MS = 300;
 
 /**
- * When the link is for the next segment of sound, and when for the pictures alone. The pictures share it
- * with whatever is fetched beside them: where it carries little more than layer 0, many seconds of sound
- * at once would stall them, and the sound with them.
+ * Decides when the next segment of sound may be fetched, and when the link is left to the pictures. If
+ * the link carries little more than layer 0, fetching many seconds of sound at once would stall the
+ * pictures, and with them the sound.
  */
 export class FetchPace {
   #tookMs = 0;
   #restsUntilMs = -Infinity;
 
   /**
-   * A segment that is heard for `lengthMs` took from `beganMs` until now.
+   * Notes that a segment with a duration of `lengthMs` was fetched from `beganMs` until `nowMs`.
    * @param {number} beganMs
    * @param {number} nowMs
    * @param {number} lengthMs
@@ -28,7 +28,7 @@ export class FetchPace {
   }
 
   /**
-   * Whether a segment that is heard in `dueMs` is to be fetched now.
+   * Whether to fetch a segment now that is due in `dueMs`.
    * @param {number} dueMs
    * @param {number} nowMs
    */

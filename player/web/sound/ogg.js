@@ -1,11 +1,11 @@
-/** Packets of Opus as a file that browsers decode (RFC 3533, RFC 7845). */
+/** Packs Opus packets into a file that browsers can decode (RFC 3533, RFC 7845). */
 
 import { SAMPLE_RATE } from "../constants.js";
 import { corrupt } from "../format/bytes/errors.js";
 
 const FIRST = 2;
 const LAST = 4;
-/** Of a page: as many whole lengths of 255 as it can list, less the last one. */
+/** Limit for one page: it can list 255 lengths, of which the last one must be below 255. */
 const MOST_PACKET_BYTES = 254 * 255;
 
 const TABLE = Uint32Array.from({ length: 256 }, (_, n) => {
@@ -15,7 +15,7 @@ const TABLE = Uint32Array.from({ length: 256 }, (_, n) => {
 });
 
 /**
- * A file that decodes to all samples of the packets: nothing is to be passed over. Throws a FormatError.
+ * A file that decodes to all samples of the packets, with a pre-skip of 0. Throws a FormatError.
  * @param {Uint8Array[]} packets
  * @param {number[]} ends position where each packet ends, from 0 on
  * @param {number} channels

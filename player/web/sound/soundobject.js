@@ -13,7 +13,7 @@ import { corrupt } from "../format/bytes/errors.js";
 
 const CHECKED_FROM = 12;
 
-/** Packets that lie farther from their segment than this are of no use to it. */
+/** Maximum distance of packets from the samples of their segment. */
 const MOST_ASIDE = SAMPLE_RATE;
 
 /**
@@ -23,11 +23,11 @@ const MOST_ASIDE = SAMPLE_RATE;
  * @property {number} numSamples length of the whole source
  * @property {Uint8Array[]} packets
  * @property {number[]} positions where each packet begins, and where the last one ends
- * @property {number} numBytes that it holds
+ * @property {number} numBytes size of the object
  */
 
 /**
- * The object in `bytes`. Throws a FormatError.
+ * Reads the object in `bytes`. Throws a FormatError.
  * @param {Uint8Array} bytes
  * @param {number} numChannels of the source
  * @returns {SoundObject}
@@ -56,7 +56,7 @@ export function readSoundObject(bytes, numChannels) {
 }
 
 /**
- * Throws a FormatError if packets go far beyond the samples of their segment.
+ * Throws a FormatError if the packets extend far beyond the samples of their segment.
  * @param {SoundObject} object
  * @param {number} begin first sample
  * @param {number} end the one after the last
@@ -68,7 +68,7 @@ export function checkSpan({ preSkip, packets, positions }, begin, end) {
 }
 
 /**
- * Samples that an Opus packet decodes to (RFC 6716, section 3.1). Throws a FormatError.
+ * Number of samples that an Opus packet decodes to (RFC 6716, section 3.1). Throws a FormatError.
  * @param {Uint8Array} packet
  */
 export function packetSamples(packet) {

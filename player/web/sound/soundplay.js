@@ -13,41 +13,41 @@ import { SoundTrack } from "./soundtrack.js";
 import { Timeline } from "./timeline.js";
 
 const STEP_MS = 100;
-/** Objects are here so many seconds ahead, samples so many. */
+/** Objects are fetched this many seconds ahead, and samples decoded this many. */
 const FETCHED_S = 15;
 const DECODED_S = 3;
 const MOST_PIECES = 300;
-/** With as many bytes of sound nothing more is fetched ahead. */
+/** With this many bytes of sound in memory, nothing more is fetched ahead. */
 const MOST_BYTES = 2 * MAX_SOUND_BYTES;
-/** The picture follows the sound in steps of this at most; below the second one it stays. */
+/** Maximum and minimum step in which the pictures follow the sound. */
 const MOST_FOLLOWED_MS = 20;
 const LEAST_FOLLOWED_MS = 2;
-/** Sound and picture that are further apart begin anew: the computer has slept. */
+/** If sound and pictures differ by more than this, for example after sleep, the sound restarts. */
 const APART_MS = 600;
-/** A browser that has not begun after this waits for a person. */
+/** A browser that does not run the device after this time waits for a user gesture. */
 const BLOCKED_MS = 300;
 const MOST_LATE_MS = 500;
-/** How late pictures are is the median of so many: one that is very late says little. */
+/** The delay of pictures is the median of this many, because single pictures may be very late. */
 const LATES = 31;
 const TURN_S = 0.05;
 
 /** @typedef {import("../element/webplayer.js").WebPlayer} WebPlayer */
 
 /**
- * The sound of the stream that a player has open. The player's pictures say when it begins; from then
- * on the audio device's clock leads, and the pictures follow it.
+ * The sound of a player's open stream. The player's pictures determine when it begins; from then on, the
+ * pictures follow the audio device's clock.
  *
  * Events: `blocked` (isBlocked), `refused` (detail: a sentence; once).
  */
 export class SoundPlay extends EventTarget {
-  /** Whether the browser waits for a person before there may be sound. */
+  /** Whether the browser requires a user gesture before it plays sound. */
   isBlocked = false;
   isMuted = false;
-  /** Of all runs before this one. */
+  /** Gaps of all runs before the current one. */
   #gaps = 0;
   /** @type {SoundRun | null} */
   run = null;
-  /** @type {WebPlayer["line"]} that the run follows */
+  /** @type {WebPlayer["line"]} the line that the run follows */
   #line = null;
   /** @type {{ track: SoundTrack, panner: PannerNode | null, output: AudioNode }[]} */
   #voices = [];
@@ -56,7 +56,7 @@ export class SoundPlay extends EventTarget {
   /** @type {AudioClock | null} */
   #clock = null;
   volume = 1;
-  /** How long after it was due a picture shows. */
+  /** Delay between the time when a picture is due and when it shows. */
   #lateMs = 0;
   /** @type {number[]} */
   #lates = [];
@@ -88,7 +88,7 @@ export class SoundPlay extends EventTarget {
     signal.addEventListener("abort", () => clearInterval(timer));
   }
 
-  /** Pieces that came too late. */
+  /** Number of pieces that were decoded too late. */
   get gaps() {
     return this.#gaps + (this.run?.gaps ?? 0);
   }
@@ -101,14 +101,14 @@ export class SoundPlay extends EventTarget {
     this.step();
   }
 
-  /** A person has pressed something: the browser may let it sound now. */
+  /** To be called during a user gesture, when the browser may permit sound. */
   unblock() {
     const { signal } = this.#ending;
     useDevice(this, true);
-    audioContext().addEventListener("statechange", this.#onDevice, { signal }); // once, however often
+    audioContext().addEventListener("statechange", this.#onDevice, { signal }); // repeated calls add it once
   }
 
-  /** Looks at what is to be done. */
+  /** Brings the sound up to date with the player; called regularly. */
   step() {
     if (this.#ending.signal.aborted) return;
     const { line, numFrames, live } = this.player;
@@ -116,7 +116,7 @@ export class SoundPlay extends EventTarget {
     const isMuted = this.isMuted || this.volume === 0;
     const isDue = line?.zeroMs != null && !isMuted && this.timeline.length > 0;
     if (!isDue) {
-      // The end of the stream is heard out.
+      // At the end of the stream, the remaining sound is still played.
       const isEnding = this.#hasEnded && !isMuted && !this.player.isSeeking;
       if (!isEnding || (this.run?.aheadS ?? 0) < 0) this.#stop();
       leaveDevice(this);
@@ -146,7 +146,7 @@ export class SoundPlay extends EventTarget {
     this.run?.end();
   }
 
-  /** @param {number} epochMs since 1970, as the worker has it; gives milliseconds of this page */
+  /** Converts the worker's Unix time to milliseconds on this page's clock. @param {number} epochMs */
   #pageMs(epochMs) {
     return epochMs - performance.timeOrigin;
   }
@@ -167,7 +167,7 @@ export class SoundPlay extends EventTarget {
     this.run = new SoundRun(context, this.timeline, outputs, atS, line.rate);
   }
 
-  /** Has the pictures follow what is heard. */
+  /** Makes the pictures follow the sound. */
   #follow() {
     const { run, player } = this;
     const line = this.#line;
@@ -175,7 +175,7 @@ export class SoundPlay extends EventTarget {
     const heardMs = 1000 * (run.zeroS - (this.#clock?.offsetS ?? 0));
     const byMs = heardMs - this.#lateMs - this.#pageMs(line.zeroMs);
     if (Math.abs(byMs) > APART_MS) {
-      this.#stop(); // and begins at the next step
+      this.#stop(); // the next step begins a new run
       return;
     }
     if (Math.abs(byMs) < LEAST_FOLLOWED_MS) return;
@@ -202,7 +202,7 @@ export class SoundPlay extends EventTarget {
     for (const { track, panner } of this.#voices) {
       track.want(pieces, numDecoded, numBytes >= MOST_BYTES, allows);
       if (panner === null || w2c.length === 0) continue;
-      // The listener stays where devices have it, and looks along -z: the sources move around it.
+      // The listener keeps its default pose and looks along -z; the sources move around it.
       const [x, y, z] = heardAt(track.source.keys, run.sample / SAMPLE_RATE, w2c);
       panner.positionX.setTargetAtTime(x, currentTime, TURN_S);
       panner.positionY.setTargetAtTime(y, currentTime, TURN_S);

@@ -1,15 +1,15 @@
 import { SAMPLE_RATE } from "../constants.js";
 import { stretched } from "./stretch.js";
 
-/** So far ahead pieces are handed to the device. */
+/** Pieces are passed to the device this far ahead. */
 const AHEAD_S = 1;
-/** What begins now begins so much later: the device works ahead itself. */
+/** Delay before new sound begins, because the device itself works ahead. */
 const SOON_S = 0.02;
 const FADE_S = 0.01;
 /** The pitch is kept between these speeds; others are silent. */
 const LEAST_RATE = 0.25;
 const MOST_RATE = 2;
-/** At another speed pieces are made in parts of so many seconds, as they are due: the page shall not wait. */
+/** At other speeds than 1, pieces are stretched in parts of this length, so as not to block the page. */
 const PART_S = 0.25;
 
 /** @typedef {import("./soundtrack.js").SoundTrack} SoundTrack */
@@ -18,29 +18,29 @@ const PART_S = 0.25;
  * @typedef {object} Voice
  * @property {SoundTrack} track
  * @property {GainNode} gain
- * @property {Set<AudioBufferSourceNode>} nodes that were started
- * @property {number} next the first sample that is not with the device
- * @property {boolean} hasBegun whether there is anything before it
+ * @property {Set<AudioBufferSourceNode>} nodes the started ones
+ * @property {number} next the first sample that was not passed to the device
+ * @property {boolean} hasBegun whether the sample before `next` was passed to the device
  */
 
 /**
- * Sound from one start to the next seek, pause or stall: which sample is heard when, on the context's
- * clock. Samples are counted on through the rounds of a loop.
+ * Sound from one start to the next seek, pause or stall: schedules samples on the context's clock.
+ * Samples are counted continuously through the rounds of a loop.
  */
 export class SoundRun {
-  /** Pieces that were not here when they were due, after the first one. */
+  /** Number of pieces after the first one that were missing when they were due. */
   gaps = 0;
   /** @type {Voice[]} */
   #voices;
-  /** The round that nothing follows; a loop has none. */
+  /** The last round; Infinity while the stream loops. */
   #lastRound = Infinity;
-  /** When it handed on last, by the context's clock. */
+  /** Time of the last step, by the context's clock. */
   #steppedS = 0;
 
   /**
    * @param {BaseAudioContext} context
    * @param {import("./timeline.js").Timeline} timeline
-   * @param {[SoundTrack, AudioNode][]} outputs where each track goes
+   * @param {[SoundTrack, AudioNode][]} outputs each track with its destination
    * @param {number} zeroS when sample 0 is or was due, by the context's clock
    * @param {number} rate
    */
@@ -65,31 +65,31 @@ export class SoundRun {
     return this.zero / SAMPLE_RATE;
   }
 
-  /** The device's sample with which one of the stream is heard. @param {number} sample */
+  /** Converts a sample of the run to the device's sample. @param {number} sample */
   #deviceSample(sample) {
     return this.zero + Math.round(sample / this.rate);
   }
 
-  /** @param {number} timeS of the context */
+  /** @param {number} timeS by the context's clock */
   #sampleAt(timeS) {
     return Math.max(0, Math.round((timeS - this.zeroS) * this.rate * SAMPLE_RATE));
   }
 
-  /** The round that one of the run's samples is in. @param {number} sample */
+  /** The round of a sample of the run. @param {number} sample */
   #roundOf(sample) {
     return Math.min(this.timeline.roundOf(sample), this.#lastRound);
   }
 
-  /** The sample of the stream that is due now; beyond its end if nothing follows. */
+  /** The sample of the stream that is due now; beyond the stream's end after the last round. */
   get sample() {
     const sample = this.#sampleAt(this.context.currentTime);
     return sample - this.timeline.beginOf(this.#roundOf(sample));
   }
 
   /**
-   * Whether the stream begins again after its end.
+   * Sets whether the stream begins again after its end.
    * @param {boolean} loops
-   * @param {number} heardS what is heard now, by the context's clock
+   * @param {number} heardS time of the sound heard now, by the context's clock
    */
   setLoops(loops, heardS) {
     if (loops) this.#lastRound = Infinity;
@@ -97,7 +97,7 @@ export class SoundRun {
       this.#endWith(this.timeline.roundOf(this.#sampleAt(heardS)));
   }
 
-  /** The pictures have reached the end of the stream: what is with the device of a next round stays silent. */
+  /** Called when the pictures have reached the stream's end: scheduled sound of a next round is stopped. */
   end() {
     const now = this.#sampleAt(this.context.currentTime);
     this.#endWith(Math.max(1, Math.round(now / this.timeline.length)) - 1);
@@ -115,18 +115,18 @@ export class SoundRun {
     }
   }
 
-  /** Seconds for which all sources are with the device. */
+  /** Seconds of sound of all sources that the device already has. */
   get aheadS() {
     const next = Math.min(...this.#voices.map((voice) => voice.next));
     return this.#deviceSample(next) / SAMPLE_RATE - this.context.currentTime;
   }
 
-  /** Hands on what is due soon. */
+  /** Passes sound that is due soon to the device. */
   step() {
     if (this.rate < LEAST_RATE || this.rate > MOST_RATE) return;
     const { context, timeline, rate } = this;
     const part = rate === 1 ? Infinity : Math.round(PART_S * rate * SAMPLE_RATE);
-    // A part, and what has passed: in a page that nobody sees, steps are rare.
+    // One part, plus the time since the last step: in a hidden page, steps are rare.
     const count = part + (context.currentTime - this.#steppedS) * rate * SAMPLE_RATE;
     this.#steppedS = context.currentTime;
     const least = this.#sampleAt(context.currentTime + SOON_S / 2);
@@ -143,7 +143,7 @@ export class SoundRun {
         }
         const at = voice.next - base;
         const { begin, end: pieceEnd } = timeline.pieceAt(at);
-        const end = pieceEnd - at < 1.5 * part ? pieceEnd : at + part; // no crumbs
+        const end = pieceEnd - at < 1.5 * part ? pieceEnd : at + part; // avoids tiny last parts
         const channels = voice.track.samples(begin);
         if (voice.next < least) {
           if (voice.hasBegun) this.gaps += 1;
@@ -162,8 +162,8 @@ export class SoundRun {
   /**
    * @param {Voice} voice
    * @param {Float32Array[]} channels of a piece
-   * @param {number} from first sample of it
-   * @param {number} end where it ends in the run
+   * @param {number} from first sample within the piece
+   * @param {number} end end within the run
    */
   #start(voice, channels, from, end) {
     const { context } = this;
@@ -187,7 +187,7 @@ export class SoundRun {
     node.start(at / SAMPLE_RATE);
   }
 
-  /** It falls silent. */
+  /** Fades out and ends the run. */
   stop() {
     const { currentTime } = this.context;
     for (const { gain, nodes } of this.#voices) {

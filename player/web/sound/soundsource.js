@@ -3,15 +3,15 @@ import { corrupt } from "../format/bytes/errors.js";
 import { field, integer, list, number, text } from "../format/bytes/json.js";
 import { inCamera } from "../view/pose.js";
 
-/** Farther away nothing is heard; a device takes no number that is not finite in binary32. */
+/** Limit of coordinates: nothing is audible farther away, and devices need finite binary32 numbers. */
 const FAR_M = 1e6;
 
 /**
  * A source of sound of a stream.
  * @typedef {object} SoundSource
- * @property {string} part the name of its objects, in place of a layer's number
+ * @property {string} part the part name of its objects, in place of a layer's number
  * @property {number} channels
- * @property {number[][]} keys time in seconds and place in metres; none: it is heard as it is
+ * @property {number[][]} keys time in seconds and place in metres; empty for sound without a place
  */
 
 /**
@@ -40,7 +40,7 @@ function readSource(value) {
 }
 
 /**
- * Where a source with keys is.
+ * The place of a source with keys.
  * @param {number[][]} keys
  * @param {number} timeS
  * @returns {import("../view/vectors.js").Vector}
@@ -54,7 +54,7 @@ export function placeAt(keys, timeS) {
 }
 
 /**
- * Where a source with keys is for a listener who looks along -z with y up, metres; all numbers are finite.
+ * The place of a source with keys relative to a listener facing -z with y up, metres; always finite.
  * @param {number[][]} keys
  * @param {number} timeS
  * @param {number[]} w2c (4, 4) world to camera

@@ -3,7 +3,7 @@ import { corrupt } from "../format/bytes/errors.js";
 import { oggOf } from "./ogg.js";
 import { checkSpan, readSoundObject } from "./soundobject.js";
 
-/** Objects that are on their way at the same time. */
+/** Maximum number of objects that are fetched at the same time. */
 const MOST_FETCHES = 2;
 
 /** @typedef {import("./timeline.js").Timeline} Timeline */
@@ -11,15 +11,15 @@ const MOST_FETCHES = 2;
 /** @typedef {import("./soundobject.js").SoundObject} SoundObject */
 
 /**
- * The sound of one source, a little ahead of where it is heard: objects are fetched, and pieces of them
- * decoded. What is refused is silent.
+ * The sound of one source, a little ahead of playback: objects are fetched, and pieces of them decoded.
+ * Refused objects are silent.
  */
 export class SoundTrack {
-  /** @type {Map<number, SoundObject | null>} by segment; null: on its way */
+  /** @type {Map<number, SoundObject | null>} by segment; null: being fetched */
   #objects = new Map();
-  /** @type {Map<number, Float32Array[] | null>} samples of each channel by begin; null: on their way */
+  /** @type {Map<number, Float32Array[] | null>} samples of each channel by begin; null: being decoded */
   #pieces = new Map();
-  /** @type {Map<number, AbortController>} fetches that are on their way, by segment */
+  /** @type {Map<number, AbortController>} pending fetches, by segment */
   #fetches = new Map();
   #isClosed = false;
 
@@ -28,7 +28,7 @@ export class SoundTrack {
    * @param {Timeline} timeline
    * @param {(segment: number, part: string, signal: AbortSignal) => Promise<Uint8Array>} fetchObject
    * @param {(file: ArrayBuffer) => Promise<AudioBuffer>} decode at 48000 Hz
-   * @param {(error: unknown) => void} refused called with what is wrong with an object
+   * @param {(error: unknown) => void} refused called with the error of a refused object
    */
   constructor(source, timeline, fetchObject, decode, refused) {
     this.source = source;
@@ -46,12 +46,12 @@ export class SoundTrack {
   }
 
   /**
-   * Fetches what these pieces are made of, the first of them first, and forgets all else.
+   * Fetches the objects of these pieces, in order, and drops everything else.
    * @param {Piece[]} pieces
-   * @param {number} numDecoded of the first pieces: they are decoded, too
-   * @param {boolean} [isFull] whether nothing is fetched ahead: the first piece's object alone
-   * @param {(numBefore: number) => boolean} [allows] whether a piece that so many samples of the others lie
-   *   before is to be fetched now
+   * @param {number} numDecoded number of first pieces that are also decoded
+   * @param {boolean} [isFull] whether to fetch only the first piece's object, and nothing ahead
+   * @param {(numBefore: number) => boolean} [allows] whether to fetch a piece now that has this many samples
+   *   of other pieces before it
    */
   want(pieces, numDecoded, isFull = false, allows = () => true) {
     const segments = new Set(pieces.map(({ segment }) => segment));
@@ -80,7 +80,7 @@ export class SoundTrack {
     }
   }
 
-  /** The samples of each channel of a piece; null while they are not here. @param {number} begin */
+  /** The samples of each channel of a piece; null until they are decoded. @param {number} begin */
   samples(begin) {
     return this.#pieces.get(begin) ?? null;
   }
@@ -140,7 +140,7 @@ export class SoundTrack {
     const file = oggOf(packets.slice(from, to), ends, samples.length);
     const decoded = await this.decode(file.buffer);
     const total = ends[ends.length - 1];
-    // A decoder that passes over the beginning of all files has less, and the end is right.
+    // Some decoders omit samples at the beginning of every file, so samples are counted from the end.
     const at = begin + preSkip - first - (total - decoded.length);
     if (decoded.sampleRate !== SAMPLE_RATE || at < 0 || decoded.length > total)
       throw corrupt(`sound: ${decoded.length} samples were decoded of ${total}`);

@@ -1,9 +1,9 @@
-/** Faster and slower sound of the same pitch: WSOLA (Verhelst and Roelands, 1993). */
+/** Changes the speed of sound without its pitch: WSOLA (Verhelst and Roelands, 1993). */
 
-/** Half of a window, and how far around its place what is like what went before is looked for. */
+/** Half a window, and the search distance for a similar window around the nominal place, in samples. */
 const HOP = 720;
 const REACH = 480;
-/** Every so many samples are compared. */
+/** Every STRIDE-th sample is compared. */
 const STRIDE = 4;
 
 const RISE = Float32Array.from(
@@ -12,7 +12,8 @@ const RISE = Float32Array.from(
 );
 
 /**
- * The sound in `length` samples. It begins and ends exactly as what it is made of, so that pieces join.
+ * The sound stretched to `length` samples. Its beginning and end are those of the original, so that pieces
+ * join without a break.
  * @param {Float32Array[]} channels
  * @param {number} length
  * @returns {Float32Array[]}
@@ -26,7 +27,8 @@ export function stretched(channels, length) {
   let from = 0;
   copy(channels, made, 0, 0, HOP);
   for (let at = HOP; at < length; at += HOP) {
-    // Half a window from what would follow, half a window from its place; the end comes as it is.
+    // Cross-fades from the samples that would follow to a similar window near the nominal place; the last
+    // window is the original's end.
     const isLast = at >= last;
     const follows = from + HOP;
     const end = given - (length - at);
@@ -61,7 +63,7 @@ function copy(channels, made, from, at, count) {
 }
 
 /**
- * One channel to compare. The second one counts less, so that two that cancel each other are not silence.
+ * A mono mix for comparisons. The second channel has less weight, so that opposite channels do not cancel.
  * @param {Float32Array[]} channels
  */
 function mixed([first, second]) {
@@ -69,7 +71,7 @@ function mixed([first, second]) {
 }
 
 /**
- * Where, near `place`, what is there is most like what is at `follows`.
+ * The start near `place` of the samples that are most similar to those at `follows`.
  * @param {Float32Array} mono
  * @param {number} follows
  * @param {number} place
@@ -95,7 +97,7 @@ function alike(mono, follows, place) {
 }
 
 /**
- * What is shorter than a window changes its pitch.
+ * Plain resampling, for sound shorter than a window; it changes the pitch.
  * @param {Float32Array} channel
  * @param {number} length
  */

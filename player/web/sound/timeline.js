@@ -1,6 +1,6 @@
 import { SAMPLE_RATE } from "../constants.js";
 
-/** What is decoded at once: a long segment is not held whole. */
+/** Maximum length decoded at once, so that long segments need not be in memory as a whole. */
 const PIECE_SAMPLES = 2 * SAMPLE_RATE;
 
 /**
@@ -11,11 +11,11 @@ const PIECE_SAMPLES = 2 * SAMPLE_RATE;
  * @property {number} end
  */
 
-/** Which samples are heard with which frames: frame f begins at sample floor(f * 48000 / fps). */
+/** Maps frames to samples: frame f begins at sample floor(f * 48000 / fps). */
 export class Timeline {
   numFrames = 0;
   live = false;
-  /** Samples of the stream. */
+  /** Length of the stream in samples. */
   length = 0;
 
   /**
@@ -28,7 +28,7 @@ export class Timeline {
   }
 
   /**
-   * Sets how long the stream is. Of a live one only whole segments count: a piece never changes.
+   * Sets the length of the stream. In a live stream only whole segments count, so that pieces never change.
    * @param {number} numFrames
    * @param {boolean} live
    */
@@ -51,12 +51,12 @@ export class Timeline {
     return /** @type {[number, number]} */ (edges);
   }
 
-  /** Where a round of a loop begins, in samples from the first round on. @param {number} round */
+  /** The first sample of a round of a loop, counted from the first round on. @param {number} round */
   beginOf(round) {
     return this.#sampleOf(round * this.numFrames);
   }
 
-  /** The round of a sample that counts from the first round on. @param {number} sample */
+  /** The round of a sample, counted from the first round on. @param {number} sample */
   roundOf(sample) {
     if (this.live) return 0;
     const round = Math.floor((sample * this.fps) / SAMPLE_RATE / this.numFrames);
@@ -64,7 +64,7 @@ export class Timeline {
     return this.beginOf(round) > sample ? round - 1 : round;
   }
 
-  /** The piece that holds a sample of the stream. @param {number} sample @returns {Piece} */
+  /** The piece that contains a sample of the stream. @param {number} sample @returns {Piece} */
   pieceAt(sample) {
     const { fps, segmentFrames } = this;
     let segment = Math.floor((sample * fps) / SAMPLE_RATE / segmentFrames);
@@ -76,7 +76,7 @@ export class Timeline {
   }
 
   /**
-   * The pieces from a sample on, at most `most`; around the end of the stream if it loops.
+   * The pieces from a sample on, at most `most`; continues at the stream's start if it loops.
    * @param {number} sample
    * @param {number} count samples
    * @param {boolean} loops
