@@ -10,7 +10,7 @@ import { field, list, text } from "../format/bytes/json.js";
  */
 
 /**
- * What a manifest says of captions. Throws a FormatError.
+ * The caption tracks in a manifest. Throws a FormatError.
  * @param {unknown} value
  * @returns {CaptionTrack[]}
  */

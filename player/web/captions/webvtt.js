@@ -1,4 +1,4 @@
-/** WebVTT, as far as text and times go (FORMAT.md, section 15). */
+/** Reads the text and times of WebVTT (FORMAT.md, section 15). */
 
 const TIME = "(?:(\\d{2,}):)?([0-5]\\d):([0-5]\\d)\\.(\\d{3})";
 const TIMING = new RegExp(`^[ \\t]*${TIME}[ \\t]*-->[ \\t]*${TIME}(?:[ \\t].*)?$`);
@@ -6,7 +6,7 @@ const TIMING = new RegExp(`^[ \\t]*${TIME}[ \\t]*-->[ \\t]*${TIME}(?:[ \\t].*)?$
 const NAMED = { amp: "&", lt: "<", gt: ">", nbsp: "\u00a0", lrm: "\u200e", rlm: "\u200f" };
 
 /**
- * A text and when it shows: from `startS` on, before `endS`.
+ * A text that shows from `startS` until before `endS`.
  * @typedef {object} Cue
  * @property {number} startS
  * @property {number} endS
@@ -14,7 +14,7 @@ const NAMED = { amp: "&", lt: "<", gt: ">", nbsp: "\u00a0", lrm: "\u200e", rlm: 
  */
 
 /**
- * The cues of a file, in their order; null if it is none.
+ * The cues of a file, in order; null if it is not WebVTT.
  * @param {string} file
  * @returns {Cue[] | null}
  */
@@ -41,7 +41,7 @@ function seconds(parts) {
   return 3600 * hours + 60 * minutes + rest + thousandths / 1000;
 }
 
-/** Without tags and escapes. @param {string} text */
+/** Removes tags and resolves escapes. @param {string} text */
 function plain(text) {
   return text
     .replace(/<[^>]*>?/g, "")
@@ -57,13 +57,13 @@ function character(code) {
   return isOne ? String.fromCodePoint(code) : "\ufffd";
 }
 
-/** What a browser's own reader of captions makes of an escape; it runs nothing. @param {string} escape */
+/** Resolves a named escape with the browser's caption parser, which runs no code. @param {string} escape */
 function named(escape) {
   if (typeof VTTCue === "undefined") return escape;
   return new VTTCue(0, 1, escape).getCueAsHTML().textContent ?? escape;
 }
 
-/** What shows at a time, one cue below the other. @param {Cue[]} cues @param {number} timeS */
+/** The text that shows at a time, one cue below the other. @param {Cue[]} cues @param {number} timeS */
 export function textAt(cues, timeS) {
   return cues
     .filter(({ startS, endS }) => startS <= timeS && timeS < endS)
