@@ -1,4 +1,4 @@
-/** Numbers of the lattice as f32 (FORMAT.md, section 8). */
+/** Converts lattice numbers to f32 (FORMAT.md, section 8). */
 
 import { MAX_LOGIT } from "../constants.js";
 
@@ -24,7 +24,7 @@ export function opacityLogits(levels) {
 }
 
 /**
- * The quaternion whose x, y, z are given, with w from them.
+ * Stores the unit quaternion with the given x, y, z; w follows from them.
  * @param {Float32Array} quats
  * @param {number} i
  * @param {number} x
@@ -40,7 +40,7 @@ export function putQuat(quats, i, x, y, z) {
 }
 
 /**
- * RGB of luma and two differences.
+ * Stores the RGB of a luma and two colour differences.
  * @param {Float32Array} sh
  * @param {number} at
  * @param {number} y

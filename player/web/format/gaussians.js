@@ -1,22 +1,22 @@
 import { corrupt } from "./bytes/errors.js";
 
 /**
- * A set of N Gaussians as f32, one after another in every array.
+ * A set of N Gaussians as f32, one array per attribute.
  * @typedef {object} Gaussians
  * @property {Float32Array} means (N, 3) metres, world
  * @property {Float32Array} logScales (N, 3)
- * @property {Float32Array} quats (N, 4) w, x, y, z; not of length 1
+ * @property {Float32Array} quats (N, 4) w, x, y, z; not normalised
  * @property {Float32Array} logitOpacities (N)
  * @property {Float32Array} sh (N, K, 3) coefficient after coefficient, RGB
  */
 
-/** Coefficients of a SH degree. @param {number} degree */
+/** Number of coefficients of a SH degree. @param {number} degree */
 export function numCoefficients(degree) {
   return (degree + 1) ** 2;
 }
 
 /**
- * Room for N Gaussians.
+ * Allocates N Gaussians.
  * @param {number} count
  * @param {number} k coefficients
  * @returns {Gaussians}
@@ -32,7 +32,7 @@ export function emptyGaussians(count, k) {
 }
 
 /**
- * Gaussians as escapes (FORMAT.md, section 10.4).
+ * Reads Gaussians stored as escapes (FORMAT.md, section 10.4).
  * @param {import("./bytes/bytereader.js").ByteReader} reader
  * @param {number} count
  * @param {number} k coefficients
@@ -55,7 +55,7 @@ export function readGaussians(reader, count, k) {
  */
 export function checkGaussians(gaussians, what) {
   for (const [name, values] of Object.entries(gaussians)) {
-    // The sum of finite f32 in binary64 is finite, and that of others is not.
+    // In binary64 the sum of f32 is finite only if all of them are.
     let sum = 0;
     for (let i = 0; i < values.length; i++) sum += values[i];
     if (!Number.isFinite(sum)) throw corrupt(`${what}: a number of ${name} is not finite`);

@@ -1,4 +1,4 @@
-/** manifest.json: what must be known before the first slice (FORMAT.md, section 4). */
+/** manifest.json: the properties that must be known before the first slice (FORMAT.md, section 4). */
 
 import {
   DEFAULT_MAX_GAUSSIANS,
@@ -41,7 +41,7 @@ const { fround } = Math;
  * @property {number} shDegree
  * @property {boolean} antialias
  * @property {number} nearM metres
- * @property {number[]} cameraNearM metres, at each camera; empty where it is `nearM` at all
+ * @property {number[]} cameraNearM metres, at each camera; empty if it is `nearM` at all cameras
  * @property {number[][]} bounds lower and upper corner, metres
  * @property {import("./camera.js").Camera[]} cameras
  * @property {import("./camera.js").Camera} defaultCamera
@@ -52,13 +52,13 @@ const { fround } = Math;
  * @property {string} title
  * @property {number} captureFrame
  * @property {SlotLayout} layout
- * @property {unknown} sound sources, not looked at yet
- * @property {unknown} captions not looked at yet
- * @property {string[]} parts what each segment has an object of, in the order of the index
+ * @property {unknown} sound sources, not checked yet
+ * @property {unknown} captions not checked yet
+ * @property {string[]} parts names of the objects of each segment, in the order of the index
  */
 
 /**
- * The manifest in `bytes`. Throws a FormatError.
+ * Reads the manifest in `bytes`. Throws a FormatError.
  * @param {Uint8Array} bytes
  * @returns {Manifest}
  */
@@ -122,7 +122,7 @@ export function readManifest(bytes) {
 
 /**
  * Throws a FormatError if a stream has more Gaussians than a page should hold: a stream of a few
- * kilobytes may have 2^24. To be called before anything is decoded, or allocated by these counts.
+ * kilobytes may declare 2^24. To be called before anything is decoded or allocated.
  * @param {Manifest} manifest
  * @param {number | null} maxGaussians null for the default
  * @param {string} name
@@ -138,7 +138,7 @@ export function checkGaussians({ numGs, shDegree }, maxGaussians, name) {
 }
 
 /**
- * Where the object of a part is fetched, relative to the manifest.
+ * The address of a part's object, relative to the manifest.
  * @param {Manifest} manifest
  * @param {number} segment
  * @param {string} part
@@ -236,7 +236,7 @@ function readFps(value) {
 }
 
 /**
- * A number over 0.
+ * Checks that a number is above 0.
  * @param {number} found
  * @param {string} what
  */
@@ -275,7 +275,7 @@ function readPicture(value, what) {
   if (numBytes > MAX_POSTER_BYTES || /[\u0000-\u001f\u007f]/.test(path)) {
     throw corrupt(`manifest: ${what} is too long or contains a control character`);
   }
-  // A reader goes without one that leads out of the stream's folder: `//` would begin another host.
+  // A path that leads out of the stream's folder is ignored: `//` would begin another host.
   const leadsOut = path.split("/").some((part) => part === "" || part === "..");
   return leadsOut || !/[^/]\.(jpe?g|png|webp)$/i.test(path) ? null : path;
 }

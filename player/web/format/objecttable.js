@@ -1,4 +1,4 @@
-/** An object: the packets of one part of a segment, behind a table (FORMAT.md, section 6). */
+/** An object: a table, then the packets of one part of a segment (FORMAT.md, section 6). */
 
 import {
   CODERS,
@@ -14,11 +14,11 @@ import { ByteReader, isMagic } from "./bytes/bytereader.js";
 import { corrupt, unsupported } from "./bytes/errors.js";
 import { isOfCoder } from "./packet.js";
 
-/** Bytes of the head behind the count of those that follow, and of an entry. */
+/** Bytes of the head after its size field, and of an entry. */
 const [HEAD_BYTES, ENTRY_BYTES] = [12, 12];
 
 /**
- * The packets of an object by birth, in order. Throws a FormatError.
+ * Reads the packets of an object, by birth in order. Throws a FormatError.
  * @param {Uint8Array} bytes
  * @returns {{ coder: number, packets: Map<number, Uint8Array> }}
  */

@@ -1,4 +1,4 @@
-/** A packed stream: one file with all files of a stream, at places that follow from its beginning. */
+/** A packed stream: one file with all files of a stream; its beginning determines their places. */
 
 import {
   MAX_CAPTIONS,
@@ -19,24 +19,24 @@ import { corrupt, unsupported } from "./bytes/errors.js";
 
 const MANIFEST_NAME = "manifest.json";
 const INDEX_NAME = "index.bin";
-/** Bytes of a local header without the name, and of that of `.tracks`. */
+/** Bytes of a local header without the name, and of the whole header of `.tracks`. */
 const [LOCAL_BYTES, TRACKS_LOCAL_BYTES] = [30, 37];
 
 /**
- * A run of bytes of the file.
+ * A byte range of the file.
  * @typedef {object} Place
  * @property {number} first
  * @property {number} size
  */
 
 /**
- * The sizes that only the beginning of the file says.
+ * The sizes that are stored only at the beginning of the file.
  * @typedef {object} PackedHead
  * @property {Place} manifest
  * @property {Place} index
  * @property {Place} tracks the table of the sizes of captions and sound; empty without any
  * @property {number} posterBytes 0 for none
- * @property {number} storyboardBytes 0 for none, and for one that is the poster as well
+ * @property {number} storyboardBytes 0 for none, or if the storyboard is the poster
  */
 
 /** The size of the local header of a file. @param {string} name */
@@ -45,8 +45,8 @@ function localBytes(name) {
 }
 
 /**
- * What stands at the beginning of a packed stream. Throws a FormatError.
- * @param {Uint8Array} bytes the first ones of it
+ * Reads the beginning of a packed stream. Throws a FormatError.
+ * @param {Uint8Array} bytes the first bytes of the file
  * @returns {PackedHead}
  */
 export function readPackedHead(bytes) {
@@ -67,7 +67,7 @@ export function readPackedHead(bytes) {
   const hasTracks = version === PACKED_TRACKS_VERSION;
   if (!(version === PACKED_VERSION || hasTracks) || reserved !== 0)
     throw unsupported(`packed stream: unknown layout ${version}`);
-  // Where this is not as long as its layout says, nothing is found where it should be.
+  // If the file lacks the table that its layout declares, everything after it would be misplaced.
   const tracksBytes = hasTracks ? reader.u32() : 0;
   if (hasTracks && tracksBytes === 0) throw corrupt("packed stream: an empty table of sizes");
   if (manifestBytes !== storedBytes || !(manifestBytes > 0 && manifestBytes <= MAX_MANIFEST_BYTES))
@@ -103,7 +103,7 @@ function names(value, key, most) {
   return found.map((one) => one?.[key]);
 }
 
-/** Where everything else lies. */
+/** The places of all other files. */
 export class PackedLayout {
   /**
    * @param {PackedHead} head
@@ -115,7 +115,7 @@ export class PackedLayout {
     this.manifest = manifest;
     this.records = records;
     const layers = Array.from({ length: manifest.numLayers }, (_, layer) => layer);
-    /** As they lie in a segment: a player of n layers needs what is side by side. */
+    /** In the order of a segment: the parts that a player of n layers needs are adjacent. */
     this.parts = [
       ...layers.map((layer) => `snapshot-${layer}`).reverse(),
       "masks",
@@ -143,7 +143,7 @@ export class PackedLayout {
     }
     for (const language of names(manifest.captions, "language", MAX_CAPTIONS))
       add(`captions-${language}.vtt`, sizes.u32());
-    /** Where the parts of each segment begin. */
+    /** Start of each segment's parts. */
     this.starts = records.map((record) => {
       for (const name of sources) add(pathOf(record, SOUND_PREFIX + name), sizes.u32());
       const start = at;
@@ -152,7 +152,7 @@ export class PackedLayout {
       return start;
     });
     sizes.finish();
-    /** Where the objects end. */
+    /** End of the objects. */
     this.endByte = at;
   }
 

@@ -1,4 +1,4 @@
-/** A packet is one chunk, compressed (FORMAT.md, section 6). The browser inflates gzip by itself. */
+/** A packet is one chunk, compressed (FORMAT.md, section 6). Browsers can inflate gzip natively. */
 
 import { CODERS, GZIP_MAGIC, MAX_CHUNK_BYTES, MAX_EXPANSION, ZSTD_MAGIC } from "../constants.js";
 import { corrupt, FormatError, unsupported } from "./bytes/errors.js";
@@ -6,7 +6,7 @@ import { corrupt, FormatError, unsupported } from "./bytes/errors.js";
 const LEAST_BYTES = 18;
 
 /**
- * The chunk of one packet takes this much at most.
+ * Maximum size of the chunk in a packet.
  * @param {import("./manifest.js").Manifest} manifest
  * @param {string} part
  */
@@ -21,14 +21,14 @@ export function isGzip(packet) {
   return isOfCoder(packet, CODERS.GZIP);
 }
 
-/** Whether a packet begins as those of `coder` do. @param {Uint8Array} packet @param {number} coder */
+/** Whether a packet begins like those of `coder`. @param {Uint8Array} packet @param {number} coder */
 export function isOfCoder(packet, coder) {
   const start = coder === CODERS.GZIP ? GZIP_MAGIC : ZSTD_MAGIC;
   return start.every((byte, i) => packet[i] === byte);
 }
 
 /**
- * The chunk in a gzip packet; no bytes in one of no bytes. Memory stays within the limit.
+ * Inflates the chunk in a gzip packet; an empty packet gives an empty chunk. Memory stays within the limit.
  * @param {Uint8Array} packet
  * @param {number} limitBytes
  * @returns {Promise<Uint8Array>} rejects with a FormatError
@@ -63,7 +63,7 @@ export async function inflatePacket(packet, limitBytes) {
 }
 
 /**
- * What a gzip packet says it inflates to.
+ * The inflated size that a gzip packet states.
  * @param {Uint8Array} packet
  * @param {number} limitBytes
  */

@@ -10,7 +10,7 @@ const INT32_END = 2 ** 31;
 /** @typedef {import("../constants.js").PlayRecord} PlayRecord */
 
 /**
- * The record in `body`, which comes without its length. Throws a FormatError.
+ * Decodes the record in `body`, given without its length prefix. Throws a FormatError.
  * @param {Uint8Array} body
  * @returns {PlayRecord}
  */
@@ -120,7 +120,7 @@ function firstLayer(map, packets) {
   return first;
 }
 
-/** Turns the bytes of a response, in any pieces, into records. Holds at most one that is not whole. */
+/** Parses a response's bytes, in pieces of any size, into records. Buffers at most one partial record. */
 export class RecordParser {
   constructor() {
     /** @type {Uint8Array[]} */
@@ -129,7 +129,7 @@ export class RecordParser {
   }
 
   /**
-   * The records that `data` completes, in order. After it threw feed nothing more.
+   * The records that `data` completes, in order. After an exception, the parser must not be used further.
    * @param {Uint8Array} data
    * @returns {PlayRecord[]}
    */
@@ -149,7 +149,7 @@ export class RecordParser {
   }
 
   /**
-   * The first bytes that are pending, without a copy of the rest.
+   * The first pending bytes, without copying the rest.
    * @param {number} size
    */
   #peek(size) {

@@ -11,7 +11,7 @@ import { MAX_STORYBOARD_TILES, STORYBOARD_COLUMNS, STORYBOARD_PER_S } from "../c
  */
 
 /**
- * Where the tiles of a stream's storyboard lie.
+ * The arrangement of the tiles in a stream's storyboard.
  * @param {number} numFrames
  * @param {number} fps
  * @returns {StoryboardLayout}

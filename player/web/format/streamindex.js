@@ -18,17 +18,17 @@ import { corrupt } from "./bytes/errors.js";
  * @property {number} numFrames
  * @property {number[]} psnrDb of layers 0 .. n together; NaN where unknown
  * @property {number[]} objectBytes of each part, in the order of `Manifest.parts`
- * @property {Uint8Array[]} objectSha256 the same
+ * @property {Uint8Array[]} objectSha256 of each part, in the same order
  */
 
-/** Bytes of a record. @param {import("./manifest.js").Manifest} manifest */
+/** Size of a record. @param {import("./manifest.js").Manifest} manifest */
 export function recordBytes(manifest) {
   return 60 + 84 * manifest.numLayers;
 }
 
 /**
- * The whole records in `bytes`, of which the first is that of `firstSegment`; a last one that is cut
- * short or all zeros is left out. Throws a FormatError.
+ * Reads the complete records in `bytes`, beginning with that of `firstSegment`. A last record that is cut
+ * short or all zeros is omitted. Throws a FormatError.
  * @param {Uint8Array} bytes
  * @param {import("./manifest.js").Manifest} manifest
  * @param {number} [firstSegment]

@@ -4,7 +4,7 @@ import { corrupt } from "./errors.js";
 export class BitReader {
   /**
    * @param {Uint8Array} bytes
-   * @param {number} numBits that are used; the bytes must be just as many, and the rest of the last one 0
+   * @param {number} numBits number of used bits; `bytes` must have exactly that size, padded with zero bits
    * @param {string} what named in errors
    */
   constructor(bytes, numBits, what) {

@@ -1,6 +1,6 @@
 import { corrupt } from "./errors.js";
 
-/** Whether bytes are a text of single bytes. @param {Uint8Array} bytes @param {string} magic */
+/** Whether bytes are equal to a text of single bytes. @param {Uint8Array} bytes @param {string} magic */
 export function isMagic(bytes, magic) {
   return String.fromCharCode(...bytes) === magic;
 }
@@ -8,7 +8,7 @@ export function isMagic(bytes, magic) {
 /** @type {Map<string, string[]>} */
 const layouts = new Map();
 
-/** The codes of a layout, one for each value; of bytes their number. @param {string} format */
+/** The codes of a layout, one for each value; for bytes, their number. @param {string} format */
 function codesOf(format) {
   let codes = layouts.get(format);
   if (codes === undefined) {
@@ -21,7 +21,7 @@ function codesOf(format) {
   return codes;
 }
 
-/** Reads little-endian numbers one after another. Throws a FormatError where the bytes end. */
+/** Reads little-endian numbers one after another. Throws a FormatError at the end of the bytes. */
 export class ByteReader {
   /**
    * @param {Uint8Array} bytes
@@ -77,7 +77,7 @@ export class ByteReader {
   }
 
   /**
-   * The values of a layout as Python's struct writes it: of `s` the bytes, of the others numbers.
+   * The values of a layout in the notation of Python's struct: bytes for `s`, otherwise numbers.
    * @param {string} format
    * @returns {any[]}
    */
@@ -102,7 +102,7 @@ export class ByteReader {
     });
   }
 
-  /** A u64 as a number; what is above 2^53 is not exact, and above every bound of the format. */
+  /** A u64 as a number; values above 2^53 are inexact, but exceed every bound of the format anyway. */
   u64() {
     const low = this.u32();
     return this.u32() * 2 ** 32 + low;
@@ -127,8 +127,8 @@ export class ByteReader {
   }
 
   /**
-   * Copied, because a view of four bytes must be aligned. Every machine that runs a browser is
-   * little-endian, as the stream is.
+   * A copy of the next 4 * count bytes, because typed arrays need alignment. Every machine that runs a
+   * browser is little-endian, like the stream.
    * @param {number} count
    */
   #copied(count) {

@@ -1,4 +1,4 @@
-/** Bytes that break a rule of codec/FORMAT.md, or whose meaning this reader does not know. */
+/** The bytes break a rule of codec/FORMAT.md, or this reader does not know their meaning. */
 export class FormatError extends Error {
   /**
    * @param {"corrupt" | "unsupported"} kind

@@ -1,10 +1,10 @@
-/** The values in manifest.json, each of the type that the format says. All throw a FormatError. */
+/** Reads values of manifest.json with the types of the format. All functions throw a FormatError. */
 
 import { MAX_TEXT_CHARS } from "../../constants.js";
 import { corrupt } from "./errors.js";
 
 /**
- * The value of a key that must be there.
+ * The value of a required key.
  * @param {unknown} value
  * @param {string} key
  * @returns {unknown}
@@ -28,7 +28,7 @@ export function number(value, what) {
 }
 
 /**
- * JavaScript cannot tell 3.0 from 3, so this takes both, where the format wants the second.
+ * Accepts 3.0 as well as 3, because JavaScript cannot distinguish them; the format allows only the latter.
  * @param {unknown} value
  * @param {number} least
  * @param {number} most
@@ -52,7 +52,7 @@ export function text(value, what) {
   return value;
 }
 
-/** Whether no surrogate stands alone. @param {string} value */
+/** Whether a text has no lone surrogate. @param {string} value */
 function isUnicode(value) {
   return !/\p{Surrogate}/u.test(value);
 }

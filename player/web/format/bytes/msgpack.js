@@ -1,11 +1,11 @@
-/** The small part of msgpack that play records are made of. */
+/** Reads the small part of msgpack that play records use. */
 
 import { MAX_ITEMS, MAX_KEYS, MAX_TEXT_BYTES } from "../../constants.js";
 import { corrupt } from "./errors.js";
 
 /**
- * One map with texts as keys; no value is a map, and arrays hold bytes only. Throws a FormatError.
- * Bytes are views.
+ * Reads one map with texts as keys; no value is a map, and arrays contain bytes only. Bytes are returned as
+ * views. Throws a FormatError.
  * @param {import("./bytereader.js").ByteReader} reader
  * @returns {Map<string, unknown>}
  */
@@ -57,7 +57,7 @@ const BY_TYPE = [
   [0xc0, () => null],
   [0xc2, () => false],
   [0xc3, () => true],
-  // No key of a record holds a float, and JavaScript cannot tell 1.0 from 1.
+  // Floats become null: no key of a record has a float value, and JavaScript cannot tell 1.0 from 1.
   [0xca, (reader) => (reader.take(4), null)],
   [0xcb, (reader) => (reader.take(8), null)],
   [0xcc, (reader) => reader.u8()],
@@ -77,7 +77,7 @@ const BY_TYPE = [
 const READERS = new Map(BY_TYPE);
 
 /**
- * The next bytes, of which msgpack has the highest first.
+ * A view of the next bytes; msgpack is big-endian.
  * @param {import("./bytereader.js").ByteReader} reader
  * @param {number} size
  */
@@ -118,7 +118,7 @@ function array(reader, size) {
   if (size > MAX_ITEMS) throw corrupt(`play: a list of ${size} items is too long`);
   const items = [];
   for (let i = 0; i < size; i++) {
-    // Looked at before it is read: a list in a list could go down to any depth.
+    // The type is checked before the item is read, because nested lists could have any depth.
     const read = BYTES.get(reader.u8());
     if (read === undefined) throw corrupt("play: a list item is not bytes");
     items.push(read(reader));

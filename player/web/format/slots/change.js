@@ -1,4 +1,4 @@
-/** A change: what a slice brings to one layer (FORMAT.md, section 10). */
+/** A change: the new data of a slice for one layer (FORMAT.md, section 10). */
 
 import {
   CHANGE_COUNTS,
@@ -17,11 +17,11 @@ import { CHANGE, expectChunk, readSlotHead } from "./slotchunk.js";
  * @typedef {object} Change
  * @property {Int32Array} moves (P, 3) differences of positions, in steps
  * @property {Uint8Array} turns (P, A) differences of attributes, modulo 256
- * @property {Int32Array} positions (N, 3) of the new, in steps
- * @property {Uint8Array} attributes (N, A) of the new; two's complement, the opacity unsigned
+ * @property {Int32Array} positions (N, 3) of new Gaussians, in steps
+ * @property {Uint8Array} attributes (N, A) of new Gaussians; two's complement, the opacity unsigned
  * @property {Uint8Array} startOffsets (N) frames after the birth
- * @property {Uint32Array} escapes (E) which of the new are not on the lattice
- * @property {import("../gaussians.js").Gaussians} floats (E) what those are
+ * @property {Uint32Array} escapes (E) indices of the new Gaussians that are not on the lattice
+ * @property {import("../gaussians.js").Gaussians} floats (E) those Gaussians
  */
 
 /**
@@ -29,9 +29,9 @@ import { CHANGE, expectChunk, readSlotHead } from "./slotchunk.js";
  * @param {import("./slotlayout.js").SlotLayout} layout
  * @param {number} layer
  * @param {number} birth
- * @param {Uint8Array} bytes none: nothing changes
- * @param {number} numPredicted what the mask says
- * @param {number} numNew what the mask says
+ * @param {Uint8Array} bytes empty if nothing changes
+ * @param {number} numPredicted as counted in the mask
+ * @param {number} numNew as counted in the mask
  * @returns {Change}
  */
 export function decodeChange(layout, layer, birth, bytes, numPredicted, numNew) {
@@ -50,7 +50,7 @@ export function decodeChange(layout, layer, birth, bytes, numPredicted, numNew) 
 }
 
 /**
- * The change that fills the rest of `body`.
+ * Reads the change that fills the rest of `body`.
  * @param {import("./slotlayout.js").SlotLayout} layout
  * @param {number} layer
  * @param {ByteReader} body

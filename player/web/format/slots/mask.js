@@ -1,4 +1,4 @@
-/** The mask of a slice: what becomes of each slot of its lane (FORMAT.md, section 9). */
+/** The mask of a slice: the status of each slot of its lane (FORMAT.md, section 9). */
 
 import {
   CONTEXTS,
@@ -60,12 +60,12 @@ class BitDecoder {
 }
 
 /**
- * The statuses in the mask of the slice born at `birth`, of all layers (numSlots); without bytes
- * all are kept. Throws a FormatError.
+ * Decodes the mask of the slice born at `birth`: the statuses of all layers (numSlots). With an empty mask,
+ * all slots are kept. Throws a FormatError.
  * @param {import("./slotlayout.js").SlotLayout} layout
  * @param {number} birth
  * @param {Uint8Array} bytes
- * @param {Uint8Array} history (numSlots) what `MaskHistory.of(birth)` gives
+ * @param {Uint8Array} history (numSlots) from `MaskHistory.of(birth)`
  */
 export function decodeMask(layout, birth, bytes, history) {
   const statuses = new Uint8Array(layout.numSlots);
@@ -76,7 +76,7 @@ export function decodeMask(layout, birth, bytes, history) {
   const decoder = new BitDecoder(body);
   let i = 0;
   for (const count of layout.slots) {
-    let before = 0; // bit 0: the slot before is not kept; bits 1 and 2: those before that
+    let before = 0; // bit 0: the previous slot is not kept; bits 1 and 2: the two slots before it
     for (const end = i + count; i < end; i++) {
       const h = history[i];
       const near = ((before & 1) << 1) | ((before >> 1) & 1);
@@ -91,14 +91,14 @@ export function decodeMask(layout, birth, bytes, history) {
   return statuses;
 }
 
-/** Which slots earlier masks of a segment did not keep: the contexts of the masks to come. */
+/** Records which slots earlier masks of a segment did not keep; these are contexts of later masks. */
 export class MaskHistory {
   /** @param {import("./slotlayout.js").SlotLayout} layout */
   constructor(layout) {
     this.layout = layout;
-    /** 2 if not kept by the last mask of the lane, plus 1 if not by the one before that. */
+    /** 2 if not kept by the lane's last mask, plus 1 if not kept by the mask before it. */
     this.recent = Array.from({ length: layout.swinSize }, () => new Uint8Array(layout.numSlots));
-    /** @type {boolean[]} of each lane, whether a mask of it was missing */
+    /** @type {boolean[]} for each lane, whether one of its masks was missing */
     this.lost = new Array(layout.swinSize).fill(false);
   }
 
@@ -108,15 +108,15 @@ export class MaskHistory {
     return this.recent[this.layout.lane(birth)];
   }
 
-  /** Whether no mask that the one of `birth` is read with was missing. @param {number} birth */
+  /** Whether all earlier masks that the mask of `birth` depends on are known. @param {number} birth */
   isReadable(birth) {
     return birth === this.layout.segmentStart(birth) || !this.lost[this.layout.lane(birth)];
   }
 
   /**
-   * Takes in the mask of `birth`. That of a segment's first frame begins anew.
+   * Records the mask of `birth`. The mask of a segment's first frame resets the history.
    * @param {number} birth
-   * @param {Uint8Array | null} statuses null: it is missing
+   * @param {Uint8Array | null} statuses null if it is missing
    */
   note(birth, statuses) {
     if (birth === this.layout.segmentStart(birth)) {

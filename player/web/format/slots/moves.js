@@ -9,17 +9,17 @@ import {
 } from "../../constants.js";
 import { signed } from "./slots.js";
 
-/** Beside it: what was in the slot fades out. */
+/** Flag in addition to MOVES or ENTERS: the previous Gaussian of the slot fades out. */
 export const LEFT = 4;
 
-/** Gaussians that can fade out at once, of so many slots. @param {number} numSlots */
+/** Maximum number of Gaussians that can fade out at once. @param {number} numSlots of the stream */
 export function spareSlots(numSlots) {
   return Math.max(LEAST_SPARE, Math.floor(numSlots / SPARE_SHARE));
 }
 
 /**
- * How each slot that a slice changes comes to what it holds then: MOVES, ENTERS or 0 where nothing
- * shows yet, and LEFT (codec/halfway.py).
+ * The transition of each slot that a slice changes: MOVES, ENTERS, or 0 if nothing shows yet; possibly
+ * with LEFT (codec/halfway.py).
  * @param {import("./slots.js").Slots} slots before the slice
  * @param {import("./slots.js").Delta} delta
  * @param {Uint8Array} statuses of the slots
@@ -36,7 +36,7 @@ export function movesOf(slots, delta, statuses, lattice) {
 /** @typedef {Pick<import("./slots.js").Delta, "conditions" | "positions" | "attributes" | "starts">} States */
 
 /**
- * How slot `row` comes to state `d` of `next`, see `movesOf`.
+ * The transition of slot `row` to state `d` of `next`, see `movesOf`.
  * @param {import("./slots.js").Slots} slots
  * @param {number} row
  * @param {States} next
@@ -52,7 +52,7 @@ export function moveOf(slots, row, next, d, isSame, lattice) {
 }
 
 /**
- * Whether a Gaussian goes farther than JUMP_SIGMAS along its longest axis.
+ * Whether a Gaussian moves farther than JUMP_SIGMAS standard deviations along its longest axis.
  * @param {import("./slots.js").Slots} slots
  * @param {number} row
  * @param {States} next

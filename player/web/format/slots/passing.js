@@ -1,6 +1,6 @@
 /**
- * Passing slices: what shows in one frame and leaves the slots as they were (FORMAT.md, 2.1 and 10.5).
- * Loaded for streams with a temporal layer, as few have one.
+ * Passing slices: they change what one frame shows, but not the slots (FORMAT.md, 2.1 and 10.5).
+ * This module is loaded only for streams with a temporal layer, which are few.
  */
 
 import { ENDED, NEW, ON_LATTICE, PREDICTED } from "../../constants.js";
@@ -12,33 +12,33 @@ import { PASSING, expectChunk, readSlotHead } from "./slotchunk.js";
 import { changedRows, signed } from "./slots.js";
 
 /** @typedef {import("./slots.js").Slots} Slots */
-// Types that the class below inherits: the npm package names them.
+// Types that the class below inherits, imported because the npm package's declarations name them.
 /** @typedef {import("./slotdecoder.js").SlotSlice} SlotSlice */
 /** @typedef {import("./slotdecoder.js").Log} Log */
 /** @typedef {import("./slotdecoder.js").Said} Said */
 
 /**
- * A passing slice, and what its frame shows.
+ * A passing slice, and the slots that its frame shows.
  * @typedef {object} Passing
  * @property {number} birth
  * @property {Uint8Array[]} parts the statuses of each layer
  * @property {(Uint8Array | null)[]} changes of each layer that has slots
- * @property {Next | null} next if it stands for a missing one: the slice to which slots are on their way
+ * @property {Next | null} next if the slice is interpolated for a missing one: the slice it leads to
  * @property {Slots[]} slots
  */
 
 /**
- * The slice after a passing one that is missing; `changes` are those of it then.
+ * The slice after a missing passing slice; `Passing.changes` are then those of this slice.
  * @typedef {object} Next
  * @property {number} birth
  * @property {Uint8Array[]} parts the statuses of each layer
- * @property {number} share of the way
+ * @property {number} share of the motion to it that is over
  */
 
 /**
- * The decoder of a stream with a temporal layer.
- * @param {typeof import("./slotdecoder.js").SlotDecoder} Decoder of any other stream
- * @param {typeof FormatError} Refusal its FormatError
+ * Makes the decoder class for streams with a temporal layer.
+ * @param {typeof import("./slotdecoder.js").SlotDecoder} Decoder the decoder class of other streams
+ * @param {typeof FormatError} Refusal the FormatError of that class
  */
 export function passingDecoder(Decoder, Refusal) {
   /** @template T @param {() => T} action @returns {T} */
@@ -52,9 +52,9 @@ export function passingDecoder(Decoder, Refusal) {
   };
 
   return class extends Decoder {
-    /** @type {Passing | null} what shows if the last slice passes */
+    /** @type {Passing | null} the last slice, if it is a passing one */
     passing = null;
-    /** @type {Uint8Array | null} what the mask in the last slice is read with, if that has not come */
+    /** @type {Uint8Array | null} mask history for the last passing slice, if that is missing */
     #historyOfMissing = null;
 
     /**
@@ -90,7 +90,7 @@ export function passingDecoder(Decoder, Refusal) {
         const parts = [passing, before].flatMap((one) => one?.parts[layer] ?? []);
         if (!parts.some((part) => part.some(Boolean))) return own;
         const all = joined(own, parts);
-        // What late bytes altered does not move, nor what a passing slice did not fit any more.
+        // Slots altered by late bytes do not move, nor do slots that a passing slice no longer fits.
         const isKnown = moves?.[layer].length === own.length;
         if (moves === undefined || !isKnown) return all;
         const slots = passing?.slots[layer] ?? this.lanes[0][layer];
@@ -135,7 +135,7 @@ export function passingDecoder(Decoder, Refusal) {
     }
 
     /**
-     * Shows a passing slice whose frame shows already.
+     * Applies a late passing slice whose frame shows already.
      * @param {number} birth
      * @param {Uint8Array} bytes
      */
@@ -162,7 +162,7 @@ export function passingDecoder(Decoder, Refusal) {
       return used;
     }
 
-    /** Shows a layer upon its slots, which may be others; it is of no use if it does not fit them. @param {number} layer */
+    /** Shows a layer again after its slots changed; ignored if it no longer fits them. @param {number} layer */
     #showAgain(layer) {
       if (this.passing === null) return;
       try {
@@ -176,7 +176,7 @@ export function passingDecoder(Decoder, Refusal) {
 
 const none = new Uint8Array();
 
-/** The slots beside `own` that any of `parts` does not keep, too. @param {Uint32Array} own @param {Uint8Array[]} parts */
+/** Adds all slots that `parts` do not keep. @param {Uint32Array} own @param {Uint8Array[]} parts */
 function joined(own, parts) {
   const changed = new Uint8Array(parts[0].length);
   for (const row of own) changed[row] = 1;
@@ -184,7 +184,7 @@ function joined(own, parts) {
   return changedRows(changed);
 }
 
-/** Whether bytes were refused: a bundle has a class of errors beside the decoder's. @param {unknown} error */
+/** Whether bytes were refused. `instanceof` fails across bundles. @param {unknown} error */
 function isFormatError(error) {
   return error instanceof Error && error.name === "FormatError";
 }
@@ -198,11 +198,11 @@ function byLayer(decoder, statuses) {
 }
 
 /**
- * The passing slice in `bytes`; null without any. Throws a FormatError.
+ * Decodes the passing slice in `bytes`; null if they are empty. Throws a FormatError.
  * @param {SlotDecoder} decoder
  * @param {number} birth
  * @param {Uint8Array} bytes
- * @param {Uint8Array} history what `MaskHistory.of(birth)` gave before the slice
+ * @param {Uint8Array} history from `MaskHistory.of(birth)`, before the slice
  * @returns {Passing | null}
  */
 function decodePassing(decoder, birth, bytes, history) {
@@ -225,7 +225,7 @@ function decodePassing(decoder, birth, bytes, history) {
 }
 
 /**
- * Shows a layer of a passing slice upon the slots as they are. Throws a FormatError.
+ * Applies a layer of a passing slice to the current slots, for display. Throws a FormatError.
  * @param {SlotDecoder} decoder
  * @param {Passing} passing
  * @param {number} layer
@@ -262,11 +262,11 @@ function deltaOf({ layout, lanes }, birth, layer, statuses, bytes) {
 }
 
 /**
- * How the slots in `rows` come from what they showed to what they show, see `movesOf`.
+ * The transitions of the slots in `rows` between two shown states, see `movesOf`.
  * @param {Slots} before
  * @param {Slots} after
  * @param {Uint32Array} rows
- * @param {Uint8Array[]} parts statuses of the slices that lie between
+ * @param {Uint8Array[]} parts statuses of the slices between the two states
  * @param {import("./slotlayout.js").Lattice} lattice
  */
 function movesBetween(before, after, rows, parts, lattice) {
@@ -279,15 +279,15 @@ function movesBetween(before, after, rows, parts, lattice) {
       if (part[row] === NEW) numNew++;
       else if (part[row] === ENDED) isSame = false;
     }
-    // All count from the slots that stay: a Gaussian that is new in two of them may be the same.
+    // All parts refer to the same lasting slots, so a slot that is new in two parts may show one Gaussian.
     moves[i] = moveOf(before, row, after, row, isSame && numNew !== 1, lattice);
   }
   return moves;
 }
 
 /**
- * What stands for a passing slice that is missing: what goes on is on its way to the next slice.
- * Null if that is not here, or cannot be read, of which its own turn tells.
+ * A replacement for a missing passing slice: predicted Gaussians are part of the way to the next slice.
+ * Null if that slice is missing or corrupt; a corrupt one is reported when it is applied itself.
  * @param {SlotDecoder} decoder
  * @param {number} birth
  * @param {import("./slotdecoder.js").Ahead} [ahead]
@@ -317,13 +317,13 @@ function interpolated(decoder, birth, ahead) {
 }
 
 /**
- * The slots when `share` of the way to `delta` is over.
+ * The slots at `share` of the motion to `delta`.
  * @param {Slots} stays
  * @param {Uint8Array} statuses
  * @param {import("./slots.js").Delta} delta
  * @param {import("./slotlayout.js").Lattice} lattice
  * @param {number} share
- * @param {Uint8Array} part takes PREDICTED for those that move
+ * @param {Uint8Array} part set to PREDICTED for the slots that move
  */
 function moved(stays, statuses, delta, lattice, share, part) {
   const made = stays.copy();
@@ -343,7 +343,7 @@ function moved(stays, statuses, delta, lattice, share, part) {
     let turned = 0;
     for (let n = 3; n < 6; n++)
       turned += signed(stays.attributes[first + n]) * signed(delta.attributes[last + n]);
-    // w is never negative: of a rotation that passes w = 0 the other numbers change their signs.
+    // w is never negative, so the other numbers change their signs when a rotation passes w = 0.
     const flips = turned * lattice.rotation ** 2 < -0.5;
     for (let n = 0; n < width - 1; n++) {
       if (flips && n >= 3 && n < 6) continue;

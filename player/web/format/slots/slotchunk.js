@@ -16,7 +16,7 @@ const NAMES = Object.keys(CHUNK_KINDS).map((name) => name.toLowerCase());
  */
 
 /**
- * The head of a chunk where one of this kind belongs.
+ * Reads the head of a chunk that must have the given kind. Throws a FormatError.
  * @param {Uint8Array} bytes
  * @param {number} kind
  * @returns {SlotHead}
@@ -36,7 +36,7 @@ export function readSlotHead(bytes, kind) {
 }
 
 /**
- * Throws unless the chunk is the one that belongs here.
+ * Throws a FormatError unless the chunk has the expected birth and layer.
  * @param {SlotHead} head
  * @param {number} birth
  * @param {number} layer

@@ -1,4 +1,4 @@
-/** Masks, changes and snapshots to what a reader holds (FORMAT.md, section 7). */
+/** Decodes masks, changes and snapshots to the state of the slots (FORMAT.md, section 7). */
 
 import { LOG_SHARE, MIN_LOG_BYTES, NEW, PREDICTED, UNKNOWN } from "../../constants.js";
 import { decodeChange } from "./change.js";
@@ -9,40 +9,40 @@ import { changedRows, Slots } from "./slots.js";
 import { decodeSnapshot } from "./snapshot.js";
 
 /**
- * What a slice said of a layer, and the bytes of its change; null: they are missing.
+ * The statuses of a slice for a layer, and the bytes of its change; null if the change is missing.
  * @typedef {{ statuses: Uint8Array, change: Uint8Array | null }} Said
  */
 
 /**
- * A layer of a lane since something of it was missing: the slices to apply again when it comes.
+ * The history of a layer of a lane since data went missing: the slices to apply again when it arrives.
  * @typedef {object} Log
  * @property {Slots | null} before the slots before those slices; null if all were unknown
  * @property {Map<number, Said>} since by birth, every slice of the lane since then
  */
 
 /**
- * What changed in a lane since it was handed out last.
+ * The changes in a lane since it was last returned.
  * @typedef {object} SlotSlice
  * @property {number} birth
  * @property {number} lane
- * @property {Uint32Array[]} rows the slots of each layer
- * @property {Uint8Array[]} [moves] how they came to what they hold, see `movesOf`; fewer where it is not
- *   known, and none of a whole window, or of a slice that does not show
- * @property {Slots[]} [slots] what shows of the layers, if it is not the lane itself
+ * @property {Uint32Array[]} rows the changed slots of each layer
+ * @property {Uint8Array[]} [moves] their transitions, see `movesOf`; an empty array for a layer where they
+ *   are unknown; absent for a whole window, or for a slice that does not show
+ * @property {Slots[]} [slots] the shown slots of each layer, if they are not those of the lane
  */
 
 /**
- * The chunks of slices that come later, by birth.
+ * The received chunks of later slices, by birth.
  * @typedef {object} Ahead
  * @property {Map<number, Uint8Array>} masks
  * @property {Map<number, (Uint8Array | null)[]>} changes of each layer
  */
 
 /**
- * What a reader holds of the slots of layers 0 .. numLayers - 1, from one frame to the next.
+ * The state of the slots of layers 0 .. numLayers - 1, from one frame to the next.
  *
  * Load the snapshots of a segment's first frame, then apply the slices born after it one by one. To
- * seek, make another one. Whatever throws leaves everything as it was. Bytes that are handed in are
+ * seek, make a new decoder. A call that throws leaves the state unchanged. Bytes that are passed in are
  * kept as long as a late packet may need them.
  */
 export class SlotDecoder {
@@ -53,24 +53,24 @@ export class SlotDecoder {
   constructor(layout, numLayers = layout.numLayers) {
     this.layout = layout;
     this.numLayers = numLayers;
-    /** Where the slots of each layer begin in a lane. */
+    /** First slot of each layer within a lane. */
     this.rowEdges = [0];
     for (const count of layout.slots)
       this.rowEdges.push(this.rowEdges[this.rowEdges.length - 1] + count);
-    /** @type {number | null} birth of the slice that was applied last */
+    /** @type {number | null} birth of the last applied slice */
     this.frame = null;
-    /** @type {Slots[][]} lane after lane, layer after layer */
+    /** @type {Slots[][]} by lane and layer */
     this.lanes = Array.from({ length: layout.swinSize }, () => this.#unknownLane());
     this.history = new MaskHistory(layout);
-    /** @type {Uint8Array | null} statuses of the slice that was applied last; null: its mask is missing */
+    /** @type {Uint8Array | null} statuses of the last applied slice; null if its mask is missing */
     this.statuses = null;
-    /** Layers of which frames are missing, but nothing else. */
+    /** Number of layers that lack only the current frame: 1 for a missing passing slice. */
     this.numMissing = 0;
     /** @type {Map<string, Log>} by lane and layer, the oldest first */
     this.logs = new Map();
     /** @type {Map<number, Uint8Array>} statuses of this segment's slices, for late snapshots */
     this.said = new Map();
-    /** @type {Map<string, Uint8Array>} by lane and layer, what late bytes altered since the last slice */
+    /** @type {Map<string, Uint8Array>} by lane and layer, slots altered by late bytes since the last slice */
     this.pending = new Map();
   }
 
@@ -80,11 +80,11 @@ export class SlotDecoder {
   }
 
   /**
-   * Takes in a snapshot, in place of what is here of its layer. It may come late.
+   * Loads a snapshot, which replaces the state of its layer. It may arrive late.
    * @param {Uint8Array} bytes
-   * @param {number} [layer] which it should be of
-   * @param {number} [frame] which it should be of
-   * @returns {boolean} whether it is of use
+   * @param {number} [layer] the expected one
+   * @param {number} [frame] the expected one
+   * @returns {boolean} whether it was used
    */
   load(bytes, layer, frame) {
     const snapshot = decodeSnapshot(this.layout, bytes);
@@ -117,8 +117,8 @@ export class SlotDecoder {
   }
 
   /**
-   * Whether a snapshot from before `births` adds to a layer of a lane: something is unknown that did
-   * not go missing since, and no mask is missing.
+   * Whether a snapshot from before `births` improves a layer of a lane: some slots were already unknown
+   * before `births`, and no mask is missing.
    * @param {number} lane
    * @param {number} layer
    * @param {number[]} births
@@ -136,7 +136,7 @@ export class SlotDecoder {
   }
 
   /**
-   * Puts `slots` in place of a layer of a lane, and applies what is known of `births`.
+   * Replaces a layer of a lane by `slots`, and applies the known slices of `births`.
    * @param {number} lane
    * @param {number} layer
    * @param {Slots} slots
@@ -158,12 +158,12 @@ export class SlotDecoder {
   }
 
   /**
-   * Goes on by the slice born at `birth`, which follows the last one.
+   * Applies the slice born at `birth`, which must follow the last one.
    * @param {number} birth
-   * @param {Uint8Array | null} mask null: it is missing, and all slots of the lane are unknown
-   * @param {(Uint8Array | null)[]} changes of layers 0, 1, ...; null for one that is missing, which
-   *   may come late; layers behind the last are not expected
-   * @param {Ahead} [ahead] none if a later slice is applied before anything shows
+   * @param {Uint8Array | null} mask null if it is missing: all slots of the lane become unknown
+   * @param {(Uint8Array | null)[]} changes of layers 0, 1, ...; null for a missing one, which may arrive
+   *   late; changes of further layers are not expected
+   * @param {Ahead} [ahead] absent if the slice itself does not show
    * @returns {SlotSlice}
    */
   apply(birth, mask, changes, ahead) {
@@ -193,7 +193,7 @@ export class SlotDecoder {
   }
 
   /**
-   * Whether `apply` would take a change; else throws a FormatError.
+   * Whether `apply` would accept a change; otherwise throws a FormatError.
    * @param {number} birth
    * @param {Uint8Array | null} mask
    * @param {number} layer
@@ -208,11 +208,11 @@ export class SlotDecoder {
   }
 
   /**
-   * Takes in a change that was missing when its slice was applied.
+   * Applies a change that was missing when its slice was applied.
    * @param {number} birth
    * @param {number} layer
    * @param {Uint8Array} bytes
-   * @returns {boolean} whether it was still of use; the lane's next slice brings what it altered
+   * @returns {boolean} whether it was used; the lane's next slice then includes the altered slots
    */
   late(birth, layer, bytes) {
     const lane = this.layout.lane(birth);
@@ -227,7 +227,7 @@ export class SlotDecoder {
   }
 
   /**
-   * Notes that late bytes altered what the slots hold that are not kept.
+   * Notes that late bytes altered all slots that are not kept.
    * @param {number} lane
    * @param {number} layer
    * @param {Uint8Array} statuses
@@ -239,7 +239,7 @@ export class SlotDecoder {
   }
 
   /**
-   * All slots of the lane of `birth`, for a renderer that has nothing yet.
+   * All slots of the lane of `birth`, for a renderer without earlier data.
    * @param {number} birth
    * @returns {SlotSlice}
    */
@@ -249,7 +249,7 @@ export class SlotDecoder {
     return { birth, lane, rows };
   }
 
-  /** The window of the frame that was applied last; what `apply` gives follows on it. */
+  /** The whole window of the last applied frame; later results of `apply` continue from it. */
   handOut() {
     this.pending.clear();
     const { swinSize } = this.layout;
@@ -278,7 +278,7 @@ export class SlotDecoder {
   #goOn(birth, statuses) {
     if (birth === this.layout.segmentStart(birth)) {
       this.said.clear();
-      // The snapshots of the segment before can no longer come: only changes can.
+      // Snapshots of the previous segment can no longer be used, so only logs that wait for changes remain.
       for (const [at, log] of this.logs) if (!isWaiting(log)) this.logs.delete(at);
     } else if (statuses !== null) this.said.set(birth, statuses);
     this.frame = birth;
@@ -298,14 +298,14 @@ export class SlotDecoder {
       const pending = this.pending.get(key(lane, layer));
       if (pending === undefined) return changedRows(statuses);
       this.pending.delete(key(lane, layer));
-      if (moves) moves[layer] = new Uint8Array(); // what comes late does not move
+      if (moves) moves[layer] = new Uint8Array(); // late changes appear without motion
       return changedRows(pending.map((flag, i) => flag | statuses[i]));
     });
     return { birth, lane, rows, moves };
   }
 
   /**
-   * Logs what a late change or snapshot needs, before the slice is applied to `slots`.
+   * Logs the data that a late change or snapshot needs, before the slice is applied to `slots`.
    * @param {number} birth
    * @param {number} layer
    * @param {Slots} slots
@@ -323,7 +323,7 @@ export class SlotDecoder {
     while (this.logs.size > 0 && this.#isTooMuch(this.logBytes)) this.#shortenOldestLog();
   }
 
-  /** Gives up what only late packets of earlier segments need, or the whole log. */
+  /** Drops the part of the oldest log that only late packets of earlier segments need, or all of it. */
   #shortenOldestLog() {
     const [[at, { before, since }]] = this.logs;
     this.logs.delete(at);
@@ -336,7 +336,7 @@ export class SlotDecoder {
   }
 
   /**
-   * Drops the log of a layer of a lane that nothing late can alter.
+   * Drops the log of a layer of a lane if no late data can alter it.
    * @param {number} lane
    * @param {number} layer
    */
@@ -352,8 +352,8 @@ export class SlotDecoder {
    * @param {number} lane
    * @param {number} layer
    * @param {Log} log
-   * @param {number | null} checked the birth whose change throws if it does not fit; any other counts
-   *   as missing then
+   * @param {number | null} checked the birth whose change throws if it does not fit; any other change that
+   *   does not fit counts as missing
    */
   #replay(lane, layer, log, checked) {
     this.lanes[lane][layer] = this.#replayed(layer, log.before, log.since, checked);
@@ -362,7 +362,7 @@ export class SlotDecoder {
   }
 
   /**
-   * What `since` makes of the slots `before`; see `#replay`.
+   * The slots after applying `since` to `before`; see `#replay`.
    * @param {number} layer
    * @param {Slots | null} before
    * @param {Map<number, Said>} since
@@ -408,7 +408,7 @@ export class SlotDecoder {
     return statuses.subarray(this.rowEdges[layer], this.rowEdges[layer + 1]);
   }
 
-  /** Bytes kept only because changes, or the snapshots before them, may come late. */
+  /** Bytes kept only because changes, or the snapshots before them, may arrive late. */
   get logBytes() {
     let total = 0;
     for (const { before, since } of this.logs.values()) {
@@ -434,7 +434,7 @@ function key(lane, layer) {
   return `${lane}/${layer}`;
 }
 
-/** Whether a change is not here that would say something. @param {Said} said */
+/** Whether a non-empty change is missing. @param {Said} said */
 function isMissing({ statuses, change }) {
   return change === null && statuses.some((status) => status === PREDICTED || status === NEW);
 }

@@ -1,9 +1,9 @@
-/** The slots of a stream: how many, on which lattice (FORMAT.md, sections 2 and 8). */
+/** The number and the lattices of a stream's slots (FORMAT.md, sections 2 and 8). */
 
 import { numCoefficients } from "../gaussians.js";
 
 /**
- * The steps of one layer, all f32.
+ * The quantisation steps of one layer, all f32.
  * @typedef {object} Lattice
  * @property {number} positionM metres
  * @property {number} logScale
@@ -13,19 +13,19 @@ import { numCoefficients } from "../gaussians.js";
  * @property {number} opacityLevels 2 .. 256
  */
 
-/** What masks, changes and snapshots are read with. */
+/** The parameters that are needed to read masks, changes and snapshots. */
 export class SlotLayout {
   /**
-   * @param {number} swinSize lanes, and frames that a lease lasts
+   * @param {number} swinSize number of lanes, and of frames that a lease lasts
    * @param {number} segmentFrames
    * @param {number} shDegree
-   * @param {number[]} slots of a lane in each layer
+   * @param {number[]} slots number of slots of a lane, for each layer
    * @param {Lattice[]} lattices of each layer
-   * @param {number} [period] over 1: the last layer is a temporal one, without slots
+   * @param {number} [period] above 1, the last layer is a temporal one, without slots
    */
   constructor(swinSize, segmentFrames, shDegree, slots, lattices, period = 1) {
     this.period = period;
-    /** @type {typeof import("./slotdecoder.js").SlotDecoder | undefined} with a temporal layer */
+    /** @type {typeof import("./slotdecoder.js").SlotDecoder | undefined} set only with a temporal layer */
     this.Decoder = undefined;
     this.swinSize = swinSize;
     this.segmentFrames = segmentFrames;
@@ -33,9 +33,9 @@ export class SlotLayout {
     this.slots = slots;
     this.lattices = lattices;
     this.k = numCoefficients(shDegree);
-    /** Bytes of a Gaussian's attributes: scales, turns, y, u, v, opacity. */
+    /** Bytes of a Gaussian's attributes: scales, rotation, y, u, v, opacity. */
     this.numAttributes = 7 + 3 * this.k;
-    /** Slots of a lane, all layers together. */
+    /** Number of slots of a lane, all layers together. */
     this.numSlots = slots.reduce((sum, count) => sum + count, 0);
   }
 
@@ -48,25 +48,25 @@ export class SlotLayout {
     return ((birth % this.swinSize) + this.swinSize) % this.swinSize;
   }
 
-  /** First frame of the segment that holds the slice born at `birth`. @param {number} birth */
+  /** First frame of the segment that contains the slice born at `birth`. @param {number} birth */
   segmentStart(birth) {
     return Math.floor(birth / this.segmentFrames) * this.segmentFrames;
   }
 
-  /** Bytes of the longest mask. */
+  /** Maximum size of a mask. */
   get maxMaskBytes() {
     return 16 + 4 * this.numSlots;
   }
 
-  /** Bytes of the longest change of a layer. @param {number} layer */
+  /** Maximum size of a change of a layer. @param {number} layer */
   maxChangeBytes(layer) {
     const count = this.slots[layer];
-    // A passing slice brings a mask and the changes of all other layers.
+    // A passing slice contains a mask and the changes of all other layers.
     const more = count ? 32 : this.maxMaskBytes + 36 * this.numLayers - 20;
     return more + (count || this.numSlots) * this.#maxSlotBytes;
   }
 
-  /** Bytes of the longest snapshot of a layer. @param {number} layer */
+  /** Maximum size of a snapshot of a layer. @param {number} layer */
   maxSnapshotBytes(layer) {
     const count = this.swinSize * this.slots[layer];
     return 32 + Math.ceil(count / 8) + count * this.#maxSlotBytes;

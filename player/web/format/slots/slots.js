@@ -1,4 +1,4 @@
-/** What a reader holds of one layer in one lane, and what a slice makes of it (FORMAT.md, section 7). */
+/** The slots of one layer in one lane, and how a slice changes them (FORMAT.md, section 7). */
 
 import {
   EMPTY,
@@ -18,14 +18,14 @@ import { emptyGaussians } from "../gaussians.js";
 const { fround } = Math;
 
 /**
- * What becomes of D slots, found out before any is touched, so that bytes that break a rule leave
- * everything as it was.
+ * The new states of D slots. They are computed before any slot is changed, so that bytes that break a rule
+ * leave all slots unchanged.
  * @typedef {object} Delta
  * @property {Uint32Array} rows (D) the slots
  * @property {Uint8Array} conditions (D)
- * @property {Int32Array} positions (D, 3) zeros where none is on the lattice
- * @property {Uint8Array} attributes (D, A) zeros where none is on the lattice
- * @property {Uint8Array} starts (D) frames after the birth of the slice; HIDDEN where no Gaussian is
+ * @property {Int32Array} positions (D, 3) zeros for slots without a Gaussian on the lattice
+ * @property {Uint8Array} attributes (D, A) zeros for slots without a Gaussian on the lattice
+ * @property {Uint8Array} starts (D) frames after the birth of the slice; HIDDEN without a Gaussian
  * @property {Map<number, Float32Array>} escapes by slot
  */
 
@@ -39,7 +39,7 @@ export function changedRows(statuses) {
 }
 
 /**
- * One of several Gaussians as the numbers that stand for it: mean, log scales, quaternion, logit, SH.
+ * The numbers of one of several Gaussians: mean, log scales, quaternion, logit, SH.
  * @param {import("../gaussians.js").Gaussians} from
  * @param {number} i
  * @param {number} k coefficients
@@ -66,7 +66,7 @@ export class Slots {
     this.conditions = new Uint8Array(count).fill(condition);
     /** (count, 3) in steps of the lattice. */
     this.positions = new Int32Array(3 * count);
-    /** (count, A) two's complement, but the opacity, which comes last, is unsigned. */
+    /** (count, A) two's complement, except for the opacity, which comes last and is unsigned. */
     this.attributes = new Uint8Array(numAttributes * count);
     /** (count) frames after the birth of the lane's slice. */
     this.starts = new Uint8Array(count).fill(HIDDEN);
@@ -79,7 +79,7 @@ export class Slots {
     return this.conditions.includes(UNKNOWN);
   }
 
-  /** What the slots take in memory. */
+  /** Memory of the slots. */
   get numBytes() {
     const escapeBytes = this.escapes.size * 4 * (4 + this.numAttributes);
     return this.count * (2 + 12 + this.numAttributes) + escapeBytes;
@@ -97,9 +97,9 @@ export class Slots {
   }
 
   /**
-   * What a slice makes of these slots. Throws a FormatError if it does not fit what is here.
+   * The changes of these slots by a slice. Throws a FormatError if the slice does not fit the slots.
    * @param {Uint8Array} statuses (count)
-   * @param {import("./change.js").Change | null} change null: it is not at hand
+   * @param {import("./change.js").Change | null} change null if it is missing
    * @param {number} opacityLevels
    * @returns {Delta}
    */
@@ -145,7 +145,7 @@ export class Slots {
    * @param {Delta} made
    * @param {number} d
    * @param {import("./change.js").Change} change
-   * @param {number} from which of the predicted
+   * @param {number} from index among the predicted slots
    * @param {number} opacityLevels
    */
   #predict(made, d, change, from, opacityLevels) {
@@ -174,7 +174,7 @@ export class Slots {
     }
   }
 
-  /** Goes on by one slice: what is kept has started by now. @param {Delta} delta */
+  /** Applies a slice; Gaussians that are kept have started by now. @param {Delta} delta */
   advance(delta) {
     for (let i = 0; i < this.count; i++) if (this.conditions[i] >= ON_LATTICE) this.starts[i] = 0;
     const { rows } = delta;
@@ -190,7 +190,7 @@ export class Slots {
   }
 
   /**
-   * What the slots `rows` hold as f32: zeros with a quaternion of zeros where there is no Gaussian.
+   * The Gaussians of the slots `rows` as f32; all zeros, also the quaternion, for slots without one.
    * @param {Uint32Array} rows
    * @param {import("./slotlayout.js").Lattice} lattice
    */
@@ -256,7 +256,7 @@ function copyRow(from, fromRow, to, toRow, width) {
 }
 
 /**
- * @param {Float32Array | undefined} values what `gaussianAt` gave
+ * @param {Float32Array | undefined} values from `gaussianAt`
  * @param {import("../gaussians.js").Gaussians} made
  * @param {number} i
  * @param {number} k coefficients

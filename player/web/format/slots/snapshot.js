@@ -10,7 +10,7 @@ import { Slots } from "./slots.js";
  * @typedef {object} Snapshot
  * @property {number} frame
  * @property {number} layer
- * @property {Slots[]} lanes those of the births frame - swinSize + 1 .. frame
+ * @property {Slots[]} lanes the lanes of births frame - swinSize + 1 .. frame
  */
 
 /**
@@ -41,7 +41,7 @@ export function decodeSnapshot(layout, bytes) {
     }
   }
   const change = readChange(layout, layer, body, 0, numNew, hasStarts);
-  // All lanes as if they were one: then what is new is dealt out.
+  // All lanes are decoded as if they were one, and then separated.
   const all = new Slots(numFlags, layout.numAttributes, EMPTY);
   all.advance(all.delta(statuses, change, layout.lattices[layer].opacityLevels));
   const lanes = Array.from({ length: layout.swinSize }, (_, lane) => part(all, lane, count));
@@ -52,7 +52,7 @@ export function decodeSnapshot(layout, bytes) {
 }
 
 /**
- * The slots of one lane, but for what escaped.
+ * The slots of one lane, without the escaped Gaussians.
  * @param {Slots} all
  * @param {number} lane
  * @param {number} count of a lane
