@@ -1,8 +1,8 @@
 /**
- * The format, the fetching and the clock of the player, without a page: for workers, servers and tools.
- * A source's play fills the stream's cache; a Round inflates what shows soon, and its `playback` gives
- * what is due. A stream with a temporal layer needs `passingDecoder(SlotDecoder, FormatError)` as its
- * `layout.Decoder`; openSource sees to that.
+ * The player's format, fetching and playback state without a page, for workers, servers and tools.
+ * A source's play fills the stream's cache; a Round inflates the packets that show soon, and its
+ * `playback` gives the frame that is due. A stream with a temporal layer needs
+ * `passingDecoder(SlotDecoder, FormatError)` as its `layout.Decoder`; openSource sets it.
  */
 
 export { FormatError } from "./format/bytes/errors.js";

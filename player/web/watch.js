@@ -1,9 +1,9 @@
 /**
- * The script of a page with one player: takes what the address selects over to the element, and sends
- * the first requests while the element's own code is still being loaded.
+ * The script of a page with one player: applies the address's query to the element, and sends the first
+ * requests while the element's own code is still being loaded.
  *
  * Query: t (seconds), view, loop, autoplay, interpolate, max-gaussians, other-hosts, buffer-mb; and src (the
- * stream's folder) where the page itself names none.
+ * stream's folder) if the page itself does not set it.
  */
 
 import { firstUrls, folderUrl } from "./source/addresses.js";
@@ -13,7 +13,7 @@ const query = new URLSearchParams(location.search);
 const player = /** @type {HTMLElement} */ (document.querySelector("swings-player"));
 const src = player.getAttribute("src") ?? query.get("src") ?? "./";
 const isFramed = window.parent !== window;
-// A frame may be out of view, where nothing is to be played yet.
+// A frame may be out of view, where nothing should be fetched yet.
 if (!isFramed && !document.hidden) {
   for (const url of firstUrls(folderUrl(src, document.baseURI))) requestEarly(url);
 }
@@ -32,7 +32,7 @@ for (const [name, attribute] of [
 player.toggleAttribute("other-hosts", query.get("other-hosts") === "1");
 player.toggleAttribute("loop", query.get("loop") !== "0");
 player.toggleAttribute("autoplay", query.get("autoplay") !== "0");
-// A page that shows this one in a frame wants the player alone.
+// A page that shows this one in a frame needs only the player.
 document.documentElement.classList.toggle("framed", isFramed);
 document.addEventListener("click", async ({ target }) => {
   const button = target instanceof HTMLElement ? target : null;
@@ -45,7 +45,7 @@ document.addEventListener("click", async ({ target }) => {
     getSelection()?.selectAllChildren(source); // a page without TLS has no clipboard
   }
 });
-// Keys work before anything was clicked; a focus from the start would put a frame around the picture.
+// Forwards keys, so that they work without a click. Focusing the player at once would draw a focus ring.
 document.addEventListener("keydown", (event) => {
   if (event.target !== document.body || event.key === "Tab") return;
   player.focus();

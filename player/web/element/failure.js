@@ -9,7 +9,7 @@ const SENTENCES = /** @type {[RegExp, string][]} */ ([
   [/https?:|file:/, "This video cannot be played."],
 ]);
 
-/** Messages up to this length are shown unchanged; longer ones are replaced, and folded below. */
+/** Longer messages are replaced by a general sentence, and shown folded below it. */
 const MOST_CHARS = 120;
 
 /** @param {string} message */

@@ -1,6 +1,6 @@
 const SVG = "http://www.w3.org/2000/svg";
 
-/** Paths on a grid of 24 by 24, of what is not in the menu alone. */
+/** Icon paths on a grid of 24 by 24; icons that only the menu uses are in menu.js. */
 const PATHS = {
   play: "M8 5v14l11-7z",
   pause: "M7 5h4v14H7zm6 0h4v14h-4z",

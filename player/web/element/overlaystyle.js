@@ -9,7 +9,7 @@ export const OVERLAY_STYLE = /* css */ `
 }
 .large:hover { background: rgb(60 60 68 / 0.9); }
 .large svg { width: 55%; height: 55%; }
-/* What begins at once shows no ring, and the device need not draw one beside the first picture. */
+/* The ring appears after a delay: a quick start shows none, and need not draw it beside the first picture. */
 .spinner {
   --after: 0.8s;
   position: absolute; left: 50%; top: 50%; translate: -50% -50%; pointer-events: none; text-align: center;

@@ -81,7 +81,7 @@ export class PendingUpdates {
   }
 }
 
-/** Collects the newest entry of each slot: entries are added backwards, and later ones for a slot ignored. */
+/** Collects one entry per slot, the first that is added; entries are added newest first. */
 class Newest {
   /**
    * @param {Uint8Array} isTaken whether each slot has its entry; is written

@@ -190,7 +190,8 @@ export class StreamPlayer {
   }
 
   /**
-   * Limits the number of layers. During playback, additional layers appear after about SOON_S.
+   * Limits the number of layers. During playback, layers that are not cached are requested for frames from
+   * SOON_S ahead on.
    * @param {number} most
    */
   setLayers(most) {

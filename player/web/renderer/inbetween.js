@@ -165,7 +165,7 @@ export class Inbetween {
     else if (leaving.length > 0) this.setAside(resident.stage(leaving), leaving.length, 1, 0);
   }
 
-  /** @param {number} count of Gaussians @returns {boolean} whether the device has room for them */
+  /** Makes room for `count` Gaussians; returns whether the device has it. @param {number} count */
   #reserve(count) {
     const { gl } = this;
     const { columns } = this.renderer.resident;

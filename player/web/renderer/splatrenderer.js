@@ -71,7 +71,7 @@ export class SplatRenderer {
   /**
    * Uploads the changes and the new draw order, so that both take effect together.
    * @param {import("../playback/pendingupdates.js").Words[]} updates
-   * @param {Uint16Array | Uint32Array} order slots, farthest first; from numSlots on: fading out
+   * @param {Uint16Array | Uint32Array} order slots, farthest first; numSlots and up: fading out
    * @param {number} frame
    */
   update(updates, order, frame) {

@@ -81,7 +81,7 @@ export class LayerRule {
     return wantsBase ? base : null;
   }
 
-  /** Whether layer 0 of the last segment was requested, and so that of all segments before. */
+  /** Whether layer 0 was requested up to the last segment. */
   get isAtEnd() {
     return this.#level(this.records.length - 1) > 0;
   }
