@@ -25,7 +25,7 @@ export class CanvasSize {
     try {
       this.observer.observe(canvas, { box: "device-pixel-content-box" });
     } catch {
-      this.observer.observe(canvas); // Safari knows no device pixels
+      this.observer.observe(canvas); // Safari does not report device pixels
     }
     this.#followRatio();
   }

@@ -38,7 +38,7 @@ export class MediaAttributes extends HTMLElement {
     this.toggleAttribute("loop", value);
   }
 
-  /** Whether pictures between two frames show motion, where the screen is faster than the stream. */
+  /** Whether pictures between two frames show motion, if the screen is faster than the stream. */
   get interpolate() {
     return this.getAttribute("interpolate") !== "false";
   }

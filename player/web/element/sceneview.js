@@ -33,7 +33,7 @@ const IDLE_MS = 100;
  * draw), `headset`, `select`, `lost`, `restored`, `gone` (of the WebGL context).
  */
 export class SceneView extends EventTarget {
-  /** Whether pictures between two frames show motion, where the screen is faster than the stream. */
+  /** Whether pictures between two frames show motion, if the screen is faster than the stream. */
   interpolates = true;
   /** @type {import("./smoothing.js").Smoothing | null} null until a stream plays */
   smoothing = null;

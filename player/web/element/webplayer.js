@@ -80,7 +80,7 @@ export class WebPlayer extends StreamSession {
    * @param {boolean} [options.otherHosts] whether the manifest may refer to hosts other than its own
    * @param {number | null} [options.bufferMb] limit for the received data that is kept; null for the
    *   default, 64
-   * @param {boolean} [options.isHeld] whether no frame is fetched until it plays or seeks
+   * @param {boolean} [options.isHeld] whether to fetch no frame until the stream plays or seeks
    */
   open(src, { maxGaussians = null, otherHosts = false, bufferMb = null, isHeld = false } = {}) {
     this.close();
@@ -244,7 +244,7 @@ export class WebPlayer extends StreamSession {
     return this.view.painter.renderer;
   }
 
-  /** How the camera moves; null until a stream is open. */
+  /** The camera's motion; null until a stream is open. */
   get motion() {
     return this.view.motion;
   }

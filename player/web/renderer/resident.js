@@ -44,7 +44,7 @@ export class Resident {
     this.widthPx = this.columns * this.texels;
     this.heightPx = Math.max(1, Math.ceil(numSlots / this.columns));
     const limitPx = gl.getParameter(gl.MAX_TEXTURE_SIZE);
-    if (gl.isContextLost()) throw new ContextLostError(); // the limit is null then
+    if (gl.isContextLost()) throw new ContextLostError(); // the limit would be null
     if (Math.max(this.heightPx, this.widthPx) > limitPx) {
       throw new RendererError(
         `${numSlots} Gaussians need a texture of ${this.widthPx}x${this.heightPx}; this device allows ${limitPx}`,

@@ -69,7 +69,7 @@ export class SoundPlay extends EventTarget {
 
   /**
    * Throws a FormatError if the manifest's sources break a rule, and an Error without Web Audio.
-   * @param {WebPlayer} player with a stream that has sound
+   * @param {WebPlayer} player one whose open stream has sound
    * @param {() => boolean} loops
    */
   constructor(player, loops) {

@@ -7,7 +7,7 @@ import { inCamera } from "../view/pose.js";
 const FAR_M = 1e6;
 
 /**
- * A source of sound of a stream.
+ * A sound source of a stream.
  * @typedef {object} SoundSource
  * @property {string} part the part name of its objects, in place of a layer's number
  * @property {number} channels

@@ -87,7 +87,7 @@ export class SegmentCache {
   }
 
   /**
-   * Adds the packets of an object; a frame without one changes nothing.
+   * Adds the packets of an object; a frame without a packet counts as unchanged.
    * @param {import("../format/streamindex.js").SegmentRecord} record
    * @param {string} part
    * @param {Map<number, Uint8Array>} packets by birth

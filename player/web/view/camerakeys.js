@@ -10,7 +10,7 @@
  * @property {() => void} moved requests a picture
  */
 
-/** One press turns the camera by as much as a drag of 30 pixels. */
+/** Turn per key press, equal to a drag of 30 pixels. */
 const TURN_RAD = 0.15;
 
 /** @type {Record<string, { push: Direction, turnRad: [number, number] }>} */

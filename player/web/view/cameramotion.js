@@ -81,7 +81,7 @@ export class CameraMotion {
     return this.#isFlying;
   }
 
-  /** Whether the camera is on its way to another place. */
+  /** Whether the camera flies to another place. */
   get isInFlight() {
     return this.#flight !== null;
   }

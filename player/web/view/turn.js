@@ -21,7 +21,7 @@ export function quaternionOf({ right, down, forward }) {
     1 - a[0] + b[1] - c[2],
     1 - a[0] - b[1] + c[2],
   ];
-  // The largest component is 0.5 at least, so that the others are divided by no small number.
+  // The largest component is at least 0.5, so the others are not divided by a small number.
   const largest = sums.indexOf(Math.max(...sums));
   const s = sums[largest];
   const [x, y, z] = [b[2] - c[1], c[0] - a[2], a[1] - b[0]];
