@@ -10,14 +10,7 @@ from codec.stream.captions import CAPTIONS_TYPE
 from codec.stream.integrity import MAX_INDEX_BYTES
 from codec.stream.manifest import Part
 from codec.stream.pictures import picture_type
-from server.exchange.content import (
-    IMMUTABLE,
-    OBJECT_TYPE,
-    REVALIDATE,
-    Content,
-    respond,
-    respond_coded,
-)
+from server.exchange.content import IMMUTABLE, OBJECT_TYPE, REVALIDATE, Content, respond
 from server.exchange.errors import RequestError
 from server.exchange.response import Response
 from server.library import ServedStream
@@ -30,8 +23,7 @@ MAX_WAIT_S = 30
 
 def manifest(call: Call) -> Response:
     view = call.stream().view
-    data = view.manifest_json
-    content = Content(data, len(data), view.manifest_sha256, "application/json", REVALIDATE)
+    content = Content(view.manifest_json, view.manifest_sha256, "application/json", REVALIDATE)
     return respond(call.request, content)
 
 
@@ -61,10 +53,8 @@ async def _grown_index(call: Call, stream: ServedStream, wait_s: float) -> Respo
 
 def _index(call: Call, stream: ServedStream) -> Response:
     view = stream.view
-    data = view.index_data
-    return respond(
-        call.request, Content(data, len(data), view.index_sha256, OBJECT_TYPE, REVALIDATE)
-    )
+    content = Content(view.index_data, view.index_sha256, OBJECT_TYPE, REVALIDATE)
+    return respond(call.request, content)
 
 
 def parse_index_query(query: str) -> tuple[int, float]:
@@ -112,8 +102,8 @@ def web_asset(call: Call) -> Response:
     if asset is None:
         raise RequestError(404, f"the browser player has no file {name[:80]!a}")
     caching = IMMUTABLE if asset.immutable else REVALIDATE
-    content = Content(asset.data, len(asset.data), asset.sha256, asset.content_type, caching)
-    return respond_coded(call.request, content, asset.coded)
+    content = Content(asset.data, asset.sha256, asset.content_type, caching, asset.coded)
+    return respond(call.request, content)
 
 
 async def picture(call: Call) -> Response:
@@ -128,4 +118,4 @@ async def picture(call: Call) -> Response:
         what = "captions" if content_type is CAPTIONS_TYPE else "picture"
         raise RequestError(404, f"{stream.name} has no {what} {name[:80]!a}")
     sha256 = hashlib.sha256(data).hexdigest()
-    return respond(call.request, Content(data, len(data), sha256, content_type, REVALIDATE))
+    return respond(call.request, Content(data, sha256, content_type, REVALIDATE))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 from .byterange import parse_range
 from .errors import RequestError
@@ -42,12 +42,12 @@ class Content:
     """Bytes with a name of their own."""
 
     data: bytes
-    size: int
     sha256: str
     content_type: str
     cache_control: str
-    coding: str = ""
-    """A Content-Encoding under which these very bytes can be had, whole, besides as they are."""
+    coded: Mapping[str, bytes] = field(default_factory=dict)
+    """The bytes under each Content-Encoding in which they can be had whole; a client gets the first
+    that it takes."""
     count: Callable[[int], None] | None = None
     """Called with the number of bytes of it that are sent."""
 
@@ -57,52 +57,42 @@ def respond(request: Request, content: Content) -> Response:
 
     Raises RequestError 412 or 416.
     """
-    asked = request.fields
-    coding = content.coding if "Range" not in asked and _takes(request, content.coding) else ""
-    etag = f'"{content.sha256}-{coding}"' if coding else f'"{content.sha256}"'
+    asked, data, tag, coding = request.fields, content.data, content.sha256, ""
+    if content.coded and "Range" not in asked:
+        takes = accepted_codings(request.joined("Accept-Encoding"))
+        coding = next((name for name in content.coded if name in takes), "")
+    if coding:
+        data, tag = content.coded[coding], f"{tag}-{coding}"
+    etag = f'"{tag}"'
     fields = {
         "Content-Type": content.content_type,
         "ETag": etag,
         "Cache-Control": content.cache_control,
         "Accept-Ranges": "bytes",
     }
-    if content.coding:
+    if content.coded:
         fields["Vary"] = "Accept-Encoding"
     if coding:
         fields["Content-Encoding"] = coding
-    start, stop, status = 0, content.size, 200
+    start, stop, status = 0, len(data), 200
     if "If-Match" in asked and not _lists(request.joined("If-Match"), etag, weakly=False):
         raise RequestError(412, "If-Match does not match the content", {"ETag": etag})
     if "If-None-Match" in asked and _lists(request.joined("If-None-Match"), etag, weakly=True):
         return Response(304, fields)
     # A range that is bound to another version of the content is ignored.
     bound_to = asked.get("If-Range", etag)
-    wanted = parse_range(request.joined("Range"), content.size) if bound_to == etag else None
+    wanted = parse_range(request.joined("Range"), len(data)) if bound_to == etag else None
     if wanted is not None and not wanted:
-        message = f"the range is outside the {content.size} bytes of the content"
-        raise RequestError(416, message, {"Content-Range": f"bytes */{content.size}"})
+        message = f"the range is outside the {len(data)} bytes of the content"
+        raise RequestError(416, message, {"Content-Range": f"bytes */{len(data)}"})
     if wanted is not None:
         start, stop, status = wanted.start, wanted.stop, 206
-        fields["Content-Range"] = f"bytes {start}-{stop - 1}/{content.size}"
+        fields["Content-Range"] = f"bytes {start}-{stop - 1}/{len(data)}"
     if request.method == "HEAD":
         return Response(status, fields, length=stop - start)
     if content.count is not None:
         content.count(stop - start)
-    return Response(status, fields, memoryview(content.data)[start:stop])
-
-
-def respond_coded(request: Request, content: Content, coded: Mapping[str, bytes]) -> Response:
-    """The answer to a GET or HEAD of `content`: to a client that asks for no range, in the first
-    coding of `coded` that it takes. Raises as `respond` does."""
-    takes = () if "Range" in request.fields else (name for name in coded if _takes(request, name))
-    coding = next(iter(takes), None)
-    fields = {"Vary": "Accept-Encoding"}
-    if coding is not None:
-        data, tag = coded[coding], f"{content.sha256}-{coding}"
-        content = replace(content, data=data, size=len(data), sha256=tag)
-        fields["Content-Encoding"] = coding
-    response = respond(request, content)
-    return replace(response, fields={**response.fields, **fields})
+    return Response(status, fields, memoryview(data)[start:stop])
 
 
 def _lists(listed: str, etag: str, weakly: bool) -> bool:
@@ -120,7 +110,3 @@ def accepted_codings(accepted: str) -> frozenset[str]:
     return frozenset(
         name for name, weight in weights.items() if not re.fullmatch(r"q\s*=\s*0(\.0*)?", weight)
     )
-
-
-def _takes(request: Request, coding: str) -> bool:
-    return bool(coding) and coding in accepted_codings(request.joined("Accept-Encoding"))

@@ -95,11 +95,10 @@ class ObjectCache:
             data = cached.checked.data
             cached.content = Content(
                 data,
-                len(data),
                 stream.object_sha256(segment, part),
                 OBJECT_TYPE,
                 IMMUTABLE,
-                coding=ZSTD if inflates_whole(data, cached.checked.entries) else "",
+                coded={ZSTD: data} if inflates_whole(data, cached.checked.entries) else {},
                 count=partial(self._count, str(part)),
             )
         return cached.content

@@ -38,9 +38,9 @@ class SoundCache:
             return found[1]
         content = await asyncio.to_thread(_load, stream, segment, name)
         self._drop(key)
-        if stamp is not None and content.size <= self._capacity_bytes:
+        if stamp is not None and len(content.data) <= self._capacity_bytes:
             self._objects[key] = stamp, content
-            self.size_bytes += content.size
+            self.size_bytes += len(content.data)
         while self.size_bytes > self._capacity_bytes:
             self._drop(next(iter(self._objects)))
         return content
@@ -48,11 +48,11 @@ class SoundCache:
     def _drop(self, key: Key) -> None:
         found = self._objects.pop(key, None)
         if found is not None:
-            self.size_bytes -= found[1].size
+            self.size_bytes -= len(found[1].data)
 
 
 def _load(stream: ServedStream, segment: int, name: str) -> Content:
     """Blocks."""
     data = stream.read_sound(segment, name)
     sha256 = hashlib.sha256(data).hexdigest()
-    return Content(data, len(data), sha256, OBJECT_TYPE, REVALIDATE)
+    return Content(data, sha256, OBJECT_TYPE, REVALIDATE)
