@@ -8,7 +8,6 @@ from __future__ import annotations
 import socket
 import struct
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -30,8 +29,6 @@ SO_NWRITE: Final = 0x1024
 class TcpInfo:
     """A connection's figures, of the kernel's own making."""
 
-    acked_bytes: int | None = None
-    """Bytes that the peer has acknowledged since the connection began."""
     min_rtt_s: float | None = None
     """The least round trip of late."""
     delivery_rate_bps: float | None = None
@@ -51,7 +48,6 @@ def parse_tcp_info(data: bytes) -> TcpInfo:
     rtt_us = field("=I", 148)
     bytes_per_s = field("=Q", 160)
     return TcpInfo(
-        acked_bytes=field("=Q", 120),
         min_rtt_s=None if rtt_us in (None, NOTHING_KNOWN_US) else rtt_us / 1e6,
         # 0 until there is a sample.
         delivery_rate_bps=8.0 * bytes_per_s if bytes_per_s else None,
@@ -68,40 +64,20 @@ def read_tcp_info(sock: Any) -> TcpInfo | None:
         return None
 
 
-def unacked_by_ioctl(sock: Any) -> int:
-    """Bytes that `sock` holds until they are acknowledged. Linux."""
-    try:
-        packed = fcntl.ioctl(sock.fileno(), termios.TIOCOUTQ, bytes(4))
-    except (OSError, ValueError):  # it was closed meanwhile
-        return 0
-    number: int = struct.unpack("=i", packed)[0]
-    return number
-
-
-def unacked_by_option(sock: Any) -> int:
-    """Bytes that `sock` holds until they are acknowledged. macOS."""
-    try:
-        number: int = sock.getsockopt(socket.SOL_SOCKET, SO_NWRITE)
-    except OSError:
-        return 0
-    return number
-
-
-def unacked_unknown(sock: Any) -> int:
-    """0 on kernels that do not report it: bytes that have left the process count as
-    acknowledged."""
-    return 0
-
-
-def choose_unacked(platform: str) -> Callable[[Any], int]:
-    """How to ask a socket for its unacknowledged bytes on `platform`, as sys.platform names it.
+def unacked_bytes(sock: Any, platform: str = sys.platform) -> int:
+    """Bytes that `sock` holds until they are acknowledged. 0 for a closed socket, and on kernels
+    that do not report it: there, bytes that have left the process count as acknowledged.
 
     Linux's ioctl counts exactly those. tcpi_bytes_acked says no more, and counts the heads of HTTP
     chunks, which the session does not know; so it is not what a play goes by.
     """
-    if platform == "linux":
-        return unacked_by_ioctl
-    return unacked_by_option if platform == "darwin" else unacked_unknown
-
-
-unacked_bytes: Final = choose_unacked(sys.platform)
+    number = 0
+    try:
+        if platform == "linux":
+            packed = fcntl.ioctl(sock.fileno(), termios.TIOCOUTQ, bytes(4))
+            (number,) = struct.unpack("=i", packed)
+        elif platform == "darwin":
+            number = sock.getsockopt(socket.SOL_SOCKET, SO_NWRITE)
+    except (OSError, ValueError):  # it was closed meanwhile
+        return 0
+    return number
