@@ -276,7 +276,7 @@ class Application:
         fields["ms"] = took_ms
         fields["note"] = without_signatures(note) if note else None
         fields.update(exchange.facts)
-        log.write("request", fields)
+        log.event("request", **fields)
 
 
 def _granted_path(path: str, signer: Signer) -> tuple[str, int | None]:
@@ -286,9 +286,9 @@ def _granted_path(path: str, signer: Signer) -> tuple[str, int | None]:
         grant = signer.verify(path, time.time())
         if isinstance(grant, Grant):
             return grant.path, grant.expiry_s
-        raise RequestError(403, f"access denied: {_REASONS[grant]}")
+        raise RequestError(403, f"access denied: {grant}")
     if needs_signature(path):
-        raise RequestError(403, f"access denied: {_REASONS[Reason.UNSIGNED]}")
+        raise RequestError(403, f"access denied: {Reason.UNSIGNED}")
     return path, None
 
 
@@ -301,14 +301,6 @@ def _cached_privately(response: AnyResponse, expiry_s: int | None) -> AnyRespons
     cache_control = private_caching(response.fields.get("Cache-Control", ""), left_s)
     fields = {**response.fields, "Cache-Control": cache_control}
     return Response(response.status, fields, response.body, response.length)
-
-
-_REASONS = {
-    Reason.UNSIGNED: "the URL is not signed",
-    Reason.KEY: "the key of the URL is not valid on this server",
-    Reason.SIGNATURE: "the signature does not match the URL",
-    Reason.EXPIRED: "the URL has expired",
-}
 
 
 def _preflight() -> Response:

@@ -79,7 +79,7 @@ class Service:
         with tempfile.TemporaryDirectory(prefix="swings-serve-") as folder:
             hooks = WorkerHooks(
                 serve=partial(self._work, log, Path(folder)),
-                event=log.event,
+                log=log,
                 ready=started,
                 forget=partial(forget_worker, Path(folder)),
                 check=self.check_files,

@@ -30,23 +30,18 @@ class BodyWriter(Protocol):
     @property
     def cut(self) -> str:
         """Why the connection is over: "gone", "stalled" or "stopped"; empty while it is not."""
-        ...
 
     def hold_at_most(self, queue_bytes: int) -> None:
         """Lets about `queue_bytes` wait unsent in the process, and as many in the kernel."""
-        ...
 
     def queued_bytes(self) -> int:
         """Bytes written but not yet acknowledged by the client's side, as far as one can see."""
-        ...
 
     def tcp_info(self) -> TcpInfo | None:
         """The kernel's figures of the connection; None if it reports none."""
-        ...
 
     async def write(self, data: bytes) -> None:
         """Writes `data`, and waits until there is room for more."""
-        ...
 
 
 @dataclass(slots=True)

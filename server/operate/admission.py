@@ -63,11 +63,6 @@ class Admission:
         """Number held by all addresses, exempt ones included."""
 
     @property
-    def num_addresses(self) -> int:
-        """Addresses that hold something."""
-        return len(self._held)
-
-    @property
     def has_room(self) -> bool:
         """Whether one more may be held in all."""
         return self.num_held < self._max_all

@@ -21,14 +21,14 @@ RAISE_TO = 65_536
 """The soft limit is raised to the hard one, but not above this: an unlimited table costs memory."""
 
 
-def connection_limit(wanted: int, per_connection: int = 1) -> int:
+def connection_limit(wanted: int) -> int:
     """The most connections, `wanted` or fewer, that this process has descriptors for.
 
-    Raises the process's own soft limit as far as the hard one allows. per_connection: descriptors
-    that each of them takes. Raises SwingsError where there is not room for one.
+    Raises the process's own soft limit as far as the hard one allows. Raises SwingsError where
+    there is not room for one.
     """
     if sys.platform == "win32":
-        return min(wanted, (WINDOWS_SOCKETS - RESERVE) // per_connection)
+        return min(wanted, WINDOWS_SOCKETS - RESERVE)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     ceiling = RAISE_TO if hard == resource.RLIM_INFINITY else min(hard, RAISE_TO)
     if soft != resource.RLIM_INFINITY and soft < ceiling:
@@ -37,13 +37,12 @@ def connection_limit(wanted: int, per_connection: int = 1) -> int:
     if soft == resource.RLIM_INFINITY:
         return wanted
     taken = open_descriptors() + RESERVE
-    room = (soft - taken) // per_connection
-    if room < 1:
+    if soft <= taken:
         raise SwingsError(
             f"the limit of open files is {soft}, which leaves none for connections; "
-            f"raise it (ulimit -n) to {taken + wanted * per_connection}"
+            f"raise it (ulimit -n) to {taken + wanted}"
         )
-    return min(wanted, room)
+    return min(wanted, soft - taken)
 
 
 def open_descriptors() -> int:

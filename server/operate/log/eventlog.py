@@ -13,7 +13,6 @@ import stat
 import threading
 import time
 from collections import OrderedDict, deque
-from collections.abc import Mapping
 from typing import Self
 
 from .logline import EventRecord, LineFormatter, LogStyle, Value, message_of
@@ -92,11 +91,8 @@ class EventLog(logging.Handler):
         return self._num_refused + self._num_unwritten
 
     def event(self, event: str, /, **fields: Value) -> None:
-        """Logs one event. event, keys: our own words; values may come from strangers."""
-        self.write(event, fields)
-
-    def write(self, event: str, fields: Mapping[str, Value]) -> None:
-        """The same; without a LogRecord, whose making costs more than the line."""
+        """Logs one event. event, keys: our own words; values may come from strangers. Without a
+        LogRecord, whose making costs more than the line."""
         try:
             line = self._formatter.line(time.time(), "info", event, fields)
         except Exception:

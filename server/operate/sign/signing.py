@@ -49,15 +49,15 @@ _DOTS = re.compile(r"/(?:\.|%2[eE]){1,2}(?:/|$)")
 
 
 class Reason(StrEnum):
-    """Why a path is refused."""
+    """Why a path is refused, as it is reported to the client."""
 
-    UNSIGNED = "unsigned"
+    UNSIGNED = "the URL is not signed"
     """It has no signature, or what is in its place does not look like one."""
-    KEY = "key"
-    """It is signed with a key that is not known here, or not any more."""
-    SIGNATURE = "signature"
-    """It was altered, or signed for another stream."""
-    EXPIRED = "expired"
+    KEY = "the key of the URL is not valid on this server"
+    """It is not known here, or not any more."""
+    SIGNATURE = "the signature does not match the URL"
+    """The URL was altered, or signed for another stream."""
+    EXPIRED = "the URL has expired"
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Coroutine, Iterable
 from dataclasses import dataclass
 from types import FrameType
-from typing import Any, ClassVar, NoReturn, Protocol
+from typing import Any, ClassVar, NoReturn
 
 import gunicorn.util
 from gunicorn.app.base import BaseApplication
@@ -26,6 +26,7 @@ from gunicorn.errors import HaltServer
 from gunicorn.glogging import Logger
 
 from codec.errors import SwingsError
+from server.operate.log.eventlog import EventLog
 from server.operate.log.logline import Value
 
 from .peers import Mailboxes
@@ -42,19 +43,13 @@ SHARED_MEMORY = "/dev/shm"
 """Folder for the files of heartbeats, where there is one: a disk could delay them."""
 
 
-class LogEvent(Protocol):
-    """Writes one line into the log."""
-
-    def __call__(self, event: str, /, **fields: Value) -> None: ...
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkerHooks:
     """Callbacks of the arbiter."""
 
     serve: Callable[[StreamWorker], Coroutine[Any, Any, None]]
     """Serves, in a worker, until SIGTERM. A SwingsError or OSError is logged in one line."""
-    event: LogEvent
+    log: EventLog
     ready: Callable[[], None] = lambda: None
     """Called once, when the first worker accepts connections."""
     forget: Callable[[int], None] = lambda _: None
@@ -100,7 +95,7 @@ class WorkerApplication(BaseApplication):
         self, listener: socket.socket, config: SupervisorConfig, hooks: WorkerHooks
     ) -> None:
         self.hooks = hooks
-        self.event = hooks.event
+        self.event = hooks.log.event
         self.count = config.workers
         self.shutdown_timeout_s = config.shutdown_timeout_s
         self.mailboxes = Mailboxes(2 * config.workers)

@@ -107,7 +107,7 @@ class StreamWorker(Worker):
 
     def ready(self) -> None:
         """Must be called once, on the event loop, when the worker accepts connections."""
-        self.app.hooks.event("worker_ready", worker=self.number, pid=os.getpid())
+        self.app.event("worker_ready", worker=self.number, pid=os.getpid())
         self._report[0] = 1
         # The first heartbeat. gunicorn watches a worker from then on; starting may take longer.
         if self._beat():

@@ -99,7 +99,7 @@ def main() -> None:
         sys.stdout.flush()
 
     try:
-        hooks = WorkerHooks(serve=partial(serve, what), event=log.event, ready=ready, forget=forget)
+        hooks = WorkerHooks(serve=partial(serve, what), log=log, ready=ready, forget=forget)
         run_workers(listener, SupervisorConfig(**settings), hooks)
     except SwingsError as error:
         sys.exit(f"failed: {error}")
