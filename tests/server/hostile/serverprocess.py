@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import http.client
+import json
 import re
 import socket
 import subprocess
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from prometheus_client.parser import text_string_to_metric_families
 
 from tests.support.commands import command, environment
 from tests.support.waiting import wait_until
@@ -22,13 +28,22 @@ SECRET = b"not for you: 4f1d8a"
 class ServerProcess:
     """One that runs."""
 
-    pid: int
+    process: subprocess.Popen[bytes]
     port: int
     log: Path
     """All that it writes, on stdout and stderr."""
 
+    @property
+    def pid(self) -> int:
+        return self.process.pid
+
     def log_lines(self) -> list[str]:
         return self.log.read_text(errors="replace").splitlines()
+
+    def events(self, *kinds: str) -> list[dict[str, Any]]:
+        """The events of a JSON log; kinds: which, if not all."""
+        lines = [json.loads(line) for line in self.log_lines() if line.startswith("{")]
+        return [line for line in lines if not kinds or line["event"] in kinds]
 
     def settled_log(self, least: int) -> list[str]:
         """The log once it has not grown for a moment; waits a little for `least` lines."""
@@ -42,28 +57,34 @@ class ServerProcess:
         return self.log_lines()
 
 
-@contextlib.contextmanager
 def server_process(
     root: Path, folder: Path, *options: object, before: Callable[[], None] | None = None
-) -> Iterator[ServerProcess]:
-    """A server of `root` that writes into `folder`; it is ended by its pid. before: runs in its
-    process first."""
+) -> contextlib.AbstractContextManager[ServerProcess]:
+    """A swings-serve of `root` that writes into `folder`. before: runs in its process first."""
+    words = command("swings-serve", root, "--port", 0, *options)
+    return logged_process(words, folder, preexec_fn=before)
+
+
+@contextlib.contextmanager
+def logged_process(words: Sequence[str], folder: Path, **options: Any) -> Iterator[ServerProcess]:
+    """A server that prints its URL as swings-serve does, and writes into `folder`; it is ended by
+    its pid."""
     log = folder / "serve.log"
     with open(log, "w") as out:
         process = subprocess.Popen(
-            command("swings-serve", root, "--port", 0, *options),
+            words,
             env={**environment(), "PYTHONUNBUFFERED": "1"},
             stdin=subprocess.DEVNULL,
             stdout=out,
             stderr=subprocess.STDOUT,
-            preexec_fn=before,
+            **options,
         )
     try:
         wait_until(lambda: "serving http" in log.read_text() or process.poll() is not None, 30)
         found = re.search(r"^serving https?://\S+:(\d+)$", log.read_text(), re.MULTILINE)
         assert found, log.read_text()
         time.sleep(0.1)  # the names of the streams
-        yield ServerProcess(process.pid, int(found[1]), log)
+        yield ServerProcess(process, int(found[1]), log)
     finally:
         process.terminate()
         try:
@@ -83,11 +104,8 @@ class Answer:
     body: bytes
 
 
-def answers_of(data: bytes, heads: tuple[int, ...] = ()) -> tuple[list[Answer], bytes]:
-    """The responses in `data`, and what is left that is not a whole one.
-
-    heads: which of them answer HEAD, and so have no body.
-    """
+def answers_of(data: bytes) -> tuple[list[Answer], bytes]:
+    """The responses in `data`, none of them to a HEAD, and what is left that is not a whole one."""
     answers: list[Answer] = []
     while data:
         head, found, rest = data.partition(b"\r\n\r\n")
@@ -97,7 +115,7 @@ def answers_of(data: bytes, heads: tuple[int, ...] = ()) -> tuple[list[Answer], 
         lines = head.decode("latin-1").split("\r\n")[1:]
         headers = {k.lower(): v.strip() for k, _, v in (line.partition(":") for line in lines)}
         status = int(match[1])
-        if status in (204, 304) or status < 200 or len(answers) in heads:
+        if status in (204, 304) or status < 200:
             length = 0
         elif headers.get("transfer-encoding") == "chunked":
             end = rest.find(b"0\r\n\r\n")
@@ -142,11 +160,54 @@ def exchange(
     return bytes(received), False
 
 
-def get(port: int, path: str, timeout_s: float = 10.0) -> Answer:
-    """A plain GET over a connection of its own."""
-    request = f"GET {path} HTTP/1.1\r\nHost: h\r\nConnection: close\r\n\r\n".encode()
-    data, _ = exchange(port, request, quiet_s=timeout_s / 4, limit_s=timeout_s)
-    answers, rest = answers_of(data)
-    assert len(answers) == 1, data[:300]
-    assert not rest
-    return answers[0]
+def ask(
+    port: int,
+    path: str,
+    headers: Mapping[str, str] | None = None,
+    method: str = "GET",
+    body: bytes | None = None,
+) -> Answer:
+    """The answer to a request over a connection of its own."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    with contextlib.closing(connection):
+        connection.request(method, path, body, {"Connection": "close", **(headers or {})})
+        response = connection.getresponse()
+        fields = {name.lower(): value for name, value in response.getheaders()}
+        return Answer(response.status, fields, response.read())
+
+
+def figures(port: int) -> dict[tuple[str, ...], float]:
+    """What /metrics says, by the name of each figure and the sorted values of its labels."""
+    families = text_string_to_metric_families(ask(port, "/metrics").body.decode())
+    samples = [sample for family in families for sample in family.samples]
+    return {(one.name, *sorted(one.labels.values())): one.value for one in samples}
+
+
+class Comers:
+    """Clients that come one after the other, while something happens."""
+
+    def __init__(self, come: Callable[[], None]) -> None:
+        """come: what each of them does."""
+        self._come = come
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self.took_s: list[float] = []
+        """Seconds that each of them took."""
+        self.troubles: list[str] = []
+
+    def __enter__(self) -> Comers:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            began_s = time.monotonic()
+            try:
+                self._come()
+            except Exception as error:
+                self.troubles.append(repr(error))
+            self.took_s.append(time.monotonic() - began_s)

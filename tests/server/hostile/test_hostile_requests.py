@@ -15,8 +15,8 @@ from tests.server.hostile.serverprocess import (
     Answer,
     ServerProcess,
     answers_of,
+    ask,
     exchange,
-    get,
     server_process,
 )
 from tests.support.hosted_streams import write_stream
@@ -62,7 +62,7 @@ def test_it_is_answered_as_http_says_and_nothing_else_happens(
     case: Case, server: ServerProcess, root: Path
 ) -> None:
     whole = (root / "walk" / "segments" / "0" / "0").read_bytes()
-    tag = get(server.port, OBJECT).headers["etag"]
+    tag = ask(server.port, OBJECT).headers["etag"]
     before = len(server.log_lines())
     data, closed = exchange(server.port, case.sent.replace(b"ETAG", tag.encode()), case.shut)
     answers, rest = answers_of(data)
@@ -79,12 +79,12 @@ def test_it_is_answered_as_http_says_and_nothing_else_happens(
     written = server.settled_log(before)[before:]
     assert not any("Traceback" in line for line in written), written
     assert not written
-    assert get(server.port, "/healthz").status == 200
+    assert ask(server.port, "/healthz").status == 200
 
 
 def test_each_request_is_one_line_of_the_log(root: Path, tmp_path: Path) -> None:
     with server_process(root, tmp_path) as server:
-        tag = get(server.port, OBJECT).headers["etag"].encode()
+        tag = ask(server.port, OBJECT).headers["etag"].encode()
         num_answers = 1
         for case in CASES:
             data, _ = exchange(server.port, case.sent.replace(b"ETAG", tag), case.shut)

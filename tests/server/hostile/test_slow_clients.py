@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.serve.processes import family, rss_bytes
 from tests.server.hostile.serverprocess import ServerProcess, answers_of, server_process
 from tests.support.commands import ROOT, environment
 from tests.support.hosted_streams import write_stream
@@ -54,33 +55,15 @@ def how_many() -> int:
     return min(1000, (resource.getrlimit(resource.RLIMIT_NOFILE)[0] - 100) // 2)
 
 
-def rss_bytes(pid: int) -> int:
-    """Of the process and its children."""
-    total = 0
-    for member in (pid, *children(pid)):
-        with contextlib.suppress(OSError):
-            pages = Path(f"/proc/{member}/statm").read_text().split()[1]
-            total += int(pages) * os.sysconf("SC_PAGE_SIZE")
-    return total
-
-
 def num_sockets(pid: int) -> int:
     """Of the process and its children. What the kernel still holds of a connection that the server
     has closed is not among them."""
     count = 0
-    for member in (pid, *children(pid)):
+    for member in family(pid):
         for descriptor in Path(f"/proc/{member}/fd").glob("*"):
             with contextlib.suppress(OSError):
                 count += os.readlink(descriptor).startswith("socket:")
     return count
-
-
-def children(pid: int) -> list[int]:
-    found = []
-    for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        for child in map(int, task.read_text().split()):
-            found += [child, *children(child)]
-    return found
 
 
 def first_byte_s(port: int, path: str) -> float:

@@ -1,5 +1,5 @@
 """A server with workers that names the worker which answers and then echoes, run as a module with
-WHAT CONFIG: its port is on the first line of stdout, its log on stderr.
+WHAT CONFIG: its URL is on the first line of stdout, its log on stderr.
 
 WHAT: "echo", where "hang" blocks the event loop; "slow", which takes a while to end; "stubborn",
 which never does; "late", which takes four seconds to start; "crash", whose workers die; "refuse",
@@ -95,7 +95,7 @@ def main() -> None:
         log.event("forgotten", worker=number)
 
     def ready() -> None:
-        sys.stdout.write(f"{port}\n")
+        sys.stdout.write(f"serving http://127.0.0.1:{port}\n")
         sys.stdout.flush()
 
     try:

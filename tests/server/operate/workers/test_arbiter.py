@@ -9,74 +9,19 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from codec.errors import InvalidError
 from server.operate.workers.arbiter import EARLY_S
 from server.operate.workers.supervisorconfig import SupervisorConfig
-from tests.support.commands import ROOT
+from tests.server.hostile.serverprocess import Comers, ServerProcess, logged_process
+from tests.support.commands import environment
 from tests.support.waiting import is_running, wait_until
-
-
-class Served:
-    """An arbiter with its workers."""
-
-    def __init__(self, what: str, folder: Path, settings: dict[str, Any]) -> None:
-        words = ["-m", "tests.server.operate.workers.echo_workers", what, json.dumps(settings)]
-        self.process = subprocess.Popen(
-            [sys.executable, *words],
-            cwd=folder,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
-        self._talks: list[Talk] = []
-        self.told: list[dict[str, Any]] = []
-        self.rest: list[str] = []
-        self._reader = threading.Thread(target=self._read)
-        self._reader.start()
-        assert self.process.stdout is not None
-        self.port = int(self.process.stdout.readline() or 0)
-        if self.port:
-            wait_until(lambda: len(self.events("worker_ready")) >= settings["workers"])
-
-    def _read(self) -> None:
-        assert self.process.stderr is not None
-        for line in self.process.stderr:
-            if line.startswith(b"{"):
-                self.told.append(json.loads(line))
-            else:
-                self.rest.append(line.decode())
-
-    def connect(self) -> Talk:
-        self._talks.append(Talk(self.port))
-        return self._talks[-1]
-
-    def events(self, event: str) -> list[dict[str, Any]]:
-        return [line for line in list(self.told) if line["event"] == event]
-
-    def close(self) -> None:
-        """Kills it, and closes whatever a test that failed has left open."""
-        self.process.kill()
-        self.end()
-        for talk in self._talks:
-            talk.close()
-        for pipe in (self.process.stdout, self.process.stderr):
-            assert pipe is not None
-            pipe.close()
-
-    def end(self) -> int:
-        """Its exit status, when it has ended and all is read of what it told."""
-        code = self.process.wait(timeout=30)
-        self._reader.join(10)
-        return code
 
 
 class Talk:
@@ -106,13 +51,21 @@ class Talk:
         self._socket.close()
 
 
+def echo_workers(what: str, **settings: object) -> list[str]:
+    """The command of echo_workers.py."""
+    module = "tests.server.operate.workers.echo_workers"
+    return [sys.executable, "-m", module, what, json.dumps(settings)]
+
+
 @contextmanager
-def serving(folder: Path, what: str = "echo", **settings: Any) -> Iterator[Served]:
-    served = Served(what, folder, settings)
-    try:
+def serving(
+    folder: Path, what: str = "echo", workers: int = 2, **settings: object
+) -> Iterator[ServerProcess]:
+    """An arbiter whose workers are ready."""
+    words = echo_workers(what, workers=workers, **settings)
+    with logged_process(words, folder, cwd=folder) as served:
+        wait_until(lambda: len(served.events("worker_ready")) >= workers)
         yield served
-    finally:
-        served.close()
 
 
 def is_refused(port: int) -> bool:
@@ -125,28 +78,16 @@ def is_refused(port: int) -> bool:
 
 @pytest.mark.realtime
 def test_killed_workers_cut_no_other_connection_and_none_is_refused(tmp_path: Path) -> None:
-    with serving(tmp_path, workers=4) as served:
-        refused: list[Exception] = []
-        pauses_s: list[float] = []
-        stop = threading.Event()
+    def come() -> None:
+        # Those of a worker that is killed may lose their connection.
+        with (
+            suppress(ConnectionResetError),
+            socket.create_connection(("127.0.0.1", served.port), timeout=10) as one,
+        ):
+            one.recv(100)
 
-        def keep_coming() -> None:
-            """New clients, one after the other."""
-            while not stop.is_set():
-                began_s = time.monotonic()
-                try:
-                    with socket.create_connection(("127.0.0.1", served.port), timeout=10) as one:
-                        one.recv(100)
-                except ConnectionResetError:
-                    pass  # the worker that was killed had it
-                except OSError as error:
-                    refused.append(error)
-                pauses_s.append(time.monotonic() - began_s)
-
-        safe = served.connect()
-        client = threading.Thread(target=keep_coming)
-        client.start()
-        try:
+    with serving(tmp_path, workers=4) as served, closing(Talk(served.port)) as safe:
+        with Comers(come) as comers:
             time.sleep(EARLY_S)
             for n in range(20):
                 time.sleep(EARLY_S / 2)  # with four workers, the oldest is no early death
@@ -156,17 +97,14 @@ def test_killed_workers_cut_no_other_connection_and_none_is_refused(tmp_path: Pa
                 wait_until(lambda n=n: len(served.events("worker_died")) == n + 1)
                 assert safe.echoes(b"%d" % n)
                 wait_until(lambda n=n: len(served.events("worker_ready")) == n + 5)
-        finally:
-            stop.set()
-            client.join()
-        assert not refused
-        assert len(pauses_s) > 100
-        assert max(pauses_s) < 5
+        assert comers.troubles == []
+        assert len(comers.took_s) > 100
+        assert max(comers.took_s) < 5
         assert {line["restart_s"] for line in served.events("worker_died")} == {0.0}
         assert len([line for line in served.events("record") if "SIGKILL" in line["message"]]) == 20
         # Each number belongs to one worker at a time, and is given up before it is given on.
         holders: dict[int, int] = {}
-        for line in served.told:
+        for line in served.events():
             if line["event"] == "worker_ready":
                 assert line["worker"] not in holders
                 holders[line["worker"]] = line["pid"]
@@ -177,8 +115,7 @@ def test_killed_workers_cut_no_other_connection_and_none_is_refused(tmp_path: Pa
 
 @pytest.mark.realtime
 def test_a_worker_that_hangs_is_replaced(tmp_path: Path) -> None:
-    with serving(tmp_path, workers=2, worker_timeout_s=2) as served:
-        talk = served.connect()
+    with serving(tmp_path, worker_timeout_s=2) as served, closing(Talk(served.port)) as talk:
         began_s = time.monotonic()
         talk.send(b"hang")
         wait_until(lambda: len(served.events("worker_ready")) == 3)
@@ -193,8 +130,8 @@ def test_a_worker_that_hangs_is_replaced(tmp_path: Path) -> None:
 @pytest.mark.realtime
 def test_a_worker_may_take_longer_to_start_than_to_beat(tmp_path: Path) -> None:
     with serving(tmp_path, "late", workers=1, worker_timeout_s=2) as served:
-        served.connect().close()
-        assert [line["event"] for line in served.told] == ["worker_ready"]
+        Talk(served.port).close()
+        assert [line["event"] for line in served.events()] == ["worker_ready"]
 
 
 @pytest.mark.realtime
@@ -205,14 +142,13 @@ def test_a_crash_loop_waits_longer_each_time(tmp_path: Path) -> None:
         assert [line["restart_s"] for line in died] == [0, 0.1, 0.2, 0.4, 0.8]
         began_s = time.monotonic()
         served.process.send_signal(signal.SIGTERM)  # between two restarts
-        assert served.end() == 0
+        assert served.process.wait(timeout=30) == 0
         assert time.monotonic() - began_s < 2
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_it_ends_its_workers_and_then_itself(tmp_path: Path, number: signal.Signals) -> None:
-    with serving(tmp_path, "slow", workers=2) as served:
-        talk = served.connect()
+    with serving(tmp_path, "slow") as served, closing(Talk(served.port)) as talk:
         if number is signal.SIGINT:  # a terminal sends it to all; workers leave it to the arbiter
             for line in served.events("worker_ready"):
                 os.kill(line["pid"], number)
@@ -221,28 +157,28 @@ def test_it_ends_its_workers_and_then_itself(tmp_path: Path, number: signal.Sign
         assert talk.echoes(b"still here")
         # Who comes while they end is told at once, and does not wait for nobody.
         wait_until(lambda: is_refused(served.port) and not served.events("worker_ended"), 0.8)
-        assert served.end() == 0
+        assert served.process.wait(timeout=30) == 0
         assert len(served.events("worker_ended")) == 2
         assert not served.events("worker_killed")
-        assert not served.rest
+        assert len(served.log_lines()) == 1 + len(served.events())  # the first is its URL
 
 
 @pytest.mark.realtime
 def test_workers_that_do_not_end_are_killed_in_time(tmp_path: Path) -> None:
-    with serving(tmp_path, "stubborn", workers=2, shutdown_timeout_s=0.6) as served:
+    with serving(tmp_path, "stubborn", shutdown_timeout_s=0.6) as served:
         began_s = time.monotonic()
         served.process.send_signal(signal.SIGTERM)
-        assert served.end() == 0
+        assert served.process.wait(timeout=30) == 0
         assert 0.5 < time.monotonic() - began_s < 3
         assert len(served.events("worker_killed")) == 2
 
 
 def test_a_second_signal_ends_it_at_once(tmp_path: Path) -> None:
-    with serving(tmp_path, "stubborn", workers=2, shutdown_timeout_s=60) as served:
+    with serving(tmp_path, "stubborn", shutdown_timeout_s=60) as served:
         served.process.send_signal(signal.SIGTERM)
         wait_until(lambda: served.events("stopping"))
         served.process.send_signal(signal.SIGINT)
-        assert served.end() == 0
+        assert served.process.wait(timeout=30) == 0
 
 
 def test_workers_do_not_outlive_their_arbiter(tmp_path: Path) -> None:
@@ -252,11 +188,8 @@ def test_workers_do_not_outlive_their_arbiter(tmp_path: Path) -> None:
         wait_until(lambda: not any(map(is_running, pids)))
 
 
-def test_new_workers_that_die_at_a_renewal_are_started_until_they_serve(
-    tmp_path: Path,
-) -> None:
-    with serving(tmp_path, workers=2) as served:
-        talk = served.connect()
+def test_new_workers_that_die_at_a_renewal_are_started_until_they_serve(tmp_path: Path) -> None:
+    with serving(tmp_path) as served, closing(Talk(served.port)) as talk:
         (tmp_path / "refuse").touch()
         served.process.send_signal(signal.SIGHUP)
         wait_until(lambda: len(served.events("worker_died")) >= 3)
@@ -269,28 +202,32 @@ def test_new_workers_that_die_at_a_renewal_are_started_until_they_serve(
 
 
 def test_a_server_that_cannot_start_says_why_in_one_line(tmp_path: Path) -> None:
-    with serving(tmp_path, "refuse", workers=2) as served:
-        assert served.end() == 1
-        assert served.rest == ["failed: there is nothing to serve\n"]
-        assert {line["event"] for line in served.told} == {"forgotten"}
-        assert not served.port
+    done = subprocess.run(
+        echo_workers("refuse", workers=2),
+        cwd=tmp_path,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    assert (done.returncode, done.stdout) == (1, "")
+    *lines, last = done.stderr.splitlines()
+    assert last == "failed: there is nothing to serve"
+    assert {json.loads(line)["event"] for line in lines} == {"forgotten"}
 
 
 @pytest.mark.realtime
 def test_what_was_counted_outlives_the_workers_that_counted(tmp_path: Path) -> None:
     (tmp_path / "metrics").mkdir()
-    with serving(tmp_path, "count", workers=2) as served:
+    with serving(tmp_path, "count") as served:
         for n in range(1, 6):
-            talk = served.connect()
-            talk.send(b"figures")
-            text = json.loads(talk.line())
-            assert f'swings_requests_total{{code="200",route="/"}} {n}.0\n' in text
-            plays = re.search(r"^swings_active_plays (\d)", text, re.MULTILINE)
-            assert plays
-            assert 1 <= int(plays[1]) <= 2
-            os.kill(talk.pid, signal.SIGKILL)
-            wait_until(lambda n=n: len(served.events("worker_died")) == n)
-            talk.close()
+            with closing(Talk(served.port)) as talk:
+                talk.send(b"figures")
+                text = json.loads(talk.line())
+                assert f'swings_requests_total{{code="200",route="/"}} {n}.0\n' in text
+                assert re.search(r"^swings_active_plays [12]\b", text, re.MULTILINE)
+                os.kill(talk.pid, signal.SIGKILL)
+                wait_until(lambda n=n: len(served.events("worker_died")) == n)
         assert len(list((tmp_path / "metrics").glob("counter_*.db"))) <= 4
 
 

@@ -7,14 +7,14 @@ import os
 import signal
 import time
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, closing
 from pathlib import Path
 
 import pytest
 
 from codec.errors import InvalidError
 from server.operate.workers.peers import MAX_MESSAGE_BYTES, Mailboxes, Peers
-from tests.server.operate.workers.test_arbiter import serving
+from tests.server.operate.workers.test_arbiter import Talk, serving
 from tests.support.waiting import wait_until
 
 
@@ -145,9 +145,8 @@ def test_questions_that_wait_at_the_end_are_given_up() -> None:
 
 @pytest.mark.realtime
 def test_workers_ask_each_other_and_a_successor_reads_on(tmp_path: Path) -> None:
-    with serving(tmp_path, "relay", workers=2) as served:
+    with serving(tmp_path, "relay") as served, closing(Talk(served.port)) as talk:
         pids = {line["worker"]: line["pid"] for line in served.events("worker_ready")}
-        talk = served.connect()
         other = 1 - talk.number
 
         def answer(word: bytes) -> bytes:

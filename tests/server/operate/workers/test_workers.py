@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import http.client
 import itertools
-import json
 import os
 import re
 import signal
@@ -14,8 +12,8 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
+from http.client import HTTPConnection, HTTPException, HTTPResponse
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -26,13 +24,9 @@ from server.operate.sign.keyfile import add_key, read_keys
 from server.operate.sign.signing import Signer
 from server.serving import Service
 from server.state.config import ServerConfig
-from tests.server.hostile.serverprocess import ServerProcess, get, server_process
+from tests.server.hostile.serverprocess import Comers, ServerProcess, ask, figures, server_process
 from tests.support.server.certificates import make_certificate
-from tests.support.server.running_server import (
-    births_with_layer_0,
-    make_stream,
-    parse_records,
-)
+from tests.support.server.running_server import births_with_layer_0, make_stream, parse_records
 from tests.support.waiting import is_running, wait_until
 
 pytestmark = pytest.mark.skipif(
@@ -54,20 +48,15 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def workers(root: Path, folder: Path, *options: object) -> Iterator[ServerProcess]:
     """A server of two workers that are ready."""
     with server_process(root, folder, "--workers", 2, *JSON, *options) as server:
-        wait_until(lambda: len(events(server, "worker_ready")) == 2)
+        wait_until(lambda: len(server.events("worker_ready")) == 2)
         yield server
-
-
-def events(server: ServerProcess, *kinds: str) -> list[dict[str, Any]]:
-    lines = [json.loads(line) for line in server.log_lines() if line.startswith("{")]
-    return [line for line in lines if line["event"] in kinds]
 
 
 class Play:
     """A play that runs, and is read as it comes."""
 
     def __init__(self, server: ServerProcess, query: str = "") -> None:
-        self._connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+        self._connection = HTTPConnection("127.0.0.1", server.port, timeout=20)
         self._connection.request("GET", f"/v1/streams/long/play{query}")
         self.response = self._connection.getresponse()
         assert self.response.status == 200
@@ -78,7 +67,7 @@ class Play:
         self._reader.start()
 
     def _read(self) -> None:
-        with suppress(OSError, http.client.HTTPException):
+        with suppress(OSError, HTTPException):
             while piece := self.response.read1(65536):
                 self.pieces.append(piece)
 
@@ -100,15 +89,24 @@ class Play:
         self._connection.close()
 
 
-def connections_to_both(server: ServerProcess, stack: ExitStack) -> dict[int, Any]:
+def answer_of(
+    connection: HTTPConnection, path: str, token: str = "", report: bytes | None = None
+) -> HTTPResponse:
+    """The answer to a GET that names the play before it, or to a status report, read to its end."""
+    method = "GET" if report is None else "POST"
+    connection.request(method, f"/v1/streams/{path}", report, {PLAY_HEADER: token})
+    answer = connection.getresponse()
+    answer.read()
+    return answer
+
+
+def connections_to_both(server: ServerProcess, stack: ExitStack) -> dict[int, HTTPConnection]:
     """By worker a connection to it that is kept."""
-    found: dict[int, http.client.HTTPConnection] = {}
+    found: dict[int, HTTPConnection] = {}
     for _ in range(300):
-        one = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
-        one.request("GET", "/v1/streams/long/play?until=1&layers=1")
-        response = one.getresponse()
-        response.read()
-        place = int(response.headers[PLAY_HEADER].partition("-")[0])
+        one = HTTPConnection("127.0.0.1", server.port, timeout=20)
+        answer = answer_of(one, "long/play?until=1&layers=1")
+        place = int(answer.headers[PLAY_HEADER].partition("-")[0])
         if place in found:
             one.close()
             continue
@@ -123,10 +121,7 @@ def test_a_status_report_may_reach_any_worker(root: Path, tmp_path: Path) -> Non
         to_both = connections_to_both(server, stack)
 
         def tell(place: int, token: str, body: bytes) -> tuple[int, str | None]:
-            one = to_both[place]
-            one.request("POST", f"/v1/streams/long/play/{token}", body)
-            answer = one.getresponse()
-            answer.read()
+            answer = answer_of(to_both[place], f"long/play/{token}", report=body)
             return answer.status, answer.headers[RATE_HEADER]
 
         places = set[int]()
@@ -146,41 +141,7 @@ def test_a_status_report_may_reach_any_worker(root: Path, tmp_path: Path) -> Non
             for place in to_both:
                 wait_until(lambda p=place, t=play.token: tell(p, t, b'{"frame": 1}')[0] == 404)
         # What it counts it counts once, whoever was asked.
-        text = get(server.port, "/metrics").body.decode()
-        name = "swings_play_status_reports_total"
-        assert re.search(rf'^{name}\{{outcome="refused"\}} [1-9]', text, re.MULTILINE)
-
-
-class Comers:
-    """Clients that come one after the other, while something happens."""
-
-    def __init__(self, port: int) -> None:
-        self._port = port
-        self._stop = threading.Event()
-        self.answered = 0
-        self.troubles: list[str] = []
-        self.longest_s = 0.0
-        self._thread = threading.Thread(target=self._come)
-
-    def __enter__(self) -> Comers:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._stop.set()
-        self._thread.join()
-
-    def _come(self) -> None:
-        while not self._stop.is_set():
-            began_s = time.monotonic()
-            try:
-                status = get(self._port, "/v1/streams/long/manifest.json").status
-                self.answered += status == 200
-                if status != 200:
-                    self.troubles.append(str(status))
-            except (OSError, AssertionError) as error:
-                self.troubles.append(repr(error))
-            self.longest_s = max(self.longest_s, time.monotonic() - began_s)
+        assert figures(server.port)["swings_play_status_reports_total", "refused"] >= 1
 
 
 @pytest.mark.realtime
@@ -189,17 +150,21 @@ def test_renewed_workers_say_where_to_go_on_and_nobody_is_refused(
 ) -> None:
     with workers(root, tmp_path) as server, ExitStack() as stack:
         plays = [stack.enter_context(closing(Play(server, "?layers=2"))) for _ in range(12)]
-        with Comers(server.port) as comers:
+
+        def come() -> None:
+            assert ask(server.port, "/v1/streams/long/manifest.json").status == 200
+
+        with Comers(come) as comers:
             time.sleep(0.3)
             for round in (1, 2):  # and once more: there is room for it
                 os.kill(server.pid, signal.SIGHUP)
-                wait_until(lambda n=2 * round: len(events(server, "worker_ended")) == n)
+                wait_until(lambda n=2 * round: len(server.events("worker_ended")) == n)
             time.sleep(0.3)
         assert comers.troubles == []
-        assert comers.answered > 20
-        assert comers.longest_s < 2
-        assert not events(server, "worker_died", "worker_killed", "renewal_failed")
-        assert max(line["worker"] for line in events(server, "worker_ready")) <= 3
+        assert len(comers.took_s) > 20
+        assert max(comers.took_s) < 2
+        assert not server.events("worker_died", "worker_killed", "renewal_failed")
+        assert max(line["worker"] for line in server.events("worker_ready")) <= 3
         for play in plays:
             records = play.records()
             last = records[-1]
@@ -222,14 +187,14 @@ def test_renewed_workers_say_where_to_go_on_and_nobody_is_refused(
 @pytest.mark.realtime
 def test_plays_of_a_worker_that_hangs_go_on_at_another(root: Path, tmp_path: Path) -> None:
     with workers(root, tmp_path, "--worker-timeout-s", 2) as server, ExitStack() as stack:
-        pids = {line["worker"]: line["pid"] for line in events(server, "worker_ready")}
+        pids = {line["worker"]: line["pid"] for line in server.events("worker_ready")}
         play = stack.enter_context(closing(Play(server, "?layers=2")))
         others = [stack.enter_context(closing(Play(server, "?layers=2"))) for _ in range(12)]
         wait_until(lambda: sum(map(len, play.pieces)) > 100_000)
         os.kill(pids[play.place], signal.SIGSTOP)
         births = births_with_layer_0(play.records())
-        wait_until(lambda: len(events(server, "worker_ready")) == 3)
-        assert [line["pid"] for line in events(server, "worker_died")] == [pids[play.place]]
+        wait_until(lambda: len(server.events("worker_ready")) == 3)
+        assert [line["pid"] for line in server.events("worker_died")] == [pids[play.place]]
         with closing(Play(server, f"?from={births[-1] + 1}&until={births[-1] + 20}")) as rest:
             more = rest.records()
         assert isinstance(more[-1], EndRecord)
@@ -243,22 +208,22 @@ def test_broken_files_at_a_renewal_leave_the_server_as_it_was(root: Path, tmp_pa
 
     def status() -> int:
         signed = Signer(read_keys(keys)).sign("long", round(time.time()) + 600)
-        return get(server.port, f"{signed}/v1/streams/long/manifest.json").status
+        return ask(server.port, f"{signed}/v1/streams/long/manifest.json").status
 
     with workers(root, tmp_path, "--keys", keys) as server:
         assert status() == 200
         before = keys.read_text()
         keys.write_text("no key")
         os.kill(server.pid, signal.SIGHUP)
-        wait_until(lambda: events(server, "renewal_failed"))
+        wait_until(lambda: server.events("renewal_failed"))
         keys.write_text(before)
         assert status() == 200
         add_key(keys)
         assert status() == 403  # by its newest key, which the server has not read
         os.kill(server.pid, signal.SIGHUP)
-        wait_until(lambda: len(events(server, "worker_ended")) == 2)
+        wait_until(lambda: len(server.events("worker_ended")) == 2)
         assert status() == 200
-        assert not events(server, "worker_died")
+        assert not server.events("worker_died")
 
 
 def test_a_broken_certificate_is_found_before_a_renewal(tmp_path: Path) -> None:
@@ -290,7 +255,7 @@ def test_nothing_around_the_server_changes_how_gunicorn_runs(
         time.sleep(1.0)
         found = {path.name for folder in (home, here) for path in folder.iterdir()}
     assert found <= {"gunicorn.conf.py", "setproctitle.py", "__pycache__"}
-    assert len(events(server, "worker_ready")) == 2
+    assert len(server.events("worker_ready")) == 2
     others = [line for line in server.log_lines() if not line.startswith("{")]
     assert others == [f"serving http://127.0.0.1:{server.port}"]
 
@@ -306,28 +271,21 @@ def test_under_load_all_workers_know_the_tokens_of_all_and_no_others(
         with closing(Play(server, query)) as play:
             before = play.token
         os.kill(server.pid, signal.SIGHUP)
-        wait_until(lambda: len(events(server, "worker_ended")) == 2)
+        wait_until(lambda: len(server.events("worker_ended")) == 2)
         with closing(Play(server, query)) as play:
             after = play.token
-
-        def status(one: http.client.HTTPConnection, path: str, token: str) -> int:
-            one.request("GET", f"/v1/streams/{path}", headers={PLAY_HEADER: token})
-            answer = one.getresponse()
-            answer.read()
-            return answer.status
-
         for one in connections_to_both(server, stack).values():
             made_up = "0-made_up_by_a_client_0000"
 
-            def is_full(one: http.client.HTTPConnection = one, token: str = made_up) -> bool:
+            def is_full(one: HTTPConnection = one, token: str = made_up) -> bool:
                 for _ in range(20):
-                    status(one, "big/segments/0/0", "")
-                return status(one, f"long/play{query}", token) == 503
+                    answer_of(one, "big/segments/0/0")
+                return answer_of(one, f"long/play{query}", token).status == 503
 
             wait_until(is_full)
-            assert status(one, f"long/play{query}", "") == 503
+            assert answer_of(one, f"long/play{query}").status == 503
             for token in (before, after):
-                assert status(one, f"long/play{query}", token) == 200
+                assert answer_of(one, f"long/play{query}", token).status == 200
 
 
 SHUTDOWN_S = 3.0
@@ -345,21 +303,14 @@ def test_it_ends_in_time_though_50_clients_read_nothing(
             one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             one.connect(("127.0.0.1", server.port))
             one.sendall(b"GET /v1/streams/big/play HTTP/1.1\r\nHost: h\r\n\r\n")
-
-        def active() -> float:
-            found = re.search(
-                r"^swings_active_plays (\d+)", get(server.port, "/metrics").body.decode(), re.M
-            )
-            return float(found[1]) if found else 0
-
-        wait_until(lambda: active() == 50)
+        wait_until(lambda: figures(server.port).get(("swings_active_plays",)) == 50)
         time.sleep(0.5)  # they fill whatever buffers there are
         began_s = time.monotonic()
         os.kill(server.pid, signal.SIGTERM)
         wait_until(lambda: not is_running(server.pid))
         took_s = time.monotonic() - began_s
         assert took_s < SHUTDOWN_S + 0.5
-        assert not events(server, "worker_killed", "worker_died")
-        cut = [line for line in events(server, "request") if line["path"].endswith("/play")]
+        assert not server.events("worker_killed", "worker_died")
+        cut = [line for line in server.events("request") if line["path"].endswith("/play")]
         assert len(cut) == 50
         assert {line["outcome"] for line in cut} == {"stopped"}
