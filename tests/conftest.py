@@ -34,6 +34,13 @@ settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "desk")
 
 
+
+@pytest.fixture(scope="session")
+def anyio_backend() -> str:
+    """What runs the tests that are coroutines, by the plugin of anyio."""
+    return "asyncio"
+
+
 REALTIME = "realtime"
 """The marker of tests that measure time, and the name of the group that they run in."""
 

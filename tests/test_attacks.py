@@ -183,5 +183,6 @@ def test_it_is_held(attack: str) -> None:
     for test in HELD_BY[attack]:
         file, name = test.split("::")
         tree = ast.parse((HERE / file).read_text(encoding="utf-8"))
-        names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        functions = ast.FunctionDef | ast.AsyncFunctionDef
+        names = {node.name for node in tree.body if isinstance(node, functions)}
         assert name in names, test

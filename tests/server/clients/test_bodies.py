@@ -20,8 +20,10 @@ from server.exchange.exchange import Exchange
 from server.exchange.response import BodyWriter, Response, StreamedResponse
 from server.operate.prometheus import Metrics
 from tests.support.server.certificates import make_certificate
-from tests.support.server.plain_site import RunningSite, on_site, text
+from tests.support.server.plain_site import on_site, text
 from tests.support.waiting import wait_until
+
+pytestmark = pytest.mark.anyio
 
 BODY = random.Random(7).randbytes(6_000_000)
 
@@ -40,14 +42,14 @@ def speaking_tls(certificate: tuple[Path, Path]) -> tuple[ssl.SSLContext, ssl.SS
     return server, client
 
 
+Tls = tuple[ssl.SSLContext | None, ssl.SSLContext | None]
+
+
 @pytest.fixture(scope="module", params=["plain", "tls"])
-def tls(request: pytest.FixtureRequest) -> tuple[ssl.SSLContext | None, ssl.SSLContext | None]:
+def tls(request: pytest.FixtureRequest) -> Tls:
     if request.param == "plain":
         return None, None
     return speaking_tls(request.getfixturevalue("certificate"))
-
-
-Tls = tuple[ssl.SSLContext | None, ssl.SSLContext | None]
 
 
 def body(exchange: Exchange) -> Response:
@@ -56,53 +58,51 @@ def body(exchange: Exchange) -> Response:
     return Response(200, {}, memoryview(BODY)[: int(exchange.request.query)])
 
 
-def test_bodies_of_any_size_come_whole_one_after_the_other(tls: Tls) -> None:
+async def test_bodies_of_any_size_come_whole_one_after_the_other(tls: Tls) -> None:
     sizes = 0, 1, 16_384, 16_385, 65_536, 1_000_000, 3, 1 << 20, (1 << 20) + 1, 5_999_999, 7
 
-    async def check(site: RunningSite) -> None:
-        async with site.connect(tls[1]) as client:
-            for size in sizes:
-                client.get(f"/body?{size}")
-                assert (await client.answer())[2] == BODY[:size]
-            for size in sizes:
-                client.get(f"/body?{size}")
-            for size in sizes:
-                assert (await client.answer())[2] == BODY[:size]
-            client.get("/body?900000", "Connection: close")
-            assert (await client.answer())[2] == BODY[:900_000]
-            assert await client.rest() == b""
-
-    site = on_site({"/body": body}, check, tls=tls[0])
+    async with on_site({"/body": body}, tls=tls[0]) as site, site.connect(tls[1]) as client:
+        for size in sizes:
+            client.get(f"/body?{size}")
+            assert (await client.answer())[2] == BODY[:size]
+        for size in sizes:
+            client.get(f"/body?{size}")
+        for size in sizes:
+            assert (await client.answer())[2] == BODY[:size]
+        client.get("/body?900000", "Connection: close")
+        assert (await client.answer())[2] == BODY[:900_000]
+        assert await client.rest() == b""
     assert not site.cuts
     sent_bytes = 2 * sum(sizes) + 900_000
     assert sent_bytes < site.state.sent_bytes < sent_bytes + 500 * len(site.done)
 
 
-def test_a_slow_reader_gets_every_byte_and_little_waits_in_the_process(tls: Tls) -> None:
-    async def check(site: RunningSite) -> None:
-        async with site.connect(tls[1], limit_bytes=2048) as client:
-            client.get(f"/body?{len(BODY)}")
-            await client.reader.readuntil(b"\r\n\r\n")
-            hashed, left, most = hashlib.sha256(), len(BODY), 0
-            (connection,) = site.acceptor.connections
-            transport = connection.transport
-            while left:
-                piece = await client.reader.read(50_000)
-                hashed.update(piece)
-                left -= len(piece)
-                waiting = transport.get_write_buffer_size()
-                inner = getattr(transport, "_ssl_protocol", None)
-                waiting += inner._transport.get_write_buffer_size() if inner is not None else 0
-                most = max(most, waiting)
-                await asyncio.sleep(0.001)
-            assert hashed.digest() == hashlib.sha256(BODY).digest()
-            # A piece of 512 KiB; TLS keeps it twice, as it came and coded.
-            assert most <= (600_000 if tls[1] is None else 1_200_000)
+async def test_a_slow_reader_gets_every_byte_and_little_waits_in_the_process(tls: Tls) -> None:
+    async with (
+        on_site({"/body": body}, tls=tls[0]) as site,
+        site.connect(tls[1], limit_bytes=2048) as client,
+    ):
+        client.get(f"/body?{len(BODY)}")
+        await client.reader.readuntil(b"\r\n\r\n")
+        hashed, left, most = hashlib.sha256(), len(BODY), 0
+        (connection,) = site.acceptor.connections
+        transport = connection.transport
+        while left:
+            piece = await client.reader.read(50_000)
+            hashed.update(piece)
+            left -= len(piece)
+            waiting = transport.get_write_buffer_size()
+            inner = getattr(transport, "_ssl_protocol", None)
+            waiting += inner._transport.get_write_buffer_size() if inner is not None else 0
+            most = max(most, waiting)
+            await asyncio.sleep(0.001)
+        assert hashed.digest() == hashlib.sha256(BODY).digest()
+        # A piece of 512 KiB; TLS keeps it twice, as it came and coded.
+        assert most <= (600_000 if tls[1] is None else 1_200_000)
+    assert not site.cuts
 
-    assert not on_site({"/body": body}, check, tls=tls[0]).cuts
 
-
-def test_a_streamed_body_waits_for_its_reader(tls: Tls) -> None:
+async def test_a_streamed_body_waits_for_its_reader(tls: Tls) -> None:
     written = 0
 
     def streamed(exchange: Exchange) -> StreamedResponse:
@@ -115,7 +115,7 @@ def test_a_streamed_body_waits_for_its_reader(tls: Tls) -> None:
 
         return StreamedResponse({}, produce)
 
-    async def check(site: RunningSite) -> None:
+    async with on_site({"/streamed": streamed, "/body": body}, tls=tls[0]) as site:
         async with site.connect(tls[1], limit_bytes=2048) as client:
             client.writer.get_extra_info("socket").setsockopt(
                 socket.SOL_SOCKET, socket.SO_RCVBUF, 65_536
@@ -130,14 +130,11 @@ def test_a_streamed_body_waits_for_its_reader(tls: Tls) -> None:
             assert (await client.answer())[2] == BODY
             assert (await client.answer())[2] == BODY[:300_000]
 
-    on_site({"/streamed": streamed, "/body": body}, check, tls=tls[0])
-
 
 @pytest.mark.realtime
-def test_large_bodies_give_others_their_turn(tls: Tls) -> None:
+async def test_large_bodies_give_others_their_turn(tls: Tls) -> None:
     """Whoever takes as fast as it can does not hold up a short response."""
-
-    async def check(site: RunningSite) -> None:
+    async with on_site({"/body": body, "/ok": text()}, tls=tls[0]) as site:
         loop = asyncio.get_running_loop()
 
         async def take() -> None:
@@ -159,14 +156,13 @@ def test_large_bodies_give_others_their_turn(tls: Tls) -> None:
             assert count > 5
             assert worst_s < 1.0
 
-    on_site({"/body": body, "/ok": text()}, check, tls=tls[0])
 
-
-def test_strangers_at_the_tls_port_leave_nothing_behind(certificate: tuple[Path, Path]) -> None:
+async def test_strangers_at_the_tls_port_leave_nothing_behind(
+    certificate: tuple[Path, Path],
+) -> None:
     server, client_tls = speaking_tls(certificate)
     hello = bytes.fromhex("1603010200010001fc0303") + bytes(517)
-
-    async def check(site: RunningSite) -> None:
+    async with on_site({"/ok": text()}, tls=server) as site:
         for sent in (b"GET / HTTP/1.1\r\nHost: h\r\n\r\n", bytes(500), hello, b"\x16\x03", b""):
             for _ in range(5):
                 async with site.connect() as stranger:
@@ -177,8 +173,6 @@ def test_strangers_at_the_tls_port_leave_nothing_behind(certificate: tuple[Path,
         async with site.connect(client_tls) as client:
             client.get("/ok")
             assert (await client.answer())[0] == 200
-
-    on_site({"/ok": text()}, check, tls=server)
 
 
 class Holding(MemoryTransport):
@@ -198,39 +192,35 @@ class Written:
 
 
 @given(st.lists(st.tuples(st.integers(0, 800), st.integers(0, 800)), max_size=60))
-def test_a_client_stalls_that_had_something_to_take_and_did_not(
+async def test_a_client_stalls_that_had_something_to_take_and_did_not(
     steps: list[tuple[int, int]],
 ) -> None:
     """In each step some bytes are written and some are taken; against a model of the last steps."""
-
-    async def run() -> None:
-        timeouts = TimeoutConfig(
-            write_timeout_s=TIMEOUT_S, least_rate_bytes=LEAST_BYTES / TIMEOUT_S
-        )
-        with socket.socket(socket.AF_UNIX) as sock:  # not TCP: the kernel tells nothing of it
-            transport, writer = Holding(sock), Written()
-            clients = Clients(asyncio.Protocol, lambda *_: None, timeouts, Metrics())
-            connection = ClientConnection(clients, "a", lambda _: None)
-            connection.connection_made(transport)
-            connection.begin(writer)  # type: ignore[arg-type]
-            window: tuple[int, int] | None = None  # the step and the bytes taken by then
-            taken = 0
-            for number, (more, takes) in enumerate(steps):
-                transport.write(bytes(more))
-                writer.output_size += more
-                takes = min(takes, len(transport.sent))
-                del transport.sent[:takes]
-                taken += takes
-                connection.check(number * STEP_S)
-                expected = False
-                if not transport.sent:
-                    window = None
-                elif window is None:
-                    window = number, taken
-                elif (number - window[0]) * STEP_S >= TIMEOUT_S:
-                    expected = taken - window[1] < LEAST_BYTES
-                    window = number, taken
-                assert (connection.cut == "stalled") == expected
-                connection.cut = ""
-
-    asyncio.run(run())
+    timeouts = TimeoutConfig(
+        write_timeout_s=TIMEOUT_S, least_rate_bytes=LEAST_BYTES / TIMEOUT_S
+    )
+    with socket.socket(socket.AF_UNIX) as sock:  # not TCP: the kernel tells nothing of it
+        transport, writer = Holding(sock), Written()
+        clients = Clients(asyncio.Protocol, lambda *_: None, timeouts, Metrics())
+        connection = ClientConnection(clients, "a", lambda _: None)
+        connection.connection_made(transport)
+        connection.begin(writer)  # type: ignore[arg-type]
+        window: tuple[int, int] | None = None  # the step and the bytes taken by then
+        taken = 0
+        for number, (more, takes) in enumerate(steps):
+            transport.write(bytes(more))
+            writer.output_size += more
+            takes = min(takes, len(transport.sent))
+            del transport.sent[:takes]
+            taken += takes
+            connection.check(number * STEP_S)
+            expected = False
+            if not transport.sent:
+                window = None
+            elif window is None:
+                window = number, taken
+            elif (number - window[0]) * STEP_S >= TIMEOUT_S:
+                expected = taken - window[1] < LEAST_BYTES
+                window = number, taken
+            assert (connection.cut == "stalled") == expected
+            connection.cut = ""

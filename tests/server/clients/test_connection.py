@@ -11,8 +11,10 @@ from server.clients.connection import ClientConnection
 from server.clients.timeouts import TimeoutConfig
 from server.exchange.exchange import Exchange
 from server.exchange.response import AnyResponse, BodyWriter, Response, StreamedResponse
-from tests.support.server.plain_site import Answers, RunningSite, on_site, text
+from tests.support.server.plain_site import Answers, on_site, text
 from tests.support.waiting import wait_until
+
+pytestmark = pytest.mark.anyio
 
 QUICK = TimeoutConfig(request_timeout_s=0.4, keepalive_timeout_s=0.3, write_timeout_s=0.5)
 
@@ -46,31 +48,23 @@ ANSWERS: Answers = {
 }
 
 
-def test_a_hundred_requests_at_once_are_answered_in_order() -> None:
-    async def check(site: RunningSite) -> None:
-        async with site.connect() as client:
-            paths = ["/echo", "/late", "/echo", "/chunks"]
-            client.send(
-                b"".join(
-                    f"GET {paths[n % 4]}?{n} HTTP/1.1\r\nHost: h\r\n\r\n".encode()
-                    for n in range(100)
-                )
-            )
-            for n in range(100):
-                expected = b"some words" if n % 4 == 3 else str(n).encode()
-                assert (await client.answer())[::2] == (200, expected)
-
-    site = on_site(ANSWERS, check)
+async def test_a_hundred_requests_at_once_are_answered_in_order() -> None:
+    async with on_site(ANSWERS) as site, site.connect() as client:
+        paths = ["/echo", "/late", "/echo", "/chunks"]
+        for n in range(100):
+            client.get(f"{paths[n % 4]}?{n}")
+        for n in range(100):
+            expected = b"some words" if n % 4 == 3 else str(n).encode()
+            assert (await client.answer())[::2] == (200, expected)
     assert len(site.done) == 100
 
 
-def test_requests_in_pieces_of_any_size_are_the_same() -> None:
+async def test_requests_in_pieces_of_any_size_are_the_same() -> None:
     sent = b"".join(
         b"POST /echo?%d HTTP/1.1\r\nHost: h\r\nContent-Length: %d\r\n\r\n%s" % (n, n, b"x" * n)
         for n in range(9)
     )
-
-    async def check(site: RunningSite) -> None:
+    async with on_site(ANSWERS) as site:
         for size in (1, 2, 3, 7, 40):
             async with site.connect() as client:
                 for start in range(0, len(sent), size):
@@ -79,34 +73,29 @@ def test_requests_in_pieces_of_any_size_are_the_same() -> None:
                 for n in range(9):
                     assert (await client.answer())[2] == str(n).encode() + b"x" * n
 
-    on_site(ANSWERS, check)
-
 
 @pytest.mark.parametrize("how", ["/304", "/404", "/ok", "/late", "/chunks", "HEAD", "POST"])
-def test_a_connection_is_used_again_after(how: str) -> None:
-    async def check(site: RunningSite) -> None:
-        async with site.connect() as client:
-            for _ in range(2):
-                if how == "HEAD":
-                    client.get("/large", method="HEAD")
-                    status, fields, _ = await client.answer(head_only=True)
-                    assert (status, fields["content-length"]) == (200, str(1 << 20))
-                elif how == "POST":
-                    client.get("/echo", "Content-Length: 3", method="POST")
-                    client.send(b"abc")
-                    assert (await client.answer())[2] == b"abc"
-                else:
-                    client.get(how)
-                    status, fields, _ = await client.answer()
-                    assert "connection" not in fields
-                client.get("/echo?again")
-                assert (await client.answer())[2] == b"again"
-
-    on_site(ANSWERS, check)
+async def test_a_connection_is_used_again_after(how: str) -> None:
+    async with on_site(ANSWERS) as site, site.connect() as client:
+        for _ in range(2):
+            if how == "HEAD":
+                client.get("/large", method="HEAD")
+                status, fields, _ = await client.answer(head_only=True)
+                assert (status, fields["content-length"]) == (200, str(1 << 20))
+            elif how == "POST":
+                client.get("/echo", "Content-Length: 3", method="POST")
+                client.send(b"abc")
+                assert (await client.answer())[2] == b"abc"
+            else:
+                client.get(how)
+                status, fields, _ = await client.answer()
+                assert "connection" not in fields
+            client.get("/echo?again")
+            assert (await client.answer())[2] == b"again"
 
 
-def test_who_sends_no_more_still_gets_all_that_it_asked_for() -> None:
-    async def check(site: RunningSite) -> None:
+async def test_who_sends_no_more_still_gets_all_that_it_asked_for() -> None:
+    async with on_site(ANSWERS) as site:
         for paths in (["/ok"], ["/large"], ["/late"], ["/ok", "/late", "/large", "/ok", "/late"]):
             async with site.connect() as client:
                 for path in paths:
@@ -122,11 +111,9 @@ def test_who_sends_no_more_still_gets_all_that_it_asked_for() -> None:
             assert (await client.answer())[0] == 200
             assert await client.rest() == b""
 
-    on_site(ANSWERS, check)
 
-
-def test_old_clients_are_asked_back_only_if_they_want() -> None:
-    async def check(site: RunningSite) -> None:
+async def test_old_clients_are_asked_back_only_if_they_want() -> None:
+    async with on_site(ANSWERS) as site:
         async with site.connect() as client:
             client.get("/ok", "Connection: keep-alive", version="1.0")
             assert (await client.answer())[1]["connection"] == "keep-alive"
@@ -143,15 +130,12 @@ def test_old_clients_are_asked_back_only_if_they_want() -> None:
             assert (await client.answer())[1]["connection"] == "close"
             client.get("/ok")
             assert await client.rest() == b""
-
-    site = on_site(ANSWERS, check)
     assert len(site.done) == 4
 
 
-def test_who_asks_is_told_to_go_on() -> None:
+async def test_who_asks_is_told_to_go_on() -> None:
     lines = "Content-Length: 3", "Expect: 100-continue"
-
-    async def check(site: RunningSite) -> None:
+    async with on_site(ANSWERS) as site:
         async with site.connect() as client:
             client.get("/echo", *lines, method="POST")
             assert (await client.answer())[0] == 100
@@ -168,12 +152,10 @@ def test_who_asks_is_told_to_go_on() -> None:
             client.get("/echo", "Content-Length: 2000", "Expect: 100-continue", method="POST")
             assert (await client.answer())[0] == 413
 
-    on_site(ANSWERS, check)
-
 
 @pytest.mark.realtime
-def test_times_run_out() -> None:
-    async def check(site: RunningSite) -> None:
+async def test_times_run_out() -> None:
+    async with on_site(ANSWERS, QUICK) as site:
         loop = asyncio.get_running_loop()
         async with site.connect() as client:  # says nothing
             began_s = loop.time()
@@ -198,25 +180,21 @@ def test_times_run_out() -> None:
                 status, fields, _ = await client.answer()
                 assert (status, fields["connection"]) == (408, "close")
                 assert loop.time() - began_s < 2
-
-    site = on_site(ANSWERS, check, QUICK)
     assert site.cuts == ["head", "head", "idle", "idle"]
 
 
-def test_a_request_that_takes_its_time_is_not_cut() -> None:
+async def test_a_request_that_takes_its_time_is_not_cut() -> None:
     async def slow(exchange: Exchange) -> AnyResponse:
         await asyncio.sleep(1.2)
         return Response(200, {}, b"at last")
 
-    async def check(site: RunningSite) -> None:
-        async with site.connect() as client:
-            client.get("/slow")
-            assert (await client.answer())[2] == b"at last"
-
-    assert not on_site({"/slow": slow}, check, QUICK).cuts
+    async with on_site({"/slow": slow}, QUICK) as site, site.connect() as client:
+        client.get("/slow")
+        assert (await client.answer())[2] == b"at last"
+    assert not site.cuts
 
 
-def test_a_client_that_goes_away_costs_its_own_response_only() -> None:
+async def test_a_client_that_goes_away_costs_its_own_response_only() -> None:
     ended: list[str] = []
 
     def endless(exchange: Exchange) -> StreamedResponse:
@@ -231,7 +209,7 @@ def test_a_client_that_goes_away_costs_its_own_response_only() -> None:
 
         return StreamedResponse({}, produce)
 
-    async def check(site: RunningSite) -> None:
+    async with on_site({**ANSWERS, "/endless": endless}) as site:
         for path in ("/endless", "/large", "/late"):
             async with site.connect() as client, site.connect() as other:
                 client.get(path)
@@ -246,13 +224,11 @@ def test_a_client_that_goes_away_costs_its_own_response_only() -> None:
             client.writer.write_eof()
             await client.rest()
         await asyncio.to_thread(wait_until, lambda: not site.acceptor.connections)
-
-    site = on_site({**ANSWERS, "/endless": endless}, check)
     assert ended == ["gone", "gone"]
     assert len(site.done) == 7
 
 
-def test_a_body_that_fails_is_cut_off_so_that_it_shows() -> None:
+async def test_a_body_that_fails_is_cut_off_so_that_it_shows() -> None:
     def failing(exchange: Exchange) -> StreamedResponse:
         async def produce(writer: BodyWriter) -> None:
             await writer.write(b"some")
@@ -260,18 +236,15 @@ def test_a_body_that_fails_is_cut_off_so_that_it_shows() -> None:
 
         return StreamedResponse({}, produce)
 
-    async def check(site: RunningSite) -> None:
-        async with site.connect() as client:
-            client.get("/failing")
-            with pytest.raises((asyncio.IncompleteReadError, ConnectionError, ValueError)):
-                await client.answer()
-
-    site = on_site({"/failing": failing}, check)
+    async with on_site({"/failing": failing}) as site, site.connect() as client:
+        client.get("/failing")
+        with pytest.raises((asyncio.IncompleteReadError, ConnectionError, ValueError)):
+            await client.answer()
     assert [exchange.status for exchange in site.done] == [499]
 
 
 @pytest.mark.realtime
-def test_a_flood_of_requests_is_bounded_and_others_have_their_turn(
+async def test_a_flood_of_requests_is_bounded_and_others_have_their_turn(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """One client asks without end and takes nothing."""
@@ -285,43 +258,40 @@ def test_a_flood_of_requests_is_bounded_and_others_have_their_turn(
 
     monkeypatch.setattr(ClientConnection, "buffer_updated", noting)
     one = b"GET /short HTTP/1.1\r\nHost: h\r\n\r\n"
-
-    async def check(site: RunningSite) -> None:
-        async with site.connect(limit_bytes=1024) as greedy, site.connect() as other:
-            greedy.send(one * 20_000)
-            loop, worst_s = asyncio.get_running_loop(), 0.0
-            for _ in range(50):
-                began_s = loop.time()
-                other.get("/ok")
-                await other.answer()
-                worst_s = max(worst_s, loop.time() - began_s)
-            assert len(site.site.done) < 10_000  # it was not read on
-            assert worst_s < 0.5
-            for _ in range(20_000):
-                assert len((await greedy.answer())[2]) == 12_000
-
-    on_site({"/ok": text(), "/short": text(body=bytes(12_000))}, check)
+    async with (
+        on_site({"/ok": text(), "/short": text(body=bytes(12_000))}) as site,
+        site.connect(limit_bytes=1024) as greedy,
+        site.connect() as other,
+    ):
+        greedy.send(one * 20_000)
+        loop, worst_s = asyncio.get_running_loop(), 0.0
+        for _ in range(50):
+            began_s = loop.time()
+            other.get("/ok")
+            await other.answer()
+            worst_s = max(worst_s, loop.time() - began_s)
+        assert len(site.done) < 10_000  # it was not read on
+        assert worst_s < 0.5
+        for _ in range(20_000):
+            assert len((await greedy.answer())[2]) == 12_000
     assert most < 1 << 20
 
 
-def test_stopping_waits_for_what_was_asked() -> None:
-    async def check(site: RunningSite) -> None:
-        async with site.connect() as idle, site.connect() as busy:
-            busy.get("/slow")
-            await asyncio.sleep(0.05)
-            site.site.state.stopping.set()
-            for connection in list(site.acceptor.connections):
-                connection.stop()
-            assert await idle.rest() == b""
-            status, _, body = await busy.answer()
-            assert (status, body) == (200, b"done")
-            assert await busy.rest() == b""
-
+async def test_stopping_waits_for_what_was_asked() -> None:
     async def slow(exchange: Exchange) -> AnyResponse:
         await asyncio.sleep(0.3)
         return Response(200, {}, b"done")
 
-    on_site({"/slow": slow}, check)
+    async with on_site({"/slow": slow}) as site, site.connect() as idle, site.connect() as busy:
+        busy.get("/slow")
+        await asyncio.sleep(0.05)
+        site.state.stopping.set()
+        for connection in list(site.acceptor.connections):
+            connection.stop()
+        assert await idle.rest() == b""
+        status, _, body = await busy.answer()
+        assert (status, body) == (200, b"done")
+        assert await busy.rest() == b""
 
 
 def test_times_that_make_no_sense_are_refused() -> None:

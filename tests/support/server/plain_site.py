@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import ssl
 import tempfile
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 from typing import Any
@@ -31,14 +32,38 @@ Answers = Mapping[str, Callable[[Exchange], Answer]]
 class PlainSite(Application):
     """Gives its answers, and remembers what became of them."""
 
-    def __init__(self, state: ServerState, answers: Answers) -> None:
+    def __init__(
+        self,
+        state: ServerState,
+        answers: Answers,
+        listener: socket.socket,
+        tls: ssl.SSLContext | None,
+    ) -> None:
         super().__init__(state)
-        self.answers = answers
+        self._answers = answers
         self.done: list[Exchange] = []
+        self.admission = Admission(1000, 1000)
+        self.acceptor = Acceptor(self.clients, listener, self.admission, tls)
+        self._port = listener.getsockname()[1]
+
+    @asynccontextmanager
+    async def connect(
+        self, tls: ssl.SSLContext | None = None, limit_bytes: int = 1 << 16
+    ) -> AsyncIterator[Client]:
+        """limit_bytes: about what the client takes before it is asked for more."""
+        reader, writer = await asyncio.open_connection(
+            "127.0.0.1", self._port, ssl=tls, limit=limit_bytes
+        )
+        try:
+            yield Client(reader, writer)
+        finally:
+            writer.transport.abort()
+            with suppress(OSError):
+                await writer.wait_closed()
 
     def answer(self, exchange: Exchange, request: Request) -> Answer:
         try:
-            return self.answers[request.path](exchange)
+            return self._answers[request.path](exchange)
         except KeyError:
             return error_response(404, "nothing", {})
         except RequestError as error:
@@ -105,62 +130,32 @@ class Client:
             return await self.reader.read()
 
 
-class RunningSite:
-    """A site that is served."""
-
-    def __init__(self, site: PlainSite, acceptor: Acceptor, admission: Admission) -> None:
-        self.site = site
-        self.acceptor = acceptor
-        self.admission = admission
-        self.port = 0
-
-    @asynccontextmanager
-    async def connect(
-        self, tls: ssl.SSLContext | None = None, limit_bytes: int = 1 << 16
-    ) -> AsyncIterator[Client]:
-        """limit_bytes: about what the client takes before it is asked for more."""
-        reader, writer = await asyncio.open_connection(
-            "127.0.0.1", self.port, ssl=tls, limit=limit_bytes
-        )
-        try:
-            yield Client(reader, writer)
-        finally:
-            writer.transport.abort()
-            with suppress(OSError):
-                await writer.wait_closed()
-
-
-def on_site(
-    answers: Answers,
-    check: Callable[[RunningSite], Awaitable[None]],
-    timeouts: TimeoutConfig | None = None,
-    tls: ssl.SSLContext | None = None,
-) -> PlainSite:
-    """Runs `check` against a site with these answers; gives the site when all has ended."""
+@asynccontextmanager
+async def on_site(
+    answers: Answers, timeouts: TimeoutConfig | None = None, tls: ssl.SSLContext | None = None
+) -> AsyncIterator[PlainSite]:
+    """A site with these answers until the block ends. Nothing that runs on its event loop may
+    fail."""
     failures: list[object] = []
-
-    async def run(folder: str) -> PlainSite:
-        asyncio.get_running_loop().set_exception_handler(
-            lambda loop, context: failures.append(context)
-        )
-        config = ServerConfig(log_requests=False)
-        config = replace(config, timeouts=timeouts or config.timeouts)
-        listener = bind("127.0.0.1", 0)
-        site = PlainSite(ServerState(Library(folder, config.refresh_s), config), answers)
-        admission = Admission(1000, 1000)
-        acceptor = Acceptor(site.clients, listener, admission, tls)
-        running = RunningSite(site, acceptor, admission)
-        running.port = listener.getsockname()[1]
-        acceptor.start()
-        try:
-            await check(running)
-        finally:
-            await acceptor.stop(2.0)
-            listener.close()
-        assert admission.num_held == 0
-        return site
-
+    before = asyncio.all_tasks()
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: failures.append(context))
+    config = ServerConfig(log_requests=False)
+    config = replace(config, timeouts=timeouts or config.timeouts)
+    listener = bind("127.0.0.1", 0)
     with tempfile.TemporaryDirectory() as folder:
-        site = asyncio.run(run(folder))
+        site = PlainSite(
+            ServerState(Library(folder, config.refresh_s), config), answers, listener, tls
+        )
+        site.acceptor.start()
+        try:
+            yield site
+        finally:
+            await site.acceptor.stop(2.0)
+            listener.close()
+            left = asyncio.all_tasks() - before
+            for task in left:
+                task.cancel()
+            ended = await asyncio.gather(*left, return_exceptions=True)
+    failures += [error for error in ended if isinstance(error, Exception)]
+    assert site.admission.num_held == 0
     assert not failures, failures
-    return site

@@ -17,6 +17,8 @@ from server.operate.workers.peers import MAX_MESSAGE_BYTES, Mailboxes, Peers
 from tests.server.operate.workers.test_arbiter import Talk, serving
 from tests.support.waiting import wait_until
 
+pytestmark = pytest.mark.anyio
+
 
 @asynccontextmanager
 async def group(count: int, timeout_s: float = 1.0) -> AsyncIterator[list[Peers]]:
@@ -34,113 +36,89 @@ async def group(count: int, timeout_s: float = 1.0) -> AsyncIterator[list[Peers]
         mailboxes.close()
 
 
-def test_everybody_answers_everybody_even_itself() -> None:
-    async def work() -> None:
-        async with group(3) as peers:
-            for asker in peers:
-                for n in range(3):
-                    assert await asker.ask(n, b"hello") == b"%d:hello" % n
-            assert peers[0].counts.asked == peers[0].counts.answered == 3
-            burst = [peers[n % 2].ask(2, b"%d" % n) for n in range(200)]
-            assert await asyncio.gather(*burst) == [b"2:%d" % n for n in range(200)]
-
-    asyncio.run(work())
+async def test_everybody_answers_everybody_even_itself() -> None:
+    async with group(3) as peers:
+        for asker in peers:
+            for n in range(3):
+                assert await asker.ask(n, b"hello") == b"%d:hello" % n
+        assert peers[0].counts.asked == peers[0].counts.answered == 3
+        burst = [peers[n % 2].ask(2, b"%d" % n) for n in range(200)]
+        assert await asyncio.gather(*burst) == [b"2:%d" % n for n in range(200)]
 
 
 @pytest.mark.realtime
-def test_who_is_not_there_is_not_waited_for_long() -> None:
-    async def work() -> None:
-        async with group(2, timeout_s=0.3) as peers:
-            began_s = time.monotonic()
-            assert await peers[0].ask(2, b"hello") is None
-            assert 0.2 < time.monotonic() - began_s < 2
-            assert await peers[0].ask(3, b"hello") is None
-            assert await peers[0].ask(-1, b"hello") is None
-            assert peers[0].counts.unanswered == 3
-            # However many are sent to it, what waits is bounded.
-            assert (
-                await asyncio.gather(*(peers[0].ask(2, b"x") for _ in range(2000))) == [None] * 2000
-            )
-            assert 1000 < peers[0].counts.dropped < 2000
-            assert await peers[0].ask(1, b"hello") == b"1:hello"
-
-    asyncio.run(work())
+async def test_who_is_not_there_is_not_waited_for_long() -> None:
+    async with group(2, timeout_s=0.3) as peers:
+        began_s = time.monotonic()
+        assert await peers[0].ask(2, b"hello") is None
+        assert 0.2 < time.monotonic() - began_s < 2
+        assert await peers[0].ask(3, b"hello") is None
+        assert await peers[0].ask(-1, b"hello") is None
+        assert peers[0].counts.unanswered == 3
+        # However many are sent to it, what waits is bounded.
+        flood = (peers[0].ask(2, b"x") for _ in range(2000))
+        assert await asyncio.gather(*flood) == [None] * 2000
+        assert 1000 < peers[0].counts.dropped < 2000
+        assert await peers[0].ask(1, b"hello") == b"1:hello"
 
 
-def test_an_answer_that_fails_is_none(caplog: pytest.LogCaptureFixture) -> None:
-    async def work() -> None:
-        async with group(2, timeout_s=0.1) as peers:
+async def test_an_answer_that_fails_is_none(caplog: pytest.LogCaptureFixture) -> None:
+    def fails(_: bytes) -> bytes:
+        raise KeyError("bug")
 
-            def fails(_: bytes) -> bytes:
-                raise KeyError("bug")
-
-            peers[1].on_request = fails
-            assert await peers[0].ask(1, b"bug") is None
-            peers[1].on_request = lambda message: message
-            assert await peers[0].ask(1, b"hello") == b"hello"
-
-    asyncio.run(work())
+    async with group(2, timeout_s=0.1) as peers:
+        peers[1].on_request = fails
+        assert await peers[0].ask(1, b"bug") is None
+        peers[1].on_request = lambda message: message
+        assert await peers[0].ask(1, b"hello") == b"hello"
     assert "from another worker failed" in caplog.text
 
 
-def test_who_was_late_himself_takes_an_answer_that_is_there() -> None:
-    async def work() -> None:
-        async with group(2, timeout_s=0.1) as peers:
+async def test_who_was_late_himself_takes_an_answer_that_is_there() -> None:
+    def slow(message: bytes) -> bytes:
+        time.sleep(0.15)  # both are on this event loop
+        return message
 
-            def slow(message: bytes) -> bytes:
-                time.sleep(0.15)  # both are on this event loop
-                return message
-
-            peers[1].on_request = slow
-            assert await peers[0].ask(1, b"hello") == b"hello"
-
-    asyncio.run(work())
+    async with group(2, timeout_s=0.1) as peers:
+        peers[1].on_request = slow
+        assert await peers[0].ask(1, b"hello") == b"hello"
 
 
-def test_only_the_first_answer_counts_and_none_to_what_was_not_asked() -> None:
-    async def work() -> None:
-        mailboxes = Mailboxes(2)
-        asker = Peers(0, mailboxes)
-        asker.start()
-        question = asyncio.create_task(asker.ask(1, b"hello"))
+async def test_only_the_first_answer_counts_and_none_to_what_was_not_asked() -> None:
+    mailboxes = Mailboxes(2)
+    asker = Peers(0, mailboxes)
+    asker.start()
+    question = asyncio.create_task(asker.ask(1, b"hello"))
+    await asyncio.sleep(0.01)
+    head = mailboxes.inboxes[1].recv(100).removesuffix(b"hello")
+    reply = b"\x02" + head[1:]
+    other = reply[:-1] + bytes([reply[-1] ^ 1])
+    for message in (other + b"other", reply + b"first", reply + b"second"):
+        mailboxes.outboxes[0].send(message)
+    assert await question == b"first"
+    mailboxes.outboxes[0].send(reply + b"late")
+    await asyncio.sleep(0.01)
+    assert asker.counts.refused == 3
+    asker.close()
+    mailboxes.close()
+
+
+async def test_messages_are_bounded() -> None:
+    async with group(2) as peers:
+        peers[1].on_request = lambda message: message
+        longest = b"x" * MAX_MESSAGE_BYTES
+        assert await peers[0].ask(1, longest) == longest
+        assert await peers[0].ask(1, b"") == b""
+        with pytest.raises(InvalidError, match="at most"):
+            await peers[0].ask(1, longest + b"x")
+
+
+async def test_questions_that_wait_at_the_end_are_given_up() -> None:
+    async with group(2, timeout_s=60) as peers:
+        question = asyncio.create_task(peers[0].ask(2, b"hello"))
         await asyncio.sleep(0.01)
-        head = mailboxes.inboxes[1].recv(100).removesuffix(b"hello")
-        reply = b"\x02" + head[1:]
-        other = reply[:-1] + bytes([reply[-1] ^ 1])
-        for message in (other + b"other", reply + b"first", reply + b"second"):
-            mailboxes.outboxes[0].send(message)
-        assert await question == b"first"
-        mailboxes.outboxes[0].send(reply + b"late")
-        await asyncio.sleep(0.01)
-        assert asker.counts.refused == 3
-        asker.close()
-        mailboxes.close()
-
-    asyncio.run(work())
-
-
-def test_messages_are_bounded() -> None:
-    async def work() -> None:
-        async with group(2) as peers:
-            peers[1].on_request = lambda message: message
-            longest = b"x" * MAX_MESSAGE_BYTES
-            assert await peers[0].ask(1, longest) == longest
-            assert await peers[0].ask(1, b"") == b""
-            with pytest.raises(InvalidError, match="at most"):
-                await peers[0].ask(1, longest + b"x")
-
-    asyncio.run(work())
-
-
-def test_questions_that_wait_at_the_end_are_given_up() -> None:
-    async def work() -> None:
-        async with group(2, timeout_s=60) as peers:
-            question = asyncio.create_task(peers[0].ask(2, b"hello"))
-            await asyncio.sleep(0.01)
-            peers[0].close()
-            assert await question is None
-
-    asyncio.run(work())
+        peers[0].close()
+        assert await question is None
 
 
 @pytest.mark.realtime
