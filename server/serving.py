@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import logging
 import secrets
 import signal
 import socket
@@ -22,7 +21,6 @@ from .errors import ServerError
 from .library import Library
 from .listener import is_loopback
 from .operate.log.eventlog import EventLog, take_over_logging
-from .operate.log.logline import EventRecord
 from .operate.prometheus import Metrics, forget_worker
 from .operate.sign.keyfile import read_keys
 from .operate.watchdog import Watchdog
@@ -114,7 +112,7 @@ class Service:
         metrics = Metrics(folder, number)
         library = Library(self.root, self.config.refresh_s)
         if not (library.streams or library.broken):
-            log.handle(EventRecord("no_stream_yet", logging.WARNING, {"root": self.root}))
+            log.event("no_stream_yet", "warning", root=self.root)
         state = ServerState(library, self.config, metrics, number, peers, self.play_secret)
         if peers is not None:
             clock = asyncio.get_running_loop().time

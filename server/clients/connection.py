@@ -92,9 +92,10 @@ class ClientConnection(asyncio.BufferedProtocol):
         """Why it is over: "gone", "stalled" or "stopped"; empty while it is not."""
         self.needs_client = False
         """Whether the request has no answer once its client has closed its side."""
+        self.is_answering = False
+        """Whether a request has begun whose response is not on its way yet."""
         self._writer: AbstractStreamWriter | None = None  # of the newest response, if any
-        self._answering = False
-        self._begun = False  # whether a part of one has come since the last
+        self._begun = False  # whether a part of a request has come since the last
         self._stopping = False
         self._ending = False  # whether the last response has been sent
         self._half_closed = False
@@ -120,13 +121,13 @@ class ClientConnection(asyncio.BufferedProtocol):
         return _INCOMING
 
     def buffer_updated(self, nbytes: int) -> None:
-        if not (self._answering or self._begun or self._ending):
+        if not (self.is_answering or self._begun or self._ending):
             # From the first byte on, whatever trickles in later.
             self._begun = True
             self._deadline_s = self._request_deadline_s()
         self._ahead_bytes += nbytes
         if self._ahead_bytes > MAX_AHEAD_BYTES and not self._ending:
-            if not self._answering:
+            if not self.is_answering:
                 self._refuse(431, "Request Header Fields Too Large", "the head is too long")
             self._end("flood", "flood")
         else:
@@ -159,11 +160,11 @@ class ClientConnection(asyncio.BufferedProtocol):
         """A request has come whole, but for its body; `writer` will write the response."""
         self._before_bytes = self._sent_bytes()
         self._writer = writer
-        self._answering, self._begun, self._ahead_bytes = True, False, 0
+        self.is_answering, self._begun, self._ahead_bytes = True, False, 0
 
     def end(self, closing: bool) -> None:
         """The response is on its way. closing: whether it is the last."""
-        self._answering, self._ending, self._ahead_bytes = False, closing, 0
+        self.is_answering, self._ending, self._ahead_bytes = False, closing, 0
         self._deadline_s = self._loop.time() + (
             LINGER_S if closing else self._clients.timeouts.keepalive_timeout_s
         )
@@ -171,11 +172,6 @@ class ClientConnection(asyncio.BufferedProtocol):
             self._loop.call_soon(self._close_if_idle)
         elif self._half_closed:
             self._loop.call_later(HALF_CLOSED_S, self._close_if_idle)
-
-    @property
-    def is_answering(self) -> bool:
-        """Whether a request has begun whose response is not on its way yet."""
-        return self._answering
 
     def take_sent_bytes(self) -> int:
         """Bytes that were written since it was asked last."""
@@ -210,7 +206,7 @@ class ClientConnection(asyncio.BufferedProtocol):
         """Ends the connection if its client takes too long. To be called twice a second or so."""
         if self._has_stalled(now_s):
             self._end("stalled", "write")
-        elif self._answering or now_s < self._deadline_s or self.transport.is_closing():
+        elif self.is_answering or now_s < self._deadline_s or self.transport.is_closing():
             return
         elif self._ending:
             self.abort()
@@ -246,7 +242,7 @@ class ClientConnection(asyncio.BufferedProtocol):
         self.abort(why)
 
     def _close_if_idle(self) -> None:
-        if not self._answering:
+        if not self.is_answering:
             self.transport.close()
 
     def _bound_leftover(self) -> None:

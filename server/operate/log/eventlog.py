@@ -15,7 +15,7 @@ import time
 from collections import OrderedDict, deque
 from typing import Self
 
-from .logline import EventRecord, LineFormatter, LogStyle, Value, message_of
+from .logline import LineFormatter, LogStyle, Value, message_of
 
 MAX_LINES = 4096
 """Lines queued at most."""
@@ -37,14 +37,14 @@ MAX_REPEATS = 256
 
 
 class RepeatFilter(logging.Filter):
-    """Passes the same warning once in REPEAT_S, with the count held back since. Events all pass."""
+    """Passes the same warning once in REPEAT_S, with the count held back since."""
 
     def __init__(self) -> None:
         super().__init__()
         self._logged: OrderedDict[str, tuple[float, int]] = OrderedDict()  # when; held back since
 
     def filter(self, record: logging.LogRecord) -> bool:
-        if record.levelno < logging.WARNING or isinstance(record, EventRecord):
+        if record.levelno < logging.WARNING:
             return True
         key = f"{record.name} {message_of(record)}"
         logged_s, held_back = self._logged.get(key, (-REPEAT_S, 0))
@@ -90,11 +90,11 @@ class EventLog(logging.Handler):
         """Lines that were dropped since the beginning."""
         return self._num_refused + self._num_unwritten
 
-    def event(self, event: str, /, **fields: Value) -> None:
-        """Logs one event. event, keys: our own words; values may come from strangers. Without a
-        LogRecord, whose making costs more than the line."""
+    def event(self, event: str, level: str = "info", /, **fields: Value) -> None:
+        """Logs one event, however often it comes. event, keys: our own words; values may come from
+        strangers. Without a LogRecord, whose making costs more than the line."""
         try:
-            line = self._formatter.line(time.time(), "info", event, fields)
+            line = self._formatter.line(time.time(), level, event, fields)
         except Exception:
             self._refuse()
         else:
@@ -163,9 +163,9 @@ class EventLog(logging.Handler):
             return
         dropped = self.num_dropped
         if dropped > self._num_reported:
-            fields: dict[str, Value] = {"lines": dropped - self._num_reported}
-            record = EventRecord("log_dropped", logging.WARNING, fields)
-            if self._put(f"{self.format(record)}\n".encode("ascii")):
+            fields = {"lines": dropped - self._num_reported}
+            line = self._formatter.line(time.time(), "warning", "log_dropped", fields)
+            if self._put(f"{line}\n".encode("ascii")):
                 self._num_reported = dropped
 
     def _put(self, piece: bytes | bytearray) -> bool:

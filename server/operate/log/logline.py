@@ -57,11 +57,8 @@ class LineFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """The line without its newline."""
-        if isinstance(record, EventRecord):
-            event, fields = str(record.msg), record.fields
-        else:
-            event, fields = "record", _fields_of(record)
-        return self.line(record.created, record.levelname.lower(), event, fields)
+        level = record.levelname.lower()
+        return self.line(record.created, level, "record", _fields_of(record))
 
     def line(self, created_s: float, level: str, event: str, fields: Mapping[str, Value]) -> str:
         """The line of an event at `created_s`, Unix seconds."""
@@ -98,14 +95,6 @@ class LineFormatter(logging.Formatter):
             head = f'"time":"{time}","level":"{level}","event":{_json(event)}'
             return f"{{{','.join((head, *pairs))}}}"
         return " ".join((time, level, event, *pairs))
-
-
-class EventRecord(logging.LogRecord):
-    """The record of an event with fields, rather than of a message."""
-
-    def __init__(self, event: str, level: int, fields: dict[str, Value]) -> None:
-        super().__init__("swings", level, "", 0, event, None, None)
-        self.fields = fields
 
 
 def message_of(record: logging.LogRecord) -> str:

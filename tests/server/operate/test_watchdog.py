@@ -29,8 +29,7 @@ def systemd(tmp_path: Path) -> Iterator[socket.socket]:
 
 
 def test_without_systemd_nothing_is_sent() -> None:
-    environment: dict[str, str] = {}
-    watchdog = Watchdog(environment)
+    watchdog = Watchdog({})
     watchdog.ready()
     watchdog.ping()
 

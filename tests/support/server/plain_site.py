@@ -14,7 +14,6 @@ from typing import Any
 from server.app import Application
 from server.clients.acceptor import Acceptor
 from server.clients.timeouts import TimeoutConfig
-from server.exchange.errors import RequestError
 from server.exchange.exchange import Exchange
 from server.exchange.request import Request
 from server.exchange.response import AnyResponse, Response, error_response
@@ -23,6 +22,8 @@ from server.listener import bind
 from server.operate.admission import Admission
 from server.state.config import ServerConfig
 from server.state.serverstate import ServerState
+
+PATIENCE_S = 20.0
 
 Answer = AnyResponse | Coroutine[Any, Any, AnyResponse]
 Answers = Mapping[str, Callable[[Exchange], Answer]]
@@ -66,8 +67,6 @@ class PlainSite(Application):
             return self._answers[request.path](exchange)
         except KeyError:
             return error_response(404, "nothing", {})
-        except RequestError as error:
-            return error_response(error.status, str(error), error.headers)
 
     def finished(self, exchange: Exchange, now_s: float) -> None:
         super().finished(exchange, now_s)
@@ -100,11 +99,9 @@ class Client:
         head = [f"{method} {path} HTTP/{version}", "Host: h", *lines, "", ""]
         self.send("\r\n".join(head).encode())
 
-    async def answer(
-        self, head_only: bool = False, timeout_s: float = 20.0
-    ) -> tuple[int, dict[str, str], bytes]:
+    async def answer(self, head_only: bool = False) -> tuple[int, dict[str, str], bytes]:
         """Status, fields by small names and body of the next response."""
-        async with asyncio.timeout(timeout_s):
+        async with asyncio.timeout(PATIENCE_S):
             head = (await self.reader.readuntil(b"\r\n\r\n")).decode("latin-1")
             first, *lines = head[:-4].split("\r\n")
             status = int(first.split(" ")[1])
@@ -124,9 +121,9 @@ class Client:
             assert await self.reader.readexactly(2) == b"\r\n"
             return status, fields, body
 
-    async def rest(self, timeout_s: float = 20.0) -> bytes:
+    async def rest(self) -> bytes:
         """What comes until the server ends the connection."""
-        async with asyncio.timeout(timeout_s):
+        async with asyncio.timeout(PATIENCE_S):
             return await self.reader.read()
 
 

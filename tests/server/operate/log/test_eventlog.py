@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from codec.errors import CorruptError
 from server.operate.log.eventlog import MAX_REPEATS, EventLog, RepeatFilter, take_over_logging
-from server.operate.log.logline import EventRecord, LogStyle
+from server.operate.log.logline import LogStyle
 
 
 class Told:
@@ -49,7 +49,7 @@ def warning(message: str, created_s: float = 0.0) -> logging.LogRecord:
 
 def test_events_are_lines(told: Told) -> None:
     told.log.event("request", path="/", event_bytes=3)
-    told.log.handle(EventRecord("no_stream_yet", logging.WARNING, {"root": "r"}))
+    told.log.event("no_stream_yet", "warning", root="r")
     assert [(line["level"], line["event"]) for line in told.lines()] == [
         ("info", "request"),
         ("warning", "no_stream_yet"),
@@ -93,7 +93,7 @@ def test_many_warnings_are_not_remembered_for_ever() -> None:
 
 def test_events_are_never_held_back(told: Told) -> None:
     for _ in range(3):
-        told.log.handle(EventRecord("no_stream_yet", logging.WARNING, {}))
+        told.log.event("no_stream_yet", "warning")
     assert len(told.lines()) == 3
 
 

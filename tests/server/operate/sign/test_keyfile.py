@@ -15,6 +15,8 @@ from server.operate.sign.signing import ALL, Grant, Signer
 from tests.support.commands import run, run_ok
 
 SECRET = "0123456789abcdef" * 2
+INNER = ("/watch/walk", "/v1/streams/walk/manifest.json")
+"""The paths that the command prints for a stream, without their prefix."""
 
 
 def keys_of(path: Path, text: str, mode: int = 0o600) -> Path:
@@ -86,21 +88,17 @@ def test_a_fifo_does_not_hold_it_up(tmp_path: Path) -> None:
 
 def test_the_command_prints_urls_that_the_server_grants(tmp_path: Path) -> None:
     path = tmp_path / "keys"
-    out = run_ok(
-        "swings-sign", "--new-key", path, "walk", "--hours", 2, "--url", "https://h.example/"
-    )
+    options = "--new-key", "--hours", 2, "--url", "https://h.example/"
+    out = run_ok("swings-sign", path, "walk", *options)
     lines = [line.split() for line in out.splitlines()]
     assert [line[0] for line in lines] == ["new", "page", "manifest"]
     signer = Signer(read_keys(path))
-    for line, inner in zip(
-        lines[1:], ("/watch/walk", "/v1/streams/walk/manifest.json"), strict=True
-    ):
+    for line, inner in zip(lines[1:], INNER, strict=True):
         assert line[1].startswith("https://h.example/t/")
         granted = signer.verify(line[1].removeprefix("https://h.example"), time.time())
         assert isinstance(granted, Grant)
         assert granted.path == inner
         assert abs(granted.expiry_s - time.time() - 7200) < 60
-
     out = run_ok("swings-sign", path, ALL)
     page = out.split()[1].removeprefix("http://127.0.0.1:8080")
     assert signer.verify(page, time.time()) == Grant("/", ALL, int(page[3:].split(".")[0]))
@@ -110,9 +108,7 @@ def test_the_command_signs_for_nginx_with_secrets_that_are_not_the_keys(tmp_path
     path = keys_of(tmp_path / "keys", f"b:{SECRET[::-1]}\na:{SECRET}\n")
     keys = read_keys(path)
     out = run_ok("swings-sign", path, "walk", "--nginx", "--url", "https://h.example")
-    for line, inner in zip(
-        out.splitlines(), ("/watch/walk", "/v1/streams/walk/manifest.json"), strict=True
-    ):
+    for line, inner in zip(out.splitlines(), INNER, strict=True):
         url = line.split()[1].removeprefix("https://h.example")
         digest, found, rest = url.removeprefix("/n/").partition("/t/")
         granted = Signer(keys).verify(found + rest, time.time())
@@ -131,25 +127,23 @@ def test_the_command_signs_for_nginx_with_secrets_that_are_not_the_keys(tmp_path
 @pytest.mark.parametrize(
     ("arguments", "code", "word"),
     [
-        ([], 2, "--new-key"),
-        (["--nginx"], 2, "name a stream"),
-        (["walk", "--nginx-secrets"], 2, "give it alone"),
-        (["*", "--nginx"], 1, "cannot be signed"),
-        (["a/b"], 1, "name of a stream"),
-        (["walk", "--hours", "0"], 2, "hours"),
-        (["walk", "--hours", "nan"], 2, "hours"),
-        (["walk", "--url", "ftp://x"], 2, "https://HOST"),
+        ("keys", 2, "--new-key"),
+        ("keys --nginx", 2, "name a stream"),
+        ("keys walk --nginx-secrets", 2, "give it alone"),
+        ("keys * --nginx", 1, "cannot be signed"),
+        ("keys a/b", 1, "name of a stream"),
+        ("keys walk --hours 0", 2, "hours"),
+        ("keys walk --hours nan", 2, "hours"),
+        ("keys walk --url ftp://x", 2, "https://HOST"),
+        ("absent walk", 1, "absent is missing"),
     ],
 )
 def test_mistakes_are_one_clear_line(
-    tmp_path: Path, arguments: list[str], code: int, word: str
+    tmp_path: Path, arguments: str, code: int, word: str
 ) -> None:
-    path = keys_of(tmp_path / "keys", f"a:{SECRET}\n")
-    done = run("swings-sign", path, *arguments)
+    keys_of(tmp_path / "keys", f"a:{SECRET}\n")
+    done = run("swings-sign", *arguments.split(), folder=tmp_path)
     assert (done.returncode, done.stdout) == (code, "")
     assert word in done.stderr
     assert "Traceback" not in done.stderr
     assert code == 2 or done.stderr.count("\n") == 1
-    absent = run("swings-sign", tmp_path / "absent", "walk")
-    assert absent.returncode == 1
-    assert absent.stderr.count("\n") == 1
