@@ -37,7 +37,7 @@ settings.load_profile("ci" if os.environ.get("CI") else "desk")
 
 @pytest.fixture(scope="session")
 def anyio_backend() -> str:
-    """What runs the tests that are coroutines, by the plugin of anyio."""
+    """The event loop that the plugin of anyio runs coroutine tests on."""
     return "asyncio"
 
 

@@ -20,6 +20,8 @@ from prometheus_client.parser import text_string_to_metric_families
 from tests.support.commands import command, environment
 from tests.support.waiting import wait_until
 
+QUIET_S = 0.5
+"""Time without a byte after which an answer counts as complete."""
 SECRET = b"not for you: 4f1d8a"
 """What files hold that lie around the streams; no answer may have it."""
 
@@ -41,7 +43,7 @@ class ServerProcess:
         return self.log.read_text(errors="replace").splitlines()
 
     def events(self, *kinds: str) -> list[dict[str, Any]]:
-        """The events of a JSON log; kinds: which, if not all."""
+        """The events of a JSON log. kinds: names of the wanted events; none for all."""
         lines = [json.loads(line) for line in self.log_lines() if line.startswith("{")]
         return [line for line in lines if not kinds or line["event"] in kinds]
 
@@ -67,8 +69,7 @@ def server_process(
 
 @contextlib.contextmanager
 def logged_process(words: Sequence[str], folder: Path, **options: Any) -> Iterator[ServerProcess]:
-    """A server that prints its URL as swings-serve does, and writes into `folder`; it is ended by
-    its pid."""
+    """A server that prints its URL as swings-serve does; its output goes to a file in `folder`."""
     log = folder / "serve.log"
     with open(log, "w") as out:
         process = subprocess.Popen(
@@ -129,12 +130,10 @@ def answers_of(data: bytes) -> tuple[list[Answer], bytes]:
     return answers, data
 
 
-def exchange(
-    port: int, sent: bytes, shut: bool = False, quiet_s: float = 0.5, limit_s: float = 10.0
-) -> tuple[bytes, bool]:
+def exchange(port: int, sent: bytes, shut: bool = False) -> tuple[bytes, bool]:
     """What the server sends for `sent`, and whether it closed the connection by itself.
 
-    Ends when the server closes, or has said something and then nothing for `quiet_s`, or nothing
+    Ends when the server closes, or has said something and then nothing for QUIET_S, or nothing
     within four times that. shut: close our half after sending.
     """
     received = bytearray()
@@ -146,8 +145,8 @@ def exchange(
                 sock.shutdown(socket.SHUT_WR)
         except OSError:
             pass  # it has closed already; what it said may still be there
-        while time.monotonic() - began_s < limit_s:
-            sock.settimeout(quiet_s if received else 4 * quiet_s)
+        while time.monotonic() - began_s < 10:
+            sock.settimeout(QUIET_S if received else 4 * QUIET_S)
             try:
                 piece = sock.recv(1 << 16)
             except TimeoutError:
@@ -177,22 +176,22 @@ def ask(
 
 
 def figures(port: int) -> dict[tuple[str, ...], float]:
-    """What /metrics says, by the name of each figure and the sorted values of its labels."""
+    """The samples of /metrics, by their name and the sorted values of their labels."""
     families = text_string_to_metric_families(ask(port, "/metrics").body.decode())
     samples = [sample for family in families for sample in family.samples]
     return {(one.name, *sorted(one.labels.values())): one.value for one in samples}
 
 
 class Comers:
-    """Clients that come one after the other, while something happens."""
+    """Clients that connect one after the other, in a thread, until the block ends."""
 
     def __init__(self, come: Callable[[], None]) -> None:
-        """come: what each of them does."""
+        """come: what each client does."""
         self._come = come
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self.took_s: list[float] = []
-        """Seconds that each of them took."""
+        """Duration of each client's visit, in seconds."""
         self.troubles: list[str] = []
 
     def __enter__(self) -> Comers:

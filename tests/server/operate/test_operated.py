@@ -30,7 +30,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def forwarded(addresses: str) -> dict[str, str]:
-    """The header of a proxy that forwards what these have sent."""
+    """The header in which a proxy names its clients."""
     return {"X-Forwarded-For": addresses}
 
 

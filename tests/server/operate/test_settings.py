@@ -32,21 +32,13 @@ class Command:
     """Much as that of swings-serve."""
 
     root: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="ROOT")]]
-    """Folder."""
     host: str = "127.0.0.1"
-    """Address."""
     style: LogStyle = LogStyle.PLAIN
-    """Style."""
     mode: Literal["a", "b"] = "a"
-    """Mode."""
     spread: bool = False
-    """Whether."""
     key_file: Path | None = None
-    """File."""
     doubled: Annotated[int, option("N", twice, lambda number: str(number // 2))] = 0
-    """Number."""
     check_config: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print."""
     server: tyro.conf.OmitArgPrefixes[ServerConfig] = field(default_factory=ServerConfig)
     overload: OverloadConfig = field(default_factory=OverloadConfig)
 

@@ -1,4 +1,4 @@
-"""A site of a few answers behind the server's HTTP, on a real socket, for tests of connections."""
+"""A site with fixed responses behind the server's HTTP, on a real socket, to test connections."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ PATIENCE_S = 20.0
 
 Answer = AnyResponse | Coroutine[Any, Any, AnyResponse]
 Answers = Mapping[str, Callable[[Exchange], Answer]]
-"""What each path gives."""
+"""The response of each path."""
 
 
 class PlainSite(Application):
-    """Gives its answers, and remembers what became of them."""
+    """Sends the given responses, and keeps the finished exchanges."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class PlainSite(Application):
     async def connect(
         self, tls: ssl.SSLContext | None = None, limit_bytes: int = 1 << 16
     ) -> AsyncIterator[Client]:
-        """limit_bytes: about what the client takes before it is asked for more."""
+        """Opens a connection. limit_bytes: approximate size of the client's read buffer."""
         reader, writer = await asyncio.open_connection(
             "127.0.0.1", self._port, ssl=tls, limit=limit_bytes
         )
@@ -74,14 +74,14 @@ class PlainSite(Application):
 
     @property
     def cuts(self) -> list[str]:
-        """The kinds of the timeouts, in the order of the alphabet."""
+        """The kinds of the timeouts so far, in alphabetical order."""
         timeouts = self.state.metrics.timeouts
         kinds = ("flood", "head", "idle", "write")
         return [kind for kind in kinds for _ in range(round(timeouts.value(kind)))]
 
 
 def text(status: int = 200, body: bytes = b"ok\n") -> Callable[[Exchange], Response]:
-    """An answer that is always the same."""
+    """A response that is always the same."""
     return lambda exchange: Response(status, {"Content-Type": "text/plain"}, body)
 
 
@@ -100,7 +100,7 @@ class Client:
         self.send("\r\n".join(head).encode())
 
     async def answer(self, head_only: bool = False) -> tuple[int, dict[str, str], bytes]:
-        """Status, fields by small names and body of the next response."""
+        """Status, fields by lower-case names, and body of the next response."""
         async with asyncio.timeout(PATIENCE_S):
             head = (await self.reader.readuntil(b"\r\n\r\n")).decode("latin-1")
             first, *lines = head[:-4].split("\r\n")
@@ -122,7 +122,7 @@ class Client:
             return status, fields, body
 
     async def rest(self) -> bytes:
-        """What comes until the server ends the connection."""
+        """All data until the server closes the connection."""
         async with asyncio.timeout(PATIENCE_S):
             return await self.reader.read()
 
@@ -131,10 +131,10 @@ class Client:
 async def on_site(
     answers: Answers, timeouts: TimeoutConfig | None = None, tls: ssl.SSLContext | None = None
 ) -> AsyncIterator[PlainSite]:
-    """A site with these answers until the block ends. Nothing that runs on its event loop may
-    fail."""
+    """Runs a site with these responses until the block ends. Fails the test if a callback or task
+    of the event loop has failed by then."""
     failures: list[object] = []
-    before = asyncio.all_tasks()
+    others = asyncio.all_tasks()
     asyncio.get_running_loop().set_exception_handler(lambda _, context: failures.append(context))
     config = ServerConfig(log_requests=False)
     config = replace(config, timeouts=timeouts or config.timeouts)
@@ -149,7 +149,7 @@ async def on_site(
         finally:
             await site.acceptor.stop(2.0)
             listener.close()
-            left = asyncio.all_tasks() - before
+            left = asyncio.all_tasks() - others
             for task in left:
                 task.cancel()
             ended = await asyncio.gather(*left, return_exceptions=True)

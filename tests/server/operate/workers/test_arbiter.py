@@ -79,7 +79,7 @@ def is_refused(port: int) -> bool:
 @pytest.mark.realtime
 def test_killed_workers_cut_no_other_connection_and_none_is_refused(tmp_path: Path) -> None:
     def come() -> None:
-        # Those of a worker that is killed may lose their connection.
+        # A client of a killed worker may lose its connection.
         with (
             suppress(ConnectionResetError),
             socket.create_connection(("127.0.0.1", served.port), timeout=10) as one,

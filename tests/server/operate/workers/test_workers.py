@@ -92,7 +92,7 @@ class Play:
 def answer_of(
     connection: HTTPConnection, path: str, token: str = "", report: bytes | None = None
 ) -> HTTPResponse:
-    """The answer to a GET that names the play before it, or to a status report, read to its end."""
+    """The answer, read whole, to a GET with the previous play's token, or to a status report."""
     method = "GET" if report is None else "POST"
     connection.request(method, f"/v1/streams/{path}", report, {PLAY_HEADER: token})
     answer = connection.getresponse()
