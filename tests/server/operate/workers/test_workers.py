@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.serve.killedworkers import KillConfig, measure_kills
 from codec.stream.playrecord import EndRecord, ErrorRecord, Record
 from server.abr.clientstatus import PLAY_HEADER, RATE_HEADER
 from server.errors import ServerError
@@ -314,3 +315,23 @@ def test_it_ends_in_time_though_50_clients_read_nothing(
         cut = [line for line in server.events("request") if line["path"].endswith("/play")]
         assert len(cut) == 50
         assert {line["outcome"] for line in cut} == {"stopped"}
+
+
+@pytest.mark.realtime
+@pytest.mark.slow
+def test_killed_workers_cost_their_clients_a_moment_and_the_others_nothing() -> None:
+    """50 clients lose no slice, and not the quality that they had. `scripts/bench serve --parts
+    kills` kills 100 workers."""
+    seen = measure_kills(KillConfig(kills=15, every_s=1.5, max_lead_s=2.0))
+    assert (seen.clients, seen.kills) == (50, 15)
+    assert seen.victims > 100
+    assert seen.lost == 0
+    assert (seen.missing, seen.double) == (0, 0)
+    assert seen.refused == 0
+    assert seen.stalls == 0
+    assert seen.resume_ms.p99 < 1000
+    # Where a client comes back it is sent a picture first, a few slices with one layer.
+    assert seen.after > seen.before - 0.5
+    assert seen.broken == 0
+    assert seen.gap_ms.p99 < 1000
+    assert set(seen.reports) <= {"204", "404", "0"}
