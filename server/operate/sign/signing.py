@@ -54,7 +54,7 @@ class Reason(StrEnum):
     UNSIGNED = "the URL is not signed"
     """It has no signature, or what is in its place does not look like one."""
     KEY = "the key of the URL is not valid on this server"
-    """It is not known here, or not any more."""
+    """The key is not known here, or no longer."""
     SIGNATURE = "the signature does not match the URL"
     """The URL was altered, or signed for another stream."""
     EXPIRED = "the URL has expired"
