@@ -35,15 +35,15 @@ class Case:
     """Whether the client says that it will send no more."""
 
 
-def get(target: str, *lines: str, close: bool = True, version: str = "HTTP/1.1") -> bytes:
+def get(target: str, *lines: str, close: bool = True) -> bytes:
     """A GET with some header lines besides Host."""
-    head = [f"GET {target} {version}", "Host: h", *lines]
+    head = [f"GET {target} HTTP/1.1", "Host: h", *lines]
     head += ["Connection: close"] if close else []
     return "\r\n".join([*head, "", ""]).encode("latin-1")
 
 
-def post(*lines: str, body: bytes = b"", path: str = STATUS) -> bytes:
-    head = "\r\n".join([f"POST {path} HTTP/1.1", "Host: h", *lines, "", ""])
+def post(*lines: str, body: bytes = b"") -> bytes:
+    head = "\r\n".join([f"POST {STATUS} HTTP/1.1", "Host: h", *lines, "", ""])
     return head.encode("latin-1") + body
 
 
