@@ -34,7 +34,6 @@ settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "desk")
 
 
-
 @pytest.fixture(scope="session")
 def anyio_backend() -> str:
     """The event loop that the plugin of anyio runs coroutine tests on."""

@@ -196,9 +196,7 @@ async def test_a_client_stalls_that_had_something_to_take_and_did_not(
     steps: list[tuple[int, int]],
 ) -> None:
     """In each step some bytes are written and some are taken; against a model of the last steps."""
-    timeouts = TimeoutConfig(
-        write_timeout_s=TIMEOUT_S, least_rate_bytes=LEAST_BYTES / TIMEOUT_S
-    )
+    timeouts = TimeoutConfig(write_timeout_s=TIMEOUT_S, least_rate_bytes=LEAST_BYTES / TIMEOUT_S)
     with socket.socket(socket.AF_UNIX) as sock:  # not TCP: the kernel tells nothing of it
         transport, writer = Holding(sock), Written()
         clients = Clients(asyncio.Protocol, lambda *_: None, timeouts, Metrics())

@@ -138,9 +138,7 @@ def test_the_command_signs_for_nginx_with_secrets_that_are_not_the_keys(tmp_path
         ("absent walk", 1, "absent is missing"),
     ],
 )
-def test_mistakes_are_one_clear_line(
-    tmp_path: Path, arguments: str, code: int, word: str
-) -> None:
+def test_mistakes_are_one_clear_line(tmp_path: Path, arguments: str, code: int, word: str) -> None:
     keys_of(tmp_path / "keys", f"a:{SECRET}\n")
     done = run("swings-sign", *arguments.split(), folder=tmp_path)
     assert (done.returncode, done.stdout) == (code, "")
