@@ -118,7 +118,7 @@ class Mirrors:
                 asked["If-Range"] = found.tag
         with closing(self._fetcher.open(url, asked)) as response:
             if response.status == 206 and found.data:
-                if range_start(response) != len(found.data):
+                if content_range(response)[0] != len(found.data):
                     found.data.clear()
                     raise BrokenError(f"{url}: the host sent another range than requested")
                 found.pieced = True
@@ -163,7 +163,7 @@ class Mirrors:
                 ) as response:
                     if response.status == 416:
                         return b""
-                    if response.status == 206 and range_start(response) == first_byte:
+                    if response.status == 206 and content_range(response)[0] == first_byte:
                         return response.rest(limit_bytes)
                     if response.status == 200:
                         return response.rest(limit_bytes)[first_byte:]
@@ -199,14 +199,6 @@ class _Tries:
             self._silent = self._missing = 0
         if mirrors._at == at:  # else another request has turned away from it
             mirrors._at = (at + 1) % num_hosts
-
-
-@dataclass(frozen=True, slots=True)
-class SpanPiece:
-    """Some bytes of a file."""
-
-    first_byte: int
-    data: bytes
 
 
 class Span:
@@ -250,9 +242,9 @@ class Span:
         """Whether all of it was collected."""
         return self._at_byte == self._end_byte
 
-    def collect(self) -> list[SpanPiece]:
-        """Pieces that have arrived, see `Fetcher.wait`. Waits only where all hosts fail. Raises
-        FetchError."""
+    def collect(self) -> list[tuple[int, bytes]]:
+        """(First byte, bytes) of pieces that have arrived, see `Fetcher.wait`. Waits only where all
+        hosts fail. Raises FetchError."""
         try:
             return self._collect()
         except FetchError as error:
@@ -261,15 +253,16 @@ class Span:
             self._ask()
             return []
 
-    def _collect(self) -> list[SpanPiece]:
+    def _collect(self) -> list[tuple[int, bytes]]:
         asked = self._asked
         if asked.response is not None and not self._is_checked:
             self._check(asked.response)
             self._is_checked = True
         found = []
         while asked.pieces:
-            found.append(SpanPiece(self._at_byte, asked.pieces.popleft()))
-            self._at_byte += len(found[-1].data)
+            piece = asked.pieces.popleft()
+            found.append((self._at_byte, piece))
+            self._at_byte += len(piece)
         if self._at_byte > self._end_byte:
             raise FetchError(f"{self.url}: the host sent more bytes than requested")
         if not found and asked.ended:
@@ -282,8 +275,8 @@ class Span:
             check_range(response, self._extent.first_byte + self._at_byte, self._extent.file_bytes)
             return
         if response.status == 206:
-            total = range_total(response)
-            if range_start(response) != self._at_byte:
+            first_byte, total = content_range(response)
+            if first_byte != self._at_byte:
                 raise BrokenError(f"{self.url}: the host sent another range than requested")
         elif response.status == 200:
             length = response.headers.get("Content-Length", "")
@@ -311,8 +304,8 @@ def check_range(response: Response, first_byte: int, file_bytes: int | None = No
         )
     if response.status != 206:
         raise refusal(url, response)
-    total = range_total(response)
-    if range_start(response) != first_byte or total is None:
+    begin, total = content_range(response)
+    if begin != first_byte or total is None:
         raise BrokenError(f"{url}: the host sent another range than requested")
     if file_bytes is not None and total != file_bytes:
         raise FetchError(f"{url}: the stream was replaced by another one; play it again")
@@ -329,16 +322,13 @@ def refusal(url: str, response: Response) -> FetchError:
     return FetchError(message)
 
 
-def range_start(response: Response) -> int | None:
-    """The byte that an answer of 206 begins with; None if it does not say."""
-    found = re.match(r"bytes (\d{1,18})-", response.headers.get("Content-Range", ""))
-    return int(found[1]) if found else None
-
-
-def range_total(response: Response) -> int | None:
-    """The size of the file that an answer of 206 is a range of; None if it does not say."""
-    found = re.fullmatch(r"bytes [\d-]{1,40}/(\d{1,18})", response.headers.get("Content-Range", ""))
-    return int(found[1]) if found else None
+def content_range(response: Response) -> tuple[int | None, int | None]:
+    """The byte that an answer of 206 begins with, and the size of its file; None for what it does
+    not say."""
+    text = response.headers.get("Content-Range", "")
+    first = re.match(r"bytes (\d{1,18})-", text)
+    total = re.fullmatch(r"bytes [\d-]{1,40}/(\d{1,18})", text)
+    return int(first[1]) if first else None, int(total[1]) if total else None
 
 
 def strong_tag(response: Response) -> str:

@@ -27,6 +27,9 @@ log = logging.getLogger(__name__)
 POLL_S = 0.2
 """Time between two looks at a stream that is still written, seconds."""
 
+IDLE_S = FetchConfig().idle_s
+"""For how long new frames are waited for, seconds."""
+
 
 class DirectorySource:
     """A stream's folder. One that is still written is followed."""
@@ -36,12 +39,9 @@ class DirectorySource:
         path: Path,
         frames: FrameRange,
         layers: int | None,
-        idle_s: float = FetchConfig().idle_s,
         max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
     ) -> None:
-        """layers: None takes all. idle_s: for how long new frames are waited for, seconds.
-        max_gaussians: see `check_gaussians`."""
-        self._idle_s = idle_s
+        """layers: None takes all. max_gaussians: see `check_gaussians`."""
         self._stopped = threading.Event()
         self._reader = reader = StreamReader(path, max_gaussians)
         self.name = str(path)
@@ -79,14 +79,12 @@ class DirectorySource:
 
     def _follow(self) -> bool:
         """Waits for the stream to grow; gives whether it has."""
-        idle = IdleLimit(self._idle_s, time.monotonic())
+        idle = IdleLimit(IDLE_S, time.monotonic())
         while self.manifest.live:
             if self._reader.refresh():
                 return True
             if not idle.left_s(time.monotonic()):
-                log.warning(
-                    "%s: no new frames for %.0f s; the play ends here", self.name, self._idle_s
-                )
+                log.warning("%s: no new frames for %.0f s; the play ends here", self.name, IDLE_S)
                 return False
             if self._stopped.wait(POLL_S):
                 raise StoppedError(f"{self.name}: stopped")

@@ -273,8 +273,8 @@ class HostedSource:
             pieces = span.collect()
             if pieces and span.is_whole:
                 play.comes_whole(ask, time.monotonic())
-            for piece in pieces:
-                play.come(ask, span.name, piece.first_byte, piece.data)
+            for first_byte, data in pieces:
+                play.come(ask, span.name, first_byte, data)
             if span.ended:
                 play.ended(ask)
                 open_spans.pop(ask).close()

@@ -1,7 +1,7 @@
 """Requests and packets of an adaptive play from a static host: the server's part, done here.
 
-Rule: pure. Times and bytes come in; runs of bytes to ask for, and packets, go out. A request is
-made before the one before it has been answered: the link has no time to rest.
+Rule: no network and no clock. Times and bytes come in; runs of bytes to ask for, and packets, go
+out. A request is made before the one before it has been answered: the link has no time to rest.
 """
 
 from __future__ import annotations
@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 from codec.errors import CodecError
 from codec.framerange import FrameRange
 from codec.stream.index import SegmentRecord
 from codec.stream.manifest import MASKS, Manifest, Part, is_snapshot, snapshot_part
+from player.network.diskcache import DiskCache
 from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
 from server.abr.media import RecordedMedia
 from server.abr.session import (
@@ -37,16 +37,6 @@ then, too, less may be before it on a slow one."""
 MOST_ASKS = 3
 """So many requests may be open, each on a connection of its own, before another one is made: they
 share the link, and what is needed first comes later."""
-
-
-class ObjectStore(Protocol):
-    """Objects from an earlier play, by their SHA-256."""
-
-    def has(self, sha256: bytes) -> bool: ...
-
-    def get(self, sha256: bytes) -> bytes | None: ...
-
-    def put(self, sha256: bytes, data: bytes) -> None: ...
 
 
 @dataclass(slots=True, eq=False)
@@ -92,21 +82,15 @@ class HostedPlay:
         frames: FrameRange,
         now_s: float,
         rate_bps: float | None = None,
-        store: ObjectStore | None = None,
-        config: SessionConfig = SESSION,
+        store: DiskCache | None = None,
     ) -> None:
-        """records: of the index, which may grow. rate_bps: what the link is known to carry."""
+        """records: of the index, which may grow. rate_bps: what the link is known to carry. store:
+        objects from earlier plays."""
         self._records, self._store, self._frames = records, store, frames
-        self._config, self._began_s = config, now_s
+        self._began_s = now_s
         self.media = RecordedMedia(manifest, records, self._is_stored)
         self.session = PlaySession(
-            self.media,
-            Sweep(),
-            config,
-            now_s,
-            frames.first,
-            frames.end,
-            rate_bps,
+            self.media, Sweep(), SESSION, now_s, frames.first, frames.end, rate_bps
         )
         self.knows_ranges = True
         """Whether the host sends less than the whole of an object; False once it did not."""
@@ -159,7 +143,7 @@ class HostedPlay:
         session = self.session
         if session.clock.started_s is not None or session.least_latency_s is None:
             return False
-        held_s = session.least_latency_s + self._config.queue_s
+        held_s = session.least_latency_s + SESSION.queue_s
         return session.queued_bytes * (now_s - self._began_s) > session.acked_bytes * held_s
 
     def _want(self, send: Send, now_s: float) -> None:

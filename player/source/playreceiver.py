@@ -5,8 +5,6 @@ Rule: no I/O. Layer 0 of the slices comes without a gap; a new connection may re
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
 from codec.stream.manifest import MASKS, Manifest, Part, snapshot_part
@@ -18,27 +16,6 @@ from .source import Blame, Packets, SlicePackets, SnapshotPackets
 KEPT_BIRTHS = 1 << 14
 """Slices behind the newest one of which is known what came; what comes of older ones is of no
 use."""
-
-
-@dataclass(slots=True)
-class _Arrived:
-    """Layers that have arrived of one slice, or of the snapshots of one frame."""
-
-    layers: int = 0
-    """One bit for each layer."""
-
-    def fresh(self, first_layer: int, packets: tuple[bytes, ...]) -> tuple[int, tuple[bytes, ...]]:
-        """The first layer and the packets of `packets` from the first one that has not come to the
-        last one; there may be some between them that have."""
-        layers = range(first_layer, first_layer + len(packets))
-        wanted = [layer for layer in layers if not self.layers >> layer & 1]
-        if not wanted:
-            return first_layer, ()
-        first, end = wanted[0], wanted[-1] + 1
-        return first, packets[first - first_layer : end - first_layer]
-
-    def add(self, first_layer: int, packets: tuple[bytes, ...]) -> None:
-        self.layers |= ((1 << len(packets)) - 1) << first_layer
 
 
 class PlayReceiver:
@@ -56,8 +33,9 @@ class PlayReceiver:
         self._limits = SizeLimits(manifest)
         self._oldest = self.next_birth
         self._end = frames.end
-        self._slices: dict[int, _Arrived] = {}
-        self._snapshots: dict[int, _Arrived] = {}
+        # Layers that have arrived, one bit for each, by birth and by frame.
+        self._slices: dict[int, int] = {}
+        self._snapshots: dict[int, int] = {}
 
     def rejoin(self, num_frames: int) -> int:
         """The frame to ask for after a break, of a stream of `num_frames` frames."""
@@ -104,9 +82,7 @@ class PlayReceiver:
             self.next_birth = max(self.next_birth, frame + 1)
         if not self._is_asked(frame):
             return None
-        arrived = self._snapshots.setdefault(frame, _Arrived())
-        first_layer, packets = arrived.fresh(record.first_layer, record.packets)
-        arrived.add(first_layer, packets)
+        first_layer, packets = _fresh(self._snapshots, frame, record)
         return SnapshotPackets(frame, first_layer, packets, blame) if packets else None
 
     def _ingest_slice(self, record: SliceRecord) -> Packets | None:
@@ -140,9 +116,7 @@ class PlayReceiver:
             self._forget()
         if not self._is_asked(birth):
             return None
-        arrived = self._slices.setdefault(birth, _Arrived())
-        first_layer, packets = arrived.fresh(record.first_layer, record.packets)
-        arrived.add(first_layer, packets)
+        first_layer, packets = _fresh(self._slices, birth, record)
         mask = None if first_layer else record.mask
         return SlicePackets(birth, first_layer, packets, mask, blame) if packets else None
 
@@ -165,3 +139,16 @@ class PlayReceiver:
             self._slices.pop(self._oldest, None)
             self._snapshots.pop(self._oldest, None)
             self._oldest += 1
+
+
+def _fresh(
+    arrived: dict[int, int], at: int, record: SliceRecord | SnapshotRecord
+) -> tuple[int, tuple[bytes, ...]]:
+    """Notes that the packets of `record`, born `at`, have arrived. Gives the first layer and the
+    packets from the first one that had not to the last one; some between them may have."""
+    first_layer, packets, before = record.first_layer, record.packets, arrived.get(at, 0)
+    arrived[at] = before | ((1 << len(packets)) - 1) << first_layer
+    fresh = [n for n in range(len(packets)) if not before >> (first_layer + n) & 1]
+    if not fresh:
+        return first_layer, ()
+    return first_layer + fresh[0], packets[fresh[0] : fresh[-1] + 1]

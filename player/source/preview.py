@@ -13,7 +13,7 @@ from codec.stream import StreamReader
 from codec.stream.manifest import MANIFEST_NAME, Manifest
 from codec.stream.packedlayout import PackedLayout
 from codec.stream.pictures import MAX_PICTURE_BYTES, picture_path, read_picture
-from player.network.faults import BrokenError, FetchError, StoppedError
+from player.network.faults import BrokenError, FetchError
 from player.network.fetch import Fetcher
 
 from .hosted import fetch_manifest, fetch_range
@@ -42,16 +42,19 @@ def load_preview(place: Place, fetcher: Fetcher) -> Preview | None:
         except CodecError as error:
             log.info("%s", error)
             return Preview(reader.manifest, None)
+    layout: PackedLayout | None = None
     if isinstance(place, ServedPlace):
         found = _served_manifest(place.urls, fetcher)
         if found is None:
             return None
         manifest, base = found
-    elif place.layout is not None:
-        return Preview(place.manifest, _packed_poster(place.layout, place.bases[0], fetcher))
     else:
-        manifest, base = place.manifest, place.bases[0]
-    return Preview(manifest, _poster(manifest, base, fetcher))
+        manifest, base, layout = place.manifest, place.bases[0], place.layout
+    try:
+        return Preview(manifest, _poster(manifest, base, layout, fetcher))
+    except FetchError as error:
+        log.info("%s", error)
+        return Preview(manifest, None)
 
 
 def _served_manifest(urls: Sequence[str], fetcher: Fetcher) -> tuple[Manifest, str] | None:
@@ -64,28 +67,14 @@ def _served_manifest(urls: Sequence[str], fetcher: Fetcher) -> tuple[Manifest, s
     return fetch_manifest(fetcher, f"{urls[-1]}/{MANIFEST_NAME}")
 
 
-def _packed_poster(layout: PackedLayout, url: str, fetcher: Fetcher) -> bytes | None:
-    found = layout.find(picture_path(layout.manifest.poster) or "")
-    if found is None:
-        return None
-    try:
-        return fetch_range(fetcher, url, *found)[0]
-    except StoppedError:
-        raise
-    except FetchError as error:
-        log.info("%s", error)
-        return None
-
-
-def _poster(manifest: Manifest, base: str, fetcher: Fetcher) -> bytes | None:
+def _poster(
+    manifest: Manifest, base: str, layout: PackedLayout | None, fetcher: Fetcher
+) -> bytes | None:
     name = picture_path(manifest.poster)
     if name is None:
         return None
-    try:
-        response = fetcher.get(base + quote(name), MAX_PICTURE_BYTES)
-    except StoppedError:
-        raise
-    except FetchError as error:
-        log.info("%s", error)
-        return None
+    if layout is not None:
+        found = layout.find(name)
+        return None if found is None else fetch_range(fetcher, base, *found)[0]
+    response = fetcher.get(base + quote(name), MAX_PICTURE_BYTES)
     return response.body if response.status == 200 else None

@@ -92,19 +92,12 @@ class WebStorage:
     ) -> bytes:
         url = self.place(path)
         reference = url if self._layout is None else path
-        body = self._in_thread(lambda: self._get(reference, offset + limit_bytes))
-        if body is None:
-            meaning = "" if if_missing is None else f"; {if_missing}"
-            raise CorruptError(f"{url} is missing{meaning}")
-        return body[offset:]
-
-    def _get(self, reference: str, limit_bytes: int) -> bytes | None:
-        """The file that `reference` names, asked for again while the connection breaks; None if
-        there is nothing."""
         try:
-            return bytes(self._mirrors.get(reference, limit_bytes).data)
-        except MissingError:
-            return None
+            found = self._in_thread(lambda: self._mirrors.get(reference, offset + limit_bytes))
+        except MissingError as error:
+            meaning = "" if if_missing is None else f"; {if_missing}"
+            raise CorruptError(f"{url} is missing{meaning}") from error
+        return bytes(found.data)[offset:]
 
     # A single stream needs none of these.
 

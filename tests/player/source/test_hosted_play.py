@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -12,10 +13,12 @@ from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import MASKS, Part, snapshot_part
+from player.network.diskcache import DiskCache
 from player.source.hostedplay import Ask, HostedPlay
 from player.source.partialobject import PartialObject
-from player.source.source import Packets, SlicePackets, SnapshotPackets
+from player.source.source import Packets, SlicePackets
 from server.abr.session import Finished
+from tests.support.delivery.assembled import check_packets
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 
@@ -79,18 +82,11 @@ def test_on_a_link_that_carries_it_all_comes_once_and_in_time(
     last = first
     while True:
         for one in link.packets(2 * need_bps(reader)):
-            layer = one.first_layer
-            if isinstance(one, SnapshotPackets):
-                counts[one.frame, layer, False] += 1
-                kept = reader.read_object(one.frame // 20, snapshot_part(layer))
-                assert one.packets == (kept.packet(one.frame),)
-                continue
-            birth, segment = one.birth, reader.manifest.segment_of(one.birth)
-            counts[birth, layer, True] += 1
-            assert one.packets == (reader.read_object(segment, layer).packet(birth),)
-            if layer == 0:
-                assert one.mask == reader.read_object(segment, MASKS).packet(birth)
-            if layer == 0 and birth > first:
+            check_packets(reader, one)
+            assert len(one.packets) == 1
+            birth, is_slice = one.first_frame, isinstance(one, SlicePackets)
+            counts[birth, one.first_layer, is_slice] += 1
+            if is_slice and one.first_layer == 0 and birth > first:
                 assert birth > last
                 last = birth
                 clock = play.session.clock
@@ -128,20 +124,10 @@ def test_no_more_requests_are_open_than_share_the_link_well(reader: StreamReader
     assert [ask.part for ask in asked] == ["snapshot-0", MASKS, 0]
 
 
-class Kept(dict[bytes, bytes]):
-    """A store in memory."""
-
-    def has(self, sha256: bytes) -> bool:
-        return sha256 in self
-
-    def put(self, sha256: bytes, data: bytes) -> None:
-        self[sha256] = data
-
-
 def test_what_is_stored_is_not_asked_for_and_what_comes_whole_is_stored(
-    reader: StreamReader,
+    reader: StreamReader, tmp_path: Path
 ) -> None:
-    store = Kept()
+    store = DiskCache(tmp_path, 1 << 30)
 
     def asked(rate_bps: float) -> list[Ask]:
         frames = FrameRange(0, NUM_FRAMES)
@@ -153,7 +139,8 @@ def test_what_is_stored_is_not_asked_for_and_what_comes_whole_is_stored(
 
     assert asked(4 * need_bps(reader))
     snapshots = len(reader.records) * 3
-    assert len(store) >= sum(len(r.part_bytes) for r in reader.records) - snapshots
+    stored = sum(path.is_file() for path in tmp_path.rglob("*"))
+    assert stored >= sum(len(r.part_bytes) for r in reader.records) - snapshots
     # A link that carries nothing is of no account then.
     assert asked(1.0) == []
 

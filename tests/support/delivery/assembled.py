@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from codec.framerange import FrameRange
 from codec.slice import Slice
 from codec.stream import StreamReader
+from codec.stream.manifest import MASKS, Part, snapshot_part
 from player.playout.assembler import Assembler
 from player.playout.timeline import PlayedMedia
 from player.source.opener import opened
-from player.source.source import Packets, Source
+from player.source.source import Packets, SlicePackets, Source
 from server.abr.holding import Holding
 from tests.support.drawn import same_splats
 from tests.support.slots.slot_streams import Shown
@@ -56,6 +57,18 @@ def checked(reader: StreamReader, frames: Iterable[Assembled], layers: int) -> I
         splats = shown.after(one.slices, last)
         assert same_splats(splats, reader.active_splats(last, layers))
         yield one
+
+
+def check_packets(reader: StreamReader, one: Packets) -> None:
+    """Each packet of `one` has to be that of the stream."""
+    birth, is_slice = one.first_frame, isinstance(one, SlicePackets)
+    segment = reader.manifest.segment_of(birth)
+    for layer, packet in enumerate(one.packets, one.first_layer):
+        part: Part = layer if is_slice else snapshot_part(layer)
+        assert packet == reader.read_object(segment, part).packet(birth)
+    if isinstance(one, SlicePackets):
+        mask = None if one.first_layer else reader.read_object(segment, MASKS).packet(birth)
+        assert one.mask == mask
 
 
 def read_all(
