@@ -13,7 +13,6 @@ from tests.support.tiny_capture import write_dynamic3dgs
 from trainer.parts.joiner import Joiner
 from trainer.parts.raydriver import plan
 from trainer.parts.task import Kind, Run, Task
-from trainer.parts.taskqueue import TaskQueue
 from trainer.parts.worker import opened_worker
 from trainer.run.config import TrainConfig
 from trainer.run.outputs import SNAPSHOT_FOLDER
@@ -47,15 +46,10 @@ def run_of(capture: Path | str, stream: Path | str) -> Run:
     return plan(config, prepare(config))
 
 
-def tasks_of(run: Run) -> list[Task]:
-    """In an order in which they can be done."""
-    return list(TaskQueue(run, lambda task: False).waiting)
-
-
 def train(run: Run, do: Callable[[Task], None]) -> None:
     """All tasks; pieces are joined as they come."""
     joiner = Joiner(run)
-    for task in tasks_of(run):
+    for task in run.tasks:
         do(task)
         if task.kind is Kind.GENESIS:
             joiner.begin(resumed=False)

@@ -17,7 +17,7 @@ from player.render.cpu import render_splats
 from trainer.run.capturesound import SOURCE, CaptureSound
 
 from .part_state import MANIFEST_PATH, MAX_STATE_BYTES, unpack_arrays
-from .task import STATE_FOLDER, Kind, Run, Task
+from .task import STATE_FOLDER, Run, Task
 
 
 class Joiner:
@@ -28,12 +28,8 @@ class Joiner:
         self._files = open_growing(run.config.target, SHAPE)
         self._manifest: Manifest | None = None
         self._num_segments = 0
-        self._waiting = [
-            Task(run, kind, part.number)
-            for part in run.parts
-            for kind in ((Kind.SEAM, Kind.PART) if part.number else (Kind.PART,))
-        ]
-        """The tasks whose segments are not in the index, in order."""
+        self._waiting = sorted(run.tasks[1:], key=lambda task: task.frames.start)
+        """The tasks whose segments are not in the index, in order; genesis has none."""
 
     def begin(self, resumed: bool) -> list[SegmentRecord]:
         """Makes the place a stream; genesis has been trained. resumed: it may be one already; gives
@@ -73,10 +69,7 @@ class Joiner:
                 self._put_sound(segment)
             self._files.append(first * rows.shape[1], new.tobytes())
             self._num_segments += len(new)
-            yield (
-                task,
-                parse_index(new.tobytes(), manifest.num_layers, first),
-            )
+            yield task, parse_index(new.tobytes(), manifest.num_layers, first)
 
     def _put_sound(self, segment: int) -> None:
         if self._sound is None:

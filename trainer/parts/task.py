@@ -51,6 +51,16 @@ class Run:
         """Frames in which a part takes over from the one before: whole segments."""
         return whole_segments(self.config.seam_frames, self.config.segment_frames)
 
+    @property
+    def tasks(self) -> list[Task]:
+        """All tasks, in an order in which they can be done."""
+        tasks = [Task(self, Kind.GENESIS)]
+        for part in self.parts:
+            tasks.append(Task(self, Kind.PART, part.number))
+            if part.number:
+                tasks.append(Task(self, Kind.SEAM, part.number))
+        return tasks
+
     def seam_end(self, part: Part) -> int:
         """The first frame behind the seam at a part's beginning; the first part has none."""
         return part.first_frame + (self.seam_frames if part.number else 0)

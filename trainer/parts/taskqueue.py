@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from .task import Kind, Run, Task
+from .task import Run, Task
 
 
 class TaskQueue:
@@ -13,14 +13,8 @@ class TaskQueue:
 
     def __init__(self, run: Run, is_done: Callable[[Task], bool]) -> None:
         """is_done: whether a task has been done before."""
-        genesis = Task(run, Kind.GENESIS)
-        tasks = [genesis]
-        for part in run.parts:
-            tasks.append(genesis.other(Kind.PART, part.number))
-            if part.number:
-                tasks.append(genesis.other(Kind.SEAM, part.number))
-        self._done = {task.name for task in tasks if is_done(task)}
-        self._waiting = [task for task in tasks if task.name not in self._done]
+        self._done = {task.name for task in run.tasks if is_done(task)}
+        self._waiting = [task for task in run.tasks if task.name not in self._done]
 
     @property
     def waiting(self) -> Sequence[Task]:

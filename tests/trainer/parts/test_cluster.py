@@ -15,6 +15,10 @@ from codec.errors import InvalidError
 from trainer.parts.cluster import RayOutput, look_for_room, num_workers
 from trainer.run.config import TrainConfig
 
+SMALL = {"Alive": True, "Resources": {"CPU": 3.0}}
+LARGE = {"Alive": True, "Resources": {"CPU": 8.0, "GPU": 1.0}}
+GONE = {"Alive": False, "Resources": {"CPU": 64.0, "GPU": 8.0}}
+
 
 def config(**claims: Any) -> TrainConfig:
     return TrainConfig("capture", "stream", **claims)
@@ -27,23 +31,14 @@ def told(nodes: list[dict[str, Any]], **claims: Any) -> str:
 
 
 def test_that_no_node_has_room_for_a_worker_is_said() -> None:
-    small = {"Alive": True, "Resources": {"CPU": 2.0}}
-    large = {"Alive": True, "Resources": {"CPU": 8.0, "GPU": 1.0}}
-    gone = {**large, "Alive": False}
-    assert told([small], worker_cpus=2) == ""
-    assert told([small, large], worker_cpus=4, worker_gpus=0.5) == ""
-    assert "4 cores and 0 GPUs" in told([small, gone], worker_cpus=4)
-    assert "1 cores and 2 GPUs" in told([small, large], worker_cpus=1, worker_gpus=2)
+    assert told([SMALL], worker_cpus=2) == ""
+    assert told([SMALL, LARGE], worker_cpus=4, worker_gpus=0.5) == ""
+    assert "4 cores and 0 GPUs" in told([SMALL, GONE], worker_cpus=4)
+    assert "1 cores and 2 GPUs" in told([SMALL, LARGE], worker_cpus=1, worker_gpus=2)
 
 
 def test_workers_find_room_node_by_node() -> None:
-    ray = SimpleNamespace(
-        nodes=lambda: [
-            {"Alive": True, "Resources": {"CPU": 3.0}},
-            {"Alive": True, "Resources": {"CPU": 8.0, "GPU": 1.0}},
-            {"Alive": False, "Resources": {"CPU": 64.0, "GPU": 8.0}},
-        ]
-    )
+    ray = SimpleNamespace(nodes=lambda: [SMALL, LARGE, GONE])
     assert num_workers(ray, config(worker_cpus=2)) == 1 + 4
     assert num_workers(ray, config(worker_cpus=0.5)) == 6 + 16
     assert num_workers(ray, config(worker_cpus=2, worker_gpus=0.5)) == 2

@@ -22,7 +22,7 @@ from trainer.capture.layout import open_capture
 from trainer.parts.cut import cut
 from trainer.parts.joiner import Joiner
 from trainer.parts.part_state import MANIFEST_PATH, pack_arrays
-from trainer.parts.task import Kind, Run, Task
+from trainer.parts.task import Run, Task
 from trainer.run.capturesound import SOURCE, CaptureSound, capture_sound
 from trainer.run.config import TrainConfig
 
@@ -62,11 +62,7 @@ def leave_pieces(whole: Path, run: Run) -> list[Task]:
             files.put(str(path.relative_to(whole)), path.read_bytes())
     index = np.frombuffer((whole / "index.bin").read_bytes(), np.uint8)
     rows = index.reshape(-1, record_bytes(StreamReader(whole).manifest.num_layers))
-    tasks = [
-        Task(run, kind, part.number)
-        for part in run.parts
-        for kind in ((Kind.SEAM, Kind.PART) if part.number else (Kind.PART,))
-    ]
+    tasks = sorted(run.tasks[1:], key=lambda task: task.frames.start)
     for task in tasks:
         begin, end = task.frames.start // SEGMENT_FRAMES, -(-task.frames.stop // SEGMENT_FRAMES)
         files.put(task.last_path, pack_arrays({"records": rows[begin:end]}))

@@ -8,7 +8,6 @@ from dataclasses import replace
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.parts import tasks_of
 from trainer.parts.cut import cut
 from trainer.parts.task import Kind, Run, Task
 from trainer.parts.taskqueue import TaskQueue
@@ -20,16 +19,12 @@ def run_of(num_parts: int) -> Run:
     return Run(config, tuple(cut(6 * num_parts, 6, 2, 2)))
 
 
-def never(task: Task) -> bool:
-    return False
-
-
 @given(st.integers(1, 9), st.integers(1, 6), st.data())
 def test_every_task_is_handed_out_once_and_after_what_it_needs(
     num_parts: int, at_a_time: int, data: st.DataObject
 ) -> None:
     run = run_of(num_parts)
-    tasks = tasks_of(run)
+    tasks = run.tasks
     # What an earlier run has done includes what that needs.
     before = {t.name for t in tasks[: data.draw(st.integers(0, len(tasks)))]}
     queue = TaskQueue(run, lambda task: task.name in before)
@@ -51,7 +46,7 @@ def test_every_task_is_handed_out_once_and_after_what_it_needs(
 @given(st.integers(2, 40), st.integers(1, 8))
 def test_few_parts_wait_for_their_seams(num_parts: int, at_a_time: int) -> None:
     """What parts leave for their seams is bounded by the workers, not by the length."""
-    queue = TaskQueue(run_of(num_parts), never)
+    queue = TaskQueue(run_of(num_parts), lambda task: False)
     working: deque[Task] = deque()
     waiting: set[int] = set()  # seams of which a part has been done, but not the seam
     while True:
@@ -71,7 +66,7 @@ def test_few_parts_wait_for_their_seams(num_parts: int, at_a_time: int) -> None:
 
 def test_iterations_are_those_of_the_windows() -> None:
     run = run_of(3)
-    genesis, first, second, seam, *_ = tasks_of(run)
+    genesis, first, second, seam, *_ = run.tasks
     fit = run.config.fit
     assert genesis.iterations == fit.iterations(0)
     assert first.iterations == 5 * fit.window_iterations  # genesis has trained its first

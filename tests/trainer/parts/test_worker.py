@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import shutil
@@ -24,7 +23,6 @@ from tests.support.parts import (
     contents,
     do_here,
     run_of,
-    tasks_of,
     train,
 )
 from tests.support.stores.s3_server import BUCKET, s3_server
@@ -48,7 +46,6 @@ def test_parts_make_one_valid_stream(capture: Path, stream: Path) -> None:
     audit = verify_stream(stream)
     assert (audit.num_frames, audit.live) == (FRAMES, False)
     assert not (stream / STATE_FOLDER).exists()
-    assert json.loads((stream / "manifest.json").read_bytes())["live"] is False
     run = run_of(capture, stream.parent / "other")
     assert [part.end_frame for part in run.parts] == [8, 16, 22]
 
@@ -90,7 +87,7 @@ def test_a_driver_that_died_at_any_moment_is_gone_on_from(
 ) -> None:
     whole = tmp_path / "whole"
     run = run_of(capture, whole)
-    for task in tasks_of(run):
+    for task in run.tasks:
         do_here(task)
         if task.kind is Kind.GENESIS:
             Joiner(run).begin(resumed=False)
