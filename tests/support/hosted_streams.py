@@ -8,9 +8,11 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from socketserver import BaseServer
 from typing import Any
 from urllib.error import HTTPError
 from urllib.request import urlopen
@@ -97,14 +99,30 @@ def write_stream(
     slice_size: int = SLICE_SIZE,
     sh_degree: int = 1,
     fps: float = 30.0,
+    seed: int = 0,
     **changes: object,
 ) -> Path:
-    """A finished stream at `path`, whose slices are whole and hold `random_slice` exactly."""
+    """A finished stream at `path`, whose slices are whole and hold `random_slice` exactly. seed:
+    another one gives other Gaussians."""
     manifest = small_manifest(slice_size, sh_degree, fps, **changes)
     with StreamWriter.create(path, manifest, exact=True) as writer:
         for birth in range(1 - manifest.swin_size, num_frames):
-            writer.append(random_slice(birth, slice_size, sh_degree, manifest.swin_size))
+            made = random_slice(birth + seed, slice_size, sh_degree, manifest.swin_size)
+            writer.append(replace(made, birth=birth))
     return path
+
+
+@contextlib.contextmanager
+def answering(server: BaseServer) -> Iterator[None]:
+    """Answers requests to `server` in a thread; closes it at the end."""
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    try:
+        yield
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
 
 
 @contextlib.contextmanager
@@ -134,14 +152,8 @@ def static_host(
             pass
 
     server = ThreadingHTTPServer(("127.0.0.1", port), partial(Handler, directory=str(folder)))
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    try:
+    with answering(server):
         yield f"http://127.0.0.1:{server.server_port}"
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
 
 
 class ServerProcess:

@@ -9,37 +9,35 @@ from pathlib import Path
 import pytest
 
 from player.network.fetch import BrokenError, Fetcher, FetchError
-from tests.player.network.webhosts import ScriptedHost, web_host
-from tests.support.commands import command, environment, serving
+from tests.player.network.webhosts import script, web_host
+from tests.support.commands import run, serving
 
 
-def play(url: str, out: Path, trusted: Path | None) -> subprocess.CompletedProcess[str]:
-    more = {} if trusted is None else {"SSL_CERT_FILE": str(trusted)}
-    return subprocess.run(
-        command("swings-play", url, "--capture", out, "--renderer", "cpu"),
-        env=environment() | more,
-        capture_output=True,
-        text=True,
-        timeout=30,  # less than a player is patient with a host that may do better
-    )
+def play(url: str, out: Path) -> subprocess.CompletedProcess[str]:
+    # Less than a player is patient with a host that may do better.
+    return run("swings-play", url, "--capture", out, "--renderer", "cpu", timeout_s=30)
 
 
 def test_a_certificate_that_is_not_trusted_or_of_another_host(
-    folder: Path, certificate: tuple[Path, Path], tmp_path: Path
+    folder: Path,
+    certificate: tuple[Path, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with web_host(folder, certificate) as host:
         url = f"https://localhost:{host.server_port}/s"
-        done = play(url, tmp_path / "out.mp4", None)
+        done = play(url, tmp_path / "out.mp4")
         assert done.returncode == 1
         assert done.stderr == (
             f"swings-play: {url}/manifest.json: its certificate is not trusted: self-signed "
             "certificate; if you trust it, name a file with its certificate in SSL_CERT_FILE\n"
         )
         assert host.num_connections == 1
-        trusted = play(url, tmp_path / "out.mp4", certificate[0])
+        monkeypatch.setenv("SSL_CERT_FILE", str(certificate[0]))
+        trusted = play(url, tmp_path / "out.mp4")
         assert (trusted.returncode, trusted.stderr) == (0, "")
         url = url.replace("localhost", "127.0.0.1")
-        done = play(url, tmp_path / "out.mp4", certificate[0])
+        done = play(url, tmp_path / "out.mp4")
         assert done.returncode == 1
         assert done.stderr == (
             f"swings-play: {url}/manifest.json: its certificate is for another host, not for "
@@ -61,7 +59,7 @@ def test_plain_http_where_tls_is_spoken(folder: Path, certificate: tuple[Path, P
         closing(Fetcher()) as fetcher,
         serving(folder, "--tls-cert", cert, "--tls-key", key) as served,
         web_host(folder, certificate) as host,
-        closing(ScriptedHost(b"\x15\x03\x01\x00\x02\x02\x46")) as alert,
+        script(b"\x15\x03\x01\x00\x02\x02\x46") as alert,
     ):
         own = served.replace("https://", "http://")
         for url in (own, f"http://127.0.0.1:{host.server_port}/s", alert.url):
@@ -71,7 +69,7 @@ def test_plain_http_where_tls_is_spoken(folder: Path, certificate: tuple[Path, P
 
 def test_a_handshake_that_is_cut_off_may_be_tried_again() -> None:
     with (
-        closing(ScriptedHost(b"")) as host,
+        script(b"") as host,
         closing(Fetcher()) as fetcher,
         pytest.raises(BrokenError, match="cannot connect: ") as broken,
     ):

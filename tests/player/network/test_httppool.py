@@ -21,7 +21,7 @@ from player.network.faults import BrokenError, FetchError
 from player.network.fetch import FetchConfig, Fetcher
 from player.network.httppool import MAX_IDLE, HttpPool
 from player.network.requesttarget import Target
-from tests.player.network.webhosts import ScriptedHost, web_host
+from tests.player.network.webhosts import ScriptedHost, script, web_host
 from tests.support.commands import environment
 
 BODY = bytes(range(256)) * 900
@@ -30,7 +30,7 @@ BODY = bytes(range(256)) * 900
 @contextmanager
 def asked(*answers: bytes) -> Iterator[tuple[ScriptedHost, Fetcher]]:
     config = FetchConfig(connect_timeout_s=2.0, idle_s=2.0)
-    with closing(ScriptedHost(*answers)) as host, closing(Fetcher(config=config)) as fetcher:
+    with script(*answers) as host, closing(Fetcher(config=config)) as fetcher:
         yield host, fetcher
 
 

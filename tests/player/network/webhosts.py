@@ -3,6 +3,7 @@ proxy."""
 
 from __future__ import annotations
 
+import re
 import select
 import socket
 import ssl
@@ -16,6 +17,8 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from tests.support.hosted_streams import answering
+
 LOGIN = "ursula:top%3As%40cret"
 LOGIN_HEADER = f"Basic {b64encode(b'ursula:top:s@cret').decode()}"
 SECRETS = ("ursula", "cret")
@@ -24,18 +27,31 @@ PROXY_LOGIN = "paula:geheim"
 PROXY_LOGIN_HEADER = f"Basic {b64encode(PROXY_LOGIN.encode()).decode()}"
 
 
+HOLD = b"<hold>"
+"""After an answer, and not sent: the connection stays open, for no other answer."""
+
+NO_ANSWER = b"HTTP/1.1 200 OK\r\n" + HOLD
+"""The beginning of a head, and no more."""
+
+
 class ScriptedHost:
-    """Gives each request the next of `answers`; closes the connection after an answer that says so,
-    or that is empty, and after the last one."""
+    """Gives each request the next of `answers`, whatever is asked; closes the connection after an
+    answer that says so, or that is empty, and after the last one."""
 
     def __init__(self, *answers: bytes) -> None:
         self._answers = list(answers)
         self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port = self._listener.getsockname()[1]
-        self.url = f"http://127.0.0.1:{self.port}/a"
+        self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
+        self.requests: list[bytes] = []
         self.num_connections = 0
+        self._held: list[socket.socket] = []
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
+
+    @property
+    def asked(self) -> list[str]:
+        """The target of each request."""
+        return [request.split()[1].decode() for request in self.requests]
 
     def _run(self) -> None:
         while self._answers:
@@ -44,26 +60,42 @@ class ScriptedHost:
             except OSError:
                 return
             self.num_connections += 1
-            with connection, suppress(ConnectionResetError):
+            with connection, suppress(ConnectionError):
                 while self._answers and self._has_request(connection):
                     answer = self._answers.pop(0)
-                    connection.sendall(answer)
+                    connection.sendall(answer.removesuffix(HOLD))
+                    if answer.endswith(HOLD):
+                        self._held.append(connection.dup())
+                        break
                     if not answer or b"close" in answer[:200] or answer.startswith(b"HTTP/1.0"):
                         break
 
     def _has_request(self, connection: socket.socket) -> bool:
         request = b""
-        while b"\r\n\r\n" not in request and request[:1] != b"\x16":  # or a handshake of TLS
+        while not is_whole(request) and request[:1] != b"\x16":  # or a handshake of TLS
             piece = connection.recv(65536)
             if not piece:
                 return False
             request += piece
+        self.requests.append(request)
         return True
 
     def close(self) -> None:
         self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
         self._thread.join(5)
+        for connection in self._held:
+            connection.close()
+
+
+def is_whole(request: bytes) -> bool:
+    head, end, body = request.partition(b"\r\n\r\n")
+    length = re.search(rb"Content-Length: (\d+)", head)
+    return bool(end) and len(body) >= (int(length[1]) if length else 0)
+
+
+def script(*answers: bytes) -> closing[ScriptedHost]:
+    return closing(ScriptedHost(*answers))
 
 
 class WebHost(ThreadingHTTPServer):
@@ -179,11 +211,5 @@ def web_host(
         server.socket = context.wrap_socket(
             server.socket, server_side=True, do_handshake_on_connect=False
         )
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    try:
+    with answering(server):
         yield server
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()

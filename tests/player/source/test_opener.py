@@ -6,6 +6,7 @@ import shutil
 import threading
 from collections.abc import Iterator
 from contextlib import closing
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -14,9 +15,10 @@ from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from player.network.fetch import StoppedError
 from player.source.opener import Opener
-from tests.player.source.test_served import NO_ANSWER, answer, script, start
+from tests.player.network.webhosts import NO_ANSWER, script
+from tests.player.source.test_served import answer, start
 from tests.support.delivery.assembled import assembled
-from tests.support.hosted_streams import ServerProcess, static_host, write_stream
+from tests.support.hosted_streams import served, static_host, write_stream
 
 
 @pytest.fixture(scope="module")
@@ -28,12 +30,8 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def names(root: Path) -> Iterator[list[str]]:
-    server = ServerProcess(root)
-    try:
-        with static_host(root) as host:
-            yield [str(root / "s"), server.url, f"{host}/s"]
-    finally:
-        server.kill()
+    with served(root) as server, static_host(root) as host:
+        yield [str(root / "s"), server.url, f"{host}/s"]
 
 
 def test_every_seek_gives_what_shows_from_there_on(names: list[str]) -> None:
@@ -44,9 +42,7 @@ def test_every_seek_gives_what_shows_from_there_on(names: list[str]) -> None:
                 with closing(opener.open(FrameRange(first), layers)) as source:
                     assert source.manifest is opener.manifest
                     # A seek comes in the middle of things as well.
-                    frames = [
-                        one.frame for one, _ in zip(assembled(source), range(5), strict=False)
-                    ]
+                    frames = [one.frame for one in islice(assembled(source), 5)]
                     assert frames == list(range(first, first + 5))
                     if not name.startswith("/"):
                         assert 0 < source.received_bytes < 1 << 20

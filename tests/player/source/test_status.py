@@ -6,7 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
@@ -24,7 +24,8 @@ from player.source.served import ServedSource
 from player.source.source import LastPlay
 from player.view.path import Size
 from server.abr.clientstatus import FRAME_HEADER, PLAY_HEADER, RATE_HEADER, ClientStatus
-from tests.player.source.test_served import ALL, HEAD, HOLD, QUICK, answer, script, start
+from tests.player.network.webhosts import HOLD, ScriptedHost, script
+from tests.player.source.test_served import ALL, HEAD, QUICK, answer, start
 from tests.support.server.running_server import (
     SWIN_SIZE,
     Running,
@@ -108,16 +109,19 @@ NO_INDEX = b"HTTP/1.1 404 No\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 """To who wants to know the stream by more than its manifest."""
 
 
-def served(url: str) -> ServedSource:
-    return ServedSource("S", f"{url}/v1/streams/s", Fetcher(), FrameRange(), None, QUICK)
+@contextmanager
+def played(*answers: bytes) -> Iterator[tuple[ScriptedHost, ServedSource]]:
+    """A host that gives `answers`, and a play of its stream."""
+    with script(*answers) as host:
+        url = f"{host.url}/v1/streams/s"
+        with closing(ServedSource("S", url, Fetcher(), FrameRange(), None, QUICK)) as source:
+            yield host, source
 
 
 def test_a_server_that_names_no_play_is_told_nothing() -> None:
-    with script(answer(start(), *ALL)) as host:
-        source = served(host.url)
+    with played(answer(start(), *ALL)) as (host, source):
         assert not source.send_status(ClientStatus(1))
         assert len(host.asked) == 1
-        source.close()
 
 
 @pytest.mark.parametrize(
@@ -128,36 +132,20 @@ def test_what_a_server_answers_decides_who_is_told_more(
     status: bytes, listens: bool, asked: int
 ) -> None:
     told = b"HTTP/1.1 %s\r\nContent-Length: 0\r\nConnection: close\r\n\r\n" % status
-    with script(answer(start()).replace(HEAD, NAMED) + HOLD, told, told) as host:
-        source = served(host.url)
+    with played(answer(start()).replace(HEAD, NAMED) + HOLD, told, told) as (host, source):
         assert source.send_status(ClientStatus(1)) == listens
         if listens:
             assert source.send_status(ClientStatus(2))
         assert host.asked[1:] == ["/v1/streams/s/play/abc-_1"] * asked
         assert host.requests[1].startswith(b"POST ")
-        source.close()
 
 
 def test_a_lost_status_report_is_not_repeated() -> None:
-    with script(answer(start()).replace(HEAD, NAMED) + HOLD, b"", b"junk\r\n\r") as host:
-        source = served(host.url)
+    with played(answer(start()).replace(HEAD, NAMED) + HOLD, b"", b"junk\r\n\r") as (_, source):
         assert source.send_status(ClientStatus(1))
         assert source.send_status(ClientStatus(2))
         source.interrupt()
         assert not source.send_status(ClientStatus(3))
-        source.close()
-
-
-def test_a_new_connection_names_the_last_play() -> None:
-    cut = answer(start(), *ALL[:3]).replace(HEAD, NAMED)
-    with script(cut, answer(start(), *ALL)) as host:
-        source = served(host.url)
-        packets = source.packets()
-        for _ in range(4):
-            next(packets)
-        assert PLAY_HEADER.encode() not in host.requests[0]
-        assert f"{PLAY_HEADER}: abc-_1".encode() in host.requests[1]
-        source.close()
 
 
 def test_a_new_connection_is_told_at_once_how_the_playback_stands() -> None:
@@ -166,51 +154,37 @@ def test_a_new_connection_is_told_at_once_how_the_playback_stands() -> None:
     cut = answer(start(), *ALL[:4]).replace(HEAD, NAMED)
     again = answer(start(), *ALL).replace(HEAD, NAMED.replace(b"abc-_1", b"abc-_2")) + HOLD
     heard = b"HTTP/1.1 204 Heard\r\nConnection: close\r\n\r\n"
-    with script(cut, again, heard, NO_INDEX) as host:
-        source = served(host.url)
+    with played(cut, again, heard, NO_INDEX) as (host, source):
         events = Events(Playout(source.manifest, 0, 5), Clock(real=True))
         began_s = time.monotonic()
         with Threads(source, events):
             wait_until(lambda: len(host.asked) >= 3)
             took_s = time.monotonic() - began_s
-        source.close()
         assert host.asked[2] == "/v1/streams/s/play/abc-_2"
         assert took_s < STATUS_MOST_S
 
 
 @pytest.mark.parametrize(
-    ("said", "sent"), [(b"5000000", b"5000000"), (b"nan", b""), (b"-1", b""), (b"0", b"")]
+    ("said", "sent"), [(b"5000000", "5000000"), (b"nan", ""), (b"-1", ""), (b"0", "")]
 )
-def test_a_new_connection_says_what_the_server_said_of_the_link(said: bytes, sent: bytes) -> None:
+def test_a_new_connection_names_the_last_play_the_next_frame_and_the_rate(
+    said: bytes, sent: str
+) -> None:
     cut = answer(start(), *ALL[:3]).replace(HEAD, NAMED)
     heard = b"HTTP/1.1 204 Heard\r\n%s: %s\r\nConnection: close\r\n\r\n"
     heard %= RATE_HEADER.encode(), said
-    with script(cut, heard, NO_INDEX, answer(start(), *ALL)) as host:
-        source = served(host.url)
-        assert source.send_status(ClientStatus(1))
+    with played(cut, heard, NO_INDEX, answer(start(), *ALL)) as (host, source):
+        assert source.send_status(ClientStatus(2))
         packets = source.packets()
         for _ in range(4):
             next(packets)
-        assert RATE_HEADER.encode() not in host.requests[0]
-        line = b"\r\n%s: %s\r\n" % (RATE_HEADER.encode(), sent)
-        assert (line in host.requests[3]) == bool(sent)
-        assert (RATE_HEADER.encode() in host.requests[3]) == bool(sent)
+        first, again = host.requests[0].decode(), host.requests[3].decode()
+        assert not any(name in first for name in (PLAY_HEADER, FRAME_HEADER, RATE_HEADER))
+        assert f"\r\n{PLAY_HEADER}: abc-_1\r\n" in again
+        assert f"\r\n{FRAME_HEADER}: 2\r\n" in again
+        assert (f"\r\n{RATE_HEADER}: {sent}\r\n" in again) == bool(sent)
+        assert (RATE_HEADER in again) == bool(sent)
         assert source.play == LastPlay("", float(sent) if sent else None)
-        source.close()
-
-
-def test_a_new_connection_says_which_frame_shows_next() -> None:
-    cut = answer(start(), *ALL[:3]).replace(HEAD, NAMED)
-    heard = b"HTTP/1.1 204 Heard\r\nConnection: close\r\n\r\n"
-    with script(cut, heard, NO_INDEX, answer(start(), *ALL)) as host:
-        source = served(host.url)
-        source.send_status(ClientStatus(2))
-        packets = source.packets()
-        for _ in range(4):
-            next(packets)
-        assert FRAME_HEADER.encode() not in host.requests[0]
-        assert b"\r\n%s: 2\r\n" % FRAME_HEADER.encode() in host.requests[3]
-        source.close()
 
 
 def test_a_server_that_was_started_again_goes_by_what_the_last_one_said(tmp_path: Path) -> None:

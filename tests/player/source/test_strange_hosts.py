@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
+from itertools import count, islice
 from pathlib import Path
+from socketserver import BaseRequestHandler, ThreadingTCPServer
 from urllib.parse import urlsplit
 
 import pytest
@@ -18,68 +17,49 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import SwingsError
-from codec.framerange import FrameRange
 from codec.stream.playrecord import Record, encode_record
-from player.network.fetch import BrokenError, FetchConfig, Fetcher, FetchError
+from player.network.fetch import BrokenError, Fetcher, FetchError
 from player.network.requesttarget import joined
 from player.source.opener import SourceConfig, opened
-from player.source.served import ServedSource
 from server.abr.clientstatus import ClientStatus
-from tests.player.source.test_served import ALL, HEAD, HOLD, QUICK, SLICES, answer, script, start
-from tests.support.commands import ROOT
+from tests.player.network.webhosts import HOLD, script
+from tests.player.source.test_served import (
+    ALL,
+    HEAD,
+    IDLE_S,
+    QUICK,
+    QUICKLY,
+    SLICES,
+    answer,
+    open_play,
+    start,
+)
+from tests.support.commands import run, run_ok
 from tests.support.delivery.assembled import assembled
-from tests.support.hosted_streams import small_manifest, static_host, write_stream
-
-IDLE_S = 0.4
+from tests.support.hosted_streams import answering, small_manifest, static_host, write_stream
 
 
 @contextmanager
 def endless(first: bytes, again: Callable[[int], bytes], every_s: float = 0.0) -> Iterator[str]:
     """The URL of a host that answers each request with `first`, and then with `again` for ever."""
-    listener = socket.create_server(("127.0.0.1", 0))
-    threads: list[threading.Thread] = []
     over = threading.Event()
 
-    def answer_one(connection: socket.socket) -> None:
-        with connection:
-            try:
-                connection.recv(65536)
-                connection.sendall(first)
-                number = 0
-                while not over.wait(every_s):
-                    connection.sendall(again(number))
-                    number += 1
-            except OSError:
-                pass
+    class Handler(BaseRequestHandler):
+        def handle(self) -> None:
+            with suppress(OSError):
+                self.request.recv(65536)
+                self.request.sendall(first)
+                for number in count():
+                    if over.wait(every_s):
+                        return
+                    self.request.sendall(again(number))
 
-    def run() -> None:
-        while True:
-            try:
-                connection, _ = listener.accept()
-            except OSError:
-                return
-            threads.append(threading.Thread(target=answer_one, args=(connection,)))
-            threads[-1].start()
-
-    accepting = threading.Thread(target=run)
-    accepting.start()
-    try:
-        yield f"http://127.0.0.1:{listener.getsockname()[1]}"
-    finally:
-        over.set()
-        listener.shutdown(socket.SHUT_RDWR)
-        listener.close()
-        accepting.join()
-        for thread in threads:
-            thread.join()
-
-
-def play(url: str) -> None:
-    fetcher = Fetcher(config=FetchConfig(idle_s=IDLE_S))
-    with closing(fetcher):
-        source = ServedSource("S", f"{url}/v1/streams/s", fetcher, FrameRange(), None, QUICK)
-        with closing(source):
-            list(source.packets())
+    server = ThreadingTCPServer(("127.0.0.1", 0), Handler)
+    with answering(server):
+        try:
+            yield f"http://127.0.0.1:{server.server_address[1]}"
+        finally:
+            over.set()
 
 
 def records(*some: Record) -> bytes:
@@ -119,8 +99,12 @@ def test_junk_does_not_keep_a_play_waiting(
     first: bytes, again: Callable[[int], bytes], every_s: float, message: str
 ) -> None:
     began_s = time.monotonic()
-    with endless(first, again, every_s) as url, pytest.raises(SwingsError, match=message) as caught:
-        play(url)
+    with (
+        endless(first, again, every_s) as url,
+        pytest.raises(SwingsError, match=message) as caught,
+        closing(open_play(url)) as source,
+    ):
+        list(source.packets())
     assert time.monotonic() - began_s < 10 * IDLE_S
     assert len(str(caught.value).splitlines()) == 1
 
@@ -135,18 +119,11 @@ def test_a_file_that_drips_is_given_up() -> None:
         assert time.monotonic() - began_s < 5 * IDLE_S
 
 
-QUICKLY = FetchConfig(idle_s=IDLE_S)
-
-
 def test_who_pauses_is_owed_nothing() -> None:
     named = HEAD.replace(b"Connection", b"Swings-Play: abc\r\nConnection")
     first = answer(start(), *ALL[:4]).replace(HEAD, named)
     heard = b"HTTP/1.1 204 Heard\r\nConnection: close\r\n\r\n"
-    with (
-        script(first + HOLD, heard, heard) as host,
-        closing(Fetcher(config=QUICKLY)) as fetcher,
-    ):
-        source = ServedSource("S", host.url, fetcher, FrameRange(), None, QUICK)
+    with script(first + HOLD, heard, heard) as host, closing(open_play(host.url)) as source:
         packets = source.packets()
         for _ in range(4):
             next(packets)
@@ -155,7 +132,6 @@ def test_who_pauses_is_owed_nothing() -> None:
         with pytest.raises(SwingsError, match=r"stopped$"):
             next(packets)
         assert len(host.asked) == 3
-        source.close()
 
 
 # --- where a stream may lead
@@ -249,7 +225,10 @@ def test_redirects_stay_on_their_host(tmp_path: Path) -> None:
         assert len(host_in_circles.asked) == 5
 
 
-@pytest.mark.parametrize("name", ["http://[", "http://", "http://a:99999/s", "http://[::1/s"])
+@pytest.mark.parametrize(
+    "name",
+    ["http://[", "http://", "http:///x", "http://a:b/x", "http://a:99999/s", "http://[::1/s"],
+)
 def test_what_the_user_typed_is_no_url(name: str) -> None:
     with pytest.raises(SwingsError, match="is not a URL"), opened(name):
         pass
@@ -260,11 +239,6 @@ def test_what_the_user_typed_is_no_url(name: str) -> None:
 EVIL = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202eevil"
 
 
-def swings_play(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "player", *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
-
-
 def steers(text: str) -> bool:
     return any(not one.isprintable() and one != "\n" for one in text)
 
@@ -273,7 +247,7 @@ def test_no_escape_sequence_of_a_server_reaches_the_terminal(tmp_path: Path) -> 
     refusal = json.dumps({"error": EVIL}).encode()
     head = b"HTTP/1.1 400 No\r\nConnection: close\r\nContent-Length: %d\r\n\r\n"
     with script(head % len(refusal) + refusal) as host:
-        done = swings_play(f"{host.url}/v1/streams/s", "--capture", str(tmp_path / "a"))
+        done = run("swings-play", f"{host.url}/v1/streams/s", "--capture", tmp_path / "a")
     assert done.returncode == 1
     assert "evil" in done.stderr
     assert not steers(done.stderr + done.stdout)
@@ -281,9 +255,8 @@ def test_no_escape_sequence_of_a_server_reaches_the_terminal(tmp_path: Path) -> 
     camera = small_manifest().cameras[0]
     names = [type(camera)(EVIL, 16384, 4, 60.0, 60.0, 8.0, 2.0, camera.w2c)]
     write_stream(tmp_path / "s", 3, cameras=tuple(names), default_camera=EVIL)
-    done = swings_play(
-        str(tmp_path / "s"), "--capture", str(tmp_path / "b"), "--camera", "camera:x"
-    )
+    words = ("--capture", tmp_path / "b", "--camera", "camera:x")
+    done = run("swings-play", tmp_path / "s", *words)
     assert done.returncode == 1
     assert "evil" in done.stderr
     assert not steers(done.stderr + done.stdout)
@@ -291,11 +264,9 @@ def test_no_escape_sequence_of_a_server_reaches_the_terminal(tmp_path: Path) -> 
 
 def test_what_a_stream_calls_itself_does_not_steer_the_terminal(tmp_path: Path) -> None:
     write_stream(tmp_path / "s", 3, title=EVIL)
-    command = [sys.executable, "-m", "codec", "info", str(tmp_path / "s")]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0
-    assert "evil" in done.stdout
-    assert not steers(done.stdout)
+    shown = run_ok("swings-stream", "info", tmp_path / "s")
+    assert "evil" in shown
+    assert not steers(shown)
 
 
 def test_an_enormous_camera_is_drawn_at_a_sane_size(tmp_path: Path) -> None:
@@ -303,7 +274,7 @@ def test_an_enormous_camera_is_drawn_at_a_sane_size(tmp_path: Path) -> None:
     wide = type(camera)("c", 16384, 64, 60.0, 60.0, 8192.0, 32.0, camera.w2c)
     write_stream(tmp_path / "s", 1, cameras=(wide,), default_camera="c")
     out = tmp_path / "out"
-    done = swings_play(str(tmp_path / "s"), "--capture", str(out), "--renderer", "cpu")
+    done = run("swings-play", tmp_path / "s", "--capture", out, "--renderer", "cpu")
     assert done.returncode == 0, done.stderr
     assert (
         "the camera has 16384x64 pixels; drawing 4096x16 (--size sets another size)" in done.stderr
@@ -316,9 +287,8 @@ def test_an_enormous_camera_is_drawn_at_a_sane_size(tmp_path: Path) -> None:
 
 def test_frames_come_as_before() -> None:
     """The limits above do not touch an honest play."""
-    with endless(answer(start(), *ALL), lambda n: b"", 0.1) as url:
-        fetcher = Fetcher(config=QUICKLY)
-        source = ServedSource("S", f"{url}/v1/streams/s", fetcher, FrameRange(), None, QUICK)
-        with closing(fetcher), closing(source):
-            frames = assembled(source)
-            assert [next(frames).frame for _ in range(5)] == [0, 1, 2, 3, 4]
+    with (
+        endless(answer(start(), *ALL), lambda n: b"", 0.1) as url,
+        closing(open_play(url)) as source,
+    ):
+        assert [one.frame for one in islice(assembled(source), 5)] == [0, 1, 2, 3, 4]

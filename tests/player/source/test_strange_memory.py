@@ -19,15 +19,8 @@ from codec.stream.manifest import Manifest
 from codec.stream.playrecord import LENGTH, Record, SliceRecord, SnapshotRecord
 from player.source.opener import opened
 from player.source.playreceiver import KEPT_BIRTHS, PlayReceiver
-from tests.player.source.test_served import (
-    MANIFEST,
-    SLICES,
-    SNAPSHOT,
-    answer,
-    open_play,
-    script,
-    start,
-)
+from tests.player.network.webhosts import script
+from tests.player.source.test_served import MANIFEST, SLICES, SNAPSHOT, answer, open_play, start
 from tests.player.source.test_strange_hosts import endless
 from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import static_host, write_stream
@@ -102,11 +95,13 @@ def test_more_bytes_than_a_packet_can_have_are_not_held() -> None:
 
 def test_a_record_that_no_slice_fills_is_not_waited_for() -> None:
     begun = answer(start()) + LENGTH.pack(60 << 20)
-    with endless(begun, lambda n: bytes(1 << 16)) as url, at_most(6 << 20):
-        source = open_play(url)
-        with pytest.raises(CorruptError, match=r"a record of 62914560 bytes, at most 1\d{6}$"):
-            list(source.packets())
-        source.close()
+    with (
+        endless(begun, lambda n: bytes(1 << 16)) as url,
+        at_most(6 << 20),
+        closing(open_play(url)) as source,
+        pytest.raises(CorruptError, match=r"a record of 62914560 bytes, at most 1\d{6}$"),
+    ):
+        list(source.packets())
 
 
 def test_slices_that_nobody_asked_for_are_not_held() -> None:

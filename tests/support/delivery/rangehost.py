@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import re
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from mimetypes import guess_type
 from pathlib import Path
+
+from tests.support.hosted_streams import answering
 
 
 class RangeHost:
@@ -19,7 +20,6 @@ class RangeHost:
         self.root = root
         self.asked: list[tuple[str, str]] = []
         """(path, range) of each request."""
-        self.sent_bytes = 0
         self.cut_bytes: int | None = None
         """Each body breaks off after so many."""
         self.knows_ranges = True
@@ -73,7 +73,6 @@ class RangeHost:
             body = body[: self.cut_bytes]
             handler.close_connection = True
         handler.wfile.write(body)
-        self.sent_bytes += len(body)
 
     def objects(self) -> list[str]:
         """The objects that were asked for, in order."""
@@ -95,13 +94,6 @@ def range_host(root: Path) -> Iterator[RangeHost]:
             pass
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    server.daemon_threads = True
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
     host.url = f"http://127.0.0.1:{server.server_port}"
-    try:
+    with answering(server):
         yield host
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import socket
 import struct
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +12,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Literal
 
 import pytest
+
+from tests.support.hosted_streams import answering
 
 Failure = Literal["500", "403", "reset", "reset_after", "silent"]
 """A status; or a connection that is reset before or after the request is carried out; or no
@@ -116,12 +117,8 @@ def failing_store(monkeypatch: pytest.MonkeyPatch, port: int = 0) -> Iterator[Fa
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "key")
     monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{server.server_port}")
     monkeypatch.setenv("AWS_ALLOW_HTTP", "true")
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    try:
-        yield server
-    finally:
-        server.fail("reset", duration_s=float("inf"))  # on connections that are still open
-        server.shutdown()
-        thread.join()
-        server.server_close()
+    with answering(server):
+        try:
+            yield server
+        finally:
+            server.fail("reset", duration_s=float("inf"))  # on connections that are still open

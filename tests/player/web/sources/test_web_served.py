@@ -20,6 +20,7 @@ from player.link.linkprocess import LinkProcess
 from server.abr.link.link import Link, LinkStep
 from tests.support.hosted_streams import (
     ServerProcess,
+    answering,
     random_slice,
     served,
     small_manifest,
@@ -208,15 +209,11 @@ def breaking_server(root: Path, folder: Path) -> Iterator[tuple[str, list[Messag
 
     (folder / "web").symlink_to(ROOT / "player" / "web")
     host = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(folder)))
-    thread = threading.Thread(target=host.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{host.server_port}", asked
-    finally:
-        reported.release(1000)
-        host.shutdown()
-        thread.join()
-        host.server_close()
+    with answering(host):
+        try:
+            yield f"http://127.0.0.1:{host.server_port}", asked
+        finally:
+            reported.release(1000)
 
 
 def test_a_play_goes_on_with_what_the_last_server_said_of_the_link(
