@@ -1,15 +1,15 @@
-"""A stream on a static host as a source: an error names the URL and the byte."""
+"""A stream on a static host, or in a folder: an error names the URL, or the file, and the byte."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from codec.errors import CorruptError
-from player.network.fetch import FetchError
-from player.source.opener import opened
-from tests.support.delivery.assembled import assembled
+from codec.stream import StreamReader
+from tests.support.delivery.assembled import read_all
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.hostile import put_object
 
@@ -19,15 +19,10 @@ def stream(tmp_path: Path) -> Path:
     return write_stream(tmp_path / "s", 13)
 
 
-def play(url: str) -> None:
-    with opened(url) as source:
-        list(assembled(source))
-
-
 def told(stream: Path) -> tuple[str, int | None]:
     """What playing all of `stream` from a host raises, from the folder on, and its place."""
     with static_host(stream.parent) as host, pytest.raises(CorruptError) as caught:
-        play(f"{host}/s")
+        read_all(f"{host}/s")
     message = str(caught.value)
     assert message.startswith(f"{host}/s/")
     return message.removeprefix(f"{host}/s/"), caught.value.at
@@ -45,18 +40,17 @@ def test_a_wrong_record_of_the_index(stream: Path) -> None:
 
 def test_a_wrong_table_and_a_wrong_chunk(stream: Path) -> None:
     # Another segment's table has other births; another layer's chunks are behind a right one.
+    manifest = StreamReader(stream).manifest
+    elsewhere = replace(manifest, object_url="https://cdn.example/{layer}/{segment}")
     for other, place, what in (("0/0", 20, "object"), ("1/1", 20 + 5 * 12, "change")):
         put_object(stream, 1, 0, (stream / "segments" / other).read_bytes())
         message, at = told(stream)
         assert at == place
         assert message.startswith(f"segments/1/0: byte {place}: {what}: ")
-
-
-def test_a_wrong_manifest_is_not_a_stream(stream: Path) -> None:
-    (stream / "manifest.json").write_text("<html>")
-    with (
-        static_host(stream.parent) as host,
-        pytest.raises(FetchError, match=r"s/manifest\.json: byte 0: .*; this is not a stream$"),
-        opened(f"{host}/s"),
-    ):
-        pass
+        # From the folder, whose objects have other URLs.
+        (stream / "manifest.json").write_bytes(elsewhere.to_json())
+        with pytest.raises(CorruptError) as caught:
+            read_all(str(stream))
+        assert str(caught.value) == f"{stream}/{message}"
+        assert caught.value.at == place
+        (stream / "manifest.json").write_bytes(manifest.to_json())

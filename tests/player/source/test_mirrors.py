@@ -176,7 +176,7 @@ def test_the_second_time_objects_come_from_the_disk(
 # --- live
 
 
-@pytest.mark.parametrize("kind", ["static", "ranges", "swings"])
+@pytest.mark.parametrize("kind", ["static", "ranges", "files of swings", "swings"])
 def test_a_live_stream_is_followed_to_its_end(tmp_path: Path, kind: str) -> None:
     root = tmp_path / "library"
     writer = StreamWriter.create(root / "s", small_manifest())
@@ -189,25 +189,22 @@ def test_a_live_stream_is_followed_to_its_end(tmp_path: Path, kind: str) -> None
                 time.sleep(0.03)
 
     thread = threading.Thread(target=write)
-    hosts = {"static": static_host, "ranges": range_host, "swings": served}
-    with hosts[kind](root) as host:  # type: ignore[operator]
+    hosts = {"static": static_host, "ranges": range_host}
+    paths = {"files of swings": "v1/streams/s/manifest.json", "swings": "watch/s"}
+    with hosts.get(kind, served)(root) as host:  # type: ignore[operator]
         url = host if isinstance(host, str) else host.url
-        below = "v1/streams/s/manifest.json" if kind == "swings" else "s"
-        with opened(f"{url}/{below}", config=PATIENT) as source:
+        with opened(f"{url}/{paths.get(kind, 's')}", layers=3, config=PATIENT) as source:
             assert source.frames.end is None
             thread.start()
             got = list(assembled(source))
-            assert not source.manifest.live
+            assert source.manifest.live == (kind == "swings")  # then it is that of the beginning
         thread.join()
     assert len(list(checked(StreamReader(root / "s"), got, 3))) == 23
 
 
 def test_a_stream_that_was_replaced_is_not_mixed_with_the_old_one(tmp_path: Path) -> None:
     write_stream(tmp_path / "s", NUM_FRAMES)
-    with StreamWriter.create(tmp_path / "new", small_manifest()) as writer:
-        for birth in range(1 - SWIN_SIZE, NUM_FRAMES):
-            made = random_slice(birth + 10_000)
-            writer.append(type(made)(birth, made.splats, made.start_offsets))
+    write_stream(tmp_path / "new", NUM_FRAMES, seed=10_000)
     with static_host(tmp_path) as host, opened(f"{host}/s", config=QUICK) as source:
         frames = assembled(source)
         shown = [next(frames)]

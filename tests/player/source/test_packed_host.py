@@ -16,7 +16,6 @@ from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.captions import Captions
-from codec.stream.manifest import MASKS, Part, snapshot_part
 from codec.tools.packing import pack_stream
 from codec.tools.streamcaptions import add_captions
 from player.network.faults import BrokenError
@@ -27,7 +26,7 @@ from player.sound.decodedsound import DecodedSound, SegmentLoader
 from player.source.opener import Opener, SourceConfig, opened
 from player.source.source import SlicePackets, Source
 from player.source.webstorage import WebStorage
-from tests.support.delivery.assembled import assembled, checked
+from tests.support.delivery.assembled import assembled, check_packets, checked
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.sounding import add_clicks, heard
@@ -60,19 +59,13 @@ def test_every_frame_shows_what_the_folder_shows(
     assert [one.frame for one in shown] == list(range(first, NUM_FRAMES))
 
 
-def check_packets(source: Source, reader: StreamReader) -> set[int]:
+def births_of(source: Source, reader: StreamReader) -> set[int]:
     """The births whose masks and layer 0 have come; each packet is the one in the folder."""
-    here, manifest = set(), reader.manifest
+    here = set()
     for one in source.packets():
-        is_slice = isinstance(one, SlicePackets)
-        birth = one.birth if isinstance(one, SlicePackets) else one.frame
-        segment = manifest.segment_of(birth)
-        for layer, packet in enumerate(one.packets, one.first_layer):
-            part: Part = layer if is_slice else snapshot_part(layer)
-            assert packet == reader.read_object(segment, part).packet(birth)
+        check_packets(reader, one)
         if isinstance(one, SlicePackets) and one.mask is not None:
-            assert one.mask == reader.read_object(segment, MASKS).packet(birth)
-            here.add(birth)
+            here.add(one.birth)
     return here
 
 
@@ -83,7 +76,7 @@ def test_an_adaptive_play_gets_the_packets_of_the_folder(
     reader = StreamReader(made / "s")
     with opened(f"{host.url}/s.swings", FrameRange(first), adaptive=True) as source:
         assert source.adaptive
-        births = check_packets(source, reader)
+        births = births_of(source, reader)
     assert births >= set(range(first + 1, NUM_FRAMES))
 
 
@@ -94,9 +87,9 @@ def play_one_frame(source: Source) -> None:
                 return
 
 
-def requests_to_first_picture(host: RangeHost, path: str, adaptive: bool) -> int:
+def requests_to_first_picture(host: RangeHost, path: str) -> int:
     host.asked.clear()
-    with opened(f"{host.url}/{path}", adaptive=adaptive) as source:
+    with opened(f"{host.url}/{path}") as source:
         play_one_frame(source)
         return len(host.asked)
 
@@ -111,8 +104,8 @@ def test_opening_takes_one_request_instead_of_two(host: RangeHost, adaptive: boo
 
 
 def test_the_first_picture_takes_one_request_less_than_from_a_folder(host: RangeHost) -> None:
-    folder = requests_to_first_picture(host, "s", False)
-    assert requests_to_first_picture(host, "s.swings", False) == folder - 1
+    folder = requests_to_first_picture(host, "s")
+    assert requests_to_first_picture(host, "s.swings") == folder - 1
 
 
 def test_with_a_long_index_it_takes_as_many_as_from_a_folder(
@@ -120,8 +113,8 @@ def test_with_a_long_index_it_takes_as_many_as_from_a_folder(
 ) -> None:
     index_bytes = (made / "s" / "index.bin").stat().st_size
     monkeypatch.setattr("codec.stream.packedlayout.FIRST_BYTES", index_bytes // 2)
-    folder = requests_to_first_picture(host, "s", False)
-    assert requests_to_first_picture(host, "s.swings", False) == folder
+    folder = requests_to_first_picture(host, "s")
+    assert requests_to_first_picture(host, "s.swings") == folder
     with opened(f"{host.url}/s.swings", FrameRange(NUM_FRAMES - 3)) as source:
         assert len(list(checked(StreamReader(made / "s"), assembled(source), 3))) == 3
 
@@ -140,7 +133,7 @@ def test_a_part_that_breaks_off_goes_on_where_it_broke(made: Path, host: RangeHo
         for adaptive in (False, True):
             with closing(opener.open(FrameRange(0, 12), None, adaptive)) as source:
                 host.cut_bytes = 1500
-                births = check_packets(source, StreamReader(made / "s"))
+                births = births_of(source, StreamReader(made / "s"))
                 host.cut_bytes = None
             assert births >= set(range(1, 12))
 

@@ -196,19 +196,7 @@ def assemble(reader: StreamReader, *records: Sent) -> list[int]:
             ),
             "layer 0 of the slice born at 7: byte 8: change: birth 8",
         ),
-    ],
-)
-def test_what_is_wrong_inside_is_named_when_it_is_due(
-    reader: StreamReader, make: Make, message: str
-) -> None:
-    record = make(reader)
-    with pytest.raises(CorruptError, match=f"^S: .*{message}"):
-        assemble(reader, record)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
+        # Late snapshots.
         (lambda r: SnapshotRecord(5, 1, (b"zz",)), "layer 1 of the snapshot of frame 5: packet"),
         (
             lambda r: SnapshotRecord(5, 2, snapshot_record(r, 5, 1, 2).packets),
@@ -220,11 +208,13 @@ def test_what_is_wrong_inside_is_named_when_it_is_due(
         ),
     ],
 )
-def test_a_late_snapshot_that_is_wrong_is_named(
+def test_what_is_wrong_inside_is_named_when_it_is_due(
     reader: StreamReader, make: Make, message: str
 ) -> None:
+    wrong = make(reader)
+    good = [slice_record(reader, 7, 0, 1)] if isinstance(wrong, SnapshotRecord) else []
     with pytest.raises(CorruptError, match=f"^S: .*{message}"):
-        assemble(reader, make(reader), slice_record(reader, 7, 0, 1))
+        assemble(reader, wrong, *good)
 
 
 def test_any_bytes_give_slices_or_a_codec_error(reader: StreamReader) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -15,7 +16,6 @@ import pytest
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.manifest import Part, snapshot_part
 from player.link.linkprocess import LinkProcess
 from player.network.fetch import BrokenError
 from player.network.retry import RetryConfig
@@ -24,10 +24,11 @@ from player.playout.conductor import Conductor
 from player.render.cpu import CpuRenderer
 from player.source.hostedplay import Ask, HostedPlay, Wait
 from player.source.opener import Opener, SourceConfig, opened
-from player.source.source import SlicePackets, SnapshotPackets
+from player.source.source import SlicePackets
 from server.abr.link.link import Link, LinkStep
 from tests.player.playout.test_conductor import Played, picture
-from tests.support.delivery.assembled import assembled
+from tests.player.source.test_hosted_play import need_bps
+from tests.support.delivery.assembled import check_packets
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.delivery.watched import Watched, watched
 from tests.support.hosted_streams import (
@@ -73,18 +74,24 @@ Host = Callable[[Path], AbstractContextManager[str]]
 STATIC: tuple[Host, ...] = (static_host, host_with_ranges)
 
 
+@contextmanager
+def over_link(url: str, steps: list[LinkStep]) -> Iterator[Opener]:
+    """Opens the stream at `url`."""
+    port = urlsplit(url).port
+    assert port is not None
+    with (
+        LinkProcess(Link(steps), "127.0.0.1", port) as relay,
+        closing(Opener(url, relay.address)) as opener,
+    ):
+        yield opener
+
+
 def play(root: Path, name: str, host: Host, *steps: tuple[float, float]) -> Watched:
     """Plays a stream over a link. steps: seconds, and what it carries as a share of the stream."""
-    reader = StreamReader(root / name)
-    all_bps = 8 * FPS * sum(record.played_bytes for record in reader.records) / NUM_FRAMES
-    link = Link([LinkStep(seconds, share * all_bps, 0.02) for seconds, share in steps])
-    with host(root) as url:
-        port = int(url.partition("://")[2].partition("/")[0].rpartition(":")[2])
-        with (
-            LinkProcess(link, "127.0.0.1", port) as relay,
-            closing(Opener(f"{url}/{name}", relay.address)) as opener,
-        ):
-            got = watched(opener.open(FrameRange(), None, adaptive=True))
+    all_bps = need_bps(StreamReader(root / name))
+    made = [LinkStep(seconds, share * all_bps, 0.02) for seconds, share in steps]
+    with host(root) as url, over_link(f"{url}/{name}", made) as opener:
+        got = watched(opener.open(FrameRange(), None, adaptive=True))
     assert [one.frame for one in got.frames] == list(range(NUM_FRAMES))
     return got
 
@@ -160,21 +167,16 @@ def test_a_seek_shows_layer_0_of_that_frame_first(
         asked.extend([step] if isinstance(step, Ask) else [])
         return step
 
-    link = Link([LinkStep(60.0, 3e6, 0.02)])
-    with range_host(root) as host:
-        port = int(host.url.rpartition(":")[2])
-        with (
-            LinkProcess(link, "127.0.0.1", port) as relay,
-            closing(Opener(f"{host.url}/{name}", relay.address)) as opener,
-        ):
-            before = opener.open(FrameRange(), None, adaptive=True)
-            watched(before, until_frame=10)
-            monkeypatch.setattr(HostedPlay, "next", recorded)
-            source = opener.open(FrameRange(75), None, adaptive=True)
-            assert source.play.rate_bps is not None
-            assert source.play.rate_bps == before.play.rate_bps
-            assert 1e6 < source.play.rate_bps < 4e6
-            got = watched(source, until_frame=100)
+    steps = [LinkStep(60.0, 3e6, 0.02)]
+    with range_host(root) as host, over_link(f"{host.url}/{name}", steps) as opener:
+        before = opener.open(FrameRange(), None, adaptive=True)
+        watched(before, until_frame=10)
+        monkeypatch.setattr(HostedPlay, "next", recorded)
+        source = opener.open(FrameRange(75), None, adaptive=True)
+        assert source.play.rate_bps is not None
+        assert source.play.rate_bps == before.play.rate_bps
+        assert 1e6 < source.play.rate_bps < 4e6
+        got = watched(source, until_frame=100)
     assert got.frames[0].frame == 75
     assert got.startup_s < 0.3
     first = [one.first_layer for one in got.packets[:4]]
@@ -185,22 +187,12 @@ def test_a_seek_shows_layer_0_of_that_frame_first(
     assert all(ask.segment > 0 for ask in asked)
 
 
-def test_a_link_is_not_asked_twice_for_the_same_bytes(root: Path) -> None:
-    with range_host(root) as host, opened(f"{host.url}/whole", adaptive=True) as source:
-        list(assembled(source))
-    sizes = (sum(record.part_bytes) for record in StreamReader(root / "whole").records)
-    index_and_manifest = sum(
-        (root / "whole" / n).stat().st_size for n in ("index.bin", "manifest.json")
-    )
-    assert source.received_bytes <= sum(sizes) + index_and_manifest
-
-
-def check_packets(reader: StreamReader, got: Watched) -> None:
+def check_slices(reader: StreamReader, got: Watched) -> None:
     """Each slice came once in each layer, as it is on disk."""
+    for one in got.packets:
+        check_packets(reader, one)
+        assert len(one.packets) == 1
     came = [one for one in got.packets if isinstance(one, SlicePackets)]
-    for one in came:
-        kept = reader.read_object(reader.manifest.segment_of(one.birth), one.first_layer)
-        assert one.packets == (kept.packet(one.birth),)
     assert len({(one.birth, one.first_layer) for one in came}) == len(came)
 
 
@@ -211,7 +203,7 @@ def test_what_shows_is_what_the_stream_holds(root: Path, name: str) -> None:
     for host in STATIC:
         with host(root) as url, opened(f"{url}/{name}", FrameRange(90), adaptive=True) as source:
             got = watched(source)
-        check_packets(reader, got)
+        check_slices(reader, got)
         assert got.totals.wire_bytes <= sum(one.wire_bytes for one in got.packets)
         assert got.frames[-1].layers == LAYERS
 
@@ -242,7 +234,7 @@ def test_a_live_stream_is_followed_as_it_grows(tmp_path: Path, host: Host) -> No
         assert not source.manifest.live
         thread.join()
     reader = StreamReader(root / "s")
-    check_packets(reader, got)
+    check_slices(reader, got)
     births = [one.birth for one in got.packets if isinstance(one, SlicePackets)]
     assert sorted(set(births)) == list(range(1, num_frames))
     # It was followed, not waited for.
@@ -254,7 +246,7 @@ def test_a_live_stream_is_followed_as_it_grows(tmp_path: Path, host: Host) -> No
 
 def check_whole(root: Path, got: Watched) -> None:
     assert [one.frame for one in got.frames] == list(range(NUM_FRAMES))
-    check_packets(StreamReader(root / "whole"), got)
+    check_slices(StreamReader(root / "whole"), got)
 
 
 def test_when_a_host_vanishes_the_next_one_is_asked(root: Path) -> None:
@@ -320,12 +312,7 @@ def test_a_stream_that_was_replaced_is_not_mixed_with_the_old_one(
         with pytest.raises(CorruptError, match="was replaced by another one; play it again"):
             came.extend(packets)
     for one in came:
-        birth = one.first_frame
-        part: Part = one.first_layer
-        if isinstance(one, SnapshotPackets):
-            part = snapshot_part(one.first_layer)
-        kept = reader.read_object(reader.manifest.segment_of(birth), part)
-        assert one.packets == (kept.packet(birth),)
+        check_packets(reader, one)
 
 
 def test_an_altered_object_is_named(root: Path, tmp_path: Path) -> None:
@@ -349,7 +336,7 @@ def test_the_second_time_objects_come_from_the_disk(root: Path, tmp_path: Path) 
             frames = FrameRange(0, 60)
             with opened(f"{host.url}/whole", frames, None, None, config, True) as source:
                 got = watched(source)
-            check_packets(StreamReader(root / "whole"), got)
+            check_slices(StreamReader(root / "whole"), got)
         assert len(host.objects()) == before
         assert got.totals.mean_layers > LAYERS - 0.1
 
@@ -360,43 +347,36 @@ def test_a_picture_that_stands_gets_the_layers_that_it_lacks(
     root: Path, name: str, host: Host
 ) -> None:
     expected = picture(root / name, 57)
-    reader = StreamReader(root / name)
-    all_bps = 8 * FPS * sum(record.played_bytes for record in reader.records) / NUM_FRAMES
-    with host(root) as url:
-        port = int(url.partition("://")[2].partition("/")[0].rpartition(":")[2])
-        link = Link([LinkStep(60.0, all_bps, 0.02)])
-        with (
-            LinkProcess(link, "127.0.0.1", port) as relay,
-            closing(Opener(f"{url}/{name}", relay.address)) as opener,
-        ):
-            played = Played(root / name, Clock(real=True), 1, 57)
-            conductor = played.conductor = Conductor(
-                lambda frame: opener.open(FrameRange(frame), None, adaptive=True),
-                played.make_events,
-                played.clock,
-                57,
-                1,
-                opener.interrupt,
-                lambda frame: opener.open(FrameRange(frame), LAYERS),
-            )
-            with conductor:
-                conductor.toggle_pause()
-                renderer = CpuRenderer(conductor.source.manifest)
-                conductor.attach(renderer)
-                played.shows(57)
-                camera = conductor.source.manifest.camera()
-                assert played.records[0].layers < LAYERS
+    steps = [LinkStep(60.0, need_bps(StreamReader(root / name)), 0.02)]
+    with host(root) as url, over_link(f"{url}/{name}", steps) as opener:
+        played = Played(root / name, Clock(real=True), 1, 57)
+        conductor = played.conductor = Conductor(
+            lambda frame: opener.open(FrameRange(frame), None, adaptive=True),
+            played.make_events,
+            played.clock,
+            57,
+            1,
+            opener.interrupt,
+            lambda frame: opener.open(FrameRange(frame), LAYERS),
+        )
+        with conductor:
+            conductor.toggle_pause()
+            renderer = CpuRenderer(conductor.source.manifest)
+            conductor.attach(renderer)
+            played.shows(57)
+            camera = conductor.source.manifest.camera()
+            assert played.records[0].layers < LAYERS
 
-                def is_whole() -> bool:
-                    return np.array_equal(renderer.render_again(57, camera), expected)
+            def is_whole() -> bool:
+                return np.array_equal(renderer.render_again(57, camera), expected)
 
-                assert not is_whole()
-                played.poll_until(is_whole)
-                assert {one.frame for one in played.records} == {57}
-                conductor.step(1)
-                played.shows(58)
-                played.poll_until(lambda: played.records[-1].layers == LAYERS)
-                assert played.records[-1].frame == 58
-                conductor.toggle_pause()
-                played.shows(70)
-                assert conductor.source.adaptive
+            assert not is_whole()
+            played.poll_until(is_whole)
+            assert {one.frame for one in played.records} == {57}
+            conductor.step(1)
+            played.shows(58)
+            played.poll_until(lambda: played.records[-1].layers == LAYERS)
+            assert played.records[-1].frame == 58
+            conductor.toggle_pause()
+            played.shows(70)
+            assert conductor.source.adaptive
