@@ -1,11 +1,11 @@
-"""What the choices of the paper are worth: age scaling (its Table 5) with Adam's history carried or
-fresh, and swin_size against num_gs at equal bandwidth (its Figure 7 and Equation 4).
+"""Effect of the paper's choices: age scaling (its Table 5) with Adam's history carried or fresh,
+and swin_size against num_gs at equal bandwidth (its Figure 7 and Equation 4).
 
 Usage: scripts/bench ablate CAPTURE --out docs/ablate.png --scale 0.5
 
 Every setting is trained once per seed and scored from its decoded files on the held-out cameras.
-Finished runs are kept as JSON in --work, so that an interrupted measurement goes on; empty that
-folder after a change of the trainer. What slots and leases are worth, `scripts/bench leases` tells.
+Finished runs are kept as JSON in --work, so that an interrupted measurement continues; empty that
+folder after a change of the trainer. `scripts/bench leases` measures slots and leases.
 """
 
 from __future__ import annotations
@@ -46,29 +46,29 @@ from trainer.step.optimiser import AgeScaling
 AGE_SCALINGS: tuple[AgeScaling, ...] = get_args(AgeScaling)
 CARRIED = {True: "carried", False: "fresh"}
 COLOURS = {True: "#1f5fbf", False: "#d9480f"}
-"""Of Adam's history carried or fresh."""
+"""Colours of the lines: Adam's history carried or fresh."""
 
 
 @dataclass(frozen=True)
 class TrialsConfig:
-    """Runs of one capture with other settings."""
+    """Runs of one capture with different settings."""
 
     capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
     """Folder of the capture."""
     work: Path = field(default_factory=lambda: Path(tempfile.gettempdir()) / "swings-ablate")
-    """Folder that keeps what finished runs gave."""
+    """Folder that keeps the results of finished runs."""
     frames: str = "0:12"
     """Frames of the capture to train, A:B; A included, B not."""
     fps: float | None = None
-    """Frames per second, where no file of the capture tells them."""
+    """Frames per second, if no file of the capture states them."""
     scale: float = 0.5
-    """Size of the training pictures over the capture's."""
+    """Size of the training pictures relative to the capture's."""
     genesis_iterations: int = 1500
     """Iterations of the first window, before it settles."""
     window_iterations: int = 250
     """Iterations of every later window."""
     seeds: int = 2
-    """Runs of each setting, by seed; their spread tells which differences mean something."""
+    """Runs of each setting, one per seed; their spread shows which differences are significant."""
 
 
 @dataclass(frozen=True)
@@ -96,40 +96,40 @@ class Setting:
     """A row of the table."""
 
     group: str
-    """The comparison that it belongs to; the first of each is what others are compared with."""
+    """The comparison that it belongs to; the others of it are compared with its first setting."""
     name: str
     fit: FitConfig
     whole_slices: bool = False
 
     @property
     def carried(self) -> bool:
-        """Whether Adam's history goes from window to window."""
+        """Whether Adam's history is carried from window to window."""
         return self.fit.optimiser.carry_adam
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What one run gave, with all layers; means over held-out cameras and frames."""
+    """Result of one run, with all layers; means over held-out cameras and frames."""
 
     psnr_db: float
     moving_db: float | None
     ssim: float
     flicker: float | None
     bytes_per_frame: float
-    """Of one slice: in a short run what frame 0 begins with would weigh too much."""
+    """Bytes of one slice; in a short run the snapshot of frame 0 would weigh too much."""
     layers_db: list[float]
     """PSNR with 1, 2, ... layers."""
     seconds: float
-    """Of training."""
+    """Duration of the training."""
     more: dict[str, float] = field(default_factory=dict)
-    """What else was asked of the stream."""
+    """Other figures measured on the stream."""
 
 
 Outcomes = Mapping[Setting, Sequence[Outcome]]
-"""Of each setting, one for each seed."""
+"""The outcomes of each setting, one for each seed."""
 
 Examine = Callable[[StreamReader], dict[str, float]]
-"""Gives `Outcome.more` of a stream."""
+"""Computes `Outcome.more` of a stream."""
 
 
 def nothing_more(reader: StreamReader) -> dict[str, float]:
@@ -137,7 +137,7 @@ def nothing_more(reader: StreamReader) -> dict[str, float]:
 
 
 def settings(config: AblateConfig) -> list[Setting]:
-    """All are slices that are sent whole, and trained as in the paper."""
+    """All settings send whole slices and train as in the paper."""
     base = FitConfig(
         num_gs=config.age_num_gs,
         swin_size=config.age_swin_size,
@@ -173,8 +173,7 @@ def training(config: TrialsConfig, setting: Setting, stream: Path) -> TrainConfi
 
 
 def slice_bytes(reader: StreamReader) -> float:
-    """What a slice takes on average: mask and changes. The one of frame 0 is empty, and not
-    counted."""
+    """Mean bytes of a slice, masks and changes. The slice of frame 0 is empty and not counted."""
     records = reader.records
     masks = sum(record.side_bytes[0] for record in records)
     changes = sum(sum(record.object_bytes) for record in records)
@@ -203,7 +202,7 @@ def measure_once(config: TrialsConfig, setting: Setting, examine: Examine) -> Ou
 
 
 def kept_path(config: TrialsConfig, setting: Setting) -> Path:
-    """Where the outcome of this run is kept: another capture or setting has another name."""
+    """Path of the kept outcome of this run; each capture and setting has a name of its own."""
     told = asdict(training(config, setting, Path("stream")))
     told["outcome"] = [f.name for f in fields(Outcome)]
     digest = hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode())
@@ -215,14 +214,14 @@ def keep(path: Path, outcome: Outcome) -> None:
 
 
 def relative_cost(fit: FitConfig, num_frames: int) -> float:
-    """What a run takes beside others: a step has a fixed part and one that grows with num_gs."""
+    """Relative time of a run: a step has a fixed part and a part that grows with num_gs."""
     steps = fit.iterations(0) + (num_frames - 1) * fit.iterations(1)
     return steps * (1 + fit.num_gs / 8_000)
 
 
 def runs(config: TrialsConfig, chosen: Sequence[Setting]) -> Iterator[tuple[Setting, Setting]]:
-    """Each setting, and what it is with a seed; seed by seed, so that an early stop leaves all
-    settings with as many runs."""
+    """Pairs of a setting and the same setting with a seed. They go seed by seed, so that all
+    settings have nearly the same number of runs after an early stop."""
     for seed in range(config.seeds):
         for setting in chosen:
             yield setting, replace(setting, fit=replace(setting.fit, seed=seed))
@@ -231,7 +230,7 @@ def runs(config: TrialsConfig, chosen: Sequence[Setting]) -> Iterator[tuple[Sett
 def measure(
     config: TrialsConfig, chosen: Sequence[Setting], examine: Examine = nothing_more
 ) -> Outcomes:
-    """Every setting at every seed; a line on standard error for each run."""
+    """Runs every setting with every seed; prints a line on standard error for each run."""
     log = Console(stderr=True)
     config.work.mkdir(parents=True, exist_ok=True)
     num_frames = len(
@@ -274,14 +273,14 @@ def mean(values: Sequence[float]) -> float:
 
 
 def spread(values: Sequence[float], form: str) -> str:
-    """The mean, and half the difference between the largest and the smallest."""
+    """The mean, and half the difference between the largest and the smallest value."""
     text = format(mean(values), form)
     return f"{text} ±{(max(values) - min(values)) / 2:.2f}" if len(values) > 1 else text
 
 
 def table_of(outcomes: Outcomes) -> Table:
-    """Means over the seeds. Differences are taken seed by seed, because a seed moves all settings
-    alike, and to the first setting of the same comparison."""
+    """Means over the seeds. Differences are to the first setting of the same comparison, taken seed
+    by seed, because a seed shifts all settings alike."""
     table = Table(box=box.MARKDOWN)
     table.add_column("setting")
     for name in ("PSNR dB", "dB to the first", "SSIM", "flicker", "kB/frame", "seconds"):
@@ -308,7 +307,7 @@ def draw_points(
     axes: matplotlib.axes.Axes, x: Sequence[float], found: Sequence[Sequence[Outcome]], colour: str,
     label: str | None,
 ) -> None:  # fmt: skip
-    """The means at `x`, joined, and a small dot for each seed."""
+    """Draws the means at `x`, joined, and a small dash for each seed."""
     axes.plot(
         x, [mean([o.psnr_db for o in f]) for f in found], "-o", color=colour, markersize=6,
         label=label,

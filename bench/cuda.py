@@ -1,15 +1,15 @@
-"""Training on a GPU, in one table each: steps per second and bytes crossed at several numbers of
-Gaussians, beside the bare step of the same rasteriser; and seconds per frame, quality and memory of
-whole trainings.
+"""Training on a GPU, in two tables. The first has steps per second and bytes copied to and from the
+device at several numbers of Gaussians, beside the bare step of the same rasteriser; the second has
+seconds per frame, quality and memory of whole trainings.
 
 Usage: scripts/bench cuda [CAPTURE ...] [--backends cuda torch] [--ray-workers 2]
 
-Needs a GPU: an NVIDIA one and the extra `cuda`, or one that torch knows and `--backends torch`;
-`--torch-device cpu` with small numbers shows that it works. Trains the demo's capture, which it
-makes, and those that are given, with preset gpu, or paper, at --longest-px, scored from the decoded
-files; each in a process of its own. With `--ray-workers`, and the extra `ray`, the longest is
-trained twice more with slots that last a frame (swin_size 1), as parts need them: in one go, and in
-a part for each of so many workers, which share the GPUs of this machine.
+Needs a GPU: an NVIDIA GPU and the extra `cuda`, or any device of torch and `--backends torch`;
+`--torch-device cpu` with small numbers checks that the bench works. Generates and trains the demo's
+capture, then trains the given captures, with preset gpu or paper at --longest-px, and scores the
+decoded files; each training runs in a process of its own. With `--ray-workers` and the extra `ray`,
+the longest video is trained twice more with slots that last a frame (swin_size 1), as parts need
+them: in one go, and in one part per worker; the workers share the GPUs of this machine.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from trainer.synth.film import SynthConfig, synthesise
 Row = TypeVar("Row")
 
 How = Literal["preset", "slots", "parts"]
-"""As the preset says; slots that last a frame; the same in parts."""
+"""The preset unchanged; slots that last a frame; the same in parts."""
 COLUMNS = (
     "capture", "backend", "how", "frames", "s/frame", "later s", "PSNR dB", "SSIM", "GPU GB",
     "host GB", "kB/frame",
@@ -60,32 +60,32 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class CudaConfig:
-    """Times steps on the GPU, and trains captures at several lengths, by each backend."""
+    """Times steps on the GPU, and trains captures at several lengths, with each backend."""
 
     captures: Annotated[
         tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="CAPTURE")
     ] = ()
-    """Folders of captures to train, beside that of the demo."""
+    """Folders of captures to train, besides the demo's capture."""
     demo: bool = True
-    """Make the demo's capture and train it as well."""
+    """Generate the demo's capture and train it, too."""
     frames: tuple[int, ...] = (30,)
     """Lengths to train, in frames."""
     backends: tuple[DeviceBackendName, ...] = ("cuda", "torch")
     """Training backends: cuda (gsplat), torch (plain torch)."""
     sizes: tuple[int, ...] = (20_000, 200_000, 1_000_000)
-    """Gaussians of the steps that are timed."""
+    """Numbers of Gaussians in the timed steps."""
     width_px: int = 1352
-    """Width of the pictures of those steps, pixels."""
+    """Width of the pictures in the timed steps, pixels."""
     height_px: int = 1014
-    """Height of the pictures of those steps, pixels."""
+    """Height of the pictures in the timed steps, pixels."""
     steps: int = 100
-    """Steps that are timed."""
+    """Number of timed steps."""
     preset: Literal["gpu", "paper"] = "gpu"
     """Preset of the trainings."""
     longest_px: int = 640
     """Longest side of the pictures of the trainings, pixels."""
     fps: float = 30.0
-    """Frames per second of captures that do not say theirs."""
+    """Frames per second of captures that do not state theirs."""
     ray_workers: int = 0
     """Ray workers that train the longest video in parallel; 0 for none."""
     worker_cpus: float = 4
@@ -93,13 +93,13 @@ class CudaConfig:
     torch_device: str | None = None
     """Device of backend torch, as in swings-train."""
     num_gs: int | None = None
-    """Gaussians of the trainings; by default those of the preset."""
+    """Gaussians of the trainings; the preset's number by default."""
     genesis_iterations: int | None = None
-    """Iterations of the first window, before it settles; by default those of the preset."""
+    """Iterations of the first window, before it settles; the preset's number by default."""
     settle_rounds: int | None = None
-    """Settling rounds of the first window; by default those of the preset."""
+    """Settling rounds of the first window; the preset's number by default."""
     window_iterations: int | None = None
-    """Iterations of every later window; by default those of the preset."""
+    """Iterations of every later window; the preset's number by default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,18 +112,18 @@ class Measured:
     frames: int
     s_per_frame: float
     later_s_per_frame: float | None
-    """Seconds of a frame after the first, whose window takes long; None for parts."""
+    """Seconds per frame after the first, whose window takes long; None for parts."""
     psnr_db: float
     ssim: float
     device_bytes: int | None
-    """The most that torch has held on the device; None where torch does not count it, and for
-    parts, whose workers hold it."""
+    """Peak memory that torch allocated on the device; None where torch does not count it, and for
+    parts, whose workers allocate it."""
     host_bytes: int
     bytes_per_frame: float
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """In the order of COLUMNS."""
+        """The cells of the row, in the order of COLUMNS."""
         on_device = "-" if self.device_bytes is None else f"{self.device_bytes / 1e9:.2f}"
         later = "-" if self.later_s_per_frame is None else f"{self.later_s_per_frame:.2f}"
         return (
@@ -134,7 +134,7 @@ class Measured:
 
 
 class WindowTimes(Observer):
-    """When each window was done."""
+    """Records when each window ended."""
 
     def __init__(self) -> None:
         self._ends_s: list[float] = []
@@ -144,7 +144,7 @@ class WindowTimes(Observer):
 
     @property
     def later_s(self) -> float | None:
-        """Seconds a frame after the first; None if there are none."""
+        """Seconds per frame after the first; None if there is only one frame."""
         ends_s = self._ends_s
         return (ends_s[-1] - ends_s[0]) / (len(ends_s) - 1) if len(ends_s) > 1 else None
 
@@ -152,7 +152,7 @@ class WindowTimes(Observer):
 def training(
     config: CudaConfig, capture: Path, backend: DeviceBackendName, num_frames: int, stream: Path
 ) -> TrainConfig:
-    """The preset on the first `num_frames` frames."""
+    """The preset, applied to the first `num_frames` frames."""
     chosen = PRESETS[config.preset](
         capture, stream, frames=f"0:{num_frames}", longest_px=config.longest_px, backend=backend,
         torch_device=config.torch_device if backend == "torch" else None,
@@ -163,13 +163,13 @@ def training(
 
 
 def with_slots(job: TrainConfig) -> TrainConfig:
-    """The same with slots that last a frame."""
+    """The same training with slots that last a frame."""
     fit = replace(job.fit, swin_size=1)
     return replace(job, whole_slices=False, rank="contribution", fit=fit)
 
 
 def in_parts(job: TrainConfig, config: CudaConfig, num_frames: int) -> TrainConfig:
-    """The same in a part for each worker."""
+    """The same training, with one part for each worker."""
     import torch
 
     part_frames = -(-num_frames // config.ray_workers)
@@ -188,7 +188,7 @@ def in_parts(job: TrainConfig, config: CudaConfig, num_frames: int) -> TrainConf
 def measured(
     config: CudaConfig, capture: Path, backend: DeviceBackendName, how: How, num_frames: int
 ) -> Measured:
-    """Trains and scores; memory is of the whole process, in parts of the driver."""
+    """Trains and scores. Host memory is that of this process; for parts, it is the driver's."""
     console, times = Console(stderr=True), WindowTimes()
     with tempfile.TemporaryDirectory() as folder:
         stream = Path(folder) / "stream"
@@ -216,8 +216,8 @@ def measured(
 def in_a_process(
     failures: list[str], what: str, function: Callable[..., Row], *arguments: object
 ) -> Iterator[Row]:
-    """Its result, computed in a process of its own. Where a device lacks memory, or the process
-    ends, there is none, and a line about `what` in `failures`."""
+    """Yields the result of `function`, computed in a process of its own. If a device lacks memory
+    or the process dies, yields nothing and adds a line about `what` to `failures`."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
         try:
             yield process.submit(function, *arguments).result()
@@ -227,7 +227,7 @@ def in_a_process(
 
 
 def step_rows(config: CudaConfig, failures: list[str]) -> Iterator[StepRow]:
-    """Every number of Gaussians by every backend; for `failures` see `in_a_process`."""
+    """Every number of Gaussians with every backend; for `failures` see `in_a_process`."""
     for count in config.sizes:
         for backend in config.backends:
             case = StepCase(
@@ -239,7 +239,7 @@ def step_rows(config: CudaConfig, failures: list[str]) -> Iterator[StepRow]:
 
 
 def rows(config: CudaConfig, captures: Sequence[Path], failures: list[str]) -> Iterator[Measured]:
-    """Every capture at every length by every backend; then what is in parts."""
+    """Every capture at every length with every backend; then the trainings in parts."""
     for capture in captures:
         length = open_capture(capture).num_frames
         lengths = sorted({min(num_frames, length) for num_frames in config.frames})
@@ -267,7 +267,7 @@ def table_of(title: str, columns: Sequence[str], texts: Iterable[Sequence[str]])
 def run(config: CudaConfig) -> None:
     where = []
     for backend in config.backends:
-        # To refuse a machine without one before anything is read.
+        # Refuses a machine without the backend before anything is read.
         job = training(config, Path("capture"), backend, 1, Path("stream"))
         where.append(job.fit.backend(backend, job.torch_device).why)
     title, console = "; ".join(where), Console(width=140)

@@ -1,12 +1,12 @@
-"""Several streams of one capture side by side: what they fetch against how they look, and PSNR
-frame by frame.
+"""Several streams of one capture side by side: bytes fetched against PSNR, and PSNR frame by frame.
 
 Usage: scripts/bench curve STREAM STREAM ... --capture CAPTURE --out docs/curve.png
 
 Every stream is scored from its decoded files on the held-out cameras, at every number of layers.
-kB a frame is all that one who plays from frame 0 fetches, over the frames: objects, index and
-manifest. Scores are kept as JSON in --work, so that a plot with one more stream scores only that
-one; empty that folder after a change of the renderer, the scores or the capture.
+"kB a frame" is everything that a player starting at frame 0 fetches (objects, index and manifest),
+divided by the number of frames. Scores are kept as JSON in --work, so that a plot with one more
+stream scores only the new one; empty that folder after a change of the renderer, the scores or the
+capture.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ from codec.stream.manifest import MANIFEST_NAME
 from trainer.score.evaluate import EvaluateConfig, Evaluation, LayerScore, evaluate_stream
 
 COLOURS = ("#1f5fbf", "#d9480f", "#2b8a3e", "#862e9c", "#0b7285", "#a61e4d", "#5c940d", "#6b7280")
-"""Of the streams, in turns."""
+"""Colours of the streams, in turn."""
 PUBLISHED_COLOUR = "#212529"
 DECADE = 10
-"""Rates that lie further apart leave no room for many ticks."""
+"""Ratio of the highest rate to the lowest from which the axis has fewer ticks."""
 
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """What others reached on the same capture."""
+    """A published result on the same capture."""
 
     name: str
     kb_per_frame: float
@@ -58,7 +58,7 @@ class Published:
 
     @classmethod
     def parse(cls, text: str) -> Published:
-        """NAME:KB:DB; the name may hold colons. Raises InvalidError."""
+        """Parses NAME:KB:DB; the name may contain colons. Raises InvalidError."""
         name, *numbers = text.rsplit(":", 2)
         try:
             kb, db = (float(number) for number in numbers)
@@ -102,9 +102,9 @@ class Curve:
     """One stream and its scores."""
 
     name: str
-    """For people, other than the names beside it."""
+    """A name for people, different from those of the other streams."""
     first_frame: int
-    """Of the capture."""
+    """Frame of the capture at which the stream begins."""
     every: int
     found: Evaluation
 
@@ -115,14 +115,14 @@ class Curve:
 
 
 def names_of(streams: Sequence[Path]) -> list[str]:
-    """The folders' own names where those tell the streams apart, else their paths."""
+    """The folders' names if all differ, else their paths."""
     short = [stream.resolve().name for stream in streams]
     return short if len(set(short)) == len(short) else [str(stream) for stream in streams]
 
 
 def kept_path(stream: Path, config: CurveConfig) -> Path:
-    """Where the scores of this stream are kept: other bytes, another capture, step or kind of
-    score have another name. The index tells the bytes of all objects."""
+    """Path of the kept scores of this stream. The name changes with the stream's bytes, the
+    capture, the step and the kind of scores; the index identifies the bytes of all objects."""
     told: dict[str, Any] = {
         "capture": str(config.capture.resolve()),
         "every": config.every,
@@ -141,7 +141,7 @@ def recall(path: Path) -> Evaluation:
 
 
 def measure(config: CurveConfig) -> list[Curve]:
-    """Scores all streams; a line on standard error for each."""
+    """Scores all streams; prints a line on standard error for each."""
     log = Console(stderr=True)
     config.work.mkdir(parents=True, exist_ok=True)
     curves = []
@@ -181,7 +181,7 @@ def table_of(curves: Sequence[Curve]) -> Table:
 def draw_rates(
     axes: matplotlib.axes.Axes, curves: Sequence[Curve], published: Sequence[Published]
 ) -> None:
-    """A point for each number of layers, a line for each stream."""
+    """Draws a point for each number of layers, and a line for each stream."""
     rates_kb = [point.kb_per_frame for point in published]
     for number, curve in enumerate(curves):
         x_kb = [row.bytes_per_frame / 1e3 for row in curve.found.layers]
@@ -192,7 +192,7 @@ def draw_rates(
         rates_kb += x_kb
     axes.set_xlim(min(rates_kb) / 1.3, max(rates_kb) * 1.3)
     for point in published:
-        # Its name runs towards the middle, so that it stays inside.
+        # The name extends towards the middle, so that it stays inside the axes.
         right = point.kb_per_frame**2 > min(rates_kb) * max(rates_kb)
         axes.plot([point.kb_per_frame], [point.psnr_db], "D", color=PUBLISHED_COLOUR, markersize=5)
         axes.annotate(
@@ -211,10 +211,10 @@ def draw_rates(
 
 
 def draw_frames(axes: matplotlib.axes.Axes, curves: Sequence[Curve]) -> None:
-    """PSNR of each frame, with all layers."""
+    """Draws the PSNR of each frame, with all layers."""
     for number, curve in enumerate(curves):
         y_db = curve.found.layers[-1].per_frame_psnr_db
-        # One frame alone has no line.
+        # One or two frames alone show too little of a line.
         marker = "." if len(y_db) < 3 else ""
         axes.plot(
             curve.frames, y_db, marker=marker, color=COLOURS[number % len(COLOURS)], linewidth=1.3

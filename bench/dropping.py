@@ -1,14 +1,14 @@
-"""What is left of a stream when Gaussians are dropped, as in the paper's Figures 9 to 12: the least
-opaque (its section 5.5), those that contribute least, and the stream's own last layers.
+"""Quality of a stream after dropping Gaussians, as in the paper's Figures 9 to 12: the least opaque
+(its section 5.5), those that contribute least, and the stream's own last layers.
 
 Usage: scripts/bench dropping STREAM --capture CAPTURE --out docs/dropping.png
 
-Gaussians are ranked for their life; of every slice the share that ranks highest is kept.
+Each Gaussian has one rank for its whole life; the highest-ranking share of every slice is kept.
 Contribution is the trainer's: blending weight in pictures of training cameras.
 
-The bytes are real. What is kept is written as a stream of its own, with the same lattices and
-layers, which costs no precision, and these files are scored and counted: all that a player that
-starts at frame 0 fetches. With 100 % the files are those of the stream.
+The bytes are real. The kept Gaussians are written as a stream of their own, with the same lattices
+and layers, which costs no precision. These files are scored, and their bytes are all that a player
+starting at frame 0 fetches. With 100 % the files are those of the stream.
 """
 
 from __future__ import annotations
@@ -47,15 +47,15 @@ from trainer.step.loss import psnr_db
 from trainer.step.raster import View
 
 BY_OPACITY, BY_CONTRIBUTION, LAYERS = "by opacity", "by contribution", "layers"
-"""How Gaussians are chosen."""
+"""Ways to choose the Gaussians to keep."""
 STYLES = {
     BY_OPACITY: ("#d9480f", "--s", "tail-dropped by opacity"),
     BY_CONTRIBUTION: ("#1f5fbf", "-.^", "tail-dropped by contribution"),
     LAYERS: ("#2b8a3e", "-o", "the stream's own layers"),
 }
-"""Of each: colour, line and marker, and what a legend says."""
+"""Colour, line with marker, and text in the legend of each."""
 SHEET_PX, CAPTION_PX, GAP_PX = 1600, 20, 4
-"""Width of the contact sheet, height of a caption, and what lies between two pictures."""
+"""Width of the contact sheet, height of a caption, and gap between two pictures, pixels."""
 JPEG_QUALITY = 85
 
 
@@ -66,7 +66,7 @@ class DroppingConfig:
     stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STREAM")]
     """Folder of the stream."""
     capture: Path
-    """Folder of the capture that it was trained from."""
+    """Folder of the capture that the stream was trained from."""
     out: Path = Path("docs/dropping.png")
     """The plot to write."""
     sheet: Path = Path("docs/dropping.jpg")
@@ -74,7 +74,7 @@ class DroppingConfig:
     shares: tuple[float, ...] = (1.0, 0.8, 0.6, 0.4, 0.2)
     """Shares of the Gaussians to keep, as in the paper."""
     every: int = 10
-    """Score every n-th frame. Bytes and ranks are always those of all frames."""
+    """Score every n-th frame. Bytes and ranks always cover all frames."""
     views: int = 6
     """Training cameras per frame in which contributions are counted; all cameras take turns."""
     frame: int | None = None
@@ -97,16 +97,16 @@ class Outcome:
     psnr_db: float
     """Mean over held-out cameras and scored frames."""
     picture: Bytes
-    """(H, W, 3) on the contact sheet."""
+    """(H, W, 3) its picture on the contact sheet."""
     picture_db: float
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
     outcomes: list[Outcome]
-    """By STYLES, from most Gaussians to fewest."""
+    """In the order of STYLES, each from most Gaussians to fewest."""
     truth: Bytes
-    """(H, W, 3) what the camera of the contact sheet saw."""
+    """(H, W, 3) the captured picture of the contact sheet's camera."""
     truth_name: str
     title: str
 
@@ -128,10 +128,10 @@ class Source:
     reader: StreamReader
     layers: int
     psnr_db: list[list[float]] = field(default_factory=list)
-    """For each scored frame, of each camera."""
+    """One list for each scored frame, with one value for each camera."""
 
     def score(self, held_out: ScoredCameras, frame: int, truths: Sequence[Floats]) -> None:
-        """Adds the scores of `frame`; truths: what the cameras saw."""
+        """Adds the scores of `frame`; truths: the captured pictures."""
         splats = self.reader.active_splats(frame, self.layers)
         manifest, shots = self.reader.manifest, held_out.shots(frame)
         shown = [displayed(splats, c, manifest.near_of(c)) for c in held_out.cameras]
@@ -146,7 +146,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """What an Outcome is made of."""
+    """A part of the Gaussians, from which an Outcome is made."""
 
     chosen: str
     name: str
@@ -154,7 +154,7 @@ class Candidate:
     source: Source
 
     def outcome(self, frame: int, camera: Camera, shot: Shot) -> Outcome:
-        """Once it is scored. frame, camera, shot: what is on the contact sheet."""
+        """Requires a scored source. frame, camera, shot: those of the contact sheet."""
         source = self.source
         splats = source.reader.active_splats(frame, source.layers)
         shown = displayed(splats, camera, source.reader.manifest.near_of(camera))
@@ -170,7 +170,7 @@ class Candidate:
 
 
 def candidates(held_out: ScoredCameras, config: DroppingConfig, folder: Path) -> list[Candidate]:
-    """All that is to be scored; streams that are written for it lie in `folder`."""
+    """Everything to score; the streams written for it are in `folder`."""
     log = Console(stderr=True)
     reader, manifest = held_out.reader, held_out.reader.manifest
     lives = lives_of(reader)
@@ -199,8 +199,8 @@ def candidates(held_out: ScoredCameras, config: DroppingConfig, folder: Path) ->
 
 
 def picked(held_out: ScoredCameras, config: DroppingConfig) -> tuple[int, int]:
-    """Frame and held-out camera of the contact sheet. Raises InvalidError if there are none such,
-    or if another option is out of its bounds."""
+    """Frame and held-out camera of the contact sheet. Raises InvalidError if the stream has no such
+    frame or camera, or if another option is out of its bounds."""
     if not config.shares or not all(0 < share <= 1 for share in config.shares):
         raise InvalidError("give at least one share, each above 0 and at most 1")
     if config.views < 1:
@@ -215,7 +215,7 @@ def picked(held_out: ScoredCameras, config: DroppingConfig) -> tuple[int, int]:
 
 
 def measure(config: DroppingConfig) -> Comparison:
-    """Ranks, writes and scores; a line on standard error for each step."""
+    """Ranks, writes and scores; prints a line on standard error for each step."""
     with (
         open_held_out(config.stream, config.capture) as held_out,
         tempfile.TemporaryDirectory() as folder,
@@ -225,7 +225,7 @@ def measure(config: DroppingConfig) -> Comparison:
         found = candidates(held_out, config, Path(folder))
         text = f"scoring {len(scored)} frames, {len(held_out.cameras)} held-out cameras"
         Console(stderr=True).print(text, highlight=False)
-        # What keeps all is there for each way to choose, and scored once.
+        # Several candidates share the source that keeps all Gaussians; it is scored once.
         sources = {id(candidate.source): candidate.source for candidate in found}
         for number in scored:
             truths = [captured(shot.picture) for shot in held_out.shots(number)]
@@ -245,7 +245,7 @@ def measure(config: DroppingConfig) -> Comparison:
 
 
 def at_same_bytes(line: Sequence[Outcome], num_bytes: float) -> float | None:
-    """PSNR in dB of `line` where it takes `num_bytes` a frame, between its points; None beyond."""
+    """PSNR of `line` at `num_bytes` per frame, dB, interpolated; None outside its points."""
     points = sorted((outcome.bytes_per_frame, outcome.psnr_db) for outcome in line)
     if not points[0][0] <= num_bytes <= points[-1][0]:
         return None
@@ -254,8 +254,8 @@ def at_same_bytes(line: Sequence[Outcome], num_bytes: float) -> float | None:
 
 
 def table_of(found: Comparison) -> Table:
-    """A row for each outcome. Of layers also the gain over what is dropped by opacity, or by
-    contribution, to as many bytes."""
+    """A row for each outcome. Rows of layers also have the gain over dropping by opacity, and by
+    contribution, at the same bytes."""
     table = Table(box=box.MARKDOWN)
     table.add_column("kept")
     for name in (
@@ -280,7 +280,7 @@ def table_of(found: Comparison) -> Table:
 
 
 def draw(found: Comparison, path: Path) -> None:
-    """PSNR over the share of the Gaussians, and over what is fetched."""
+    """Draws PSNR over the share of the Gaussians, and over the bytes fetched."""
     figure = matplotlib.figure.Figure(figsize=(11, 5), layout="constrained")
     matplotlib.backends.backend_agg.FigureCanvasAgg(figure)
     shares, rates = figure.subplots(1, 2, sharey=True)
@@ -302,7 +302,7 @@ def draw(found: Comparison, path: Path) -> None:
 def draw_lines(
     axes: matplotlib.axes.Axes, found: Comparison, place: Callable[[Outcome], float]
 ) -> None:
-    """A line for each of STYLES; place: where on the x axis a point lies."""
+    """Draws a line for each of STYLES; place: gives the x coordinate of a point."""
     for chosen, (colour, style, label) in STYLES.items():
         line = found.of(chosen)
         points = [(place(outcome), outcome.psnr_db) for outcome in line]
@@ -318,7 +318,7 @@ def draw_lines(
 
 
 def draw_sheet(found: Comparison, path: Path) -> None:
-    """A row for each way to choose, from most Gaussians to fewest, and last what the camera saw."""
+    """Draws a row for each of STYLES, most Gaussians first; the captured picture comes last."""
     rows = [found.of(how) for how in STYLES]
     columns = max(len(rows[0]), len(rows[-1]) + 1)
     height_px, width_px = found.truth.shape[:2]

@@ -1,5 +1,5 @@
-"""The bytes of a stream after an edit, as a share of those before, and the PSNR
-against the same edit made on the exported frames.
+"""Bytes of a stream after an edit, as a share of the bytes before, and PSNR against the same edit
+made on the exported frames.
 
 Usage: scripts/bench edits [--gs N] [--frames F] [--model FILE]
 """
@@ -120,7 +120,7 @@ def edited(sources: list[Path], root: Path) -> Iterator[list[str]]:
 
 
 def joined(source: Path, config: EditsConfig, root: Path) -> Iterator[list[str]]:
-    """Rows of joins of the first half of a stream with its second one, and with another scene."""
+    """Rows of joins of a stream's first half with its second half, and with another scene."""
     half = config.frames // 2 // config.segment_frames * config.segment_frames
     first, second, other = (root / f"{source.name} {name}" for name in ("1st half", "2nd", "other"))
     trim_stream(source, first, FrameRange(0, half))

@@ -1,5 +1,5 @@
-"""What a Gaussian of a slice sent whole costs, in bytes and in time; `scripts/bench slots` measures
-slots that last.
+"""Cost of a Gaussian in a slice that is sent whole, in bytes and in time; `scripts/bench slots`
+measures slots that last.
 
 Usage: scripts/bench encode
 """
@@ -30,7 +30,7 @@ from tests.support.trained_like import trained_like_splats
 
 NUM_GS = 40_000
 CASES = [(1, (1.0,)), (5, (1.0,)), (5, (0.25,) * 4), (20, (0.25,) * 4)]
-"""Slices that the Gaussians are dealt to, and the layers of each."""
+"""Number of slices that the Gaussians are dealt to, and the shares of the layers of each."""
 REPEATS = 5
 
 
@@ -49,8 +49,8 @@ def median_ms(work: Callable[[], object]) -> float:
 
 
 def synthetic_slices(count: int) -> list[Slice]:
-    """`count` slices of a trained-like scene of NUM_GS Gaussians, dealt at random as slots are, to
-    be sent at frame 1."""
+    """`count` slices, due at frame 1, of a trained-like scene of NUM_GS Gaussians. The Gaussians
+    are dealt to the slices at random, as slots are."""
     splats = trained_like_splats(NUM_GS)
     deal = np.random.default_rng(0).permutation(NUM_GS)
     parts = np.array_split(deal, count)
@@ -58,7 +58,7 @@ def synthetic_slices(count: int) -> list[Slice]:
 
 
 def encode_slice(slice: Slice, layout: SlotLayout, exact: bool) -> list[EncodedChunk]:
-    """The mask of `slice` and its change of each layer, as the writer makes them."""
+    """The mask of `slice` and its change of each layer, as the writer encodes them."""
     encoder = SlotEncoder(layout)
     encoder.append(Update.keeping(0, layout))
     made = encoder.append(whole_update(slice, layout, opacity_rank, exact))
@@ -114,7 +114,7 @@ def table_of_cases() -> Table:
 
 
 def table_of_attributes(slice: Slice) -> Table:
-    """What each attribute on the lattice costs, each in zstd blocks of its own."""
+    """Bits of each attribute on the lattice, each coded in zstd blocks of its own."""
     count = len(slice.splats)
     layout = SlotLayout(1, (count,), 0, (Lattice.suiting(slice.splats),), 2)
     _, change = encode_slice(slice, layout, exact=False)

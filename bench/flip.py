@@ -4,8 +4,8 @@ and over its moving pixels.
 Usage: scripts/bench flip STREAM CAPTURE [--every N]
 
 FLIP (Andersson et al. 2020; `pip install flip-evaluator`) models a viewer who flips between two
-pictures at 67 pixels per degree: 0 is no difference, 1 the largest. Means over the held-out cameras
-and the frames, with all layers; moving pixels are those of swings-eval.
+pictures at 67 pixels per degree: 0 is no difference, 1 the largest. The figures are means over the
+held-out cameras and the frames, with all layers; moving pixels are those of swings-eval.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def flip_map(truth: Floats, shown: Floats) -> Floats:
 
 
 def picture_scores(shown: Floats, seen: Seen, camera: int) -> Scores:
-    """The scores of one picture against what camera number `camera` has `seen`."""
+    """The scores of one picture against the picture that camera number `camera` captured."""
     truth, mask = seen.truths[camera], seen.masks[camera]
     error = flip_map(truth, shown)
     counting = error if mask is None else error[mask > 0]

@@ -1,7 +1,7 @@
 """Time from the last byte of a file to its picture, with `swings-stream import --follow`.
 
 A process writes files in place, at a fixed rate; the installed commands follow and serve them; a
-player over HTTP draws.
+player draws them over HTTP.
 
 Usage: scripts/bench follow [--gaussians N] [--fps F] [--seconds S] [--sh-degree D]
 """
@@ -44,7 +44,7 @@ from tests.support.deforming import Deforming
 SIZE = Size(640, 360)
 PATIENCE_S = 60.0
 PIECES = 4
-"""Writes that a file comes in."""
+"""Number of writes per file."""
 WRITTEN_NAME = "written.json"
 
 
@@ -61,10 +61,10 @@ class FollowConfig:
     sh_degree: int = 3
     """Degree of the spherical harmonics."""
     join_s: float = 10.0
-    """Seconds after the first picture at which the viewer goes to the live edge, as somebody does
-    who comes later; pictures count from then on."""
+    """Seconds after the first picture at which the viewer seeks to the live edge, like a viewer who
+    joins later; pictures count from then on."""
     write: Path | None = None
-    """Only write the files to this folder; what the command itself starts."""
+    """Only write the files to this folder. The command starts itself with this option."""
 
     def __post_init__(self) -> None:
         if self.gaussians < 1 or not self.fps > 0 or not self.seconds > self.join_s > 0:
@@ -76,9 +76,9 @@ class FollowConfig:
 
 
 def write(config: FollowConfig, folder: Path) -> None:
-    """Writes the files, each at its time, in place; and when the last byte of each was there."""
+    """Writes the files in place, each at its time, and a file of the times of their last bytes."""
     deforming = Deforming(config.gaussians, config.sh_degree)
-    # Made before, so that the writer takes little of the machine.
+    # Encoded in advance, so that the writer uses little of the CPU.
     files = [encode_splats(deforming.next(), SplatFormat.PLY) for _ in range(config.num_frames)]
     written_s: list[float] = []
     begin_s = time.time() + 0.5
@@ -93,7 +93,7 @@ def write(config: FollowConfig, folder: Path) -> None:
 
 @contextmanager
 def following(folder: Path, stream: Path, fps: float, said: list[str]) -> Iterator[None]:
-    """The command while the block runs, ended by Ctrl-C; fills in what it prints."""
+    """Runs the command during the block and ends it with Ctrl-C; adds its output to `said`."""
     words = command("swings-stream", "import", folder, stream, "--follow", "--fps", f"{fps:g}")
     with open(stream.parent.parent / "said", "w+", encoding="utf-8") as printed:
         process = subprocess.Popen(words, env=environment(), stdout=printed)
@@ -108,7 +108,7 @@ def following(folder: Path, stream: Path, fps: float, said: list[str]) -> Iterat
 
 
 def watch(url: str, config: FollowConfig, shown_s: dict[int, float]) -> None:
-    """Plays from the live edge, as a window does on End; fills in when each frame was drawn."""
+    """Plays from the live edge, like a window after End; fills in when each frame was drawn."""
     num_frames = config.num_frames
     clock = Clock(real=True)
     with closing(Opener(url)) as opener:

@@ -1,8 +1,8 @@
-"""Part of the benchmark of GPUs: steps per second and bytes crossed, and the bare training step of
-the same rasteriser as the bound.
+"""Training steps of the GPU benchmark: steps per second, bytes copied to and from the device, and
+the bare training step of the same rasteriser as the bound.
 
 The bare step is that of gsplat's examples: rasterise, L1 and SSIM, torch's Adam over every row. It
-has no rows of its own age, noise, relocation, leases, masks or colours of cameras.
+has no age per row, noise, relocation, leases, masks or camera colours.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ class StepCase:
     backend: DeviceBackendName
     torch_device: str | None
     count: int
-    """Gaussians, all of which are trained."""
+    """Number of Gaussians; all are trained."""
     width_px: int
     height_px: int
     steps: int
-    """Steps that are timed."""
+    """Number of timed steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,13 +62,13 @@ class StepRow:
     case: StepCase
     ms: float
     crossed_bytes: float
-    """A step, pictures apart, which are there."""
+    """Bytes per step, without the pictures, which are already on the device."""
     bare_ms: float
     device_bytes: int | None
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """In the order of STEP_COLUMNS."""
+        """The cells of the row, in the order of STEP_COLUMNS."""
         case = self.case
         held = "-" if self.device_bytes is None else f"{self.device_bytes / 1e6:.0f}"
         return (
@@ -79,7 +79,7 @@ class StepRow:
 
 
 class BenchPictures:
-    """The same noise for every camera."""
+    """Pictures of the same noise for every camera."""
 
     num_frames = 1
 
@@ -95,7 +95,7 @@ class BenchPictures:
 
 
 def bench_training(case: StepCase) -> Training:
-    """Its first rows are `bench.train.scene`."""
+    """A training whose rows are those of `bench.train.scene`, twice."""
     pictures, values = BenchPictures(case.width_px, case.height_px), scene(case.count)
     both = Parameters.zeros_like(values, 2 * case.count)
     for array, given in zip(both.arrays, values.arrays, strict=True):
@@ -107,7 +107,7 @@ def bench_training(case: StepCase) -> Training:
 
 
 def _seconds(step: Callable[[int], Any], wait: Callable[[], Any], count: int) -> float:
-    """Seconds of a step, the mean over steps that the device has done."""
+    """Mean seconds per step, after a wait for the device to finish `count` steps."""
     for i in range(WARM_STEPS):
         step(i)
     wait()
@@ -176,7 +176,7 @@ def bare_step_s(case: StepCase, backend: DeviceBackend) -> float:
 
 
 def device_peak_bytes() -> int | None:
-    """The most that torch has held on the device; None where it does not count."""
+    """Peak memory that torch allocated on the device; None where torch does not count it."""
     if torch.cuda.is_available():
         return int(torch.cuda.max_memory_allocated())
     if torch.xpu.is_available():
@@ -185,7 +185,7 @@ def device_peak_bytes() -> int | None:
 
 
 def measured_step(case: StepCase) -> StepRow:
-    """Steps of a resident, then bare ones. In a process of its own, for the memory."""
+    """Times steps of a resident, then bare steps. It needs a new process: the memory is a peak."""
     device = case.torch_device if case.backend == "torch" else None
     backend = FitConfig().backend(case.backend, device).backend
     assert isinstance(backend, DeviceBackend)
@@ -198,7 +198,7 @@ def measured_step(case: StepCase) -> StepRow:
         given = Step(i % CAMERAS, 0, False, True, MEANS_LR_M, 1.0, 1e-9, i)
         resident.step(given, selection)
 
-    for i in range(CAMERAS):  # the pictures are sent
+    for i in range(CAMERAS):  # sends the pictures
         step(i)
     resident.losses(wait=True)
     before, taken = backend.crossing.crossed_bytes, case.steps + WARM_STEPS

@@ -1,5 +1,6 @@
-"""The bytes of harmonics of degree 1 to 3, coded in several ways: a stream of each degree, one step
-for all harmonics, and a palette of rows as in SOG. For a sequence only the streams are compared.
+"""Bytes of spherical harmonics of degree 1 to 3, coded in several ways: as a stream of each degree,
+with one step for all harmonics, and with a palette of rows as in SOG. A sequence is coded only as
+streams.
 
 PSNR is against the source with all its harmonics. Usage: scripts/bench harmonics [--gs N]
 """
@@ -35,7 +36,7 @@ from tests.support.deforming import FPS, Deforming
 from tests.support.trained_like import trained_like_splats
 
 ROOM_M = 4.0
-"""Gaussians farther from the middle are left out of the model."""
+"""Gaussians farther than this from the middle are left out of the model."""
 MATERIALS, GRAIN = 300, 0.01
 """Rows of harmonics in the second model, and the noise of each Gaussian around its row."""
 STEPS = 0.04, 0.08, 0.16, 0.32
@@ -50,9 +51,9 @@ class HarmonicsConfig:
     """Codes generated still models of degree 3 in several ways."""
 
     gs: int = 20_000
-    """Gaussians of a model, and twice those of a frame of the sequence."""
+    """Gaussians of a model; a frame of the sequence has half as many."""
     frames: int = 30
-    """Frames of the sequence, which is that of `scripts/bench shuffled`."""
+    """Frames of the sequence, the same as that of `scripts/bench shuffled`."""
 
     def __post_init__(self) -> None:
         if self.gs < 1000 or self.frames < 1:
@@ -127,7 +128,7 @@ def by_palette(rest: Floats, size: int) -> tuple[int, Floats]:
 
 
 def rows_of(model: Model) -> Iterator[tuple[str, int, float]]:
-    """Each way to code the model, its bytes, and PSNR."""
+    """The name, bytes and PSNR of each way to code the model."""
     base = 0
     for degree in range(4):
         num_bytes, found = model.stream(degree)
@@ -155,7 +156,7 @@ def rows_of(model: Model) -> Iterator[tuple[str, int, float]]:
 
 
 def sequence_rows(config: HarmonicsConfig, root: Path) -> Iterator[tuple[str, int, float]]:
-    """Streams of each degree of a sequence: their bytes to play, and the mean PSNR."""
+    """The name, bytes of a whole play and mean PSNR of a sequence's stream of each degree."""
     deforming, files = Deforming(config.gs // 2, 3), root / "files"
     files.mkdir()
     models = {}

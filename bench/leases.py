@@ -1,13 +1,13 @@
-"""What slots that last are worth: leases off and on, how much is active, prediction, and what else
-was chosen for them.
+"""Effect of the choices for slots that last: leases off and on, the active share, prediction, and
+the other settings.
 
 Usage: scripts/bench leases CAPTURE --out docs/leases.png
 
 One choice is changed at a time. Every setting is trained once per seed and scored from its decoded
-files on the held-out cameras; finished runs are kept as JSON in --work, as those of `scripts/bench
-ablate` are. kB a frame is what a slice takes, mask and changes: that is what the stream takes over
-time. What frame 0 begins with, the snapshots, stands beside it. "unpredicted" is what the same
-slices would take if every Gaussian that they send were coded by itself, as a new one.
+files on the held-out cameras; finished runs are kept as JSON in --work, like those of
+`scripts/bench ablate`. "kB a frame" is the size of a slice, mask and changes: the stream's rate in
+the long run. "frame 0 kB" is the size of the snapshots of frame 0. "unpredicted" is the size of the
+same slices if every Gaussian that they send were coded by itself, as a new one.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from codec.tools.recordedupdates import recorded_update
 from trainer.fit.config import FitConfig
 
 COLOURS = ("#1f5fbf", "#d9480f", "#2b8a3e", "#862e9c", "#0b7285", "#a61e4d", "#5c940d", "#b8860b")
-"""Of the choices."""
+"""Colours of the choices."""
 CHOSEN = "as chosen"
-"""The name of the setting that others change."""
+"""Name of the base setting, of which every other changes one choice."""
 NO_LEASES = ", no leases"
 
 
@@ -55,9 +55,9 @@ class LeasesConfig(TrialsConfig):
     out: Path = Path("docs/leases.png")
     """The plot to write."""
     num_gs: int = 10_000
-    """Gaussians active in a frame, unless that is the changed choice."""
+    """Gaussians active in a frame, unless this is the changed choice."""
     settle_rounds: int = 6
-    """Settle rounds of genesis, unless that is the changed choice."""
+    """Settle rounds of genesis, unless this is the changed choice."""
     active_shares: tuple[float, ...] = (1.0, 0.5, 0.15)
     """Share of a slice that is trained and sent; 1 switches leases off."""
     swin_sizes: tuple[int, ...] = (2, 5)
@@ -71,13 +71,13 @@ class LeasesConfig(TrialsConfig):
     prefix_shares: tuple[float, ...] = (0.0, 0.3)
     """Share of a later window's iterations that render only the first layers."""
     settle_prefix_shares: tuple[float, ...] = (0.0, 0.5)
-    """The same while genesis settles."""
+    """Share of the iterations that render only the first layers while genesis settles."""
     holds: tuple[float, ...] = (0.5, 1.5)
     """Error of a value, in quantisation steps, from which it is sent."""
 
 
 def settings(config: LeasesConfig) -> list[Setting]:
-    """The chosen one, then each choice with its other values."""
+    """The base setting, then each choice with its other values."""
     base = FitConfig(
         num_gs=config.num_gs,
         genesis_iterations=config.genesis_iterations,
@@ -112,8 +112,8 @@ def settings(config: LeasesConfig) -> list[Setting]:
 
 
 def recoded(reader: StreamReader, predicts: bool = False) -> Iterator[list[bytes]]:
-    """The packets of each slice from frame 1 on, mask first: as they are, or as they would be if
-    all that is predicted were new."""
+    """The packets of each slice from frame 1 on, mask first: unchanged, or with every predicted
+    Gaussian coded as new."""
     manifest = reader.manifest
     decoder = reader.decoder_at(0, manifest.num_layers)
     for birth in range(1, reader.num_frames):
@@ -134,7 +134,7 @@ def recoded(reader: StreamReader, predicts: bool = False) -> Iterator[list[bytes
 
 
 def examine(reader: StreamReader) -> dict[str, float]:
-    """Bytes of a slice without prediction, and of the snapshots of frame 0."""
+    """Bytes of a slice without prediction, and bytes of the snapshots of frame 0."""
     without = [sum(map(len, packets)) for packets in recoded(reader)]
     return {
         "unpredicted_bytes": sum(without) / max(len(without), 1),
@@ -171,7 +171,7 @@ def table_of(outcomes: Outcomes) -> Table:
 
 
 def known_mean(values: Sequence[float | None], form: str) -> str:
-    """Of those that are there."""
+    """Formatted mean of the values that are known; "-" if none is."""
     known = [value for value in values if value is not None]
     return format(mean(known), form) if known else "-"
 
@@ -200,7 +200,7 @@ def draw(outcomes: Outcomes, config: LeasesConfig) -> None:
 
 
 def draw_rates(axes: matplotlib.axes.Axes, outcomes: Outcomes) -> None:
-    """A point for each setting, joined with the chosen one by choice."""
+    """Draws a point for each setting; a line joins those of a choice with the base setting."""
     points = {
         setting: (mean([o.bytes_per_frame for o in found]) / 1e3, mean([o.psnr_db for o in found]))
         for setting, found in outcomes.items()
@@ -227,7 +227,7 @@ def draw_rates(axes: matplotlib.axes.Axes, outcomes: Outcomes) -> None:
 
 
 def draw_layers(axes: matplotlib.axes.Axes, outcomes: Outcomes) -> None:
-    """PSNR by number of layers: what training on the first layers is worth."""
+    """Draws PSNR over the number of layers: the effect of training on the first layers."""
     for setting, found in outcomes.items():
         if setting.group not in (CHOSEN, "prefix_share", "settle_prefix_share"):
             continue

@@ -1,13 +1,13 @@
-"""Whether training is as cheap at frame 3000 as at frame 30: memory and time per frame over the
-length of the video.
+"""Memory and training time per frame over the length of the video: both shall be the same at frame
+3000 as at frame 30.
 
 Usage: scripts/bench length --out docs/length.png
 
-A small capture of ten frames is looped into videos of each length, and each is trained by what
-`swings-train` runs (videos, picture cache, training, codec, quality, checkpoint) in a process of
-its own. Ends with 1 where the memory of a run grows by more than 5 % after its first tenth, or the
-time per frame by more than 10 % from the first tenth to the last. In a run below 100 frames, where
-a tenth is too few to judge time by, ten frames are compared and cannot fail.
+A small capture of ten frames is looped into videos of each length. Each is trained in a process of
+its own, with all that `swings-train` runs: videos, picture cache, training, codec, quality,
+checkpoint. The exit code is 1 if the memory of a run grows by more than 5 % after its first tenth,
+or the time per frame by more than 10 % from the first tenth to the last. A tenth of a run below 100
+frames is too short to judge time by: such a run compares ten frames and never fails on time.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from trainer.run.job import train_stream
 from trainer.synth.film import SynthConfig, VideoWriter, synthesise
 
 LOOP_FRAMES = 10
-"""Frames of the capture that is looped."""
+"""Frames of the looped capture."""
 MAX_MEMORY_GROWTH = 0.05
 MAX_TIME_GROWTH = 0.10
 LEAST_FRAMES = 10
-"""Frames whose median stands for a tenth of a short run: one loop."""
+"""Minimum frames of a median, for runs whose tenth is shorter: one loop."""
 COLOURS = ("#d9480f", "#1f5fbf", "#2b8a3e", "#6b7280")
 
 
@@ -76,12 +76,12 @@ class LengthConfig:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """What one run took; an entry for each frame, read after its window."""
+    """Time and memory of one run; one entry for each frame, read after its window."""
 
     seconds: list[float]
-    """Since the window before; the first entry is genesis."""
+    """Seconds since the previous window; the first entry is genesis."""
     memory_bytes: list[int]
-    """Resident."""
+    """Resident memory."""
     peak_bytes: int
 
     @property
@@ -94,7 +94,7 @@ class Track:
 
     @property
     def early_bytes(self) -> int:
-        """Resident after a tenth of the run."""
+        """Resident memory after a tenth of the run."""
         return self.memory_bytes[self.tenth - 1]
 
     @property
@@ -103,23 +103,23 @@ class Track:
 
     @property
     def memory_growth(self) -> float:
-        """From a tenth of the run to its end, as a share."""
+        """Growth from a tenth of the run to its end, as a share."""
         return self.end_bytes / self.early_bytes - 1
 
     def median_s(self, last: bool) -> float:
-        """Seconds per frame in the last tenth or the first one, genesis left out."""
+        """Median seconds per frame in the last or the first tenth, without genesis."""
         windows = self.seconds[1:]
         count = max(self.tenth, LEAST_FRAMES)
         return float(np.median(windows[-count:] if last else windows[:count]))
 
     @property
     def time_growth(self) -> float:
-        """From the first tenth of the run to the last one, as a share."""
+        """Growth from the first tenth of the run to the last, as a share."""
         return self.median_s(last=True) / self.median_s(last=False) - 1
 
 
 def own_memory_bytes(field: str) -> int:
-    """A field of this process's status: VmRSS (resident now) or VmHWM (at most so far)."""
+    """A field of this process's status: VmRSS (resident now) or VmHWM (peak so far)."""
     for line in Path("/proc/self/status").read_text().splitlines():
         name, _, value = line.partition(":")
         if name == field:
@@ -128,7 +128,7 @@ def own_memory_bytes(field: str) -> int:
 
 
 def make_loop(config: LengthConfig, folder: Path) -> Path:
-    """The capture of LOOP_FRAMES frames."""
+    """Generates the capture of LOOP_FRAMES frames."""
     path = folder / "loop"
     synth = SynthConfig(
         path, frames=LOOP_FRAMES, cameras=config.cameras, held_out=1,
@@ -139,9 +139,9 @@ def make_loop(config: LengthConfig, folder: Path) -> Path:
 
 
 def write_looped(loop: Path, path: Path, num_frames: int) -> None:
-    """The capture `loop` over and over, `num_frames` frames long."""
+    """Writes the capture `loop`, repeated up to `num_frames` frames."""
     capture = open_capture(loop)
-    assert capture.fps is not None  # its videos tell
+    assert capture.fps is not None  # its videos state it
     path.mkdir()
     for name in (POSES_NAME, HELD_OUT_NAME, POINTS_NAME):
         shutil.copy(loop / name, path / name)
@@ -156,7 +156,7 @@ def write_looped(loop: Path, path: Path, num_frames: int) -> None:
 
 
 class Recorder(Observer):
-    """Time and memory at the end of every window, and the time at which the first one begins."""
+    """Records time and memory at the end of every window, and when the first one begins."""
 
     def __init__(self) -> None:
         self.times_s: list[float] = []
@@ -180,25 +180,25 @@ def train(config: LengthConfig, capture: Path, stream: Path) -> Track:
         settle_rounds=0,
         window_iterations=config.window_iterations,
     )
-    # Bound so that the cache is full within the first tenth of any run: else it would grow.
+    # Limited so that the cache is full within the first tenth of any run and does not grow later.
     picture_bytes = 3 * config.width_px * config.height_px
     cache_bytes = 2 * config.swin_size * config.cameras * picture_bytes
     job = TrainConfig(capture, stream, cache_bytes=cache_bytes, fit=fit)
     recorder = Recorder()
     train_stream(job, Console(quiet=True), observers=[recorder])
-    # The kernel's two counters are read apart and may differ by a few pages.
+    # The kernel's two counters are read separately and may differ by a few pages.
     peak_bytes = max(*recorder.memory_bytes, own_memory_bytes("VmHWM"))
     return Track(np.diff(recorder.times_s).tolist(), recorder.memory_bytes, peak_bytes)
 
 
 def measure(config: LengthConfig) -> list[Track]:
-    """A run of each length, shortest first."""
+    """Trains each length, the shortest first."""
     log = Console(stderr=True)
     tracks = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         loop = make_loop(config, folder)
-        # The run of the loop itself is not measured: it compiles where nothing is compiled yet.
+        # The run of the loop itself is not measured: it compiles whatever is not compiled yet.
         for num_frames in (0, *sorted(config.frames)):
             start = time.perf_counter()
             capture = folder / f"capture{num_frames}" if num_frames else loop
@@ -238,7 +238,7 @@ def table_of(tracks: Sequence[Track]) -> Table:
 
 
 def running_median(values: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.float64]:
-    """Of `count` values around each one, fewer at the ends."""
+    """Median of about `count` values around each value; of fewer at the ends."""
     half = count // 2
     return np.array(
         [np.median(values[max(0, i - half) : i + half + 1]) for i in range(len(values))], np.float64
@@ -282,7 +282,7 @@ def draw(tracks: Sequence[Track], config: LengthConfig) -> None:
 
 
 def complaints(tracks: Sequence[Track]) -> list[str]:
-    """What grew too much; empty if nothing did."""
+    """A line for each excessive growth; empty if there is none."""
     found = []
     for track in tracks:
         if track.memory_growth > MAX_MEMORY_GROWTH:

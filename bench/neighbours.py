@@ -1,4 +1,4 @@
-"""One sequence in every format that holds it: bytes a frame, largest errors, and PSNR.
+"""One sequence in every format that can hold it: bytes per frame, largest errors, and PSNR.
 
 Usage: scripts/bench neighbours [--gs N] [--frames F]
 """
@@ -37,17 +37,17 @@ from tests.support.trained_like import trained_like_splats
 
 FPS = 30.0
 TURN_RAD = np.radians(1)
-"""Of what turns, in a frame."""
+"""Angle per frame of the turning Gaussians."""
 NEW_SHARE = 0.01
-"""Gaussians that come, and as many that go, in each frame."""
+"""Share of the Gaussians that appear in each frame; as many disappear."""
 ROOM_M = 4.0
-"""What lies farther from the middle is left out of the scene."""
+"""Gaussians farther than this from the middle are left out of the scene."""
 SAMPLES = 3
-"""Frames that are compared with their source."""
+"""Number of frames that are compared with their source."""
 NEAR_M = 0.01
 
 Decode = Callable[[int], Splats]
-"""Gives the Gaussians of a frame."""
+"""Decodes the Gaussians of a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +72,9 @@ def _in_room(count: int) -> Splats:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A fifth of the Gaussians turns, the rest stands still, with noise in all; some come and go.
+    """A fifth of the Gaussians turns, the rest stands still, all with noise; some come and go.
 
-    Without harmonics, which not every format has.
+    It has no harmonics, because not every format has them.
     """
 
     gs: int
@@ -106,17 +106,17 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A format, what it takes, and what it loses."""
+    """A format with its bytes and its errors."""
 
     name: str
     frame_bytes: float
     errors: Doubles
-    """(5,) of KINDS."""
+    """(5,) largest errors, in the order of KINDS."""
     psnr_db: float
 
 
 def compared(name: str, scene: Scene, num_bytes: float, decode: Decode) -> Row:
-    """The row of a format that takes `num_bytes` in all."""
+    """The row of a format that takes `num_bytes` in total."""
     numbers = sorted({round(f) for f in np.linspace(0, scene.num_frames - 1, SAMPLES)})
     errors, squares = np.zeros(5), []
     for number in numbers:

@@ -1,5 +1,5 @@
-"""OpenGL 3.3 and 4.3 beside the CPU renderer on the frames of a stream: PSNR, and the pixel that
-differs most.
+"""OpenGL 3.3 and 4.3 compared with the CPU renderer on frames of a stream: PSNR, and the pixel with
+the largest difference.
 
 Usage: scripts/bench parity STREAM
 """

@@ -2,11 +2,11 @@
 
 Usage: scripts/bench parts CAPTURE --work FOLDER [--workers 1 2 4] [--kills 20] ...
 
-Every worker has one core of the cluster and one thread; a cluster that has more of them than this
-machine has cores is said to be oversubscribed. "over perfect" is the time over that of one worker
-divided by the workers. In the row with kills a worker is killed by SIGKILL at random moments. The
-row with many parts has the same frames in shorter ones. Memory is the most that a process has had
-resident: of the driver, and of whichever worker had most.
+Every worker has one core of the cluster and one thread; a cluster with more workers than this
+machine has cores is marked as oversubscribed. "over perfect" is the measured time divided by the
+time of a perfect speed-up from the first cluster. In the row with kills, workers are killed by
+SIGKILL at random moments. The row with many parts trains the same frames in shorter parts. Memory
+is the peak resident memory of the driver, and of the worker with the largest peak.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from trainer.parts.cluster import keeping_signals
 from trainer.run.runlog import LOG_NAME
 
 LOOK_S = 0.1
-"""How often processes are looked at, seconds."""
+"""Interval between two looks at the processes, seconds."""
 
 WORKER = b"ray::do_task"
-"""In the command line of a worker of Ray that trains."""
+"""Part of the command line of a Ray worker that trains."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class PartsConfig:
     parts: tuple[int, int, int] = (60, 30, 30)
     """Frames of a part, frames of its seam, and warm-up frames before it."""
     many_parts: tuple[int, int, int] = (6, 2, 4)
-    """The same for the run with many parts."""
+    """The same three numbers for the run with many parts."""
     num_gs: int = 3_000
     """Gaussians active in a frame."""
     genesis_iterations: int = 600
@@ -77,7 +77,7 @@ class PartsConfig:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What to train."""
+    """One training run."""
 
     stream: Path
     workers: int
@@ -87,7 +87,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """What training it took."""
+    """Figures of a finished run."""
 
     took_s: float
     killed: int
@@ -96,7 +96,7 @@ class Trained:
 
 
 def processes(words: bytes) -> list[int]:
-    """Those whose command line has `words`, of all that this one has started."""
+    """Those descendants of this process whose command line contains `words`."""
     found = []
     for process in family(os.getpid()):
         with contextlib.suppress(OSError):
@@ -107,7 +107,7 @@ def processes(words: bytes) -> list[int]:
 
 
 def peak_bytes(process: int) -> int:
-    """The most that a process has had resident; 0 when it is gone."""
+    """Peak resident memory of a process; 0 if it is gone."""
     with contextlib.suppress(OSError):
         text = Path(f"/proc/{process}/status").read_text()
         if found := re.search(r"VmHWM:\s+(\d+)", text):
@@ -117,7 +117,7 @@ def peak_bytes(process: int) -> int:
 
 @contextmanager
 def cluster_of(workers: int) -> Iterator[str]:
-    """The address of a cluster of this machine that has a core for each worker."""
+    """Starts a cluster on this machine with a core for each worker; gives its address."""
     from ray.cluster_utils import Cluster
 
     with keeping_signals():
@@ -140,7 +140,7 @@ class Killer:
         return time.monotonic() + self._rng.uniform(0.2, 1.8) * self._every_s
 
     def look(self) -> None:
-        """Kills one when it is time."""
+        """Kills a worker if one is due."""
         if not self._left or time.monotonic() < self._next_s:
             return
         found = processes(WORKER)
@@ -152,7 +152,7 @@ class Killer:
 
 
 def trained(config: PartsConfig, run: Run, killer: Killer) -> Trained:
-    """Trains with a real driver and real workers."""
+    """Trains with a real driver and real workers, and verifies the stream."""
     shutil.rmtree(run.stream, ignore_errors=True)
     part_frames, seam_frames, warm_frames = run.parts
     with cluster_of(run.workers) as address:
@@ -180,13 +180,13 @@ def trained(config: PartsConfig, run: Run, killer: Killer) -> Trained:
 
 
 def contents(stream: Path) -> dict[str, bytes]:
-    """All of a stream but the log of its training, which says how long that took."""
+    """The files of a stream without the training log, which contains times."""
     files = (f for f in stream.rglob("*") if f.is_file() and f.name != LOG_NAME)
     return {str(f.relative_to(stream)): f.read_bytes() for f in files}
 
 
 def runs(config: PartsConfig) -> list[Run]:
-    """All runs, the first of which others are compared with."""
+    """All runs; the others are compared with the first."""
     found = [Run(config.work / f"by{n}", n, config.parts) for n in config.workers]
     last = config.workers[-1]
     if config.kills:
@@ -195,7 +195,7 @@ def runs(config: PartsConfig) -> list[Run]:
 
 
 def measure(config: PartsConfig) -> None:
-    """Trains all and prints the table."""
+    """Trains every run and prints the table."""
     cores = os.cpu_count() or 1
     config.work.mkdir(parents=True, exist_ok=True)
     table = Table(title=f"{cores} cores, a thread for each worker; all streams verified")
@@ -205,9 +205,9 @@ def measure(config: PartsConfig) -> None:
     ):  # fmt: skip
         table.add_column(name, justify="right")
     first: Trained | None = None
-    took_s: dict[int, float] = {}  # by workers, with none killed
+    took_s: dict[int, float] = {}  # by number of workers, of runs without kills
     for run in runs(config):
-        # Deaths are spread over a run that they make twice as long.
+        # Spreads the kills over twice the time, because they make the run about twice as long.
         every_s = 2 * took_s[run.workers] / run.kills if run.kills else 0.0
         row = trained(config, run, Killer(run.kills, every_s, config.seed))
         took_s.setdefault(run.workers, row.took_s)

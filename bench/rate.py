@@ -1,11 +1,11 @@
-"""Rate and distortion of slices sent whole: bytes per frame against PSNR, as float32 and on the
-lattice, for each rank at every number of layers.
+"""Rate and distortion of slices that are sent whole: bytes per frame against PSNR, as float32 and
+on the lattice, for each rank and number of layers.
 
 Usage: scripts/bench rate STREAM CAPTURE --out docs/rate.png
 
-Every curve is a stream written anew from the Gaussians of the given one and scored from its decoded
-files on the held-out cameras. Rank `contribution` orders a slice by the blending weight of its
-Gaussians, summed over all frames that they show in and over all training cameras.
+Every curve is a new stream, written from the Gaussians of the given stream and scored from its
+decoded files on the held-out cameras. Rank `contribution` orders a slice by the blending weight of
+its Gaussians, summed over all frames in which they show and over all training cameras.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from trainer.score.evaluate import EvaluateConfig, Evaluation, LayerScore, evalu
 from trainer.step.raster import View
 
 COLOURS = {"float32": "#6b7280", "lattice": "#1f5fbf"}
-"""Of each way to code the Gaussians."""
+"""Colours of the ways to code the Gaussians."""
 LINES = {"opacity": ("--", "s"), CONTRIBUTION: ("-", "o")}
-"""Of each rank: line and marker."""
+"""Line and marker of each rank."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,9 @@ class RateConfig:
     """Draws bytes per frame against PSNR for every coding, rank and number of layers."""
 
     stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STREAM")]
-    """Folder of a stream, best one that keeps every float32."""
+    """Folder of the stream, preferably one that stores every value as float32."""
     capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
-    """Folder of the capture that it was trained from."""
+    """Folder of the capture that the stream was trained from."""
     out: Path = Path("docs/rate.png")
     """The plot to write."""
     every: int = 1
@@ -54,7 +54,7 @@ class RateConfig:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One coding and rank; scores by number of layers, fewest first."""
+    """One coding and rank, with scores by number of layers, fewest first."""
 
     coding: str
     rank: str
@@ -62,7 +62,7 @@ class Curve:
 
 
 def ranked_slices(reader: StreamReader, config: RateConfig) -> dict[str, list[Slice]]:
-    """For each rank of LINES the slices to give to a writer."""
+    """The slices to give to a writer, for each rank of LINES."""
     manifest, capture = reader.manifest, open_capture(config.capture)
     names = [capture.cameras[i].camera.name for i in capture.training]
     views = [View.prepare(c, manifest.near_of(c)) for c in map(manifest.camera, names)]

@@ -1,12 +1,12 @@
-"""A capture trained in parts, beside the same frames trained in one go: what is seen at the seams.
+"""A capture trained in parts, compared with the same frames trained in one go: the seams.
 
 Usage: scripts/bench seams CAPTURE --work FOLDER [--frames A:B] [--part-frames N] ...
 
-Both streams are trained with the same settings and scored from their files on the cameras that are
-held out, with all layers. Parts are trained one after the other, as workers would train them.
-"after a seam" are the first five frames of a part; flicker "in seams" is that of the frames in
-which a part takes over from the one before, over that of all others. What has been trained stays in
-the work folder, and is not trained again.
+Both streams are trained with the same settings and scored from their files on the held-out cameras,
+with all layers. Parts are trained one after the other, as workers would train them. Rows named by
+frames are the first five frames of a part. "flicker in seams over elsewhere" is the flicker of the
+frames in which a part takes over from the previous part, relative to that of all other frames.
+Trained streams stay in the work folder and are not trained again.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from trainer.score.scores import STILL
 from trainer.score.truth import ScoredCameras, open_held_out
 
 AFTER_FRAMES = 5
-"""Frames of a part that are looked at by themselves."""
+"""Frames of a part that have a row of their own."""
 
 
 @dataclass(frozen=True)
@@ -91,14 +91,14 @@ class SeamsConfig:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Frame by frame."""
+    """Scores of a stream, frame by frame."""
 
     psnr_db: npt.NDArray[np.float64]  # (F,) mean over the cameras
-    flicker: npt.NDArray[np.float64]  # (F,) change of still pixels since the frame before, of 100
+    flicker: npt.NDArray[np.float64]  # (F,) change of still pixels since the frame before, in %
 
 
 def seen_of(held_out: ScoredCameras) -> Seen:
-    """What the pictures of a stream are like."""
+    """Scores the pictures of a stream."""
     manifest, psnr_db, flicker = held_out.reader.manifest, [], [np.nan]
     before: dict[int, tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]] = {}
     for frame in range(held_out.reader.num_frames):
@@ -158,7 +158,7 @@ def compare(config: SeamsConfig) -> None:
 
 
 def show(console: Console, run: Run, one: Seen, many: Seen) -> None:
-    """Prints what differs."""
+    """Prints the differences."""
     in_seams = np.zeros(len(one.psnr_db), np.bool_)
     for part in run.parts[1:]:
         in_seams[part.first_frame : part.first_frame + run.seam_frames + 1] = True

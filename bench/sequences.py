@@ -1,4 +1,4 @@
-"""What sequences of splats cost as a stream, beside the same as one file for each frame.
+"""Bytes, errors and time of splat sequences as a stream, compared with one file for each frame.
 
 Usage: scripts/bench sequences [--still-gs N] [--still-frames F] [--moving-gs N] [--frames F]
 """
@@ -29,15 +29,15 @@ from tests.support.trained_like import trained_like_splats
 
 FPS = 30.0
 TURN_RAD = math.radians(1)
-"""Of the rotating figure, in a frame."""
+"""Angle of the rotating figure per frame."""
 SAMPLES = 3
-"""Frames whose size in the other formats is taken; they hardly differ."""
+"""Number of frames whose size is taken in the other formats; the sizes hardly differ."""
 
 BESIDE = SplatFormat.PLY, SplatFormat.SPZ, SplatFormat.SOG
 """The formats to compare with, a file for each frame."""
 
 Sequence = Callable[[int], Splats]
-"""Gives the Gaussians of a frame."""
+"""Generates the Gaussians of a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +60,11 @@ class SequencesConfig:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a sequence cost."""
+    """Figures of one sequence."""
 
     made: Imported
     files_bytes: dict[SplatFormat, float]
-    """A frame as one file of each format, mean."""
+    """Mean bytes of a frame as one file of each format."""
     seconds: float
 
 
@@ -74,7 +74,7 @@ def still(count: int) -> Sequence:
 
 
 def rotating(count: int, is_shuffled: bool = False) -> Sequence:
-    """A rigid figure, perhaps in another order in each file."""
+    """A rigid figure that turns; is_shuffled: the Gaussians have a different order in each file."""
     splats = figure(count)
 
     def of(frame: int) -> Splats:
@@ -87,8 +87,8 @@ def rotating(count: int, is_shuffled: bool = False) -> Sequence:
 
 
 def walking(count: int, is_noisy: bool = False) -> Sequence:
-    """A fifth goes one way, the rest stands still; perhaps with noise in all, as where each frame
-    was trained after the one before."""
+    """A fifth of the Gaussians moves one way, the rest stands still. is_noisy: adds noise to all,
+    as if each frame had been trained from the previous one."""
     splats = trained_like_splats(count)
     walks = np.arange(count) < count // 5
 
@@ -107,7 +107,7 @@ def walking(count: int, is_noisy: bool = False) -> Sequence:
 
 
 def measure(sequence: Sequence, num_frames: int, root: Path) -> Outcome:
-    """Writes the files below `root`, and imports them."""
+    """Writes the files below `root` and imports them."""
     folder = root / "files"
     folder.mkdir()
     before, path = None, Path()

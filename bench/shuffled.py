@@ -1,5 +1,5 @@
-"""A long sequence whose files have no common order, as a deformation network exports one: bytes a
-frame, PSNR with all harmonics, memory and time of its import.
+"""Import of a long sequence whose files have no common order, like those of a deformation network:
+bytes per frame, PSNR with all harmonics, memory and time.
 
 Usage: scripts/bench shuffled [--gaussians N] [--frames F] [--sh-degree D] [--files FOLDER]
 """
@@ -31,13 +31,13 @@ class ShuffledConfig:
     """Imports a sequence with motion, jitter, births and deaths, and tabulates its cost."""
 
     gaussians: int = 50_000
-    """Most Gaussians of a frame."""
+    """Maximum number of Gaussians in a frame."""
     frames: int = 300
-    """Files of the sequence."""
+    """Number of files of the sequence."""
     sh_degree: int = 3
     """Degree of the spherical harmonics."""
     files: Path | None = None
-    """Folder to keep the files in; files that are there already are used as they are."""
+    """Folder to keep the files in; existing files are used unchanged."""
 
     def __post_init__(self) -> None:
         if min(self.gaussians, self.frames) < 1:
@@ -62,7 +62,7 @@ def run(config: ShuffledConfig) -> None:
         words = command("swings-stream", "import", folder, stream, "--fps", f"{FPS:g}")
         process = subprocess.Popen(words, env=environment())
         _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)  # it is waited for already
+        process.returncode = os.waitstatus_to_exitcode(status)  # wait4 has waited for it
         if status:
             raise SwingsError(f"the import ended with {process.returncode}")
         wall_s = time.monotonic() - begin_s

@@ -1,4 +1,4 @@
-"""What slots that last cost: a slice in bytes and in time, encoded and decoded.
+"""Cost of slots that last: bytes of a slice, and time to encode and decode it.
 
 Usage: scripts/bench slots [--num-slots N] [--active SHARE]
 """
@@ -33,12 +33,12 @@ class SlotsConfig:
     num_slots: int = 30_000
     """Slots in a lane."""
     active: float = 0.3
-    """Share of the slots that a slice changes: nine tenths of them predicted, the others new or
-    ended."""
+    """Share of the slots that a slice changes; nine tenths of the changed slots are predicted, the
+    others new or ended."""
 
 
 def median_ms(works: Sequence[Callable[[], object]]) -> float:
-    """Of the thread's own time, which is that of the clock where the core is free."""
+    """Median of the thread's CPU time, which equals wall time if the core is free."""
     times = []
     for work in works:
         start = time.thread_time()

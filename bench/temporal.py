@@ -2,10 +2,10 @@
 
 Usage: scripts/bench temporal STREAM CAPTURE
 
-Writes the stream again, the same Gaussians in every frame, with a temporal layer of each period,
-and scores them all against what the held-out cameras saw, with 1, 2, ... layers, as swings-eval
-does. The last layer of a stream with a period is the temporal one: the row before it is the same
-stream without it, where what goes on is drawn on its way in the frames that are left out.
+Writes the stream again, with the same Gaussians in every frame and a temporal layer of each period,
+and scores all streams on the held-out cameras with 1, 2, ... layers, as swings-eval does. The last
+layer of a stream with a period is the temporal layer. The row before it is the same stream without
+that layer: in the frames left out, Gaussians that go on are interpolated.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ class TemporalConfig:
     stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STREAM")]
     """Folder of the stream, with a swin_size of 1."""
     capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
-    """Folder of the capture that it was trained from."""
+    """Folder of the capture that the stream was trained from."""
     periods: tuple[int, ...] = (2, 4)
     """Periods of the temporal layers."""
     every: int = 1
-    """Frames from one that is scored to the next."""
+    """Score every n-th frame."""
 
 
 def scored(stream: Path, config: TemporalConfig) -> list[LayerScore]:

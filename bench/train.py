@@ -1,5 +1,6 @@
-"""Where a training step's time goes on the CPU, stage by stage, over Gaussians and resolutions; and
-loss and gradients beside those of plain torch on the same inputs and cores, in turns."""
+"""Time of a training step on the CPU, stage by stage, for several numbers of Gaussians and
+resolutions; and time of loss and gradients compared with plain torch on the same inputs and cores,
+in turns."""
 
 from __future__ import annotations
 
@@ -33,13 +34,13 @@ from trainer.step.raster import Parameters, Scratch, View, backward, render
 
 REPEATS = 15
 CASES = [(5_000, 320, 180), (20_000, 320, 180), (20_000, 640, 360), (60_000, 640, 360)]
-"""Gaussians, width and height in pixels."""
+"""Number of Gaussians, width and height in pixels."""
 TORCH_REPEATS = 5
 SHARE_CASE = CASES[2]
 SHARES = (1.0, 0.5, 0.3, 0.15, 0.05)
-"""Of the Gaussians: those that are trained."""
+"""Shares of the Gaussians that are trained."""
 TRAINED_AROUND_M = (0.8, 0.3, 1.5)
-"""In the middle of them; in the scene's half that is far from the camera."""
+"""Centre of the trained Gaussians, in the half of the scene that is far from the camera."""
 NEAR_M = 0.2
 DSSIM_WEIGHT = 0.2
 MEANS_LR_M = 1e-4
@@ -57,7 +58,7 @@ def median_ms(work: Callable[[], object], repeats: int = REPEATS) -> float:
 
 
 def scene(count: int) -> Parameters:
-    """Sizes and opacities as a trained scene has them: many small ones, few large ones."""
+    """Gaussians with sizes and opacities like a trained scene: many small ones, few large ones."""
     rng = np.random.default_rng(0)
     values = Parameters.zeros(count, 0)
     values.means[:] = rng.uniform(-2, 2, (count, 3))
@@ -77,7 +78,7 @@ def bench_camera(width_px: int, height_px: int) -> Camera:
 
 
 def bench_target(width_px: int, height_px: int) -> npt.NDArray[np.float32]:
-    """(3, H, W) in 0..1."""
+    """(3, H, W) noise in 0..1."""
     return np.random.default_rng(1).random((3, height_px, width_px)).astype(np.float32)
 
 
@@ -96,7 +97,7 @@ class StepTimes:
 
 
 class Step:
-    """A training step of ours on the scene of `count` Gaussians."""
+    """A training step of the CPU back end on the scene of `count` Gaussians."""
 
     def __init__(self, count: int, width_px: int, height_px: int) -> None:
         self.count, self.values = count, scene(count)
@@ -133,8 +134,8 @@ class Step:
 
 
 def stages(count: int, width_px: int, height_px: int, repeats: int = REPEATS) -> dict[str, float]:
-    """Milliseconds of each stage and of the whole step; per cent of the whole step that is spent
-    outside the rasteriser (measured within each step) and outside blending alone."""
+    """Milliseconds of each stage and of the whole step; per cent of the whole step outside the
+    rasteriser (measured within each step) and outside blending alone."""
     ours = Step(count, width_px, height_px)
     values, view, rows = ours.values, ours.view, ours.rows
     rendered = render(values, rows, view)
@@ -180,8 +181,8 @@ def stages(count: int, width_px: int, height_px: int, repeats: int = REPEATS) ->
 def against_torch(
     count: int, width_px: int, height_px: int, repeats: int = TORCH_REPEATS
 ) -> tuple[float, float]:
-    """Milliseconds of loss and gradients, by numba and by plain torch on the CPU; medians of steps
-    made in turns."""
+    """Milliseconds of loss and gradients by numba and by plain torch on the CPU: medians of steps
+    that take turns."""
     import torch
 
     from trainer.step.device.torchraster import TorchBackend
@@ -204,7 +205,7 @@ def against_torch(
     step_s(theirs)
     times = []
     for _ in range(repeats):
-        # A step of ours is short, so a single one would measure the change-over.
+        # A numba step is short, so that a single one would measure the change-over.
         times.append((np.median([step_s(ours) for _ in range(3)]), step_s(theirs)))
     median_s = np.median(np.array(times), axis=0)
     return 1e3 * float(median_s[0]), 1e3 * float(median_s[1])
@@ -212,19 +213,19 @@ def against_torch(
 
 @dataclass(frozen=True, slots=True)
 class ShareTimes:
-    """A backend's step in which a share of the Gaussians is trained; milliseconds, medians."""
+    """Median milliseconds of a backend's step in which a share of the Gaussians is trained."""
 
     whole_ms: float
     some_tiles_ms: float
     active_percent: float
-    """Of the picture: the tiles that those Gaussians reach."""
+    """Percentage of the picture's tiles that the trained Gaussians reach."""
 
 
 def step_at(
     share: float, count: int, width_px: int, height_px: int, repeats: int = REPEATS
 ) -> ShareTimes:
-    """A share of the Gaussians is trained, those nearest to a point. The whole picture and what
-    matters take turns."""
+    """Times steps that train a share of the Gaussians, those nearest to a point. Steps on the whole
+    picture and steps on the reached tiles take turns."""
     values, rows = scene(count), np.arange(count, dtype=np.int32)
     nearest = np.argsort(np.linalg.norm(values.means - TRAINED_AROUND_M, axis=1))
     for array in values.arrays:

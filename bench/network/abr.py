@@ -1,9 +1,9 @@
-"""How many times faster than real time plays are simulated, by policy.
+"""Speed of simulated plays, in multiples of real time, by policy.
 
 Usage: scripts/bench abr [--length-s 60] [--repeats 3]
 
-CPU time of one process. `play` is the session, the policy and the link; `scored` also shows the
-frames and counts what was wasted; the oracle's bound is measured apart.
+The speed is from the CPU time of one process. `play` is the session, the policy and the link;
+`scored` also shows the frames and counts the wasted bytes; the oracle's bound is measured apart.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SIZES = SegmentSizes(
     (150e3, 75e3, 85e3, 120e3),
     (0.3, 0.15, 0.15, 0.15),
 )
-"""The basketball, docs/RESULTS.md."""
+"""Sizes of the basketball stream of docs/RESULTS.md."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class AbrBenchConfig:
 
 
 def least_s(config: AbrBenchConfig, run: Callable[[], object]) -> float:
-    """CPU seconds that `run` takes."""
+    """The shortest CPU time of `run` over the repeats."""
     times_s = []
     for _ in range(config.repeats):
         began_s = time.process_time()

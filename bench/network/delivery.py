@@ -1,11 +1,11 @@
-"""The simulator beside the real server and player: the same stream over the same links, once in
-virtual time, once over the emulated link, once over a token bucket of the kernel.
+"""The simulator compared with the real server and player: the same stream over the same links, once
+in virtual time, once over the emulated link, and once over a token bucket of the kernel.
 
 Usage: scripts/bench delivery STREAM --traces DIR [--loads 1] [--capture CAPTURE]
 
-The first trace of each folder under DIR, scaled to the load (swings-abr says what that is). tbf
-needs root and Linux's network namespaces, and has no latency but that of its queue. With the
-capture the frames that were shown are rendered and compared with it, see shown.py.
+Plays the first trace of each folder under DIR, scaled to the load (see swings-abr). tbf needs root
+and Linux's network namespaces, and has no latency except that of its queue. With --capture, the
+shown frames are rendered and compared with the capture; see shown.py.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ from tests.support.delivery.shaped import TCP_SHARE, shaped_link, why_not
 from trainer.score.truth import open_held_out
 
 REQUEST_BYTES = 500
-"""What has passed when a play begins."""
+"""Bytes after which the token bucket starts the trace: the play's request has passed."""
 
 LATENCY_S = 0.02
-"""Of a trace that says none."""
+"""Latency of a trace that states none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +66,12 @@ class DeliveryConfig:
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """How a play went."""
+    """Figures of one play."""
 
     where: str
     layers: float
     waited_s: float
-    """Before the first frame and in stalls."""
+    """Wait before the first frame and in stalls."""
     stalls: int
     predicted_db: float | None = None
     rendered_db: float | None = None
@@ -144,7 +144,7 @@ def read_report(folder: Path) -> dict[str, Any]:
 
 
 def played(config: DeliveryConfig, where: str, report: dict[str, Any]) -> Played:
-    """What a report says, and with the capture, what the frames look like."""
+    """The figures of a report; with a capture also the PSNR, predicted and rendered."""
     totals, asked_s = report["totals"], report["plays"][0]["asked_s"]
     predicted_db = rendered_db = None
     if config.capture is not None:
@@ -163,7 +163,7 @@ def without_latency(link: Link) -> Link:
 
 
 def for_tbf(link: Link) -> Link:
-    """The link that passes as many bytes of TCP where packets' heads count too."""
+    """A link that carries the same TCP bytes in a bucket that also counts packet headers."""
     return Link([LinkStep(s.duration_s, s.rate_bps / TCP_SHARE, 0.0) for s in link.steps])
 
 

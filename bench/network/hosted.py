@@ -1,10 +1,10 @@
-"""What the browser fetches of a static host over traces, in virtual time: its own code in Node.
+"""Plays of the browser from a static host over traces, in virtual time: its own code in Node.
 
 Usage: scripts/bench hosted --traces DIR [--half report] [--per-folder 9] [--loads 0.6 1 1.8]
 
-Scored as swings-abr scores plays of a server: the same traces, loads, QoE and bound. A static host
-sends whole objects of a second each, a server packets, so the bound is further away. The server's
-own policy is the last row.
+They are scored as swings-abr scores plays from a server: same traces, loads, QoE and bound. A
+static host sends whole objects of a second each, a server sends packets, so the bound is harder to
+reach. The last row is the server's own policy.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from server.study.tracefolder import Half, read_traces
 FPS = 30.0
 SEGMENT_FRAMES = 30
 MASK_SHARE = 0.05
-"""Bytes of the masks, as a share of those of layer 0."""
+"""Bytes of the masks, as a share of the bytes of layer 0."""
 SPREAD = 0.25
-"""Most by which a segment is larger or smaller than the mean."""
+"""Maximum deviation of a segment's size from the mean, as a share."""
 
 STREAMS = {
     "basketball": SegmentSizes(
@@ -58,21 +58,21 @@ STREAMS = {
         (0.3, 0.2, 0.2, 0.2),
     ),
 }
-"""Bytes of a slice and PSNR by layer: the real scene of docs/RESULTS.md, and one whose layers are
-further apart."""
+"""Bytes of a slice and PSNR by layer: the real scene of docs/RESULTS.md, and a scene whose layers
+differ more."""
 
 
 @dataclass(frozen=True, slots=True)
 class HostedConfig:
-    """Plays of a static host to simulate."""
+    """Plays from a static host to simulate."""
 
     traces: Path
-    """Folder of throughput traces, and its subfolders."""
+    """Folder of throughput traces; its subfolders count, too."""
     half: Half = "report"
     """Traces to use: tune for the first, third, ... of each folder, by name; report for the other
     half."""
     per_folder: int = 9
-    """Maximum traces from each folder, evenly spread; 0 for all."""
+    """Maximum number of traces from each folder, evenly spread; 0 for all."""
     loads: tuple[float, ...] = LOADS
     """Ratios of the link's rate to the rate of the stream with all layers."""
     length_s: float = 60.0
@@ -83,7 +83,7 @@ class HostedConfig:
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """One play and what could have been had."""
+    """One play, and the oracle's bound for it."""
 
     oracle: Oracle
     qoe: Qoe
@@ -91,7 +91,7 @@ class Scored:
 
 
 def make_records(sizes: SegmentSizes, config: HostedConfig) -> list[SegmentRecord]:
-    """An index of segments about as large as `sizes` says of a slice."""
+    """An index whose segments have about the sizes that `sizes` gives for a slice."""
     rng = np.random.default_rng(config.seed)
     records = []
     for segment in range(round(config.length_s * FPS / SEGMENT_FRAMES)):
@@ -135,7 +135,7 @@ def make_manifest(num_layers: int) -> Manifest:
 
 
 def send_of(segment: int, part: str) -> Send | None:
-    """What an object brings; the masks count with layer 0, after which they are asked for."""
+    """The content of an object; None for the masks, which are requested after layer 0."""
     first = segment * SEGMENT_FRAMES
     if part == "masks":
         return None
@@ -146,7 +146,7 @@ def send_of(segment: int, part: str) -> Send | None:
 
 
 def arrivals_of(rows: Sequence[tuple[float, int, int, str]]) -> Iterator[Arrival]:
-    """The objects as they are of use: a layer not before the masks of its segment."""
+    """The objects at the times from which they are usable: a layer needs its segment's masks."""
     masks: set[int] = set()
     waiting: dict[int, list[tuple[float, Send]]] = {}
     for time_s, num_bytes, segment, part in rows:

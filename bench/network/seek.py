@@ -1,4 +1,4 @@
-"""Seeks over an emulated link: how long until the frame is there, and until it is there whole.
+"""Seeks over an emulated link: time until the frame shows, and until a frame shows with all layers.
 
 Usage: scripts/bench seek [--stream PATH] [--link 50M,20ms]
 """
@@ -45,7 +45,7 @@ SWIN_SIZE, SEGMENT_FRAMES = 5, 30
 PATIENCE_S = 20.0
 LINK = "50M,20ms"
 SIZE = Size(640, 360)
-"""Of the picture that is drawn before a seek counts as done."""
+"""Size of the picture that is drawn before a seek counts as done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +73,12 @@ class SeekConfig:
 
 @dataclass(frozen=True, slots=True)
 class Seek:
-    """One of them, seconds from the command on."""
+    """Times of one seek, seconds from the call on."""
 
     base_s: float
-    """Until the frame is drawn, in whatever layers."""
+    """Time until the frame is drawn, with any number of layers."""
     full_s: float
-    """Until a frame is drawn with all layers."""
+    """Time until a frame is drawn with all layers."""
 
 
 def make_stream(path: Path, config: SeekConfig) -> None:
@@ -136,7 +136,7 @@ def draw_until(
     path: Callable[[int], object],
     is_enough: Callable[[FrameRecord], bool],
 ) -> FrameRecord:
-    """Draws the newest frames until one is enough; gives the first that was polled."""
+    """Draws the newest frames until `is_enough` accepts one; returns the first polled record."""
     until_s, first = time.monotonic() + PATIENCE_S, None
     while time.monotonic() < until_s:
         records = conductor.poll()

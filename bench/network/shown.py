@@ -1,11 +1,12 @@
-"""What a player really showed, beside what the index promised: the frames of a played report,
-rendered for the held-out cameras and scored.
+"""Quality that a player actually showed, beside the quality in the index: the frames of a play's
+report are rendered for the held-out cameras and scored.
 
 Usage: scripts/bench shown STREAM --report REPORT.json --capture CAPTURE
 
-REPORT.json is what `swings-play --report` wrote of STREAM. It says which packets had come when each
-frame was shown. They are put together by the player's own assembler, and nothing else is. Predicted
-is the PSNR of the index for the layers that those packets make, as the server reckons with.
+REPORT.json is the report that `swings-play --report` wrote for a play of STREAM. It lists the
+packets that had arrived when each frame was shown. The player's own assembler assembles exactly
+these packets. "predicted" is the PSNR in the index for the layers that these packets form; the
+server decides by it.
 """
 
 from __future__ import annotations
@@ -49,18 +50,18 @@ class ShownConfig:
     capture: Path
     """The capture that the stream was trained from."""
     every: int = 1
-    """Score every n-th frame only."""
+    """Score every n-th frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShownScore:
-    """A frame as it was shown."""
+    """The scores of a shown frame."""
 
     frame: int
     layers: float
     predicted_db: float
     rendered_db: float
-    """Mean of the held-out cameras."""
+    """Mean over the held-out cameras."""
 
 
 def blame(error: CodecError, part: Part) -> CodecError:
@@ -68,7 +69,7 @@ def blame(error: CodecError, part: Part) -> CodecError:
 
 
 def packets_of(reader: StreamReader, arrival: dict[str, Any]) -> Packets:
-    """The packets that came together."""
+    """The packets of one arrival."""
     layers = range(arrival["first_layer"], arrival["first_layer"] + arrival["layers"])
     birth, frame = arrival["birth"], arrival["snapshot_frame"]
 
@@ -87,7 +88,7 @@ def packets_of(reader: StreamReader, arrival: dict[str, Any]) -> Packets:
 def shown_scores(
     held_out: ScoredCameras, report: dict[str, Any], every: int
 ) -> Iterator[ShownScore]:
-    """The frames of the first play of a report, scored."""
+    """Scores the frames of the first play of a report."""
     reader, manifest = held_out.reader, held_out.reader.manifest
     frames = [frame for frame in report["frames"] if frame["play"] == 0]
     arrivals = [arrival for arrival in report["arrivals"] if arrival["play"] == 0]
@@ -119,7 +120,7 @@ def shown_scores(
 
 
 def table_of(scores: list[ShownScore]) -> Table:
-    """Frames by how many layers they show, and all of them."""
+    """A row for each number of shown layers, and one for all frames."""
     table = Table(box=box.SIMPLE)
     for name in ("layers", "frames", "predicted dB", "rendered dB", "difference"):
         table.add_column(name, justify="right")

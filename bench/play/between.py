@@ -1,16 +1,16 @@
-"""The quality of pictures between two frames of a stream: held, faded and interpolated.
+"""Quality of pictures between two frames of a stream: held, faded and interpolated.
 
 Usage: scripts/bench between STREAM [--capture CAPTURE]
 
-First table: a frame is drawn from two frames that lie as far before it as behind it, and compared
-with what the stream itself shows there. Held: the frame before stands. Faded: the mean of both
+First table: a frame is drawn from two other frames, equally far before and after it, and compared
+with the stream's own picture of it. Held: the earlier frame is shown again. Faded: the mean of both
 pictures. Interpolated: slots that go on move, all others fade (codec/halfway.py).
 
-Second table, with --capture: the same against what the held-out cameras saw, as if every second
-frame had not been sent.
+Second table, with --capture: the same against the pictures of the held-out cameras, as if every
+second frame had not been sent.
 
-Changing pixels are those of trainer/score/moving.py: they differ from the frame that held shows
-(first table) or from the frame before (second table).
+Changing pixels are those of trainer/score/moving.py: they differ from the held frame (first table)
+or from the frame before (second table).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from trainer.score.truth import open_held_out
 from trainer.step.loss import psnr_db
 
 HELD, FADED, INTERPOLATED, SENT = "held", "faded", "interpolated", "sent"
-"""The ways to make a picture between two frames. SENT is the frame that the stream itself has."""
+"""Ways to make a picture between two frames. SENT is the stream's own frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,18 +51,18 @@ class BetweenConfig:
     stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STREAM")]
     """Folder of the stream."""
     capture: Path | None = None
-    """Folder of the capture that it was trained from, for the second table."""
+    """Folder of the capture that the stream was trained from, for the second table."""
     gaps: tuple[int, ...] = (2, 4, 8)
-    """Even distances, in frames, of the two frames that a picture is drawn from."""
+    """Distances between the two frames that a picture is drawn from, even numbers of frames."""
     cameras: int = 2
-    """Cameras of the stream in the first table, spread evenly over all of them."""
+    """Cameras of the first table, spread evenly over the stream's cameras."""
     pictures: int = 10
-    """Frames in the first table, spread evenly over the stream."""
+    """Frames of the first table, spread evenly over the stream."""
 
 
 @dataclass(slots=True)
 class Scores:
-    """PSNR in dB of each picture, by how it came about."""
+    """PSNR of each picture in dB, by the way it was made."""
 
     whole: dict[str, list[float]] = field(default_factory=dict)
     changing: dict[str, list[float]] = field(default_factory=dict)
@@ -82,7 +82,7 @@ class Scores:
 def drawn_between(
     reader: StreamReader, frame: int, gap: int, cameras: list[Camera], scores: Scores
 ) -> Iterator[dict[str, Floats]]:
-    """For each camera the pictures of `frame` by each way, made of the two frames around it that
+    """For each camera, the pictures of `frame`, made in each way from the two frames around it that
     are `gap` apart."""
     manifest, layers = reader.manifest, reader.manifest.num_layers
     first, last = frame - gap // 2, frame + gap // 2

@@ -1,16 +1,16 @@
-"""Harmonics of degree 0 to 3: what they cost to draw, and what it costs to keep colours while the
-camera moves a little.
+"""Harmonics of degree 0 to 3: drawing time, and the error of keeping colours while the camera moves
+slightly.
 
 Usage: scripts/bench degrees [--gaussians N] [--size WxH] [--rounds N]
 
-First table: milliseconds of a picture at each degree, with a camera that stands still and one that
-moves 5 cm a picture, so that all colours are evaluated anew; degrees and cameras take turns, so
-that whatever else the machine does meets them alike. Times are medians, by the clock and of the
-process's CPU time, each beside that of degree 0.
-Second table, CPU renderer at degree 3: a camera that drifts sideways, 30 pictures a second. turn:
-of the median Gaussian from one picture to the next; evaluated: colours that were evaluated for a
-picture, as a share of those that show; PSNR against a picture whose colours are all new, over the
-pixels that are drawn.
+First table: milliseconds per picture at each degree, with a still camera and with a camera that
+moves 5 cm per picture, so that all colours are evaluated again. Degrees and cameras take turns, so
+that other load on the machine affects them equally. Times are medians, of wall time and of the
+process's CPU time, each with its ratio to degree 0.
+Second table, CPU renderer at degree 3: a camera that drifts sideways, 30 pictures per second. turn:
+angle of the median Gaussian from one picture to the next; evaluated: share of the shown Gaussians
+whose colour was evaluated for a picture; PSNR: against a picture with all colours new, over the
+drawn pixels.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from player.render.recipe import COLOUR_TURN_RAD
 from player.view.path import Size
 
 STEP_M = 0.05
-"""How far the camera moves from picture to picture: no colour is kept."""
+"""Movement of the camera from picture to picture, so large that no colour is kept."""
 
 SPEEDS_M_S = (0.01, 0.03, 0.1, 0.3, 1.0)
 DRIFT_PICTURES = 12
@@ -63,21 +63,21 @@ class DegreesBenchConfig:
 
 
 def moved(camera: Camera, by_m: float) -> Camera:
-    """The camera `by_m` to the side."""
+    """The camera, moved sideways by `by_m`."""
     w2c = camera.w2c.copy()
     w2c[0, 3] -= by_m
     return replace(camera, w2c=w2c)
 
 
 def time_of(renderer: Drawing, camera: Camera) -> tuple[float, float]:
-    """Milliseconds of a picture: of the clock, and of the process's CPU time."""
+    """Milliseconds of a picture: wall time, and CPU time of the process."""
     clock_s, cpu_s = time.perf_counter(), time.process_time()
     renderer.render_again(0, camera)
     return 1e3 * (time.perf_counter() - clock_s), 1e3 * (time.process_time() - cpu_s)
 
 
 def medians_of(times: list[tuple[float, float]]) -> npt.NDArray[np.float64]:
-    """By the clock and of the CPU; the first is not counted."""
+    """Medians of wall time and of CPU time; the first picture is not counted."""
     medians: npt.NDArray[np.float64] = np.median(times[1:], axis=0)
     return medians
 

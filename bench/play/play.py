@@ -1,14 +1,15 @@
-"""The player's renderers: how fast they draw, and how soon what is due is there to be drawn.
+"""The player's renderers: pictures per second, and time to put a due slice on the GPU.
 
 Usage: scripts/bench play [--gaussians N ...] [--sizes WxH ...] [--rounds N]
        scripts/bench play --gaussians 10000 200000 --sizes 640x360    (a minute without a GPU)
 
-First table: pictures a second, with a camera that moves, each step finished before the next is
-begun and nothing read back; all renderers take turns, so that whatever else the machine does meets
-them alike. sort: which Gaussians show, and their order; on the CPU also where on the picture.
-Second table: `put` packs on the update thread, `upload` is what the thread that draws then does,
-until the GPU has finished; bytes of a slice, and as a multiple of what changed. Medians. A GPU is
-used where OpenGL has one; its name says so.
+First table: pictures per second with a moving camera. Each step ends before the next begins, and
+nothing is read back. All renderers take turns, so that other load on the machine affects them
+equally. sort: finds the visible Gaussians and their order; on the CPU also their places on the
+picture.
+Second table: `put` packs a slice on the update thread; `upload` is the following work of the thread
+that draws, until the GPU has finished; bytes of a slice, and their ratio to the changed bytes.
+Times are medians. The GPU is used if OpenGL has one; the renderer's name shows it.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ SIZE = option("WxH", Size.parse)
 UPLOAD_SIZE = Size(640, 360)
 CHANGED_SHARE = 0.3
 GAUSSIAN_BYTES = (4 * 14 + 1, 16 * texels_per_gaussian(0))
-"""Of one Gaussian as the CPU keeps it, and as OpenGL does."""
+"""Bytes of one Gaussian in the CPU renderer, and in OpenGL."""
 
 Drawing = CpuRenderer | GlRenderer
 
@@ -67,11 +68,11 @@ class PlayBenchConfig:
 
 @contextmanager
 def open_renderers(manifest: Manifest) -> Iterator[dict[str, Drawing]]:
-    """Every renderer that works here, by what the tables call it, with frame 0 uploaded."""
+    """Every renderer that works here, by its name in the tables, with frame 0 uploaded."""
     renderers: dict[str, Drawing] = {"CPU": CpuRenderer(manifest)}
     for version in (GlVersion.V33, GlVersion.V43):
         try:
-            # As a window draws.
+            # The target that a window uses.
             renderers[f"GL {version}"] = GlRenderer(manifest, Target.FLOAT16, version=version)
         except GlError as error:
             Console(stderr=True).print(f"no GL {version}: {error}")
@@ -87,7 +88,7 @@ def open_renderers(manifest: Manifest) -> Iterator[dict[str, Drawing]]:
 
 
 def moved(camera: Camera, number: int) -> Camera:
-    """The camera of picture `number`, a little to the side of the last one's."""
+    """The camera of picture `number`, 1 cm to the side of the previous picture's."""
     w2c = camera.w2c.copy()
     w2c[0, 3] += 0.01 * number
     return replace(camera, w2c=w2c)

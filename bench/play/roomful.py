@@ -15,7 +15,7 @@ from codec.stream.manifest import Manifest
 
 SWIN_SIZE = 5
 RUN_ROWS = 500
-"""Rows that change together where they do so in runs."""
+"""Length of a run of rows that change together."""
 
 
 def manifest_of(num_gs: int, width_px: int, height_px: int, sh_degree: int = 0) -> Manifest:
@@ -39,7 +39,7 @@ def manifest_of(num_gs: int, width_px: int, height_px: int, sh_degree: int = 0) 
 
 
 def slice_of(birth: int, count: int, total: int, sh_degree: int = 0) -> Slice:
-    """A room's worth of Gaussians: the more there are, the smaller each is."""
+    """`count` of the `total` Gaussians of a room; they are smaller if `total` is larger."""
     rng = np.random.default_rng(birth + 100)
     arrays = (
         rng.uniform(-1, 1, (count, 3)) * (3, 2, 3) + (0, 0, 3),
@@ -60,7 +60,7 @@ def first_window(manifest: Manifest) -> list[Slice]:
 
 
 def changed_slice(birth: int, share: float, scattered: bool, manifest: Manifest) -> Slice:
-    """A slice that changes `share` of its lane's rows, one here and one there or in runs."""
+    """A slice that changes `share` of its lane's rows, scattered or in runs."""
     size = manifest.slice_size
     rng = np.random.default_rng(birth)
     together = 1 if scattered else min(RUN_ROWS, size)

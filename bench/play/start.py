@@ -1,4 +1,4 @@
-"""From the command to a picture: a new process each time, a window, a server beside it.
+"""Time from the command to a picture: a new process with a window each time, and a local server.
 
 Usage: scripts/bench start [--stream PATH] [--rounds 9]
 """
@@ -34,7 +34,7 @@ PATIENCE_S = 120.0
 
 STEPS = ("the player is loaded", "the poster shows", "the first frame shows")
 
-# Ends when the window shows its second picture; the first is the poster.
+# Ends once the window has shown its second picture; the first is the poster.
 PLAYER = """
 import json, os, sys, time
 import glfw
@@ -68,7 +68,7 @@ class StartConfig:
 
 @contextmanager
 def display() -> Iterator[str]:
-    """The screen that there is, else one in memory."""
+    """The name of the existing display, or of one in memory."""
     if name := os.environ.get("DISPLAY"):
         yield name
     elif XVFB is None:
@@ -96,7 +96,7 @@ def start(url: str, screen: str) -> list[float]:
 
 
 def make_poster(stream: Path) -> None:
-    """Names a poster in the manifest, and draws it."""
+    """Enters a poster in the manifest, and draws it."""
     manifest = replace(StreamReader(stream).manifest, poster=POSTER_NAME)
     (stream / MANIFEST_NAME).write_bytes(manifest.to_json())
     write_poster(stream, render_splats)

@@ -1,7 +1,7 @@
-"""aiohttp's plain answer from memory, to be measured beside: `python bareresponse.py FOLDER`.
+"""A plain aiohttp response from memory, as a reference: `python bareresponse.py FOLDER`.
 
-It checks nothing, logs nothing and has no conditions: the floor of what aiohttp costs. Prints the
-port once it listens on it, and serves FOLDER under /v1/streams/ until it is ended.
+It checks nothing, logs nothing and handles no conditional requests: the minimum cost of aiohttp.
+Prints the port once it listens, and serves FOLDER under /v1/streams/ until it is stopped.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from aiohttp import web
 
 
 def read_bodies(root: Path) -> dict[str, bytes]:
-    """The bytes that each path serves."""
+    """The body of each path."""
     files = [path for path in root.rglob("*") if path.is_file()]
     return {f"/v1/streams/{path.relative_to(root)}": path.read_bytes() for path in files}
 

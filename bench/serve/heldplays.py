@@ -1,7 +1,7 @@
-"""Many clients of /play at once, held for a while; `playfigures` says what the figures mean.
+"""Many clients of /play at once, held for a while; see `playfigures` for the figures.
 
-The server has a core of its own, and the clients, one process, another. All play the same stream
-from its start, but not in step, as they arrive one after the other.
+The server has a core of its own; the clients, one process, have another. All clients play the same
+stream from its start, but not in step, because they arrive one after the other.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from .processes import pinned, serving
 
 SEGMENT_FRAMES = 30
 REST_S = 0.1
-"""The server's --rest-s, with which the pacing is compared."""
+"""The server's --rest-s, to which the pacing is compared."""
 PLAYS_PER_REST = 100
-"""swings-serve makes a rest up to twice as long by chance, and once more as long for so many plays
-that run."""
+"""swings-serve lengthens a rest at random, up to twice its length, and by one more length per this
+many running plays."""
 
 
 def measure_plays(
@@ -39,10 +39,10 @@ def measure_plays(
     options: tuple[str, ...],
     around: Callable[[int], ExitStack],
 ) -> PlayFigures:
-    """Raises SwingsError if the clients could not be run. around: see measure_objects."""
+    """Raises SwingsError if the clients fail. around: see measure_objects."""
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
-        # What is played and its lead must not end before the measurement does.
+        # The stream, with the lead, must not end before the measurement does.
         num_frames = round((seconds + 15) * FPS)
         write_noise(folder / "streams" / "long", frame_bytes, num_frames, SEGMENT_FRAMES)
         limits = ("--max-plays", str(clients + 16), "--rest-s", str(REST_S))
@@ -60,7 +60,7 @@ def measure_plays(
 
 
 def run_load(config: LoadConfig, core: int) -> None:
-    """Runs the clients to their end."""
+    """Runs the clients until they end. Raises SwingsError if they fail."""
     root = Path(__file__).parents[2]
     done = subprocess.run(
         load_command(config, core), env={"PYTHONPATH": str(root)}, capture_output=True, text=True

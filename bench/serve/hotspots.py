@@ -1,4 +1,4 @@
-"""Which functions of a running server the CPU is in, as py-spy samples them from outside."""
+"""CPU time of a running server by function, sampled from outside by py-spy."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from codec.errors import SwingsError
 
 @dataclass(frozen=True, slots=True)
 class Hotspot:
-    """A function's share of all samples."""
+    """A function's shares of all samples."""
 
     function: str
     own: float
-    """Share in which it ran itself, 0 to 1."""
+    """Share of samples in the function itself, 0 to 1."""
     within: float
-    """Share in which it or what it called ran, 0 to 1."""
+    """Share of samples in the function or its callees, 0 to 1."""
 
 
 def hotspots_of(lines: Iterable[str], count: int) -> list[Hotspot]:
     """The `count` functions with the most samples of their own.
 
-    lines: one for each stack, `outermost;...;innermost samples`, as `py-spy record -f raw` has
-    them.
+    lines: one for each stack, `outermost;...;innermost samples`, as written by
+    `py-spy record -f raw`.
     """
     own: Counter[str] = Counter()
     within: Counter[str] = Counter()
     for line in lines:
         stack, _, samples = line.rstrip().rpartition(" ")
-        # The outermost is the process; what was sampled between two functions has no other.
+        # The outermost frame is the process; a sample between two functions has no other frame.
         frames = [frame for frame in stack.split(";") if not frame.startswith("process ")]
         if not samples.isdigit() or not frames:
             continue
@@ -47,7 +47,7 @@ def hotspots_of(lines: Iterable[str], count: int) -> list[Hotspot]:
 
 
 def py_spy() -> str:
-    """Where py-spy is. Raises SwingsError that says how to get it."""
+    """Path of py-spy. Raises SwingsError, which states how to install it."""
     beside = Path(sys.executable).with_name("py-spy")
     found = str(beside) if beside.exists() else shutil.which("py-spy")
     if found is None:
@@ -57,7 +57,7 @@ def py_spy() -> str:
 
 @contextmanager
 def sampled(pid: int, into: Path, rate_hz: int = 200) -> Iterator[None]:
-    """Samples the process and its children until the block ends; the stacks are then in `into`."""
+    """Samples the process and its children during the block; then writes the stacks to `into`."""
     command = [py_spy(), "record", "--pid", str(pid), "--subprocesses", "--format", "raw"]
     command += ["--output", str(into), "--rate", str(rate_hz), "--nonblocking"]
     command += ["--nolineno", "--duration", "unlimited"]
@@ -67,7 +67,7 @@ def sampled(pid: int, into: Path, rate_hz: int = 200) -> Iterator[None]:
     try:
         yield
     finally:
-        process.send_signal(2)  # at SIGINT it writes what it has
+        process.send_signal(2)  # at SIGINT py-spy writes its samples
         _, errors = process.communicate(timeout=60)
     if not into.exists():
         lines = errors.strip().splitlines() or ["no message"]

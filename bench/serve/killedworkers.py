@@ -1,8 +1,8 @@
-"""Workers of swings-serve that are killed under its clients; `resumefigures` says what is measured.
+"""Workers of swings-serve that are killed while clients play; see `resumefigures` for the figures.
 
-Every `every_s` seconds a living worker, chosen at random, gets a SIGKILL and is started again at
-once. With an `every_s` of less than a second these are crash loops: most restarts wait up to ten
-seconds, and the other worker serves alone, under too much load: fewer layers first, and then 503 to
+Every `every_s` seconds a running worker, chosen at random, gets a SIGKILL and is restarted at once.
+With an `every_s` below one second these are crash loops: most restarts wait up to ten seconds, and
+the other worker serves alone and overloaded. It sends fewer layers first, and then answers 503 to
 returning clients.
 """
 
@@ -37,7 +37,7 @@ SEGMENT_FRAMES = 30
 
 @dataclass(frozen=True, slots=True)
 class KillConfig:
-    """How many, and how often."""
+    """Number and interval of the kills, and the load."""
 
     kills: int = 100
     every_s: float = 3.0
@@ -45,22 +45,22 @@ class KillConfig:
     clients: int = 50
     workers: int = 2
     frame_bytes: int = 20_000
-    """Size of a frame, all its layers together."""
+    """Bytes of a frame with all its layers."""
     max_lead_s: float = 6.0
-    """What a client is sent ahead, and all at once when it comes back. See --max-lead-s."""
+    """The server's --max-lead-s; a returning client is sent that lead at once."""
     arrive_s: float = 3.0
-    """Seconds over which the clients arrive; as many later the killing begins."""
+    """Seconds over which the clients arrive; the kills begin after twice this time."""
     tells_rate: bool = True
-    """Whether a client that comes back says what it was told of its link."""
+    """Whether a returning client sends the link rate that the server last reported to it."""
     seed: int = 0
 
 
 def measure_kills(config: KillConfig, options: tuple[str, ...] = ()) -> ResumeFigures:
-    """options: more of swings-serve. Raises SwingsError if server or clients could not be run."""
+    """options: more options of swings-serve. Raises SwingsError if the server or clients fail."""
     seconds = 2 * config.arrive_s + config.kills * config.every_s
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        # What is sent ahead must not come to its end.
+        # The lead must not reach the end of the stream.
         num_frames = round((seconds + 15) * FPS)
         write_noise(folder / "streams" / "long", config.frame_bytes, num_frames, SEGMENT_FRAMES)
         log, out = folder / "serve.log", folder / "seen.npz"
@@ -93,13 +93,13 @@ def measure_kills(config: KillConfig, options: tuple[str, ...] = ()) -> ResumeFi
 
 
 def _events(log: Path, *kinds: str) -> list[dict[str, Any]]:
-    """Those lines of the server's log."""
+    """The lines of the server's log with events of these kinds."""
     lines = [json.loads(line) for line in log.read_text().splitlines() if line.startswith("{")]
     return [line for line in lines if line.get("event") in kinds]
 
 
 def _kill_again_and_again(config: KillConfig, log: Path) -> list[Kill]:
-    """The kills, with when their places were taken again."""
+    """Kills workers; returns the kills, with the times at which the workers were replaced."""
     rng, kills = random.Random(config.seed), list[Kill]()
     offset_s = time.time() - time.monotonic()
     for _ in range(config.kills):
@@ -121,7 +121,7 @@ def _kill_again_and_again(config: KillConfig, log: Path) -> list[Kill]:
 
 
 def _next_ready_s(kill: Kill, ready: list[tuple[float, int]]) -> float:
-    # The log has milliseconds, cut off.
+    # The log truncates times to milliseconds.
     times_s = [at_s for at_s, place in ready if place == kill.place and at_s > kill.at_s - 0.001]
     return max(kill.at_s, min(times_s, default=math.nan))
 

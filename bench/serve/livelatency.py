@@ -1,8 +1,8 @@
-"""How old a slice is when those who follow a growing stream get it.
+"""Age of a slice when a client that follows a growing stream receives it.
 
-A writer appends 30 frames a second in segments of 5, and clients play from the newest frame on.
-Latency is from a segment's birth on disk, when its index record is there, until a client has layer
-0 of its first slice, and of its last.
+A writer appends 30 frames per second in segments of 5, and clients play from the newest frame on.
+Latency is the time from a segment's birth on disk, when its index record is written, until a client
+has layer 0 of its first slice, and of its last.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from .playload import LoadConfig
 from .processes import ROOT, pinned, running, serving
 
 SETTLE_S = 2.0
-"""Seconds after the clients' arrival whose segments do not count: they catch up."""
+"""Seconds after the clients' arrival in which segments do not count: the clients catch up."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveFigures:
-    """In ms, over all clients and segments."""
+    """Latencies in ms, over all clients and segments."""
 
     clients: int
     segments: int

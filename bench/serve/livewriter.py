@@ -1,8 +1,8 @@
 """Appends noise to a new stream in real time: `python livewriter.py FOLDER GAUSSIANS SECONDS`.
 
-One line of JSON for each segment: its first birth, one past its last, and when its index record was
-there. That is the time of the index file's last change: from then on a server can see it, though
-the writer still waits for the disk.
+Prints one line of JSON for each segment: its first birth, one past its last birth, and the time of
+its index record. That time is the index file's last change: a server can read the record from then
+on, although the writer still waits for the disk.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from codec.stream.index import INDEX_NAME
 
 SEGMENT_FRAMES = 5
 LEAD_FRAMES = 30
-"""Frames that are there at the start."""
+"""Frames that are written at the start."""
 
 
 def main() -> None:

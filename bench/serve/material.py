@@ -1,4 +1,4 @@
-"""Streams of noise, which no coder shrinks, with objects and frames of a wanted size."""
+"""Streams of noise, which no coder compresses, with objects and frames of a given size."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from codec.stream.manifest import Manifest
 NUM_LAYERS = 4
 FPS = 30.0
 GAUSSIAN_BYTES = 54
-"""Bytes of a Gaussian with every float, as a packet holds it."""
+"""Bytes of a Gaussian with every value as float32 in a packet."""
 LATTICE = Lattice(0.01, 1 / 8, 1 / 60, 1 / 20, 41)
-"""Not used, as every Gaussian escapes it."""
+"""Unused, because every Gaussian escapes from it."""
 OBJECT_FRAMES = 15
-"""Frames of a segment of a stream that is there for its objects."""
+"""Frames per segment of a stream that is used for its objects."""
 
 
 def noise_manifest(slice_size: int, segment_frames: int, live: bool = False) -> Manifest:
-    """Of a stream with whole slices of `slice_size` Gaussians in four layers."""
+    """The manifest of a stream with whole slices of `slice_size` Gaussians in four layers."""
     return Manifest(
         fps=FPS,
         swin_size=1,
@@ -58,7 +58,7 @@ def noise_slice(birth: int, slice_size: int) -> Slice:
 
 
 def write_noise(path: Path, frame_bytes: int, num_frames: int, segment_frames: int) -> None:
-    """A finished stream of about `frame_bytes` a frame, all layers together."""
+    """Writes a finished stream of about `frame_bytes` per frame with all layers."""
     slice_size = slice_size_of(frame_bytes)
     manifest = noise_manifest(slice_size, segment_frames)
     with StreamWriter.create(path, manifest, exact=True) as writer:
@@ -67,5 +67,5 @@ def write_noise(path: Path, frame_bytes: int, num_frames: int, segment_frames: i
 
 
 def write_objects(path: Path, object_bytes: int) -> None:
-    """A stream whose objects, but for those of segment 0, have about `object_bytes`."""
+    """Writes a stream whose objects have about `object_bytes`, except those of segment 0."""
     write_noise(path, NUM_LAYERS * object_bytes // OBJECT_FRAMES, 3 * OBJECT_FRAMES, OBJECT_FRAMES)

@@ -1,14 +1,14 @@
 """The same immutable objects from swings-serve, nginx, deploy/nginx.conf at signed URLs, and
 aiohttp's bare web.Response.
 
-Each row is an object and a kind of request; in every round each server answers it for some seconds,
-one after the other, so that a machine that gets slower does so for all. A figure is the median of
-its rounds. wrk asks over connections that are kept, from a core that the server is not on.
+Each row is an object and a kind of request. In every round each server answers it for some seconds,
+one after the other, so that a slowdown of the machine affects all servers. A figure is the median
+of the rounds. wrk sends the requests over kept connections, from another core than the server's.
 
-CPU seconds are user and system time of the server's processes over what wrk read, heads included.
-`to nginx` is bytes per CPU second as a share of nginx's; for 304, requests per CPU second. Of
-ranges compare that, and not the rate: with tcp_nopush, which Debian sets, nginx keeps the end of a
-range that does not begin with a page for 40 ms.
+CPU seconds are user and system time of the server's processes, over what wrk read, heads included.
+`to nginx` is bytes per CPU second relative to nginx; for 304, requests per CPU second. For ranges
+compare this figure, not the rate: with tcp_nopush, which Debian sets, nginx holds back the end of a
+range for 40 ms unless the range begins with a page.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from .material import write_objects
 from .processes import ROOT, cpu_s, pinned, running, serving
 
 TRIES = 4
-"""Most times that wrk asks in one round."""
+"""Maximum runs of wrk in one round."""
 BARE, SIGNED = "aiohttp", "nginx, signed"
-"""The names of aiohttp's bare web.Response and of deploy/nginx.conf in a table."""
+"""Names in the table: aiohttp's bare web.Response, and nginx with deploy/nginx.conf."""
 SHIPPED = {
     r"^user .*;": "{user}",
     r"^worker_processes auto;": "worker_processes 1; daemon off;",
@@ -91,23 +91,23 @@ http {{
   }}
 }}
 """
-"""Debian's nginx.conf in all that matters here, but for one worker."""
+"""Debian's nginx.conf in everything relevant here, with one worker."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A row: what is asked."""
+    """A row of the table: the object and the kind of request."""
 
     what: str
     path: str
     header: str = ""
-    """`Name: value`; the value ETAG stands for the tag that the server gave."""
+    """`Name: value`; the value ETAG stands for the server's tag of the object."""
     status: int = 200
 
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """What a server did with a case: the medians of all rounds."""
+    """Figures of a server in a case: medians over all rounds."""
 
     case: str
     server: str
@@ -116,7 +116,7 @@ class Rate:
     cpu_s_per_gb: float
     cpu_us_per_request: float
     to_nginx: float
-    """Bytes per CPU second as a share of nginx's; NaN without one."""
+    """Bytes per CPU second relative to nginx; NaN without nginx."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ class _Round:
 
 
 def cases_of(sizes_kb: tuple[int, ...]) -> list[Case]:
-    """A row for each size, and of one object a range and an answer that it has not changed."""
+    """A row for each size, and for one object a range request and a conditional request (304)."""
     path = "/v1/streams/kb{}/segments/1/2"
     rows = [Case(f"{size} KB", path.format(size)) for size in sizes_kb]
     middle = sizes_kb[len(sizes_kb) // 2]
@@ -141,7 +141,7 @@ def cases_of(sizes_kb: tuple[int, ...]) -> list[Case]:
 
 
 def need(program: str, package: str) -> str:
-    """Where `program` is. Raises SwingsError that says what to install."""
+    """Path of `program`. Raises SwingsError, which names the package to install."""
     for folder in (*os.environ.get("PATH", "").split(os.pathsep), "/usr/sbin"):
         if found := shutil.which(program, path=folder):
             return found
@@ -150,8 +150,8 @@ def need(program: str, package: str) -> str:
 
 @contextmanager
 def nginx(root: Path, folder: Path, core: int, shipped: bool = False) -> Iterator[tuple[int, int]]:
-    """An nginx of the objects below `root`: its process id and port. shipped: with
-    deploy/nginx.conf, which sends them from disk at URLs signed with KEYS."""
+    """Runs nginx for the objects below `root`; gives its process id and port. shipped: uses
+    deploy/nginx.conf, which sends the objects from disk at URLs signed with KEYS."""
     folder.mkdir()
     port = free_port()
     config = folder / "nginx.conf"
@@ -182,7 +182,7 @@ def nginx(root: Path, folder: Path, core: int, shipped: bool = False) -> Iterato
 
 
 def path_at(server: str, case: Case) -> str:
-    """The path of a case at this server."""
+    """The path of a case on this server."""
     if server != SIGNED:
         return case.path
     stream = case.path.split("/")[3]
@@ -191,7 +191,7 @@ def path_at(server: str, case: Case) -> str:
 
 @contextmanager
 def bare_response(root: Path, core: int) -> Iterator[tuple[int, int]]:
-    """aiohttp's bare web.Response: its process id and port."""
+    """Runs aiohttp's bare web.Response; gives its process id and port."""
     command = [*pinned(core), sys.executable, Path(__file__).with_name("bareresponse.py"), root]
     with running(command, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
@@ -204,7 +204,7 @@ def free_port() -> int:
 
 
 def header_of(case: Case, port: int, path: str) -> str:
-    """The header for this server. Raises SwingsError unless it answers as the case expects."""
+    """The header for this server. Raises SwingsError unless the server answers as expected."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
     header = case.header
     try:
@@ -227,8 +227,8 @@ def header_of(case: Case, port: int, path: str) -> str:
 def ask(
     pid: int, url: str, wanted: tuple[str, ...], seconds: float, core: int, script: Path
 ) -> _Round:
-    """wrk asks for `seconds`, and again for twice as long while a busy machine lets nothing be
-    answered. wanted: its further options. Raises SwingsError if anything went wrong in it."""
+    """Runs wrk for `seconds`, and again for twice as long each time if a busy machine answered no
+    request. wanted: further options of wrk. Raises SwingsError if wrk or a request fails."""
     for longer in range(TRIES):
         one = _asked(pid, url, wanted, seconds * 2**longer, core, script)
         if one.requests:
@@ -262,7 +262,7 @@ def measure_objects(
     options: tuple[str, ...],
     around: Callable[[int], ExitStack],
 ) -> list[Rate]:
-    """All rows. around: given the process id of swings-serve, what is to be open meanwhile."""
+    """All rows. around: opens what is needed meanwhile, given the process id of swings-serve."""
     need("nginx", "nginx"), need("wrk", "wrk")
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
@@ -281,7 +281,7 @@ def measure_objects(
         stack.enter_context(around(servers["swings"][0]))
         rates: list[Rate] = []
         for case in cases_of(sizes_kb):
-            # A bare answer knows neither ranges nor conditions.
+            # The bare response supports neither ranges nor conditions.
             asked = {name: at for name, at in servers.items() if name != BARE or case.status == 200}
             paths = {server: path_at(server, case) for server in asked}
             headers = {
@@ -303,7 +303,7 @@ def measure_objects(
 
 def rates_of(case: Case, taken: dict[str, list[_Round]]) -> list[Rate]:
     """The medians of each server's rounds."""
-    # No CPU time at all is less than one tick of the clock.
+    # A measured CPU time of zero is less than one tick of the clock.
     costs = {
         server: median(
             max(one.cpu_s, 0.01) / (one.requests if case.status == 304 else one.num_bytes)

@@ -1,26 +1,26 @@
-"""What held plays were like, from what `playload` wrote down. No clock, no sockets.
+"""Figures of held plays, from the records of `playload`. No clock, no sockets.
 
-The words of its figures, exactly:
+Definitions of the figures:
 
-* head: from when a client's request was written to the first byte of the response. The connection
-  stood already, so waiting to be accepted counts.
-* record: the same to the end of the first record. picture: to the last packet of layer 0 that the
-  first frame asked for needs: a snapshot, and the slices from there to that frame. A snapshot
-  counts as the slice of its frame.
-* due: a player that began to show at that moment, its first picture, and showed 30 frames a second
-  since, needs layer 0 of the slice born at f by the time that it shows frame f. late: how long
-  after that it came, 0 if before; a slice that was due and had not come at the end counts as
-  arrived then. A server sends ahead, so this is 0 until its whole lead has been used up.
-* gap: the time between two reads that bring layer 0 of a new slice, counted once all clients have
-  arrived and settled; while they do, a server fills their leads as it can, and `late` tells whether
-  that is enough. The server rests on purpose between bursts. beyond: a gap less that rest. The rest
-  of a client is the median of its gaps longer than half of rest_s, as the server makes it longer
-  than that by chance; it is never taken for more than max_rest_s and a frame, which is what the
-  server's own rules allow, so that one that is always late cannot hide, nor for less than a frame.
-  As rests end with a whole frame, gaps of a server that has nothing else to do differ by a frame.
-* layers: how many layers of a slice had come by the end, of slices that were due by then.
-* missing: births between the first and the last that a client got of which layer 0 never came.
-  double: packets of the same slice and layer that came again.
+* head: time from the write of a client's request to the first byte of the response. The connection
+  exists by then, so the wait until the server accepts it counts.
+* record: time from the same write to the end of the first record. picture: time to the last packet
+  of layer 0 that the first requested frame needs: a snapshot, and the slices from there to that
+  frame. A snapshot counts as the slice of its frame.
+* due: a player that shows its first picture at that moment and 30 frames per second from then on
+  needs layer 0 of the slice born at f when it shows frame f. late: delay of the slice after that
+  time, 0 if it arrived before; a slice that was due and had not arrived at the end counts as
+  arrived at the end. A server sends ahead, so this is 0 until its whole lead is used up.
+* gap: time between two reads that bring layer 0 of a new slice, counted once all clients have
+  arrived and settled. Until then, a server fills their leads as fast as it can, and `late` shows
+  whether that is fast enough. The server rests on purpose between bursts. beyond: a gap minus that
+  rest. The rest of a client is the median of its gaps longer than half of rest_s, because the
+  server lengthens its rests at random. It is at most max_rest_s plus one frame, the limit of the
+  server's own rules, so that a server that is always late shows; and at least one frame. Rests end
+  with a whole frame, so gaps of an otherwise idle server differ by up to one frame.
+* layers: number of layers of a slice that had arrived by the end, for slices that were due by then.
+* missing: births between a client's first and last for which layer 0 never arrived.
+  double: repeated packets of the same slice and layer.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Doubles = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Of some values: in the middle, almost at the end, at the end. NaN where there are none."""
+    """Median, 99th percentile and maximum of some values; NaN if there are none."""
 
     p50: float
     p99: float
@@ -54,11 +54,11 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class PlayFigures:
-    """All clients together; times in ms."""
+    """Figures of all clients together; times in ms."""
 
     clients: int
     failed: int
-    """Clients that were refused, cut off, or never shown a picture."""
+    """Clients that were refused, were cut off, or never had a picture."""
     head_ms: Spread
     record_ms: Spread
     picture_ms: Spread
@@ -67,26 +67,26 @@ class PlayFigures:
     beyond_ms: Spread
     """Over all gaps of all clients."""
     rest_ms: Spread
-    """Over all clients: the rest that was found."""
+    """Over all clients: the measured rest."""
     layers: float
     """Mean over all slices."""
     missing: int
     double: int
     server_share: float
-    """Of a core, once all had arrived."""
+    """The server's share of a core, once all clients had arrived and settled."""
     load_share: float
-    """The same of the clients' process: 1 would be a measurement of itself."""
+    """The same share of the clients' process; near 1 the figures describe the clients."""
     load_longest_ms: float
     others_share: float
-    """What everything else on the machine took, in cores: above a tenth it is not a measurement."""
+    """Cores used by all other processes; above 0.1 the measurement is not valid."""
     server_rss_bytes: int
     bytes_per_s: float
-    """Of packets, at frame_bytes for a slice with all its layers."""
+    """Rate of packet bytes, with frame_bytes for a slice with all its layers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What `playload` wrote."""
+    """The records that `playload` wrote."""
 
     arrays: dict[str, NDArray[Any]]
     known: dict[str, float]
@@ -100,26 +100,26 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """What must be known of the stream and of the server's pacing."""
+    """Parameters of the stream and of the server's pacing."""
 
     fps: float
     num_layers: int
     rest_s: float
-    """What the server calls so: the least rest between two bursts."""
+    """The server's rest_s: minimum rest between two bursts."""
     max_rest_s: float
-    """The longest that it makes of that."""
+    """Maximum rest after the server has lengthened it."""
     from_frame: int = 0
 
 
 def first_arrivals(births: NDArray[np.int32], at_s: Doubles) -> tuple[NDArray[np.int32], Doubles]:
-    """The births, each once, in order, and when each came first."""
+    """The distinct births, sorted, and the time at which each first arrived."""
     ordered = np.lexsort((at_s, births))
     found, first = np.unique(births[ordered], return_index=True)
     return found, at_s[ordered][first]
 
 
 def late_of(births: NDArray[np.int32], came_s: Doubles, shape: Shape, ended_s: float) -> Doubles:
-    """Seconds, for each slice due by `ended_s`; nothing of a client that had no picture."""
+    """Delay in seconds of each slice due by `ended_s`; empty if the client had no picture."""
     picture_s = picture_at(births, came_s, shape)
     if np.isnan(picture_s):
         return np.empty(0)
@@ -132,7 +132,7 @@ def late_of(births: NDArray[np.int32], came_s: Doubles, shape: Shape, ended_s: f
 
 
 def picture_at(births: NDArray[np.int32], came_s: Doubles, shape: Shape) -> float:
-    """When the first picture could show; NaN if never."""
+    """Time at which the first picture could show; NaN if never."""
     of_it = births <= shape.from_frame
     needed = shape.from_frame - births[0] + 1 if of_it.any() else 1
     return float(came_s[of_it].max()) if of_it.sum() == needed else np.nan
@@ -141,11 +141,11 @@ def picture_at(births: NDArray[np.int32], came_s: Doubles, shape: Shape) -> floa
 def beyond_of(
     came_s: Doubles, shape: Shape, steady_s: float, ended_s: float
 ) -> tuple[Doubles, float]:
-    """Seconds by which each gap from `steady_s` on is longer than the rest; the rest."""
+    """Seconds by which each gap from `steady_s` on exceeds the rest; and the rest."""
     times_s = np.unique(came_s[came_s >= steady_s])
     gaps_s = np.diff(times_s)
     long = gaps_s[gaps_s > shape.rest_s / 2]
-    # A play that stopped is a gap as well.
+    # The time since the last read is a gap, too, in case the play stopped.
     gaps_s = np.append(gaps_s, ended_s - (times_s[-1] if len(times_s) else steady_s))
     frame_s = 1 / shape.fps
     rest_s = float(np.median(long)) if len(long) else frame_s
@@ -154,7 +154,7 @@ def beyond_of(
 
 
 def figures_of(seen: Seen, shape: Shape, frame_bytes: int = 0) -> PlayFigures:
-    """Of everything that was seen."""
+    """The figures of everything that `playload` recorded."""
     arrays, known = seen.arrays, seen.known
     num_clients = len(arrays["asked_s"])
     late, beyond, rests, pictures = [], [], [], []
@@ -212,7 +212,7 @@ def figures_of(seen: Seen, shape: Shape, frame_bytes: int = 0) -> PlayFigures:
 
 
 def layers_of(births: NDArray[np.int32], count: NDArray[np.int_]) -> dict[int, int]:
-    """How many layers came of each slice."""
+    """Number of layers that arrived of each slice, by birth."""
     found: dict[int, int] = {}
     for birth, n in zip(births.tolist(), count.tolist(), strict=True):
         found[birth] = found.get(birth, 0) + n
@@ -224,9 +224,10 @@ def live_latency_s(
 ) -> tuple[Doubles, Doubles]:
     """Seconds from a segment's birth on disk until each client had its first and its last slice.
 
-    born_s: of each segment, by its first birth, one past its last, and when it was there, by the
-    clock of the day. Segments born before `after_s` do not count, nor those that had not come
-    whole when it ended. The clock that stamps files is a few ms coarse, and behind.
+    born_s: for each segment, by its first birth: one past its last birth, and the wall-clock time
+    of its index record. Segments born before `after_s` do not count, nor segments that had not
+    arrived completely at the end. File times come from a clock with steps of a few ms, and are
+    late.
     """
     arrays = seen.arrays
     at_s = arrays["at_s"] + seen.known["realtime_offset_s"]

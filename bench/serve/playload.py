@@ -1,8 +1,8 @@
 """Clients of /play as a process of its own: `python playload.py CONFIG_JSON` (a LoadConfig).
 
-It reads whatever comes at once, parses no more than the frames of the chunked body and the head of
-each record, and writes down when which packets came; `playfigures` makes sense of it. A time is
-taken once for all that one read brought, by the clock that the whole machine shares.
+It reads all data as soon as it arrives, parses only the frames of the chunked body and the head of
+each record, and records the arrival times of packets; `playfigures` evaluates them. All data of one
+read have the same time, from the clock that all processes of the machine share.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LENGTH = struct.Struct("<I")
 
 @dataclass(frozen=True, slots=True)
 class LoadConfig:
-    """What to ask, and how often."""
+    """The request, and the number and times of its clients."""
 
     port: int
     path: str
@@ -39,24 +39,24 @@ class LoadConfig:
     arrive_s: float
     """Seconds over which the clients arrive, evenly."""
     settle_s: float
-    """Seconds after the last has arrived before the server's CPU and its pacing are looked at."""
+    """Seconds from the last arrival until the server's CPU time and pacing are measured."""
     seconds: float
     """Seconds from the first arrival to the end."""
     server_pid: int
     out: str
-    """File that gets what was seen, as numpy's npz."""
+    """File for the records, as numpy's npz."""
 
 
 class Body:
-    """Takes the chunked coding off a body, piece by piece."""
+    """Removes the chunked coding from a body, piece by piece."""
 
     def __init__(self, chunked: bool) -> None:
         self._chunked = chunked
-        self._left = 0  # bytes of the chunk that have not come, with its line end
+        self._left = 0  # bytes of the chunk that are still to come, with its line end
         self._line = b""
 
     def feed(self, data: memoryview, into: bytearray) -> None:
-        """Appends what `data` holds of the body."""
+        """Appends the body bytes of `data` to `into`."""
         if not self._chunked:
             into += data
             return
@@ -80,7 +80,7 @@ class Body:
 
 @dataclass(slots=True)
 class Client:
-    """One of them."""
+    """State of one client."""
 
     number: int
     sock: socket.socket
@@ -95,7 +95,7 @@ class Client:
 
 
 class Load:
-    """All clients, and what they saw."""
+    """All clients, and the packets that they received."""
 
     def __init__(self, config: LoadConfig) -> None:
         self._config = config
@@ -107,7 +107,7 @@ class Load:
         self.first, self.layers = array("b"), array("b")
         self.at_s = array("d")
         self.longest_s = 0.0
-        """The longest that one look at all sockets took: times may be late by as much."""
+        """Longest pass over all ready sockets; recorded times may be late by as much."""
         self._request = (
             f"GET {config.path} HTTP/1.1\r\nHost: 127.0.0.1:{config.port}\r\n\r\n".encode()
         )
@@ -155,7 +155,7 @@ class Load:
                 self._records(client, client.pending, now_s)
 
     def _head(self, client: Client, data: bytes, now_s: float) -> memoryview:
-        """Takes in the head of the response; gives what came behind it."""
+        """Reads the head of the response; returns the data after it."""
         client.head_s = now_s if np.isnan(client.head_s) else client.head_s
         client.head += data
         head, found, rest = client.head.partition(b"\r\n\r\n")
@@ -186,7 +186,7 @@ class Load:
         del pending[:at]
 
     def run(self) -> dict[str, object]:
-        """Until the time is over; gives what is known of the processes."""
+        """Runs the clients until the time is over; returns the figures of the processes."""
         config = self._config
         began_s = time.monotonic()
         steady_s = began_s + config.arrive_s + config.settle_s
@@ -251,7 +251,7 @@ def own_cpu_s() -> float:
 
 
 def load_command(config: LoadConfig, core: int) -> list[str]:
-    """What runs this file with `config`."""
+    """The command that runs this file with `config`."""
     words = ["taskset", "-c", str(core), sys.executable, str(Path(__file__))]
     return [*words, json.dumps(asdict(config))]
 
@@ -263,7 +263,7 @@ def main() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, config.clients + 64), hard))
     load = Load(config)
     load.save(load.run())
-    os._exit(0)  # hundreds of sockets, and nothing to say goodbye to
+    os._exit(0)  # no need to close hundreds of sockets
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""Processes under measurement: started on a core of their own, and what they take of it.
+"""Processes under measurement: starts them on a core of their own, and reads their CPU time and
+memory.
 
-Everything is read from /proc, of a process and of all its descendants, so that a server with
-workers is counted whole.
+All figures are read from /proc, for a process and all its descendants, so that those of a server
+include its workers.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 
 def pinned(core: int) -> list[str]:
-    """What a command begins with to run on one core only. Raises SwingsError where it cannot."""
+    """Prefix of a command to run it on one core only. Raises SwingsError without taskset."""
     if shutil.which("taskset") is None:
         raise SwingsError("taskset is missing; install util-linux")
     return ["taskset", "-c", str(core)]
 
 
 def two_cores() -> tuple[int, int]:
-    """A core for the server and another for its clients. Raises SwingsError for a single one."""
+    """A core for the server and one for its clients. Raises SwingsError if there is only one."""
     cores = sorted(os.sched_getaffinity(0))
     if len(cores) < 2:
         raise SwingsError("the server and its clients need a core each; this machine has one")
@@ -40,7 +41,7 @@ def two_cores() -> tuple[int, int]:
 
 @contextmanager
 def running(command: Sequence[object], **options: object) -> Iterator[subprocess.Popen[str]]:
-    """The process of `command`; it gets SIGTERM, and SIGKILL if that does not end it in 20 s."""
+    """Runs `command` during the block; ends it with SIGTERM, and with SIGKILL after 20 s."""
     process: subprocess.Popen[str] = subprocess.Popen(  # type: ignore[call-overload]
         [str(word) for word in command], text=True, **options
     )
@@ -61,8 +62,8 @@ def running(command: Sequence[object], **options: object) -> Iterator[subprocess
 def serving(
     root: Path, *options: str, prefix: Sequence[str] = (), log: Path | None = None
 ) -> Iterator[tuple[int, int]]:
-    """A swings-serve of `root`: its process id and port. prefix: what runs it. log: takes what it
-    writes on stderr."""
+    """Runs swings-serve for `root`; gives its process id and port. prefix: words before the
+    command. log: file for its stderr."""
     command = [*prefix, sys.executable, "-m", "server", str(root), "--port", "0", *options]
     with open(log or os.devnull, "w") as errors:
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -100,14 +101,14 @@ def cpu_s(pid: int) -> float:
 
 
 def machine_cpu_s() -> float:
-    """CPU seconds that all cores together have been busy so far, for anybody."""
+    """CPU seconds that all processes have used so far, on all cores together."""
     fields = Path("/proc/stat").read_text().splitlines()[0].split()[1:]
     user, nice, system, _, _, irq, softirq = map(int, fields[:7])
     return (user + nice + system + irq + softirq) / TICKS
 
 
 def rss_bytes(pid: int) -> int:
-    """Memory that the process and its descendants hold; what they share counts for each."""
+    """Resident memory of the process and its descendants; shared pages count for each."""
     pages = 0
     for member in family(pid):
         fields = _text(Path(f"/proc/{member}/statm")).split()
@@ -116,7 +117,7 @@ def rss_bytes(pid: int) -> int:
 
 
 def _text(path: Path) -> str:
-    """What the file says; nothing if its process has gone."""
+    """Text of the file; empty if its process is gone."""
     try:
         return path.read_text()
     except OSError:

@@ -1,18 +1,19 @@
-"""What clients felt of workers that were killed, from what `resumeload` wrote down. No clock.
+"""Effect of killed workers on clients, from the records of `resumeload`. No clock.
 
-The words of its figures, exactly:
+Definitions of the figures:
 
 * victim: a client whose play ran in the worker when it was killed; the others are bystanders.
-* resume: from the kill to the first new slice of the victim's next play. The time until the client
-  notices, which is at once, and its wait before a new try, 0.1 s at first, are in it.
-* layers before, after: how many layers had come by the end of the NEAR slices before the first one
-  of the victim's next play, and of as many from it on. lost: before less after, by victim.
-* gap: the time between two reads that bring layer 0 to a bystander, of those which end in the
-  AFTER_S seconds after a kill. Who came back is sent a whole lead beyond the one that it has, and
-  then nothing until that is shown, so what a client has beyond `max_lead_s` at the beginning of a
-  gap does not count. usual: the same in the second before the kill.
-* missing: births between the first and the last that a client got of which layer 0 never came.
-  double: packets of the same slice and layer that came again.
+* resume: time from the kill to the first new slice of the victim's next play. It includes the time
+  until the client notices, which is immediate, and its wait before a new attempt, 0.1 s at first.
+* layers before, after: mean number of layers that had arrived by the end, of the NEAR slices before
+  the first slice of the victim's next play, and of the NEAR slices from it on. lost: before minus
+  after, by victim.
+* gap: time between two reads that bring layer 0 to a bystander, for reads that end in the AFTER_S
+  seconds after a kill. A returning client is sent a whole lead in addition to its buffer, and then
+  nothing until that lead has been shown, so a client's buffer beyond `max_lead_s` at the beginning
+  of a gap does not count. usual: the same in the second before the kill.
+* missing: births between a client's first and last for which layer 0 never arrived.
+  double: repeated packets of the same slice and layer.
 """
 
 from __future__ import annotations
@@ -39,27 +40,27 @@ class Kill:
 
     at_s: float
     place: int
-    """Its number, which the tokens of its plays begin with."""
+    """Number of the worker; the tokens of its plays begin with it."""
     restart_s: float = np.nan
-    """When the next one accepted connections, as `at_s`; NaN where that is not known."""
+    """When its replacement accepted connections, on the clock of `at_s`; NaN if unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResumeFigures:
-    """All clients and kills together; times in ms."""
+    """Figures of all clients and kills together; times in ms."""
 
     clients: int
     kills: int
     victims: int
     bystanders: int
     restart_ms: Spread
-    """From each kill to when the next worker accepts."""
+    """Time from each kill until the replacement accepts connections."""
     resume_ms: Spread
-    """Over all victims that came back before the next kill."""
+    """Over all victims that resumed before the next kill."""
     lost: int
-    """Victims that did not."""
+    """Victims that did not resume before the next kill."""
     broken: int
-    """Bystanders whose play ended in the seconds after a kill."""
+    """Bystanders whose play was replaced by another within AFTER_S seconds after a kill."""
     gap_ms: Spread
     usual_ms: Spread
     before: float
@@ -73,16 +74,16 @@ class ResumeFigures:
     refused: int
     """Connections that were not accepted."""
     answered: dict[str, int]
-    """How often plays were answered with which status other than 200."""
+    """Number of responses to plays by HTTP status, other than 200."""
     said: dict[str, int]
-    """How often responses ended with which word of the server."""
+    """Number of responses that ended with an error record, by its message."""
     reports: dict[str, int]
     """Number of status reports by HTTP status; 0 for no answer."""
     slowest_report_ms: float
 
 
 def resume_figures(path: Path, kills: list[Kill], fps: float, max_lead_s: float) -> ResumeFigures:
-    """What the file at `path` says. max_lead_s: what the server sends ahead, at most."""
+    """The figures of the file at `path`. max_lead_s: the server's maximum lead."""
     with np.load(path) as seen:
         packets = {key: seen[key] for key in ("who", "birth", "at_s", "first", "layers")}
         plays = {key: seen[key] for key in ("play_s", "play_who", "play_place", "play_birth")}
@@ -95,7 +96,7 @@ def resume_figures(path: Path, kills: list[Kill], fps: float, max_lead_s: float)
         end_s = kills[n + 1].at_s if n + 1 < len(kills) else np.inf
         for number, one in enumerate(clients):
             if known["over_s"].get(str(number), np.inf) < kill.at_s:
-                continue  # who comes back is sent a whole lead more, and so ends early
+                continue  # a returning client is sent an extra lead, and so ends early
             last = int(np.searchsorted(one.play_s, kill.at_s)) - 1
             if last < 0:
                 continue
@@ -145,7 +146,7 @@ def _ms(values: list[float]) -> Spread:
 
 
 class _Seen:
-    """What one client got."""
+    """The packets and plays of one client."""
 
     def __init__(
         self, packets: dict[str, NDArray[Any]], plays: dict[str, NDArray[Any]], number: int
@@ -165,13 +166,13 @@ class _Seen:
         self._layers = np.zeros(num_births, int)
         np.maximum.at(self._layers, births - self._least, ends)
         self.missing = int(num_births - len(np.unique(births[base])))
-        # Each layer of each slice once: as many packets as layers.
+        # Without repetition a slice has as many packets as layers.
         counts = np.zeros(num_births, int)
         np.add.at(counts, births - self._least, ends - first)
         self.double = int(np.maximum(0, counts - self._layers).sum())
 
     def gaps(self, from_s: float, fps: float, max_lead_s: float) -> list[float]:
-        """Those that end in the AFTER_S seconds from `from_s` on."""
+        """The gaps, in seconds, that end within AFTER_S seconds after `from_s`."""
         ends_s = self.base_s[1:]
         inside = np.flatnonzero((ends_s > from_s) & (ends_s <= from_s + AFTER_S))
         shown = fps * (self.base_s[inside] - self._began_s)
@@ -180,6 +181,6 @@ class _Seen:
         return list((gaps_s - np.maximum(0, spare_s))[gaps_s > 0])
 
     def mean_layers(self, first: int, end: int) -> float:
-        """Of the slices born at first .. end - 1, as far as there are any."""
+        """Mean over the slices born at first .. end - 1, as far as they exist; NaN if none does."""
         part = self._layers[max(0, first - self._least) : max(0, end - self._least)]
         return float(part.mean()) if len(part) else np.nan

@@ -1,8 +1,8 @@
-"""Clients of /play that come back, as a process: `python resumeload.py CONFIG_JSON` (ResumeConfig).
+"""Clients of /play that resume, as a process: `python resumeload.py CONFIG_JSON` (ResumeConfig).
 
-Each does what a player does: it parses the records, shows frames as time goes by, tells the server
-once a second where it is, and when its response breaks asks for its next slice with what it was
-told of its last play. Which packets came when is written down; `resumefigures` makes sense of it.
+Each behaves like a player: it parses the records, shows frames in real time, reports its position
+to the server once a second, and after a broken response requests its next slice with the data of
+its last play. The arrival times of packets are recorded; `resumefigures` evaluates them.
 """
 
 from __future__ import annotations
@@ -31,58 +31,58 @@ from player.source.source import LastPlay
 from server.abr.clientstatus import FRAME_HEADER, PLAY_HEADER, RATE_HEADER, ClientStatus, parse_rate
 
 REPORT_S = 1.0
-"""Seconds between two words to the server."""
+"""Seconds between two status reports."""
 
 FIRST_FRAMES = 15
-"""Frames that a client waits for before it shows the first one."""
+"""Frames that a client waits for before it shows the first frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResumeConfig:
-    """What to ask, and how often."""
+    """The stream, and the number and behaviour of its clients."""
 
     port: int
     path: str
-    """Of the stream."""
+    """Path of the stream's URL."""
     clients: int
     arrive_s: float
     """Seconds over which the clients arrive, evenly."""
     fps: float
     out: str
-    """File that gets what was seen, as numpy's npz. The process ends when its stdin does."""
+    """File for the records, as numpy's npz. The process ends at the end of its stdin."""
     tells_rate: bool = True
-    """Whether a client that comes back says what it was told of its link."""
+    """Whether a returning client sends the link rate that the server last reported to it."""
 
 
 class ResumeLoad:
-    """All clients, and what they saw."""
+    """All clients, and what they received."""
 
     def __init__(self, config: ResumeConfig) -> None:
         self.config = config
         self.base = f"http://127.0.0.1:{config.port}{config.path}/play"
-        # Of packets.
+        # One value per packet.
         self.who, self.birth, self.at_s = array("i"), array("i"), array("d")
         self.first, self.layers = array("b"), array("b")
-        # Of responses: when asked for, whose, in which worker, and their first slice.
+        # One value per response: time of the request, client, worker, and first slice.
         self.play_s, self.play_who, self.play_place = array("d"), array("i"), array("i")
         self.play_birth = array("i")
         self.stalls = 0
-        """How often a client had nothing left to show."""
+        """Number of times that a client had nothing left to show."""
         self.refused = 0
         """Connections that were not accepted."""
         self.answered: dict[int, int] = {}
-        """How often a play was answered with which status other than 200: 503 by a server that has
-        no time for one more."""
+        """Number of responses to plays by HTTP status, other than 200; an overloaded server answers
+        503."""
         self.said: dict[str, int] = {}
-        """How often responses ended with which word of the server."""
+        """Number of responses that ended with an error record, by its message."""
         self.reports: dict[int, int] = {}
         """Number of status reports by HTTP status; 0 for no answer."""
         self.slowest_report_s = 0.0
         self.over_s: dict[int, float] = {}
-        """When clients had the whole stream."""
+        """Times at which clients had the whole stream."""
 
     async def run(self) -> None:
-        """Until the end of stdin."""
+        """Runs the clients until the end of stdin."""
         config = self.config
         timeout = aiohttp.ClientTimeout(total=None, sock_connect=10, sock_read=30)
         # A play gets a connection of its own; reports use any other connection.
@@ -129,7 +129,7 @@ class ResumeLoad:
 
 
 class _Client:
-    """One of them."""
+    """One client."""
 
     def __init__(
         self,
@@ -143,10 +143,10 @@ class _Client:
         self._session = session
         self._teller = teller
         self._next_birth = 0
-        self._asked_birth = 0  # what came before was there when the play was asked for
+        self._asked_birth = 0  # earlier slices had arrived before the request
         self._last = LastPlay()
         self._frame = 0.0  # shown next
-        self._looked_s: float | None = None  # when that was so; None before the first picture
+        self._looked_s: float | None = None  # the time of `_frame`; None before the first picture
         self._over = False
         self._begun = asyncio.Event()  # set when a response begins
 
@@ -168,7 +168,7 @@ class _Client:
             telling.cancel()
 
     async def _play(self) -> None:
-        """One response, to its end."""
+        """Plays one response to its end."""
         load, number, asked_s = self._load, self._number, time.monotonic()
         frame = self._asked_birth = self._next_birth
         headers = self._last.headers()
@@ -180,7 +180,7 @@ class _Client:
             if response.status != 200:
                 load.answered[response.status] = load.answered.get(response.status, 0) + 1
                 if response.status == 400:
-                    # All slices had come: no frame is left to ask for.
+                    # All slices have arrived: no frame is left to request.
                     self._over = True
                     load.over_s[number] = time.monotonic()
                 return
@@ -206,8 +206,8 @@ class _Client:
                         load.over_s[number] = now_s
 
     def _take(self, birth: int, record: SliceRecord | SnapshotRecord, now_s: float) -> None:
-        """Notes a slice, or a snapshot as the slice of its frame. What a play repeats, from a
-        snapshot up to the frame asked for, is not noted."""
+        """Records a slice, or a snapshot as the slice of its frame. Slices that a play repeats,
+        from a snapshot up to the requested frame, are not recorded."""
         if birth < self._asked_birth:
             return
         load = self._load
@@ -223,7 +223,7 @@ class _Client:
                 self._looked_s = now_s
 
     def _show(self, now_s: float) -> None:
-        """Shows frames until now, as far as they are here."""
+        """Shows frames up to the current time, as far as they have arrived."""
         if self._looked_s is None:
             return
         self._frame += (now_s - self._looked_s) * self._load.config.fps
@@ -235,7 +235,7 @@ class _Client:
     async def _tell(self) -> None:
         load = self._load
         while True:
-            # A new response hears at once where its client is, and later once a second.
+            # Reports the position at once for a new response, and then once a second.
             with suppress(TimeoutError):
                 async with asyncio.timeout(REPORT_S):
                     await self._begun.wait()
@@ -253,13 +253,13 @@ class _Client:
                     if rate_bps is not None:
                         self._last = LastPlay(self._last.token, rate_bps)
                 except (aiohttp.ClientError, OSError, TimeoutError):
-                    pass  # it is lost; the next says more
+                    pass  # the report is lost; the next one replaces it
                 load.reports[status] = load.reports.get(status, 0) + 1
                 load.slowest_report_s = max(load.slowest_report_s, time.monotonic() - began_s)
 
 
 def resume_command(config: ResumeConfig) -> list[str]:
-    """What runs this file with `config`."""
+    """The command that runs this file with `config`."""
     return [sys.executable, str(Path(__file__)), json.dumps(asdict(config))]
 
 

@@ -1,11 +1,11 @@
-"""The cost of serving: objects beside nginx and a bare web.Response of aiohttp, held plays, live
-latency; and what clients feel of workers that are killed.
+"""Cost of serving: objects compared with nginx and with aiohttp's bare web.Response, held plays,
+live latency, and the effect of killed workers on clients.
 
 Usage: scripts/bench serve [--parts objects plays live kills] [--quick] [--json FILE] [--profile]
 
-The server gets one core and its clients another, but where workers are killed. `objectrate`,
-`playfigures`, `livelatency` and `resumefigures` say what each figure means. It needs Debian's nginx
-and wrk, and for --profile py-spy.
+The server gets one core and its clients another, except in the part kills. `objectrate`,
+`playfigures`, `livelatency` and `resumefigures` define the figures. The bench needs Debian's nginx
+and wrk, and py-spy for --profile.
 """
 
 from __future__ import annotations
@@ -56,17 +56,17 @@ class BenchConfig:
     rounds: int = 5
     """Number of rounds; the median counts."""
     round_s: float = 2.0
-    """Seconds of each server in each round."""
+    """Seconds that each server is measured in each round."""
     clients: int = 500
     """Number of concurrent plays."""
     frame_kb: float = 12.0
-    """Size of a frame in plays, all its layers together, in thousands of bytes."""
+    """Size of a frame of the plays with all its layers, in thousands of bytes."""
     arrive_s: float = 10.0
     """Seconds over which the plays begin."""
     plays_s: float = 30.0
     """Seconds from the start of the first play to the end of all plays."""
     live_clients: int = 20
-    """Plays that follow a live stream."""
+    """Number of plays that follow a live stream."""
     live_s: float = 15.0
     """Seconds for which these plays follow the live stream."""
     kills: int = 100
@@ -118,7 +118,7 @@ def run(config: BenchConfig) -> None:
 
 
 def show_hotspots(stacks: Path, count: int = 25) -> None:
-    """What was sampled, if it was; forgets it."""
+    """Shows the sampled functions, if there are any, and deletes the samples."""
     if not stacks.exists():
         return
     table = Table("function", "itself", "with what it calls")

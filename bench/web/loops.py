@@ -1,10 +1,10 @@
-"""The browser player's memory while a clip loops: what the page and its workers hold.
+"""Memory of the browser player while a clip loops: the heaps of the page and its workers.
 
 Usage: scripts/bench loops [--minutes 30] [--rate 20]
 
-A busy clip of 2 s loops in headless Chromium from its buffer. At each step playback pauses, garbage
+A busy clip of 2 s loops from its buffer in headless Chromium. At each step playback pauses, garbage
 is collected, and the JavaScript heaps of the page and of both workers are read, with their array
-buffers. "a minute": the slope of a straight line through all steps but the first, at which code is
+buffers. "a minute": slope of a straight line through all steps except the first, at which code is
 still being compiled.
 """
 
@@ -43,7 +43,7 @@ class LoopsConfig:
     rate: float = 20.0
     """Playback rate as a share of that pace."""
     step_minutes: float = 3.0
-    """How often memory is read, in minutes of the clip's own pace."""
+    """Interval between two readings of memory, in minutes of the clip's own pace."""
 
     def __post_init__(self) -> None:
         if not 0 < 2 * self.step_minutes <= self.minutes or not self.rate > 0:
@@ -54,7 +54,7 @@ class LoopsConfig:
 
 
 def heaps_of(config: LoopsConfig) -> tuple[list[float], list[list[int]]]:
-    """(N) minutes that were played, and (N, 3) bytes in the heaps of the page and its workers."""
+    """(N) played minutes, and (N, 3) bytes in the heaps of the page and its workers."""
     minutes: list[float] = []
     heaps: list[list[int]] = []
     with tempfile.TemporaryDirectory() as name, running_chromium() as page:

@@ -1,7 +1,7 @@
 """Films the browser player in headless Chromium: docs/watch.webp.
 
-The player is stepped frame by frame, with the camera swinging around the scene, so that the result
-does not depend on how fast this machine draws.
+The player is stepped frame by frame while the camera swings around the scene, so that the result
+does not depend on the drawing speed of this machine.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ class MovingConfig:
     pictures: int = 60
     """Number of pictures."""
     frames_per_picture: int = 2
-    """Frames of the stream from one picture to the next."""
+    """Step between pictures, in frames of the stream."""
     picture_ms: int = 67
-    """How long each picture is shown."""
+    """Duration of each picture, milliseconds."""
     quality: int = 60
     """Quality of the WebP, 0 to 100; a lower value makes a smaller file."""
 
@@ -59,7 +59,7 @@ def film(page: Page, config: MovingConfig, folder: Path) -> list[Path]:
         page.run(f"{ELEMENT}.view = '{turn},{tilt},{ZOOM},0,0'; {ELEMENT}.currentTime = {time_s};")
         page.wait(f"{PLAYER}.shownFrame === {frame} && {STATE}.layers >= {count}", 30)
         page.run(f"await window.readCanvas({PLAYER});")
-        # So that the controls stay.
+        # Keeps the controls visible.
         page.run(f"{ELEMENT}.dispatchEvent(new PointerEvent('pointermove', {{ bubbles: true }}));")
         paths.append(folder / f"{number:04d}.png")
         page.screenshot(paths[-1])

@@ -1,13 +1,13 @@
-"""The browser player's start: seconds from the address to the first picture, over a long link.
+"""Start of the browser player: seconds from opening the page to the first picture on a long link.
 
 Usage: scripts/bench pagestart [--rounds N] [--rtt-ms MS]
 
-A stream of 10,000 Gaussians like trained ones is served by swings-serve behind a TCP proxy that
-adds half of the round trip each way, and a whole one for the handshake of each connection. Chromium
-opens the page with an empty cache (cold) and, 2 s after closing it, once more (warm), for each page
-in turn. bundle: the page as the server gives it. modules: the page of the sources, with a request
-for each module. The first picture is the first frame of the stream, not its poster. GETs and kB: on
-the link until then, with page, poster and stream.
+swings-serve serves a stream of 10,000 Gaussians like trained ones, behind a TCP proxy that adds
+half of the round trip each way, and a whole round trip for the handshake of each connection.
+Chromium opens the page with an empty cache (cold) and, 2 s after closing it, once more (warm), for
+each page in turn. bundle: the page that the server sends. modules: the page of the sources, with a
+request for each module. The first picture is the first frame of the stream, not its poster. GETs
+and kB: on the link until then, with page, poster and stream.
 """
 
 from __future__ import annotations
@@ -40,23 +40,23 @@ PAGES = {
     "modules": "/web/watch.html?src=/v1/streams/room",
 }
 REST_S = 2.0
-"""Chromium ends a page for longer than it takes to close it; a viewer who returns takes longer."""
+"""Rest before a warm start: Chromium still ends a page for a while after closing it."""
 SCRIPT = Path(__file__).parent / "firstpicture.js"
 
 
 @dataclass(frozen=True, slots=True)
 class PageStartConfig:
-    """Measures how fast the browser player starts."""
+    """Measures the start time of the browser player."""
 
     rounds: int = 5
     """Cold and warm starts of each page; the table has their medians."""
     rtt_ms: float = 100.0
-    """Round trip of the link."""
+    """Round-trip time of the link, milliseconds."""
 
 
 @dataclass(slots=True)
 class Starts:
-    """What the starts of one kind took."""
+    """Times, requests and bytes of the starts of one kind."""
 
     seconds: list[float] = field(default_factory=list)
     requests: list[int] = field(default_factory=list)
@@ -65,7 +65,7 @@ class Starts:
     def add(self, page: Page, link: SlowLink) -> None:
         """Waits for the first picture of `page`, which was just opened."""
         page.wait("window.firstPictureMs", 60)
-        # Status updates of a play depend on how long the start takes.
+        # Only GETs count: the number of status updates depends on the time of the start.
         self.requests.append(sum(line.startswith("GET") for line in link.requests))
         self.received_bytes.append(link.received_bytes)
         self.seconds.append(page.run("return window.firstPictureMs") / 1000)
@@ -81,7 +81,7 @@ class Starts:
 
 
 def write(path: Path) -> None:
-    """A stream with a poster at `path`."""
+    """Writes a stream with a poster to `path`."""
     layout = trained_like_layout(NUM_GS, 1, SEGMENT_FRAMES)
     manifest = replace(slot_manifest(layout, **scene()), poster=POSTER_NAME)
     with StreamWriter.create(path, manifest) as writer:

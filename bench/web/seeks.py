@@ -1,12 +1,13 @@
-"""The browser player over a slow link: what loops, seeks and scrubbing take, in time and in bytes.
+"""Loops, seeks and scrubbing of the browser player over a slow link: time and bytes.
 
 Usage: scripts/bench seeks [--stream PATH] [--link 4M,50ms]
 
 A paused page seeks to frames that it has not received. single: one seek. quick: eight seeks, 100 ms
 apart, timed from the last one on. again: a seek into a segment that has been received. base: time
-until the frame shows in any layers; all: time until it shows with all layers. scrub: the thumb
-moves over twenty places, 100 ms apart, and some of them show a picture. loop: bytes received in the
-first round, and in each later one. A server's bytes are counted decoded, as the page sees them.
+until the frame shows with any number of layers; all: time until it shows with all layers. scrub:
+the thumb moves over twenty places, 100 ms apart; the table has the number of pictures shown. loop:
+bytes received in the first round, and in each later one. Bytes from a server are counted decoded,
+as the page receives them.
 """
 
 from __future__ import annotations
@@ -130,7 +131,7 @@ def make_stream(path: Path, num_gs: int, num_frames: int) -> None:
 
 @contextmanager
 def slow(url: str, path: str, link: Link) -> Iterator[str]:
-    """The URL of a page behind the link."""
+    """Gives the URL of a page behind the link."""
     with LinkProcess(link, "127.0.0.1", int(url.rpartition(":")[2])) as process:
         host, port = process.address
         yield f"http://{host}:{port}{path}"
@@ -170,7 +171,7 @@ def measure(page: Page, url: str, loop_url: str, config: SeeksConfig, table: Tab
     for _ in range(config.repeats):
         for count, found in ((1, singles), (8, quicks)):
             opened(url)
-            # Beyond what a page fetches ahead of frame 0.
+            # Frames beyond those that a page fetches ahead from frame 0.
             frames = rng.sample(range(num_frames * 6 // 10, num_frames), count)
             found.append(page.run(SEEK, frames))
         agains.append(page.run(SEEK, [frames[-1] // SEGMENT_FRAMES * SEGMENT_FRAMES + 7]))

@@ -11,19 +11,19 @@ from collections.abc import Iterator
 PIECE_BYTES = 1 << 16
 
 MOST_PIECES = 256
-"""Pieces that one connection may have on the link in one direction; more wait at the sender."""
+"""Maximum pieces of a connection on the link in one direction; further ones wait at the sender."""
 
 _REQUEST = re.compile(rb"(?:GET|HEAD|POST) \S+ HTTP/1\.1\r\n")
 
 
 class SlowLink:
-    """Half of the round trip each way, and one whole for the handshake of a connection. It also
-    counts what passes; HTTP/1.1 without TLS."""
+    """Delays data by half of the round trip each way, and by a whole one for the handshake of a
+    connection. It also counts requests and bytes, for HTTP/1.1 without TLS."""
 
     def __init__(self, port: int, rtt_s: float) -> None:
-        """port: of the server on this machine."""
+        """port: the port of the server on this machine."""
         self.port = 0
-        """The link's own."""
+        """The link's own port."""
         self.requests: list[str] = []
         """The first lines of all requests since the last `reset`."""
         self.received_bytes = 0
@@ -32,11 +32,11 @@ class SlowLink:
         self._rtt_s = rtt_s
 
     def reset(self) -> None:
-        """Counts from nothing again."""
+        """Sets the counts to zero."""
         self.requests, self.received_bytes = [], 0
 
     async def serve(self) -> asyncio.Server:
-        """Listens from here on."""
+        """Starts to listen."""
         server = await asyncio.start_server(self._accept, "127.0.0.1", 0)
         self.port = server.sockets[0].getsockname()[1]
         return server
@@ -49,7 +49,7 @@ class SlowLink:
                 group.create_task(self._carry(reader, far_writer, upwards=True))
                 group.create_task(self._carry(far_reader, writer, upwards=False))
         except* (OSError, asyncio.CancelledError):
-            pass  # either end may break off, and the link is taken down in the end
+            pass  # either end may close the connection, and the link itself is closed at the end
         finally:
             writer.close()
             far_writer.close()
@@ -84,7 +84,7 @@ class SlowLink:
 
 @contextlib.contextmanager
 def slow_link(port: int, rtt_s: float) -> Iterator[SlowLink]:
-    """A link to the server at `port` of this machine, in a thread of its own."""
+    """Runs a link to the server at `port` of this machine, in a thread of its own."""
     link, ready = SlowLink(port, rtt_s), threading.Event()
     loop: asyncio.AbstractEventLoop
     stop: asyncio.Event

@@ -1,13 +1,13 @@
-"""Motion between frames in the browser: what it takes of the page's own thread, of uploads and of
+"""Cost of motion between frames in the browser: time of the page's own thread, uploads, and time of
 the device.
 
 Usage: scripts/bench smoothing [--gaussians N] [--rate RATE]
 
-A stream of slots that go on plays in a headless Chromium by turns with each frame as it is and with
-motion between frames. main: all that the page's thread does in the player's
-callbacks in a second, but for the call that draws, divided by the pictures that it has drawn then,
-and by the frames. kB: what WebGL is given for a frame. draw: until the device has drawn a picture,
-with the Gaussians where they belong and half of the way there; by turns too.
+A stream of slots that go on plays in headless Chromium, in turns with each frame held and with
+motion between frames. main: time of the page's thread in the player's callbacks during a second,
+without the call that draws, divided by the pictures drawn in it, and by its frames. kB: data passed
+to WebGL per frame. draw: time until the device has drawn a picture, with the Gaussians at their
+places and halfway to them; also in turns.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class SmoothingConfig:
     """Measures motion between frames in player/web."""
 
     gaussians: tuple[int, ...] = (5_000, 50_000)
-    """Numbers of slots; half of them move in a frame."""
+    """Numbers of slots; half of the slots move in a frame."""
     rate: float = 1.0
     """Playback rate as a share of the stream's 30 frames per second."""
     turns: int = 3
@@ -48,7 +48,7 @@ class SmoothingConfig:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """The figures of one play, as means."""
+    """Mean figures of one play."""
 
     main_ms_a_picture: float
     main_ms_a_frame: float

@@ -29,7 +29,7 @@ class StatesConfig:
     """Writes pictures of the browser player in each of its states, and of the server's pages."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Where the pictures go, STATE-SCREEN.png."""
+    """Folder for the pictures, STATE-SCREEN.png."""
     states: tuple[str, ...] = (*STATES, *PAGES)
     """States and pages to show."""
     screens: tuple[str, ...] = tuple(screen.name for screen in SCREENS)

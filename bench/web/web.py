@@ -1,17 +1,17 @@
-"""The browser player: what a frame takes of the page's own thread, and what it uploads.
+"""Cost of a frame in the browser player: time of the page's own thread, and uploaded bytes.
 
 Usage: scripts/bench web [--quick] [--rate RATE]
 
-Streams like trained ones play once in a headless Chromium. main: all that the page's thread does in
-the player's callbacks from one picture with a new order to the next, but for the call that draws.
-upload: of that, handing over what is new and the order. decode and sort: what the workers take for
-it. kB: what WebGL is given for such a picture. all kB: the same in a mode that uploads the texture
-of all Gaussians and the order on each sort, as the paper's viewer does, and how many times as much
-that is; paper's: with the 36 bytes a Gaussian of that viewer's own texture and order. A camera that
-moves turns in every picture, so that each is sorted. draw: until the device has drawn a picture;
-nothing is drawn while the stream plays, for a device that is a CPU would take the cores from the
-workers. Where fewer pictures are made than frames are due, one uploads what several brought: choose
-a lower rate.
+Streams like trained ones play once in headless Chromium. main: time of the page's thread in the
+player's callbacks from one picture with a new order to the next, without the call that draws.
+upload: the part of main that passes new data and the order to WebGL. decode and sort: time of the
+workers for it. kB: data passed to WebGL for such a picture. all kB: the same in a mode that uploads
+the texture of all Gaussians and the order on each sort, as the paper's viewer does; ratio: all kB
+over kB. paper's: the ratio for that viewer's own texture and order, 36 bytes per Gaussian. A moving
+camera turns in every picture, so that each picture is sorted. draw: time until the device has drawn
+a picture. Nothing is drawn while the stream plays, because a device that is a CPU would take the
+cores from the workers. If fewer pictures are made than frames are due, one picture uploads the data
+of several frames: choose a lower rate.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ NUM_FRAMES = 90
 SEGMENT_FRAMES = 30
 WIDTH_PX, HEIGHT_PX = 640, 360
 ACTIVE = 0.3
-"""Share of the slots that a slice changes, as the trainer's default has it."""
+"""Share of the slots that a slice changes, the trainer's default."""
 
 PAPER_SWIN_SIZE = 5
 PAPER_BYTES = 36
-"""Of each Gaussian that the paper's viewer uploads on each sort: two texels and its place in the
-order."""
+"""Bytes that the paper's viewer uploads for each Gaussian on each sort: two texels and its place in
+the order."""
 
 SIZES = (5_000, 50_000, 200_000)
 
@@ -64,42 +64,42 @@ class WebConfig:
     """Measures the browser player in player/web."""
 
     quick: bool = False
-    """Measure the smallest size only."""
+    """Measure only the smallest size."""
     rate: float = 1.0
     """Playback rate as a share of the streams' 30 frames per second."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What a play gave."""
+    """Figures of one play."""
 
     pictures: list[dict[str, float]]
     pictures_per_s: float
     stalls: int
     draw_ms: float
-    """0 in the mode that uploads all."""
+    """Milliseconds of drawing; 0 in the mode that uploads everything."""
     device: str
 
     @staticmethod
     def of(found: dict[str, Any]) -> Measured:
-        """What meter.js says. Raises InvalidError if it saw nothing."""
+        """The figures of meter.js. Raises InvalidError if it has no picture."""
         if not found["pictures"]:
             raise InvalidError("this machine renders too few pictures; give a lower --rate")
         names = "pictures", "picturesPerS", "stalls", "drawMs", "device"
         return Measured(*(found[name] for name in names))
 
     def within(self, name: str, share: float = 0.5) -> float:
-        """What `share` of the pictures take at most."""
+        """The quantile `share` of a figure over the pictures."""
         return float(np.quantile([picture[name] for picture in self.pictures], share))
 
     @property
     def upload_bytes(self) -> float:
-        """Mean of a picture."""
+        """Mean uploaded bytes per picture."""
         return fmean(picture["uploadBytes"] for picture in self.pictures)
 
 
 def scene() -> dict[str, object]:
-    """Of a manifest: a camera in the room of the trained-like Gaussians."""
+    """Fields of a manifest with a camera in the room of the trained-like Gaussians."""
     place = np.array([0.7 * ROOM_M, 0.4 * ROOM_M, 0.7 * ROOM_M])
     pose = look_at(place, np.array([0.0, 0.7, 0.0]), np.array([0.0, 1.0, 0.0]))
     focal_px = 0.8 * WIDTH_PX
@@ -110,7 +110,7 @@ def scene() -> dict[str, object]:
 
 
 def write(path: Path, manifest: Manifest, said: Iterable[Slice | Update]) -> Path:
-    """The folder of the static export of a stream."""
+    """Writes a stream and its static export; returns the folder of the export."""
     with StreamWriter.create(path / "stream", manifest) as writer:
         for one in said:
             writer.append(one)
@@ -136,7 +136,7 @@ KINDS = {
     f"{ACTIVE:.0%} of slots": write_slots,
     f"whole slices, swin_size {PAPER_SWIN_SIZE}": write_slices,
 }
-"""By what of the Gaussians is sent in a frame."""
+"""Writers of the streams, by the share of the Gaussians that is sent in a frame."""
 
 
 def play(page: Page, url: str, rate: float, is_moving: bool, uploads_all: bool) -> Measured:
