@@ -1,5 +1,5 @@
-"""Runs libFuzzer over the parsers, or with `http` as its first word over the server; fuzz/codec.py
-and fuzz/http.py say how."""
+"""Runs libFuzzer on the parsers, or on the server if the first argument is `http`; see
+fuzz/codec.py and fuzz/http.py."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def main() -> None:
         def test_one_input(data: bytes) -> None:
             accepts(data)
 
-    # As in the tests: an overflow that numpy warns of is one that the code did not expect.
+    # As in the tests: a numpy warning about an overflow means that the code did not expect it.
     warnings.simplefilter("error")
     logging.disable()
     atheris.Setup(sys.argv, test_one_input)

@@ -1,8 +1,8 @@
-"""Fuzzing of everything that parses bytes of strangers, with atheris (libFuzzer for Python).
+"""Fuzzing of all parsers of untrusted bytes, with atheris (libFuzzer for Python).
 
-The law under test: any bytes give a value or a CodecError; no other exception, no warning of
-numpy, and a value survives being written and read again. The first byte of an input chooses the
-parser (`TARGETS`), the rest is its food.
+The property under test: any bytes give a value or a CodecError; there is no other exception and no
+numpy warning, and a value survives writing and reading. The first byte of an input chooses the
+parser (`TARGETS`), the rest is the parser's input.
 
 How to run it, from the root of the repository, in an environment of its own:
 
@@ -11,15 +11,15 @@ How to run it, from the root of the repository, in an environment of its own:
     mkdir -p /tmp/found
     /tmp/fuzz/bin/python -m fuzz /tmp/found fuzz/corpus -max_total_time=600 -max_len=8192
 
-The kernels (codec/kernel.py) run as Python, too: numba cannot compile what atheris has
-instrumented. So it is seen which way they go, and an index out of bounds is an IndexError.
+The kernels (codec/kernel.py) run as Python, too, because numba cannot compile instrumented code. So
+the fuzzer sees their branches, and an index out of bounds is an IndexError.
 
-New inputs go to the first folder, what breaks the law to ./crash-*. `python -m fuzz FILE...` runs
-single files again; `tests/codec/test_fuzz.py` does so with the whole corpus, without atheris. What
-was found and mended is kept in fuzz/corpus as `found-*`; `python -m fuzz.seed` writes the corpus
-anew. A new parser gets a function and a place at the end of TARGETS here, and a seed there; masks,
-changes and snapshots are in fuzz/slots.py and fuzz/slotseed.py, other programs' containers in
-fuzz/foreign.py and fuzz/foreignseed.py.
+New inputs are written to the first folder, inputs that violate the property to ./crash-*.
+`python -m fuzz FILE...` runs single files again; `tests/codec/test_fuzz.py` does so with the whole
+corpus, without atheris. Inputs that found a bug, since fixed, are kept in fuzz/corpus as `found-*`;
+`python -m fuzz.seed` rewrites the corpus. A new parser needs a function and an entry at the end of
+TARGETS here, and a seed there. Masks, changes and snapshots are in fuzz/slots.py and
+fuzz/slotseed.py, containers of other programs in fuzz/foreign.py and fuzz/foreignseed.py.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ from .foreign import (
 from .slots import fuzz_change, fuzz_mask, fuzz_passing, fuzz_slots, fuzz_snapshot
 
 MAX_PACKET_BYTES = 1 << 20
-"""Content of a packet that is inflated."""
+"""Maximum content of a packet that is inflated."""
 
 
 def fuzz_packet(data: bytes) -> None:
@@ -73,17 +73,17 @@ def fuzz_object(data: bytes) -> None:
 
 
 def fuzz_index(data: bytes) -> None:
-    """Records of the index; the first byte says of how many layers."""
+    """Records of the index; the first byte gives the number of layers."""
     layers, data = data[0] % MAX_LAYERS + 1, data[1:]
     records = parse_index(data, layers)
     packed = b"".join(map(pack_record, records))
     assert len(packed) == len(records) * record_bytes(layers) <= len(data)
-    # By their bytes, for a NaN does not equal itself.
+    # Compared as bytes, because a NaN does not equal itself.
     assert b"".join(map(pack_record, parse_index(packed, layers))) == packed
 
 
 def fuzz_sealed_index(data: bytes) -> None:
-    """Records of the index whose checksums are right, so that what is behind them is reached."""
+    """Records of the index with correct checksums, so that the code behind the check is reached."""
     size = record_bytes(data[0] % MAX_LAYERS + 1)
     sealed = data[:1]
     for start in range(1, len(data) - size + 1, size):
@@ -111,12 +111,12 @@ def fuzz_record(data: bytes) -> None:
 
 
 def fuzz_sealed_record(data: bytes) -> None:
-    """One play record whose length is right."""
+    """One play record with a correct length."""
     fuzz_record(struct.pack("<I", len(data)) + data)
 
 
 def fuzz_import(data: bytes) -> None:
-    """A file of Gaussians that its first bytes name: PLY, compressed PLY, SPZ, SOG, glTF."""
+    """A file of Gaussians in the format of its first bytes: PLY, compressed PLY, SPZ, SOG, glTF."""
     decode_any(data)
 
 
@@ -126,12 +126,12 @@ def fuzz_splat(data: bytes) -> None:
 
 
 def fuzz_inflated_spz(data: bytes) -> None:
-    """The content of an SPZ of version 1, 2 or 3, compressed here."""
+    """The content of an SPZ of version 1, 2 or 3; the target compresses it."""
     decode_spz(gzip.compress(data, compresslevel=1, mtime=0))
 
 
 def fuzz_inflated_spz_4(data: bytes) -> None:
-    """Header and arrays of an SPZ of version 4, cut by the table and compressed here."""
+    """Header and arrays of an SPZ of version 4; the target splits and compresses the arrays."""
     head, rest = data[: HEADER_V4.size], data[HEADER_V4.size :]
     if len(head) < HEADER_V4.size:
         decode_spz(head)
@@ -149,7 +149,7 @@ def fuzz_inflated_spz_4(data: bytes) -> None:
 
 
 def fuzz_sealed_gzip(data: bytes) -> None:
-    """A chunk in a gzip member made here; its trailer says four bytes of the input's own."""
+    """A chunk that the target packs into a gzip member; the input gives 4 bytes of the trailer."""
     stream = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)
     body = stream.compress(data[4:]) + stream.flush()
     trailer = struct.pack("<I", zlib.crc32(data[4:])) + data[:4]
@@ -157,7 +157,7 @@ def fuzz_sealed_gzip(data: bytes) -> None:
 
 
 def fuzz_packed(data: bytes) -> None:
-    """A packed stream: whatever it says of sizes, all its files lie in it, one after another."""
+    """A packed stream: for any declared sizes, all its files are inside it, one after another."""
 
     def read(offset: int, most_bytes: int) -> tuple[bytes, int]:
         return data[offset : offset + most_bytes], len(data)
@@ -199,13 +199,13 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "sequence": fuzz_sequence,
     "passing": fuzz_passing,
 }
-"""The parsers by name. Only ever append: the first byte of an input counts in this order."""
+"""The parsers by name. Only append: the first byte of an input is an index in this order."""
 
 _BY_NUMBER = tuple(TARGETS.values())
 
 
 def accepts(data: bytes) -> bool:
-    """Whether the parser that `data` chooses gave a value; raises what no parser may raise."""
+    """Whether the parser that `data` chooses gave a value. Raises what no parser may raise."""
     if len(data) < 2:
         return False
     with suppress(CodecError):

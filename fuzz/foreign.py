@@ -1,5 +1,5 @@
-"""Parsers of the formats of others that lie behind a container: what a container checks is made
-here, so that the fuzzer reaches what is inside."""
+"""Targets for foreign formats inside a container: the targets build valid containers, so that the
+fuzzer reaches the parsers of their contents."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ PICTURES = tuple(f"{name}.webp" for name in _NAMES)
 MAX_PIXELS = 1 << 16
 MAX_GAUSSIANS = 1000
 MAX_FRAMES = 8
-"""Frames read at the beginning of a sequence; its last one is read, too."""
+"""Number of frames read at the beginning of a sequence; its last frame is read, too."""
 
 
 def _json_and_rest(data: bytes) -> tuple[bytes, bytes]:
-    """The JSON that the first two bytes give the length of, and what follows."""
+    """The JSON, whose length the first two bytes give, and the bytes after it."""
     end = 2 + int.from_bytes(data[:2], "little")
     return data[2:end], data[end:]
 
 
 def fuzz_bundle(data: bytes) -> None:
-    """A ZIP archive, of which one file is read."""
+    """A ZIP archive; one file of it is read."""
     Bundle(data, "ZIP").read(META)
 
 
@@ -42,8 +42,8 @@ def fuzz_webp(data: bytes) -> None:
 
 
 def fuzz_inflated_sog(data: bytes) -> None:
-    """A SOG of which meta.json and the pixels are given: for each picture which it is, its width
-    and its height, a byte each, and its RGBA, filled up with zeros."""
+    """A SOG from given meta.json and pixels. For each picture, the input has its number, width and
+    height, a byte each, and its RGBA, which is padded with zeros."""
     meta, rest = _json_and_rest(data)
     files = {META: meta}
     while len(rest) >= 3:
@@ -56,7 +56,7 @@ def fuzz_inflated_sog(data: bytes) -> None:
 
 
 def fuzz_inflated_glb(data: bytes) -> None:
-    """A .glb of which the JSON and the bytes are given."""
+    """A .glb from a given JSON and given bytes."""
     decode_gltf(join_glb(*_json_and_rest(data)))
 
 
@@ -66,7 +66,7 @@ def fuzz_ksplat(data: bytes) -> None:
 
 
 def fuzz_sequence(data: bytes) -> None:
-    """A file that holds a sequence, which its first bytes name: .4dgs, .splat4d."""
+    """A file with a sequence, whose first bytes give its format: .4dgs, .splat4d."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "sequence"
         path.write_bytes(data)

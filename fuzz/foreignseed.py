@@ -1,4 +1,4 @@
-"""What fuzz/seed.py writes for fuzz/foreign.py."""
+"""Seeds of fuzz/foreign.py, written by fuzz/seed.py."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _with_length(text: bytes) -> bytes:
 
 
 def inflated_sog(data: bytes) -> bytes:
-    """A SOG with its pictures as pixels, and codebooks that do not fill the corpus."""
+    """A SOG with its pictures as pixels, and with short codebooks, to keep the corpus small."""
     bundle = Bundle(data, "SOG")
     meta = json.loads(bundle.read(META))
     for name in ("scales", "sh0", "shN"):
@@ -47,7 +47,7 @@ def inflated_glb(data: bytes) -> bytes:
 
 
 def placed_glb(data: bytes) -> bytes:
-    """`data` under a node that turns, mirrors, moves and scales."""
+    """`data` under nodes that turn, mirror, move and scale it."""
     text, chunk = split_glb(data)
     root = json.loads(text)
     root["nodes"] = [
@@ -58,7 +58,7 @@ def placed_glb(data: bytes) -> bytes:
 
 
 def spz_glb(splats: Splats) -> bytes:
-    """An SPZ file in a .glb, as drafts of an extension have it."""
+    """An SPZ file in a .glb, as in drafts of an extension."""
     packed = encode_spz(splats)
     about = {"extensions": {"KHR_gaussian_splatting_compression_spz_2": {"bufferView": 0}}}
     primitive = {"mode": 0, "attributes": {}, "extensions": {"KHR_gaussian_splatting": about}}
@@ -73,7 +73,7 @@ def spz_glb(splats: Splats) -> bytes:
 
 
 def signalling_glb(splats: Splats) -> bytes:
-    """A .glb of which an opacity is a NaN that numpy warns of."""
+    """A .glb with a signalling NaN as an opacity, of which numpy warns."""
     opacities = splats.opacities.tobytes()
     return encode_glb(splats).replace(opacities, b"\1\0\xa0\x7f" + opacities[4:])
 
@@ -91,8 +91,8 @@ def ksplat() -> bytes:
 
 
 def fourdgs(codec: int, packed: str) -> bytes:
-    """A keyframe of two Gaussians with harmonics, and a delta in which one moves, one comes and
-    one goes. With codec 1, zstd, there is no checksum between the fuzzer and the numbers."""
+    """A keyframe of two Gaussians with harmonics, and a delta in which one moves, one appears and
+    one disappears. With codec 1, zstd, no checksum keeps the fuzzer from the numbers."""
 
     def stream(kind: int, numbers: made.Numbers) -> bytes:
         return made.stream(kind, numbers, codec=codec)
@@ -115,7 +115,7 @@ def fourdgs(codec: int, packed: str) -> bytes:
 
 
 def foreign_seeds(plain: Splats, degree_1: Splats) -> Iterator[tuple[str, str, bytes]]:
-    """(target, what it is, food) of every file; each gives a value. degree_1: of SH degree 1."""
+    """(target, name, input) of every file; each gives a value. degree_1: of SH degree 1."""
     for number, splats in enumerate((plain, degree_1)):
         yield "inflated_sog", str(number), inflated_sog(encode_sog(splats))
         yield "inflated_glb", str(number), inflated_glb(encode_glb(splats))

@@ -1,16 +1,16 @@
-"""Fuzzing of the server, from the bytes of a client to those of its responses.
+"""Fuzzing of the server, from the bytes of a client to the bytes of its responses.
 
-The law under test: whatever a client sends, it gets well-formed responses, in the order of its
-requests; never a 500, and never a byte of a file that is not a stream's. The server is whole, but
-for sockets: its bytes go through memory.
+The property under test: whatever a client sends, it receives well-formed responses in the order of
+its requests, never a 500, and never a byte of a file outside a stream. The server is complete
+except for its sockets: the bytes go through memory.
 
-How to run it, in an environment as fuzz/codec.py says, with what the server needs:
+How to run it, in the environment of fuzz/codec.py with the server's dependencies:
 
     mkdir -p /tmp/found /tmp/requests
     /tmp/fuzz/bin/python -m fuzz.httpseed /tmp/requests
     /tmp/fuzz/bin/python -m fuzz http /tmp/found /tmp/requests -max_total_time=600 -max_len=4096
 
-`tests/server/clients/test_fuzz.py` sends the same requests, and some that are near them.
+`tests/server/clients/test_fuzz.py` sends the same requests, and variations of them.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from server.state.serverstate import ServerState
 from .seed import made_manifest, made_splats
 
 SECRET = b"not for you: 9c41e7"
-"""What files hold that lie around the stream."""
+"""Content of the files around the stream."""
 
 QUIET_TURNS = 8
 """Turns of the event loop after which no further request begins."""
 
 LEAVE_S = 0.5
-"""A client goes away then: a play that is paused has no end."""
+"""Time after which a client leaves, because a paused play has no end."""
 
 GO_ON = b"HTTP/1.1 100 Continue\r\n\r\n"
 
@@ -52,10 +52,10 @@ _CHUNK = re.compile(rb"([0-9a-f]{1,8})\r\n")
 
 
 class MemoryTransport(asyncio.Transport):
-    """Keeps what is sent, and takes all at once."""
+    """Keeps the bytes sent, and never blocks."""
 
     def __init__(self, sock: socket.socket) -> None:
-        """sock: what options are set on."""
+        """sock: a socket on which the server may set options."""
         super().__init__({"socket": sock})
         self.sent = bytearray()
         self._closing = False
@@ -94,7 +94,7 @@ class MemoryTransport(asyncio.Transport):
 
 
 class NotingApplication(Application):
-    """Keeps the exchanges that are over."""
+    """Keeps the finished exchanges."""
 
     def __init__(self, state: ServerState) -> None:
         super().__init__(state)
@@ -106,7 +106,7 @@ class NotingApplication(Application):
 
 
 class Served:
-    """A small stream with secrets around it, and clients that come one after the other."""
+    """A small stream with secrets around it, and clients that connect one after the other."""
 
     def __init__(self, folder: Path) -> None:
         root = folder / "root"
@@ -134,7 +134,8 @@ class Served:
         self._runner.close()
 
     def answers(self, *pieces: bytes) -> list[int]:
-        """The statuses of what a client gets that sends `pieces`. Raises what breaks the law."""
+        """Statuses of the responses to a client that sends `pieces`. Raises AssertionError if the
+        property is violated."""
         self.app.done.clear()
         data = self._runner.run(self._talk(pieces))
         assert SECRET not in data
@@ -153,13 +154,13 @@ class Served:
                     part = piece[start : start + READ_BYTES]
                     connection.get_buffer(-1)[: len(part)] = part
                     connection.buffer_updated(len(part))
-            # Objects are read in threads, and plays look at the clock.
+            # Objects are read in threads, and plays read the clock.
             await asyncio.sleep(0)
             quiet = 0
             while quiet < QUIET_TURNS and loop.time() < until_s:
                 quiet = 0 if connection.is_answering else quiet + 1
                 await asyncio.sleep(0.0002 if connection.is_answering else 0)
-        for _ in range(QUIET_TURNS):  # for what is refused, also where the time is over
+        for _ in range(QUIET_TURNS):  # for refusals, also if the time is over
             await asyncio.sleep(0)
         sent = bytes(transport.sent)
         connection.eof_received()
@@ -171,7 +172,7 @@ class Served:
 
 
 def check_responses(data: bytes, done: list[Exchange]) -> list[int]:
-    """The statuses of the responses in `data`, which are those to `done`, in order."""
+    """Statuses of the responses in `data`, which must be the responses to `done`, in order."""
     statuses: list[int] = []
     for exchange in done:
         while True:
@@ -189,13 +190,13 @@ def check_responses(data: bytes, done: list[Exchange]) -> list[int]:
         statuses.append(status)
         whole, data = _body(head, data, status, exchange.method)
         assert whole or (exchange.status == CLIENT_GONE and exchange is done[-1]), exchange
-    # Who was told to go on may still leave.
+    # A client that received a 100 may still leave.
     assert data in (b"", GO_ON), data[:200]
     return statuses
 
 
 def _body(head: re.Match[bytes], data: bytes, status: int, method: str) -> tuple[bool, bytes]:
-    """Whether a body is whole, and what stands behind it."""
+    """Whether a body is complete, and the data after it."""
     lines = [line.split(b": ", 1) for line in head[2].split(b"\r\n")[:-1]]
     fields = {name.lower(): value for name, value in lines}
     assert len(fields) == len(lines), "a field stands there twice"
@@ -223,7 +224,7 @@ _served: Served | None = None
 
 
 def test_one_input(data: bytes) -> None:
-    """The first byte says into how many pieces the rest is cut."""
+    """Sends an input; its first byte gives the number of pieces into which the rest is cut."""
     global _served
     if _served is None:
         _served = Served(Path(tempfile.mkdtemp(prefix="fuzz-http-")))

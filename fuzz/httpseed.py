@@ -8,11 +8,11 @@ from pathlib import Path
 from tests.server.hostile.requestcases import CASES
 
 MAX_BYTES = 4096
-"""Longer ones hold the fuzzer up, and say nothing new to it."""
+"""Longest seed: longer ones slow the fuzzer down and show it nothing new."""
 
 
 def requests() -> list[bytes]:
-    """What a client may send, hostile and not; without the byte that says how it is cut."""
+    """Requests of clients, hostile and not, without the first byte, which gives the cuts."""
     honest = [
         b"GET /v1/streams/walk/play?%s HTTP/1.1\r\nHost: h\r\nAccept-Encoding: zstd, gzip\r\n\r\n"
         % query

@@ -39,7 +39,7 @@ CORPUS = Path(__file__).parent / "corpus"
 
 
 def made_splats(count: int, sh_degree: int) -> Splats:
-    """`count` Gaussians without a pattern; one lies far away, so that it escapes."""
+    """`count` random Gaussians; one lies far away, so that it escapes."""
     rng = np.random.default_rng(count)
     means = rng.normal(size=(count, 3))
     means[-1:] *= 1e4
@@ -75,7 +75,7 @@ def made_manifest() -> Manifest:
 
 
 def compressed_ply(count: int, rest: int) -> bytes:
-    """A compressed PLY of patternless words within unit bounds."""
+    """A compressed PLY of random words within unit bounds."""
     rng = np.random.default_rng(rest)
     chunks = -(-count // 256)
     ends = [f"{end}_{axis}" for end in ("min", "max") for axis in ("x", "y", "z")]
@@ -128,7 +128,7 @@ def records() -> bytes:
 
 
 def packed(num_segments: int, poster: str | None = None) -> bytes:
-    """A packed stream whose objects are not worth the name; nothing here reads them."""
+    """A packed stream with empty bytes for objects; nothing here reads them."""
     manifest = replace(made_manifest(), live=False, poster=poster)
     layers = manifest.num_layers
     count = manifest.segment_frames
@@ -158,7 +158,7 @@ def packed(num_segments: int, poster: str | None = None) -> bytes:
 
 
 def seeds() -> Iterator[tuple[str, str, bytes]]:
-    """(target, what it is, food) of every file; each gives a value."""
+    """(target, name, input) of every file; each gives a value."""
     yield "manifest", "plain", made_manifest().to_json()
     yield "record", "all", records()
     yield "sealed_record", "slice", encode_record(SliceRecord(7, (b"ab", b"c"), None, 1))[4:]
@@ -186,7 +186,7 @@ def seeds() -> Iterator[tuple[str, str, bytes]]:
 
 
 def found() -> Iterator[tuple[str, str, bytes]]:
-    """(target, what it is, food) of what once broke the law; each is refused today."""
+    """(target, name, input) of inputs that once violated the property; each is refused today."""
     manifest = made_manifest().to_json()
     halved = manifest.replace(b'"title": ""', b'"title": "\\ud800"')
     yield "manifest", "half-a-surrogate-pair", halved

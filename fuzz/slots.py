@@ -1,7 +1,7 @@
-"""The parsers of chunks under the law of fuzz/codec.py: masks, changes, snapshots, and a reader to
-which they happen.
+"""Targets for the parsers of chunks, with the property of fuzz/codec.py: masks, changes, snapshots,
+and a reader that executes a script.
 
-The first byte of the food chooses the layout (`LAYOUTS`).
+The first byte of the input chooses the layout (`LAYOUTS`).
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ LAYOUTS = (
 )
 
 LOAD, APPLY, LATE = range(3)
-"""What happens to a reader in a script."""
+"""Operations of a script on a reader."""
 
 STEP = struct.Struct("<BBBBH")
-"""Of a step: what happens, which parts are missing, layer, age of the slice, and how many bytes
+"""Head of a step: operation, missing parts, layer, age of the slice, and number of bytes that
 follow."""
 
 Step = tuple[int, int, int, int, bytes]
-"""What happens, which parts are missing, layer, age of the slice, the bytes."""
+"""Operation, missing parts, layer, age of the slice, the bytes."""
 
 PART = struct.Struct("<H")
-"""In front of each part of a slice: its bytes."""
+"""Head of each part of a slice: its number of bytes."""
 
 
 def state_bytes(slots: Slots) -> bytes:
-    """All that slots hold; the order in which escapes are kept means nothing."""
+    """The whole state of slots; independent of the order in which escapes are stored."""
     order = np.argsort(slots.escape_rows, kind="stable")
     arrays = (
         slots.conditions,
@@ -59,7 +59,7 @@ def state_bytes(slots: Slots) -> bytes:
 
 
 def fuzz_mask(data: bytes) -> None:
-    """A mask, after as many bytes as there are slots: what earlier masks said of each."""
+    """A mask, after one byte for each slot: its status in earlier masks."""
     layout, data = LAYOUTS[data[0] % len(LAYOUTS)], data[1:]
     said = data[: layout.num_slots].ljust(layout.num_slots, b"\0")
     history = np.frombuffer(said, np.uint8) & np.uint8(3)
@@ -72,7 +72,7 @@ def fuzz_mask(data: bytes) -> None:
 
 
 def fuzz_change(data: bytes) -> None:
-    """A change whose counts are as a mask would say, if there are slots for them."""
+    """A change; its own counts stand for those of a mask, as far as there are slots."""
     layout, food = LAYOUTS[data[0] % len(LAYOUTS)], data[1:]
     header = SlotHeader.read(food, Kind.CHANGE)
     layer = header.layer % layout.num_layers
@@ -86,7 +86,7 @@ def fuzz_change(data: bytes) -> None:
     before = States.zeros(predicted, layout.sh_degree)
     try:
         moved = change.predict(before, np.ones(predicted, np.bool_))
-    except CodecError:  # from other states it may be right
+    except CodecError:  # it may be valid with other states
         return
     encoded = encode_change(layer, header.birth, before, moved, change.new, change.start_offsets)
     again = decode_change(layout, layer, header.birth, encoded.data, predicted, new)
@@ -105,7 +105,7 @@ def fuzz_snapshot(data: bytes) -> None:
     assert len(food) <= layout.max_snapshot_bytes(snapshot.layer)
     encoded = encode_snapshot(layout, snapshot.layer, snapshot.frame, snapshot.lanes).data
     again = decode_snapshot(layout, encoded)
-    # A start that has passed is 0 then, and an escape's integers are zeros.
+    # A start in the past is now 0, and the integers of an escape are zeros.
     assert encode_snapshot(layout, again.layer, again.frame, again.lanes).data == encoded
     for one, other in zip(snapshot.lanes, again.lanes, strict=True):
         assert (one.conditions == other.conditions).all()
@@ -113,8 +113,7 @@ def fuzz_snapshot(data: bytes) -> None:
 
 
 def fuzz_passing(data: bytes) -> None:
-    """A passing slice upon empty slots, after as many bytes as there are slots: what earlier masks
-    said of each."""
+    """A passing slice on empty slots, after one byte for each slot: its status in earlier masks."""
     layout = LAYOUTS[-1]
     said, food = data[: layout.num_slots].ljust(layout.num_slots, b"\0"), data[layout.num_slots :]
     history = np.frombuffer(said, np.uint8) & np.uint8(3)
@@ -136,12 +135,12 @@ def fuzz_passing(data: bytes) -> None:
 
 
 def fuzz_slots(data: bytes) -> None:
-    """A reader to which a script of STEPs happens. What it refuses leaves it as it was."""
+    """A reader that executes a script of STEPs. A refused step leaves it unchanged."""
     run_script(data)
 
 
 def run_script(data: bytes) -> int:
-    """How many steps of the script the reader took, of as many as it says."""
+    """Runs the script; returns the number of steps that the reader accepted."""
     layout = LAYOUTS[data[0] % len(LAYOUTS)]
     decoder, at, taken = SlotDecoder(layout), 1, 0
     while at + STEP.size <= len(data):
@@ -188,7 +187,7 @@ def _parts(food: bytes) -> list[bytes]:
 
 
 def _check(decoder: SlotDecoder) -> None:
-    """What is held can be shown, has a bound, and is what a writer that goes on would send."""
+    """The state can be shown, is bounded, and equals what a resumed writer would send."""
     if decoder.frame is None:
         return
     shown = decoder.window(decoder.frame)
@@ -207,7 +206,7 @@ def _check(decoder: SlotDecoder) -> None:
 
 
 def script(layout_number: int, steps: list[Step]) -> bytes:
-    """The food of `fuzz_slots`."""
+    """An input of `fuzz_slots`."""
     made = bytes([layout_number])
     for *numbers, food in steps:
         made += STEP.pack(*numbers, len(food)) + food

@@ -1,4 +1,4 @@
-"""Food for the parsers of objects and chunks, from the project's own encoder."""
+"""Seeds for the parsers of objects and chunks, from the project's own encoder."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NUM_FRAMES = 6
 
 
 def made_update(encoder: SlotEncoder, rng: np.random.Generator) -> Update:
-    """A valid update that comes next, without a pattern."""
+    """A random valid update that `encoder` accepts next."""
     layout, birth = encoder.layout, encoder.next_birth
     lane = encoder.lanes[layout.lane(birth)]
     conditions = np.concatenate([slots.conditions for slots in lane])
@@ -67,7 +67,7 @@ def made_chunks(
 
 
 def _scripts(number: int) -> Iterator[tuple[str, bytes]]:
-    """What happens to a reader: all in its place, or with much that is missing, late or double."""
+    """Scripts for a reader: one complete, and one with missing, late and repeated parts."""
     masks, changes, snapshots = made_chunks(LAYOUTS[number])
     loads: list[Step] = [(LOAD, 0, 0, 0, chunk.data) for chunk in snapshots[0]]
     slices = [
@@ -86,7 +86,7 @@ def _scripts(number: int) -> Iterator[tuple[str, bytes]]:
 
 
 def made_index() -> bytes:
-    """Two records of two layers, after the byte that says how many layers."""
+    """Two records of two layers, after the byte that gives the number of layers."""
     hashes = bytes(32), b"\1" * 32, b"\2" * 32
     records = [
         SegmentRecord(n, 4 * n, 4 - n, (9, 7), hashes[:2], (30.5, math.nan), (5, 4, 3), hashes)
@@ -96,7 +96,7 @@ def made_index() -> bytes:
 
 
 def slot_seeds() -> Iterator[tuple[str, str, bytes]]:
-    """(target, what it is, food), as in fuzz/seed.py."""
+    """(target, name, input), as in fuzz/seed.py."""
     for number, layout in enumerate(LAYOUTS):
         masks, changes, snapshots = made_chunks(layout)
         if layout.temporal_layer is not None:
@@ -109,7 +109,7 @@ def slot_seeds() -> Iterator[tuple[str, str, bytes]]:
                 yield "slots", what, food
             continue
         head = bytes([number])
-        # The second mask of a segment is read as if none had come before.
+        # The second mask of a segment is read as if it were the first.
         history = bytes(layout.num_slots)
         first = 1 if layout.segment_frames > 1 else 0
         yield "mask", str(number), head + history + masks[first].data
