@@ -30,7 +30,7 @@ declare global {
 
 
 class ToolError(Exception):
-    """A program that makes the package has failed; the message has its output."""
+    """A tool of the build failed; the message contains its output."""
 
 
 def assemble(folder: Path) -> None:
@@ -51,7 +51,7 @@ def assemble(folder: Path) -> None:
 
 
 def with_packed_workers(path: Path, workers: set[Path]) -> str:
-    """The text of a module that starts what lies in `workers/`; adds the sources to `workers`."""
+    """The text of a module, with URLs of bundles in `workers/`; adds the sources to `workers`."""
     up = "../" * (len(path.relative_to(WEB).parts) - 1) or "./"
 
     def packed(found: re.Match[str]) -> str:
@@ -63,15 +63,15 @@ def with_packed_workers(path: Path, workers: set[Path]) -> str:
 
 
 def bundle_workers(workers: list[Path], folder: Path) -> None:
-    """One file for each worker: bundlers copy it as it is, and would not follow its imports."""
+    """Bundles each worker into one file, because bundlers copy it without following its imports."""
     arguments = [str(TOOLS / "esbuild"), *map(str, workers), "--bundle", "--format=esm"]
     names = ["--entry-names=[name]", f"--outdir={folder}"]
     run([*arguments, "--target=es2022", "--log-level=warning", *names])
 
 
 def write_types(folder: Path) -> None:
-    """Declarations beside the modules of the package in `folder`, from their JSDoc."""
-    # The project has scripts outside of player/web too.
+    """Writes declarations beside the modules of the package in `folder`, from their JSDoc."""
+    # The TypeScript project has scripts outside player/web, too.
     with tempfile.TemporaryDirectory() as scratch:
         places = ["--rootDir", str(ROOT), "--outDir", scratch]
         arguments = [str(TOOLS / "tsc"), "-p", str(WEB), *places]
@@ -98,7 +98,7 @@ def write_description(folder: Path) -> None:
 
 
 def pack(folder: Path, out: Path) -> Path:
-    """The tarball in `out` of the package in `folder`."""
+    """Packs the package in `folder` into `out`; returns the path of the tarball."""
     out.mkdir(parents=True, exist_ok=True)
     command = ["npm", "pack", "--silent", "--ignore-scripts", "--pack-destination", str(out)]
     return out / run([*command, str(folder)]).split()[-1]

@@ -1,7 +1,7 @@
-"""The bundle of player/web: a page and its scripts instead of a hundred modules.
+"""Builds the bundle of player/web: a page and its scripts instead of a hundred modules.
 
-Run by scripts/webbundle. The bundle is committed, so that whoever installs swings needs no Node.js;
-a test compares it with the sources.
+Run by scripts/webbundle. The bundle is committed, so that an installation of swings needs no
+Node.js; a test compares it with the sources.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ MODULES = {
     "packedlayout.js": "format/packedlayout.js",
     "passing.js": "format/slots/passing.js",
 }
-"""Each module of the bundle and the source that it begins with."""
+"""Each module of the bundle and its entry point in the sources."""
 
 LATER = {"extras.js", "tracks.js", "smoothing.js", "packedlayout.js", "passing.js"}
 """Modules that are loaded when a viewer, or a stream, needs them."""
 
 PAGE_SCRIPT, PAGE_SOURCE = "page.js", "watch.js"
-"""The script that pages have inline, so that the first requests leave with the page itself."""
+"""The script that pages contain inline, so that it sends the first requests at once."""
 
 PAGE = "watch.html"
 
@@ -56,7 +56,7 @@ def _bundled(source: str, form: str) -> str:
 
 
 def _page(source: str, script: str) -> str:
-    """The page of the bundle: its own script inline, and what it begins with asked for at once."""
+    """The page of the bundle: its own script inline, and preloads for the first modules."""
     assert source.count(_SCRIPTS) == source.count(_HEAD_END) == 1
     first = [name for name in MODULES if name not in LATER]
     loads = "".join(f'    <link rel="modulepreload" href="./{name}" />\n' for name in first)

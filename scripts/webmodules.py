@@ -1,4 +1,4 @@
-"""The modules of player/web that repeat what Python and GLSL sources say; a test compares them.
+"""Writes the modules of player/web that repeat Python and GLSL sources; a test compares them.
 
 Run by scripts/webmodules.
 """
@@ -93,10 +93,10 @@ CONSTANTS: dict[ModuleType, str] = {
     storyboard: "MAX_STORYBOARD_TILES=MAX_TILES STORYBOARD_COLUMNS=COLUMNS "
     "STORYBOARD_PER_S=TILES_PER_S",
 }
-"""By module the constants that the browser needs; NAME=OTHER: the module calls it OTHER."""
+"""Constants that the browser needs, by module; NAME=OTHER: OTHER is the name in the module."""
 
 MOST_COLUMNS = 100
-"""Of a line of JavaScript."""
+"""Maximum length of a line of JavaScript."""
 
 RECORDS = {
     "start": playrecord.StartRecord,
@@ -118,7 +118,7 @@ TYPES = {
 
 def value(found: Any) -> str:
     """A constant in JavaScript: a Struct becomes its format, an enum an object with its numbers,
-    and bytes that are not ASCII an array."""
+    bytes a string if they are ASCII, else an array."""
     if isinstance(found, struct.Struct):
         return json.dumps(found.format)
     if isinstance(found, bytes):
@@ -132,7 +132,7 @@ def value(found: Any) -> str:
 
 
 def constants() -> str:
-    """What the browser shares with the package: numbers, layouts and the shapes of play records."""
+    """The module of shared constants: numbers, layouts and the shapes of play records."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     lines = ["/** Written by scripts/webmodules from the package's own constants. */"]
     version = value(project["version"])
@@ -143,7 +143,7 @@ def constants() -> str:
             ours, _, theirs = name.partition("=")
             text = value(getattr(module, theirs or ours))
             line = f"export const {ours} = {text};"
-            if len(line) > MOST_COLUMNS and text.startswith("["):  # as prettier breaks it
+            if len(line) > MOST_COLUMNS and text.startswith("["):  # breaks it like prettier
                 line = f"export const {ours} = [\n  {text[1:-1]},\n];"
             lines.append(line)
     lines += ["", "/**", f" * {playrecord.__name__}"]
@@ -161,7 +161,7 @@ WEB_BRANCHES = {
     r"#ifdef RESIDENT_BUFFER\n.*?#else\n(.*?)#endif\n": r"\1",  # WebGL2 has no storage buffers
     r"#ifdef STALE_ORDER\n(.*?)#endif\n": r"\1",  # its orders come from another thread
 }
-"""What the browser takes of a shader's branches."""
+"""Branches of a shader, and their replacement for the browser."""
 
 
 def camel(name: str) -> str:
@@ -181,7 +181,7 @@ def glsl() -> str:
 
 
 def modules() -> dict[Path, str]:
-    """What each generated file holds."""
+    """The text of each generated file."""
     return {WEB / "constants.js": constants(), WEB / "renderer" / "glsl.js": glsl()}
 
 
