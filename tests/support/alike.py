@@ -1,4 +1,4 @@
-"""How far Gaussians are from others that they stand for, whatever their order and their axes."""
+"""Errors of Gaussians against the originals, independent of the order of Gaussians and axes."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from tests.support.drawn import angles_rad
 
 KINDS = ("position, mm", "ln size", "rotation, rad", "opacity", "colour")
 FAINT = 4 / 255
-"""Gaussians of no more opacity are left out: some formats drop or keep them at will."""
+"""Opacity up to which Gaussians are left out, because formats may drop or keep them."""
 FLAT = math.log(1e-4)
-"""Of a standard deviation in metres; what is thinner counts as this thin."""
+"""Logarithm of the minimum standard deviation, metres; smaller ones count as this one."""
 
 
 def _shown_colours(splats: Splats) -> Doubles:
-    """(N, 3) colours as they are drawn: 0..1, for some formats hold no others."""
+    """(N, 3) drawn colours, clipped to 0..1, because some formats store no others."""
     return np.clip(0.5 + SH_C0 * splats.sh[:, 0].astype(np.float64), 0, 1)
 
 
 def _features(splats: Splats) -> Doubles:
-    """(N, 10) numbers that tell Gaussians apart, in units of what formats lose."""
+    """(N, 10) numbers that distinguish Gaussians, in units of the formats' errors."""
     sizes = np.sort(np.maximum(splats.log_scales, FLAT), axis=1)
     looks = _shown_colours(splats), splats.opacities[:, None]
     parts = splats.means / 1e-3, sizes / 0.1, *(values / 0.02 for values in looks)
@@ -34,7 +34,7 @@ def _features(splats: Splats) -> Doubles:
 
 
 def _axis_turns() -> list[tuple[Doubles, list[int]]]:
-    """The 24 rotations that put axes on axes: quaternions wxyz, and which axis comes on each."""
+    """The 24 rotations that map axes to axes: quaternions wxyz, and the axis that each maps to."""
     half = math.sqrt(0.5)
     found: dict[bytes, tuple[Doubles, list[int]]] = {}
     for quat in itertools.product((-1, -half, -0.5, 0, 0.5, half, 1), repeat=4):
@@ -58,8 +58,8 @@ def _multiplied(p: Doubles, q: Doubles) -> Doubles:
 
 
 def _closest_shapes(found: Splats, wanted: Splats) -> tuple[Doubles, Doubles]:
-    """(N,) angles between orientations in radians and (N, 3) differences of ln sizes, with the axes
-    of each Gaussian named so that both are small: which is its first axis shows nowhere."""
+    """(N,) angles between orientations in radians and (N, 3) differences of ln sizes. The axes of
+    each Gaussian are permuted so that both are small, because their order has no visible effect."""
     sizes = [np.maximum(splats.log_scales, FLAT) for splats in (found, wanted)]
     best = np.full(len(found), np.inf)
     angles, differences = np.zeros(len(found)), np.zeros((len(found), 3))
@@ -74,8 +74,8 @@ def _closest_shapes(found: Splats, wanted: Splats) -> tuple[Doubles, Doubles]:
 
 
 def largest_errors(found: Splats, wanted: Splats) -> Doubles:
-    """(5,) the largest error of each of KINDS, over all of `found` that are not too faint, each
-    against the one of `wanted` that it is most like."""
+    """(5,) largest error of each of KINDS, over all Gaussians of `found` that are not too faint,
+    each compared with the most similar Gaussian of `wanted`."""
     found = found.take(np.flatnonzero(found.opacities > FAINT))
     match = wanted.take(cKDTree(_features(wanted)).query(_features(found))[1])
     angles, sizes = _closest_shapes(found, match)

@@ -1,14 +1,14 @@
-"""A decoder that may not take more memory than it should.
+"""A decoder with a memory limit.
 
-It is a process of its own, `python -m tests.support.bounded_decoder`, and a fork of it for each
-case. The fork takes the hostile input, notes how much data memory it has (VmData: heap and private
-mappings, so what zstd and numpy allocate too), forbids itself more than the declared bytes and
-SLACK_BYTES beyond that, decodes, and says how that went: `value`, or the error. The process prints
-that of all cases, as a JSON object.
+It is a process of its own, `python -m tests.support.bounded_decoder`, with a fork for each case.
+The fork receives the hostile input, reads its data memory (VmData: heap and private mappings, so it
+includes allocations of zstd and numpy), limits itself to the declared bytes plus SLACK_BYTES more,
+decodes, and reports the outcome: `value`, or the error. The process prints the outcomes of all
+cases as a JSON object.
 
-Declared are, within the caps of the format, the bytes that a header claims as content and those of
-the Gaussians that it claims, as float32. A claim over a cap declares nothing: it is to be refused
-before it costs anything.
+Declared bytes are, within the caps of the format, the content bytes that a header claims plus the
+bytes of its claimed Gaussians as float32. A claim over a cap declares nothing: it must be refused
+before it costs memory.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ from tests.support.tiny_stream import tiny_manifest, write_tiny
 SLACK_BYTES = 64 << 20
 N = 1 << 20
 VALUE_BYTES = 236
-"""A Gaussian of SH degree 3 as float32."""
+"""Bytes of a Gaussian of SH degree 3 as float32."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A decoder, the hostile input for it, and what that may cost."""
+    """A decoder, a hostile input for it, and the declared bytes of the input."""
 
     make: Callable[[], bytes]
     decode: Callable[[bytes], object]
@@ -58,7 +58,7 @@ def compress(content: bytes) -> bytes:
 
 
 def gzip_member(content: bytes, said_bytes: int) -> bytes:
-    """`content` as a gzip member that says it holds `said_bytes`."""
+    """`content` as a gzip member whose trailer claims `said_bytes`."""
     stream = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)
     body = stream.compress(content) + stream.flush()
     head = b"\x1f\x8b\x08\x00" + bytes(4) + b"\x02\xff"
@@ -70,14 +70,14 @@ def content(packet: bytes) -> bytes:
 
 
 def claiming(size: int) -> bytes:
-    """8 KB of a packet that says it holds `size` bytes."""
+    """The first 8 KB of a packet that claims a content of `size` bytes."""
     compressor = zstandard.ZstdCompressor(write_checksum=True).compressobj(size)
     packet = compressor.compress(os.urandom(8192))
     return packet + compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
 
 
 def lying_table() -> bytes:
-    """The most chunks there may be, each said to have 65000 bytes; none is there."""
+    """A table of the maximum number of chunks, each claiming 65000 bytes; there are no chunks."""
     count = 1 << 14
     end = HEAD.size + 12 * count
     data = HEAD.pack(0x184D2A50, end - 8, b"SWGO", 2, 1, 0, count)
@@ -85,7 +85,7 @@ def lying_table() -> bytes:
 
 
 def sparse_index(_: bytes) -> None:
-    """Opens a stream whose index seems to have 64 GB."""
+    """Opens a stream with a sparse index of 64 GB."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "stream"
         write_tiny(path, 4)
@@ -100,7 +100,7 @@ def record(value: object) -> bytes:
 
 
 def spz_4(raw_bytes: int) -> bytes:
-    """40 Gaussians by the header and the table; each array inflates to `raw_bytes`."""
+    """An SPZ whose header and table claim 40 Gaussians; each array inflates to `raw_bytes`."""
     streaming = zstandard.ZstdCompressor(level=1, write_content_size=False)
     frame = streaming.compress(bytes(raw_bytes))
     head = struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 40, 0, 12, 0, 5, 32)
@@ -109,7 +109,7 @@ def spz_4(raw_bytes: int) -> bytes:
 
 
 def read_short_file(data: bytes) -> None:
-    """Reads a file of Gaussians; up to 4 GB there may be in one."""
+    """Reads a file of Gaussians; such files may have up to 4 GB."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "short.splat"
         path.write_bytes(data)
@@ -124,7 +124,7 @@ def ply_claiming(count: int) -> bytes:
 
 
 def ply_of_floats(sh_degree: int) -> bytes:
-    """N Gaussians whose every number is 1."""
+    """A PLY of N Gaussians in which every number is 1."""
     rest = 3 * ((sh_degree + 1) ** 2 - 1)
     head = ply_claiming(N)
     extra = "".join(f"property float f_rest_{i}\n" for i in range(rest)).encode()
@@ -146,7 +146,7 @@ def compressed_ply(count: int) -> bytes:
 
 def spz_3(count: int) -> bytes:
     head = struct.pack("<4sIIBBBB", b"NGSP", 3, count, 0, 12, 0, 0)
-    # Of real bytes, or it is a bomb.
+    # Random bytes, because zeros alone would make it a bomb.
     return gzip.compress(head + os.urandom(count) + bytes(19 * count), 1)
 
 
@@ -155,7 +155,7 @@ def spz_bomb() -> bytes:
 
 
 RECORDS_BYTES = 2 * MAX_RECORD_BYTES
-"""What has come of a record, and what it becomes."""
+"""Bytes of a record as received, and as decoded."""
 
 CASES: dict[str, Case] = {
     "zstd": Case(lambda: compress(bytes(MOST)), content, MOST),
@@ -218,7 +218,7 @@ def data_bytes() -> int:
 
 
 def made_elsewhere(case: Case) -> bytes:
-    """The input of `case`, made in a fork, so that what its making took is not left over here."""
+    """The input of `case`, generated in a fork, so that its memory is not left in this process."""
     with tempfile.TemporaryFile() as file:
         pid = os.fork()
         if not pid:
@@ -232,7 +232,7 @@ def made_elsewhere(case: Case) -> bytes:
 
 
 def decode(case: Case) -> str:
-    """How decoding went, in this process; it is bounded from now on."""
+    """Outcome of decoding in this process, whose memory is limited from now on."""
     food = made_elsewhere(case)
     limit = data_bytes() + case.declared_bytes + SLACK_BYTES
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
@@ -244,7 +244,7 @@ def decode(case: Case) -> str:
 
 
 def decoded_elsewhere(case: Case) -> str:
-    """How decoding went, in a fork."""
+    """Outcome of decoding in a fork."""
     with tempfile.TemporaryFile() as file:
         pid = os.fork()
         if not pid:
@@ -257,7 +257,7 @@ def decoded_elsewhere(case: Case) -> str:
 
 
 def main() -> None:
-    # The kernels, and what loads them, are not what a decoder takes for its input.
+    # The memory of kernels and of loading them is not part of decoding an input.
     warm()
     json.dump({name: decoded_elsewhere(case) for name, case in CASES.items()}, sys.stdout)
 

@@ -14,7 +14,7 @@ from tests.support.forked.commands import command_server
 ROOT = Path(__file__).parents[2]
 """The root of the repository."""
 PATIENCE_S = 600.0
-"""After which a command hangs, on the slowest machine and beside other tests."""
+"""Time after which a command counts as hanging, even on a slow machine beside other tests."""
 ENTRY = {
     "swings-synth": "trainer.__main__:synth",
     "swings-train": "trainer.__main__:train",
@@ -29,7 +29,7 @@ ENTRY = {
 
 
 def command(name: str, *arguments: object) -> list[str]:
-    """What the console script `name` runs, without needing it installed."""
+    """The command line of console script `name`; the script need not be installed."""
     module, function = ENTRY[name].split(":")
     code = f"import sys; from {module} import {function} as main; sys.exit(main())"
     return [sys.executable, "-c", code, *map(str, arguments)]
@@ -42,8 +42,8 @@ def environment() -> dict[str, str]:
 def run(
     name: str, *arguments: object, timeout_s: float = PATIENCE_S, folder: Path | None = None
 ) -> subprocess.CompletedProcess[str]:
-    """The command as a process of its own, forked from one that has imported all commands. It runs
-    in `folder`, or where the test does."""
+    """Runs the command as a process of its own, forked from one that has imported all commands. Its
+    working directory is `folder`, or the test's."""
     variables = environment()
     server = command_server(os.getpid())
     argv, words = command(name, *arguments), [*map(str, arguments)]
@@ -57,14 +57,14 @@ def run(
 def run_ok(
     name: str, *arguments: object, timeout_s: float = PATIENCE_S, folder: Path | None = None
 ) -> str:
-    """Its standard output; fails the test unless it exits with 0."""
+    """Runs the command; returns its standard output. Fails the test unless it exits with 0."""
     done = run(name, *arguments, timeout_s=timeout_s, folder=folder)
     assert done.returncode == 0, f"{name} {arguments}: {done.stderr[-2000:]}"
     return done.stdout
 
 
 def started(name: str, *arguments: object) -> subprocess.Popen[str]:
-    """The command as a process that runs on; its standard error is kept."""
+    """Starts the command as a process; its standard error is a pipe."""
     return subprocess.Popen(
         command(name, *arguments),
         env=environment(),
@@ -78,8 +78,8 @@ def started(name: str, *arguments: object) -> subprocess.Popen[str]:
 def serving(
     root: Path | str, *arguments: object, program: Sequence[str] | None = None
 ) -> Iterator[str]:
-    """A server process of `root`, a folder or a URL; gives its URL and ends it by its pid. program:
-    what runs in place of swings-serve."""
+    """Runs a server process for `root`, a folder or a URL; gives its URL and terminates it at the
+    end. program: the command line to run instead of swings-serve."""
     process = subprocess.Popen(
         [*(program or command("swings-serve")), str(root), "--port", "0", *map(str, arguments)],
         env=environment() if program is None else None,

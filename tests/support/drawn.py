@@ -1,4 +1,4 @@
-"""What hypothesis draws for tests: Gaussians, directions, rotations, cameras."""
+"""Strategies of hypothesis: Gaussians, directions, rotations, cameras."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def angles_rad(a: Splats, b: Splats) -> Doubles:
     p, q = (s.quats.astype(np.float64) for s in (a, b))
     p /= np.linalg.norm(p, axis=1, keepdims=True)
     q /= np.linalg.norm(q, axis=1, keepdims=True)
-    # By the chord, which is exact near zero where arccos is not.
+    # Computed from the chord, which is accurate near zero, unlike arccos.
     chord = np.minimum(np.linalg.norm(p - q, axis=1), np.linalg.norm(p + q, axis=1))
     angles: Doubles = 4 * np.arcsin(np.minimum(chord / 2, 1))
     return angles
@@ -78,8 +78,8 @@ rotations = st.builds(rotation_about, directions, turns_rad)
 
 @st.composite
 def posed_cameras(draw: st.DrawFn) -> Camera:
-    """Cameras anywhere, of any shape, with pixels that are not square and a middle off the
-    middle."""
+    """Cameras anywhere, with pictures of any shape, pixels that are not square, and a principal
+    point off the middle."""
     width_px, height_px = draw(st.integers(1, 4000)), draw(st.integers(1, 4000))
     return Camera(
         name="drawn",

@@ -1,4 +1,4 @@
-"""A glTF file of two Gaussians, made by hand, to be changed."""
+"""A handmade glTF file of two Gaussians, for tests to change."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ ROOT, CHUNK = by_hand()
 
 
 def made(change: Callable[[Json], object] = lambda root: None, chunk: bytes = CHUNK) -> bytes:
-    """The .glb by hand, its JSON changed."""
+    """The handmade .glb with a change of its JSON."""
     root = copy.deepcopy(ROOT)
     change(root)
     return join_glb(json.dumps(root).encode(), chunk)

@@ -1,4 +1,4 @@
-"""Small .4dgs and .splat4d files made by hand, every part of which a test can alter."""
+"""Small handmade .4dgs and .splat4d files; tests can change every part of them."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ import zstandard
 MAGIC = b"\x894DGS1\r\n"
 CHANNELS = {0: 3, 1: 3, 2: 1, 3: 3, 4: 3, 5: 1, 6: 3, 7: 1, 8: 1, 9: 1, 10: 1, 13: 1}
 STEPS = (0.01, 0.02, 0.001, 1 / 255, 1 / 255, 0.1, 0.004, 0.02)
-"""Of position, ln size, rotation, colour, opacity, motion, time and ln sigma."""
+"""Steps of position, ln size, rotation, colour, opacity, motion, time and ln sigma."""
 LASTS = {9: 1, 6: 0, 7: 0, 8: 0, 10: 0}
-"""What does not fade nor move."""
+"""Values of Gaussians that neither fade nor move."""
 
 Numbers = npt.ArrayLike
 
@@ -43,7 +43,7 @@ def stream(kind: int, numbers: Numbers, mode: int = 0, width: int = 2, codec: in
 
 
 def group(ids: Sequence[int], **changed: Numbers) -> bytes:
-    """The streams of some Gaussians, which by default lie at 0 and last; `a0`.. are attributes."""
+    """The streams of some Gaussians, by default at 0 and lasting; `a0`.. are attributes."""
     values: dict[int, Numbers] = {13: ids}
     for kind, channels in CHANNELS.items():
         if kind != 13:
@@ -113,7 +113,7 @@ PARTS = {
     "opacities": [[255], [100], [200]],
     "rotations": [[255, 128, 128, 128]] * 3,
 }
-"""Three Gaussians, of which the one in the middle changes all that it has."""
+"""Three Gaussians; every part of the middle one changes."""
 KEYS = {0: [[6, 0, 0]], 1: [[100, 10, 0, 0]], 2: [[50, 60, 70]], 3: [[0]], 4: [[-9, -9, -9]]}
 DIFFERENCES = {kind: np.ones((2, 1, len(key[0])), int) for kind, key in KEYS.items()}
 
@@ -126,7 +126,7 @@ def splat4d_stream(kind: int, role: int, numbers: Numbers, width: int = 2) -> tu
 
 
 def splat4d(json_changes: Mapping[str, Any] = {}, **changes: Any) -> bytes:
-    """A .splat4d of three frames with PARTS, or others of them."""
+    """A .splat4d of three frames with PARTS, some replaced by `changes`."""
     parts: dict[str, Any] = PARTS | {"keys": KEYS, "differences": DIFFERENCES} | changes
     static = b"".join(b"".join(splat4d_stream(9, 2, mask, 1)) for mask in parts["masks"])
     for name in ("positions", "sizes"):

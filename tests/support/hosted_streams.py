@@ -1,4 +1,4 @@
-"""Small streams with something to see, and servers as processes, for tests of the player."""
+"""Small streams with visible content, and servers as processes, for tests of the player."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ LATTICE = Lattice(1 / 512, 1 / 16, 1 / 100, 1 / 40, 64)
 
 
 def ring_of_cameras(count: int = 4) -> tuple[Camera, ...]:
-    """Cameras named c0, c1, ... on a circle around (0, 0, 4), at its height, looking at it."""
+    """Cameras c0, c1, ... on a circle around (0, 0, 4), at its height, which look at it."""
     cameras = []
     for n in range(count):
         angle = 2 * np.pi * n / count
@@ -51,7 +51,7 @@ def ring_of_cameras(count: int = 4) -> tuple[Camera, ...]:
 def small_manifest(
     slice_size: int = SLICE_SIZE, sh_degree: int = 1, fps: float = 30.0, **changes: object
 ) -> Manifest:
-    """changes: of the manifest's fields; layers: the share of the slots in each layer."""
+    """changes: fields of the manifest; layers: the share of the slots in each layer."""
     shares = changes.pop("layers", (0.25, 0.25, 0.5))
     slots = split_counts(slice_size, shares)  # type: ignore[arg-type]
     values: dict[str, object] = {
@@ -72,7 +72,7 @@ def small_manifest(
 
 
 def random_splats(count: int, sh_degree: int, seed: int) -> Splats:
-    """Gaussians before the default camera, of many sizes, opacities and colours."""
+    """Gaussians in front of the default camera, of many sizes, opacities and colours."""
     rng = np.random.default_rng(seed)
     arrays = (
         rng.uniform(-1, 1, (count, 3)) * (1.5, 1, 1.5) + (0, 0, 4),
@@ -87,7 +87,7 @@ def random_splats(count: int, sh_degree: int, seed: int) -> Splats:
 def random_slice(
     birth: int, count: int = SLICE_SIZE, sh_degree: int = 1, swin_size: int = SWIN_SIZE
 ) -> Slice:
-    """The same slice for the same arguments; some of its Gaussians start late."""
+    """A slice that depends only on the arguments; some of its Gaussians start late."""
     latest = min(2, swin_size - 1)
     offsets = np.random.default_rng(birth + 500).integers(0, latest + 1, count).astype(np.uint8)
     return Slice(birth, random_splats(count, sh_degree, birth + 1000), offsets)
@@ -129,8 +129,8 @@ def answering(server: BaseServer) -> Iterator[None]:
 def static_host(
     folder: Path, port: int = 0, cors: bool = False, objects_bps: float | None = None
 ) -> Iterator[str]:
-    """The URL of a plain file server of `folder`. port: 0 takes a free one. cors: pages of other
-    origins may read it. objects_bps: what the link carries of all objects of segments together."""
+    """Runs a plain file server of `folder`; gives its URL. port: 0 selects a free one. cors: pages
+    of other origins may read the files. objects_bps: rate of all segments' objects together."""
     link = threading.Lock()
 
     class Handler(SimpleHTTPRequestHandler):
@@ -157,7 +157,7 @@ def static_host(
 
 
 class ServerProcess:
-    """swings-serve as a process that can be killed and started again at the same port."""
+    """swings-serve as a process that can be killed and restarted at the same port."""
 
     def __init__(self, root: Path, port: int = 0) -> None:
         command = [sys.executable, "-m", "server", str(root), "--port", str(port)]
@@ -185,7 +185,7 @@ def served(root: Path) -> Iterator[ServerProcess]:
 
 
 def wait_for_stream(server: ServerProcess, name: str, timeout_s: float = 5.0) -> None:
-    """Returns when `server` has noticed the stream `name`."""
+    """Waits until `server` serves the stream `name`."""
     url = f"{server.url}/v1/streams/{name}/manifest.json"
     until_s = time.monotonic() + timeout_s
     while True:
@@ -198,6 +198,6 @@ def wait_for_stream(server: ServerProcess, name: str, timeout_s: float = 5.0) ->
 
 
 def folder_files(stream: Path) -> dict[str, str]:
-    """The files of a folder, by name, in hexadecimal."""
+    """The contents of a folder's files in hexadecimal, by name."""
     paths = sorted(path for path in stream.rglob("*") if path.is_file())
     return {path.relative_to(stream).as_posix(): path.read_bytes().hex() for path in paths}

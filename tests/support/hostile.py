@@ -1,4 +1,4 @@
-"""Bytes that no writer of ours makes, and the law of decoders: any give a value or a CodecError."""
+"""Bytes that our writers never write; decoders must give a value or a CodecError for any bytes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.support.objects import object_packets
 
 
 def survives(decode: Callable[[bytes], object], data: bytes) -> bool:
-    """Whether `decode` gave a value; anything but a value or a CodecError rises."""
+    """Whether `decode` gave a value. Raises every error except CodecError."""
     with contextlib.suppress(CodecError):
         decode(data)
         return True
@@ -32,14 +32,14 @@ def truncations(data: bytes) -> Iterable[bytes]:
 
 
 def flips(data: bytes, every: int = 1) -> Iterable[bytes]:
-    """`data` with one byte altered in each of three ways, at every `every`-th place."""
+    """`data` with one byte changed in each of three ways, at every `every`-th place."""
     for place in range(0, len(data), every):
         for value in (data[place] ^ 1, data[place] ^ 0x80, 255 - data[place]):
             yield data[:place] + bytes([value]) + data[place + 1 :]
 
 
 def forged_record(record: SegmentRecord) -> bytes:
-    """A record of the index with a right checksum, whatever rule it breaks."""
+    """A record of the index with a correct checksum, even if the record breaks a rule."""
     layers = zip(record.object_bytes, record.object_sha256, record.psnr_db, strict=True)
     sides = zip(record.side_bytes, record.side_sha256, strict=True)
     body = HEAD.pack(record.segment, record.first_frame, record.num_frames, 0)
@@ -49,7 +49,7 @@ def forged_record(record: SegmentRecord) -> bytes:
 
 
 def record_of(segment: int, num_frames: int, objects: Sequence[bytes]) -> SegmentRecord:
-    """The record of a segment, of segments of 4 frames, with `objects` in the order of
+    """The record of a segment in a stream with segments of 4 frames; `objects` are in the order of
     `Manifest.parts`."""
     num_layers = (len(objects) - 1) // 2
     sizes = tuple(map(len, objects))
@@ -67,7 +67,7 @@ def record_of(segment: int, num_frames: int, objects: Sequence[bytes]) -> Segmen
 
 
 def put_object(stream: Path, segment: int, part: Part, data: bytes) -> None:
-    """Replaces an object and says so in the index, as a faulty writer would."""
+    """Replaces an object and updates the index, like a faulty writer."""
     reader = StreamReader(stream)
     number, num_layers = reader.manifest.part_number(part), reader.manifest.num_layers
     object_file(stream, segment, part).write_bytes(data)

@@ -1,4 +1,4 @@
-"""Objects of changes as a trained stream has them, and the chunks in an object."""
+"""Objects of changes like those of a trained stream, and the chunks in an object."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A tiny run in parts, and one process that does all of its tasks."""
+"""A tiny run in parts, and one process that executes all its tasks."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class DiedError(Exception):
 
 
 def capture_of(folder: Path) -> Path:
-    """A capture that is made in `folder`."""
+    """Writes a capture into `folder`."""
     write_dynamic3dgs(folder / "capture", num_cameras=4, num_frames=FRAMES)
     return folder / "capture"
 
@@ -47,7 +47,7 @@ def run_of(capture: Path | str, stream: Path | str) -> Run:
 
 
 def train(run: Run, do: Callable[[Task], None]) -> None:
-    """All tasks; pieces are joined as they come."""
+    """Executes all tasks, and joins the pieces as soon as they are there."""
     joiner = Joiner(run)
     for task in run.tasks:
         do(task)
@@ -61,7 +61,7 @@ def train(run: Run, do: Callable[[Task], None]) -> None:
 def do_here(
     task: Task, report: Callable[[int], None] = lambda iterations: None, keep_s: float = 60.0
 ) -> None:
-    """A task, in this process; again and again until it is done."""
+    """Executes a task in this process, and repeats it until it is done."""
     while True:
         try:
             with opened_worker(task, report, keep_s) as worker:
@@ -72,15 +72,15 @@ def do_here(
 
 
 def train_in_process(run: Run) -> None:
-    """All tasks, in one process that loads all kernels."""
+    """Executes all tasks in one process, after another one has compiled all kernels."""
     with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
         pool.submit(compile_kernels, run.config.fit.sh_degree).result()
         pool.submit(train, run, do_here).result()
 
 
 def contents(stream: Path) -> dict[str, bytes]:
-    """All of a stream but what is only for people: pictures, and a log that says how long training
-    took."""
+    """The files of a stream without those only for people: pictures, and the log, which contains
+    times."""
     names = [str(path.relative_to(stream)) for path in stream.rglob("*") if path.is_file()]
     people = (LOG_NAME, SNAPSHOT_FOLDER)
     return {name: (stream / name).read_bytes() for name in names if not name.startswith(people)}

@@ -1,6 +1,6 @@
 """Recipe v1 in plain torch, pixel by pixel over all Gaussians: slow, obvious, differentiable.
 
-With a scene and a camera to compare renderers by.
+Also a scene and a camera for comparisons of renderers.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def rotations(quats: Tensor) -> Tensor:
 
 
 def harmonics(directions: Tensor, count: int) -> Tensor:
-    """(N, count) the first real spherical harmonics, each normalised over the sphere, in the
-    directions (N, 3) of any length; those of odd order have the sign of 3D Gaussian Splatting."""
+    """(N, count) first real spherical harmonics, normalised over the sphere, for directions (N, 3)
+    of any length; those of odd order have the sign of 3D Gaussian Splatting."""
     x, y, z = torch.nn.functional.normalize(directions, dim=1).unbind(1)
     one = torch.ones_like(x)
     every = [
@@ -67,7 +67,7 @@ def render_reference(
     camera: Camera,
     near_m: float,
 ) -> Tensor:
-    """(H, W, 3) in the dtype of `means`."""
+    """(H, W, 3) picture in the dtype of `means`."""
     dtype = means.dtype
     w2c = torch.tensor(camera.w2c, dtype=dtype)
     in_camera = means @ w2c[:3, :3].T + w2c[:3, 3]
@@ -122,7 +122,7 @@ def render_reference(
 
 
 def scattered_splats(count: int, seed: int, sh_degree: int = 0, logit: float = 0.5) -> Splats:
-    """Gaussians around the origin, before `turned_camera`. logit: of the opacities, in the mean."""
+    """Gaussians around the origin, in front of `turned_camera`. logit: mean logit of opacities."""
     rng = np.random.default_rng(seed)
     return Splats(
         rng.uniform(-1.2, 1.2, (count, 3)).astype(np.float32),
@@ -134,8 +134,8 @@ def scattered_splats(count: int, seed: int, sh_degree: int = 0, logit: float = 0
 
 
 def turned_camera(angle_rad: float = 0.4, name: str = "test") -> Camera:
-    """Off-centre and turned, and not a whole number of tiles: nothing is symmetric by luck, and
-    what lies beside the picture must not count."""
+    """A camera off-centre and turned, with a picture of no whole number of tiles: nothing is
+    symmetric by chance, and pixels outside the picture must not count."""
     w2c = np.eye(4)
     w2c[:3, :3] = [
         [np.cos(angle_rad), 0, np.sin(angle_rad)],
@@ -147,16 +147,15 @@ def turned_camera(angle_rad: float = 0.4, name: str = "test") -> Camera:
 
 
 def cameras_all_round(count: int) -> list[Camera]:
-    """`turned_camera` at even angles about the scene."""
+    """`turned_camera` at evenly spaced angles around the scene."""
     return [turned_camera(0.4 + 2 * pi * n / count, f"view{n}") for n in range(count)]
 
 
 def drawn_psnr_db(
     picture: npt.NDArray[np.floating], splats: Splats, camera: Camera, most: float = np.inf
 ) -> float:
-    """PSNR of `picture` against the reference in float64, over the pixels where that draws
-    anything, in dB; 1.0 is the peak. Nothing nearer than 0.2 m is drawn. most: pixels above it are
-    cut."""
+    """PSNR in dB of `picture` against the reference in float64, over the pixels that the reference
+    draws; 1.0 is the peak. Nothing nearer than 0.2 m is drawn. most: clips the reference."""
     means, log_scales, quats, logits, sh = (torch.tensor(a).double() for a in splats.arrays)
     expected = render_reference(means, log_scales, quats, logits, sh, camera, 0.2).numpy()
     drawn = (expected > 0).any(axis=2)

@@ -1,4 +1,4 @@
-"""Sound for small streams: clicks that begin with frames."""
+"""Sound for small streams: clicks at the beginnings of frames."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BURST = (20000 * np.sin(np.arange(480) * 2 * np.pi / 24)).astype(np.int16)
 
 
 def write_clicks(path: Path, num_samples: int, at: Sequence[int], channels: int = 2) -> None:
-    """A WAV file of `num_samples` with a BURST from each sample of `at` on."""
+    """Writes a WAV file of `num_samples` with a BURST from each sample of `at` on."""
     data = np.zeros((num_samples, channels), np.int16)
     for begin in at:
         piece = data[begin : begin + len(BURST)]
@@ -44,14 +44,14 @@ def add_clicks(
 
 
 def heard(stream: Path, name: str = "main") -> npt.NDArray[np.int16]:
-    """(n, channels) all samples of a source."""
+    """(n, channels) samples of a source."""
     reader = StreamReader(stream)
     source = next(one for one in reader.manifest.sound if one.name == name)
     return np.concatenate(list(samples(reader, source)))
 
 
 def track_of(video: Path) -> npt.NDArray[np.int16]:
-    """(n, 2) the sound track of a video."""
+    """(n, 2) samples of a video's sound track."""
     with av.open(str(video)) as container:
         resampler = av.AudioResampler("s16", "stereo", SAMPLE_RATE)
         pieces = []
@@ -61,7 +61,7 @@ def track_of(video: Path) -> npt.NDArray[np.int16]:
 
 
 def best_shift(a: npt.NDArray[np.int16], b: npt.NDArray[np.int16], most: int) -> int:
-    """The delay of `b` after `a` at their best match, samples; both are equally long."""
+    """Delay of `b` relative to `a` at their best match, samples; both have the same length."""
     x, y = a.astype(float), b.astype(float)
     inner = slice(most, len(x) - most)
     scores = [float(np.sum(x[inner] * np.roll(y, -n, 0)[inner])) for n in range(-most, most + 1)]

@@ -1,4 +1,4 @@
-"""Tiny captures on disk, as dynerf and dynamic3dgs, whose pictures tell camera and frame."""
+"""Tiny captures on disk, as dynerf and dynamic3dgs, whose pictures encode camera and frame."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WIDTH_PX, HEIGHT_PX = 64, 36
 
 
 def picture_of(camera_index: int, frame: int) -> npt.NDArray[np.uint8]:
-    """(36, 64, 3) red grows with the camera, green with the frame, blue along the rows."""
+    """(36, 64, 3) picture: red grows with the camera, green with the frame, blue along the rows."""
     picture = np.empty((HEIGHT_PX, WIDTH_PX, 3), np.uint8)
     picture[..., 0] = (20 + 25 * camera_index) % 256
     picture[..., 1] = (20 + 4 * frame) % 256
@@ -40,7 +40,7 @@ def tiny_rig(num_cameras: int, arc_deg: float = 160.0) -> list[Camera]:
 def write_video(
     path: Path, camera_index: int, num_frames: int, table_in_front: bool = False
 ) -> None:
-    """A lossless video with B-frames and a key frame every 10 frames."""
+    """Writes a lossless video with B-frames and a key frame every 10 frames."""
     settings = {"qp": "0", "preset": "ultrafast", "bf": "2"}
     place = {"movflags": "faststart"} if table_in_front else {}
     container = "matroska" if path.suffix == ".mkv" else "mp4"
@@ -61,7 +61,7 @@ def seen_by(manifest: Manifest, capture: Path) -> Manifest:
 
 
 def refusal(path: Path) -> str:
-    """The one line that refuses the capture at `path`."""
+    """The error message that refuses the capture at `path`, one line."""
     with pytest.raises(CaptureError) as caught:
         open_capture(path)
     message = str(caught.value)
@@ -91,7 +91,7 @@ def meta_of(cameras: list[Camera], ids: list[int], num_frames: int) -> dict[str,
 
 
 def write_dynamic3dgs(root: Path, num_cameras: int = 4, num_frames: int = 3) -> list[Camera]:
-    """Camera 1 is the held-out one. Pictures are PNG, so that they can be compared exactly."""
+    """Camera 1 is held out. Pictures are PNG, so that they can be compared exactly."""
     root.mkdir()
     (root / "fps.txt").write_text("30\n")
     cameras = tiny_rig(num_cameras)

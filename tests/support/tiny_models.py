@@ -51,7 +51,7 @@ def write_model(
     model: str = "PINHOLE",
     distortion: Sequence[float] = (),
 ) -> None:
-    """One COLMAP camera and one image per camera, and three points."""
+    """Writes one COLMAP camera and one image per camera, and three points."""
     folder.mkdir(parents=True)
     rows = [
         (number, camera, name, quaternion_of(camera.w2c[:3, :3]), camera.w2c[:3, 3].tolist())
@@ -97,9 +97,9 @@ def write_pictures(
     by_frame: bool,
     picture: Picturer = picture_of,
 ) -> list[list[str]]:
-    """The pictures as frames/frame_N/cam.png or images/cam/N.png from number 7 on.
+    """Writes the pictures as frames/frame_N/cam.png or images/cam/N.png, from number 7 on.
 
-    Gives their paths below root, by camera and frame.
+    Returns their paths below root, by camera and frame.
     """
     paths = []
     for index, camera in enumerate(cameras):
@@ -118,7 +118,7 @@ def write_pictures(
 
 
 def transforms_of(cameras: Sequence[Camera], paths: Sequence[Sequence[str]]) -> dict[str, Any]:
-    """A transforms.json; the intrinsics of the first camera stand for all that have the same."""
+    """A transforms.json; the intrinsics at the top are those of the first camera."""
     first = cameras[0]
     frames = []
     for camera, of_camera in zip(cameras, paths, strict=True):

@@ -1,7 +1,7 @@
 """A tiny stream of trained-like Gaussians.
 
-`python -m tests.support.tiny_stream FOLDER FRAMES` writes one as a process to be killed: it creates
-or resumes the stream in FOLDER, prints a line when it is about to append, and appends until the
+`python -m tests.support.tiny_stream FOLDER FRAMES` writes one, as a process for tests to kill. It
+creates or resumes the stream in FOLDER, prints a line before each append, and appends until the
 stream has FRAMES frames.
 """
 
@@ -41,7 +41,7 @@ def tiny_slice(birth: int, swin_size: int = SWIN_SIZE) -> Slice:
 def write_tiny(
     path: Path, num_frames: int, manifest: Manifest | None = None, exact: bool = False
 ) -> None:
-    """A finished stream of `num_frames` frames at `path`."""
+    """Writes a finished stream of `num_frames` frames to `path`."""
     manifest = tiny_manifest() if manifest is None else manifest
     with StreamWriter.create(path, manifest, exact=exact) as writer:
         for birth in range(manifest.first_birth, num_frames):
@@ -49,13 +49,13 @@ def write_tiny(
 
 
 def append_tiny(writer: StreamWriter, num_frames: int) -> None:
-    """Appends what the stream of `write_tiny` has beyond that of `writer`."""
+    """Appends the slices of the stream of `write_tiny` that `writer` does not have yet."""
     for birth in range(writer.next_birth, num_frames):
         writer.append(tiny_slice(birth))
 
 
 def files_of(stream: Path) -> dict[str, bytes]:
-    """All that is there but leftovers, which a reader ignores."""
+    """The files of a stream without leftovers, which a reader ignores."""
     found = (p for p in stream.rglob("*") if p.is_file() and not p.name.startswith("."))
     return {str(p.relative_to(stream)): p.read_bytes() for p in found}
 

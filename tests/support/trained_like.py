@@ -36,7 +36,7 @@ def _facing(normals: Doubles, rng: np.random.Generator) -> Doubles:
 
 
 def _surface(count: int, rng: np.random.Generator) -> tuple[Doubles, Doubles, Doubles]:
-    """(N, 3) points and normals, and (N,) how much larger Gaussians are there."""
+    """(N, 3) points and normals, and (N,) factors of the sizes of Gaussians there."""
     directions = rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     ball = rng.integers(0, len(BALLS), count)
@@ -60,7 +60,7 @@ def _surface(count: int, rng: np.random.Generator) -> tuple[Doubles, Doubles, Do
 
 
 def trained_like_splats(count: int, seed: int = 0, sh_degree: int = 0) -> Splats:
-    """`count` Gaussians, the same for the same arguments."""
+    """`count` Gaussians that depend only on the arguments."""
     rng = np.random.default_rng(seed)
     points, normals, growth = _surface(count, rng)
     largest = rng.normal(-4.4, 0.7, count) + np.log(growth)
@@ -88,14 +88,14 @@ def trained_like_splats(count: int, seed: int = 0, sh_degree: int = 0) -> Splats
 
 
 def trained_like_slice(birth: int, count: int, sh_degree: int = 0) -> Slice:
-    """A slice of such Gaussians; one in ten starts late."""
+    """A slice of trained-like Gaussians; about one in ten starts late."""
     rng = np.random.default_rng(birth + 10_000)
     offsets = np.where(rng.random(count) < 0.1, rng.integers(1, 4, count), 0).astype(np.uint8)
     return Slice(birth, trained_like_splats(count, birth + 500, sh_degree), offsets)
 
 
 def covariances(log_scales: Doubles, quats: Doubles) -> Doubles:
-    """(N, 3, 3): the same for every way to write a Gaussian."""
+    """(N, 3, 3) covariances; they are the same for all representations of a Gaussian."""
     w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
     rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
     rows += [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]

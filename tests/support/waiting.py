@@ -1,4 +1,4 @@
-"""What another process or thread does: waiting for it, and whether it still runs."""
+"""Waits for other processes and threads, and checks whether they run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def wait_until(holds: Callable[..., object], timeout_s: float = 60.0) -> None:
 
 
 def is_running(pid: int) -> bool:
-    """Whether a process runs; one that has ended stays a zombie until its parent looks. Linux."""
+    """Whether a process runs. A zombie, not yet reaped by its parent, does not run. Linux only."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except OSError:

@@ -1,4 +1,4 @@
-"""What a player makes of a source, frame by frame, without a clock."""
+"""Frames that a player assembles from a source, one by one, without a clock."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from tests.support.slots.slot_streams import Shown
 
 @dataclass(frozen=True)
 class Assembled:
-    """A frame, and what it takes in."""
+    """A frame, and the data that it uses."""
 
     frame: int
     slices: list[Slice]
     layers: int
-    """Layers of which nothing is missing."""
+    """Number of complete layers."""
     wire_bytes: int
 
 
 def assembled(source: Source) -> Iterator[Assembled]:
-    """Every frame of `source`, as soon as layer 0 of it has come."""
+    """Every frame of `source`, as soon as its layer 0 has arrived."""
     media, frame = PlayedMedia(source.manifest), source.frames.first
     here = Holding(media, frame, 1 if source.adaptive else source.num_layers)
     assembler = Assembler(source.manifest, source.num_layers, frame)
@@ -49,7 +49,8 @@ def assembled(source: Source) -> Iterator[Assembled]:
 
 
 def checked(reader: StreamReader, frames: Iterable[Assembled], layers: int) -> Iterator[Assembled]:
-    """`frames`, in a row, each of which has to show the first `layers` layers of the stream."""
+    """Yields `frames`; checks that they are consecutive, and that each shows the first `layers`
+    layers of the stream."""
     shown, last = Shown(reader.manifest), None
     for one in frames:
         assert last is None or one.frame == last + 1
@@ -74,11 +75,11 @@ def check_packets(reader: StreamReader, one: Packets) -> None:
 def read_all(
     source: str, frames: FrameRange | None = None, layers: int | None = None
 ) -> list[Assembled]:
-    """Every frame of what `source` names."""
+    """Every frame of the stream that `source` names."""
     with opened(source, frames, layers) as found:
         return list(assembled(found))
 
 
 def slices_of(frames: list[Assembled]) -> list[Slice]:
-    """All their slices, in order."""
+    """All slices of `frames`, in order."""
     return [slice for one in frames for slice in one.slices]

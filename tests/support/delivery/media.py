@@ -1,4 +1,4 @@
-"""Streams as delivery sees them, made up."""
+"""Made-up streams for tests of delivery."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ def sizes_of(
     gains_db: tuple[float, ...],
     snapshot_bytes: tuple[float, ...] | None = None,
 ) -> SegmentSizes:
-    """Sizes with these gains; a slice changes a tenth of each layer. A snapshot takes as much as
-    five slices where nothing else is given."""
+    """Sizes with these gains; a slice changes a tenth of each layer. By default a snapshot is as
+    large as five slices."""
     if snapshot_bytes is None:
         snapshot_bytes = tuple(5 * size for size in layer_bytes)
     shares = (0.1,) * len(layer_bytes)
@@ -23,7 +23,7 @@ def sizes_of(
 
 @dataclass
 class MadeMedia:
-    """A stream whose segments take and give what `segments` says, from the first one on again."""
+    """A stream whose segments have the sizes and qualities of `segments`, repeated."""
 
     segments: tuple[SegmentSizes, ...]
     num_frames: int = 120
@@ -40,17 +40,17 @@ class MadeMedia:
         return self.segments[birth // self.segment_frames % len(self.segments)]
 
     def need_bps(self, num_layers: int) -> float:
-        """What this many layers take at most, without snapshots."""
+        """Maximum rate of this many layers, without snapshots."""
         return 8 * self.fps * max(s.slice_bytes[num_layers - 1] for s in self.segments)
 
     def most_bps(self, num_layers: int) -> float:
-        """The same with all snapshots."""
+        """Maximum rate of this many layers, with all snapshots."""
         snapshot_bytes = max(sum(s.snapshot_bytes[:num_layers]) for s in self.segments)
         return self.need_bps(num_layers) + 8 * self.fps * snapshot_bytes / self.segment_frames
 
 
 def basketball_media(num_frames: int = 900) -> MadeMedia:
-    """The basketball, docs/RESULTS.md."""
+    """The basketball stream of docs/RESULTS.md."""
     sizes = SegmentSizes(
         (17.7e3, 4.3e3, 5.1e3, 7.0e3),
         (27.82, 28.78, 29.25, 29.69),

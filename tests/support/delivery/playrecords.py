@@ -12,7 +12,7 @@ from tests.support.hosted_streams import SLICE_SIZE, write_stream
 
 
 def slice_record(reader: StreamReader, birth: int, first: int, end: int) -> SliceRecord:
-    """Layers first..end-1 of the slice born at `birth`; with layer 0 its mask."""
+    """Layers first..end-1 of the slice born at `birth`, with its mask if layer 0 is included."""
     segment = reader.manifest.segment_of(birth)
     parts = (reader.read_object(segment, layer).packet(birth) for layer in range(first, end))
     mask = None if first else reader.read_object(segment, MASKS).packet(birth)
@@ -30,8 +30,8 @@ def snapshot_record(reader: StreamReader, frame: int, first: int, end: int) -> S
 def records_from_0(
     num_frames: int, slice_size: int = SLICE_SIZE, sh_degree: int = 1
 ) -> tuple[SnapshotRecord, list[SliceRecord]]:
-    """All layers of a stream of `small_manifest`: the snapshot of frame 0, and the slices born from
-    1 on."""
+    """The snapshot of frame 0 and the slices born from 1 on, with all layers, of a stream of
+    `small_manifest`."""
     with tempfile.TemporaryDirectory() as folder:
         path = write_stream(Path(folder) / "s", num_frames, slice_size, sh_degree)
         reader = StreamReader(path)

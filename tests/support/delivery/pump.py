@@ -1,8 +1,8 @@
 """A play of made-up bytes to one client, as a process: `python -m tests.support.delivery.pump HOST
 LEAST MOST SECONDS` fills a link of LEAST to MOST bit/s.
 
-It does what server/play.py does, with nothing but the session between the socket and the clock. It
-prints its port, and then what the session knew: a line of JSON for each decision.
+It works like server/play.py, with only the session between the socket and the clock. It prints its
+port, and then the data on which the session decided: a line of JSON for each decision.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FPS = 30
 
 
 class Told(NamedTuple):
-    """What a session knows when it decides."""
+    """The data on which a session decides."""
 
     time_s: float
     rate_bps: float | None
@@ -34,11 +34,11 @@ class Told(NamedTuple):
 
 
 def wide_media(least_bps: float, most_bps: float, seconds: float) -> MadeMedia:
-    """A stream of which a link of `least_bps` carries layer 0, and one of `most_bps` never all."""
+    """A stream whose layer 0 fits into `least_bps`, and whose layers exceed `most_bps`."""
     base_bps = 0.7 * least_bps
     upper_bps = (1.5 * most_bps - base_bps) / 3
     sizes = tuple(rate_bps / 8 / FPS for rate_bps in (base_bps, upper_bps, upper_bps, upper_bps))
-    # Snapshots go out in one piece: long ones alone would be more than the link is to hold.
+    # Snapshots are sent in one piece: a long one alone would exceed what the link may hold.
     segments = (sizes_of(sizes, (25.5, 2.5, 1.1, 0.6), snapshot_bytes=sizes),)
     return MadeMedia(segments, round(FPS * seconds), segment_frames=30)
 

@@ -1,4 +1,4 @@
-"""A static host that knows ranges, keeps connections, counts, and can be made to fail."""
+"""A static host with ranges and kept connections, which counts, and fails on request."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class RangeHost:
         self.asked: list[tuple[str, str]] = []
         """(path, range) of each request."""
         self.cut_bytes: int | None = None
-        """Each body breaks off after so many."""
+        """Number of bytes after which each body breaks off."""
         self.knows_ranges = True
         self.cors = False
-        """Whether pages of other origins may read it."""
+        """Whether pages of other origins may read the files."""
         self.gone = False
-        """Whether every request is answered by hanging up."""
+        """Whether the host closes the connection at every request."""
         self.refusals: list[tuple[int, dict[str, str]]] = []
-        """What the next requests are answered."""
+        """Statuses and fields of the next responses."""
         self.url = ""
 
     def answer(self, handler: BaseHTTPRequestHandler) -> None:
@@ -75,7 +75,7 @@ class RangeHost:
         handler.wfile.write(body)
 
     def objects(self) -> list[str]:
-        """The objects that were asked for, in order."""
+        """Paths of the requested objects, in order."""
         return [path for path, _ in self.asked if "/segments/" in path]
 
 

@@ -15,22 +15,22 @@ from pathlib import Path
 from server.abr.link.link import Link, LinkStep
 
 LEAST_BPS = 8e3
-"""tbf passes something at least; as good as nothing here."""
+"""Minimum rate of the link, because tbf needs one; negligible here."""
 
 BURST_S = 0.004
 LEAST_BURST_BYTES = 3200
-"""Two whole packets: fewer would never pass."""
+"""Two whole packets: a packet larger than the bucket never passes."""
 
 QUEUE_S = 0.1
 LEAST_QUEUE_BYTES = 16_000
-"""What waits before the link at most, at its fastest; the rest is dropped, as by a router."""
+"""The queue holds QUEUE_S at the fastest rate, at least this; a router, too, drops the rest."""
 
 TCP_SHARE = 1448 / 1514
-"""Bytes of TCP in a full Ethernet frame: tbf counts the heads too."""
+"""Share of TCP payload in a full Ethernet frame: tbf counts the headers, too."""
 
 
 def addresses() -> tuple[str, str]:
-    """Of this end and of the one behind the link; what a killed process left has others."""
+    """Addresses of this end and of the end behind the link; other processes have different ones."""
     number = os.getpid() % (1 << 14)
     network = f"10.213.{number >> 6}"
     first = 4 * (number & 63)
@@ -38,7 +38,7 @@ def addresses() -> tuple[str, str]:
 
 
 def why_not() -> str | None:
-    """Why there can be no such link here; None if there can."""
+    """The reason why this machine cannot have such a link; None if it can."""
     if sys.platform != "linux":
         return "network namespaces are Linux's"
     if os.geteuid() != 0:
@@ -65,12 +65,12 @@ class ShapedLink:
         self._shape(link.steps[0].rate_bps)
 
     def inside(self, *command: str) -> list[str]:
-        """`command` as it runs behind the link, where the machine's address is `host`."""
+        """`command`, to be run behind the link, where the machine's address is `host`."""
         return ["ip", "netns", "exec", self._name, *command]
 
     def start(self, after_bytes: int = 0) -> None:
-        """The time of the link begins, once `after_bytes` have passed; until then it has the rate
-        of its first step."""
+        """Starts the clock of the link once `after_bytes` have passed; until then the link has the
+        rate of its first step."""
         self._thread = threading.Thread(target=self._follow, args=(after_bytes,), daemon=True)
         self._thread.start()
 
@@ -94,7 +94,7 @@ class ShapedLink:
                     return
 
     def _shape(self, rate_bps: float) -> None:
-        # A bucket for the fastest rate would pass much at once while the link is slow.
+        # A bucket for the fastest rate would pass too much at once while the link is slow.
         burst_bytes = max(LEAST_BURST_BYTES, round(rate_bps / 8 * BURST_S))
         fastest_bps = max(step.rate_bps for step in self._link.steps)
         queue_bytes = max(LEAST_QUEUE_BYTES, round(fastest_bps / 8 * QUEUE_S))
@@ -109,7 +109,7 @@ def run(*command: str) -> None:
 
 @contextmanager
 def shaped_link(link: Link) -> Iterator[ShapedLink]:
-    """A namespace whose way to here is `link`; latency is that of the queue alone."""
+    """A namespace that is reached over `link`; its latency is that of the queue alone."""
     name = f"swings-{os.getpid()}"
     here, there = f"sw{os.getpid()}a", f"sw{os.getpid()}b"
     near, far = addresses()
@@ -120,7 +120,7 @@ def shaped_link(link: Link) -> Iterator[ShapedLink]:
         run("ip", "link", "set", here, "up")
         behind = ("ip", "-n", name)
         run(*behind, "addr", "add", f"{far}/30", "dev", there)
-        # Each packet passes the bucket by itself: a longer one than the bucket never would.
+        # Packets are not merged: a packet longer than the bucket would never pass.
         run(*behind, "link", "set", there, "up", "gso_max_segs", "1")
         run(*behind, "link", "set", "lo", "up")
         shaped = ShapedLink(name, (here, there), link)
@@ -128,7 +128,7 @@ def shaped_link(link: Link) -> Iterator[ShapedLink]:
             yield shaped
         finally:
             shaped.close()
-            # The namespace may live on for a while with what is left of its connections.
+            # The namespace may exist for a while because of its remaining connections.
             run("ip", "link", "del", here)
     finally:
         run("ip", "netns", "del", name)

@@ -1,4 +1,4 @@
-"""What a play comes to when nobody decodes or draws: the network and the clock alone."""
+"""Plays without decoding and drawing: only the network and the clock."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from player.source.source import Packets, Source
 from server.abr.playout import PlayoutConfig
 
 WINDOW = PlayoutConfig(conceal_s=0.15)
-"""What a window waits for."""
+"""The playout configuration of a window."""
 
 
 @dataclass(frozen=True)
 class Watched:
-    """One play."""
+    """Result of one play."""
 
     frames: list[FrameRecord]
     totals: PlayoutTotals
     startup_s: float
-    """From the first request for packets to the first picture."""
+    """Time from the first request for packets to the first picture."""
     packets: list[Packets]
-    """In the order in which they came."""
+    """Packets in order of arrival."""
 
     def layers(self, begin_s: float = 0.0, end_s: float = 1e9) -> float:
-        """The mean of what showed from begin_s to end_s after the first picture."""
+        """Mean layers of the frames shown from begin_s to end_s after the first picture."""
         first_s = self.frames[0].shown_s
         shown = [one.layers for one in self.frames if begin_s <= one.shown_s - first_s < end_s]
         return sum(shown) / len(shown)
 
 
 def watched(source: Source, until_frame: int | None = None) -> Watched:
-    """Plays `source` in real time, as a window does, to its end or to `until_frame`. Closes it."""
+    """Plays `source` in real time, like a window, to its end or to `until_frame`; closes it."""
     clock, frames, packets = Clock(real=True), list[FrameRecord](), list[Packets]()
     needed = 1 if source.adaptive else source.num_layers
     playout = Playout(

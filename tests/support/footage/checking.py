@@ -1,4 +1,4 @@
-"""What swings-train --check says of a capture, without a process of its own."""
+"""Output of swings-train --check for a capture, without a process of its own."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from trainer.run.config import TrainConfig
 
 
 def checked(path: Path, **settings: Any) -> list[str]:
-    """The lines; without `check` nothing is drawn."""
+    """The lines of output; without `check` nothing is drawn."""
     return check_capture(TrainConfig(path, stream=path / "unused", **settings))
 
 
 def said(lines: list[str], what: str) -> str:
-    """What the one line of this name says."""
+    """Text of the only line of this name."""
     (found,) = all_said(lines, what)
     return found
 
 
 def all_said(lines: list[str], what: str) -> list[str]:
-    """What each line of this name says."""
+    """Text of each line of this name."""
     return [line[12:] for line in lines if line[:12].rstrip() == what]

@@ -1,5 +1,5 @@
-"""Captures as people bring them, filmed in the synthetic room: cameras of different sizes, lenses
-that bend, a world of any unit, cameras far apart or close to things."""
+"""Captures as users record them, filmed in the synthetic room: cameras of different sizes, lenses
+with distortion, a world of any unit, cameras far apart or close to objects."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ Picture = npt.NDArray[np.uint8]
 WIDTH_PX, HEIGHT_PX = 128, 72
 NUM_FRAMES = 3
 FINER = 3
-"""Size at which bent pictures are filmed, over their own."""
+"""Scale at which distorted pictures are filmed before they are reduced."""
 
 
 @dataclass(frozen=True)
 class Footage:
-    """What was filmed, to compare with what is read."""
+    """The true cameras and pictures of a capture."""
 
     cameras: list[Camera]
-    """As the capture describes them."""
+    """The cameras as the capture describes them."""
     pictures: list[list[Picture]]
-    """What pinholes would have seen, by camera and frame."""
+    """Pictures of pinhole cameras, by camera and frame."""
 
 
 @cache
@@ -48,7 +48,7 @@ def filmed(camera: Camera) -> list[Picture]:
 
 
 def points_seen(cameras: Sequence[Camera], count: int) -> tuple[Doubles, Picture]:
-    """(P, 3) places on the surfaces that the cameras see in frame 0, and their colours."""
+    """(P, 3) points on the surfaces that the cameras see in frame 0, and their colours."""
     found = []
     for number, camera in enumerate(cameras):
         studio = Studio(room(), camera)
@@ -59,7 +59,7 @@ def points_seen(cameras: Sequence[Camera], count: int) -> tuple[Doubles, Picture
 
 
 def straight_place(bent: Doubles, lens: Lens) -> Doubles:
-    """(..., 2) where on the pinhole's picture plane a lens shows what it bends to `bent`."""
+    """(..., 2) undistorted places on the picture plane of the places `bent` under a lens."""
     x, y = straight = np.moveaxis(bent, -1, 0).copy()
     for _ in range(50):
         r2 = x * x + y * y
@@ -73,7 +73,7 @@ def straight_place(bent: Doubles, lens: Lens) -> Doubles:
 
 
 def bent_pictures(camera: Camera, lens: Lens) -> list[Picture]:
-    """What the camera sees through the lens: a finer and wider pinhole's pictures, bent."""
+    """The camera's pictures through the lens: those of a finer and wider pinhole, distorted."""
     wide = replace(
         camera,
         width_px=int(1.3 * FINER * camera.width_px),
@@ -83,7 +83,7 @@ def bent_pictures(camera: Camera, lens: Lens) -> list[Picture]:
         cx_px=FINER * (camera.cx_px + 0.15 * camera.width_px),
         cy_px=FINER * (camera.cy_px + 0.15 * camera.height_px),
     )
-    # FINER x FINER samples in each pixel, so that the bent picture is as soft as a straight one.
+    # FINER x FINER samples in each pixel, so that it is as soft as an undistorted picture.
     v, u = (np.mgrid[: FINER * camera.height_px, : FINER * camera.width_px] + 0.5) / FINER
     bent = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px], axis=-1)
     places = straight_place(bent, lens)
@@ -97,7 +97,7 @@ def bent_pictures(camera: Camera, lens: Lens) -> list[Picture]:
 
 
 def write_portrait(root: Path, num_cameras: int = 16) -> Footage:
-    """nerfstudio: a video for each camera, each with intrinsics of its own, one of them upright."""
+    """nerfstudio: a video for each camera, each with its own intrinsics, one in portrait format."""
     cameras = camera_rig(num_cameras, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
     for i, camera in enumerate(cameras):
         focal_px = camera.fx_px * (1 + 0.01 * i)
@@ -106,7 +106,7 @@ def write_portrait(root: Path, num_cameras: int = 16) -> Footage:
             cy_px=camera.cy_px + i % 3 - 1,
         )  # fmt: skip
         if i == 5:
-            longer_px = focal_px * WIDTH_PX / HEIGHT_PX  # so that it sees what the others see
+            longer_px = focal_px * WIDTH_PX / HEIGHT_PX  # so that it sees the same as the others
             own = replace(
                 own, width_px=HEIGHT_PX, height_px=WIDTH_PX, fx_px=longer_px, fy_px=longer_px,
                 cx_px=own.cy_px, cy_px=own.cx_px,
@@ -123,7 +123,7 @@ def write_portrait(root: Path, num_cameras: int = 16) -> Footage:
 
 
 def moved(camera: Camera, scale: float, turn: Doubles, offset: Doubles) -> Camera:
-    """The camera in a world of another unit, turned and moved."""
+    """The camera in a world that is scaled, turned and moved."""
     position = scale * turn @ camera.position + offset
     return replace(camera, w2c=world_to_camera(camera.w2c[:3, :3] @ turn.T, position))
 
@@ -131,7 +131,7 @@ def moved(camera: Camera, scale: float, turn: Doubles, offset: Doubles) -> Camer
 def write_radial(root: Path, scale: float = 0.37, num_cameras: int = 18) -> Footage:
     """COLMAP in text: SIMPLE_RADIAL lenses, one camera of another size, a turned world of any unit.
 
-    Its pictures stand as images/<camera>/<frame>.png, and nothing tells their rate.
+    Its pictures are images/<camera>/<frame>.png, and no file states their rate.
     """
     lens = Lens(k1=-0.09)
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
@@ -162,7 +162,7 @@ def write_radial(root: Path, scale: float = 0.37, num_cameras: int = 18) -> Foot
 
 
 def write_distant(root: Path) -> Footage:
-    """nerfstudio: four cameras far apart, whose lenses bend in every way that OpenCV knows."""
+    """nerfstudio: four cameras far apart, with radial and tangential distortion as in OpenCV."""
     lens = Lens(k1=-0.12, k2=0.03, p1=0.002, p2=-0.0015)
     cameras = camera_rig(4, WIDTH_PX, HEIGHT_PX, float(np.radians(160)))
     paths = []
@@ -177,7 +177,7 @@ def write_distant(root: Path) -> Footage:
 
 
 def close_rig(num_cameras: int = 12) -> list[Camera]:
-    """Cameras around the sofa, of which those at the ends almost touch its arms."""
+    """Cameras around the sofa; the outermost ones almost touch its arms."""
     cameras = camera_rig(num_cameras, WIDTH_PX, HEIGHT_PX, 0.0)
     target = np.array([-0.75, -0.45, 2.8])
     for i, camera in enumerate(cameras):

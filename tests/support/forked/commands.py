@@ -1,4 +1,4 @@
-"""The process of commandserver.py, seen from a test."""
+"""Client of the process of commandserver.py, for tests."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from tests.support.forked.commandserver import Request
 ROOT = Path(__file__).parents[3]
 
 READ_AT_IMPORT = ("PYTHON", "NUMBA", "OMP", "OPENBLAS", "MPL", "LD_")
-"""How variables begin that libraries read when they are imported, so that a fork has them from its
-server."""
+"""Prefixes of variables that libraries read when they are imported, so that a fork has the values
+of its server."""
 
 
 class CommandServer:
-    """The process, from which one command is forked at a time."""
+    """The process; it forks one command at a time."""
 
     def __init__(self, environment: dict[str, str]) -> None:
         self._fixed = _fixed(environment)
@@ -32,12 +32,12 @@ class CommandServer:
             env={**environment, "PYTHONPATH": str(ROOT)},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            bufsize=0,  # a line that Python had read ahead would be waited for
+            bufsize=0,  # select does not see a line that Python has read ahead
         )
         atexit.register(self.close)
 
     def suits(self, environment: dict[str, str]) -> bool:
-        """Whether a fork would see what a new process sees of `environment`."""
+        """Whether a fork behaves like a new process with `environment`."""
         return _fixed(environment) == self._fixed and self._process.poll() is None
 
     def run(
@@ -49,7 +49,8 @@ class CommandServer:
         timeout_s: float,
         folder: Path | None = None,
     ) -> subprocess.CompletedProcess[str]:
-        """As subprocess.run with text output. Kills the command and raises TimeoutExpired."""
+        """Like subprocess.run with text output. After `timeout_s` it kills the command and raises
+        TimeoutExpired."""
         assert self._process.stdin is not None
         with tempfile.TemporaryDirectory() as made:
             out, err = Path(made) / "out", Path(made) / "err"
@@ -65,7 +66,7 @@ class CommandServer:
                 if status is None:
                     raise subprocess.TimeoutExpired(argv, timeout_s)
             except BaseException:
-                # A test's own limit can end it anywhere. What is still due is not for the next one.
+                # A test's time limit can end it anywhere; its answers are not for the next command.
                 if pid is not None:
                     os.kill(pid, signal.SIGKILL)
                 self.close()
@@ -74,7 +75,7 @@ class CommandServer:
             return subprocess.CompletedProcess(argv, status, out.read_text(), err.read_text())
 
     def _answer(self, timeout_s: float) -> int | None:
-        """The next number that the server says; None if it does not come in time."""
+        """The next number that the server prints; None if it does not arrive in time."""
         assert self._process.stdout is not None
         if not select.select([self._process.stdout], [], [], timeout_s)[0]:
             return None
@@ -94,5 +95,5 @@ def _fixed(environment: dict[str, str]) -> dict[str, str]:
 
 @cache
 def command_server(pid: int) -> CommandServer:
-    """The server of the process `pid`, this one."""
+    """The server of this process, whose id is `pid`."""
     return CommandServer(dict(os.environ))

@@ -1,8 +1,8 @@
-"""A process that has imported the commands, and forks one of them for each request.
+"""A process that has imported the commands, and forks a command for each request.
 
 `python -m tests.support.forked.commandserver`. A line on its standard input is a request as JSON
-(`Request`). It answers with the pid of the command and, when that has ended, with its exit status.
-A fork costs milliseconds where a new interpreter costs a second.
+(`Request`). The answer is the pid of the command and, once it has ended, its exit status. A fork
+takes milliseconds, a new interpreter a second.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PRELOADED = (
     "server.serving",
     "server.study.__main__",
 )
-"""What the commands import, at once or when they run."""
+"""Modules that the commands import, at once or when they run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +37,12 @@ class Request:
     entry: str
     """module:function"""
     argv: list[str]
-    """As an interpreter gets it, with the command's arguments at its end."""
+    """The command line of the interpreter, with the command's arguments at its end."""
     arguments: list[str]
     environment: dict[str, str]
     folder: str
     out: str
-    """The file to put its standard output into."""
+    """File for the standard output."""
     err: str
 
     def to_line(self) -> str:
@@ -50,7 +50,7 @@ class Request:
 
 
 def exit_status(code: object) -> int:
-    """What an interpreter makes of the code of a SystemExit."""
+    """Exit status that an interpreter gives for the code of a SystemExit."""
     if code is None:
         return 0
     if isinstance(code, int):
@@ -60,7 +60,7 @@ def exit_status(code: object) -> int:
 
 
 def run(request: Request) -> int:
-    """Runs the command in this process; its exit status."""
+    """Runs the command in this process; returns its exit status."""
     for number, path in enumerate((os.devnull, request.out, request.err)):
         opened = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         os.dup2(opened, number)
@@ -78,7 +78,7 @@ def run(request: Request) -> int:
         traceback.print_exc()
         code = 1
     status = exit_status(code)
-    threading._shutdown()  # type: ignore[attr-defined]  # as an interpreter does at its end
+    threading._shutdown()  # type: ignore[attr-defined]  # like an interpreter at its end
     atexit._run_exitfuncs()
     sys.stdout.flush()
     sys.stderr.flush()

@@ -1,9 +1,9 @@
-"""A warm process that forks stream writers to be killed.
+"""A warm process that forks stream writers for tests to kill.
 
 `python -m tests.support.forked.forked_writer`. A line on its standard input is the folder or URL to
-write to: the writer says its pid when it is about to begin, creates or resumes the stream there,
-and finishes it. An empty line waits for that writer and says how it ended, -9 for SIGKILL. A fork
-costs milliseconds where a new interpreter costs a second.
+write to: the writer prints its pid before it begins, creates or resumes the stream there, and
+finishes it. At an empty line the process waits for that writer and prints its exit code, -9 for
+SIGKILL. A fork takes milliseconds, a new interpreter a second.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from tests.support.slots.folder import slots_manifest
 from tests.support.slots.updates import patternless_updates, small_layout
 
 NUM_FRAMES = 31
-"""The last segment is a short one."""
+"""Frames of the stream; the last segment is short."""
 
 
 def forked_manifest() -> Manifest:
-    """Short segments of few slots: the time goes into files, not into compression."""
+    """Short segments with few slots, so that the time is spent on files, not on compression."""
     return slots_manifest(small_layout(2, (5,), 0, 2))
 
 
@@ -54,7 +54,7 @@ def say(number: int) -> None:
 def main() -> None:
     updates = forked_updates()
     with tempfile.TemporaryDirectory() as made:
-        # Here once, so that no writer that is forked has to load a kernel.
+        # Runs once here, so that no forked writer has to load a kernel.
         writer = StreamWriter.create(Path(made), forked_manifest())
         for update in updates[:6]:
             writer.append(update)

@@ -1,4 +1,4 @@
-"""The warm process of forked_writer.py, seen from a test."""
+"""Client of the warm process of forked_writer.py, for tests."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class Forker:
         return int(self._process.stdout.readline())
 
     def start(self, target: Target) -> int:
-        """The pid of a writer that is about to begin; until `ended` nobody else can have it."""
+        """Starts a writer and returns its pid; no other process can have that pid until `ended`."""
         return self._ask(str(target))
 
     def ended(self) -> int:
-        """How the writer ended, once it has."""
+        """Waits for the end of the writer; returns its exit code."""
         return self._ask("")
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Whether OpenGL starts on this machine, for tests that need it."""
+"""Checks whether OpenGL starts on this machine, for tests that need it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from player.render.renderer import GlVersion
 
 
 def gl_reason(version: GlVersion) -> str | None:
-    """Why that OpenGL cannot start here; None where it can."""
+    """The reason why this OpenGL cannot start here; None if it can."""
     try:
         open_context(version).release()
     except GlError as error:
@@ -28,4 +28,4 @@ GL_VERSIONS = [
         marks=pytest.mark.skipif(NO_GL43 is not None, reason=f"OpenGL: {NO_GL43}"),
     ),
 ]
-"""Both ways of drawing, as parameters."""
+"""Both versions of OpenGL, as parameters."""

@@ -1,4 +1,4 @@
-"""An X server without a screen, and a person in front of it who has keys, a mouse and eyes."""
+"""An X server without a screen, and a simulated user with keys, a mouse and screenshots."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Pixels = npt.NDArray[np.uint8]
 
 @contextmanager
 def x_server() -> Iterator[str]:
-    """Gives the name of its display."""
+    """Runs an X server; gives the name of its display."""
     if XVFB is None:
         pytest.skip("needs Xvfb, an X server without a screen")
     reading, writing = os.pipe()
@@ -39,7 +39,7 @@ def x_server() -> Iterator[str]:
 
 
 class Person:
-    """Sits before the window whose title begins with `title`."""
+    """A user in front of the window whose title begins with `title`."""
 
     def __init__(self, display: str, title: str) -> None:
         xlib = pytest.importorskip("Xlib", reason="needs python-xlib")
@@ -52,7 +52,7 @@ class Person:
         self._display: Any = Display(display)
         self._root = self._display.screen().root
         self._window: Any = self.wait_for(lambda: self._find(title))
-        # There is no window manager to do it.
+        # There is no window manager to set the focus.
         self._window.set_input_focus(X.RevertToParent, X.CurrentTime)
         self._display.sync()
 
@@ -63,13 +63,13 @@ class Person:
             try:
                 name, seen = window.get_wm_name(), window.get_attributes().map_state
             except XError:
-                continue  # gone meanwhile
+                continue  # the window is gone
             if name and name.startswith(title) and seen == self._x.IsViewable:
                 return window
         return None
 
     def wait_for(self, look: Callable[[], Any]) -> Any:
-        """What `look` gives once that is something."""
+        """The first true result of `look`, which is called repeatedly."""
         until_s = time.monotonic() + PATIENCE_S
         while not (found := look()):
             assert time.monotonic() < until_s, "it did not come to be"
@@ -82,14 +82,14 @@ class Person:
         return geometry.width, geometry.height
 
     def sees(self) -> Pixels:
-        """(H, W, 3) uint8 RGB: the window."""
+        """(H, W, 3) uint8 RGB picture of the window."""
         width, height = self.size_px
         image = self._window.get_image(0, 0, width, height, self._x.ZPixmap, 0xFFFFFFFF)
         bgrx = np.frombuffer(image.data, np.uint8).reshape(height, width, 4)
         return np.ascontiguousarray(bgrx[:, :, 2::-1])
 
     def sees_rest(self) -> Pixels:
-        """The window once it has not changed for a while."""
+        """Picture of the window once it has not changed for a while."""
 
         def rests() -> Pixels | None:
             before = self.sees()
@@ -101,7 +101,7 @@ class Person:
         return found
 
     def presses(self, *names: str) -> None:
-        """Holds all but the last key while that is pressed; by the names of X, as `space`."""
+        """Presses the last key while the others are held; names are those of X, like `space`."""
         codes = [self._display.keysym_to_keycode(self._keys.string_to_keysym(n)) for n in names]
         assert all(codes), names
         for code in codes:
@@ -112,7 +112,7 @@ class Person:
         time.sleep(0.05)
 
     def holds(self, name: str, seconds: float) -> None:
-        """Holds one key for so long."""
+        """Holds one key for this time."""
         code = self._display.keysym_to_keycode(self._keys.string_to_keysym(name))
         self._xtest.fake_input(self._display, self._x.KeyPress, code)
         self._display.sync()
@@ -122,14 +122,14 @@ class Person:
 
     def points(self, x_px: int, y_px: int) -> None:
         at = self._window.translate_coords(self._root, 0, 0)
-        # Where the window lies on the screen, the other way round.
+        # `at` is the negative place of the window on the screen.
         self._xtest.fake_input(self._display, self._x.MotionNotify, x=x_px - at.x, y=y_px - at.y)
         self._display.sync()
         time.sleep(0.05)
 
     def drags(self, button: int, *places: tuple[int, int]) -> None:
-        """From the first place, over the others, to the last. Buttons: 1 left, 2 middle, 3 right;
-        4 and 5 are the wheel."""
+        """Drags from the first place over the others to the last. Buttons: 1 left, 2 middle,
+        3 right; 4 and 5 are the wheel."""
         self.points(*places[0])
         self._xtest.fake_input(self._display, self._x.ButtonPress, button)
         self._display.sync()

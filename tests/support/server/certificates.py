@@ -1,4 +1,4 @@
-"""Certificates of nobody's but the tests."""
+"""Certificates for tests only."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 
 
 def make_certificate(folder: Path, names: str = "DNS:localhost") -> tuple[Path, Path]:
-    """A certificate for `names`, as OpenSSL writes them, signed by itself, and its key: `cert` and
-    `key` in `folder`."""
+    """Writes a self-signed certificate for `names`, in the syntax of OpenSSL, and its key: `cert`
+    and `key` in `folder`."""
     if shutil.which("openssl") is None:
         pytest.skip("needs openssl")
     folder.mkdir(parents=True, exist_ok=True)

@@ -34,7 +34,7 @@ LATTICE = Lattice(1 / 512, 1 / 16, 1 / 100, 1 / 40, 64)
 
 
 def random_slice(birth: int, count: int) -> Slice:
-    """A slice of noise, which zstd cannot shrink."""
+    """A slice of noise, which zstd cannot compress."""
     rng = np.random.default_rng(birth + 1000)
     splats = Splats(
         rng.normal(size=(count, 3)).astype(np.float32),
@@ -71,7 +71,7 @@ def births_of(num_frames: int) -> range:
 def make_stream(
     path: Path, num_frames: int, slice_size: int = 8, fps: float = 30.0, title: str = ""
 ) -> Path:
-    """A finished stream at `path`."""
+    """Writes a finished stream to `path`."""
     with StreamWriter.create(path, small_manifest(slice_size, fps, title), exact=True) as writer:
         for birth in births_of(num_frames):
             writer.append(random_slice(birth, slice_size))
@@ -79,7 +79,7 @@ def make_stream(
 
 
 def live_stream(path: Path, num_frames: int = 0, fps: float = 30.0) -> StreamWriter:
-    """A stream that is being written, with so many frames."""
+    """A writer of an unfinished stream with `num_frames` frames."""
     writer = StreamWriter.create(path, small_manifest(fps=fps))
     if num_frames:
         append_frames(writer, num_frames)
@@ -87,7 +87,7 @@ def live_stream(path: Path, num_frames: int = 0, fps: float = 30.0) -> StreamWri
 
 
 def append_frames(writer: StreamWriter, num_frames: int = SEGMENT_FRAMES) -> None:
-    """Writes so many frames more, with all slices before them."""
+    """Appends `num_frames` frames, with all slices before them."""
     for birth in range(writer.next_birth, max(writer.next_birth, 0) + num_frames):
         writer.append(random_slice(birth, 8))
 
@@ -102,7 +102,7 @@ def quick_config(
     live_idle_s: float = 5.0,
     cors_origin: str = "*",
 ) -> ServerConfig:
-    """A config for tests: everything that waits waits little."""
+    """A config for tests, with short timeouts."""
     return ServerConfig(
         session=SessionConfig(max_lead_s=max_lead_s),
         max_plays=max_plays,
@@ -134,7 +134,7 @@ class Running:
 
 @asynccontextmanager
 async def running(root: Path, config: ServerConfig | None = None) -> AsyncIterator[Running]:
-    """A server of `root` until the block ends."""
+    """Runs a server for `root` during the block."""
     config = config or quick_config()
     listener = bind("127.0.0.1", 0)
     state = ServerState(Library(root, config.refresh_s), config)
@@ -155,7 +155,7 @@ def parse_records(pieces: Iterable[bytes]) -> list[Record]:
 
 
 async def play(client: aiohttp.ClientSession, stream: str, query: str = "") -> list[Record]:
-    """The records of a /play."""
+    """Requests a play; returns its records."""
     async with client.get(f"/v1/streams/{stream}/play{query}") as response:
         assert response.status == 200, await response.text()
         assert response.content_type == "application/x-swings-play"
@@ -168,7 +168,7 @@ def slices_of(records: Iterable[Record]) -> list[SliceRecord]:
 
 
 def births_with_layer_0(records: Iterable[Record]) -> list[int]:
-    """In the order in which their layer 0 came, by a slice or by a snapshot."""
+    """Births in the order in which their layer 0 arrived, by a slice or by a snapshot."""
     firsts = (r for r in records if isinstance(r, SliceRecord | SnapshotRecord))
     return [
         one.birth if isinstance(one, SliceRecord) else one.frame
@@ -178,7 +178,7 @@ def births_with_layer_0(records: Iterable[Record]) -> list[int]:
 
 
 async def raw_request(port: int, request: bytes, timeout_s: float = 5.0) -> bytes:
-    """Everything that the server sends for `request`, until it closes the connection."""
+    """All data that the server sends for `request` until it closes the connection."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     try:
         writer.write(request)
@@ -190,14 +190,14 @@ async def raw_request(port: int, request: bytes, timeout_s: float = 5.0) -> byte
 
 
 async def raw_get(port: int, path: str, host: str = "x") -> tuple[bytes, bytes]:
-    """Head and body of the answer to a GET; an honest client would tidy the path up."""
+    """Head and body of the response to a GET; `path` is sent without normalisation."""
     head = f"GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
     head_bytes, _, body = (await raw_request(port, head.encode("latin-1"))).partition(b"\r\n\r\n")
     return head_bytes, body
 
 
 async def eventually(condition: Callable[[], object], timeout_s: float = 5.0) -> None:
-    """Returns once `condition` holds; fails if it does not within `timeout_s`."""
+    """Waits until `condition` holds; fails if it does not within `timeout_s`."""
     for _ in range(int(timeout_s / 0.01)):
         if condition():
             return
@@ -209,7 +209,7 @@ Check = Callable[[Running, aiohttp.ClientSession], Awaitable[None]]
 
 
 def on_server(root: Path, check: Check, config: ServerConfig | None = None) -> None:
-    """Runs `check` against a server of `root`."""
+    """Runs `check` against a server for `root`."""
 
     async def run() -> None:
         async with running(root, config) as server, aiohttp.ClientSession(server.url) as client:

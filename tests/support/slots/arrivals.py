@@ -1,8 +1,8 @@
-"""Orders in which the objects and packets of a play arrive, some never, and the slots that result.
+"""Orders in which the objects and packets of a play arrive, some never, and the resulting slots.
 
 A case is a list of events. An item arrives at any time before its segment has been shown, or never.
-Only what a frame cannot be shown without is there in time: its mask, its change of layer 0, and
-where the play joins the snapshot of layer 0.
+Only items that a frame needs to be shown are always in time: its mask, its change of layer 0, and,
+in the segment where the play joins, the snapshot of layer 0.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ class Snapshot:
 
 @dataclass(frozen=True)
 class Show:
-    """The play shows `frame`; its first is where it joins."""
+    """The play shows `frame`; its first one is the frame at which it joins."""
 
     frame: int
 
 
 @dataclass(frozen=True)
 class Look:
-    """All of a segment that ever arrives has: the slots are compared."""
+    """The end of a segment, after its last arrival: the slots are compared."""
 
 
 Item = Mask | Change | Snapshot
@@ -62,7 +62,7 @@ Event = Item | Show | Look
 
 @dataclass(frozen=True)
 class Arrivals:
-    """One case."""
+    """A case: a stream, and the events of a play."""
 
     shape: Shape
     join_frame: int
@@ -73,8 +73,7 @@ class Arrivals:
         return layout_of(self.shape)
 
     def expected(self) -> list[Held]:
-        """What a reader that knows nothing of orders holds at each Look: a plain one that is given
-        what has arrived by then in the order of births."""
+        """The slots at each Look of a plain reader that gets the items so far in order of birth."""
         arrived: list[Item] = []
         found, frame = [], 0
         for event in self.events:
@@ -103,15 +102,15 @@ class Arrivals:
 
 
 def make_arrivals(shape: Shape, seed: int) -> Arrivals:
-    """A case of a stream of random updates."""
+    """A case with a stream of random updates."""
     layout = layout_of(shape)
     updates = patternless_updates(layout, NUM_FRAMES, seed, wild=True, calm=5)
     return arrivals_of(shape, encoded_chunks(layout, updates), seed)
 
 
 def arrivals_of(shape: Shape, chunks: Chunks, seed: int, altered_share: float = 0.0) -> Arrivals:
-    """A case in which each item of `chunks` is lost or comes at a random time; of those that no
-    frame waits for, a share comes with other bytes."""
+    """A case in which each item of `chunks` is lost or arrives at a random time. A share of the
+    items that no frame needs arrives with altered bytes."""
     rng, random_bytes = np.random.default_rng(seed), random.Random(seed)
     num_frames = len(chunks.masks)
     join = int(rng.integers(0, num_frames))
@@ -127,7 +126,7 @@ def arrivals_of(shape: Shape, chunks: Chunks, seed: int, altered_share: float = 
             elif rng.random() >= lost:
                 if rng.random() < altered_share:
                     other = replace(item, chunk=altered(item.chunk, random_bytes))
-                    # One that can be read contradicts a layer that is whole: a reader may skip it.
+                    # A readable one contradicts a complete layer, so that a reader may skip it.
                     if first <= join or not _is_snapshot(shape, other):
                         item = other
                 timed.append((float(rng.uniform(first - 2, end - 0.5)), item))
@@ -135,7 +134,7 @@ def arrivals_of(shape: Shape, chunks: Chunks, seed: int, altered_share: float = 
 
 
 def _is_snapshot(shape: Shape, item: Item) -> bool:
-    """Whether `item` is a snapshot that can be read."""
+    """Whether `item` is a readable snapshot."""
     if not isinstance(item, Snapshot):
         return False
     try:
@@ -148,7 +147,7 @@ def _is_snapshot(shape: Shape, item: Item) -> bool:
 def _items(
     chunks: Chunks, first: int, end: int, is_joined: bool
 ) -> list[tuple[Item, float | None]]:
-    """All items of a segment; beside each the frame that cannot be shown without it, if any."""
+    """All items of a segment, each with the frame that cannot be shown without it, if any."""
     items: list[tuple[Item, float | None]] = []
     for layer, chunk in enumerate(chunks.snapshots[first]):
         items.append((Snapshot(first, layer, chunk), first if is_joined and not layer else None))

@@ -1,4 +1,4 @@
-"""Hostile chunks for tests/support/bounded_decoder.py, and what each may cost."""
+"""Hostile chunks for tests/support/bounded_decoder.py, with the declared bytes of each."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.support.hostile import put_packets
 from tests.support.slots.folder import slots_manifest, write_slots
 
 N = 1 << 18
-"""Slots of a lane."""
+"""Number of slots in a lane."""
 
 LATTICE = Lattice(0.01, 0.125, 1 / 60, 0.056, 41)
 LAYOUT = SlotLayout(1, (N,), 0, (LATTICE,), 4)
@@ -35,13 +35,13 @@ LANES = SlotLayout(4, (N // 4,), 0, (LATTICE,), 4)
 DEGREE_3 = SlotLayout(1, (N,), 3, (LATTICE,), 4)
 
 STATE_BYTES = 12 + 10 + 2
-"""What a slot of SH degree 0 takes as integers."""
+"""Bytes of a slot of SH degree 0 as integers."""
 
 FLOAT_BYTES = 56
-"""A Gaussian of SH degree 0 as float32."""
+"""Bytes of a Gaussian of SH degree 0 as float32."""
 
 Hostile = tuple[Callable[[], bytes], Callable[[bytes], object], int]
-"""Makes the input, decodes it, and the bytes that this may cost."""
+"""A function that makes the input, one that decodes it, and the declared bytes."""
 
 
 def compress(content: bytes) -> bytes:
@@ -53,7 +53,7 @@ def head(kind: Kind, birth: int, layer: int = 0) -> bytes:
 
 
 def escaped_change(sh_degree: int) -> bytes:
-    """N new Gaussians, all of which escape to the origin."""
+    """A change with N new Gaussians that all escape, to the origin."""
     k = (sh_degree + 1) ** 2
     one = struct.pack("<f", 1.0)
     floats = bytes(24 * N) + one * (4 * N) + bytes(4 * N * (1 + 3 * k))
@@ -67,7 +67,7 @@ def read_change(layout: SlotLayout, packet: bytes, new: int) -> None:
 
 
 def full_snapshot() -> bytes:
-    """N Gaussians at the origin."""
+    """A snapshot of N Gaussians at the origin."""
     flags = b"\xff" * (N // 8)
     body = COUNTS.pack(0, N, 0, 0, 0) + bytes(13 * N)
     return compress(head(Kind.SNAPSHOT, 4) + flags + body)
@@ -83,7 +83,7 @@ def read_mask(packet: bytes) -> None:
 
 
 def read_folder(part: Part, packet: bytes, read: Callable[[Path], object]) -> None:
-    """Reads a stream of 15 slots whose first packet of `part`, with its hash, is `packet`."""
+    """Reads a stream of 15 slots in which `packet` replaces the packets of `part`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "stream"
         write_slots(path, 4)
@@ -97,7 +97,7 @@ def read_last(path: Path) -> None:
 
 
 def lying_sizes(_: bytes) -> None:
-    """The index says that every object has a gigabyte."""
+    """Reads a stream whose index claims a gigabyte for every object."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "stream"
         write_slots(path, 4)
@@ -126,7 +126,7 @@ def write_empty(path: Path) -> None:
 
 
 def warm() -> None:
-    """The kernels, and what loads them, are not what a decoder takes for its input."""
+    """Loads the kernels, whose memory is not part of decoding an input."""
     with tempfile.TemporaryDirectory() as folder:
         write_slots(Path(folder) / "stream", 6)
         verify_stream(Path(folder) / "stream")
@@ -134,14 +134,14 @@ def warm() -> None:
 
 
 def mask_of(body: Callable[[int], bytes]) -> Hostile:
-    """A mask of so many bytes from `body`."""
+    """A mask whose content is 4 * N bytes of `body`."""
     return lambda: compress(head(Kind.MASK, 5) + body(4 * N)), read_mask, N * (4 + 2)
 
 
 def beyond(
     kind: Kind, birth: int, part: Part, read: Callable[[Path], object] = read_last
 ) -> Hostile:
-    """A packet of `part` that inflates to far more than its slots can fill."""
+    """A packet of `part` that inflates to far more bytes than its slots can need."""
     return (
         lambda: compress(head(kind, birth) + bytes(100 << 20)),
         lambda data: read_folder(part, data, read),

@@ -1,4 +1,4 @@
-"""Streams to edit, and what their frames look like."""
+"""Streams to edit, and the pictures of their frames."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FrameEdit = Callable[[Splats, int], Splats]
 def write_trained_like(
     path: Path, swin_size: int, num_gs: int = 800, quality: Quality | None = None
 ) -> Path:
-    """A finished stream at `path` of NUM_FRAMES frames in segments of SEGMENT_FRAMES."""
+    """Writes a finished stream to `path`: NUM_FRAMES frames in segments of SEGMENT_FRAMES."""
     layout = trained_like_layout(num_gs // swin_size, swin_size, SEGMENT_FRAMES)
     with StreamWriter.create(path, slot_manifest(layout), quality=quality) as writer:
         for update in trained_like_updates(layout, NUM_FRAMES, 0.3):
@@ -36,7 +36,7 @@ def write_trained_like(
 
 
 def write_still(path: Path, num_gs: int = 4000) -> Path:
-    """A stream at `path` of one frame, in which all Gaussians are new."""
+    """Writes a stream of one frame, in which all Gaussians are new, below `path`."""
     splats = trained_like_splats(num_gs)
     splats = splats.take(np.flatnonzero(np.abs(splats.means).max(axis=1) < 4))
     path.mkdir()
@@ -46,7 +46,7 @@ def write_still(path: Path, num_gs: int = 4000) -> Path:
 
 
 def segment_files(stream: Path) -> dict[str, bytes]:
-    """The objects of a stream."""
+    """The objects of a stream, by path."""
     files = (path for path in (stream / "segments").rglob("*") if path.is_file())
     return {str(path.relative_to(stream)): path.read_bytes() for path in files}
 
@@ -56,7 +56,7 @@ def objects_bytes(stream: Path) -> int:
 
 
 def frames_of(stream: Path) -> Iterator[Splats]:
-    """What each frame shows, with all layers."""
+    """The active Gaussians of each frame, with all layers."""
     reader = StreamReader(stream)
     for frame in range(reader.num_frames):
         yield reader.active_splats(frame, reader.manifest.num_layers)
@@ -69,8 +69,8 @@ def overview(stream: Path) -> Camera:
 
 
 def least_psnr_db(source: Path, edited: Path, edit: FrameEdit, every: int = 6) -> float:
-    """The least PSNR of pictures of the `edited` stream against those of the frames of `source`
-    with the same edit, from an overview and from the stream's own camera."""
+    """Minimum PSNR of pictures of the `edited` stream against pictures of the frames of `source`
+    after `edit`, from an overview and from the stream's own camera."""
     worst = np.inf
     cameras = (overview(edited), StreamReader(edited).manifest.camera())
     pairs = enumerate(zip(frames_of(source), frames_of(edited), strict=True))

@@ -1,4 +1,4 @@
-"""Tiny streams of patternless updates in their folder."""
+"""Tiny streams of random updates in a folder."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from tests.support.slots.updates import patternless_updates, small_layout
 
 
 def slots_manifest(layout: SlotLayout | None = None) -> Manifest:
-    """The manifest of a stream of `layout`; by default of two layers, windows of 3, segments of
-    4."""
+    """The manifest of a stream of `layout`; by default two layers, a swin_size of 3 and segments of
+    4 frames."""
     layout = small_layout(3, (9, 6), 0, 4) if layout is None else layout
     return Manifest(
         fps=25.0,
@@ -39,7 +39,7 @@ def slots_manifest(layout: SlotLayout | None = None) -> Manifest:
 def write_slots(
     path: Path, num_frames: int, layout: SlotLayout | None = None, seed: int = 0
 ) -> list[Update]:
-    """A finished stream of `num_frames` frames at `path`; gives what it was made of."""
+    """Writes a finished stream of `num_frames` frames to `path`; returns its updates."""
     manifest = slots_manifest(layout)
     updates = patternless_updates(manifest.slot_layout, num_frames, seed)
     with StreamWriter.create(path, manifest) as writer:

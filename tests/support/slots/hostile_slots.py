@@ -1,5 +1,5 @@
-"""Masks, changes and snapshots as a stranger may send them, to a decoder that plays on with what it
-takes. The same in each run."""
+"""Hostile masks, changes and snapshots for a decoder that continues with those it accepts. Every
+run is the same."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NUM_FRAMES = 13
 
 
 def altered(data: bytes, rng: random.Random) -> bytes:
-    """`data`, in most cases with a few bytes or counts changed, or cut or lengthened."""
+    """`data`, mostly with a few bytes or counts changed, or truncated or extended."""
     made = bytearray(data)
     kind = rng.randrange(6)
     if kind == 1 and len(made) >= 32:
@@ -33,8 +33,8 @@ def altered(data: bytes, rng: random.Random) -> bytes:
 
 
 def hostile_slots(count: int) -> int:
-    """Gives `count` altered chunks to decoders; gives how many were taken. Anything but a value or
-    a CodecError rises."""
+    """Passes at least `count` altered chunks to decoders; returns the number of accepted ones.
+    Raises every error except CodecError."""
     rng = random.Random(1)
     taken = tried = 0
     while tried < count:
@@ -71,7 +71,7 @@ def _applied(
     missed: list[tuple[int, int, bytes]],
     rng: random.Random,
 ) -> bool:
-    """Whether the decoder took an altered slice; else it gets the good one, or nothing."""
+    """Whether the decoder accepted an altered slice; else applies the correct one, or nothing."""
     birth, changes = encoded.birth, [change.data for change in encoded.changes]
     which, wrong = rng.randrange(3), list(changes)
     mask = encoded.mask.data
@@ -89,6 +89,6 @@ def _applied(
     partly = [None if n == layer else change for n, change in enumerate(changes)]
     try:
         decoder.apply(birth, encoded.mask.data, partly)
-    except CodecError:  # it took something wrong before
+    except CodecError:  # it accepted an altered chunk before
         decoder.apply(birth, None, [])
     return False

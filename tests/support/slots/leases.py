@@ -1,4 +1,4 @@
-"""Slices of which some change only rows of their lane, and what shows of them, in plain steps."""
+"""Slices, some of which change only some rows of their lane, and a plain model of their display."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Lease:
 
     slice: Slice
     place: int
-    """Where it stands in `slice`."""
+    """Index of the Gaussian in `slice`."""
     start: int | None
-    """First frame in which it shows; None: it never does."""
+    """First frame in which it shows; None if it never shows."""
 
 
 def replayed_lane(slices: list[Slice], lane: int, frame: int, swin_size: int) -> list[Lease]:
@@ -44,7 +44,7 @@ def replayed_lane(slices: list[Slice], lane: int, frame: int, swin_size: int) ->
 
 
 def replayed(slices: list[Slice], frame: int, swin_size: int) -> list[Splats]:
-    """What shows at `frame`, lane by lane, the one born first in front."""
+    """The Gaussians shown at `frame`, lane by lane, the earliest birth first."""
     lanes = []
     for birth in window_births(frame, swin_size):
         if birth not in [slice.birth for slice in slices]:
@@ -74,7 +74,7 @@ class LeasedStream:
 def changed_rows(
     kind: str, slice_size: int, rng: np.random.Generator
 ) -> np.ndarray[tuple[int], np.dtype[np.int32]]:
-    """Rows of a lane that change, rising."""
+    """Rows of a lane that change, in ascending order."""
     chosen = np.zeros(slice_size, np.bool_)
     if kind == "run":
         first, last = np.sort(rng.integers(0, slice_size + 1, 2))
@@ -88,11 +88,11 @@ def changed_rows(
 def leased_slice(
     birth: int, kind: str, swin_size: int, slice_size: int, sh_degree: int, seed: int
 ) -> Slice:
-    """A slice of `kind`: "whole", of any length, or how the rows lie that it changes."""
+    """A slice of `kind`: "whole", with any number of Gaussians, or a pattern of changed rows."""
     rng = np.random.default_rng(seed)
     rows = None if kind == "whole" else changed_rows(kind, slice_size, rng)
     count = int(rng.integers(0, slice_size + 1)) if rows is None else len(rows)
-    # Some start as late as the next birth of their lane, or later: none has shown by then.
+    # Some start at the next birth of their lane or later, so that they have not shown by then.
     offsets = rng.integers(0, swin_size + 2, count).astype(np.uint8)
     offsets[rng.random(count) < 0.2] = HIDDEN
     return Slice(birth, random_splats(count, sh_degree, seed), offsets, rows)

@@ -1,4 +1,4 @@
-"""Updates of slots whose Gaussians move a little, jump, end, begin, or make room for others."""
+"""Updates of slots whose Gaussians move slightly, jump, end, begin, or are replaced by others."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from codec.stream import StreamWriter
 from tests.support.slots.slot_streams import slot_manifest
 
 MOVED, JUMPED, ENDED_NOW, REUSED, BEGUN = 0.5, 0.01, 0.01, 0.01, 0.1
-"""Shares of the slots that hold a Gaussian, and of the empty ones the last."""
+"""Shares of the slots with a Gaussian; the last is a share of the empty slots."""
 
 STEP_M, TURN, GROWTH, FADE = 0.02, 3, 1, 5
-"""What a Gaussian changes by in a frame at most: metres, and steps of the lattice."""
+"""Maximum changes of a Gaussian per frame: in metres, and in steps of the lattice."""
 
 
 def moving_updates(layout: SlotLayout, num_frames: int, seed: int = 0) -> Iterator[Update]:
-    """Updates of a stream of one lane that stands before the cameras of `slot_manifest`. A fifth of
-    the slots is empty at first."""
+    """Updates of a stream of one lane in front of the cameras of `slot_manifest`. A fifth of the
+    slots is empty at first."""
     rng = np.random.default_rng(seed)
     count = layout.num_slots
     levels = np.repeat([lattice.opacity_levels for lattice in layout.lattices], layout.slots)
@@ -66,8 +66,9 @@ def moving_updates(layout: SlotLayout, num_frames: int, seed: int = 0) -> Iterat
 
 
 def write_jumps(path: Path, num_frames: int, at_frame: int, places_m: Floats) -> Path:
-    """A stream of three equal Gaussians at the first three of `places_m` (5, 3): at `at_frame` the
-    first one jumps to the fourth place, the slot of the second one is given to one at the last."""
+    """Writes a stream of three equal Gaussians at the first three of `places_m` (5, 3). At
+    `at_frame` the first one jumps to the fourth place, and the slot of the second one gets a new
+    Gaussian at the last place."""
     lattice = Lattice(0.01, 0.125, 1 / 60, 0.056, 161)
     layout = SlotLayout(1, (3,), 0, (lattice,), num_frames)
     attributes = np.zeros((3, layout.num_planes - 3), np.uint8)
@@ -88,7 +89,7 @@ def write_jumps(path: Path, num_frames: int, at_frame: int, places_m: Floats) ->
 
 
 def write_moving_stream(path: Path, num_frames: int, layout: SlotLayout, **changes: object) -> Path:
-    """A finished stream of `moving_updates` at `path`. changes: of the manifest."""
+    """Writes a finished stream of `moving_updates` to `path`. changes: fields of the manifest."""
     with StreamWriter.create(path, slot_manifest(layout, **changes)) as writer:
         for update in moving_updates(layout, num_frames):
             writer.append(update)

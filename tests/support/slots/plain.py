@@ -1,5 +1,5 @@
-"""Streams of slots for two implementations, and a reader of each: codec.slots and the plain one of
-tests/goldens, which knows nothing of the package.
+"""Streams of slots for two implementations, with a reader of each: codec.slots, and the plain one
+of tests/goldens, which is independent of the package.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ def layout_of(shape: plain.Shape) -> SlotLayout:
 
 @dataclass(frozen=True)
 class Chunks:
-    """A stream as its chunks; those of layers in a row for each birth from 0 on."""
+    """The chunks of a stream; those of the layers are in a list for each birth from 0 on."""
 
     masks: list[bytes]
     changes: list[list[bytes]]
     snapshots: dict[int, list[bytes]]
-    """By the first frame of each segment."""
+    """Snapshots of the layers, by the first frame of each segment."""
 
     def slice(self, birth: int) -> tuple[bytes, list[bytes]]:
         """The mask and the changes of a birth."""
@@ -56,7 +56,7 @@ class Chunks:
 
 
 def encoded_chunks(layout: SlotLayout, updates: Sequence[Update]) -> Chunks:
-    """What codec.slots makes of `updates`."""
+    """The chunks that codec.slots encodes from `updates`."""
     encoder, made = SlotEncoder(layout), Chunks([], [], {})
     for update in updates:
         slice_ = encoder.append(update)
@@ -70,7 +70,7 @@ def encoded_chunks(layout: SlotLayout, updates: Sequence[Update]) -> Chunks:
 
 
 def plain_chunks(stream: RandomStream) -> Chunks:
-    """What the plain encoder made."""
+    """The chunks of the plain encoder."""
     shape, snapshots = stream.shape, {}
     for first in range(0, len(stream.masks), shape.segment_frames):
         snapshots[first] = [
@@ -81,7 +81,7 @@ def plain_chunks(stream: RandomStream) -> Chunks:
 
 
 def updates_of(stream: RandomStream) -> list[Update]:
-    """What a trainer would have handed over for `stream`."""
+    """The updates from which a trainer would have written `stream`."""
     shape, updates = stream.shape, []
     for birth in range(1 - shape.swin_size, len(stream.masks)):
         lane = stream.truth[max(birth, 0)][birth % shape.swin_size]
@@ -119,12 +119,12 @@ def _update(sh_degree: int, birth: int, statuses: list[int], coded: list[plain.G
 
 
 Held = list[list[list[object]]]
-"""[lane][layer][slot] a word, or of a Gaussian its start, its integers and the bits of its floats.
-A start that has passed is that of the frame: two readers may tell it differently."""
+"""[lane][layer][slot]: a word, or a Gaussian's start, its integers and the bits of its floats. A
+start in the past counts as the current frame, because two readers may store it differently."""
 
 
 def held(decoder: SlotDecoder) -> Held:
-    """What a decoder of codec.slots holds."""
+    """The state of a decoder of codec.slots."""
     layout, frame = decoder.layout, decoder.frame
     assert frame is not None
     found: Held = [[] for _ in decoder.lanes]
@@ -154,7 +154,7 @@ def held(decoder: SlotDecoder) -> Held:
 
 
 def plainly_held(reader: Reader, frame: int, num_layers: int) -> Held:
-    """What the plain reader holds of layers 0..num_layers-1."""
+    """The state of layers 0..num_layers-1 in the plain reader."""
 
     def one(slot: plain.Slot, lattice: plain.Lattice) -> object:
         if isinstance(slot, plain.Hole):
@@ -172,8 +172,8 @@ def plainly_held(reader: Reader, frame: int, num_layers: int) -> Held:
 
 
 class BothReaders:
-    """A reader of each implementation, to both of which the same happens. Whatever does, what they
-    hold is the same afterwards."""
+    """A reader of each implementation. Both receive the same calls, and must have the same state
+    after each."""
 
     def __init__(self, shape: plain.Shape, num_layers: int | None = None) -> None:
         self.decoder = SlotDecoder(layout_of(shape), num_layers)
@@ -194,7 +194,7 @@ class BothReaders:
         self.check()
 
     def apply_what_fits(self, birth: int, mask: bytes, changes: Sequence[bytes | None]) -> None:
-        """Applies a slice without those changes that break a rule."""
+        """Applies a slice without the changes that break a rule."""
         fits = [
             data is None or self._fits_plainly(birth, mask, [None] * layer + [data])
             for layer, data in enumerate(changes)
@@ -210,7 +210,7 @@ class BothReaders:
         self.apply(birth, mask, [data if fit else None for data, fit in pairs])
 
     def late(self, birth: int, layer: int, change: bytes) -> bool:
-        """Whether `change` was taken, or of no use any more."""
+        """Whether `change` was accepted, or is no longer needed."""
         taken = True
         try:
             self.decoder.late(birth, layer, change)
@@ -223,7 +223,7 @@ class BothReaders:
         return taken
 
     def try_mask(self, birth: int, mask: bytes) -> bool:
-        """Whether both take `mask` as the next; they must say the same."""
+        """Whether both accept `mask` as the next; they must agree."""
         decoder = self.decoder
         wanted = self.reader.statuses(AppliedSlice(birth, mask, {}, {}))
         try:
@@ -236,8 +236,8 @@ class BothReaders:
         return True
 
     def try_slice(self, birth: int, mask: bytes, changes: Sequence[bytes | None]) -> bool:
-        """Whether both take the slice as the next; they must hold the same then. They are left as
-        they were."""
+        """Whether both accept the slice as the next; their states must then be equal. Both are left
+        unchanged."""
         other = copy.deepcopy(self)
         fits = other._fits_plainly(birth, mask, changes)
         try:
@@ -272,8 +272,8 @@ class BothReaders:
 
 
 def try_snapshot(shape: plain.Shape, snapshot: bytes) -> bool:
-    """Whether readers of both kinds take `snapshot` as their first; what they hold must be the
-    same then."""
+    """Whether readers of both kinds accept `snapshot` as their first; their states must then be
+    equal."""
     both = BothReaders(shape)
     both.reader.load(snapshot)
     known = any(slot is not plain.Hole.UNKNOWN for s in both.reader.lanes for r in s for slot in r)

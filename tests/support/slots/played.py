@@ -1,4 +1,4 @@
-"""What the player holds that gets the objects and packets of a play in some order."""
+"""The state of a player that receives the objects and packets of a play in some order."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _packets_of(item: Item) -> Packets:
 
 
 def played(arrivals: Arrivals) -> list[Held]:
-    """What the player holds each time that a segment has been shown."""
+    """The state of the player after each segment."""
     manifest = slot_manifest(arrivals.layout)
     assembler = Assembler(manifest, manifest.num_layers, arrivals.join_frame)
     waiting: list[Packets] = []

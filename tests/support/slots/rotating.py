@@ -11,7 +11,7 @@ from codec.splats import Splats
 from tests.support.trained_like import trained_like_splats
 
 REACH_M = 2.0
-"""What lies farther from the middle is the room, and not the figure."""
+"""Gaussians farther than this from the middle belong to the room, not to the figure."""
 
 
 def figure(count: int, seed: int = 0) -> Splats:

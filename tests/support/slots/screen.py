@@ -1,4 +1,4 @@
-"""What a player shows of slices, held against what the stream has."""
+"""Compares the Gaussians that a player shows with those of the stream."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.support.slots.slot_streams import Shown, gaussians
 
 
 class Screen:
-    """What shows of the slices that an assembler gives, held against what the stream has."""
+    """Shows the slices of an assembler, and compares them with the stream."""
 
     def __init__(self, reader: StreamReader, first_frame: int) -> None:
         self._reader = reader
@@ -22,14 +22,14 @@ class Screen:
         self._shown = Shown(reader.manifest)
         self._swin_size = reader.manifest.swin_size
         self.next_frame = first_frame
-        self._whole: dict[int, int] = {}  # by lane: layers that show whole
+        self._whole: dict[int, int] = {}  # by lane: number of complete layers that show
 
     def put(self, slices: Sequence[Slice], whole: int) -> None:
-        """Shows the next frame, and checks that of each lane the layers that are whole are there,
-        and that nothing is there which the stream has not.
+        """Shows the next frame; checks that the complete layers of each lane are there, and that
+        there is nothing that the stream does not have.
 
-        whole: layers of which nothing is missing in this frame. What was mended shows lane by
-        lane, with the next slice of each.
+        whole: number of complete layers in this frame. A repair shows lane by lane, with the next
+        slice of each lane.
         """
         frame, self.next_frame = self.next_frame, self.next_frame + 1
         splats = self._shown.after(slices, frame)

@@ -1,4 +1,4 @@
-"""Small streams of updates on disk, and what a player shows of them."""
+"""Small streams of updates on disk, and a model of a player's display."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def write_slot_stream(
     seed: int = 0,
     **changes: object,
 ) -> Path:
-    """A finished stream at `path`, without a pattern. changes: of the manifest."""
+    """Writes a finished stream of random updates to `path`. changes: fields of the manifest."""
     layout = small_layout() if layout is None else layout
     with StreamWriter.create(path, slot_manifest(layout, **changes)) as writer:
         for update in patternless_updates(layout, num_frames, seed):
@@ -49,8 +49,8 @@ def write_slot_stream(
 
 
 def busy_updates(layout: SlotLayout, num_frames: int, seed: int = 0) -> Iterator[Update]:
-    """Updates of a stream of SH degree 0 with much to send: in each slice two thirds of the slots
-    change. They stand before the cameras of `slot_manifest`."""
+    """Updates of a busy stream of SH degree 0: two thirds of the slots change in each slice. The
+    Gaussians are in front of the cameras of `slot_manifest`."""
     rng = np.random.default_rng(seed)
     count = layout.num_slots
     levels = np.repeat([lattice.opacity_levels for lattice in layout.lattices], layout.slots)
@@ -63,7 +63,7 @@ def busy_updates(layout: SlotLayout, num_frames: int, seed: int = 0) -> Iterator
         means = rng.uniform((-1, -1, 3), (1, 1, 5), (len(coded), 3))
         positions = np.rint(means / steps_m[coded, None]).astype(np.int32)
         attributes = rng.integers(0, 256, (len(coded), layout.num_planes - 3)).astype(np.uint8)
-        # Log-scales of -4 to -1, so that there is something to see.
+        # Log-scales of -4 to -1, so that the Gaussians are visible.
         attributes[:, :3] = rng.integers(-32, -8, (len(coded), 3)).astype(np.int8).view(np.uint8)
         attributes[:, -1] = rng.integers(0, levels[coded])
         yield Update(
@@ -77,7 +77,7 @@ def busy_updates(layout: SlotLayout, num_frames: int, seed: int = 0) -> Iterator
 
 
 def write_busy_stream(path: Path, num_frames: int, layout: SlotLayout, **changes: object) -> Path:
-    """A finished stream of `busy_updates` at `path`. changes: of the manifest."""
+    """Writes a finished stream of `busy_updates` to `path`. changes: fields of the manifest."""
     with StreamWriter.create(path, slot_manifest(layout, **changes)) as writer:
         for update in busy_updates(layout, num_frames):
             writer.append(update)
@@ -85,20 +85,20 @@ def write_busy_stream(path: Path, num_frames: int, layout: SlotLayout, **changes
 
 
 class Shown:
-    """A player's lanes, by the rules of slices alone."""
+    """The lanes of a player, which follow only the rules of slices."""
 
     def __init__(self, manifest: Manifest) -> None:
         self._ring = Ring(manifest.swin_size, manifest.slice_size, manifest.sh_degree)
 
     def after(self, slices: Iterable[Slice], frame: int) -> Splats:
-        """What shows at `frame` once `slices`, too, have come."""
+        """The Gaussians shown at `frame` after `slices` have arrived, too."""
         for slice in slices:
             self._ring.put(slice)
         return self._ring.active(frame)
 
 
 def gaussians(splats: Splats) -> Counter[bytes]:
-    """How often each Gaussian is there."""
+    """Number of occurrences of each Gaussian."""
     flat = [array.reshape(len(splats), math.prod(array.shape[1:])) for array in splats.arrays]
     rows = np.concatenate(flat, axis=1)
     data, size = rows.tobytes(), rows.shape[1] * rows.itemsize

@@ -13,11 +13,11 @@ from codec.splats import Floats, Splats
 from tests.support.trained_like import trained_like_splats
 
 SHARES = (0.35, 0.15, 0.2, 0.3)
-"""Of each layer."""
+"""Share of the slots in each layer."""
 
 
 def moved(splats: Splats, rng: np.random.Generator) -> Splats:
-    """`splats` a frame later: a little farther, a little turned, a little brighter."""
+    """`splats` a frame later: slightly moved, turned and recoloured."""
 
     def near(values: Floats, sigma: float) -> Floats:
         return (values + rng.normal(0, sigma, values.shape)).astype(np.float32)
@@ -34,7 +34,7 @@ def moved(splats: Splats, rng: np.random.Generator) -> Splats:
 def trained_like_layout(
     num_slots: int, swin_size: int, segment_frames: int, shares: Sequence[float] = SHARES
 ) -> SlotLayout:
-    """Slots for `trained_like_updates`. num_slots: of a lane."""
+    """A layout for `trained_like_updates`. num_slots: slots of a lane."""
     lattice = Lattice.suiting(trained_like_splats(num_slots, 0))
     counts = [round(share * num_slots) for share in shares[:-1]]
     counts.append(num_slots - sum(counts))
@@ -42,10 +42,10 @@ def trained_like_layout(
 
 
 def trained_like_updates(layout: SlotLayout, num_frames: int, active: float) -> Iterator[Update]:
-    """Updates of a trained-like scene whose changes come in spells of the same slots.
+    """Updates of a trained-like scene in which the same slots change for several frames.
 
-    active: share of the slots that a slice changes: nine tenths of them predicted, the rest new or
-    ended.
+    active: share of the slots that a slice changes; nine tenths of these are predicted, the others
+    new or ended.
     """
     rng = np.random.default_rng(0)
     num_slots, swin_size = layout.num_slots, layout.swin_size
@@ -62,7 +62,7 @@ def trained_like_updates(layout: SlotLayout, num_frames: int, active: float) -> 
     busy = rng.random((swin_size, num_slots)) < active
     for birth in range(1, num_frames):
         lane = (birth + swin_size - 1) % swin_size
-        # A fifth of the slots that are busy or idle change over.
+        # A fifth of the slots are drawn again as busy or idle.
         renewed = rng.random(num_slots) < 0.2
         busy[lane] = np.where(renewed, rng.random(num_slots) < active, busy[lane])
         splats[lane] = moved(splats[lane], rng)

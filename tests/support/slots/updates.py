@@ -1,7 +1,7 @@
-"""Updates of slots without a pattern, and what they mean by a plain model: Python lists and dicts.
+"""Random updates of slots, and a plain model of their meaning: Python lists and dicts.
 
-The model knows nothing of bytes. It holds a Gaussian of each slot as a tuple, or None where it is
-empty, and looks only at the Updates.
+The model is independent of the coded bytes and reads only the Updates. It stores the Gaussian of
+each slot as a tuple, or None for an empty slot.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def small_layout(
 def patternless_states(
     rng: np.random.Generator, levels: list[int], sh_degree: int, wild: bool = False
 ) -> States:
-    """A Gaussian for each of `levels`, the opacity levels of its layer; positions near zero, or,
-    if `wild`, anywhere on the lattice."""
+    """A random Gaussian for each of `levels`, the opacity levels of its layer; positions are near
+    zero, or anywhere on the lattice if `wild`."""
     count, limit = len(levels), POSITION_LIMIT if wild else 500
     attributes = rng.integers(0, 256, (count, num_attributes(sh_degree))).astype(np.uint8)
     attributes[:, -1] = [rng.integers(0, n) for n in levels]
@@ -51,11 +51,11 @@ def patternless_splats(rng: np.random.Generator, count: int, sh_degree: int) -> 
 
 @dataclass
 class Model:
-    """What each slot holds: None, or ("lattice", bytes of its state) or ("escape", bytes)."""
+    """State of each slot: None, or ("lattice", bytes of its state) or ("escape", bytes)."""
 
     layout: SlotLayout
     held: dict[tuple[int, int], tuple[str, bytes] | None] = field(default_factory=dict)
-    """By (lane, row); a row is counted over all layers."""
+    """State by (lane, row); rows are counted over all layers."""
 
     def __post_init__(self) -> None:
         for lane in range(self.layout.swin_size):
@@ -92,8 +92,8 @@ def levels_of(layout: SlotLayout) -> list[int]:
 def patternless_update(
     rng: np.random.Generator, model: Model, birth: int, wild: bool = False, calm: int = 1
 ) -> Update:
-    """A valid update after what `model` took in. calm: how often slots are kept, for each time that
-    one is new."""
+    """A random valid update that follows the updates in `model`. calm: mean number of kept slots
+    for each new one."""
     layout = model.layout
     levels, lane = levels_of(layout), birth % layout.swin_size
     statuses = []
@@ -121,7 +121,7 @@ def patternless_update(
 def patternless_updates(
     layout: SlotLayout, num_frames: int, seed: int = 0, wild: bool = False, calm: int = 1
 ) -> list[Update]:
-    """Updates of a stream of `num_frames` frames."""
+    """Random updates of a stream of `num_frames` frames."""
     rng, model = np.random.default_rng(seed), Model(layout)
     updates = []
     for birth in range(1 - layout.swin_size, num_frames):

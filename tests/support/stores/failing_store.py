@@ -1,4 +1,4 @@
-"""A small S3 server in memory that fails when it is told to."""
+"""A small S3 server in memory that fails on request."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ import pytest
 from tests.support.hosted_streams import answering
 
 Failure = Literal["500", "403", "reset", "reset_after", "silent"]
-"""A status; or a connection that is reset before or after the request is carried out; or no
-response."""
+"""A status; or a connection reset before or after the request is executed; or no response."""
 
 RESET = struct.pack("ii", 1, 0)
 
@@ -36,10 +35,10 @@ class FailingStore(ThreadingHTTPServer):
         self._count = 0
 
     def shutdown_request(self, request: Any) -> None:
-        self.close_request(request)  # without FIN, which would come before a reset
+        self.close_request(request)  # without a FIN, which would be sent before a reset
 
     def fail(self, failure: Failure, *, duration_s: float = 0.0, count: int = 0) -> None:
-        """All requests from now until `duration_s` have passed, or the next `count`."""
+        """Makes all requests fail for `duration_s`, or the next `count` requests."""
         self._failure = failure
         self._until_s, self._count = time.monotonic() + duration_s, count
 
@@ -111,7 +110,7 @@ def tag(content: bytes) -> str:
 
 @contextmanager
 def failing_store(monkeypatch: pytest.MonkeyPatch, port: int = 0) -> Iterator[FailingStore]:
-    """A running server; the environment points to it for the rest of the test."""
+    """Runs a server; the environment points to it for the rest of the test."""
     server = FailingStore(port)
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "id")
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "key")

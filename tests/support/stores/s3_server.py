@@ -1,4 +1,4 @@
-"""A real S3 server in this process, moto's, and the environment that points to it."""
+"""A real S3 server in this process (moto), and the environment that points to it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BUCKET = "streams"
 
 
 class S3Server:
-    """Listens on a port of this machine; may be stopped and started again."""
+    """A server on a port of this machine, which can be stopped and restarted."""
 
     def __init__(self) -> None:
         pytest.importorskip("obstore", reason="object stores need the extra s3")
@@ -43,12 +43,12 @@ class S3Server:
         }
 
     def empty(self) -> None:
-        """Forgets what this process has put into any such server."""
+        """Deletes everything that this process has put into any such server."""
         url = f"{self.environment['AWS_ENDPOINT_URL']}/moto-api/reset"
         urllib.request.urlopen(urllib.request.Request(url, method="POST")).close()
 
     def client(self) -> Any:
-        """boto3's, by which the tests write: not by what they test."""
+        """A client of boto3: the tests write with it, not with the tested code."""
         import boto3
 
         return boto3.client(
@@ -63,14 +63,14 @@ class S3Server:
         self.client().put_object(Bucket=BUCKET, Key=key, Body=data)
 
     def delete(self, key: str) -> None:
-        """Deletes the object, and all below it."""
+        """Deletes the object and everything below it."""
         client = self.client()
         for page in client.get_paginator("list_objects_v2").paginate(Bucket=BUCKET, Prefix=key):
             for entry in page.get("Contents", ()):
                 client.delete_object(Bucket=BUCKET, Key=entry["Key"])
 
     def files(self, key: str) -> dict[str, bytes]:
-        """What lies below `key`."""
+        """The objects below `key`, by relative name."""
         client, found = self.client(), {}
         for page in client.get_paginator("list_objects_v2").paginate(
             Bucket=BUCKET, Prefix=f"{key}/"
@@ -81,7 +81,7 @@ class S3Server:
         return found
 
     def upload(self, folder: Path, key: str) -> None:
-        """Puts all files of `folder` below `key`, the manifest last."""
+        """Uploads all files of `folder` below `key`, the manifest last."""
         files = sorted(path for path in folder.rglob("*") if path.is_file())
         for path in sorted(files, key=lambda path: path.name == "manifest.json"):
             self.put(f"{key}/{path.relative_to(folder)}", path.read_bytes())
@@ -89,7 +89,7 @@ class S3Server:
 
 @contextmanager
 def s3_server() -> Iterator[S3Server]:
-    """A server with an empty bucket, which obstore finds by the environment."""
+    """Runs a server with an empty bucket; obstore finds it through the environment."""
     server = S3Server()
     names = (*server.environment, "AWS_ALLOW_HTTP")  # swings sets the last one
     before = {name: os.environ.pop(name, None) for name in names}

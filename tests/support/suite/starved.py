@@ -1,4 +1,4 @@
-"""Whether a machine leaves a test enough of its time for it to measure any."""
+"""Checks whether a test gets enough CPU time for its time measurements to be meaningful."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import time
 from types import TracebackType
 
 LATE_S = 0.01
-"""A sleep that ends so much too late, in seconds, waited for a processor."""
+"""Delay of a sleep, in seconds, from which on it counts as a wait for a processor."""
 
 BUSY_SHARE = 0.85
-"""Share of the processors' time, of all processes together, from which on a machine is busy."""
+"""Share of the processors' time used by all processes from which on a machine is busy."""
 
 STARVED_SHARE = 0.02
-"""Share of the time lost in such waits from which on times say nothing."""
+"""Share of the time lost in such waits from which on measured times are meaningless."""
 
 
 class Watch:
-    """Sleeps again and again beside what is measured, and sees how late it wakes.
+    """Sleeps repeatedly during a measurement, and sums up how late it wakes.
 
-    `starved`: this process did not get its time. `busy`: the machine had none to spare, so that
+    `starved`: this process did not get its CPU time. `busy`: the machine had none to spare, so that
     other processes may not have got theirs.
     """
 
@@ -59,7 +59,7 @@ class Watch:
 
 
 def _idle_s() -> float:
-    """Time that all processors together had nothing to do, in seconds; -1 where nobody says."""
+    """Idle time of all processors together, in seconds; -1 if it is not known."""
     try:
         with open("/proc/stat") as file:
             fields = file.readline().split()

@@ -1,6 +1,6 @@
-"""Compiles the kernels that the tests run, before several processes would each compile them.
+"""Compiles the kernels that the tests run, so that several processes need not compile them each.
 
-`python -m tests.support.suite.warmup`. Numba keeps what it compiles beside the sources, so a second
+`python -m tests.support.suite.warmup`. Numba caches compiled code beside the sources, so a second
 run takes a few seconds.
 """
 
@@ -15,14 +15,14 @@ from tests.support.commands import ROOT
 
 
 def train() -> None:
-    """The kernels of training, and of what it writes."""
+    """Compiles the kernels of training and of its output."""
     from trainer.run.warm import compile_kernels
 
     compile_kernels(sh_degree=1)
 
 
 def film_and_play() -> None:
-    """The kernels of the made-up scene, and of a player that draws on the CPU."""
+    """Compiles the kernels of the synthetic scene, and of a player that draws on the CPU."""
     from player.rehearsal import rehearse
     from player.render.renderer import RendererKind
     from trainer.synth.film import SynthConfig, synthesise

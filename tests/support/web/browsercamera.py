@@ -1,4 +1,4 @@
-"""Cameras as the browser has them."""
+"""Conversion of cameras to and from the browser's form."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The code of player/web, run by Node: the tests ask it, and compare with the package."""
+"""Runs the code of player/web in Node, so that tests can compare it with the package."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from tests.support.web.nodeprocess import Json, NodeProcess, running_script
 
 
 class BrowserCode:
-    """Questions to answers.mjs."""
+    """Sends questions to answers.mjs."""
 
     def __init__(self, node: NodeProcess) -> None:
         self._node = node
 
     def ask(self, kind: str, **question: object) -> Json:
-        """The answer, or a CodecError of the kind with which the bytes were refused."""
+        """The answer. Raises the CodecError that matches the browser's error."""
         answer = self._node.answer(kind, question)
         if "refused" in answer:
             errors = {"corrupt": CorruptError, "unsupported": UnsupportedError}
@@ -52,12 +52,12 @@ class BrowserSlots:
         num_layers: int | None = None,
         is_bundled: bool = False,
     ) -> None:
-        """is_bundled: what reads passing slices is that of the bundle, which has classes of errors
-        of its own."""
+        """is_bundled: passing slices are read by the module of the bundle, which has its own error
+        classes."""
         self._browser = browser
         self._edges = layout.row_edges
         self.moves: list[int] = []
-        """How the rows that the last slice changed came to what they hold; see `movesOf`."""
+        """Moves of the rows that the last slice changed; see `movesOf`."""
         browser.ask(
             "layout",
             swinSize=layout.swin_size,
@@ -114,11 +114,11 @@ class BrowserSlots:
         return used
 
     def held(self) -> Held:
-        """What tests.support.slots.plain.held says of a decoder of the package."""
+        """The state, in the form of tests.support.slots.plain.held."""
         return _held(self._browser.ask("held"))
 
     def played(self, arrivals: Arrivals) -> list[Held]:
-        """What the play of player/web holds at each Look of `arrivals`."""
+        """The state of a play of player/web at each Look of `arrivals`."""
         events = [_event(event, arrivals.join_frame) for event in arrivals.events]
         return [_held(lanes) for lanes in self._browser.ask("arrivals", events=events)]
 

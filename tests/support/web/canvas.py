@@ -1,4 +1,4 @@
-"""What the page has drawn, and what it should have."""
+"""The picture that the page has drawn, and the expected one."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from tests.support.web.nodeprocess import SCRIPTS, Json
 Doubles = npt.NDArray[np.float64]
 
 PIXELS = SCRIPTS / "pixels.js"
-"""Runs in the page before its own scripts, and reads pixels there."""
+"""A script that runs in the page before the page's own scripts, and reads pixels."""
 
 ELEMENT = "document.querySelector('swings-player')"
 PLAYER = f"{ELEMENT}.player"
 STATE = f"{PLAYER}.state"
 
 LEAST_PSNR_DB = 55.0
-"""Of what is drawn to what the CPU renderer draws."""
+"""Minimum PSNR of the drawn picture against that of the CPU renderer."""
 
 
 def picture_of(found: Json) -> Doubles:
-    """(height, width, 3) 0..1, the top row first."""
+    """(height, width, 3) picture in 0..1, the top row first."""
     pixels = np.frombuffer(base64.b64decode(found["pixels"]), np.uint8)
     upwards = pixels.reshape(found["heightPx"], found["widthPx"], 4)
     picture: Doubles = upwards[::-1, :, :3] / 255
@@ -35,7 +35,7 @@ def picture_of(found: Json) -> Doubles:
 
 
 def canvas_of(page: Page) -> Doubles:
-    """The canvas, once it shows what is seen from where the camera is."""
+    """The picture on the canvas once it matches the current camera."""
     return picture_of(page.run(f"return window.readCanvas({PLAYER})"))
 
 

@@ -1,4 +1,4 @@
-"""A page in Chromium, driven by playwright-core as a person would drive it."""
+"""A page in Chromium, driven by playwright-core like by a user."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 def why_not() -> str | None:
-    """What is missing for a browser; None if nothing is."""
+    """The reason why there is no browser; None if there is one."""
     if NODE is None or not (SCRIPTS / "node_modules" / "playwright-core").is_dir():
         return "needs Node.js with npm: apt-get install npm, then scripts/setup dev"
     if CHROMIUM is None:
@@ -41,30 +41,30 @@ class Page:
         scripts: Sequence[Path] = (),
         options: dict[str, object] | None = None,
     ) -> None:
-        """scripts: they run in the page before its own. options: of Playwright's browser
+        """scripts: run in the page before its own scripts. options: of Playwright's browser
         context, such as deviceScaleFactor, reducedMotion and forcedColors."""
         size = {"widthPx": width_px, "heightPx": height_px}
         paths = [str(path) for path in scripts]
         self._do("open", url=url, **size, touch=touch, scripts=paths, options=options or {})
 
     def reopen(self, rest_s: float = 0) -> None:
-        """Opens the same address in a new page of the same browser, whose cache is warm, `rest_s`
-        after the old page was closed."""
+        """Opens the same address in a new page of the same browser, with a warm cache, `rest_s`
+        after closing the old page."""
         self._do("reopen", restS=rest_s)
 
     def close(self) -> None:
         self._do("close")
 
     def enter(self, part: str) -> None:
-        """Goes into the frame whose URL holds `part`: runs, waits and clicks are meant there."""
+        """Enters the frame whose URL contains `part`; later runs, waits and clicks act on it."""
         self._do("enter", part=part)
 
     def run(self, code: str, value: object = None) -> Json:
-        """What `code` returns, the body of an async function of `value`."""
+        """The result of `code`, the body of an async function of `value`."""
         return self._do("run", code=code, value=value)
 
     def wait(self, code: str, timeout_s: float = 60) -> None:
-        """Until the expression `code` is true."""
+        """Waits until the expression `code` is true."""
         self._do("wait", code=code, timeoutS=timeout_s)
 
     def press(self, key: str) -> None:
@@ -74,11 +74,11 @@ class Page:
         self._do("click", selector=selector)
 
     def tap(self, at_px: tuple[float, float]) -> None:
-        """A finger that touches the page for a moment."""
+        """Taps the page with a finger."""
         self._do("tap", atPx=at_px)
 
     def hover(self, at_px: tuple[float, float]) -> None:
-        """Moves the mouse there."""
+        """Moves the mouse to this place."""
         self._do("hover", atPx=at_px)
 
     def drag(
@@ -87,14 +87,14 @@ class Page:
         self._do("drag", fromPx=from_px, toPx=to_px, button=button)
 
     def touch(self, *steps: Sequence[tuple[float, float]]) -> None:
-        """Fingers that move from the places of each step to those of the next, in pixels."""
+        """Moves fingers from the places of each step to those of the next, in pixels."""
         self._do("touch", steps=steps)
 
     def screenshot(self, path: Path, selector: str | None = None) -> None:
         self._do("screenshot", path=str(path), selector=selector)
 
     def axe(self, selector: str | None = None) -> list[str]:
-        """What axe-core has against a part of the page, or all of it: a line for each element."""
+        """Complaints of axe-core about a part of the page, or all of it; a line per element."""
         found: list[str] = self._do("axe", selector=selector)
         return found
 
@@ -110,13 +110,13 @@ class Page:
         self._do("offline", offline=offline)
 
     def heaps_bytes(self) -> list[int]:
-        """What the page and each of its workers hold, without what nobody refers to any more."""
+        """Bytes in the heaps of the page and each of its workers, after garbage collection."""
         found: list[int] = self._do("heaps")
         return found
 
     @property
     def complaints(self) -> list[str]:
-        """What the page threw, and its warnings."""
+        """Errors and warnings of the page."""
         found: list[str] = self._do("complaints")
         return found
 

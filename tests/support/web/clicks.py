@@ -1,4 +1,4 @@
-"""Streams that click, as static exports."""
+"""Static exports of streams with clicks."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from tests.support.hosted_streams import SLICE_SIZE, write_stream
 from tests.support.sounding import add_clicks
 
 CLICK_FRAMES = 15
-"""Frames from click to click, the first one with frame 0."""
+"""Frames from click to click; the first click is at frame 0."""
 
 
 def write_clicking_stream(
     folder: Path, num_frames: int, *sources: SoundSource, slice_size: int = SLICE_SIZE
 ) -> Path:
-    """A static export with clicks from each of `sources`, in `folder`/static."""
+    """Writes a static export with clicks from each of `sources` to `folder`/static."""
     stream = write_stream(folder / "trained", num_frames, slice_size)
     for source in sources:
         add_clicks(stream, range(0, num_frames, CLICK_FRAMES), source.name, source.keys)

@@ -1,4 +1,4 @@
-"""The server's pages: its list of streams without a server, and both kinds of page from one."""
+"""The server's pages: the list of streams without a server, and all pages of a server."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.support.web.playerstates import PLAYER, Screen
 
 
 def write_gallery(folder: Path, count: int) -> Path:
-    """The list of `count` streams as N.html: long titles, short ones, and one that is broken."""
+    """Writes a list of `count` streams as N.html: long titles, short ones, and a broken stream."""
     cards = [
         Card(
             f"s{n}",
@@ -41,7 +41,7 @@ def open_page(page: Page, url: str, screen: Screen) -> None:
 
 @contextlib.contextmanager
 def serving(folder: Path, count: int) -> Iterator[str]:
-    """The URL of a swings server with `count` streams of one scene, named s0 and so on."""
+    """Runs a swings server with `count` streams of one scene, named s0, s1, ...; gives its URL."""
     cameras = tuple(camera.scaled(10) for camera in ring_of_cameras())
     first = write_stream(folder / "s0", 60, cameras=cameras, poster=POSTER_NAME)
     write_poster(first, render_splats)
@@ -80,4 +80,4 @@ PAGES: dict[str, tuple[int, Callable[[Page, str, Screen], None]]] = {
     "watch": (1, _watch),
     "watch-embed": (1, _embed),
 }
-"""Number of streams of the server, and how the page is reached."""
+"""Number of streams of the server, and function that opens the page."""

@@ -1,4 +1,4 @@
-"""What a page and its workers hold while a stream plays on and on."""
+"""Heaps of a page and its workers while a stream keeps playing."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ window.played = played;
 player.setPlaying(false);
 return played;
 """
-"""Plays on until `value` frames have been played in all; gives how many there were."""
+"""Plays until `value` frames have been played in total; returns the number of played frames."""
 
 
 @contextmanager
 def opened(page: Page, folder: Path, rate: float, buffer_mb: float) -> Iterator[Page]:
-    """The page, paused at the first frame of the stream in `folder`."""
+    """Opens the page, paused at the first frame of the stream in `folder`."""
     export_static(folder / "stream", folder / "static")
     (folder / "web").symlink_to(ROOT / "player" / "web")
     with static_host(folder) as url:

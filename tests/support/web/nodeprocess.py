@@ -1,4 +1,4 @@
-"""A process of Node that answers: one JSON object a line in, one out."""
+"""A Node process that answers questions: one JSON object per line in, one out."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ Json = Any
 NODE = shutil.which("node")
 SCRIPTS = Path(__file__).parents[2] / "player" / "web"
 ANSWER_S = 240.0
-"""A browser that has not answered for so long never will. A test that runs again has no other
-limit."""
+"""Time after which a browser counts as hanging. A repeated test has no other time limit."""
 
 
 class NodeProcess:
-    """Questions, one after another, to a script. One that has ended begins anew with the next
-    question: a browser that hangs fails one test, not those behind it as well."""
+    """Sends questions to a script, one after another. If the script has ended, the next question
+    restarts it, so that a browser that hangs fails only one test."""
 
     def __init__(self, command: list[str]) -> None:
         self._command = command
@@ -34,7 +33,7 @@ class NodeProcess:
         )
 
     def answer(self, kind: str, question: dict[str, Any]) -> Json:
-        """All that it says."""
+        """The whole answer of the script."""
         if self._process.poll() is not None:
             self.close()
             self._process = self._begun()
@@ -62,7 +61,7 @@ class NodeProcess:
 
 @contextmanager
 def running_script(name: str, *args: str) -> Iterator[NodeProcess]:
-    """The script of that name beside the tests of player/web."""
+    """Runs the script `name` from the folder of the tests of player/web."""
     assert NODE is not None
     with closing(NodeProcess([NODE, str(SCRIPTS / name), *args])) as process:
         yield process

@@ -1,4 +1,4 @@
-"""The states of the browser player, each reached as a person would reach it."""
+"""The states of the browser player, each reached like by a user."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
 
 @dataclass(frozen=True, slots=True)
 class Screen:
-    """A device to look at."""
+    """Screen of a device."""
 
     name: str
     width_px: int
@@ -48,7 +48,7 @@ SCREENS = (
 
 @dataclass(frozen=True, slots=True)
 class Hosts:
-    """Where the streams are."""
+    """Hosts of the streams."""
 
     url: str
     silent_url: str
@@ -58,7 +58,7 @@ class Hosts:
 
 @contextlib.contextmanager
 def hosting(folder: Path) -> Iterator[Hosts]:
-    """Hosts of the player, a clip with pictures in static/, and a live stream in live/ whose writer
+    """Hosts the player, a clip with pictures in static/, and a live stream in live/ whose writer
     has stopped after two segments."""
     cameras = tuple(camera.scaled(10) for camera in ring_of_cameras())
     stream = write_stream(
@@ -81,7 +81,7 @@ def hosting(folder: Path) -> Iterator[Hosts]:
 
 @dataclass(frozen=True, slots=True)
 class Reached:
-    """A page in Chromium, and what opens the player there."""
+    """A page in Chromium, with methods to open the player in it."""
 
     page: Page
     hosts: Hosts
@@ -104,7 +104,7 @@ class Reached:
         self.page.open(address, *size, self.screen.touch, scripts, context)
 
     def wait(self, condition: str) -> None:
-        """Until the player is in this condition."""
+        """Waits until the player is in this condition."""
         frame = f"{ELEMENT}?.shadowRoot.querySelector('.frame')"
         self.page.wait(f"{frame}?.dataset.condition === '{condition}'", 60)
 
@@ -259,4 +259,4 @@ STATES: dict[str, Callable[[Reached], None]] = {
     "reduced-motion": _still,
     "reduced-motion-loading": _still_loading,
 }
-"""How each state is reached, by its name."""
+"""Functions that reach the states, by name."""

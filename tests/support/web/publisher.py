@@ -1,4 +1,4 @@
-"""A stream that grows on a plain file server, segment by segment, as if somebody recorded it."""
+"""A stream that grows on a plain file server, segment by segment, like a live recording."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from codec.stream.manifest import MANIFEST_NAME, SEGMENTS_NAME
 
 
 class Publisher:
-    """Copies a finished export into a folder, so that what lies there is always a valid stream."""
+    """Copies a finished export into a folder in steps; the folder always has a valid stream."""
 
     def __init__(self, exported: Path, folder: Path) -> None:
         self._source = StreamReader(exported)
@@ -46,13 +46,13 @@ class Publisher:
             self.num_segments += 1
 
     def finish(self) -> None:
-        """Appends the rest, and says that nothing more comes."""
+        """Appends the rest, and marks the stream as finished in the manifest."""
         self.publish(len(self._source.records))
         write_atomic(self._folder / MANIFEST_NAME, self._source.manifest_json)
 
     @contextlib.contextmanager
     def running(self, period_s: float) -> Iterator[None]:
-        """Another segment every `period_s`, while the block runs and there is one."""
+        """Publishes a segment every `period_s` during the block, as long as there is one."""
         stop = threading.Event()
 
         def run() -> None:
