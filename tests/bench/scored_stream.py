@@ -1,4 +1,4 @@
-"""A small stream beside the capture that it is scored against."""
+"""A small stream, and the capture that it is scored against."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ camera's own, and none."""
 
 
 def write_scored(path: Path, swin_size: int = 2, **changes: object) -> tuple[Path, Path]:
-    """The folders of a stream of FRAMES frames and two layers, and of its capture, whose camera 1
-    is held out. changes: of the manifest."""
+    """Writes a stream of FRAMES frames and two layers, and its capture, whose camera 1 is held out;
+    returns the folders of both. changes: fields of the manifest."""
     capture, stream = path / "capture", path / "stream"
     path.mkdir(exist_ok=True)
     write_dynamic3dgs(capture, num_cameras=4, num_frames=FRAMES)

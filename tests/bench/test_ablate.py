@@ -1,4 +1,4 @@
-"""The comparison of the paper's choices at its smallest: it runs, keeps what it measured, draws."""
+"""The comparison of the paper's choices at its smallest: it runs, keeps results, and draws."""
 
 from __future__ import annotations
 

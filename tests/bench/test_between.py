@@ -30,7 +30,7 @@ def test_what_moves_straight_is_interpolated_best(tmp_path: Path) -> None:
     config = BetweenConfig(tmp_path / "s", pictures=3)
     near, far = (against_stream(reader, gap, config) for gap in (2, 4))
     for scores in (near, far):
-        assert min(scores.goes_on) > 0.9  # small ones jump
+        assert min(scores.goes_on) > 0.9  # small Gaussians jump
         assert len(scores.whole[HELD]) == 3 * len(reader.manifest.cameras[:2])
         by = {how: np.mean(found) for how, found in scores.changing.items()}
         assert by[INTERPOLATED] > by[FADED] + 6 > by[HELD] + 6

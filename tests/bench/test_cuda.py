@@ -27,7 +27,7 @@ def config(folder: Path) -> CudaConfig:
 
 
 def hows(printed: str) -> list[str]:
-    """Of the rows of a table, how each was trained: for 6 frames, by torch."""
+    """The column "how" of the table's rows for 6 frames and torch."""
     return re.findall(r"│\s+capture │\s+torch │\s+(\w+) │\s+6 │", printed)
 
 

@@ -44,7 +44,7 @@ def test_it_scores_once_and_draws(config: CurveConfig, monkeypatch: pytest.Monke
     assert [curve.frames for curve in curves] == [range(4), range(1, 4)]
     raw, late = (curve.found.layers for curve in curves)
     assert raw[-1].bytes_per_frame > late[-1].bytes_per_frame > 0
-    # Whoever plays from frame 0 with all layers fetches every file.
+    # A player that starts at frame 0 with all layers fetches every file.
     files = [f for f in config.streams[0].rglob("*") if f.is_file()]
     assert raw[-1].bytes_per_frame * FRAMES == sum(f.stat().st_size for f in files)
 

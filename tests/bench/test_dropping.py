@@ -1,4 +1,4 @@
-"""Gaussians dropped by rank beside a stream's own layers: scored, counted, drawn."""
+"""Gaussians dropped by rank, compared with the stream's own layers: scores, bytes and plots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""FLIP beside PSNR: both fall with the picture, camera by camera."""
+"""FLIP beside PSNR: both get worse with the picture, camera by camera."""
 
 from __future__ import annotations
 

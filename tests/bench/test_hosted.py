@@ -13,7 +13,7 @@ from tests.support.web.nodeprocess import NODE
 def test_plays_of_a_static_host_are_scored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whole objects are worth less than packets, and more than layer 0 alone."""
+    """Whole objects score lower than packets, and higher than layer 0 alone."""
     monkeypatch.setenv("COLUMNS", "200")
     steps = [{"duration_ms": 3000, "bandwidth_kbps": 8000, "latency_ms": 20}]
     (tmp_path / "steady.json").write_text(json.dumps(steps))

@@ -54,7 +54,7 @@ def test_each_setting_changes_one_choice() -> None:
     assert [s.name for s in others if s.fit.lease.active_share == 1] == [
         "active_share 1, no leases"
     ]
-    # A value that is chosen already is not trained twice.
+    # A value of the base setting is not trained twice.
     again = settings(LeasesConfig(Path("capture"), sizes=(10_000, 5_000)))
     assert [s.name for s in again if s.group == "num_gs"] == ["num_gs 5,000"]
 

@@ -34,7 +34,7 @@ def test_growth_is_what_is_complained_about() -> None:
         "300 frames: memory +6.0%",
         "300 frames: time per frame +20.0%",
     ]
-    # A few short frames say nothing about time, but all about memory.
+    # A few short frames are too few to judge time, but not memory.
     short = Track([1.0] + [0.05] * 15 + [0.06] * 14, [200 * MB] * 20 + [220 * MB] * 10, 220 * MB)
     assert short.time_growth == pytest.approx(0.2)
     assert complaints([short]) == ["30 frames: memory +10.0%"]

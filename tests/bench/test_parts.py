@@ -21,7 +21,7 @@ def test_processes_are_those_that_this_one_has_started() -> None:
         deadline_s = time.monotonic() + 10
         while child.pid not in processes(WORKER):
             assert time.monotonic() < deadline_s
-        while peak_bytes(child.pid) <= 1_000_000:  # an interpreter, once it has begun
+        while peak_bytes(child.pid) <= 1_000_000:  # an interpreter that has started uses more
             assert time.monotonic() < deadline_s
         assert os.getppid() not in processes(b"")
         assert os.getpid() in processes(b"")

@@ -1,4 +1,4 @@
-"""What `scripts/bench serve` says of plays that are made up, whose figures are known."""
+"""Figures of `scripts/bench serve` for made-up plays with known figures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def seen(
     status: int = 200,
     over: bool = False,
 ) -> Seen:
-    """packets: client, birth, first layer, layers, and when they came; all asked at 10 s."""
+    """packets: client, birth, first layer, layers, arrival time; all requests are at 10 s."""
     who, birth, first, layers, at_s = zip(*packets, strict=True) if packets else ((),) * 5
     known = {
         "began_s": 10.0,
@@ -54,7 +54,7 @@ def seen(
 
 
 def paced(num_frames: int, client: int = 0) -> list[tuple[int, int, int, int, float]]:
-    """What a good server sends: six frames at once, and three each 0.3 s."""
+    """Packets of a well-paced server: six frames at once, then three every 0.3 s."""
     return [
         (client, birth, 0, 2, 10.05 if birth < 6 else 10.05 + 0.3 * (1 + (birth - 6) // 3))
         for birth in range(num_frames)
@@ -87,7 +87,7 @@ def test_a_burst_that_comes_late_is_a_gap_and_no_slice_is_late_while_the_lead_la
 
 @given(st.floats(0.7, 2.0))
 def test_a_slice_is_late_by_what_exceeds_its_lead(delay_s: float) -> None:
-    """Slice 20 comes 0.6 s before its time at best: 6 frames of lead, less where it is in its
+    """Without delay slice 20 arrives up to 0.6 s early: 6 frames of lead, minus its place in its
     burst."""
     packets = [(*p[:4], p[4] + delay_s * (p[1] == 20)) for p in paced(60)]
     due_s, came_s = 10.05 + 2.0, next(p[4] for p in packets if p[1] == 20)
@@ -136,7 +136,7 @@ def test_live_latency_is_from_the_birth_of_a_segment() -> None:
     packets = [(n, birth, 0, 2, 11 + birth / 10) for n in range(2) for birth in range(20)]
     born_s = {0: (5, 1010.9), 5: (10, 1011.2), 10: (15, 1011.9), 15: (25, 1012.0)}
     first_s, last_s = live_latency_s(seen(packets, clients=2), born_s, after_s=1011.0)
-    # The first is too old, the last never came whole.
+    # The first segment is too old, the last one never arrived completely.
     assert sorted(first_s) == pytest.approx([0.1, 0.1, 0.3, 0.3])
     assert sorted(last_s) == pytest.approx([0.5, 0.5, 0.7, 0.7])
 

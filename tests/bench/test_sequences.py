@@ -1,4 +1,4 @@
-"""scripts/bench sequences measures what it says."""
+"""scripts/bench sequences measures the promised figures."""
 
 from __future__ import annotations
 

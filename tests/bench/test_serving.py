@@ -1,4 +1,4 @@
-"""`scripts/bench serve`, small, on a real swings-serve: nothing is lost between both processes."""
+"""`scripts/bench serve`, small, on a real swings-serve: no packet is lost in the measurement."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_every_slice_of_every_play_comes_once() -> None:
 def test_a_live_stream_reaches_who_follows_it() -> None:
     figures = measure_live(3, 4000, 6.0, two_cores(), ())
     assert figures.segments >= 3 * 5
-    # The stamp of a file is a few ms coarse.
+    # The clock of file times has steps of a few ms.
     assert -20 < figures.first_ms.p50 <= figures.last_ms.p50 < 3000
 
 
@@ -50,7 +50,7 @@ def test_objects_are_measured_beside_others() -> None:
         if not shutil.which(program) and not shutil.which(program, path="/usr/sbin"):
             pytest.skip(f"{program} is not installed")
     rates = measure_objects((20,), 1, 1.0, 8, two_cores(), (), nothing)
-    # A bare answer of aiohttp knows neither ranges nor conditions.
+    # The bare response of aiohttp supports neither ranges nor conditions.
     assert len(rates) == 3 * len(cases_of((20,))) + 1
     assert all(rate.requests_per_s > 10 and rate.cpu_us_per_request > 0 for rate in rates)
     assert {rate.to_nginx for rate in rates if rate.server == "nginx"} == {1.0}

@@ -1,4 +1,4 @@
-"""What a player showed: with all packets in time what the stream scores, with fewer less."""
+"""Scores of shown frames: equal to the stream's if all packets are in time, else lower."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from trainer.score.truth import open_held_out
 
 
 def report_of(reader: StreamReader, layers: int, late_s: float = 0.0) -> dict[str, Any]:
-    """Of a play in which `layers` layers came before the start, and the others `late_s` after the
-    frame in which they were due; never if that is 0."""
+    """The report of a play in which `layers` layers arrived before the start, and the others
+    `late_s` after the frame in which they were due; never if `late_s` is 0."""
     manifest = reader.manifest
     arrivals = []
 
@@ -47,7 +47,7 @@ def test_it_scores_the_packets_that_had_come(tmp_path: Path) -> None:
             found = [score.rendered_db for score in scores]
             assert found == pytest.approx(expected[layers - 1].per_frame_psnr_db, abs=1e-6)
             assert scores[-1].layers == layers
-        # What comes half a frame late shows from the next frame on.
+        # Packets that arrive half a frame late show from the next frame on.
         late = list(shown_scores(held_out, report_of(held_out.reader, 1, 0.5), 1))
         assert late[0].rendered_db == pytest.approx(expected[0].per_frame_psnr_db[0], abs=1e-6)
         assert 1 < fmean(score.layers for score in late) < 2
