@@ -1,4 +1,4 @@
-"""What a camera sees where, and the same camera for other picture sizes."""
+"""Projection of a camera, and the same camera for other picture sizes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.support.drawn import posed_cameras
 
 sides_px = st.integers(1, 2000)
 shares = st.tuples(st.floats(-0.5, 1.5), st.floats(-0.5, 1.5), st.floats(0.1, 100))
-"""Where a point shows, in widths and heights of the picture, and its depth in metres."""
+"""Place of a point, in widths and heights of the picture, and its depth in metres."""
 
 
 def point_at(camera: Camera, share: tuple[float, float, float]) -> Doubles:
@@ -131,7 +131,7 @@ def test_a_fitted_camera_keeps_pixels_square_and_loses_nothing(
     tan_y = (other.height_px / other.fy_px, camera.height_px / camera.fy_px)
     assert tan_x[0] >= tan_x[1] * (1 - 1e-9)
     assert tan_y[0] >= tan_y[1] * (1 - 1e-9)
-    # The middle stays the middle, and what was in the picture is.
+    # The middle stays the middle, and points in the picture stay in it.
     middle = seen_at(other, point_at(camera, (0.5, 0.5, 1)))
     assert middle == pytest.approx((width_px / 2, height_px / 2), rel=1e-6, abs=1e-6)
     for corner in ((0, 0, 1), (1, 1, 1)):

@@ -1,4 +1,4 @@
-"""What all commands do with their command line."""
+"""Handling of the command line that all commands share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors keep their kind and their place however often they are told again."""
+"""Errors keep their kind and their place however often they are raised again."""
 
 from __future__ import annotations
 

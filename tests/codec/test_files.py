@@ -1,4 +1,4 @@
-"""Files are whole or absent, and reading one costs no more than it is allowed to."""
+"""Files are complete or absent, and reading one costs no more than allowed."""
 
 from __future__ import annotations
 

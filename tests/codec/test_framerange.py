@@ -1,4 +1,4 @@
-"""Ranges of frames as text, and what they mean for a stream or capture of so many frames."""
+"""Ranges of frames as text, and their meaning for the length of a stream or capture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The corpus of the fuzzer through its parsers, and what it found; fuzz/codec.py says more."""
+"""The fuzzer's corpus and its findings, run through the parsers; see fuzz/codec.py."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def test_every_parser_has_a_seed_that_it_accepts() -> None:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_a_file_of_the_corpus(path: Path) -> None:
-    """A seed reaches the end of its parser; what was found is refused, or accepted, but no more."""
+    """A seed is accepted by its parser; a finding is refused or accepted, with no other error."""
     accepted = accepts(path.read_bytes())
     assert accepted or path.name.startswith("found-")
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_what_is_near_a_file_of_the_corpus(path: Path) -> None:
-    """A glimpse of what the fuzzer does for longer: the same mutations in each run."""
+    """A short version of the fuzzer's work, with the same mutations in each run."""
     data = path.read_bytes()
     rng = random.Random(path.name)
     for _ in range(40):
@@ -64,7 +64,7 @@ def test_what_is_near_a_file_of_the_corpus(path: Path) -> None:
 
 
 def test_a_reader_takes_every_step_of_a_whole_script_and_most_of_a_torn_one() -> None:
-    """So the fuzzer starts deep in the reader of slots."""
+    """These seeds start the fuzzer deep in the reader of slots."""
     for number, layout in enumerate(LAYOUTS):
         foods = {what: food for target, what, food in seeds() if target == "slots"}
         num_loads = len(layout.slots)
@@ -80,7 +80,7 @@ def test_the_law_can_be_broken(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_text_that_is_not_unicode_is_refused_everywhere() -> None:
-    """It could not be written again: a stream with such a title could never be finished."""
+    """Such a text could not be written again: a stream with it as title could never be finished."""
     half = "\ud800"
     camera = MANIFEST["cameras"][0] | {"name": half}
     for change in (
@@ -118,7 +118,7 @@ def test_a_camera_with_a_value_of_the_wrong_type(change: dict[str, object]) -> N
 
 @pytest.mark.parametrize("key", ["name", "w2c"])
 def test_lists_in_lists_as_deep_as_json_goes(key: str) -> None:
-    """Deep enough for the parser to pass, and to exhaust the stack of whoever prints it."""
+    """The parser accepts this depth, but it exhausts the stack of code that prints the value."""
     for depth in range(800, 1000):
         deep = "[" * depth + "]" * depth
         camera = json.dumps(MANIFEST["cameras"][0] | {key: 7}).replace('": 7', f'": {deep}')

@@ -1,4 +1,4 @@
-"""Signals that are kept waiting: the first until the block ends, a second one not."""
+"""Deferred signals: the first waits until the block ends, a second one does not."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from tests.support.slots.hostile_slots import hostile_slots
 print(hostile_slots(int(sys.argv[1])))
 """
 
-# The codec's are enough: every kernel is made by the same decorator.
+# Kernels of the codec are enough, because all kernels use the same decorator.
 KERNELS = """
 from codec.kernel import Kernel
 from codec.lattice import morton, orientation, quantise
@@ -40,7 +40,7 @@ loaded = sum(sum(kernel.stats.cache_hits.values()) for kernel in kernels)
 print(len(kernels), compiled, loaded)
 """
 
-# Root may write anywhere, so numba is told what it would find where nobody may.
+# Root may write anywhere, so numba gets the result of a place where no user may.
 NO_PLACE = """
 from numba.core import caching
 def refuse(locator):
@@ -48,7 +48,7 @@ def refuse(locator):
 caching._CacheLocator.ensure_cache_path = refuse
 """
 
-# What is compiled takes more, an index of it less.
+# Compiled code needs more, its index less.
 NO_ROOM = """
 import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, resource.RLIM_INFINITY))
@@ -66,7 +66,7 @@ print(len(list(out.glob("*.mp4"))))
 
 
 def output_of(program: str, *arguments: str, **environment: str) -> list[int]:
-    """The numbers that `program` prints, which warns of nothing; it may report progress."""
+    """The numbers that `program` prints; warnings are errors, progress output is allowed."""
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", program, *arguments],
         cwd=ROOT,
@@ -90,8 +90,8 @@ def output_of(program: str, *arguments: str, **environment: str) -> list[int]:
 def test_hostile_chunks_never_lead_a_kernel_out_of_bounds(
     mode: str, count: int, tmp_path: Path
 ) -> None:
-    """A kernel that reads beyond an array would just read; in these modes it raises IndexError."""
-    # A cache of its own, for numba does not tell code that checks bounds from code that does not.
+    """Normally a kernel reads beyond an array silently; in these modes it raises IndexError."""
+    # A separate cache, because numba does not distinguish code with and without bounds checks.
     environment = {mode: "1", "NUMBA_CACHE_DIR": str(tmp_path)}
     (taken,) = output_of(HOSTILE, str(count), **environment)
     assert 0.1 * count < taken < 0.9 * count
@@ -124,7 +124,7 @@ def test_kernels_work_on_a_full_disk_and_leave_nothing_broken(tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_a_capture_is_made_where_nothing_can_be_kept(tmp_path: Path) -> None:
-    """At import, every module of the trainer's commands makes its kernels."""
+    """The modules of the trainer's commands create their kernels at import."""
     assert output_of(NO_PLACE + SYNTH, str(tmp_path / "made")) == [2]
 
 
@@ -140,7 +140,7 @@ def names(file: Path) -> set[str]:
 
 
 def test_only_one_module_names_numbas_compiler() -> None:
-    """All others use its decorator, which works where no kernel can be kept."""
+    """All other modules use its decorator, which works where no kernel can be cached."""
     modules = [
         file
         for folder in ("codec", "trainer", "server", "player", "bench", "fuzz", "tests")
@@ -176,7 +176,7 @@ def test_a_change_in_a_kernel_or_constant_of_another_file_is_noticed(tmp_path: P
     def told(step: int, added: int) -> str:
         (tmp_path / "inner.py").write_text(INNER.format(step=step, added=added))
         done = subprocess.run(
-            # -B: Python takes what it compiled for a file of equal size and second.
+            # -B: Python would use stale bytecode for a file of equal size and time in seconds.
             [sys.executable, "-B", "-c", "import outer"],
             env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"},
             cwd=tmp_path,

@@ -1,4 +1,4 @@
-"""swings-stream as a process: what it prints and how it exits."""
+"""swings-stream as a process: its output and exit codes."""
 
 from __future__ import annotations
 

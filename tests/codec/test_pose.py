@@ -1,4 +1,4 @@
-"""Rotations, quaternions and poses, as mathematics."""
+"""Mathematics of rotations, quaternions and poses."""
 
 from __future__ import annotations
 

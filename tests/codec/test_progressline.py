@@ -1,4 +1,4 @@
-"""What the user sees of a long command: a bar and one line of a terminal, or plain lines."""
+"""Progress of a long command: a bar and one line in a terminal, or plain lines."""
 
 from __future__ import annotations
 

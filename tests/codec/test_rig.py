@@ -1,4 +1,4 @@
-"""Where several cameras look, and which way is up for them."""
+"""The point at which several cameras look, and their common up direction."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_axes_that_meet_are_closest_where_they_meet(
     found = closest_point(cameras, 1e-6)
     assert found is not None
     np.testing.assert_allclose(found, target, atol=1e-6)
-    # Where all look the other way it lies behind them.
+    # If all cameras look the other way, the point is behind them.
     turned = [replace(c, w2c=np.diag([1.0, -1, -1, 1]) @ c.w2c) for c in cameras]
     assert closest_point(turned, 1e-6) is None
 
@@ -75,7 +75,7 @@ def test_parallel_axes_have_no_closest_point(rotation: Doubles) -> None:
 @pytest.mark.parametrize("angle_deg", [1.0, 5.0, 40.0])
 def test_the_least_spread_is_the_mean_squared_sine_between_the_axes(angle_deg: float) -> None:
     cameras = converging_pair(math.radians(angle_deg))
-    # Either axis is half of the angle from the direction between the two.
+    # Each axis is half of the angle away from the direction between the two.
     spread = math.sin(math.radians(angle_deg) / 2) ** 2
     assert closest_point(cameras, 1.001 * spread) is None
     found = closest_point(cameras, 0.999 * spread)

@@ -38,7 +38,7 @@ def test_a_body_keeps_its_shape_and_its_colours_from_every_side(
     linear = scale * turn
     wanted = linear @ shapes(splats) @ linear.T
     assert np.abs(shapes(moved) - wanted).max() < 1e-4 * np.abs(wanted).max()
-    # What was seen along d is seen along the turned d.
+    # The colour along d is then the colour along the turned d.
     along = np.random.default_rng(4).normal(size=(10, 3))
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     before = np.einsum("jk,nkc->njc", harmonics(along), splats.sh)

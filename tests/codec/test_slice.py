@@ -1,4 +1,4 @@
-"""What a slice is: whole, or some rows of its lane."""
+"""Slices: whole ones, and those with some rows of their lane."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A `Splats` or `Slice` that exists is valid: what is wrong with any other is said."""
+"""An existing `Splats` or `Slice` is valid; the constructor states any fault."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_the_array_at_fault_is_named(name: str) -> None:
         (altered(array, -np.inf), "holds a value that is not finite"),
     ):
         if name == "means" and says == "has shape":
-            continue  # the means tell how many there are: another array is at fault
+            continue  # the means define the count, so that another array is at fault
         with pytest.raises(InvalidError, match=rf"^Splats\.{name} {says}"):
             replace(GOOD, **{name: wrong})
 

@@ -1,4 +1,4 @@
-"""The coder that browsers know: valid gzip for anyone, and no bomb goes off."""
+"""The coder for browsers: the output is valid gzip, and no bomb is inflated."""
 
 from __future__ import annotations
 
@@ -66,32 +66,32 @@ def claiming(size: int, packet: bytes) -> bytes:
 
 
 def with_name(packet: bytes) -> bytes:
-    """A valid gzip member, but with a file name in its head."""
+    """A valid gzip member with a file name in its head."""
     return packet[:3] + b"\x08" + packet[4:10] + b"name\0" + packet[10:]
 
 
 @pytest.mark.parametrize(
     ("packet", "says"),
     [
-        # Says more than a chunk can have, and is long enough for it: refused unread.
+        # Claims more than a chunk may have, and is long enough for it: refused unread.
         (claiming(MAX_SLOT_CHUNK_BYTES + 1, gzip_coder.HEAD + bytes(300_000)), "at most"),
-        # Says more than deflate can give.
+        # Claims more than deflate can produce.
         (claiming(1 << 20, bomb(1000)), "cannot come from"),
-        # Goes on beyond what it says: 16 MiB of zeros that claim to be few.
+        # Has more content than it claims: 16 MiB of zeros.
         (claiming(0, BOMB), "more content than the 0 bytes"),
         (claiming(1000, BOMB), "more content than the 1000 bytes"),
-        # Ends before it.
+        # Has less content than it claims.
         (claiming(1001, bomb(1000)), "packet: "),
-        # More than one member, or something behind it.
+        # More than one member, or data after it.
         (bomb(100) + bomb(100), "follows"),
         (bomb(100) + b"x" + bomb(100)[-8:], "follows"),
         (bomb(100) + bytes(1 << 19) + bomb(100)[-8:], "follows"),
         # Wrong checksum.
         (bomb(100)[:-8] + bytes(4) + bomb(100)[-4:], "incorrect data check"),
-        # Ends inside, with a trailer where deflate would go on.
+        # Truncated, with a trailer where deflate data would continue.
         (bomb(1 << 16)[:30] + struct.pack("<II", 0, 1 << 14), "packet: "),
         (with_name(bomb(100)), "neither a zstd frame nor a gzip member"),
-        # zlib's and no container at all.
+        # The container of zlib, and none at all.
         (zlib.compress(bytes(100)), "neither"),
         (b"\x1f\x8b\x08\0", "is not a gzip member"),
         (gzip_coder.HEAD + struct.pack("<II", 0, 0), "packet: "),
@@ -124,7 +124,7 @@ def test_ending_blocks_between_planes_makes_gzip_as_small_as_zstd() -> None:
     assert len(packet) < 1.02 * len(encode_packet(chunk))
 
 
-# What a browser has, and no code of ours: fetch, DataView, DecompressionStream.
+# Only features of browsers, none of our code: fetch, DataView, DecompressionStream.
 SCRIPT = """
 const data = require("fs").readFileSync(process.argv[1]);
 const view = new DataView(data.buffer, data.byteOffset, data.length);

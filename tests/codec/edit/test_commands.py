@@ -1,4 +1,4 @@
-"""swings-stream edit as a process: what it prints, what it writes, how it fails."""
+"""swings-stream edit as a process: its output, its files and its failures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A cropped stream shows what cropped frames show, Gaussian for Gaussian."""
+"""A cropped stream shows the same Gaussians as cropped frames, one for one."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_what_is_untouched_keeps_its_bytes_and_its_psnr(tmp_path: Path) -> None:
     before, after = StreamReader(source), StreamReader(tmp_path / "t")
     assert after.records == before.records
     assert after.manifest.bounds == before.manifest.bounds
-    # A Gaussian that is cut leaves no segment as it was, so nothing is known of its PSNR.
+    # A removed Gaussian changes every segment, so that no PSNR is known.
     edit_stream(source, tmp_path / "u", CropOptions(box=BOX))
     assert all(math.isnan(record.psnr_db[0]) for record in StreamReader(tmp_path / "u").records)
 

@@ -1,4 +1,4 @@
-"""Steps of an edit that rounds: large enough that the stream does not grow, or those it had."""
+"""Steps of an edit that rounds: large enough that the stream does not grow, or unchanged."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ TURN = TransformOptions(turn=(10, 20, 30))
 
 
 def write_few_harmonics(path: Path, num_gs: int) -> Path:
-    """A stream at `path` of one frame of degree 3, with one coefficient of degree 2 and one of
-    degree 3 that are not 0: turned obliquely all are not."""
+    """Writes a stream of one frame of degree 3 to `path`. One coefficient of degree 2 and one of
+    degree 3 are not 0; after an oblique turn, all of them are not 0."""
     splats, rng = trained_like_splats(num_gs), np.random.default_rng(1)
     sh = np.zeros((num_gs, 16, 3), np.float32)
     sh[:, :1] = splats.sh

@@ -1,4 +1,4 @@
-"""What too few cameras see at any time of its life goes; all else stays as it was."""
+"""Gaussians that too few cameras see at every time of their life go; the rest stays unchanged."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ LATTICE = Lattice(0.01, 0.125, 1 / 60, 0.056, 41)
 
 
 def camera(name: str, x: float) -> Camera:
-    """One at (x, 0, -4) that looks at the origin, a right angle wide."""
+    """A camera at (x, 0, -4) that looks at the origin, with a field of view of 90 degrees."""
     pose = look_at(np.array([x, 0.0, -4.0]), np.zeros(3), np.array([0.0, -1.0, 0.0]))
     return Camera(name, 100, 100, 50.0, 50.0, 50.0, 50.0, pose)
 
 
 PLACES = ((0.0, 0.0, 0.0), (0.0, 0.0, -9.0), (-1.2, 0.0, -3.2), (0.0, 30.0, 0.0))
-"""Seen by both cameras; behind both; seen by the left one alone; beside both pictures."""
+"""Seen by both cameras; behind both; seen by the left one only; outside both pictures."""
 
 
 def write(path: Path) -> Path:
-    """Six frames of four Gaussians at PLACES. The last one moves between the cameras in frame 4,
-    where the first one is replaced by one that nobody sees."""
+    """Writes six frames of four Gaussians at PLACES. In frame 4 the last one moves between the
+    cameras, and the first one is replaced by one that no camera sees."""
     layout = SlotLayout(1, (4,), 0, (LATTICE,), 3)
     cameras = camera("a", -1.0), camera("b", 1.0)
     manifest = slot_manifest(layout, cameras=cameras, default_camera="a", near_m=0.1)
@@ -59,7 +59,7 @@ def write(path: Path) -> Path:
 
 
 def depths(stream: Path) -> list[list[float]]:
-    """The z and y of each Gaussian, frame after frame."""
+    """The sum of z and y of each Gaussian, frame after frame."""
     return [
         [round(float(z), 1) for z in np.sort(s.means[:, 1] + s.means[:, 2])]
         for s in frames_of(stream)
@@ -70,7 +70,7 @@ def test_a_gaussian_stays_if_enough_cameras_see_it_at_any_time(tmp_path: Path) -
     source = write(tmp_path / "s")
     made = edit_stream(source, tmp_path / "two", FloaterOptions(cameras=2))
     verify_stream(tmp_path / "two")
-    # The fourth one moves into view, so it stays from its first frame on.
+    # The fourth one moves into view later, so that it stays from its first frame on.
     assert depths(tmp_path / "two") == [[0.0, 30.0]] * 4 + [[1.0]] * 2
     assert made.notes == ("floaters     3 of 5 Gaussians",)
     edit_stream(source, tmp_path / "one", FloaterOptions(cameras=1))

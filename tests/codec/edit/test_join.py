@@ -1,4 +1,4 @@
-"""Streams one after another."""
+"""Joined streams, one after another."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_whole_segments_are_copied(tmp_path: Path) -> None:
     layout = small_layout(2, (6, 4), 0, 4)
     parts = [write_slot_stream(tmp_path / str(n), 12, layout, n) for n in range(2)]
     made = join(parts, tmp_path / "t")
-    # The first three byte for byte, and all of the second stream but its seam.
+    # The first three are copied byte for byte, and the second stream's except its seam.
     assert (made.num_copied, made.num_renumbered, made.num_segments) == (3, 2, 6)
     files = segment_files(tmp_path / "t")
     assert segment_files(parts[0]).items() <= files.items()

@@ -1,4 +1,4 @@
-"""Colours times a gain: in the Gaussians of each frame, and so in each pixel."""
+"""Colours multiplied by a gain: in the Gaussians of each frame, and in each pixel."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.support.slots.updates import small_layout
 
 
 def gained(splats: Splats, gains: tuple[float, ...]) -> Splats:
-    """`splats` whose colours are multiplied, coefficient by coefficient."""
+    """`splats` with multiplied colours, coefficient by coefficient."""
     sh = splats.sh * np.array(gains)
     sh[:, 0] += (np.array(gains) - 1) / (2 * SH_C0)
     return Splats(*splats.arrays[:4], sh.astype(np.float32))

@@ -1,4 +1,4 @@
-"""A transformed stream shows what transformed frames show, and costs no more."""
+"""A transformed stream shows the same as transformed frames, and is not larger."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_a_turn_of_axes_permutes_integers_and_turns_colours(degree: int) -> None
     (lattice,) = layout.lattices
     states = patternless_states(np.random.default_rng(1), [161] * 60, degree)
     colours = states.attributes[:, COLOURS:-1].view(np.int8)
-    colours //= 3  # harmonics of one degree mix, and shall stay on the lattice
+    colours //= 3  # keeps the harmonics on the lattice when those of one degree mix
     splats = dequantise(states, lattice)
     directions = np.random.default_rng(2).normal(size=(20, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -156,7 +156,7 @@ def test_a_turn_of_axes_permutes_integers_and_turns_colours(degree: int) -> None
         got = shapes_of(found)
         np.testing.assert_allclose(got, wanted, rtol=1e-3, atol=1e-4 * np.abs(wanted).max())
         np.testing.assert_array_equal(found.logit_opacities, kept.logit_opacities)
-        # Degrees 0 and 1 are exact; of others each coefficient is rounded.
+        # Degrees 0 and 1 are exact; the coefficients of the others are rounded.
         error = seen_along(found, directions @ turn.T) - seen_along(kept, directions)
         assert np.abs(error).max() < (1e-4 if degree < 2 else 0.5)
 
@@ -167,7 +167,7 @@ def shapes_of(splats: Splats) -> Doubles:
 
 
 def euler_of(turn: Doubles) -> tuple[float, float, float]:
-    """Degrees about x, then y, then z."""
+    """Angles in degrees about x, then y, then z."""
     y = np.arcsin(np.clip(-turn[2, 0], -1, 1))
     if abs(turn[2, 0]) > 0.5:
         x, z = np.arctan2(-turn[1, 2], turn[1, 1]), 0.0

@@ -1,4 +1,4 @@
-"""A part of a stream: every frame bit by bit, and chunks as they were."""
+"""A part of a stream: its frames are equal bit by bit, and its chunks are unchanged."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_segments_that_move_keep_their_chunks_but_for_the_frame_number(tmp_path:
             old, new = before.read_object(segment + 1, part), after.read_object(segment, part)
             moved = {entry.birth - SEGMENT_FRAMES for entry in old.entries}
             if part == MASKS or type(part) is int:
-                moved -= {0}  # what that slice brings is in the snapshots
+                moved -= {0}  # the content of that slice is in the snapshots
             assert {entry.birth for entry in new.entries} == moved
             for birth in moved:
                 was, now = old.content(birth + SEGMENT_FRAMES), new.content(birth)

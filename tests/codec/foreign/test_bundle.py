@@ -1,4 +1,4 @@
-"""ZIP archives: what is put in comes out, and nothing hostile costs more than its bytes."""
+"""ZIP archives: contents round-trip, and hostile archives cost no more than their bytes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_bomb_is_refused_by_what_it_claims() -> None:
     try:
         with pytest.raises(CorruptError, match="'zeros' claims 67108864 bytes"):
             Bundle(bomb, "it").read("zeros")
-        # One that lies about its size is cut off there.
+        # A file that lies about its size is truncated there.
         lying = bomb.replace((64 << 20).to_bytes(4, "little"), (9).to_bytes(4, "little"))
         with pytest.raises(CorruptError, match="is broken"):
             Bundle(lying, "it").read("zeros")

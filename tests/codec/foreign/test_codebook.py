@@ -1,4 +1,4 @@
-"""Codebooks and palettes: what they stand for, how near, and that they are always the same."""
+"""Codebooks and palettes: their content, their errors, and that they are deterministic."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def test_many_values_are_near_theirs(shape: str) -> None:
     assert (book == codebook(values)).all()
     codes = codes_of(values, book)
     away = np.abs(book[codes] - values)
-    # Each has the nearest there is.
+    # Each value has the nearest entry.
     assert (away <= np.abs(values[:, None] - book).min(axis=1) + 1e-6).all()
     even = np.ptp(values) / CODES
-    assert away.max() < 1.2 * even  # half of the book is in even steps, to begin with
+    assert away.max() < 1.2 * even  # half of the initial book is in even steps
     if shape == "bell":
         # The least that any book of a normal distribution can reach (Panter and Dite, 1951).
         least = np.sqrt(np.sqrt(3) * np.pi / 2) / CODES
@@ -51,7 +51,7 @@ def test_a_palette_of_all_rows_is_exact_and_alike_rows_share() -> None:
     entries, labels = palette(rows, 64)
     assert entries.shape == (50, 9)
     assert (entries[labels] == rows).all()
-    # Numbered by their first row.
+    # Labels are numbered by their first row.
     assert (labels[:50] == np.arange(50)).all()
 
 

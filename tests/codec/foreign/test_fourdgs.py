@@ -1,5 +1,5 @@
-"""The .4dgs container by hand, and what is no such file; tests/codec/interop/test_neighbours.py has
-the package of its authors."""
+"""Handmade .4dgs containers, valid and invalid; tests/codec/interop/test_neighbours.py uses the
+package of the format's authors."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_colours_turns_and_sizes(tmp_path: Path) -> None:
 
 
 def test_motion_fading_and_windows(tmp_path: Path) -> None:
-    """A state of two frames, one of one: frames of half a second."""
+    """One state for two frames and one for a single frame, with frames of half a second."""
     streams = group(
         [0, 1, 2],
         # ln sigma / 0.02, no fading for the last two; time 0.25 s; motion.
@@ -67,7 +67,7 @@ def test_motion_fading_and_windows(tmp_path: Path) -> None:
     assert [len(splats) for splats in frames] == [2, 3, 0]
     sigma = np.exp(-0.7)
     assert frames[0].means[0].tolist() == [1, 2, 3]
-    # Half a life of 1.2 s is in the class up to 2 s: a quarter of the step, and 2 s of window.
+    # Half of a 1.2 s life is in the class up to 2 s: a quarter of the step, and 2 s of window.
     assert frames[1].means[0] == pytest.approx([1 + 10 * 0.1 / 4 * 0.5, 2, 3])
     assert frames[1].means[1] == pytest.approx([1, 2 + 10 * 0.1 / 4 * 0.5, 3])
     faded = 200 / 255 * np.exp(-0.5 * (0.5 / sigma) ** 2)

@@ -1,4 +1,4 @@
-"""glTF: a file made by hand, axes, nodes, and hostile bytes."""
+"""glTF: a handmade file, axes, nodes, and hostile bytes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_gltf_by_hand() -> None:
     assert splats.log_scales[1] == pytest.approx([np.log(np.finfo(np.float32).tiny), 0, 0])
     assert splats.quats[0] == pytest.approx([HALF, -HALF, 0, 0])
     assert splats.logit_opacities.tolist() == [0, 16]
-    # The harmonics of degree 1 go as y, z, x.
+    # The order of the harmonics of degree 1 is y, z, x.
     assert splats.sh[0].tolist() == [
         [np.float32(v) for v in (0.1, 0.2, 0.3)],
         [-1, -2, -3],
@@ -71,7 +71,7 @@ def shapes(splats: Splats) -> np.ndarray[Any, Any]:
 
 
 def test_nodes_place_what_they_hold() -> None:
-    """Twice a quarter turn about y, in a matrix and as a quaternion, are half a turn."""
+    """Two quarter turns about y, one as a matrix and one as a quaternion, are half a turn."""
 
     def place(root: Json) -> None:
         root["nodes"] = [
@@ -81,7 +81,7 @@ def test_nodes_place_what_they_hold() -> None:
         ]
 
     plain, placed = decode_any(made()), decode_any(made(place))
-    # In our frame half a turn about y is one too, and 10 along x is -10.
+    # In our frame half a turn about y is the same, and 10 along x is -10.
     expected = 2 * plain.means * [-1, 1, -1] + [-10, 0, 0]
     assert placed.means == pytest.approx(expected, abs=1e-5)
     turn = np.diag([-1.0, 1.0, -1.0])
@@ -139,7 +139,7 @@ def test_logarithms_of_a_draft_are_known_by_their_sign(caplog: pytest.LogCapture
 
 
 def setting(*path: Any, value: Any) -> Callable[[Json], None]:
-    """A change that sets what `path` leads to."""
+    """A change that sets the value at `path`."""
 
     def change(root: Json) -> None:
         for key in path[:-1]:
@@ -266,7 +266,7 @@ def test_more_than_the_caller_takes_is_refused() -> None:
 
 
 def test_a_small_file_does_not_become_large_by_repetition() -> None:
-    """One table of 60000 rows of three bytes, shown by 4000 nodes as all that there is."""
+    """4000 nodes each use one buffer of 80000 bytes, as 20000 rows, for every attribute."""
     count = 20_000
 
     def repeat(root: Json) -> None:

@@ -1,4 +1,4 @@
-"""Where a glTF keeps its numbers: containers, files beside, accessors; and where it may not."""
+"""Places of a glTF's numbers: containers, separate files, accessors; and forbidden places."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_buffer_may_be_a_file_beside(tmp_path: Path) -> None:
     for kind in ("application/octet-stream", "application/gltf-buffer", ""):
         data = json.dumps(outside(f"data:{kind};base64,{encoded}")).encode()
         assert same_splats(decode_any(data), decode_any(made()))
-        # JSON may write a slash in two ways.
+        # JSON has two ways to write a slash.
         assert same_splats(decode_any(data.replace(b"/", b"\\/")), decode_any(made()))
 
 

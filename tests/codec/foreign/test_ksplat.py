@@ -1,5 +1,5 @@
-"""The .ksplat file by hand, and what is none; tests/codec/interop/test_ksplat.py has the library
-that it comes from."""
+"""Handmade .ksplat files, valid and invalid; tests/codec/interop/test_ksplat.py uses the library of
+the format."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def section(
     lengths: tuple[int, ...] = (),
     **changes: Any,
 ) -> tuple[bytes, bytes]:
-    """The header and the content of a section: two Gaussians in a bucket, one in a partial one."""
+    """Header and content of a section: two Gaussians in a full bucket, one in a partial one."""
     said = {
         **{"count": len(records), "room": len(records), "size": 2, "buckets": len(centres)},
         **{"block": 5.0, "bucket_bytes": 12 if level else 0, "reach": 0},
@@ -84,7 +84,7 @@ def test_buckets() -> None:
 
 
 def test_harmonics_of_two_sections() -> None:
-    """Of degree 2 and 0, in bytes between -1 and 2.825."""
+    """Harmonics of degree 2 and of degree 0, in bytes between -1 and 2.825."""
     codes = tuple(range(24))
     sections = (
         section(2, [(*CODES[0], *codes)], CENTRES[:1], (1,), degree=2),

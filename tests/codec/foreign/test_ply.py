@@ -1,4 +1,4 @@
-"""PLY and compressed PLY: hand-made bytes, round trips, hostile bytes."""
+"""PLY and compressed PLY: handmade bytes, round trips, hostile bytes."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_a_value_that_is_not_finite_is_named() -> None:
     data[-3 * 17 * 4 : -3 * 17 * 4 + 4] = struct.pack("<f", np.inf)  # x of the third of five
     with pytest.raises(CorruptError, match=r"1 of 5 Gaussians, the first is number 2\)"):
         decode_ply(bytes(data))
-    # A signalling NaN, which numpy warns of wherever it is touched.
+    # A signalling NaN, of which numpy warns in every operation.
     data[-16:] = bytes([1, 0, 0xA0, 0x7F]) * 4
     with pytest.raises(CorruptError, match=r"2 of 5 Gaussians, the first is number 2\)"):
         decode_ply(bytes(data))
@@ -161,7 +161,7 @@ PACKED = [f"property uint packed_{name}" for name in ("position", "rotation", "s
 def compressed(
     tints: bool = True, harmonics: int = 0, count: int = 2, num_chunks: int = 1
 ) -> bytes:
-    """Two Gaussians, more are zeros; x -1..1, y 0..10, z 5..5, ln s -8..0, tints 0..1 or -1..3."""
+    """Two Gaussians, the rest zeros; x -1..1, y 0..10, z 5..5, ln s -8..0, tints 0..1 or -1..3."""
     data = header(
         f"element chunk {num_chunks}",
         *floats(*CHUNK, *(TINTS if tints else [])),

@@ -1,4 +1,4 @@
-"""The header of a PLY in every flavour that some program writes."""
+"""Headers of PLY files in all variants that programs write."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""SOG: a file made by hand, axes, round trips, bombs and other hostile bytes."""
+"""SOG: a handmade file, axes, round trips, bombs and other hostile bytes."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_sog_by_hand(method: int) -> None:
     assert splats.means[0] == pytest.approx([-np.expm1(1), last[1], np.expm1(-2 + 4 * share)])
     assert splats.means[1] == pytest.approx(last)
     assert splats.log_scales.tolist() == [[0, -1, -8], [127 / 16, 1, 0]]
-    # 252: w is left out, and x, y, z follow; 255: z is, and w, x, y follow.
+    # 252: w is left out, and x, y, z follow; 255: z is left out, and w, x, y follow.
     assert splats.quats[0] == pytest.approx([HALF, HALF, 0, 0], abs=0.004)
     assert splats.quats[1] == pytest.approx([0, HALF, -HALF, 0], abs=0.06)
     assert splats.opacities == pytest.approx([254.75 / 255, 0.2], abs=1e-6)
@@ -127,7 +127,7 @@ def test_a_folder_cannot_claim_more_than_its_files_hold(tmp_path: Path) -> None:
 @given(drawn_splats(max_count=40))
 @settings(max_examples=60, deadline=None)
 def test_a_few_gaussians_lose_little(splats: Splats) -> None:
-    """Sizes and colours with no more than 256 values are exact."""
+    """Sizes and colours with up to 256 different values are exact."""
     data = encode_sog(splats)
     assert data == encode_sog(splats)
     back = decode_any(data)
@@ -138,7 +138,7 @@ def test_a_few_gaussians_lose_little(splats: Splats) -> None:
     logs = np.sign(splats.means) * np.log1p(np.abs(splats.means))
     nearest = np.abs(back.means[None] - splats.means[:, None]).max(axis=2).argmin(axis=1)
     if len(set(nearest)) < len(splats):
-        return  # two lie in one place
+        return  # two Gaussians have the same place
     back = back.take(nearest)
     found = np.sign(back.means) * np.log1p(np.abs(back.means))
     assert np.abs(found - logs).max() <= 0.51 * np.ptp(logs, axis=0).max() / 65535 + 1e-6
@@ -150,7 +150,7 @@ def test_a_few_gaussians_lose_little(splats: Splats) -> None:
 
 
 def ordered(splats: Splats) -> tuple[np.ndarray[Any, Any], ...]:
-    """Each kind of number by itself, from the least on."""
+    """The numbers of each kind, in ascending order."""
     kinds = (splats.means[:, 0], splats.log_scales, splats.sh[:, 0], splats.opacities)
     return tuple(np.sort(values, axis=None) for values in kinds)
 
@@ -160,14 +160,14 @@ def test_many_gaussians_lose_what_the_page_says() -> None:
     data = encode_sog(splats)
     back = decode_sog(data)
     assert len(data) < 25 * len(splats)
-    # They come in the order of a curve through space.
+    # The Gaussians are in the order of a curve through space.
     steps = [np.linalg.norm(np.diff(s.means, axis=0), axis=1) for s in (splats, back)]
     assert np.median(steps[1]) < 0.2 * np.median(steps[0])
     for found, wanted, most in zip(
         ordered(back), ordered(splats), (0.01, 0.1, 0.05, 0.002), strict=True
     ):
         assert np.abs(found - wanted).max() < most
-    # What it has given once it gives again, but for positions.
+    # A second round trip changes nothing except positions.
     for found, wanted in zip(ordered(decode_sog(encode_sog(back))), ordered(back), strict=True):
         assert np.abs(found - wanted).max() < 1e-4
 
@@ -242,7 +242,7 @@ def test_more_than_the_caller_takes_is_refused_before_a_picture_is_decoded() -> 
 
 
 def test_a_huge_picture_costs_little_memory() -> None:
-    """Of one colour, 16000 x 16000 pixels take a few hundred bytes."""
+    """16000 x 16000 pixels of one colour take a few hundred bytes."""
     flat = webp(np.zeros((4000, 4000, 3), np.uint8), method=0)
     assert len(flat) < 20_000
     tracemalloc.start()

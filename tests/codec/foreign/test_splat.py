@@ -1,4 +1,4 @@
-""".splat: hand-made bytes, round trips, hostile bytes."""
+""".splat: handmade bytes, round trips, hostile bytes."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ def test_splat_keeps_what_its_bits_can(splats: Splats) -> None:
     assert np.abs(back.opacities - splats.opacities).max(initial=0) <= 0.51 / 255
     rgb = np.clip(0.5 + SH_C0 * splats.sh, 0, 1)
     assert np.abs(0.5 + SH_C0 * back.sh - rgb).max(initial=0) <= 0.51 / 255
-    # Half a step in each of four components, and a whole one where 1 is clipped to 127 / 128.
+    # Half a step in each of four components, and a whole step where 1 is clipped to 127 / 128.
     assert angles_rad(back, splats).max(initial=0) <= 2 * np.sqrt(4 * 0.5**2 + 1) / 128
     assert len(encode_splat(splats)) == 32 * len(splats)
-    # What was rounded once stays as it is.
+    # Rounding a second time changes nothing.
     if len(splats):
         again = decode_splat(encode_splat(back))
         assert np.array_equal(np.sort(again.logit_opacities), np.sort(back.logit_opacities))

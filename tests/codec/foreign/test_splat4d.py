@@ -1,5 +1,5 @@
-"""The .splat4d container by hand, and what is no such file; tests/codec/interop/test_neighbours.py
-has the program of its authors."""
+"""Handmade .splat4d containers, valid and invalid; tests/codec/interop/test_neighbours.py uses the
+program of the format's authors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def read(tmp_path: Path, data: bytes, max_gaussians: int = 1000) -> list[Splats]
 
 def test_splat4d_by_hand(tmp_path: Path) -> None:
     frames = read(tmp_path, splat4d())
-    # The one in the middle has no opacity in the first frame.
+    # The middle Gaussian has no opacity in the first frame.
     assert [len(splats) for splats in frames] == [2, 3, 3]
     assert frames[0].means.tolist() == [[2.5, -5, 7.5], [3, -5, 7.5]]
     assert frames[0].log_scales == pytest.approx(np.array([[-3, -4, -5]] * 2))

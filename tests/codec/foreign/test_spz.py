@@ -1,4 +1,4 @@
-"""SPZ 1 to 4: hand-made bytes, axes, round trips, bombs and other hostile bytes."""
+"""SPZ 1 to 4: handmade bytes, axes, round trips, bombs and other hostile bytes."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_spz_by_hand(data: bytes) -> None:
     assert splats.sh[0, 0] == pytest.approx([0.5 / 0.15, -0.5 / 0.15, -0.3 / 0.15], abs=1e-5)
     assert splats.quats[0] == pytest.approx([HALF, 0, HALF, 0], abs=1e-6)
     assert splats.quats[1] == pytest.approx([HALF, HALF, 0, 0], abs=1e-6)
-    # The harmonics of degree 1 go as y, z, x.
+    # The order of the harmonics of degree 1 is y, z, x.
     assert splats.sh[0, 1:].tolist() == [
         [0, 1, -127 / 128],
         [-0.5, -0.5, -0.5],
@@ -118,7 +118,7 @@ def basis(directions: Doubles) -> Doubles:
 
 
 def test_colours_turn_with_the_axes() -> None:
-    """What is seen along d in our frame is what the file's numbers say along the turned d."""
+    """The colour along d in our frame is that of the file's numbers along the turned d."""
     rng = np.random.default_rng(3)
     codes = rng.integers(0, 256, 45).astype(np.uint8)
     arrays = [bytes(9), b"\x80", bytes(3), bytes(3), bytes(4), codes.tobytes()]
@@ -144,7 +144,7 @@ def test_spz_keeps_what_its_bits_can(splats: Splats) -> None:
     # Half a step of sqrt(1/2)/511 in three components; the fourth is at least as large as each.
     step = HALF / 511
     assert angles_rad(back, splats).max(initial=0) <= 2 * np.sqrt(3 + 9) * step / 2
-    # A second trip changes nothing, but for rotations whose two largest components tie after
+    # A second trip changes nothing, except rotations whose two largest components tie after
     # rounding: which of them is left out may change, and with it the last bit of the others.
     again = decode_any(encode_spz(back))
     for name in ("means", "log_scales", "logit_opacities", "sh"):
@@ -163,7 +163,7 @@ def test_versions_differ_in_rotations_alone(splats: Splats) -> None:
     back = decode_any(second)
     for name in ("means", "log_scales", "logit_opacities", "sh"):
         assert (getattr(back, name) == getattr(decode_any(third), name)).all()
-    # x, y and z in 8 bits of -1..1; w makes them a unit vector, but that it is never below 0.
+    # x, y and z in 8 bits of -1..1; w makes them a unit vector, but is never below 0.
     unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
     unit *= np.where(unit[:, :1] < 0, -1, 1)
     assert np.abs(back.quats - unit)[:, 1:].max(initial=0) <= 0.51 / 127.5
@@ -229,12 +229,12 @@ def test_a_bad_spz_is_refused_with_the_reason(
 
 
 def bombs() -> list[bytes]:
-    """Small files that claim, or hold, very much."""
+    """Small files that claim or contain very much data."""
     count = 1 << 24
     frame = zstandard.ZstdCompressor().compress(bytes(1 << 26))
     table = b"".join(struct.pack("<QQ", len(frame), count * row) for row in (9, 1, 3, 3, 4))
     ngsp = header(4, count, 0)[:15] + struct.pack("<BI12x", 5, 32) + table + frame * 5
-    # The table is honest about two Gaussians, the frame is not.
+    # The table states two Gaussians correctly, but the frame is too large.
     lying = version_4()[:32] + struct.pack("<QQ", len(frame), 18) + version_4()[48:128] + frame
     return [
         gzip.compress(header(3, count, 0)),

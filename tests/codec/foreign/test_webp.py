@@ -1,4 +1,4 @@
-"""Pictures as tables of bytes, and what their headers claim."""
+"""Pictures as tables of bytes, and claims of their headers."""
 
 from __future__ import annotations
 

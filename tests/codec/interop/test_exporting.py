@@ -24,7 +24,7 @@ def by_position(splats: Splats) -> Splats:
 
 @pytest.mark.parametrize("layers", [1, 2])
 def test_what_shows_is_exported_and_nothing_else(layers: int, tmp_path: Path) -> None:
-    """By the plain decoder: Gaussians that have started, and no empty slot."""
+    """Compared with the plain decoder: Gaussians that have started, and no empty slot."""
     write_slots(tmp_path / "s", 10, LAYOUT)
     hidden = 0
     for frame in range(10):

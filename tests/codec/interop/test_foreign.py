@@ -1,4 +1,4 @@
-"""No exception of Python's own comes out of the codec where a path or a number is odd."""
+"""The codec raises no exception of Python's own for an odd path or number."""
 
 from __future__ import annotations
 

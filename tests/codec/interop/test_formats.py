@@ -57,7 +57,7 @@ def test_an_unreadable_file_is_named(tmp_path: Path) -> None:
 def test_an_empty_file_is_said_to_be_empty(format: SplatFormat, tmp_path: Path) -> None:
     path = tmp_path / f"model.{format}"
     path.touch()
-    if format is SplatFormat.SPLAT:  # it has no header, so nothing is a model without Gaussians
+    if format is SplatFormat.SPLAT:  # without a header, an empty file has no Gaussians
         assert len(read_splats(path)) == 0
         return
     with pytest.raises(CorruptError, match=rf"model\.{format}: is empty; this program reads"):
@@ -92,17 +92,17 @@ def test_one_model_from_two_formats_is_the_same_within_their_precision() -> None
     assert np.abs(packed.means - spz.means).max() <= 0.51 / 4096
     assert np.abs(packed.opacities - spz.opacities).max() < 1e-6
     assert np.abs(packed.sh - spz.sh).max() <= 0.51 / (0.15 * 255)
-    scales = np.maximum(packed.log_scales, -10)  # where SPZ ends
+    scales = np.maximum(packed.log_scales, -10)  # the minimum of SPZ
     assert np.abs(scales - spz.log_scales).max() <= 0.51 / 16
     assert angles_rad(packed, spz).max() < 0.004
-    # Both are in our frame: he stands with his feet on y = 0, y down, as a PLY has it.
+    # Both are in our frame: the feet are at y = 0, y down, as in the PLY.
     assert packed.means[:, 1].min() < -1.5
     assert abs(packed.means[:, 1].max()) < 0.01
     assert 0 < np.median(0.5 + SH_C0 * packed.sh) < 1
 
 
 HUGE_BYTES = 4_000_000_000
-"""Of a sparse file, which takes no space; MAX_FILE_BYTES is more."""
+"""Size of a sparse file, which takes no space; it is below MAX_FILE_BYTES."""
 FLOATS = [*"xyz", *(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(45))]
 FLOATS += ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
 

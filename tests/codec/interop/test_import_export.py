@@ -1,4 +1,4 @@
-"""swings-stream export: frames of a stream as files, and what others make of them."""
+"""swings-stream export: frames of a stream as files, and how other readers decode them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_a_range_becomes_a_numbered_sequence(stream: Path, tmp_path: Path) -> No
     reader = StreamReader(stream)
     for frame, path in zip(range(2, 5), written, strict=True):
         assert same_splats(read_splats(path), reader.active_splats(frame, 2))
-    # Which is what import takes.
+    # Import accepts exactly these files.
     assert find_files(tmp_path / "seq") == written
 
 

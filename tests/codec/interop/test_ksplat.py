@@ -1,5 +1,5 @@
-"""The .ksplat files of the library that the format comes from, and SOG folders of splat-transform,
-read here and by splat-transform."""
+""".ksplat files from the library of the format, and SOG folders of splat-transform, read here and
+by splat-transform."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ needs_ksplat = pytest.mark.skipif(
 )
 COUNT = 900
 LARGEST = {
-    # The KINDS of errors: f16 from level 1 on; the library cuts colours off to bytes.
+    # Errors of the KINDS: f16 from level 1 on; the library truncates colours to bytes.
     0: (0, 1e-6, 1e-6, 0.004, 0.004),
     1: (0.2, 0.001, 0.002, 0.004, 0.004),
     2: (0.2, 0.001, 0.002, 0.004, 0.004),
@@ -55,16 +55,16 @@ def test_a_ksplat_is_read_as_splat_transform_reads_it(
 ) -> None:
     assert NODE is not None
     source = trained_like_splats(COUNT, 2, degree)
-    inside = np.flatnonzero(np.abs(source.means).max(axis=1) < 4)  # floaters have f16's precision
+    inside = np.flatnonzero(np.abs(source.means).max(axis=1) < 4)  # floaters have only f16
     source = source.take(inside)
     write_splats(tmp_path / "a.ply", source, SplatFormat.PLY)
-    # Records of 33 bytes leave a second section where the library itself cannot read it.
+    # After records of 33 bytes, the library itself cannot read a second section.
     section_size = 0 if (level, degree) == (2, 1) else 250
     words = [NODE, HERE / "makeksplat.mjs", "a.ply", "a.ksplat", degree, level, section_size]
     subprocess.run([str(w) for w in words], cwd=tmp_path, check=True, timeout=120)
     ours = read_splats(tmp_path / "a.ksplat")
     theirs = read_splats(transformed(tmp_path / "a.ksplat", tmp_path / "b.ply"))
-    # Where an opacity is 0 or 1, each has a finite logit of its own.
+    # For an opacity of 0 or 1, the two readers use different finite logits.
     for a, b in zip(ours.arrays[:3], theirs.arrays[:3], strict=True):
         assert np.abs(a - b).max() < 1e-6
     assert np.abs(ours.opacities - theirs.opacities).max() < 0.001
@@ -84,12 +84,12 @@ def test_a_sog_folder_of_splat_transform_is_a_bundle(degree: int, tmp_path: Path
         folder = tmp_path / "frames" / f"frame_{number}"
         folder.mkdir(parents=True)
         transformed(tmp_path / "a.ply", folder / "meta.json")
-    # It clusters harmonics by chance, so its bundle would be another one.
+    # It clusters harmonics at random, so that its bundle would differ.
     data = encode_bundle({path.name: path.read_bytes() for path in folder.iterdir()})
     bundle = decode_sog(data)
     assert same_splats(read_splats(folder), bundle)
     assert same_splats(read_splats(folder / "meta.json"), bundle)
-    # By itself it is a still model, with others like it a sequence.
+    # A single file is a still model, several are a sequence.
     import_stream(folder, tmp_path / "still", ImportOptions())
     import_stream(tmp_path / "frames", tmp_path / "moving", ImportOptions(fps=10))
     for name, frames in (("still", 1), ("moving", 2)):

@@ -1,5 +1,5 @@
-"""Sequences and models through the programs of the neighbours: what they write is read here, and
-what is written here they read, each with the largest error of every attribute."""
+"""Sequences and models exchanged with other programs: files of each are read by the other, with the
+largest error of every attribute."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ precisions = pytest.mark.parametrize("precision", list(Precision))
 
 FPS = 25.0
 COUNT, NUM_FRAMES, PER_FRAME = 400, 7, 6
-"""Of the moving figure: in each frame some Gaussians come and as many go."""
+"""The moving figure: Gaussians of a frame, frames, and Gaussians replaced per frame."""
 LARGEST = {
     # Position as a share of the median size; of a quaternion in bytes, 1/128 in each component.
     Precision.FINE: (0.021, 0.0051, 0.02, 0.003, 0.003),
@@ -59,7 +59,7 @@ LARGEST = {
 
 @dataclass(frozen=True)
 class Moving:
-    """A figure that turns, the source of all round trips."""
+    """A turning figure, the source of all round trips."""
 
     name: str = "moving"
     fps: float = FPS
@@ -77,7 +77,7 @@ FRAMES = [frame.splats for frame in Moving()]
 
 
 def assert_close(found: list[Splats], precision: Precision, what: str) -> None:
-    """Prints the largest error of each kind, and holds it against what `precision` allows."""
+    """Prints the largest error of each kind; asserts that `precision` allows it."""
     assert len(found) == NUM_FRAMES
     errors = np.max([largest_errors(a, b) for a, b in zip(found, FRAMES, strict=True)], axis=0)
     told = ", ".join(f"{kind} {error:.2g}" for kind, error in zip(KINDS, errors, strict=True))
@@ -91,7 +91,7 @@ def read_here(path: Path) -> list[Splats]:
     frames = contained_frames(path)
     assert frames is not None
     assert frames[0].reader.fps == FPS
-    # In any order: a reader goes back to the keyframe.
+    # Frames can be read in any order, because a reader goes back to the keyframe.
     backwards = [frame.read(COUNT * 2) for frame in reversed(frames)]
     forwards = [frame.read(COUNT * 2) for frame in frames]
     for a, b in zip(forwards, reversed(backwards), strict=True):
@@ -100,7 +100,7 @@ def read_here(path: Path) -> list[Splats]:
 
 
 def of_fourdgs(data: bytes) -> list[Splats]:
-    """The frames as the package of its authors reads them."""
+    """The frames as decoded by the package of the format's authors."""
     decoded = fourdgs.decode_streamed(data)
     frames = []
     for number in range(len(decoded.chunks)):
@@ -118,7 +118,7 @@ def of_fourdgs(data: bytes) -> list[Splats]:
 
 
 def of_splat4d(path: Path, folder: Path) -> list[Splats]:
-    """The frames as the program of its authors reads them, without what only holds a place."""
+    """The frames as decoded by the program of the format's authors, without placeholders."""
     assert PROGRAM is not None
     frames = []
     for number in range(NUM_FRAMES):
@@ -141,7 +141,7 @@ def test_4dgs_there_and_back(precision: Precision, tmp_path: Path) -> None:
     assert_close(ours, precision, ".4dgs read here")
     for a, b in zip(theirs, ours, strict=True):
         assert len(a) == len(b) == COUNT
-        # An opacity of 1 has no logit: here it is a quarter of a step less.
+        # An opacity of 1 has no logit: our reader makes it a quarter of a step less.
         assert (largest_errors(a, b) < (1e-4, 1e-4, 1e-4, 0.006, 1e-4)).all()
 
 
@@ -155,14 +155,14 @@ def test_splat4d_there_and_back(precision: Precision, tmp_path: Path) -> None:
     assert_close(ours, precision, ".splat4d read here")
     for a, b in zip(theirs, ours, strict=True):
         assert len(a) == len(b)
-        # Their decoder gives sizes as they are, not their logarithms.
+        # Their decoder returns sizes, not their logarithms.
         for x, y in zip(a.arrays, b.arrays, strict=True):
             assert np.abs(x - y).max() < 1e-5
 
 
 @needs_splat4d
 def test_what_splat4d_makes_of_files_is_read(tmp_path: Path) -> None:
-    """Not by way of the writer here: only moving, so the same Gaussians in all frames."""
+    """Without our writer: Gaussians only move, so that all frames have the same ones."""
     assert PROGRAM is not None
     (tmp_path / "in").mkdir()
     for number in range(NUM_FRAMES):
@@ -229,7 +229,7 @@ def test_a_stream_there_and_back_by_the_commands(format: SequenceFormat, tmp_pat
     for frame in range(NUM_FRAMES):
         a, b = (reader.active_splats(frame, 4) for reader in (before, after))
         assert (largest_errors(b, a) < (1.5, 0.2, 0.15, 0.03, 0.06)).all()
-    # A range of it, and by way of the identities of a stream with several lanes.
+    # A range of frames, with the identities of a stream with several lanes.
     write_tiny(tmp_path / "tiny", 6)
     [out] = export_stream(tmp_path / "tiny", tmp_path / "t", None, "1:4", format, 1)
     frames = contained_frames(out)

@@ -1,7 +1,8 @@
-"""What is exported, read by the programs of others: gsply, PlayCanvas' splat-transform and engine,
-and the glTF validator of Khronos; and what they write, read here.
+"""Exported files, read by other programs: gsply, PlayCanvas' splat-transform and engine, and the
+glTF validator of Khronos; and their files, read here.
 
-None is a dependency; where one is not installed its tests are skipped with what installs it.
+None of them is a dependency. Tests of a missing program are skipped; the reason states how to
+install it.
 """
 
 from __future__ import annotations
@@ -55,23 +56,23 @@ needs_modules = pytest.mark.skipif(
 degrees = pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
 versions = pytest.mark.parametrize("version", list(SpzVersion))
 
-# The real harmonics in order, by the axes that each is a product of.
+# The real harmonics in order, each named by the axes of its product.
 HARMONICS = ["1", *"yzx", "xy", "yz", "zz", "xz", "xx"]
 HARMONICS += ["xxy", "xyz", "yzz", "zzz", "xzz", "xxz", "xxx"]
-# SPZ has y up and z back: half a turn about x, by which what is odd in y and z changes sign.
+# SPZ has y up and z back: half a turn about x, which negates harmonics odd in y and z.
 TURN = np.array([1, -1, -1], np.float32)
 TURN_QUATERNION = np.array([1, 1, -1, -1], np.float32)
 TURN_SH = np.array([(-1) ** sum(name.count(a) for a in "yz") for name in HARMONICS], np.float32)
 
 
 def shown(tmp_path: Path, sh_degree: int) -> tuple[Path, Splats]:
-    """A stream of one frame, and what that shows; within what all formats can hold."""
+    """A stream of one frame, and its Gaussians; their values are in the range of all formats."""
     splats = trained_like_splats(400, 5, sh_degree)
     made = Splats(
         splats.means,
         np.clip(splats.log_scales, -9.9, 5),
         splats.quats,
-        # An opacity of exactly 0 or 1, to which 8 bits may round, becomes infinite elsewhere.
+        # The logit of an opacity rounded to exactly 0 or 1 is infinite in other programs.
         np.clip(splats.logit_opacities, -5, 5),
         splats.sh,
     )
@@ -86,7 +87,7 @@ def shown(tmp_path: Path, sh_degree: int) -> tuple[Path, Splats]:
 def exported(
     tmp_path: Path, sh_degree: int, format: SplatFormat, version: SpzVersion | None = None
 ) -> tuple[Path, Splats]:
-    """A frame as a file, and what it shows, in the order of the file but for SOG."""
+    """A frame as a file, and its Gaussians, in the order of the file except for SOG."""
     stream, splats = shown(tmp_path, sh_degree)
     [path] = export_stream(stream, tmp_path / f"frame.{format}", 0, None, None, None, version)
     if format is SplatFormat.SPLAT:
@@ -96,7 +97,7 @@ def exported(
 
 
 def in_order(found: Splats, wanted: Splats) -> Splats:
-    """`found` in the order of `wanted`: each is the one that lies where it belongs."""
+    """`found` in the order of `wanted`, matched by position."""
     nearest = cKDTree(found.means).query(wanted.means)[1]
     assert sorted(nearest) == list(range(len(wanted)))
     return found.take(nearest)
@@ -109,7 +110,7 @@ def assert_within(
     harmonic: float = 0.51 / 128,
     angle_rad: float = 0.005,
 ) -> None:
-    """That `found` is `wanted`, as precisely as `format` holds it."""
+    """Asserts that `found` is `wanted`, within the precision of `format`."""
     assert len(found) == len(wanted)
     if format is SplatFormat.PLY:
         assert same_splats(found, wanted)
@@ -132,12 +133,12 @@ def assert_within(
 
 
 def assert_within_sog(found: Splats, wanted: Splats, roundings: int = 1) -> None:
-    """That `found` is `wanted` as SOG holds it; a writer that cuts off has two `roundings`."""
+    """Asserts that `found` is `wanted` within SOG's precision; truncation takes 2 roundings."""
     found = in_order(found, wanted)
     close = np.testing.assert_allclose
     logs = np.sign(wanted.means) * np.log1p(np.abs(wanted.means))
     step = np.ptp(logs, axis=0).max() / 65535
-    # A step of the logarithm is one of 1 + |p| in the position.
+    # A step of the logarithm is a step of 1 + |p| in the position.
     away = np.abs(found.means - wanted.means) / (1 + np.abs(wanted.means))
     assert away.max() < roundings * 0.51 * step + 1e-6
     close(found.log_scales, wanted.log_scales, rtol=0, atol=0.1)
@@ -151,7 +152,7 @@ def assert_within_sog(found: Splats, wanted: Splats, roundings: int = 1) -> None
 
 
 def gsply_splats(path: Path) -> Splats:
-    """What gsply reads."""
+    """The Gaussians that gsply reads from a file."""
     reads = {".spz": "read_spz", ".sog": "sogread", ".ply": "plyread"}
     read = getattr(gsply, reads[path.suffix])(path)
     count = len(read.means)
@@ -164,7 +165,7 @@ def gsply_splats(path: Path) -> Splats:
 
 
 def turned(splats: Splats) -> Splats:
-    """`splats` from the frame of SPZ, which gsply leaves as it is, to ours."""
+    """`splats` turned from the frame of SPZ, which gsply keeps, to ours."""
     return Splats(
         splats.means * TURN,
         splats.log_scales,
@@ -182,7 +183,7 @@ def test_gsply_reads_the_ply_bit_by_bit(sh_degree: int, tmp_path: Path) -> None:
 
 
 ANGLES_RAD = {SpzVersion.V2: 0.24, SpzVersion.V3: 0.005, SpzVersion.V4: 0.005}
-"""Of version 2: w is made of x, y and z in 8 bits, which tells little where it is small."""
+"""Largest errors. In version 2, w is computed from x, y and z in 8 bits, and inexact if small."""
 
 
 @needs_gsply
@@ -210,12 +211,12 @@ def test_the_spz_that_gsply_writes_is_read_alike(
     stream, splats = shown(tmp_path, sh_degree)
     [path] = export_stream(stream, tmp_path / "frame.ply", 0, None, None, None)
     gsply.write_spz(tmp_path / "theirs.spz", gsply.plyread(path), version=version)
-    # It writes what it is given, without turning it.
+    # gsply writes the given Gaussians without turning them.
     assert_within(turned(read_splats(tmp_path / "theirs.spz")), splats, SplatFormat.SPZ)
 
 
 def transformed(path: Path, out: Path) -> Path:
-    """`path` as splat-transform writes it again."""
+    """Converts `path` to `out` with splat-transform; returns `out`."""
     assert SPLAT_TRANSFORM is not None
     done = subprocess.run(
         [SPLAT_TRANSFORM, "-q", "-w", "-g", "cpu", str(path), str(out)],
@@ -259,7 +260,7 @@ def test_splat_transform_reads_the_sog(sh_degree: int, tmp_path: Path) -> None:
 def test_the_spz_that_splat_transform_writes_is_read_alike(sh_degree: int, tmp_path: Path) -> None:
     path, splats = exported(tmp_path, sh_degree, SplatFormat.PLY)
     found = read_splats(transformed(path, tmp_path / "theirs.spz"))
-    # It rounds harmonics to 8 bits, then the first to five of these and the others to four.
+    # It rounds harmonics to 8 bits, then degree 1 to five of these and the others to four.
     assert_within(in_order(found, splats), splats, SplatFormat.SPZ, (8 + 0.51) / 128)
 
 
@@ -267,7 +268,7 @@ def test_the_spz_that_splat_transform_writes_is_read_alike(sh_degree: int, tmp_p
 @degrees
 def test_the_sog_that_splat_transform_writes_is_read_alike(sh_degree: int, tmp_path: Path) -> None:
     path, splats = exported(tmp_path, sh_degree, SplatFormat.PLY)
-    # It cuts off where others round.
+    # splat-transform truncates where others round.
     assert_within_sog(read_splats(transformed(path, tmp_path / "theirs.sog")), splats, 2)
 
 
@@ -276,7 +277,7 @@ def shapes(splats: Splats) -> np.ndarray[Any, Any]:
 
 
 def assert_same_shown(found: Splats, wanted: Splats) -> None:
-    """That both are the same bodies in float32, whichever way their axes are named."""
+    """Asserts that both are the same Gaussians in float32, independent of the order of axes."""
     assert (found.means == wanted.means).all()
     assert (found.sh == wanted.sh).all()
     np.testing.assert_allclose(found.opacities, wanted.opacities, rtol=0, atol=1e-6)
@@ -316,7 +317,7 @@ def test_the_playcanvas_engine_reads_the_glb(sh_degree: int, tmp_path: Path) -> 
 
     count = splats.sh.shape[1] - 1
     rest = [[f"f_rest_{c * count + k}" for c in range(3)] for k in range(count)]
-    # It has y up, x to the left, linear sizes and opacities.
+    # The engine has y up, x to the left, linear sizes and opacities.
     found = Splats(
         named("x", "y", "z") * np.array([-1, -1, 1], np.float32),
         np.log(named("scale_0", "scale_1", "scale_2")),
@@ -339,7 +340,7 @@ def test_the_validator_of_khronos_finds_no_fault(
     path = tmp_path / f"frame.{format}"
     path.write_bytes(encode_splats(trained_like_splats(count, 5, 1), format))
     said = json.loads(run_node("validate.mjs", path))
-    # It does not know the extension, and so not the names of its attributes.
+    # The validator knows neither the extension nor the names of its attributes.
     unknown = {"UNSUPPORTED_EXTENSION", "MESH_PRIMITIVE_INVALID_ATTRIBUTE", "NODE_EMPTY"}
     assert {message["code"] for message in said} <= unknown
     named = [m["pointer"] for m in said if m["code"] == "MESH_PRIMITIVE_INVALID_ATTRIBUTE"]

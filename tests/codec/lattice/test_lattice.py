@@ -1,4 +1,4 @@
-"""The lattice: its bounds, and what a quantiser guarantees (codec/FORMAT.md, section 8.1)."""
+"""The lattice: its bounds, and the guarantees of a quantiser (codec/FORMAT.md, section 8.1)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_steps_have_bounds(name: str) -> None:
         with pytest.raises(InvalidError, match=name):
             with_step(name, step)
     least = with_step(name, MIN_STEP)
-    # The nearest f32 lies below the least step, and is one all the same.
+    # The nearest f32 is below the minimum step, but it is valid.
     assert getattr(least, name) == np.float32(MIN_STEP)
     assert replace(least) == least
     assert getattr(with_step(name, 1e6), name) == 1e6
@@ -60,7 +60,7 @@ def test_what_comes_back_is_within_half_a_step() -> None:
     found = dequantise(states, MINE)
     for steps, errors in (
         (MINE.position_m, found.means - splats.means),
-        # A Gaussian may be given with its axes in another order.
+        # A Gaussian may come back with its axes in another order.
         (MINE.log_scale, np.sort(found.log_scales) - np.sort(splats.log_scales)),
         (MINE.rotation, (found.quats - canonical(splats.log_scales, splats.quats)[1])[:, 1:]),
         (MINE.colour, to_luma((found.sh - np.maximum(splats.sh, -0.5 / SH_C0)).astype(np.float64))),
@@ -99,7 +99,7 @@ def test_what_is_near_enough_is_held() -> None:
 
 
 def test_the_form_of_what_goes_on_does_not_jump() -> None:
-    """While it turns, and its axes change places in size: a small step stays small."""
+    """The figure turns, and the order of its axes by size changes: a small step stays small."""
     first = figure(100)
     states, _ = quantise(first, LATTICE)
     jumps = 0

@@ -1,5 +1,5 @@
-"""Whatever the files, each frame of the stream has their Gaussians within the errors that were
-stated; read from the stream on disk, and held against the files by formulas of the test's own."""
+"""For any files, each frame of the stream has their Gaussians within the stated errors. The tests
+read the stream from disk and compare it with the files by their own formulas."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from tests.support.trained_like import trained_like_splats
 LATTICE = ImportOptions(fps=30)
 
 SLACK = 1e-5
-"""For the rounding of f32, as a share."""
+"""Tolerance for the rounding of f32, as a share."""
 
 
 def cube_turns() -> list[Doubles]:
-    """The 24 rotations that put axes on axes."""
+    """The 24 rotations that map axes to axes."""
     turns = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -55,7 +55,7 @@ def matrices(quats: Doubles) -> Doubles:
 
 
 def vectors(turns: Doubles) -> Doubles:
-    """(..., 3) x, y, z of the quaternions of rotations, of w >= 0 where w is not tiny."""
+    """(..., 3) x, y, z of the rotations' quaternions, with w >= 0 where w is not tiny."""
     w = np.sqrt(np.maximum(1 + np.trace(turns, axis1=-2, axis2=-1), 0)) / 2
     skew = np.stack(
         [
@@ -70,21 +70,21 @@ def vectors(turns: Doubles) -> Doubles:
 
 @dataclass(frozen=True)
 class Stated:
-    """What a stream promises."""
+    """The stated errors of a stream."""
 
     error: ErrorBound
     size_m: float
     lowest: Doubles
-    """(M,) the least log-scale that the lattice of each Gaussian's layer holds."""
+    """(M,) minimum log-scale on the lattice of each Gaussian's layer."""
 
 
 def lowest_of(reader: StreamReader, frame: int) -> Doubles:
-    """(M,) the least log-scale that the layer of each Gaussian of a frame holds."""
+    """(M,) minimum log-scale on the lattice of the layer of each Gaussian in a frame."""
     lowest = np.zeros(0)
     before = reader.active_splats(frame, 1).take(slice(0))
     for layer, lattice in enumerate(reader.manifest.lattice):
         splats = reader.active_splats(frame, layer + 1)
-        assert same_splats(splats.take(slice(len(before))), before)  # a layer follows those below
+        assert same_splats(splats.take(slice(len(before))), before)  # lower layers first
         least = lattice.log_scale_base - 128 * lattice.log_scale
         lowest = np.append(lowest, np.full(len(splats) - len(before), least))
         before = splats
@@ -99,7 +99,7 @@ def usual_size_m(splats: Splats) -> float:
 
 
 def within(source: Splats, found: Splats, stated: Stated) -> npt.NDArray[np.bool_]:
-    """(N, M) whether Gaussian j of `found` may stand for i of `source`."""
+    """(N, M) whether Gaussian j of `found` is within the errors of i of `source`."""
     error = stated.error
 
     def apart(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> Doubles:
@@ -116,7 +116,7 @@ def within(source: Splats, found: Splats, stated: Stated) -> npt.NDArray[np.bool
         y, co = (red + 2 * green + blue) / 4, (red - blue) / 2
         return np.stack([y, co, (2 * green - red - blue) / 4], axis=2).reshape(len(rgb), -1)
 
-    # Without harmonics what is below black is drawn black.
+    # Without harmonics, colours below black are drawn black.
     darkest = -0.5 / SH_C0 if source.sh_degree == 0 else -np.inf
     colours = abs(luma(source, darkest)[:, None] - luma(found)[None])
     fits &= (colours <= error.of("colour") + SLACK).all(axis=2)
@@ -135,7 +135,7 @@ def within(source: Splats, found: Splats, stated: Stated) -> npt.NDArray[np.bool
 
 
 def exact(source: Splats, found: Splats) -> npt.NDArray[np.bool_]:
-    """(N, M) whether they have the same bits."""
+    """(N, M) whether the Gaussians have the same bits."""
     fits = np.ones((len(source), len(found)), np.bool_)
     for a, b in zip(source.arrays, found.arrays, strict=True):
         a, b = a.reshape(len(a), -1), b.reshape(len(b), -1)
@@ -155,7 +155,7 @@ def drawn(rng: np.random.Generator, count: int, degree: int, wide: float) -> Spl
 
 
 def later(rng: np.random.Generator, splats: Splats, moves: float) -> Splats:
-    """`splats` a frame on: some moved, some gone, some born, perhaps in another order."""
+    """`splats` a frame later: some moved, some gone, some born, perhaps in another order."""
     alters = rng.random(len(splats)) < rng.choice([0, 0.5, 1])
     arrays = []
     for array in splats.arrays:
@@ -225,7 +225,7 @@ def test_every_frame_is_within_the_stated_errors(
         for kind, value in made.errors.items():
             most = error.of(kind) * (size_m if kind == "position" else 1)
             assert value <= most * (1 + SLACK)
-        # What is less exact is not larger by much, whatever the files are like.
+        # The less exact form is not much larger, for any files.
         whole = sum(4 * (11 + 3 * sh_count(degree)) * len(splats) for splats in frames)
         assert made.num_bytes <= 1.5 * whole + 3000
 
@@ -248,7 +248,7 @@ def test_sizes_that_show_fit_the_finest_steps(
     wanted = splats.take(cKDTree(splats.means).query(found.means)[1])
     sizes, given = np.sort(found.log_scales), np.sort(wanted.log_scales)
     usual = np.median(given[:, 1:].mean(axis=1))
-    # Half the steps of the last layer, which by itself keeps the bound below degree 2.
+    # Half the steps of the last layer, which alone keep the bound below degree 2.
     most = 0.25 if degree == 3 else error.of("size") * (1 + SLACK)
     assert np.abs(sizes - given)[given > usual - 2].max() < most
 
@@ -269,7 +269,7 @@ def test_a_sequence_of_the_same_file_costs_nothing_after_the_first_frame(tmp_pat
 
 
 def test_noise_below_the_error_is_not_sent_and_does_not_add_up(tmp_path: Path) -> None:
-    """A slow drift far below the error in each file: no frame is farther off than stated."""
+    """With a slow drift far below the error in each file, no frame exceeds the stated error."""
     rng = np.random.default_rng(1)
     first = drawn(rng, 200, 0, 1)
     (tmp_path / "seq").mkdir()

@@ -1,4 +1,4 @@
-"""The lattice of a stream is found in the files that it was exported to."""
+"""The lattice of a stream is recovered from its exported files."""
 
 from __future__ import annotations
 

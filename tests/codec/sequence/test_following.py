@@ -51,7 +51,7 @@ def shown(stream: Path, frame: int) -> Splats:
 
 
 def assert_shows(stream: Path, frame: int, wanted: Splats) -> None:
-    """That `frame` of the stream has the Gaussians of `wanted`, within the default errors."""
+    """Asserts that `frame` has the Gaussians of `wanted`, within the default errors."""
     found = shown(stream, frame)
     assert len(found) == len(wanted)
     bound_m = 2 * StreamReader(stream).manifest.lattice[0].position_m
@@ -147,7 +147,7 @@ def test_resumed_it_goes_on_after_its_last_segment(tmp_path: Path) -> None:
     assert (stream / "segments" / "0" / "0").read_bytes() == before
     for frame in range(8):
         assert_shows(stream, frame, frame_of(frame))
-    # What goes on is predicted, not sent anew.
+    # Gaussians that go on are predicted, not sent again.
     changes = [(stream / "segments" / str(n) / "0").stat().st_size for n in (0, 1)]
     assert changes[1] < 3 * changes[0]
     with pytest.raises(InvalidError, match="is finished"):

@@ -1,4 +1,4 @@
-"""An import holds two frames and a segment, however long the sequence is."""
+"""An import keeps two frames and a segment in memory, for any length of the sequence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""swings-stream import: files to a stream, as functions and as processes."""
+"""swings-stream import: from files to a stream, by functions and by processes."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_a_still_model(tmp_path: Path) -> None:
     found = by_position(reader.active_splats(0, 4))
     assert len(found) == 300
     assert abs(found.means[:, 2] - by_position(splats).means[:, 2]).max() <= made.errors["position"]
-    # The less a layer paints, the coarser it is.
+    # A layer that paints less is coarser.
     steps = [lattice.colour for lattice in manifest.lattice]
     assert steps == sorted(steps)
     assert steps[0] < steps[-1]
@@ -101,7 +101,7 @@ def test_the_default_camera_sees_the_whole_model_from_outside() -> None:
     middle = (lower + upper) / 2 - camera.position
     assert middle / np.linalg.norm(middle) == pytest.approx(camera.forward)
     inside = ((splats.means >= lower) & (splats.means <= upper)).all(axis=1)
-    assert 0.9 < inside.mean() < 1  # floaters stay out
+    assert 0.9 < inside.mean() < 1  # floaters are outside
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
@@ -221,14 +221,14 @@ def test_a_file_that_changes_while_it_is_imported_is_named(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("format", SplatFormat)
 def test_every_format_makes_a_sequence(format: SplatFormat, tmp_path: Path) -> None:
-    """Whose Gaussians are those that each file has, also where its format is coarse."""
+    """The sequence has the Gaussians of each file, even if the format is coarse."""
     splats = trained_like_splats(200)
     (tmp_path / "seq").mkdir()
     files = [tmp_path / "seq" / f"{number}.{format}" for number in range(3)]
     for number, file in enumerate(files):
         write_splats(file, turned(splats, 0.02 * (number // 2)), format)
     made = import_stream(tmp_path / "seq", tmp_path / "s", OPTIONS)
-    assert made.statuses[0] >= 200  # the second file is the first
+    assert made.statuses[0] >= 200  # the second file equals the first
     reader = StreamReader(tmp_path / "s")
     for number, file in enumerate(files):
         found, wanted = reader.active_splats(number, 4), read_splats(file)
@@ -264,7 +264,7 @@ SPLAT_RECORD_BYTES = 32
 def test_too_many_are_refused_by_the_header_alone(
     tmp_path: Path, name: str, head: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing follows the header: whoever went on would say so."""
+    """Nothing follows the header: a reader that continued would report that instead."""
     monkeypatch.setattr("codec.sequence.survey.MAX_SLOTS", 9)
     (tmp_path / name).write_bytes(head)
     with pytest.raises(UnsupportedError, match=r"10 Gaussians in a frame, at most 9"):
@@ -272,7 +272,7 @@ def test_too_many_are_refused_by_the_header_alone(
 
 
 def moving(folder: Path, num_files: int, count: int = 300) -> Path:
-    """A sequence of which a third moves, as files in `folder`."""
+    """Writes a sequence in which a third of the Gaussians moves, as files in `folder`."""
     first = trained_like_splats(count)
     for number in range(num_files):
         means = first.means.copy()

@@ -1,4 +1,4 @@
-"""A folder whose files come one after another, by a clock that the test moves."""
+"""A folder whose files arrive one after another, with a clock that the test sets."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PATIENCE_S = 1.0
 
 
 class Rig:
-    """A folder, what follows it, and their clock."""
+    """A folder, its follower, and their clock."""
 
     def __init__(self, folder: Path, next_number: int | None = None, step: int = 1) -> None:
         self.folder, self.time_s, self.troubles = folder, 100.0, Troubles()
@@ -35,7 +35,7 @@ class Rig:
         return self.arrivals.poll()
 
     def settled(self, after_s: float = 0.0) -> Arrival | None:
-        """What comes once the files stand still."""
+        """The next arrival once the files no longer change."""
         return self.poll(after_s) or self.poll(2 * SETTLE_S)
 
     def number(self, after_s: float = 0.0) -> int | None:

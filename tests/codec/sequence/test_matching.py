@@ -1,4 +1,4 @@
-"""Which Gaussian goes on in the next file."""
+"""Matching: which Gaussian continues as which one of the next file."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from tests.support.trained_like import trained_like_splats
 @settings(max_examples=60, deadline=None)
 @given(splats=drawn_splats(max_count=12), seed=st.integers(0, 1 << 32))
 def test_the_same_bits_go_on_in_any_order(splats: Splats, seed: int) -> None:
-    """Also with doubles, births and deaths."""
+    """The match also holds with duplicates, births and deaths."""
     rng = np.random.default_rng(seed)
     rows = rng.integers(0, max(len(splats), 1), len(splats)) if len(splats) else np.zeros(0, int)
-    before = splats.take(rows)  # some are there twice
+    before = splats.take(rows)  # some Gaussians occur twice
     order = rng.permutation(len(before))[: rng.integers(0, len(before) + 1)]
     after = before.take(order)
     continued, same = match(before, after)
@@ -54,7 +54,7 @@ def test_keys_tell_bits_apart() -> None:
 
 
 def test_colours_tell_what_a_deformation_network_moves_far() -> None:
-    """In any order, though most of it went farther than its neighbours are apart."""
+    """The match holds in any order, although most Gaussians moved farther than their spacing."""
     deforming = Deforming(4000, 3)
     before, after = deforming.next(), deforming.next()
     continued, same = match(before, after)
@@ -89,7 +89,7 @@ def test_place_and_looks_tell_where_the_order_does_not() -> None:
     after = turned(before, 0.02).take(order)
     continued, _ = match(before, after)
     assert (continued == order).mean() > 0.8
-    # Some are gone and others there: few mistakes for all that.
+    # With some Gaussians gone and others new, there are still few mistakes.
     stays = np.arange(4000) >= 300
     continued, _ = match(before.take(np.flatnonzero(stays)), after)
     true = np.where(stays[order], order - 300, -1)
@@ -108,7 +108,7 @@ def test_two_files_that_have_nothing_to_do_with_each_other_have_few_pairs() -> N
 
 
 def test_a_turn_of_the_model_is_a_turn() -> None:
-    """What the tests turn is the same figure: its covariances turn along."""
+    """`turned` gives the same figure: its covariances turn, too."""
     splats = figure(50)
     turn = rotation_about(np.array([0.0, 1.0, 0.0]), 0.7)
     from tests.support.trained_like import covariances

@@ -38,9 +38,9 @@ def test_an_exported_stream_with_leases_comes_back_exactly_and_as_small(
     camera: Camera = facing_camera(low, high).scaled(0.1)
     for frame, file in enumerate(sorted((tmp_path / "seq").iterdir())):
         found = reader.active_splats(frame, 4)
-        # Bit by bit, in another order.
+        # Equal bit by bit, in another order.
         assert gaussians(found) == gaussians(source.active_splats(frame, 4))
-        # What is drawn in another order differs where two Gaussians have the same depth.
+        # Another order changes the picture where two Gaussians have the same depth.
         error = render_splats(found, camera, 0.01) - render_splats(read_splats(file), camera, 0.01)
         assert -10 * np.log10(np.mean(error**2) + 1e-12) >= 50
 

@@ -1,4 +1,4 @@
-"""What docs/SEQUENCES.md tells to type runs as it stands there, and does what it says."""
+"""The commands of docs/SEQUENCES.md run as written, and do what the page describes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COMMANDS = re.findall(r"^ {4}(swings-.*)$", PAGE, re.MULTILINE)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """After all commands, in their order."""
+    """The folder after all commands of the page, in order."""
     root = tmp_path_factory.mktemp("page")
     (root / "my-splats").mkdir()
     splats = figure(300)

@@ -1,4 +1,4 @@
-"""Harmonics of every degree: kept unless they are unwanted, and counted in the PSNR."""
+"""Harmonics of every degree: kept unless excluded, and included in the PSNR."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_every_degree_counts(model: Path, tmp_path: Path, caplog: pytest.LogCapt
     assert exact.scores_db[0][-1] == 100
     less = imported(model, tmp_path / "less", exact=True, sh_degree=1)
     assert (less.manifest.sh_degree, less.source_sh_degree) == (1, 3)
-    # The file is drawn with all that it has.
+    # The file is drawn with all its harmonics.
     assert less.scores_db[0][-1] < 45
     assert StreamReader(tmp_path / "less").records[0].psnr_db[-1] < 45
     assert less.num_bytes < 0.6 * exact.num_bytes
@@ -83,7 +83,7 @@ def test_the_commands_say_so(model: Path, tmp_path: Path) -> None:
 
 
 def test_errors_go_by_what_is_seen_of_them(tmp_path: Path) -> None:
-    """With harmonics of degree 3 a picture is better for it, and a frame that moves not larger."""
+    """With harmonics of degree 3, pictures get better, and moving frames do not get larger."""
     deforming = Deforming(3000, 3)
     for number in range(3):
         save(tmp_path / "seq" / f"{number}.ply", deforming.next())

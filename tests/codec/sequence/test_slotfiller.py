@@ -1,4 +1,4 @@
-"""Files become slots: each layer gets what is due to it, and slots are used again."""
+"""Files become slots: each layer gets its share of the Gaussians, and slots are reused."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.support.slots.rotating import figure, turned
 
 
 def planned(splats: Splats, slots: tuple[int, ...]) -> SlotPlan:
-    """With shares as the slots have them."""
+    """A plan whose shares are those of the slots."""
     error, size_m = ErrorBound(), 0.01
     bounds = np.array([[error.of(kind) for kind in KINDS]] * len(slots))
     bounds[:, 0] *= size_m
@@ -57,7 +57,7 @@ def test_slots_end_and_are_used_again() -> None:
     assert counted(filler.update(1, splats)) == [60, 0, 0, 0]
     assert counted(filler.update(2, splats.take(slice(0, 40)))) == [40, 20, 0, 0]
     assert counted(filler.update(3, splats.take(slice(0, 40)))) == [60, 0, 0, 0]
-    # Ten of those that were gone, far away, and the rest turned a little.
+    # Ten of the removed Gaussians, far away, and the rest turned slightly.
     late = figure(70, 1).take(slice(60, 70))
     late = replace(late, means=late.means + np.float32(7))
     both = Splats.concatenate([turned(splats.take(slice(0, 40)), 0.05), late])
@@ -120,7 +120,7 @@ def test_noise_about_the_middle_between_two_steps_is_held() -> None:
 
 
 def test_a_lattice_holds_what_is_large() -> None:
-    """And what is too thin counts as the thinnest; so with fine steps its base moves."""
+    """Too thin Gaussians count as the thinnest possible, so that the base moves with fine steps."""
     for finer, lowest, highest in ((1, -12.0, 0.0), (3, -12.0, 1.5), (1, -40.0, 3.0)):
         lattice: Lattice = ErrorBound(finer=finer).lattice(0.01, lowest, highest)
         top = lattice.log_scale_base + 127 * lattice.log_scale

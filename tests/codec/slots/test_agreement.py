@@ -1,5 +1,5 @@
 """codec.slots and the plain implementation of tests/goldens, which was written from FORMAT.md
-alone, mean the same by the same bytes: integer for integer, bit for bit, and refuse the same.
+alone, decode the same bytes to the same integers and bits, and refuse the same bytes.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ seeds = st.integers(0, 1 << 32)
 
 @st.composite
 def streams(draw: st.DrawFn) -> tuple[Shape, Chunks]:
-    """A stream of either encoder, or with the packets that a writer leaves out."""
+    """A stream of either encoder, possibly with the packets that a writer may omit."""
     shape, seed = draw(shapes), draw(seeds)
     if draw(st.booleans()):
         stream = RandomStream(shape, NUM_FRAMES, seed, spelled_out=draw(st.booleans()))
@@ -85,7 +85,7 @@ def test_who_has_all_and_who_joins_hold_the_same(
 @given(streams(), seeds)
 @settings(max_examples=40)
 def test_who_lacks_something_holds_the_same(stream: tuple[Shape, Chunks], seed: int) -> None:
-    """Packets that never come, or late; masks that never come; snapshots of some layers, some of
+    """Packets that arrive late or never; masks that never arrive; snapshots of some layers, some of
     them late."""
     (shape, chunks), rng = stream, np.random.default_rng(seed)
     missing_mask, missing_change = rng.choice([0, 0.05, 0.3]), rng.choice([0, 0.1, 0.4])
@@ -123,7 +123,7 @@ def test_who_lacks_something_holds_the_same(stream: tuple[Shape, Chunks], seed: 
 def test_who_takes_wrong_changes_late_holds_the_same(
     stream: tuple[Shape, Chunks], seed: int
 ) -> None:
-    """A wrong one that is taken makes later ones wrong, whether they came before it or not."""
+    """An accepted wrong change makes later ones wrong, whether they arrived before it or after."""
     (shape, chunks), rng = stream, np.random.default_rng(seed)
     both = BothReaders(shape)
     waiting: list[tuple[int, int]] = []
@@ -146,7 +146,7 @@ def test_who_takes_wrong_changes_late_holds_the_same(
 
 
 def other_opacities(change: bytes, shape: Shape, rng: np.random.Generator) -> bytes:
-    """`change` with any opacities of the new, so that those predicted from them go wrong."""
+    """`change` with other opacities of new Gaussians, so that predictions from them fail."""
     if not change:
         return change
     predicted, new, long = struct.unpack_from("<3I", change, 12)
@@ -158,7 +158,7 @@ def other_opacities(change: bytes, shape: Shape, rng: np.random.Generator) -> by
 
 
 def mutants(data: bytes, rng: np.random.Generator, count: int) -> Iterator[bytes]:
-    """`data` with some bytes altered, most often in front; sometimes longer or shorter."""
+    """`data` with some bytes altered, mostly at the front; sometimes longer or shorter."""
     for _ in range(count):
         wrong = bytearray(data or rng.bytes(int(rng.integers(1, 40))))
         for _ in range(rng.integers(1, 3)):
@@ -207,7 +207,7 @@ def test_both_refuse_the_same_snapshots(stream: tuple[Shape, Chunks], seed: int)
 
 
 def test_mutants_are_taken_and_refused() -> None:
-    """So that the tests above say something of both."""
+    """Both outcomes occur, so that the tests above cover both."""
     shape, rng = make_shape(), np.random.default_rng(0)
     chunks = plain_chunks(RandomStream(shape, 2, 3))
     both = BothReaders(shape)
@@ -224,7 +224,7 @@ def test_mutants_are_taken_and_refused() -> None:
 
 
 def test_counts_and_escapes_that_both_refuse() -> None:
-    """Every count of a change, one more and one less and huge, with the others as they were."""
+    """Every count of a change is set one higher, one lower and huge, the others unchanged."""
     shape = make_shape(swin_size=1, slots=(12,))
     for seed in range(6):
         chunks = plain_chunks(RandomStream(shape, 3, seed, spelled_out=True))

@@ -1,4 +1,4 @@
-"""Changes and snapshots: any states come back, in few bytes; what breaks a rule is refused."""
+"""Changes and snapshots: any states round-trip, in few bytes; breaches of a rule are refused."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ BODY = SLOT_HEADER.size
 
 @st.composite
 def changes(draw: st.DrawFn) -> Case:
-    """A layout, what the predicted were, what they are, the new, and start offsets."""
+    """A layout, the predicted states before and after, the new ones, and start offsets."""
     rng = np.random.default_rng(draw(st.integers(0, 1 << 32)))
     predicted, new = draw(st.integers(0, 40)), draw(st.integers(0, 40))
     degree, wild = draw(st.integers(0, 3)), draw(st.booleans())
@@ -78,7 +78,7 @@ def test_any_states_come_back(
 
 
 def test_the_farthest_ways_fit() -> None:
-    """From one corner of the lattice to the other and back, predicted and new."""
+    """Predicted and new Gaussians move from one corner of the lattice to the other and back."""
     edge = POSITION_LIMIT - 1
     layout = small_layout(2, (8,))
     corners = States(
@@ -95,7 +95,7 @@ def test_the_farthest_ways_fit() -> None:
 
 
 def good_change() -> tuple[SlotLayout, bytes, Callable[[bytes], States]]:
-    """A layout, a change of 6 predicted and 5 new Gaussians, and what reads it."""
+    """A layout, a change of 6 predicted and 5 new Gaussians, and a function that reads it."""
     rng = np.random.default_rng(4)
     layout = small_layout(3, (20,))
     levels = [layout.lattices[0].opacity_levels]
@@ -178,7 +178,7 @@ def test_a_sum_outside_the_lattice_is_refused() -> None:
     state = States(np.array([[POSITION_LIMIT - 1, 0, 0]], np.int32), np.zeros((1, 10), np.uint8))
     none = Newcomers(States.zeros(0, 0), np.zeros(0, np.bool_), Splats.empty())
     moved = replace(state, positions=state.positions - 1)
-    # From one nearer the edge, the same residual leads outside.
+    # From a state nearer the edge, the same residual leads outside.
     data = encode_change(0, 1, moved, state, none, np.zeros(0, np.uint8)).data
     change: Change = decode_change(layout, 0, 1, data, 1, 0)
     assert (change.predict(moved, np.ones(1, np.bool_)).positions == state.positions).all()
@@ -283,7 +283,7 @@ def test_only_a_new_gaussian_starts_late() -> None:
         encoder.append(late)
     made = encoder.append(replace(late, start_offsets=offsets))
     assert made is not None
-    # 13 bytes for each, and one more for the start of the new one alone.
+    # 13 bytes for each, and one more for the start of the new one.
     assert len(made.changes[0].data) == BODY + 20 + 2 * 13 + 1
     change = decode_change(layout, 0, 1, made.changes[0].data, 1, 1)
     assert change.start_offsets.tolist() == [2]
@@ -319,7 +319,7 @@ def test_bounds_stay_below_the_largest_chunk() -> None:
 
 
 def test_prediction_is_small() -> None:
-    """A step in one attribute of each Gaussian costs a byte or so where a new one costs ten."""
+    """A step in one attribute of each Gaussian takes about a byte, a new Gaussian ten."""
     rng = np.random.default_rng(0)
     before = patternless_states(rng, [161] * 2000, 0)
     after = States(before.positions.copy(), before.attributes.copy())

@@ -1,5 +1,4 @@
-"""Gaussians between two frames: at their ends exact, between them on the straight way, and nowhere
-else."""
+"""Gaussians between two frames: exact at both frames, and on the straight line in between."""
 
 from __future__ import annotations
 
@@ -87,8 +86,8 @@ def test_parts_that_do_not_belong_together_are_refused() -> None:
 
 @given(st.integers(0, 10_000), SHARES)
 def test_no_slot_goes_where_neither_frame_has_a_gaussian(seed: int, share: float) -> None:
-    """Slots that go on, end, begin, jump, or are given to another Gaussian: what shows between the
-    frames is near a place of the frame before or after, and on the way only if it goes on."""
+    """Slots go on, end, begin, jump, or get another Gaussian. Between the frames, a Gaussian is
+    near its place in the frame before or after, and in between only if its slot goes on."""
     rng = np.random.default_rng(seed)
     count = 40
     before, after = random_splats(count, 0, seed), random_splats(count, 0, seed + 1)
@@ -108,7 +107,7 @@ def test_no_slot_goes_where_neither_frame_has_a_gaussian(seed: int, share: float
     away_m = np.linalg.norm(found.means - after.means[is_here], axis=1)
     assert (away_m <= JUMP_SIGMAS * sigma_m[is_here] * (1 + 1e-5)).all()
     assert (away_m[made.enters] <= 1e-5).all()
-    # Never more opaque than in the frames that have it.
+    # Gaussians are never more opaque than in the frames that have them.
     assert (found.opacities[made.enters] <= after.opacities[is_here][made.enters] + 1e-6).all()
     faded = made.leaving_at(share)
     assert share == 1 or (faded.opacities <= made.leaving.opacities + 1e-6).all()
@@ -147,10 +146,10 @@ def test_a_decoder_reports_what_its_slots_were(layout: SlotLayout, num_layers: i
         assert held[on].all()
         at = np.flatnonzero(~motion.enters)
         assert same_splats(motion.before.take(at), before.splats.take(on))
-        # What is there before and does not go on leaves, unless it is kept.
+        # Earlier Gaussians that do not go on leave, unless they are kept.
         changes = update.statuses[:width] != KEPT
         changes[on] = False
-        # What a snapshot brought is handed out with the lane's next slice, and fades nowhere.
+        # Gaussians from a snapshot are handed out with the lane's next slice, and never fade.
         was_handed_out = update.birth > layout.swin_size
         gone = np.flatnonzero(held & changes & was_handed_out)
         assert same_splats(motion.leaving, before.splats.take(gone))

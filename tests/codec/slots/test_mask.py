@@ -1,4 +1,4 @@
-"""Masks: any statuses come back, and a decoder made from the text alone reads the same."""
+"""Masks: any statuses round-trip, and a decoder written from FORMAT.md alone reads the same."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_the_longest_and_the_dullest_masks_fit(status: int) -> None:
     history = np.zeros(3000, np.uint8)
     dull = np.full(3000, status, np.uint8)
     assert len(encode_mask(layout, 0, dull, history).data) < 60
-    # Long enough alike to be taken for granted, then otherwise all the time.
+    # Equal statuses for long enough to be predicted, then different ones repeatedly.
     worst = np.resize(np.repeat(np.array([status, 3 - status], np.uint8), (120, 3)), 3000)
     chunk = encode_mask(layout, 0, worst, history)
     assert len(chunk.data) <= layout.max_mask_bytes
@@ -76,9 +76,9 @@ def test_what_lasts_costs_little() -> None:
 def test_history_is_of_the_lane_and_begins_anew_with_a_segment() -> None:
     layout = small_layout(swin_size=2, slots=(4,), segment_frames=6)
     history = MaskHistory(layout)
-    history.note(6, np.array([1, 1, 1, 1], np.uint8))  # of the segment's first frame
+    history.note(6, np.array([1, 1, 1, 1], np.uint8))  # the segment's first frame
     assert history.of(8).tolist() == [0, 0, 0, 0]
-    history.note(7, np.array([3, 3, 3, 3], np.uint8))  # of the other lane
+    history.note(7, np.array([3, 3, 3, 3], np.uint8))  # the other lane
     history.note(8, np.array([0, 1, 0, 3], np.uint8))
     assert history.of(10).tolist() == [0, 2, 0, 2]
     history.note(9, np.array([0, 0, 0, 0], np.uint8))

@@ -1,5 +1,5 @@
-"""Passing slices: with all of them each frame is what was given, and without any of them what stays
-is known, integer for integer."""
+"""Passing slices: with all of them, each frame equals the input; without any of them, the lasting
+slots are known, integer for integer."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Twins:
     layout: SlotLayout
     chunks: Chunks
     frames: list[Splats]
-    """All slots of each frame, as a stream without the temporal layer shows them."""
+    """All slots of each frame, from the stream without the temporal layer."""
 
     @staticmethod
     def of(
@@ -50,7 +50,7 @@ class Twins:
         return Twins(layout, encoded_chunks(layout, updates), frames)
 
     def joined(self, segment: int = 0, layers: int | None = None) -> SlotDecoder:
-        """A decoder that has the snapshots of a segment."""
+        """A decoder with the snapshots of a segment."""
         decoder = SlotDecoder(self.layout, layers)
         snapshots = self.chunks.snapshots[segment * self.layout.segment_frames]
         for data in snapshots[: decoder.num_layers]:
@@ -58,7 +58,7 @@ class Twins:
         return decoder
 
     def stays(self, birth: int) -> int:
-        """The frame whose slots a passing slice of `birth` leaves as they are."""
+        """The frame whose slots a passing slice of `birth` leaves unchanged."""
         return birth - birth % self.layout.temporal_period
 
 

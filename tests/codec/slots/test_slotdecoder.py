@@ -1,4 +1,4 @@
-"""The decoder's rules: what it refuses leaves it as it was, and its memory has a bound."""
+"""The decoder's rules: a refused chunk leaves it unchanged, and its memory is bounded."""
 
 from __future__ import annotations
 
@@ -197,16 +197,16 @@ def test_a_missing_mask_costs_its_lane_until_the_segment_ends() -> None:
             assert shown.rows is not None
             assert shown.rows.tolist() == list(range(15))
             assert (shown.start_offsets == HIDDEN).all()
-        elif birth in (5, 7):  # cannot be read without the one before, so nothing of it counts
+        elif birth in (5, 7):  # unreadable without the previous mask
             decoder.apply(birth, b"any", [b"any"])
         else:
             decoder.apply(birth, mask, changes)
-        # In the next segment its snapshot may still come.
+        # In the next segment its snapshot may still arrive.
         assert decoder.log_bytes == 0 or birth >= 9
         assert conditions(decoder, 0) == conditions(player, 0)
         if 3 <= birth < 9:
             assert set(conditions(decoder, 1)) == {UNKNOWN}
-    # Born at 9 and 11: what was ended or new is there again, and nothing else.
+    # After births 9 and 11, only ended and new slots are known again.
     said = np.zeros(15, np.bool_)
     history = MaskHistory(layout)
     for birth in (9, 11):
@@ -232,7 +232,7 @@ def test_what_waits_for_late_changes_is_given_up_with_the_mask() -> None:
 
 
 def test_a_change_that_a_late_one_shows_to_be_wrong_counts_as_missing() -> None:
-    """While a slot is unknown its sums are not made, so nobody can tell that one is wrong."""
+    """While a slot is unknown, its sums are not computed, so that a wrong one is not noticed."""
     layout = small_layout(1, (2,), segment_frames=50)
     edge = States(np.array([[POSITION_LIMIT - 1, 0, 0]], np.int32), np.zeros((1, 10), np.uint8))
     inside = States(edge.positions - np.int32(9), edge.attributes)
@@ -253,7 +253,7 @@ def test_a_change_that_a_late_one_shows_to_be_wrong_counts_as_missing() -> None:
     decoder = SlotDecoder(layout)
     decoder.load(encode_snapshot(layout, 0, 0, empty).data)
     decoder.apply(1, mask(1, NEW, KEPT), [None])
-    # Beyond the edge, if the first was there; and the second slot is new.
+    # Beyond the edge if the first change is there; the second slot is new.
     decoder.apply(2, mask(2, PREDICTED, NEW), [change(2, inside, edge, inside)])
     assert conditions(decoder, 0) == [UNKNOWN, ON_LATTICE]
     assert decoder.late(1, 0, change(1, nothing, nothing, edge))

@@ -1,4 +1,4 @@
-"""Slots from update to Gaussian: every reader has, integer for integer, what section 7 says."""
+"""Slots from update to Gaussian: every reader has the integers that section 7 defines."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ streams = st.builds(
 
 
 def values(slots: Slots) -> list[str | tuple[str, bytes] | None]:
-    """What each slot holds, as `Model` says it; "unknown" where that is not known."""
+    """State of each slot, in the form of `Model`; "unknown" if it is not known."""
     found: list[str | tuple[str, bytes] | None] = []
     for row, condition in enumerate(slots.conditions):
         if condition in (UNKNOWN, EMPTY):
@@ -75,7 +75,7 @@ def lane_values(
 
 
 def onto(change: Slice, before: Slice) -> Slice:
-    """The whole slice that `change`, with rows, makes of the whole one before it in its lane."""
+    """The whole slice after `change`, with rows, is applied to the whole slice before it."""
     arrays = [array.copy() for array in before.splats.arrays]
     for array, new in zip(arrays, change.splats.arrays, strict=True):
         array[change.rows] = new
@@ -85,7 +85,7 @@ def onto(change: Slice, before: Slice) -> Slice:
 
 
 def joined(stream: Encoded, frame: int, layers: int | None = None) -> SlotDecoder:
-    """A decoder that begins with the snapshots of the segment of `frame`."""
+    """A decoder that starts from the snapshots of the segment of `frame`."""
     decoder = SlotDecoder(stream.layout, layers)
     first = stream.layout.segment_start(frame)
     for data in stream.chunks.snapshots[first][: decoder.num_layers]:
@@ -166,14 +166,14 @@ def test_a_snapshot_of_what_was_read_is_the_one_that_was_written(stream: Encoded
 
 
 class Reader:
-    """Section 7 by the updates alone: what a reader holds that has some of the packets."""
+    """Section 7 applied to updates: the state of a reader with only some packets."""
 
     def __init__(self, stream: Encoded, layers: int) -> None:
         self.stream, self.layers = stream, layers
 
     def values(self, frame: int, present: set[tuple[int, int]], lane: int) -> list[object]:
-        """What the slots of `lane` hold in `frame` if of the changes after frame 0 those
-        `present`, (birth, layer), are at hand."""
+        """States of the slots of `lane` in `frame` if, of the changes after frame 0, only those in
+        `present`, (birth, layer), have arrived."""
         layout = self.stream.layout
         model = Model(layout)
         rows = layout.row_edges[self.layers]
@@ -195,7 +195,7 @@ class Reader:
 
 
 def steps(stream: Encoded, seed: int) -> Iterator[tuple[int, set[int], list[tuple[int, int]]]]:
-    """For each frame the layers that are missing, and the (birth, layer) that come late after."""
+    """For each frame, the missing layers, and the (birth, layer) that arrive late after it."""
     rng = np.random.default_rng(seed)
     waiting: list[tuple[int, int]] = []
     for birth in range(1, len(stream.chunks.masks)):
@@ -220,7 +220,7 @@ def test_missing_and_late_packets(stream: Encoded, seed: int) -> None:
             stream.chunks.masks[birth],
             [None if layer in missing else data for layer, data in enumerate(changes)],
         )
-        # What is handed out brings its lane up to date, with what came late since.
+        # The slices handed out update their lane, including late changes.
         lane = layout.lane(birth)
         shown[lane] = onto(altered, shown[lane])
         assert same_splats(shown[lane].splats, decoder.whole(birth).splats)

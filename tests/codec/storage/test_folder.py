@@ -1,4 +1,4 @@
-"""Folders of this machine: regular files within them, and nothing else."""
+"""Local folders: only regular files inside them are accessible."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_links_may_lead_anywhere_inside_and_nowhere_else(tmp_path: Path) -> None
         with pytest.raises(CorruptError, match="a link points outside its folder"):
             storage.read(path, 10)
         assert not storage.holds(path)
-    # A folder whose name begins alike is another one.
+    # A folder whose name has the same beginning is a different one.
     (tmp_path / "folder-2").mkdir()
     (tmp_path / "folder-2" / "file").write_bytes(b"x")
     with pytest.raises(CorruptError, match="points outside"):
@@ -83,7 +83,7 @@ def test_what_is_not_a_regular_file_is_refused_at_once(tmp_path: Path, kind: str
     with pytest.raises(CorruptError, match="cannot be read: "):
         storage.read(path, 10)
     assert not storage.holds(path)
-    # It is there, or cannot even be looked at: whoever reads it hears why.
+    # It exists, or cannot be inspected; reading it raises the reason.
     assert storage.stamp(path) is not None
     assert list(storage.sizes(".")) == []
 
@@ -103,7 +103,7 @@ def test_a_device_is_refused(tmp_path: Path) -> None:
 def test_a_link_that_comes_after_the_look_is_not_followed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, swapped: str
 ) -> None:
-    """The moment between the look at a path and its opening, made as long as it takes."""
+    """The path is swapped between its check and its opening."""
     (tmp_path / "away").mkdir()
     (tmp_path / "away" / "file").write_bytes(b"secret")
     (tmp_path / "folder" / "deep").mkdir(parents=True)
@@ -123,7 +123,7 @@ def test_a_link_that_comes_after_the_look_is_not_followed(
 
 
 def test_a_name_that_is_swapped_for_a_link_never_shows_what_it_leads_to(tmp_path: Path) -> None:
-    """Somebody changes the folder as fast as it goes while it is read."""
+    """Another thread swaps the name as fast as it can while it is read."""
     (tmp_path / "secret").write_bytes(b"secret")
     (tmp_path / "away").mkdir()
     (tmp_path / "away" / "file").write_bytes(b"secret")
@@ -161,7 +161,7 @@ def test_a_folder_that_is_gone_says_so(tmp_path: Path) -> None:
     storage = FolderStorage(tmp_path / "absent")
     with pytest.raises(CorruptError, match="is not a folder"):
         storage.check()
-    with pytest.raises(FileNotFoundError):  # as a caller from Python expects it
+    with pytest.raises(FileNotFoundError):  # the error that a Python caller expects
         storage.check()
     (tmp_path / "file").touch()
     with pytest.raises(CorruptError, match="is not a folder") as told:

@@ -1,4 +1,4 @@
-"""Objects that threads write: no thread writes on once an interrupt has come out."""
+"""Objects that threads write: no thread keeps writing after an interrupt was raised."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def interruptible() -> Iterator[None]:
 def test_no_thread_writes_after_an_interrupt(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: int
 ) -> None:
-    """Ctrl-C comes while thread number `last` starts, before its pool knows it."""
+    """Ctrl-C arrives while thread number `last` starts, before its pool has registered it."""
     place = GrowingFolder(tmp_path / "s", Shape(log="log", head="head", folder="objects"))
     place.begin(b"{}")
     started: list[threading.Thread] = []

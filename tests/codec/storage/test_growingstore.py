@@ -1,8 +1,9 @@
-"""Streams that are written to a real S3 server: the bytes of a folder, whoever dies or interferes.
+"""Streams written to a real S3 server: the same bytes as in a folder, despite kills and other
+writers.
 
-What the kills prove: the writers are processes that die by SIGKILL at moments drawn from a fixed
-seed, from before the first request to after the last one; after each kill the stream passes
-`verify`, nothing of it is taken back, and in the end it is byte for byte the undisturbed one.
+The kills: the writers are processes that die by SIGKILL at moments drawn from a fixed seed, from
+before the first request to after the last one. After each kill the stream passes `verify`, and no
+written frame disappears; at the end it equals an undisturbed stream byte for byte.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def files(path: Path) -> dict[str, bytes]:
 
 
 def append_some(writer: StreamWriter, slices: Sequence[Update]) -> None:
-    """Appends those that the writer lacks."""
+    """Appends the slices that the writer does not have yet."""
     for slice in slices:
         if slice.birth >= writer.next_birth:
             writer.append(slice)
@@ -150,7 +151,7 @@ def test_of_two_that_begin_at_once_one_is_refused(
     from codec.storage.growingstore import GrowingStore
 
     StreamWriter.create(URL, forked_manifest())
-    monkeypatch.setattr(GrowingStore, "check_unused", lambda self: None)  # it looked just before
+    monkeypatch.setattr(GrowingStore, "check_unused", lambda self: None)  # checked just before
     with pytest.raises((InvalidError, CorruptError)):
         StreamWriter.create(URL, tiny_manifest())
     assert verify_stream(URL).num_segments == 0

@@ -1,7 +1,7 @@
-"""Paths in what strangers wrote never reach the file system.
+"""Paths in untrusted files never reach the file system.
 
-The objects lie in a folder beside the stream, and the manifest says so in every way there is.
-Whoever followed it would find them there and succeed; so everybody must miss them.
+The objects are in a folder beside the stream, and the manifest names them there in every possible
+way. Code that followed the manifest would find them and succeed; so all code must fail.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from tests.support.tiny_stream import tiny_slice, write_tiny
 
 @pytest.fixture(params=["../secret", "{root}/secret", "file://{root}/secret", "x/../../secret"])
 def astray(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A stream whose manifest names the way to its objects in a folder that is none of its own."""
+    """A stream whose manifest gives a path to objects in a folder outside the stream."""
     path = tmp_path / "stream"
     write_tiny(path, 6)
     shutil.move(path / "segments", tmp_path / "secret")

@@ -1,4 +1,4 @@
-"""Object stores: a real S3 server, and one clear line for each thing that can go wrong."""
+"""Object stores: a real S3 server, and one clear line for each possible failure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every storage promises, whatever holds the files."""
+"""The contract of every storage, for every place of the files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.support.tiny_stream import write_tiny
 
 @dataclass
 class Held:
-    """A storage, and how files come into it and go."""
+    """A storage, with functions that add and remove files."""
 
     storage: Storage
     folder: Path | None

@@ -17,7 +17,7 @@ from tests.support.stores.failing_store import FailingStore, Failure, failing_st
 pytest.importorskip("obstore", reason="object stores need the extra s3")
 
 SHORT = RetryPolicy(1.5, 0.05, 0.2, max_retries=10_000)
-"""PATIENT with shorter times."""
+"""The policy PATIENT with shorter times."""
 
 ASK: dict[str, Callable[[StorePrefix], object]] = {
     "read": lambda store: store.read("there", 10),
@@ -91,7 +91,7 @@ def test_a_store_that_is_silent_is_one_line(
 
 @pytest.mark.usefixtures("short")
 def test_a_put_whose_response_was_lost_is_a_conflict_with_itself(server: FailingStore) -> None:
-    """The callers look whether the object is theirs."""
+    """The callers check whether the object is their own."""
     store = open_store("s3://b/x", patient=True)
     server.fail("reset_after", count=1)
     with pytest.raises(ConflictError):
@@ -135,7 +135,7 @@ def test_a_server_does_not_wait_for_its_store(server: FailingStore) -> None:
 
 @pytest.mark.slow
 def test_ten_seconds_without_a_store_are_survived(monkeypatch: pytest.MonkeyPatch) -> None:
-    """First 5 s of errors, then 5 s without a server, and the times of real runs."""
+    """5 s of errors, then 5 s without a server, with the real times."""
     assert PATIENT.duration_s == 60.0
     with failing_store(monkeypatch) as server:
         store = open_store("s3://b/x", patient=True)

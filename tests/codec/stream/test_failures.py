@@ -1,4 +1,4 @@
-"""A disk that fails or is full: the stream stays valid, and the call can be made again."""
+"""A disk that fails or is full: the stream stays valid, and the call can be repeated."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return files_of(path)
 
 
-# A disk that has no room for all of a record, as the kernel shows it: a short write, then EFBIG.
+# A disk without room for a whole record; the kernel reports a short write, then EFBIG.
 SHORT_OF_SPACE = """
 import os, resource, sys
 from pathlib import Path
@@ -87,7 +87,7 @@ def test_a_record_that_fits_in_part_is_taken_back(tmp_path: Path, room: int) -> 
 
 
 class Grudging:
-    """A file that takes a few bytes a write."""
+    """A file that accepts only a few bytes per write."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
@@ -106,7 +106,7 @@ class Grudging:
 
 
 def grudge(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes the index take a few bytes at a time."""
+    """Makes the index accept only a few bytes per write."""
 
     def opened(path: Path, mode: str, **options: Any) -> object:
         return Grudging(open(path, mode, **options)) if "a" in mode else open(path, mode, **options)
@@ -129,7 +129,7 @@ def test_what_could_not_be_taken_back_is_cut_off_before_the_next_record(
     with StreamWriter.create(path, tiny_manifest()) as writer:
         for birth in range(-2, 7):
             writer.append(tiny_slice(birth))
-        # As if taking back had failed too.
+        # As if the rollback had failed, too.
         with open(path / "index.bin", "ab") as index:
             index.write(b"torn")
         append_tiny(writer, NUM_FRAMES)
@@ -210,7 +210,7 @@ def test_a_close_that_failed_can_be_tried_again(
 
 
 def assert_valid_prefix(path: Path, whole: dict[str, bytes]) -> int:
-    """The stream at `path` is good and begins like the one of which `whole` are the files."""
+    """Asserts that the stream at `path` is valid and a prefix of the one with files `whole`."""
     num_frames = verify_stream(path).num_frames
     reader = StreamReader(path)
     for record in reader.records:
@@ -223,7 +223,7 @@ def assert_valid_prefix(path: Path, whole: dict[str, bytes]) -> int:
 def test_a_failure_at_any_step_of_any_write(
     tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As if the power went at each fsync and each rename in turn."""
+    """Each fsync and each rename fails in turn, as in a power failure."""
     real: dict[str, Callable[..., object]] = {"fsync": os.fsync, "replace": os.replace}
     steps = 0
 

@@ -1,4 +1,4 @@
-"""index.bin: pinned records, torn tails left out, anything else refused."""
+"""index.bin: pinned records; torn tails are ignored, anything else is refused."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_the_record_is_pinned() -> None:
 
 
 def test_what_is_played_is_less_than_all() -> None:
-    """Only the first snapshots are played."""
+    """Only the snapshots of the first segment are played."""
     assert RECORDS[1].part_bytes == (1000, 1001, 1002, 500, 501, 502, 503)
     assert RECORDS[1].played_bytes == 1000 + 1001 + 1002 + 500
     assert RECORDS[0].played_bytes == sum(RECORDS[0].part_bytes)

@@ -1,4 +1,4 @@
-"""The rules by which the parts of a stream agree: each breach is found, at its place."""
+"""Rules of consistency between the parts of a stream: each breach is found at its place."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SNAPSHOT = object_of([CHUNKS[4]])
 
 
 def record_with(data: bytes) -> SegmentRecord:
-    """The record of segment 1, all of whose objects are `data`."""
+    """The record of segment 1 with `data` as all its objects."""
     return record_of(1, 4, (data,) * NUM_PARTS)
 
 
@@ -145,7 +145,7 @@ def test_a_snapshot_is_that_of_the_first_frame(births: list[int], at: int) -> No
 
 @pytest.mark.parametrize("part", [0, MASKS])
 def test_the_table_ends_where_the_object_does(part: Part) -> None:
-    """An index that names more than the object would hide what lies behind it."""
+    """An index with a larger object would hide the data behind the table's end."""
     data = OBJECT + b"hidden"
     record = record_with(data)
     check_object_bytes(data, record, MANIFEST.part_number(part))
@@ -178,7 +178,7 @@ def test_a_checked_object_gives_packets_and_chunks_by_birth() -> None:
 
 @pytest.mark.parametrize("part", [0, MASKS, snapshot_part(0)])
 def test_a_packet_holds_no_more_than_its_slots_fill(part: Part) -> None:
-    """The place is that of the packet, for nothing else can be pointed at."""
+    """The place of the error is that of the packet, because nothing smaller is known."""
     most = MANIFEST.max_content_bytes(part)
     for size in (most, most + 1):
         packet = encode_packet(replace(CHUNKS[4], data=bytes(size), edges=()))

@@ -1,15 +1,16 @@
-"""A writer killed many times, and a reader that follows it all the while.
+"""A writer that is killed many times, and a reader that follows it all the time.
 
 What this proves: the writer is a real process that dies by SIGKILL, so no handler and no `finally`
-of it runs. At every poll, before, during and after a kill, the reader that follows sees whole
-records only, in order, each naming objects that are there, whole, and byte by byte those of a
-writer that nobody disturbed; it never has to give up, and what it has seen is never taken back.
-After each kill the folder passes `verify` and the next writer goes on where the last record ends.
-The moments are drawn from a fixed seed, from before the folder exists to after its last record;
-how far a writer has come by then depends on the machine, so they adapt until half of the kills come
-before a segment is whole, and the test counts that many kills did fall into a write. What a kill
-cannot show is a loss of power, when the disk forgets what no fsync has secured:
-`test_a_failure_at_any_step_of_any_write` in test_failures.py has that order.
+of it runs. At every poll, before, during and after a kill, the reader sees only whole records, in
+order. Their objects exist, are complete, and equal those of an undisturbed writer byte for byte.
+The reader never has to give up, and no record that it has seen disappears. After each kill the
+folder passes `verify`, and the next writer continues after the last record.
+
+The moments are drawn from a fixed seed, from before the folder exists to after its last record.
+The progress of a writer at a moment depends on the machine, so the moments adapt until half of the
+kills precede a whole segment, and the test counts that many kills hit a write. A kill cannot show a
+loss of power, when the disk loses everything that no fsync has secured:
+`test_a_failure_at_any_step_of_any_write` in test_failures.py covers that order.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ def forker() -> Iterator[Forker]:
 
 
 class Follower:
-    """A reader that is opened as soon as there is a stream, and kept from then on."""
+    """A reader that is opened as soon as there is a stream, and is kept from then on."""
 
     def __init__(self, path: Path, whole: dict[str, bytes]) -> None:
         self._path = path
@@ -49,7 +50,7 @@ class Follower:
         self._reader: StreamReader | None = None
 
     def poll(self) -> None:
-        """Looks once; everything that is new is as it should be."""
+        """Polls once; asserts that everything new is correct."""
         if self._reader is None:
             if not (self._path / "manifest.json").exists():
                 return
@@ -69,7 +70,7 @@ class Follower:
             assert self._reader.slice(birth, self._reader.manifest.num_layers).birth == birth
 
     def _index(self) -> bytes:
-        """What there is of the index now: whole records, and a part of one at most."""
+        """The current bytes of the index: whole records, and at most a part of one."""
         return (self._path / "index.bin").read_bytes()
 
 
@@ -78,7 +79,7 @@ def files(path: Path) -> dict[str, bytes]:
 
 
 def fell_into_a_write(path: Path) -> bool:
-    """Whether there is something that no index names: the last writer was killed in a write."""
+    """Whether there is data that no index names: the last writer was killed in a write."""
     indexed = 0
     if (path / "manifest.json").exists():
         size = record_bytes(forked_manifest().num_layers)
@@ -89,7 +90,7 @@ def fell_into_a_write(path: Path) -> bool:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Iterator[Path]:
-    """A folder in memory where there is one: kills are the same there, and an fsync is free."""
+    """A folder in memory if possible: kills have the same effect there, and an fsync is free."""
     memory = Path("/dev/shm")
     if not os.access(memory, os.W_OK):
         yield tmp_path
@@ -107,7 +108,7 @@ def test_many_kills_and_a_reader_that_follows(folder: Path, forker: Forker) -> N
     follower = Follower(streams[-1], whole)
     num_frames = 0
     patience_s = 0.005
-    # Writes are short: as many more kills as it takes for enough of them to fall into one.
+    # Writes are short, so the kills continue until enough of them have hit a write.
     while kills < KILLS or (in_a_write <= IN_A_WRITE and kills < 10 * KILLS):
         path = streams[-1]
         pid = forker.start(path)
@@ -129,14 +130,14 @@ def test_many_kills_and_a_reader_that_follows(folder: Path, forker: Forker) -> N
             assert summary.num_frames >= num_frames
             grew, live = summary.num_frames > num_frames, summary.live
             num_frames = summary.num_frames
-        # However fast the machine is: half of the kills come before a segment is whole.
+        # For any speed of the machine, half of the kills precede a whole segment.
         patience_s = min(patience_s * (0.8 if grew else 1.25), 1.0)
         if not live:
             assert files(path) == whole
             streams.append(folder / str(len(streams)))
             follower = Follower(streams[-1], whole)
             num_frames = 0
-    # Otherwise the moments were none, and nobody followed.
+    # Otherwise the kills hit no writes, or the reader did not follow.
     assert in_a_write > IN_A_WRITE
     assert polls > KILLS
     assert len(streams) > 1

@@ -1,4 +1,4 @@
-"""Layers: a split loses nothing, fits the slots, and the important come first."""
+"""Layers: a split loses nothing, fits the slots, and has important Gaussians first."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""manifest.json: what is valid round-trips, what is not says why."""
+"""manifest.json: valid ones round-trip, invalid ones raise the reason."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_round_trip() -> None:
 
 
 def test_near_planes_of_cameras() -> None:
-    """Each camera has its own; away from it that of all comes back, without a step."""
+    """Each camera has its own near plane; away from it the common one returns, without a step."""
     left = MANIFEST.camera("left")
 
     def moved(x_m: float) -> Camera:
@@ -117,7 +117,7 @@ def test_its_size_does_not_depend_on_live_by_more_than_a_byte() -> None:
     ],
 )
 def test_values_that_break_a_rule(change: dict[str, Any]) -> None:
-    """More of them are in conformance/hostile.json."""
+    """conformance/hostile.json has more such values."""
     with pytest.raises(InvalidError, match=r"^manifest: "):
         replace(MANIFEST, **change)
 
@@ -170,7 +170,7 @@ def test_a_name_of_a_camera_is_kept_whole_or_refused() -> None:
 
 
 def test_what_no_reader_would_take_is_not_written() -> None:
-    """Every text is short enough; all of them together are not."""
+    """Every text is short enough; all texts together are too long."""
     names = [f"{n:03}" + "\U0001f600" * (MAX_NAME_CHARS - 3) for n in range(256)]
     many = replace(MANIFEST, cameras=tuple(map(camera, names)), default_camera=names[0])
     with pytest.raises(InvalidError, match="bytes, at most 1048576; shorten the names"):

@@ -1,6 +1,6 @@
-"""Hostile bytes under a limit of memory that the kernel enforces: nothing grows beyond its claim.
+"""Hostile bytes under a memory limit that the kernel enforces: no decoder exceeds the claim.
 
-tests/support/bounded_decoder.py holds the inputs and says what each may cost.
+tests/support/bounded_decoder.py has the inputs, and the memory that each may use.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import pytest
 from tests.support.bounded_decoder import CASES
 from tests.support.commands import ROOT
 
-# `value`, or what the error says. An allocation that failed inside zstd says neither.
+# `value`, or the error message. A failed allocation inside zstd gives neither.
 OUTCOMES = {
     "zstd": "value",
     "cut off": "CorruptError: packet: decompression error: did not decompress full frame",
@@ -53,7 +53,7 @@ OUTCOMES = {
     "verify beyond its slots": "segments/0/0: byte 68: packet: 104857612 bytes of content",
     "sizes in an index": "bytes, the index says 1073741824",
     "empty slots": "value",
-    # The limit is one.
+    # The limit is effective.
     "control": "MemoryError",
 }
 
@@ -64,7 +64,7 @@ def test_every_case_has_an_outcome() -> None:
 
 @pytest.fixture(scope="module")
 def outcomes() -> dict[str, str]:
-    """How decoding went, by case."""
+    """Outcomes of decoding, by case."""
     if not Path("/proc/self/status").exists():
         pytest.skip("needs Linux: RLIMIT_DATA and VmData")
     done = subprocess.run(

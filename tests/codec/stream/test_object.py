@@ -1,4 +1,4 @@
-"""Objects and packets: valid zstd for anyone, and no bomb goes off."""
+"""Objects and packets: they are valid zstd, and no bomb is inflated."""
 
 from __future__ import annotations
 
@@ -98,13 +98,13 @@ def test_every_truncation_is_refused(coder: Coder) -> None:
         assert not survives(contents, cut)
         survives(read_object_table, cut)
     packet = encode_packet(new_chunk(0, 5), coder)
-    for cut in list(truncations(packet))[1:]:  # no bytes say that nothing changes
+    for cut in list(truncations(packet))[1:]:  # an empty packet means that nothing changes
         assert not survives(packet_of_any_stream, cut)
 
 
 @coders
 def test_an_altered_byte_never_passes(coder: Coder) -> None:
-    """But for what means nothing: bytes of the head, and bits that fill deflate's last byte."""
+    """Except meaningless ones: bytes of the head, and padding bits of deflate's last byte."""
     chunk = new_chunk(0, 5)
     packet = encode_packet(chunk, coder)
     passed = [altered for altered in flips(packet) if survives(packet_of_any_stream, altered)]
@@ -141,7 +141,7 @@ def bomb(size: int) -> bytes:
 
 
 def claiming(size: int) -> bytes:
-    """The start of a packet that says it holds `size` bytes."""
+    """The start of a packet that claims a content of `size` bytes."""
     compressor = zstandard.ZstdCompressor(write_checksum=True).compressobj(size)
     return compressor.compress(b"x") + compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
 
@@ -154,12 +154,12 @@ def claiming(size: int) -> bytes:
         zstandard.ZstdCompressor(write_content_size=False, write_checksum=True).compress(b"x" * 99),
         # No checksum.
         zstandard.ZstdCompressor(write_checksum=False).compress(b"x" * 99),
-        # More than one packet, or something behind it.
+        # More than one packet, or data after it.
         bomb(100) + bomb(100),
         bomb(100) + b"x",
         # Skippable.
         struct.pack("<II", 0x184D2A50, 4) + b"none",
-        # Says less, and more, than it holds.
+        # Claims less, and more, than its content.
         bomb(1000)[:5] + struct.pack("<H", 1) + bomb(1000)[7:],
         bomb(1000)[:5] + struct.pack("<H", 60_000) + bomb(1000)[7:],
         b"\x28\xb5\x2f\xfd",

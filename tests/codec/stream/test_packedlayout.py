@@ -1,4 +1,4 @@
-"""Where the files of a packed stream lie, against what Python's zipfile finds in it."""
+"""Places of the files in a packed stream, compared with those of Python's zipfile."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LAYERS = MANIFEST.num_layers
 
 
 def layout_of(sizes: list[int], num_segments: int) -> PackedLayout:
-    """sizes: of the objects of each segment, in the order of the index."""
+    """sizes: bytes of the objects of each segment, in the order of the index."""
     count = MANIFEST.segment_frames
     records = [
         SegmentRecord(
@@ -45,8 +45,8 @@ def layout_of(sizes: list[int], num_segments: int) -> PackedLayout:
     ("size_bytes", "num_segments"),
     [
         (7, 12),
-        (1 << 30, 3),  # places behind 4 GB
-        (1, 65536 // (2 * LAYERS + 1) + 1),  # more entries than 16 bits count
+        (1 << 30, 3),  # places beyond 4 GB
+        (1, 65536 // (2 * LAYERS + 1) + 1),  # more entries than 16 bits can count
     ],
     ids=["small", "far", "many"],
 )

@@ -1,4 +1,4 @@
-"""Play records: any cut of the bytes gives the same records; hostile ones are refused cheaply."""
+"""Play records: any split of the bytes gives the same records; hostile ones fail cheaply."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_only_a_slice_that_begins_with_layer_0_has_a_mask() -> None:
     for masked in ({"first": 0}, {}):
         found = decode_record(msgpack.packb(value | masked | {"mask": b"m"}))
         assert found == SliceRecord(1, (b"a",), b"m")
-    # Of the layers above it is a key that nobody knows.
+    # In records of the upper layers this is an unknown key.
     for ignored in (b"m", "text", 7, None):
         found = decode_record(msgpack.packb(value | {"first": 2, "mask": ignored}))
         assert found == SliceRecord(1, (b"a",), None, 2)
@@ -185,7 +185,7 @@ Packed = tuple[bytes, Coder]
 
 
 def inflated(body: bytes, coding: str) -> bytes:
-    """What a browser makes of a body that has not ended."""
+    """The content that a browser decodes from a body that has not ended."""
     if coding == GZIP:
         return zlib.decompressobj(16 + zlib.MAX_WBITS).decompress(body)
     if not coding:
@@ -195,13 +195,13 @@ def inflated(body: bytes, coding: str) -> bytes:
 
 
 def packet(one: Packed) -> bytes:
-    """A packet; of no bytes where nothing changes."""
+    """A packet; it is empty if nothing changes."""
     content, coder = one
     return compress(content, (), coder) if content else b""
 
 
 def plain(one: Packed) -> bytes:
-    """The same in a body for browsers."""
+    """The same packet in a body for browsers."""
     return packet(one) if one[1] is Coder.GZIP else one[0]
 
 

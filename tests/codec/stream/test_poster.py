@@ -1,4 +1,4 @@
-"""The poster: drawn once there are frames, whole, bounded, and never outside its folder."""
+"""The poster: drawn as soon as there are frames, complete, bounded, and inside its folder."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def manifest_of(width_px: int, height_px: int, poster: str | None = POSTER_NAME)
 
 
 def black_and_white(splats: Splats, camera: Camera, near_m: float) -> Floats:
-    """The picture that JPEG can do least with."""
+    """A picture of random black and white pixels, which JPEG compresses worst."""
     shape = (camera.height_px, camera.width_px, 3)
     return np.random.default_rng(0).integers(0, 2, shape).astype(np.float32)
 
@@ -88,7 +88,7 @@ def test_its_size_is_bounded_in_pixels(
     picture = Image.open(tmp_path / "s" / POSTER_NAME)
     assert (picture.format, picture.size) == ("JPEG", expected_px)
     assert picture.getextrema() == ((255, 255),) * 3
-    # Never larger than the camera, nor than is of use.
+    # Never larger than the camera's picture, nor than useful.
     assert all(d <= min(s, 2 * e) for d, s, e in zip(*drawn_px, size_px, expected_px, strict=True))
 
 
@@ -159,7 +159,7 @@ def test_a_picture_in_the_folder_is_found_and_must_be_what_its_name_says(
 ) -> None:
     manifest, path = manifest_of(64, 48, name), tmp_path / name
     assert read_picture(tmp_path, manifest.poster) is None
-    check_pictures(tmp_path, manifest)  # it may come later
+    check_pictures(tmp_path, manifest)  # it may be written later
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(picture_bytes(kind))
     check_pictures(tmp_path, manifest)

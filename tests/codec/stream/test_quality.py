@@ -1,4 +1,4 @@
-"""What a writer is told of a stream's quality stands in the index."""
+"""The quality of a stream that a writer receives is in the index."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_a_quality_that_the_index_cannot_hold(tmp_path: Path, scores: tuple[floa
     with StreamWriter.create(
         tmp_path / "s", tiny_manifest(), quality=lambda frame, slices: scores
     ) as writer:
-        for birth in (-2, -1):  # nothing is scored before there is a frame
+        for birth in (-2, -1):  # nothing is scored before the first frame
             writer.append(tiny_slice(birth))
         with pytest.raises(InvalidError, match="is not 2 numbers, each finite"):
             writer.append(tiny_slice(0))

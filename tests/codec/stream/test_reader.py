@@ -1,4 +1,4 @@
-"""Any slice and window of a stream on disk is what playing gives, whatever is asked for before."""
+"""Any slice and window of a stream on disk is the same as in a play, after any other reads."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def same(a: Slice, b: Slice) -> bool:
 
 
 def played(updates: Sequence[Update], layout: SlotLayout, layers: int) -> dict[int, Slice]:
-    """By birth the whole slices of a stream, without files."""
+    """The whole slices of a stream by birth, without files."""
     encoder, decoder = SlotEncoder(layout), SlotDecoder(layout, layers)
     slices: dict[int, Slice] = {}
     for update in updates:
@@ -114,7 +114,7 @@ def test_any_slice_and_window_in_any_order(
 
 
 def plainly_shown(stream: Path, frame: int) -> list[list[float]]:
-    """The means that the decoder made from FORMAT.md alone shows at `frame`, of all layers."""
+    """The means at `frame`, of all layers, from the decoder written from FORMAT.md alone."""
     lattices = StreamFolder(stream).shape.lattice
     return [
         list(to_floats(slot, lattice).mean)
@@ -126,8 +126,8 @@ def plainly_shown(stream: Path, frame: int) -> list[list[float]]:
 
 
 def test_slices_that_were_sent_whole_show_at_any_frame(tmp_path: Path) -> None:
-    """As in SwinGS: windows of five slices, some of whose Gaussians start late. Exact, read here
-    and by the decoder that was made from FORMAT.md alone."""
+    """As in SwinGS: windows of five slices, with some Gaussians that start late. The values are
+    exact, read here and by the decoder written from FORMAT.md alone."""
     manifest, num_frames = small_manifest(30, 1, swin_size=5, segment_frames=7), 20
     slices = [random_slice(birth, 30 - birth % 3, 1) for birth in range(-4, num_frames)]
     with StreamWriter.create(tmp_path / "s", manifest, exact=True) as writer:
@@ -179,7 +179,7 @@ def test_what_lies_in_the_folder(finished: Path) -> None:
             assert len(data) == size
             births = [birth for birth, _ in object_packets(data)]
             first = record.first_frame
-            # The slice born at 0 keeps all slots, which takes no packet.
+            # The slice born at 0 keeps all slots, and needs no packet.
             told = list(range(max(first, 1), first + record.num_frames))
             assert births == ([first] if is_snapshot(part) else told)
 

@@ -1,4 +1,4 @@
-"""The storyboard: a bounded number of small pictures, each of the frame of its place."""
+"""The storyboard: a bounded number of small pictures, each of the frame for its place."""
 
 from __future__ import annotations
 

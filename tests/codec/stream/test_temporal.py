@@ -1,5 +1,5 @@
-"""A stream with a temporal layer: with it every frame is the same, without it what is left out is
-between its neighbours, and the index says what that costs."""
+"""A stream with a temporal layer: with it every frame is the same, without it the missing frames
+are interpolated between their neighbours, and the index has the quality of both."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_what_is_left_out_lies_between_its_neighbours(root: Path) -> None:
         middle = (before + after)[moves] / 2
         step_m = max(lattice.position_m for lattice in plain.manifest.lattice)
         near = (abs(found[moves] - middle) <= step_m).all(axis=1)
-        assert near.mean() > 0.95  # the others are new, or so small that it is a jump
+        assert near.mean() > 0.95  # the others are new, or so small that they jump
 
 
 def test_it_is_a_stream_like_others(root: Path, tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_a_writer_that_was_stopped_goes_on(tmp_path: Path) -> None:
 
 
 def test_the_index_knows_what_is_shown_without_it(tmp_path: Path) -> None:
-    """Each frame is scored once, in order; without the layer as a reader without it shows it."""
+    """Each frame is scored once, in order; without the layer, as such a reader shows it."""
     told: dict[int, list[Splats]] = {}
 
     def quality(birth: int, slices: Sequence[Slice]) -> list[float]:
@@ -131,7 +131,7 @@ def test_the_index_knows_what_is_shown_without_it(tmp_path: Path) -> None:
     reader = StreamReader(path)
     assert [record.psnr_db[0] for record in reader.records] == [3.5, 11.5, 17]
     for frame, slices in told.items():
-        # Nothing behind a segment is known when its record is written.
+        # Nothing after a segment is known when its record is written.
         if frame // 4 % 2 == 1 or frame >= 16:
             continue
         for layers, found in enumerate(slices, start=1):

@@ -1,4 +1,4 @@
-"""A slice sent whole: every Gaussian arrives, in the layer of its rank, and nothing else stays."""
+"""A slice sent whole: every Gaussian arrives in the layer of its rank, and no other remains."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from tests.support.slots.updates import small_layout
 from tests.support.trained_like import trained_like_splats
 
 SWIN_SIZE = 255
-"""So many that each Gaussian of a small slice can have a start offset, by which it is known."""
+"""Large enough for a unique start offset, which identifies a Gaussian of a small slice."""
 
 Case = tuple[Slice, SlotLayout]
 
 
 @st.composite
 def cases(draw: st.DrawFn) -> Case:
-    """A slice whose start offsets are all different, and a layout that has room for it."""
+    """A slice with unique start offsets, and a layout with room for it."""
     slots = tuple(draw(st.lists(st.integers(1, 30), min_size=1, max_size=4)))
     splats = draw(drawn_splats(max_count=sum(slots)))
     rng = np.random.default_rng(draw(st.integers(0, 1 << 32)))
@@ -45,7 +45,7 @@ def cases(draw: st.DrawFn) -> Case:
 
 
 def rows_of(update: Update, slice: Slice) -> list[int]:
-    """Where in `slice` each Gaussian of `update` stands."""
+    """Index in `slice` of each Gaussian of `update`."""
     places = {offset: row for row, offset in enumerate(slice.start_offsets.tolist())}
     return [places[offset] for offset in update.start_offsets.tolist()]
 
@@ -105,7 +105,7 @@ def test_others_are_within_half_a_step_of_their_layer_or_escape(case: Case) -> N
     for count, lattice in zip(layer_counts(len(rows), layout.slots), layout.lattices, strict=True):
         first, end = end, end + count
         escaped = update.escaped[first:end]
-        assert (np.diff(escaped.astype(int)) >= 0).all()  # the escaped ones come last
+        assert (np.diff(escaped.astype(int)) >= 0).all()  # the escaped ones are last
         inside = np.arange(first, end)[~escaped]
         found = dequantise(update.states.take(inside), lattice)
         assert_within_half_a_step(found, slice.splats.take(rows[inside]), lattice)
@@ -125,7 +125,7 @@ def size_bytes(update: Update, layout: SlotLayout) -> int:
 
 
 def test_neighbours_follow_each_other_which_takes_fewer_bytes() -> None:
-    """More of them than are tried at a time, and all of them are there."""
+    """There are more Gaussians than are tried at a time, and all of them are there."""
     count = 3000
     splats = trained_like_splats(count)
     layout = SlotLayout(1, (count,), 0, (Lattice.suiting(splats),), 1)
@@ -135,7 +135,7 @@ def test_neighbours_follow_each_other_which_takes_fewer_bytes() -> None:
         for one in (splats, splats.take(np.arange(count)[::-1]))
     )
     assert not ordered.escaped.any()
-    # Whatever order they are given in.
+    # For any order of the input.
     of_both = [sorted(update.states.positions.tolist()) for update in (ordered, turned)]
     assert of_both[0] == of_both[1]
     shuffle = np.random.default_rng(0).permutation(count)
@@ -146,7 +146,7 @@ def test_neighbours_follow_each_other_which_takes_fewer_bytes() -> None:
 @given(cases(), st.booleans())
 @settings(max_examples=20)
 def test_what_is_hidden_is_left_out(case: Case, exact: bool) -> None:
-    """As of slices that a reader gives, which have a row for each slot."""
+    """As for slices of a reader, which have a row for each slot."""
     slice, layout = case
     offsets = np.where(np.arange(len(slice.splats)) % 3, slice.start_offsets, HIDDEN)
     some = Slice(slice.birth, slice.splats, offsets.astype(np.uint8))

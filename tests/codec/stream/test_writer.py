@@ -1,4 +1,4 @@
-"""What a writer refuses, and what it goes on with after it was stopped."""
+"""Slices that a writer refuses, and its resumption after a stop."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_after_a_short_segment_nothing_follows(tmp_path: Path) -> None:
     path = tmp_path / "s"
     write_tiny(path, 6)
     live = replace(StreamReader(path).manifest, live=True)
-    # Killed after the last record, before the manifest said that the stream is finished.
+    # Killed after the last record, before the manifest was marked as finished.
     (path / "manifest.json").write_bytes(live.to_json())
     with StreamWriter.resume(path) as writer:
         assert (writer.next_birth, writer.complete) == (6, True)
@@ -73,7 +73,7 @@ def test_after_a_short_segment_nothing_follows(tmp_path: Path) -> None:
 
 
 def too_late(birth: int) -> Slice:
-    """A slice that is refused when it is encoded: a Gaussian never starts."""
+    """A slice that the encoder refuses: one of its Gaussians never starts."""
     slice = tiny_slice(birth)
     return replace(slice, start_offsets=slice.start_offsets + np.uint8(3))
 

@@ -1,4 +1,4 @@
-"""swings-stream verify says which byte of which file is the first that may be wrong."""
+"""swings-stream verify reports the first byte, and its file, that may be wrong."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def updates(tmp_path: Path) -> Path:
 
 
 def found(stream: Path, name: str) -> CodecError:
-    """The error of verify, which names `name` and the byte that it carries."""
+    """The error of verify; its message contains `name` and its byte."""
     with pytest.raises(CodecError) as caught:
         verify_stream(stream)
     message = str(caught.value)
@@ -61,7 +61,7 @@ def found(stream: Path, name: str) -> CodecError:
 
 
 def fields(data: bytes) -> list[int]:
-    """Where the parts of an object begin that are checked as one: fields, then packets; its end."""
+    """Beginnings of an object's parts that are checked as one: fields, packets; and its end."""
     entries = read_object_table(data)
     table = [20 + 12 * n + field for n in range(len(entries)) for field in (0, 4, 8)]
     return [0, 4, 8, 12, 13, 14, 16, *table, *(entry.offset for entry in entries), len(data)]
@@ -78,8 +78,8 @@ def test_an_altered_byte_of_an_object_is_found_in_its_field_or_packet(
     path = stream / name
     data = path.read_bytes()
     parts = list(pairwise(fields(data)))
-    # Each contradicts one before it: the count the length of the table, an offset the size of the
-    # packet before, a birth the one before.
+    # Each contradicts an earlier value: the count the length of the table, an offset the size of
+    # the previous packet, a birth the previous one.
     slack_bytes = 12
     unplaced = 0
     every = 7
@@ -94,7 +94,7 @@ def test_an_altered_byte_of_an_object_is_found_in_its_field_or_packet(
         begin, end = next((a, b) for a, b in parts if a <= place < b)
         in_table = end <= parts[-2][0] and place < read_object_table(data)[0].offset
         assert begin - (slack_bytes if in_table else 0) <= error.at <= place < end
-    # A decoder overlooks a bit or two of a frame's header; nothing then says which.
+    # A decoder ignores a bit or two of a frame's header; then the place is unknown.
     assert unplaced <= 0.01 * 3 * len(data) / every
 
 
@@ -168,7 +168,7 @@ def test_the_index_of_a_finished_stream_has_no_torn_end(stream: Path, torn: byte
     error = found(stream, "index.bin")
     assert error.at == len(data)
     assert f"{len(torn)} bytes after the last whole record of a finished stream" in str(error)
-    # A writer may be at it, or may go on.
+    # A writer may be active, or may continue.
     live = StreamReader(stream).manifest.with_live(True)
     (stream / "manifest.json").write_bytes(live.to_json())
     if len(torn) <= RECORD_BYTES:
@@ -191,7 +191,7 @@ def test_where_the_manifest_stops_being_json(
     path.write_bytes(change(path.read_bytes()))
     error = found(stream, "manifest.json")
     assert error.at is not None
-    # What is cut off inside a token is noticed at its beginning.
+    # A token that is cut off is noticed at its beginning.
     assert at - 20 <= error.at <= at
 
 
@@ -219,7 +219,7 @@ def test_what_hides_behind_the_last_chunk(stream: Path, part: Part) -> None:
 
 
 def test_the_slice_born_at_0_is_in_the_snapshots_alone(stream: Path) -> None:
-    """A mask of birth 0 that says more than kept is read by a checker only."""
+    """Only a checker reads a mask of birth 0 that has other statuses than kept."""
     layout = StreamReader(stream).manifest.slot_layout
     history = np.zeros(layout.num_slots, np.uint8)
     kept, ended = (
@@ -309,7 +309,7 @@ def test_an_altered_folder_gives_one_line_that_names_the_file(
         verify_stream(stream)
     message = str(caught.value)
     assert str(stream) in message
-    # A manifest that contradicts the rest shows in whichever file is compared with it first.
+    # A contradictory manifest is reported at the first file that is compared with it.
     assert name.split("/")[0] in message or name == "manifest.json"
     assert "\n" not in message
 

@@ -1,4 +1,4 @@
-"""`import codec` opens a stream from a string and gives any frame as arrays."""
+"""`import codec` opens a stream from a string and returns any frame as arrays."""
 
 from __future__ import annotations
 

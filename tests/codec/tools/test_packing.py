@@ -31,7 +31,7 @@ PNG = b"\x89PNG\r\n\x1a\n" + bytes(range(200))
 
 @pytest.fixture
 def stream(tmp_path: Path) -> Path:
-    """A stream of three segments with pictures, one of them in a folder with another alphabet."""
+    """A stream of three segments with pictures, one in a folder whose name is not ASCII."""
     path = tmp_path / "s"
     write_tiny(path, 10)
     manifest = replace(StreamReader(path).manifest, poster="bild/größe.png", storyboard="t.png")
@@ -52,7 +52,7 @@ def test_packing_and_unpacking_loses_nothing(stream: Path, tmp_path: Path) -> No
     pack_stream(packed, tmp_path / "three.swings")
     for other in ("two", "three"):
         assert (tmp_path / f"{other}.swings").read_bytes() == packed.read_bytes()
-    # Any ZIP program takes it for what it is.
+    # ZIP programs accept it as an archive.
     with ZipFile(packed) as archive:
         assert archive.testzip() is None
         archive.extractall(tmp_path / "unzipped")
@@ -83,7 +83,7 @@ def test_sound_and_captions_are_packed_and_unpacked(stream: Path, tmp_path: Path
         assert {*archive.namelist()} == {*files_of(stream), ".tracks"}
         for name in archive.namelist():
             assert storage.read(name, 1 << 20) == archive.read(name)
-    # A size in the table that lies is found: by the size of the file, or by the headers.
+    # A wrong size in the table is found: by the size of the file, or by the headers.
     at, size = storage.layout.find(".tracks") or (0, 0)
     assert size == 4 * (2 + 2 * 3)
     whole = packed.read_bytes()
@@ -125,7 +125,7 @@ def test_a_packed_stream_in_an_object_store(stream: Path, tmp_path: Path) -> Non
 
 
 def verify_whole(packed: Path) -> None:
-    """As `verify_stream` does, but for what is in the chunks: their hashes are enough here."""
+    """Like `verify_stream`, without the contents of chunks: their hashes are enough here."""
     reader = StreamReader(packed)
     for record in reader.records:
         for part in reader.manifest.parts:

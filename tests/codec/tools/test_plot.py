@@ -1,4 +1,4 @@
-"""swings-stream info --plot: the numbers that are drawn, and a picture that appears whole."""
+"""swings-stream info --plot: the plotted numbers, and a picture that is written atomically."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ WHITE = (255, 255, 255)
 
 @pytest.fixture(scope="module")
 def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six frames in two segments, whose quality is not known."""
+    """A stream of six frames in two segments of unknown quality."""
     path = tmp_path_factory.mktemp("plot") / "stream"
     write_tiny(path, 6)
     return path
 
 
 def write_scored(path: Path, manifest: Manifest, scores_db: Sequence[tuple[float, ...]]) -> Path:
-    """A stream whose frame n has the quality `scores_db[n]`."""
+    """Writes a stream whose frame n has the quality `scores_db[n]`."""
     with StreamWriter.create(
         path,
         manifest,
@@ -50,7 +50,7 @@ def pixels(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
 
 
 def columns_of(drawn: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], colour: str) -> list[int]:
-    """Columns of the picture in which `colour` is."""
+    """Columns of the picture that contain `colour`."""
     rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
     return list(np.flatnonzero((drawn == rgb).all(axis=2).any(axis=0)))
 

@@ -1,4 +1,4 @@
-"""Updates come back from the files as they were written."""
+"""Updates read back from files equal the written ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""swings-stream info of a stream whose slots last: counts, bytes, and the picture of them."""
+"""swings-stream info for a stream whose slots last: counts, bytes, and their plot."""
 
 from __future__ import annotations
 

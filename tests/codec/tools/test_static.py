@@ -90,7 +90,7 @@ def test_an_entropy_coder_is_told_the_same_edges_as_at_first(layout: SlotLayout)
         if update.birth % layout.segment_frames == 0:
             chunks += [(Kind.SNAPSHOT, chunk) for chunk in encoder.snapshots()]
         for kind, chunk in chunks:
-            if not chunk.data:  # nothing changes, and there is no packet
+            if not chunk.data:  # without changes there is no packet
                 continue
             if kind is Kind.PASSING:
                 again = passing_elsewhere(layout, chunk.data, chunk.birth)
@@ -106,7 +106,7 @@ def test_only_what_a_plain_host_needs_is_there(folder: Path) -> None:
     parts = StreamReader(out).manifest.parts
     objects = {str(path.relative_to(out / "segments")) for path in out.glob("segments/*/*")}
     assert objects == {f"{segment}/{part}" for segment in range(3) for part in parts}
-    # Readable by the user that a web server runs as, as far as the one who exports wants it.
+    # A web server can read it if the permissions of the source allow that.
     assert out.stat().st_mode == (folder / "original").stat().st_mode
 
 

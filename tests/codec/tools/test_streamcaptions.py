@@ -107,7 +107,7 @@ def test_they_are_exported_packed_edited_and_served_but_not_cut(
     assert (tmp_path / "dark" / "captions-en.vtt").read_text() == VTT
     said = run_ok("swings-stream", "edit", "trim", stream, tmp_path / "cut", "--frames", "2:8")
     assert "captions     left out" in str(said)
-    (stream / "captions-fr.vtt").write_text(VTT)  # which the manifest does not name
+    (stream / "captions-fr.vtt").write_text(VTT)  # the manifest does not name it
 
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         async with client.get("/v1/streams/s/captions-en.vtt") as answer:

@@ -129,8 +129,8 @@ def test_any_changed_byte_is_found(stream: Path, tmp_path: Path) -> None:
 
 
 def played(path: Path, codec: str, video: bool, late_s: float = 0.0) -> None:
-    """A file of half a second of a stereo tone of 1 kHz that begins 100 ms in. late_s: when the
-    sound's own first sample is due."""
+    """Writes a file of half a second with a stereo tone of 1 kHz from 100 ms on. late_s: time of
+    the sound's first sample."""
     tone = (12000 * np.sin(np.arange(24000) * 2 * np.pi / 48)).astype(np.int16)
     tone[:4800] = 0
     with av.open(str(path), "w") as out:
