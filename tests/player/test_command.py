@@ -1,4 +1,4 @@
-"""swings-play from end to end: files out, exit codes, one line for what is wrong."""
+"""swings-play from end to end: output files, exit codes, and one line per error."""
 
 from __future__ import annotations
 
@@ -85,13 +85,13 @@ def test_a_folder_into_a_video_with_a_report(library: Path, tmp_path: Path) -> N
     assert totals["mean_layers"] == 2
     assert totals["link_bytes"] is None
     assert (totals["plays"], totals["undrawn_frames"], told["interrupted"]) == (1, 0, False)
-    # A folder is drawn as fast as it can be, and not when frames are due.
+    # A folder is drawn as fast as possible, not when frames are due.
     drawn_s = [f["drawn_s"] for f in told["frames"]]
     assert drawn_s == sorted(drawn_s)
     assert [one["birth"] for one in told["arrivals"]] == [None, *range(1, 13)]
     assert told["arrivals"][0]["snapshot_frame"] == 0
     assert sum(one["bytes"] for one in told["arrivals"]) == totals["bytes"]
-    assert told["rates"] == []  # nothing came over a network
+    assert told["rates"] == []  # no network is involved
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.mp4", "report.json"]
 
 
@@ -127,7 +127,7 @@ def test_every_source_draws_the_same_frames(
 def test_a_capture_of_a_served_stream_is_that_of_its_folder(
     library: Path, server: ServerProcess, tmp_path: Path
 ) -> None:
-    """A server that chooses by what comes in time would begin with fewer layers."""
+    """An adaptive play from a server would start with fewer layers."""
     layers = StreamReader(library / "one").manifest.num_layers
     for name, source in (("folder", str(library / "one")), ("served", server.url)):
         config = PlayConfig(source, capture=tmp_path / name, renderer=CPU, loop=2)
@@ -146,7 +146,7 @@ def test_a_slow_link_shows_fewer_layers_and_the_report_names_them(
     server: ServerProcess, tmp_path: Path
 ) -> None:
     report = tmp_path / "report.json"
-    # Layer 0 alone comes in time.
+    # Only layer 0 arrives in time.
     link = read_link("300k,5ms")
     play(PlayConfig(server.url, capture=tmp_path / "out", renderer=CPU, link=link, report=report))
     told = json.loads(report.read_text())
@@ -267,7 +267,7 @@ def test_options_that_are_wrong_for_any_stream(
 
 
 def parsed(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> PlayConfig:
-    """What swings-play would play."""
+    """The configuration that swings-play would play."""
     configs: list[PlayConfig] = []
     monkeypatch.setattr(sys, "argv", ["swings-play", *arguments])
     monkeypatch.setattr("player.__main__.run", configs.append)

@@ -1,4 +1,4 @@
-"""docs/FORMATS.md: its commands run as they stand there, and its figures are what is measured."""
+"""docs/FORMATS.md: its commands run as written, and its figures match measurements."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def figure() -> Splats:
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """What a format made of Gaussians."""
+    """Gaussians after a round trip through a format."""
 
     bytes_each: float
     back: Splats
@@ -89,7 +89,7 @@ def kept(splats: Splats, name: str) -> Kept:
 
 
 def in_order(found: Splats, wanted: Splats) -> Splats:
-    """`found` in the order of `wanted`: nearest by place, size and colour."""
+    """`found` in the order of `wanted`, matched by place, size and colour."""
 
     def features(splats: Splats) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
         place = np.sign(splats.means) * np.log1p(np.abs(splats.means))
@@ -101,8 +101,8 @@ def in_order(found: Splats, wanted: Splats) -> Splats:
 
 
 def largest_errors(found: Splats, wanted: Splats, format: SplatFormat) -> list[float]:
-    """Of position, ln size, rotation, opacity, f_dc and harmonics, where nothing is clipped; NaN
-    for none."""
+    """Largest errors of position, ln size, rotation, opacity, f_dc and harmonics, where nothing is
+    clipped; NaN without harmonics."""
     away = np.abs(found.means - wanted.means) / (1 + np.abs(wanted.means))
     sizes, colours = wanted.log_scales, wanted.sh[:, 0]
     kept_sizes = (sizes >= -10) & (sizes <= 5.9) | (format is not SplatFormat.SPZ)
@@ -121,7 +121,7 @@ def largest_errors(found: Splats, wanted: Splats, format: SplatFormat) -> list[f
 
 
 def agrees(said: str, measured: float) -> bool:
-    """Whether a cell holds what was measured: no less, and not much more."""
+    """Whether a cell matches the measured value: not less, and not much more."""
     if said in ("none", "exact"):
         return math.isnan(measured) or math.isinf(measured)
     return measured <= float(said) <= max(1.5 * measured, 1e-6)
@@ -166,7 +166,7 @@ def test_the_sizes_and_pictures_of_the_figure(name: str) -> None:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With model.sog and my-frames, in which each frame has another format."""
+    """A folder with model.sog and my-frames; each frame has another format."""
     root = tmp_path_factory.mktemp("page")
     (root / "my-frames").mkdir()
     write_splats(root / "model.sog", trained_like_splats(60), SplatFormat.SOG)

@@ -1,4 +1,4 @@
-"""Nothing is compiled or loaded any more once the stream has been asked for."""
+"""Nothing is compiled or loaded after the stream has been requested."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a server sees of the emulated link is what it would see of a real one."""
+"""A server sees the emulated link like a real one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.support.suite.starved import Watch
 pytestmark = pytest.mark.realtime
 
 SETTLED_S = 0.4
-"""Seconds after which a play is looked at: the first bytes only find out how fast the link is."""
+"""Seconds after which a play is measured: the first bytes only determine the rate of the link."""
 
 NUM_FRAMES = 130
 SLICE_SIZE = 1600
@@ -64,7 +64,7 @@ def test_nothing_is_acknowledged_before_it_has_passed(megabits: int) -> None:
                         time.sleep(0.001)
                     acked = written - unacked_bytes(connection)
                     passed_bytes = link.capacity_bytes(0, time.monotonic() - began_s - 0.05)
-                    # What the relay's kernel holds was acknowledged: little of the link's time.
+                    # Bytes in the relay's kernel are acknowledged, too; they must be few.
                     assert acked <= passed_bytes + 0.02 * megabits * 1e6 / 8
                 assert acked > 0
 
@@ -96,7 +96,7 @@ def test_small_answers_on_another_connection_take_no_time_of_the_link() -> None:
             assert asking.recv(100).startswith(b"ok")
             sending.join()
     assert answers >= 10
-    # Each of them would have cost a latency.
+    # Each extra round trip would have cost a latency.
     assert took_s == pytest.approx(latency_s + 8 * num_bytes / rate_bps, abs=0.15)
 
 
@@ -107,7 +107,7 @@ class Play:
         noted: Noted = []
 
         class NotingSession(PlaySession):
-            """Notes what it knows whenever it decides."""
+            """Records its state at every decision."""
 
             def decide(self, now_s: float) -> Decision:
                 noted.append((time.monotonic(), self.rate_bps or 0.0, self.queued_bytes))
@@ -141,7 +141,7 @@ class Play:
 @pytest.mark.quiet
 def test_twelve_megabits_read_as_twelve(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     starved = False
-    for _ in range(5):  # other work on the machine takes from what passes
+    for _ in range(5):  # other work on the machine reduces the bytes that pass
         play = Play(root, "12M,20ms", SETTLED_S + 2, monkeypatch)
         told = (play.goodput_bps, play.estimate_bps)
         if all(abs(rate_bps / 12e6 - 1) < 0.05 for rate_bps in told):

@@ -1,5 +1,5 @@
-"""The life of the link's process: it ends with the player, however that ends, and says why it
-cannot go on."""
+"""The life of the link's process: it ends with the player, for every kind of end, and reports why
+it cannot continue."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def is_gone(pid: int) -> bool:
         os.kill(pid, 0)
     except ProcessLookupError:
         return True
-    # Nobody may have waited for it yet.
+    # Its parent may not have waited for it yet.
     with open(f"/proc/{pid}/stat") as file:
         return file.read().rpartition(")")[2].split()[0] == "Z"
 
@@ -61,7 +61,7 @@ def test_it_ends_with_whoever_started_it(number: signal.Signals) -> None:
 
 def test_ctrl_c_is_for_the_player_alone() -> None:
     with LinkProcess(LINK, "127.0.0.1", 9) as relay:
-        # A terminal sends it to a whole group.
+        # A terminal sends the signal to a whole group.
         assert os.getpgid(relay.pid) != os.getpgrp()
         assert relay.down_bytes == 0
         assert relay.began_s is None

@@ -1,4 +1,4 @@
-"""Links as the user writes them."""
+"""The syntax of links on the command line."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_bad_trace_is_named(tmp_path: Path) -> None:
 def test_no_more_of_a_file_is_read_than_a_trace_may_hold(tmp_path: Path) -> None:
     trace = tmp_path / "trace.txt"
     with open(trace, "wb") as file:
-        file.truncate(MAX_TRACE_BYTES + 5)  # a hole: it takes no room
+        file.truncate(MAX_TRACE_BYTES + 5)  # a hole, which takes no space
     with pytest.raises(InvalidError, match="more than 64 MiB"):
         read_link(str(trace))
 

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.realtime
 
 
 class Pouring:
-    """Sends zeros to whoever connects: `num_bytes`, or until the connection ends."""
+    """Sends zeros on each connection: `num_bytes`, or until the connection ends."""
 
     def __init__(self, num_bytes: int | None) -> None:
         self._num_bytes = num_bytes
@@ -77,8 +77,9 @@ def drain(address: tuple[str, int]) -> int:
 def takes_s(
     text: str, num_bytes: int, work: Callable[[LinkProcess], object], least_s: float, most_s: float
 ) -> None:
-    """`work` over a link to a server that sends `num_bytes` on each connection: never less, and not
-    more in the best of five tries, for other work on the machine adds time."""
+    """Asserts the time of `work` over a link to a server that sends `num_bytes` per connection. It
+    is never below `least_s`, and at most `most_s` in the best of five tries, because other work on
+    the machine adds time."""
     starved = False
     for _ in range(5):
         with (

@@ -1,4 +1,4 @@
-"""What the hosts of these tests give."""
+"""Files and certificates for the hosts of these tests."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NUM_FRAMES = 6
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With a stream, `s`."""
+    """A folder with a stream, `s`."""
     path = tmp_path_factory.mktemp("host")
     write_stream(path / "s", NUM_FRAMES)
     return path
@@ -22,5 +22,5 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """For localhost, signed by itself, and its key."""
+    """A self-signed certificate for localhost, and its key."""
     return make_certificate(tmp_path_factory.mktemp("tls"))

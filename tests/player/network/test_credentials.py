@@ -1,4 +1,4 @@
-"""The name and password in a URL go to their host, and into no message, report or log."""
+"""Name and password in a URL are sent to their host, and appear in no message, report or log."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.support.commands import run
 from tests.support.hosted_streams import served, static_host
 
 guarded = partial(web_host, login=LOGIN_HEADER)
-"""A static host that lets in who has the password."""
+"""A static host that requires the password."""
 
 
 def assert_hidden(text: str) -> None:

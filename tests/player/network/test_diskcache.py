@@ -1,4 +1,4 @@
-"""The disk cache: bounded, whole files only, what was used longest ago goes first."""
+"""The disk cache: bounded, whole files only, least recently used files are removed first."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TLS that fails says what is wrong, and a host that it refuses is not asked again."""
+"""A TLS failure reports its cause, and the player does not retry a refused host."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_tls_where_plain_http_is_spoken(folder: Path) -> None:
 
 
 def test_plain_http_where_tls_is_spoken(folder: Path, certificate: tuple[Path, Path]) -> None:
-    """By servers of three kinds; the last one answers with an alert, as OpenSSL's own do."""
+    """Servers of three kinds speak TLS; the last one answers with an alert, like OpenSSL."""
     cert, key = certificate
     with (
         closing(Fetcher()) as fetcher,

@@ -1,4 +1,4 @@
-"""Requests over sockets that are kept, cut or given up; answers that are HTTP, and that are not."""
+"""Requests over sockets that are kept, cut or abandoned; valid and invalid HTTP responses."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_one_connection_serves_many_requests() -> None:
     "answers",
     [
         (sized(b"one", "Connection: close\r\n"), sized(b"two")),
-        (sized(b"one"), b"", sized(b"two")),  # closed only when the next request has come
+        (sized(b"one"), b"", sized(b"two")),  # closed only after the next request has arrived
     ],
 )
 def test_a_connection_that_the_host_closed_is_replaced(answers: tuple[bytes, ...]) -> None:
@@ -209,7 +209,7 @@ def test_targets() -> None:
 
 @pytest.fixture
 def without_collector() -> Iterator[None]:
-    """What is forgotten stays open, as it does until a collector happens to run."""
+    """Disables the garbage collector, so that abandoned connections stay open."""
     gc.collect()
     gc.disable()
     yield
@@ -220,7 +220,7 @@ def without_collector() -> Iterator[None]:
 @pytest.mark.parametrize("host", ["http://127.0.0.1", "http://localhost", "https://127.0.0.1"])
 @pytest.mark.parametrize("num_turns", range(8))
 def test_a_connection_that_is_given_up_is_closed(host: str, num_turns: int) -> None:
-    """A host would wait for its request as long as it waits for anybody's."""
+    """Otherwise a host would wait for its request until its timeout."""
     with closing(socket.create_server(("127.0.0.1", 0))) as listener:
         target = Target.of(f"{host}:{listener.getsockname()[1]}/")
         give_up_after(num_turns, target)
@@ -228,23 +228,23 @@ def test_a_connection_that_is_given_up_is_closed(host: str, num_turns: int) -> N
         try:
             connection, _ = listener.accept()
         except TimeoutError:
-            return  # given up before there was one
+            return  # abandoned before the connection
         with connection:
             connection.settimeout(5)
             with suppress(ConnectionResetError):
-                while connection.recv(65536):  # the request, where it was sent
+                while connection.recv(65536):  # the request, if it was sent
                     pass
 
 
 def give_up_after(num_turns: int, target: Target) -> None:
-    """Cancels a request after so many turns of a loop, which then turns once more."""
+    """Cancels a request after `num_turns` turns of a loop, which then turns once more."""
     pool = HttpPool(5)
     request = pool.loop.create_task(pool.request("GET", target, {}))
     for _ in range(num_turns):
         pool.loop.run_until_complete(asyncio.sleep(0))
-        time.sleep(0.002)  # for the kernel, and for the thread that looks up the name
+        time.sleep(0.002)  # time for the kernel, and for the thread that resolves the name
     request.cancel()
     with suppress(asyncio.CancelledError):
         pool.loop.run_until_complete(request)
     pool.loop.run_until_complete(asyncio.sleep(0))
-    pool.loop.close()  # without closing the pool, which would close what is forgotten
+    pool.loop.close()  # without closing the pool, which would close abandoned connections

@@ -29,7 +29,7 @@ from tests.support.hosted_streams import static_host
 
 @pytest.fixture(autouse=True)
 def environment(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
-    """Without any proxy."""
+    """The environment without any proxy."""
     for name in ("http", "https", "all", "no"):
         monkeypatch.delenv(f"{name}_proxy", raising=False)
         monkeypatch.delenv(f"{name}_proxy".upper(), raising=False)
@@ -39,7 +39,7 @@ def environment(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]
 
 @contextmanager
 def proxy(environment: pytest.MonkeyPatch, variable: str, refusal: int = 0) -> Iterator[WebHost]:
-    """A proxy that `variable` names."""
+    """A proxy, named in the environment variable `variable`."""
     with web_host(Path("/nowhere")) as host:
         host.refusal = refusal
         environment.setenv(variable, f"http://{PROXY_LOGIN}@127.0.0.1:{host.server_port}")

@@ -1,4 +1,4 @@
-"""Patience with a server that fails: for a time, not for a count."""
+"""Retries of a failing server: limited by time, not by number."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_tries_become_rarer() -> None:
 
 
 ROUND = st.tuples(st.floats(0, 1), st.floats(0, 20), st.none() | st.floats(0, 1e9))
-"""Chance, seconds that a try takes, and what the server asks for."""
+"""Random share, seconds that a try takes, and the wait that the server requests."""
 
 
 @given(st.lists(ROUND, min_size=1), st.floats(0, 100))
@@ -39,7 +39,7 @@ def test_it_is_tried_for_as_long_as_was_said_and_no_longer(
         nonlocal now_s
         for chance, takes_s, retry_after_s in cycle(rounds):
             now_s += retry.delay_s(BrokenError("x", retry_after_s), now_s, chance)
-            assert now_s <= patience_s * (1 + 1e-12)  # it adds up what is left
+            assert now_s <= patience_s * (1 + 1e-12)  # it sums up the remaining times
             now_s += min(takes_s, max(0.01, patience_s - now_s))
 
     tried = r" \(tried for \S+ s, \d+ times\)" if patience_s else ""
@@ -51,7 +51,7 @@ def test_it_is_tried_for_as_long_as_was_said_and_no_longer(
 def test_a_server_that_asks_for_time_gets_it() -> None:
     retry = Retry(RetryConfig(60))
     assert retry.delay_s(BrokenError("x", 5.0), 0.0, 0.5) == 5.0
-    # But no more than there is.
+    # But no more than the time that is left.
     assert retry.delay_s(BrokenError("x", 3600.0), 20.0, 0.5) == 40.0
 
 

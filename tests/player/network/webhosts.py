@@ -1,5 +1,5 @@
-"""Hosts on this machine: one with scripted answers, and one with files, a password, TLS, or as a
-proxy."""
+"""Hosts on this machine: one with scripted responses, and one with files, which may need a
+password, use TLS or act as a proxy."""
 
 from __future__ import annotations
 
@@ -99,23 +99,23 @@ def script(*answers: bytes) -> closing[ScriptedHost]:
 
 
 class WebHost(ThreadingHTTPServer):
-    """Gives the files of a folder, and passes on what is asked of it as a proxy."""
+    """Serves the files of a folder, and forwards requests as a proxy."""
 
     def __init__(self, folder: Path, login: str | None) -> None:
         super().__init__(("127.0.0.1", 0), partial(WebHandler, directory=str(folder)))
         self.login = login
-        """The Authorization that files need; None for none."""
+        """Authorization that files require; None for none."""
         self.moved_to = ""
-        """Where redirects lead, in place of files."""
+        """Target of redirects, which replace files; empty for none."""
         self.refusal = 0
-        """The status of every answer; 0 for none."""
+        """Status of every response; 0 for no refusal."""
         self.requests: list[tuple[str, str]] = []
         """The method and target of each request."""
         self.logins: list[str | None] = []
         """The Authorization of each request."""
         self.proxy_logins: set[str | None] = set()
         self.tunnelled = b""
-        """All bytes of tunnels from their clients."""
+        """All bytes that clients sent through tunnels."""
         self.num_connections = self.num_open = 0
 
     def get_request(self) -> tuple[socket.socket, object]:
@@ -123,7 +123,7 @@ class WebHost(ThreadingHTTPServer):
         return super().get_request()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Of TLS that a client refuses."""
+        """Ignores errors from clients that refuse the TLS handshake."""
 
 
 class WebHandler(SimpleHTTPRequestHandler):
@@ -203,7 +203,7 @@ class WebHandler(SimpleHTTPRequestHandler):
 def web_host(
     folder: Path, certificate: tuple[Path, Path] | None = None, login: str | None = None
 ) -> Iterator[WebHost]:
-    """certificate: for TLS, with its key."""
+    """Runs a WebHost. certificate: enables TLS, with its key."""
     server = WebHost(folder, login)
     if certificate is not None:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)

@@ -1,5 +1,5 @@
-"""The order in which objects and packets arrive does not matter: what a player holds in the end is
-what a plain reader holds that was given the same in the order of births."""
+"""The order of arrival of objects and packets does not matter: the final state of a player equals
+that of a plain reader that gets the same data in order of birth."""
 
 from __future__ import annotations
 

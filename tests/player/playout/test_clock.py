@@ -1,4 +1,4 @@
-"""The clock of a playback: stopped, slowed down, sped up, by a fake time of the world."""
+"""The clock of a playback: stopped, slowed down and sped up, with a fake real time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from player.playout.clock import MAX_RATE, MIN_RATE, Clock
 
 
 class World:
-    """Its time."""
+    """A fake real time."""
 
     now_s = 100.0
 

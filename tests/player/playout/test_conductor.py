@@ -37,14 +37,14 @@ AT_ONCE = PlayoutConfig(start_lead_s=0, resume_lead_s=0)
 
 
 class Played:
-    """A stream that is conducted, and what was polled of it."""
+    """A stream under a conductor, and the records polled so far."""
 
     def __init__(self, path: Path, clock: Clock, plays: float, first: int = 0) -> None:
         self.path = path
         self.opened: list[int] = []
         self.records: list[FrameRecord] = []
         self.fails: SwingsError | None = None
-        self.open_s = 0.0  # what it takes
+        self.open_s = 0.0  # time that opening takes
         self.smoothing = Smoothing()
         self.conductor = Conductor(
             self.open_at, self.make_events, clock, first, plays, smoothing=self.smoothing
@@ -110,7 +110,7 @@ def conducted(
 
 @pytest.fixture(scope="module", params=[1, 2])
 def stream(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of either version, 40 frames."""
+    """A stream of 40 frames, of either kind."""
     path = tmp_path_factory.mktemp("conducted") / "s"
     if request.param == 1:
         return write_stream(path, 40)
@@ -119,7 +119,7 @@ def stream(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 
 
 def picture(path: Path, frame: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """The frame as it shows when one begins with it."""
+    """The picture of a frame in a play that begins with it."""
     with conducted(path, first=frame, real=True, paused=True) as (played, renderer):
         played.shows(frame)
         manifest = played.conductor.source.manifest
@@ -156,7 +156,7 @@ def test_steps_show_each_frame_once_both_ways_and_time_stands(stream: Path) -> N
         for frame in (11, 12, 13):
             conductor.step(1)
             played.shows(frame)
-        assert played.opened == [10]  # what is here is not asked for again
+        assert played.opened == [10]  # received data is not requested again
         for frame in (12, 11, 10):
             conductor.step(-1)
             played.shows(frame)
@@ -187,7 +187,7 @@ def test_skips_add_up_while_the_first_of_them_is_on_its_way(stream: Path) -> Non
                 time.sleep(0.01)
                 assert conductor.state().frame == 10 * n
                 assert conductor.state().seeking
-                # What shows meanwhile may be asked of the stream at any moment.
+                # The shown source can be queried at any moment.
                 assert conductor.source.manifest.fps == FPS
         conductor.step(-1)
         played.shows(29)
@@ -236,7 +236,7 @@ def test_a_loop_neither_drifts_nor_skips_and_ends_when_told(stream: Path) -> Non
 def test_a_loop_that_is_left_ends_at_the_end(stream: Path) -> None:
     with conducted(stream, real=True, plays=math.inf, first=20) as (played, _):
         played.shows(20)
-        # All of the stream is here: the next play is asked for.
+        # The whole stream has arrived, so the next play is requested.
         played.poll_until(lambda: played.opened == [20, 20])
         played.conductor.toggle_loop()
         played.shows(39)
@@ -283,7 +283,7 @@ def test_it_can_be_closed_before_anything_shows(stream: Path) -> None:
 
 
 def blocks_with_full_queues() -> int:
-    """The blocks that the interpreter has allocated when nobody has polled for a while."""
+    """Memory blocks of the interpreter after a while without polling."""
     before = 0
     while True:
         gc.collect()
@@ -295,7 +295,7 @@ def blocks_with_full_queues() -> int:
 
 
 def test_an_endless_loop_takes_no_more_with_time(tmp_path: Path) -> None:
-    """At the speed of the machine: no frame waits until it is due."""
+    """The loop runs at the speed of the machine: no frame waits until it is due."""
     num_frames, marks = 500, (2_000, 12_000)
     path = write_stream(tmp_path / "s", num_frames)
     expected = itertools.cycle(range(num_frames))
@@ -311,7 +311,7 @@ def test_an_endless_loop_takes_no_more_with_time(tmp_path: Path) -> None:
                 assert record.shown_s == pytest.approx(first_s + shown / FPS, abs=1e-3)
                 shown += 1
                 if shown in marks:
-                    # Not the memory of the process, which the tests before this one made large.
+                    # Not the memory of the process, which earlier tests have enlarged.
                     blocks.append(blocks_with_full_queues())
     grown = blocks[1] - blocks[0]
     assert grown < (marks[1] - marks[0]) // 20, f"{grown} objects more: {blocks}"
@@ -391,7 +391,7 @@ def test_sound_is_drawn_as_late_as_the_pictures_between_frames(tmp_path: Path) -
             return sought and newest.play > 3 and newest.frame >= 36
 
         played.poll_until(look)
-    # A picture stands until it is followed by motion; in a loop the end is heard meanwhile.
+    # A picture stands until motion follows; in a loop the end is reported meanwhile.
     assert stood == {30, 32}
     assert 30 not in compared.get(0, ())
     assert 32 not in compared.get(-1, ())

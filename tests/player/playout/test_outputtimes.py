@@ -1,4 +1,4 @@
-"""The pictures of a film: all there are, each at its time, for any rates."""
+"""The pictures of a film: all of them, each at its time, for any rates."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_rates_are_those_of_films() -> None:
 def drawn(
     stream_fps: float, fps: float, interpolates: bool, plays: list[int]
 ) -> list[tuple[int, Picture]]:
-    """All pictures of plays with these numbers of frames, each with the frame uploaded for it."""
+    """Pictures of plays with these numbers of frames, each with the frame uploaded for it."""
     times, found, frame = OutputTimes(stream_fps, fps, interpolates), list[tuple[int, Picture]](), 0
     for count in plays:
         for _ in range(count):
@@ -47,7 +47,7 @@ def test_each_picture_is_drawn_once_at_its_time(
         if interpolates and not (frame in ends and picture.position > frame):
             assert 0 < picture.share <= 1
             assert shown == pytest.approx(float(picture.position), abs=1e-9)
-        else:  # the frame before stands
+        else:  # the previous frame stays
             assert picture.share == 1
             assert frame == picture.position // 1
     after_last = Fraction(len(found)) * exact_rate(stream_fps) / exact_rate(fps)

@@ -1,4 +1,4 @@
-"""The threads of Algorithm 2: in order, bounded, and down together."""
+"""The threads of Algorithm 2: in order, with bounded queues, and ending together."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ AT_ONCE = PlayoutConfig(start_lead_s=0, resume_lead_s=0)
 
 
 def packets_of_frames(count: int) -> list[Packets]:
-    """Layer 0 of frames 0 to count-1: of the first a snapshot, of the others their slices."""
+    """Layer 0 of frames 0 to count-1: a snapshot for the first, slices for the others."""
     with tempfile.TemporaryDirectory() as folder:
         path = write_stream(Path(folder) / "s", count, 4, 0)
         return list(DirectorySource(path, FrameRange(), 1).packets())
@@ -52,7 +52,7 @@ def playout_of(fps: float, queue: QueueConfig | None = None) -> Playout:
 
 
 class ListSource:
-    """Packets from a list, then an error if there is one, or endless silence."""
+    """Packets from a list, then an error if there is one, else nothing forever."""
 
     def __init__(
         self,
@@ -99,7 +99,7 @@ class ListSource:
 
 
 class NotingRenderer:
-    """Notes what was put before each frame was drawn."""
+    """Records the slices that were put before each drawn frame."""
 
     name = "notes"
     uploaded_bytes = 0
@@ -170,7 +170,7 @@ def test_a_capture_draws_every_frame_once_in_order_with_its_slices() -> None:
     assert [record.frame for record in shown] == list(range(30))
     assert renderer.births == list(range(1 - SWIN_SIZE, 30))
     assert [frame for frame, _ in renderer.drawn] == list(range(30))
-    # Slices may be there a little early, never late.
+    # Slices may arrive slightly early, never late.
     assert all(frame <= last <= frame + 3 for frame, last in renderer.drawn)
     assert no_threads_left()
 
@@ -188,7 +188,7 @@ def test_a_slow_drawer_holds_the_stream_back_and_is_not_a_stall() -> None:
     # The machine draws 50 frames a second, the stream has 1000.
     shown, events = run(source, renderer, fps=1000.0, queue=QueueConfig(max_frames=3))
     assert len(shown) == 20
-    # Queue 3, on their way to the renderer 3, in the hand of the receiver 1.
+    # 3 in the queue, 3 on their way to the renderer, 1 in the receiver.
     assert max(ahead) <= 8
     assert events.totals.most_frames_waiting <= 3
     assert events.totals.stalled_s < 0.1
@@ -292,7 +292,7 @@ def test_who_sends_is_told_of_a_full_queue_and_of_a_pause() -> None:
     clock = Clock(real=True)
     events = Events(playout_of(1e-3, QueueConfig(max_frames=3)), clock)
     with Threads(source, events):
-        # By the time line frame 0 shows, though nobody has taken it.
+        # On the time line frame 0 shows, although no thread has taken it.
         heard(lambda one: one == ClientStatus(1, 2000.0, busy=True))
         assert events.wait_for_frame() is not None
         pause(events, clock)

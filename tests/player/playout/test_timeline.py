@@ -1,4 +1,4 @@
-"""The playout time line as mathematics."""
+"""Mathematics of the playout time line."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def playout_of(
 def played(
     arrivals_s: list[float], first: int, segment_frames: int, fps: float
 ) -> tuple[list[FrameRecord], Playout]:
-    """Pushes packets at each time, takes every frame as soon as there is one."""
+    """Pushes packets at each time, and takes every frame as soon as it is due."""
     playout = playout_of(segment_frames, fps, first)
     records = []
     for arrival_s, one in zip(arrivals_s, sent(first, segment_frames), strict=False):
@@ -80,7 +80,7 @@ def test_no_frame_shows_before_its_slices_or_out_of_turn(
     assert [r.frame for r in records] == list(range(first, first + len(complete)))
     for record, complete_s in zip(records, complete, strict=True):
         assert record.shown_s >= complete_s - EPSILON_S
-        # Either on time, or at the very moment when the last slice came.
+        # Either on time, or at the moment when the last slice arrived.
         assert record.shown_s == (complete_s if record.late else record.due_s)
     for before, after in itertools.pairwise(records):
         assert after.due_s == pytest.approx(before.shown_s + 1 / fps, abs=EPSILON_S)

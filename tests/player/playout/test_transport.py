@@ -1,4 +1,4 @@
-"""Where seeking, skipping, looping and the end lead."""
+"""Targets of seeking, skipping and looping, and behaviour at the end."""
 
 from __future__ import annotations
 

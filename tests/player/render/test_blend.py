@@ -1,4 +1,4 @@
-"""What one Gaussian does to one row of pixels, function by function."""
+"""Effect of one Gaussian on one row of pixels, function by function."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_rows_are_hit_where_the_ellipse_reaches_them() -> None:
     rng = np.random.default_rng(0)
     empty, full = 0, 0
     for _ in range(2000):
-        # Conics of needles and discs, tiles beside them and on them.
+        # Conics of needles and discs, with tiles on them and outside.
         angle, (long_px, short_px) = rng.uniform(0, np.pi), rng.uniform(0.4, 9, 2)
         axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         conic = axes.T @ np.diag([long_px**-2, short_px**-2]) @ axes
@@ -36,12 +36,12 @@ def test_rows_are_hit_where_the_ellipse_reaches_them() -> None:
         first, end = rows_hit(F(a), F(b), F(c), F(q_max), F(left), F(top))
         for row in range(TILE_PX):
             dy = top + row
-            # The nearest that the row's pixel centres, and their line, come to the centre.
+            # Minimum distances of the row's pixel centres, and of their line, to the centre.
             dx = left + np.arange(TILE_PX)
             outside = (0.5 * (a * dx**2 + c * dy**2) + b * dx * dy).min() / q_max
             between = np.clip(-b * dy / a, left, left + TILE_PX - 1)
             on_line = (0.5 * (a * between**2 + c * dy**2) + b * between * dy) / q_max
-            # A row is missed only if the line through its centres misses, too.
+            # A row is skipped only if the line through its pixel centres misses, too.
             hit = first <= row < end
             assert hit or outside > 0.999
             assert not hit or on_line < 1.001
@@ -69,9 +69,9 @@ def test_thresholds_of_a_pixel() -> None:
     # Too faint: skipped.
     assert blend_pixel(F(0.7), F(0.99 * ALPHA_MIN))[1:] == (0, F(0.7))
     assert blend_pixel(F(0.7), F(ALPHA_MIN))[1] > 0
-    # Too little left behind it: the pixel ends and gets nothing of it.
+    # Too little transmittance after it: the pixel ends without its contribution.
     seen = F(2 * TRANSMITTANCE_MIN)
     assert blend_pixel(seen, F(0.6))[1:] == (0, 0)
     assert blend_pixel(seen, F(0.4))[1] > 0
-    # An ended pixel stays so.
+    # An ended pixel stays ended.
     assert blend_pixel(F(0), F(0.4))[1:] == (0, 0)

@@ -1,4 +1,4 @@
-"""Colours of every degree against an independent evaluation, and when they are evaluated again."""
+"""Colours of every degree against an independent evaluation, and their re-evaluation."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_the_harmonics_are_those_of_legendre() -> None:
             for n in range(degree - m + 1, degree + m + 1):
                 norm /= n
             wave = np.sin(m * azimuth) if order < 0 else np.cos(m * azimuth)
-            # lpmv has the sign (-1)^m, as 3D Gaussian Splatting has it.
+            # lpmv has the sign (-1)^m, like 3D Gaussian Splatting.
             value = lpmv(m, degree, there[:, 2]) * wave * np.sqrt(norm * (2 if m else 1))
             expected.append(value)
     found = harmonics(torch.tensor(there), 16).numpy()
@@ -73,7 +73,7 @@ def opened(sh_degree: int) -> tuple[CpuRenderer, Slice]:
 
 
 def fresh(whole: Slice, camera: Camera) -> np.ndarray:
-    """The picture of who sees the slice for the first time."""
+    """The picture of a renderer that gets the slice for the first time."""
     return render_splats(whole.splats, camera, 0.2)
 
 
@@ -93,14 +93,14 @@ def test_colours_stay_while_the_camera_hardly_moves() -> None:
     renderer.render(0, here)
     seen = renderer.seen
     shown = seen.seen_from[:, 0] < 1e3
-    assert COUNT / 2 < shown.sum() < COUNT  # the others are beside the picture
+    assert COUNT / 2 < shown.sum() < COUNT  # the others are outside the picture
     distances = np.linalg.norm(whole.splats.means - here.position, axis=1)
     step_m = 0.9 * COLOUR_TURN_RAD * np.median(distances[shown])
     renderer.render(0, shifted(here, step_m))
     kept = (seen.seen_from == here.position.astype(np.float32)).all(1)[shown]
-    # Those for which the step is a larger turn are evaluated anew.
+    # Colours for which the step is a larger turn are evaluated again.
     np.testing.assert_array_equal(kept, step_m <= COLOUR_TURN_RAD * distances[shown])
-    # Steps add up, as each is measured from where a colour was evaluated.
+    # Steps add up, because turns are measured from the place of the last evaluation.
     for n in range(2, 12):
         renderer.render(0, shifted(here, n * step_m))
     turns = np.linalg.norm(seen.seen_from - shifted(here, 11 * step_m).position, axis=1) / distances

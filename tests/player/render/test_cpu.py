@@ -1,4 +1,4 @@
-"""The CPU renderer against the ring that it draws."""
+"""The CPU renderer, compared with the ring that it draws."""
 
 from __future__ import annotations
 

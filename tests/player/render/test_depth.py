@@ -1,4 +1,4 @@
-"""Depth pictures: planes lie where they are, whatever their colours."""
+"""Depth pictures: planes have the correct depth, independent of their colours."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def test_the_front_wall_hides_the_other_one() -> None:
 
 def test_a_pose_moves_depths_and_nothing_has_none() -> None:
     w2c = np.eye(4)
-    w2c[2, 3] = 1.5  # the camera stands back
+    w2c[2, 3] = 1.5  # moves the camera back
     behind = Camera("c", 48, 32, 40, 40, 24, 16, w2c)
     np.testing.assert_allclose(render_depth(wall(3.0, 0.98), behind, NEAR_M), 4.5, rtol=1e-4)
     assert np.isnan(render_depth(wall(0.4, 0.98), CAMERA, NEAR_M)).all()  # before the near plane
-    assert np.isnan(render_depth(wall(3.0, 0.02), CAMERA, NEAR_M)).all()  # hardly there
+    assert np.isnan(render_depth(wall(3.0, 0.02), CAMERA, NEAR_M)).all()  # nearly transparent

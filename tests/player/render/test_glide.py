@@ -31,7 +31,7 @@ from tests.support.slots.trained_updates import trained_like_layout
 
 NUM_FRAMES = 9
 STEP_M = np.array([0.09, 0.03, 0.0], np.float32)
-"""What the body moves in a frame, world."""
+"""Movement of the body per frame, in the world."""
 
 
 def renderers() -> list[object]:
@@ -92,7 +92,7 @@ def test_frames_stay_exact_however_one_glides_between_them(busy: Path, glided: P
             moves = twin.renderer.glide(float(share))
             assert moves == (frame > 0)
             assert not twin.renderer.glide(float(share))
-        if frame % 2:  # else the next upload has to put it right
+        if frame % 2:  # else the next upload has to correct it
             twin.renderer.glide(1.0)
             assert np.array_equal(twin.picture(frame), pictures[-1])
     for frame in range(NUM_FRAMES):
@@ -101,7 +101,7 @@ def test_frames_stay_exact_however_one_glides_between_them(busy: Path, glided: P
 
 
 def write_body(path: Path) -> Splats:
-    """A stream in which a body of one lane moves by STEP_M each frame; gives it at frame 0."""
+    """Writes a stream in which a body of one lane moves by STEP_M per frame; returns frame 0."""
     body = random_splats(50, 0, 3)
     lattice = Lattice.suiting(body)
     layout = SlotLayout(1, (len(body),), 0, (lattice,), 4)
@@ -150,7 +150,7 @@ def test_half_way_it_looks_as_it_would_half_way(
 
 @pytest.fixture(scope="module", params=[0, 3])
 def deforming(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A stream in which all move, and a tenth of the slots is given to others in each frame."""
+    """A stream in which all Gaussians move, and a tenth of the slots gets others in each frame."""
     folder = tmp_path_factory.mktemp("deforming")
     (folder / "seq").mkdir()
     model = Deforming(400, request.param)

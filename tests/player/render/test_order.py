@@ -1,4 +1,4 @@
-"""The visible order against a stable sort by depth."""
+"""The order of visible Gaussians, compared with a stable sort by depth."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_the_order_is_that_of_a_stable_sort_by_depth() -> None:
         shown = (order.starts <= frame) & (order.expires[:, None] > frame)
         shown &= order.expires[:, None] - 3 <= frame
         shown &= np.arange(4000) < order.counts[:, None]
-        # Of equally far ones the last row of the newest slice is the farthest.
+        # Among equal depths the last row of the newest slice is the farthest.
         newest_first = [4000 * ((frame - age) % 3) + np.arange(4000)[::-1] for age in range(3)]
         slots = np.concatenate(newest_first)
         slots = slots[shown.ravel()[slots] & (depths[slots] > 0.5)]
@@ -37,7 +37,7 @@ def test_what_is_kept_goes_on() -> None:
     order = Order(2, 5)
     means = np.zeros((4, 3), np.float32)
     means[:, 2] = 4, 3, 2, 1
-    # Shown, late, never; the last one leaves with the next slice.
+    # Shown, late, never shown; the last one is gone with the next slice.
     order.update_lane(0, 2, means, np.array([0, 9, NEVER, 0], np.int32))
     order.update_lane(0, 4, means[:3], np.array([2, 9, NEVER], np.int32))
 
@@ -54,7 +54,7 @@ def test_what_is_kept_goes_on() -> None:
 
 
 def test_a_lane_does_not_show_before_its_birth() -> None:
-    # One that was kept began long before: after a seek backwards it is not of that time.
+    # A kept Gaussian started long ago, but after a seek backwards it must not show too early.
     order = Order(2, 1)
     order.update_lane(0, 9, np.array([[0, 0, 4]], np.float32), np.zeros(1, np.int32))
     assert [len(order.far_first(frame, np.eye(4), 0.5)) for frame in (6, 7, 8, 9)] == [0, 1, 1, 0]

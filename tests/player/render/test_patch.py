@@ -1,4 +1,4 @@
-"""The rectangles that cover what a slice changes."""
+"""The rectangles that cover the changes of a slice."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_few_rectangles_cover_all_rows(
         assert 0 <= left < right <= columns
         covered[top:bottom, left:right] = True
     assert covered.ravel()[rows].all()
-    # Each edge touches what changes: none could be smaller.
+    # Each edge touches a change, so that no rectangle could be smaller.
     grid = np.zeros_like(covered)
     grid.ravel()[rows] = True
     for top, bottom, left, right in rectangles:
@@ -56,7 +56,7 @@ def test_neighbours_are_written_together_and_no_others() -> None:
     assert of(5, 7 + FIRST_GAP) == [[0, 1, 5, 6], [0, 1, 7 + FIRST_GAP, 8 + FIRST_GAP]]
     # One below the other.
     assert of(5, 512 + 5, 1024 + 6) == [[0, 3, 5, 7]]
-    # From the end of one row to the beginning of the next is far.
+    # The end of one row and the beginning of the next are far apart.
     assert of(511, 512) == [[0, 1, 511, 512], [1, 2, 0, 1]]
     assert of(*range(300, 2100)) == [[0, 1, 300, 512], [1, 4, 0, 512], [4, 5, 0, 52]]
 
@@ -74,7 +74,7 @@ def test_what_is_handed_out_does_not_change() -> None:
     after = [patch.texels for packed in (whole, *parts) for patch in packed.patches]
     for before, texels in zip(handed, after, strict=True):
         np.testing.assert_array_equal(before, texels)
-    # The unchanged ones between go along as they were.
+    # Unchanged texels in between are uploaded unchanged.
     np.testing.assert_array_equal(parts[1].patches[0].texels[0, 4:8], handed[0][0, 4:8])
 
 

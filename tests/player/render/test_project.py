@@ -1,4 +1,4 @@
-"""The camera as the kernels take it."""
+"""The camera in the form of the kernels."""
 
 from __future__ import annotations
 

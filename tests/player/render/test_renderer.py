@@ -1,4 +1,4 @@
-"""Which renderer draws, and what the recipe cannot draw."""
+"""The choice of the renderer, and limits of the recipe."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_what_waits_is_forgotten_and_another_place_is_drawn(renderer: Renderer) 
     put_window(fresh, range(3 - SWIN_SIZE, 4))
     expected = pictures(fresh, range(2, 4))
     fresh.close()
-    # Far ahead, some of it still waiting; then back to before all of that.
+    # Far ahead, with some slices still waiting; then back before all of them.
     put_window(renderer, range(50 - SWIN_SIZE, 52))
     shown = renderer.render(49, CAMERA)
     put_window(renderer, range(52, 56))
@@ -99,7 +99,7 @@ def test_what_follows_a_forgotten_slice_is_refused(renderer: Renderer) -> None:
 
 
 WITHOUT_GL = {**os.environ, "__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent"}
-"""An environment in which libglvnd, where it is, finds no OpenGL."""
+"""An environment in which libglvnd, if present, finds no OpenGL."""
 
 CHOOSE = """
 import logging, sys

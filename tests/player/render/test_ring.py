@@ -1,4 +1,4 @@
-"""The ring of lanes against the stream reader's own idea of a frame."""
+"""The ring of lanes, compared with the frames of the stream reader."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_changes_leave_what_a_plain_replay_leaves(stream: LeasedStream) -> None:
     ring = Ring(stream.swin_size, stream.slice_size, stream.sh_degree)
     for slice in stream.slices:
         ring.put(slice)
-        # Some frames on, the oldest lanes are gone.
+        # Some frames later, the oldest lanes are gone.
         for frame in range(slice.birth, slice.birth + stream.swin_size + 1):
             known = [one for one in stream.slices if one.birth <= slice.birth]
             lanes = replayed(known, frame, stream.swin_size)

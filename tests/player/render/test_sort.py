@@ -1,4 +1,4 @@
-"""The sort by depth against numpy's stable one."""
+"""The sort by depth, compared with numpy's stable sort."""
 
 from __future__ import annotations
 

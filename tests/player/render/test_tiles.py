@@ -1,4 +1,4 @@
-"""Tile lists: a Gaussian is in the lists of the tiles where it shows, and in no others."""
+"""Tile lists: a Gaussian is in the lists of exactly the tiles in which it shows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CAMERA = Camera("c", 200, 120, 150.0, 150.0, 100.0, 60.0, np.eye(4))
 
 
 def some_projection(camera: Camera) -> Projection:
-    """Needles, specks and walls, some behind the camera or beside the picture."""
+    """Needles, specks and walls, some behind the camera or outside the picture."""
     rng = np.random.default_rng(1)
     means = rng.uniform((-3, -2, -0.5), (3, 2, 5), (COUNT, 3)).astype(np.float32)
     log_scales = rng.uniform(-5, -0.5, (COUNT, 3)).astype(np.float32)
@@ -47,7 +47,7 @@ def test_tile_lists_hold_what_shows_and_little_else() -> None:
     tiles = np.repeat(np.arange(tiles_x * tiles_y), np.diff(lists.starts))
     listed = np.zeros((COUNT, tiles_y, tiles_x), bool)
     listed[lists.gaussians, tiles // tiles_x, tiles % tiles_x] = True
-    assert listed.sum() == len(tiles)  # none twice
+    assert listed.sum() == len(tiles)  # without duplicates
 
     y, x = np.mgrid[0 : tiles_y * TILE_PX, 0 : tiles_x * TILE_PX] + 0.5
     shows = np.zeros_like(listed)

@@ -1,4 +1,4 @@
-"""What a report holds: bounded, and sums that come out."""
+"""Contents of a report: bounded, with correct sums."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def test_each_byte_counts_in_the_goodput_of_half_a_second(gaps: list[tuple[float
         journal.received(num_bytes, now_s, now_s + 100)
     rates = journal.rates(None, None)
     assert rates[-1].time_s == pytest.approx(math.floor(now_s * STEPS_PER_S) / 10 + 0.1)
-    # A pause of any length has rates too: 0.
+    # A pause of any length has rates, too: 0.
     assert len(rates) == round((rates[-1].time_s - rates[0].time_s) * STEPS_PER_S) + 1
-    # Every byte is in WINDOW_STEPS moments, but those at the end have no moments behind them yet.
+    # Every byte is in WINDOW_STEPS moments, but the last bytes have no later moments yet.
     told = sum(one.goodput_bps for one in rates) / 8 / STEPS_PER_S
     assert told <= total + 1e-6
     assert rates[0].goodput_bps > 0

@@ -30,7 +30,7 @@ def test_every_frame_goes_through_every_stage(version: GlVersion, stream: Path) 
     found = profile(PlayConfig(str(stream), gl=version))
     assert [one.frame for one in found.frames] == list(range(7))
     assert found.renderer.startswith(f"OpenGL {version}")
-    # The first frame brings a whole window.
+    # The first frame has a whole window of Gaussians.
     assert found.frames[0].new_gs > found.frames[1].new_gs > 0
     assert all(min(one.stages_ms) > 0 for one in found.frames)
 

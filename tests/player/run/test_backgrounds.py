@@ -36,8 +36,8 @@ def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def colours_and_cover(stream: Path) -> tuple[Floats, Floats]:
-    """What the frame shows on black, and how much of each pixel is covered: the picture that white
-    Gaussians make."""
+    """The frame on black, and the coverage of each pixel, which is the picture of white
+    Gaussians."""
     reader = StreamReader(stream)
     splats = reader.active_splats(FRAME, reader.manifest.num_layers)
     white = np.zeros_like(splats.sh)
@@ -45,12 +45,12 @@ def colours_and_cover(stream: Path) -> tuple[Floats, Floats]:
     bare = Splats(*splats.arrays[:-1], white)
     camera, near_m = reader.manifest.camera(None), reader.manifest.near_m
     cover = render_splats(bare, camera, near_m)[..., :1]
-    assert 0.2 < float(cover.mean()) < 0.95  # there is something to tell
+    assert 0.2 < float(cover.mean()) < 0.95  # both extremes are rare
     return render_splats(splats, camera, near_m), cover
 
 
 def before(stream: Path, background: Colour) -> Bytes:
-    """The frame before a background, by hand."""
+    """The frame in front of a background, computed here."""
     colours, cover = colours_and_cover(stream)
     return to_bytes((colours + (1 - cover) * background).astype(np.float32))
 
@@ -66,7 +66,7 @@ def read(path: Path) -> Bytes:
 
 def assert_same(found: Bytes, expected: Bytes) -> None:
     assert found.shape == expected.shape
-    assert int(np.abs(found.astype(int) - expected).max()) <= 1  # as rounded
+    assert int(np.abs(found.astype(int) - expected).max()) <= 1  # rounding
 
 
 @pytest.mark.parametrize("background", [WHITE, BLUE])
@@ -97,12 +97,12 @@ def test_a_transparent_png_composited_elsewhere_is_the_picture_on_that_colour(
     assert image.mode == "RGBA"
     colours, cover = colours_and_cover(stream)
     assert_same(read(out)[..., 3:], to_bytes(cover))
-    # Pillow's own "over" takes straight alpha, as every program does that reads PNG.
+    # Pillow's own "over" uses straight alpha, like every program that reads PNG.
     for background in (WHITE, BLUE, (0.0, 0.0, 0.0)):
         ground = Image.new("RGBA", image.size, tuple(round(255 * part) for part in background))
         shown = np.asarray(Image.alpha_composite(ground, image))[..., :3].astype(int)
         exact = to_bytes((colours + (1 - cover) * background).astype(np.float32))
-        # What is brighter than its alpha allows cannot be said in straight alpha.
+        # Straight alpha cannot represent colours brighter than their alpha.
         sayable = (colours <= cover).all(axis=-1)
         assert sayable.mean() > 0.8
         assert int(np.abs(shown - exact)[sayable].max()) <= 2
@@ -121,7 +121,7 @@ def test_a_mov_has_the_colours_and_the_alpha_of_pngs(
     cover = expected[..., 3] if background is None else np.full(found.shape[:2], 255)
     assert found.shape[:2] == expected.shape[:2]
     assert np.abs(found[..., 3] - cover).max() <= 2
-    # ProRes compresses colours; those of pixels that hardly show do not matter.
+    # ProRes compresses colours; those of nearly invisible pixels do not matter.
     error = np.abs(found[..., :3] - expected[..., :3]) * (cover[..., None] / 255)
     assert error.mean() < 2.5
 
@@ -147,7 +147,7 @@ def test_opengl_covers_what_the_cpu_covers(stream: Path) -> None:
                 found = by_gl.render(FRAME, background=background)
             except InvalidError:
                 pytest.skip("OpenGL does not work here")
-            if background is None:  # premultiplied: what little covers has any colour
+            if background is None:  # premultiplied: nearly transparent pixels have any colour
                 expected, found = expected * expected[..., 3:], found * found[..., 3:]
             np.testing.assert_allclose(found, expected, atol=4e-3)
 

@@ -1,4 +1,4 @@
-"""Captures of a higher rate than the stream's: frames exact, motion between them, no jumps."""
+"""Captures at a higher rate than the stream's: exact frames, motion between them, no jumps."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_what_moves_is_halfway_between_two_frames(tmp_path: Path) -> None:
     for frame in range(1, NUM_FRAMES - 2):  # two frames apart: the frame between them is known
         between = (double[2 * frame - 1] + double[2 * frame + 1]) / 2
         assert psnr_db(between, plain[frame]) > psnr_db(plain[frame - 1], plain[frame]) + 6
-    # The last frame stands for its whole time.
+    # The last frame stays for its whole duration.
     assert np.array_equal(double[-1], double[-2])
 
 
@@ -65,8 +65,8 @@ def test_a_loop_begins_anew_without_a_way_back(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("status", [NEW, PREDICTED, ENDED])
 def test_no_slot_that_is_used_again_shows_on_the_way(tmp_path: Path, status: int) -> None:
-    """All slots jump to another place and back, as new Gaussians, as coded differences, or after a
-    frame in which they are empty: pictures show Gaussians in these two places only."""
+    """All slots jump to another place and back, as new Gaussians, as coded differences, or after an
+    empty frame. Pictures show Gaussians only in these two places."""
     body = random_splats(50, 0, 3)
     small = np.full((50, 3), -2.5, np.float32)  # so that 2 m are a jump
     body = Splats(body.means, small, *body.arrays[2:])

@@ -1,4 +1,4 @@
-"""A signal in the middle of a play: what was asked for is whole, or not there."""
+"""A signal in the middle of a play: the requested file is complete, or absent."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_signal_writes_the_report_and_no_half_video(
             stderr=subprocess.PIPE,
             text=True,
         )
-        # A picture, or the video that is not whole yet.
+        # A picture, or the unfinished video.
         begun = "pictures/frame_00002.png" if capture == "pictures" else ".out.mp4.tmp"
         until_s = time.monotonic() + 100
         while not (folder / begun).exists():
@@ -67,7 +67,7 @@ def test_a_signal_writes_the_report_and_no_half_video(
 
 
 def drawn_too_late(summary: dict[str, dict[str, int]]) -> int:
-    """Frames that were due, and on their way to be drawn: at most as many as wait there."""
+    """Number of frames that were due but not drawn yet; at most the length of the queue."""
     on_their_way = summary["totals"]["frames"] - len(summary["frames"])
     assert 0 <= on_their_way <= 4
     return on_their_way

@@ -1,4 +1,4 @@
-"""What a play takes beside its picture and its Gaussians, at its peak."""
+"""Peak memory of a play in addition to its picture and its Gaussians."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.support.slots.updates import small_layout
 LIMIT_MB = 200
 
 BETWEEN_MB = 5
-"""More in a window, which draws between two frames: measured 199 to 201 MB with it, 195 without."""
+"""Extra memory of a window, which draws between frames: measured 199 to 201 MB, 195 without."""
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 
@@ -48,7 +48,7 @@ else:
 print(peak_mb())
 """
 
-# What OpenGL takes for an empty window: with a software driver, much.
+# Memory of OpenGL for an empty window, which is large with a software driver.
 EMPTY = """
 import re
 from pathlib import Path

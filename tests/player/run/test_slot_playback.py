@@ -1,4 +1,4 @@
-"""Streams of slots from end to end: pictures from every source, over links that change too."""
+"""Streams of slots from end to end: pictures from every source, also over changing links."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ DIP = Link(
         LinkStep(60.0, 8e6, 0.005),
     ]
 )
-"""All layers take some 1.5 Mbit/s, one about 0.5."""
+"""All layers need about 1.5 Mbit/s, one layer about 0.5."""
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_layers_come_and_go_over_a_link_and_only_what_is_known_shows(
         with opened(url, via=relay.address, adaptive=True) as source:
             assert source.adaptive
             for one in assembled(source):
-                # As if each frame were shown as soon as it can be: what comes later mends it.
+                # As if each frame showed as soon as possible; later data repairs it.
                 layers.append(one.layers)
                 screen.put(one.slices, round(one.layers))
     assert screen.next_frame == NUM_FRAMES

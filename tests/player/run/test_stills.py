@@ -1,4 +1,4 @@
-"""swings-play --still: one frame to a picture or a turn around it, and never half of a file."""
+"""swings-play --still: one frame as a picture or a turn around it, and never a partial file."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_busy_stream(root / "slots", 40, small_layout(4, (60, 60), 0, 15))
     for path in root.iterdir():
         with Scene.open(path, renderer="cpu") as scene:
-            scene.render(0)  # compiles, which a process with a full disk could not keep
+            scene.render(0)  # compiles here, because a process with a full disk cannot cache it
     return root
 
 
@@ -249,7 +249,7 @@ def test_a_frame_that_is_not_there_leaves_nothing(library: Path, tmp_path: Path)
 
 
 def turning(library: Path, out: Path) -> Sequence[str]:
-    """A command that takes long."""
+    """A command line that takes long."""
     options = ("--still", 3, "--turntable", 3000, "--capture", out, "--renderer", "cpu")
     return command("swings-play", library / "slots", *options)
 

@@ -1,4 +1,4 @@
-"""A stream in a script: exact frames in any order, from any place, and nothing left behind."""
+"""A stream in a script: exact frames in any order, from any source, and no leftovers."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ HASTY = SourceConfig(RetryConfig(0.0))
 
 NUM_FRAMES = 33
 STREAMS = ("whole", "busy", "patternless")
-"""Slices that are sent whole, and slots that last."""
+"""Streams of whole slices, and of slots that last."""
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def server(library: Path) -> Iterator[ServerProcess]:
 
 @pytest.fixture(scope="module")
 def expected(library: Path) -> dict[tuple[str, int, int], Floats]:
-    """By stream, layers and frame the picture from the second camera, each by a reader of its
+    """Pictures from the second camera by stream, layers and frame, each from a reader of its
     own."""
     pictures = {}
     for name in STREAMS:
@@ -257,7 +257,7 @@ def test_going_on_takes_what_is_new_and_no_more(library: Path) -> None:
         renderer = scene._renderer
         assert renderer is not None
         slice_bytes = random_slice(0).num_bytes
-        # Going back takes the whole window: nothing is known of what the slices replaced.
+        # Going back needs the whole window, because the replaced slices are not known.
         for frame, slices in ((6, 1), (6, 0), (8, 2), (7, SWIN_SIZE), (7 + SWIN_SIZE, SWIN_SIZE)):
             before = renderer.uploaded_bytes
             scene.render(frame)

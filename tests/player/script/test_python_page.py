@@ -1,4 +1,4 @@
-"""What docs/PYTHON.md shows runs as it stands there."""
+"""The code of docs/PYTHON.md runs as written."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def rasterization(
     )
     return picture[None], None, {}
 """
-"""Takes the place of gsplat: what it is given must mean what it means to gsplat."""
+"""A replacement for gsplat; its arguments must have the same meaning as for gsplat."""
 
 PAGE = (ROOT / "docs" / "PYTHON.md").read_text(encoding="utf-8")
 BLOCKS = [
@@ -69,7 +69,7 @@ COMMANDS = [line for block in BLOCKS if block not in SCRIPTS for line in block.s
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With my-capture and my-stream."""
+    """A folder with my-capture and my-stream."""
     root = tmp_path_factory.mktemp("page")
     cameras = tuple(write_dynerf(root / "my-capture", num_frames=40))
     manifest = replace(tiny_manifest(), cameras=cameras, default_camera=cameras[1].name)
@@ -105,7 +105,7 @@ def run_script(script: str, folder: Path, **variables: str) -> None:
 
 
 def check_drawn_by_gsplat(folder: Path) -> None:
-    """The picture that the example left is the one that the project draws."""
+    """Asserts that the example's picture is the one that the project draws."""
     with Image.open(folder / "gsplat.png") as image:
         drawn = np.asarray(image, np.float32) / 255
     with Scene.open(folder / "my-stream", renderer="cpu") as scene:

@@ -1,4 +1,4 @@
-"""A stream in viser, by a real server: the page is there, and what a frame shows is sent."""
+"""A stream in viser, with a real server: it serves the page and sends the Gaussians of a frame."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_covariances_colours_and_opacities_are_those_of_the_gaussians(splats: Sp
 
 
 def sent(splats: Splats) -> bytes:
-    """The Gaussians as a browser gets them: rows of 3 float32, a gap, 6 float16, RGBA."""
+    """The Gaussians in the form for a browser: rows of 3 float32, a gap, 6 float16, RGBA."""
     centres, covariances, colours, opacities = viser_arrays(splats)
     rows = np.zeros((len(splats), 32), np.uint8)
     rows[:, :12] = np.ascontiguousarray(centres).view(np.uint8)
@@ -71,7 +71,7 @@ def sent(splats: Splats) -> bytes:
 
 @contextmanager
 def browser(url: str) -> Iterator[Any]:
-    """A connection as a browser has it."""
+    """A connection like a browser's."""
     import viser
     from websockets.sync.client import connect
     from websockets.typing import Subprotocol
@@ -86,7 +86,7 @@ def browser(url: str) -> Iterator[Any]:
 
 
 def received(connection: Any, wanted: bytes) -> bool:
-    """Whether `wanted` comes soon."""
+    """Whether `wanted` arrives within 20 s."""
     until_s = time.monotonic() + 20
     with suppress(TimeoutError):
         while wanted not in connection.recv(timeout=max(until_s - time.monotonic(), 0.01)):
@@ -145,7 +145,7 @@ def test_it_plays_in_time_and_goes_where_the_slider_says(stream: Path) -> None:
 
         view.show = noting  # type: ignore[method-assign]
         view.play(0.5)
-        # 25 frames in 0.5 s, again and again from 2 to 11; some may be left out.
+        # 25 frames in 0.5 s, looping from 2 to 11; some may be skipped.
         assert 5 < len(shown) <= 26
         assert set(shown) <= set(range(2, 12))
         assert sum(b < a for a, b in pairwise(shown)) in (1, 2, 3)

@@ -1,4 +1,4 @@
-"""Captions of the window: which show when, from every kind of source, and how they are set."""
+"""Captions of the window: their choice and times, from every kind of source, and their layout."""
 
 from __future__ import annotations
 

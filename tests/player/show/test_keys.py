@@ -1,4 +1,4 @@
-"""A person before the window: keys and mouse through an X server, and the pixels that follow."""
+"""A simulated user of the window: keys and mouse through an X server, and the resulting pixels."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SIZE = "320x240"
 
 @contextmanager
 def playing(stream: Path, report: Path, *options: str) -> Iterator[Person]:
-    """A person before a window that plays `stream`; escape has to end it."""
+    """A user in front of a window that plays `stream`; escape must end it."""
     with x_server() as display:
         command = [sys.executable, "-m", "player", str(stream), "--size", SIZE]
         process = subprocess.Popen(
@@ -46,7 +46,7 @@ def playing(stream: Path, report: Path, *options: str) -> Iterator[Person]:
                 yield person
                 person.presses("Escape")
                 out, err = process.communicate(timeout=30)
-                # A machine of tests may have no sound device.
+                # A test machine may have no sound device.
                 err = re.sub("swings-play: WARNING .*: playing without sound: .*\n", "", err)
                 assert (process.returncode, err) == (0, ""), out + err
         finally:
@@ -60,12 +60,12 @@ def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def scene(seen: Pixels) -> Pixels:
-    """All but the strip of the bar."""
+    """The picture without the strip of the bar."""
     return seen[:-BAR_PX]
 
 
 def differ(one: Pixels, other: Pixels) -> float:
-    """Share of the scene's pixels that are not the same."""
+    """Share of the scene's pixels that differ."""
     return float((scene(one) != scene(other)).any(axis=2).mean())
 
 
@@ -83,7 +83,7 @@ def test_time_stands_steps_and_is_sought(stream: Path, tmp_path: Path) -> None:
         person.presses("period")
         person.wait_for(lambda: differ(still, person.sees()) > 0.001)
         person.presses("comma")
-        # The very picture, though it was asked for anew.
+        # The same picture, although it was requested again.
         person.wait_for(lambda: differ(still, person.sees()) == 0)
         person.presses("Right")
         after = person.sees_rest()
@@ -95,12 +95,12 @@ def test_time_stands_steps_and_is_sought(stream: Path, tmp_path: Path) -> None:
         person.presses("End")
         last = person.sees_rest()
         assert differ(first, last) > 0.01
-        person.presses("space")  # at the end: begins anew
+        person.presses("space")  # at the end: restarts
         person.wait_for(lambda: differ(last, person.sees()) > 0.01)
     frames = frames_of(report)
     assert FRAMES - 1 in frames
-    assert frames.count(0) >= 3  # from the start, by Home, and from the end
-    # As shown: a step on, one back, a second on and back.
+    assert frames.count(0) >= 3  # at the start, by Home, and after the end
+    # The shown frames: a step forward, one back, a second forward and back.
     back = next(n for n in range(len(frames)) if frames[n + 1] < frames[n]) + 1
     stood = frames[back]
     assert frames[back - 2 : back + 3] == [stood, stood + 1, stood, stood + 30, stood]
@@ -135,7 +135,7 @@ def test_the_bar_seeks_to_where_it_is_dragged(stream: Path, tmp_path: Path) -> N
         person.drags(1, (width_px // 2, y_px), (width_px // 4, y_px), (3 * width_px // 4, y_px))
         there = person.sees_rest()
         bar = there[-BAR_PX:].astype(int)
-        blue = (bar[:, :, 2] - bar[:, :, 0] > 60).any(axis=0)  # what was played
+        blue = (bar[:, :, 2] - bar[:, :, 0] > 60).any(axis=0)  # the played part
         assert blue[width_px // 2]
         assert not blue[7 * width_px // 8]
     assert abs(frames_of(report)[-1] - 3 * FRAMES // 4) < FRAMES // 20
@@ -203,7 +203,7 @@ def test_the_background_shows_where_nothing_is_in_front_of_it(stream: Path, tmp_
         person.points(5, 5)
         seen = person.sees_rest()
         corners = seen[[0, 0, -1, -1], [0, -1, 0, -1]].astype(int)
-        # The others perhaps behind the rim of a Gaussian.
+        # The other corners may be behind the rim of a Gaussian.
         assert np.abs(corners - [0x33, 0x66, 0xFF]).max(axis=1).min() <= 8
         # A Gaussian that hides it.
         assert (scene(seen)[:, :, 2] < 100).any()

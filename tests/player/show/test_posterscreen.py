@@ -1,4 +1,4 @@
-"""The poster: first to show, at its own shape, and never a reason to fail."""
+"""The poster: it shows first, with its own aspect ratio, and never causes a failure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.support.commands import ROOT
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.screen.xserver import x_server
 
-# Plays in a window; tells what its first pictures show in the middle, and on the left.
+# Plays in a window; prints colours of its first pictures in the middle and on the left.
 PLAY = """
 import json, sys
 import glfw, moderngl, numpy as np

@@ -1,4 +1,4 @@
-"""Pictures into files: all of them, right, and never half of one."""
+"""Pictures into files: complete, correct, and never partial."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from player.view.path import Size
 
 
 def picture(seed: int, width_px: int, height_px: int) -> Bytes:
-    """A smooth picture: noise would cost the codec its quality."""
+    """A smooth picture, because noise would lower the codec's quality."""
     rng = np.random.default_rng(seed)
     coarse = Image.fromarray(rng.integers(0, 256, (3, 4, 3)).astype(np.uint8))
     return np.asarray(coarse.resize((width_px, height_px), Image.Resampling.BICUBIC))
@@ -93,7 +93,7 @@ def test_pngs_are_exact_and_named_by_frame(tmp_path: Path) -> None:
 
 
 def test_pictures_of_a_drawing_that_failed_are_removed(tmp_path: Path) -> None:
-    """So that the same command can be given again."""
+    """Then the same command can be run again."""
     there = tmp_path / "there"
     there.mkdir()
     (there / "notes.txt").write_text("of somebody")

@@ -17,7 +17,7 @@ from tests.support.screen.xserver import x_server
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.trained_updates import trained_like_layout
 
-# Plays in a window, notes what is on it, turns the view by mouse and key events and closes it.
+# Plays in a window, records its pixels, turns the view by mouse and key events and closes it.
 PLAY = """
 import json, sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Segments of sound as anybody may write them: decoded as far as they are heard, and no farther."""
+"""Segments of sound from any writer: decoded only as far as they are heard."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from tests.support.hosted_streams import small_manifest
 MAIN = SoundSource("main", 2)
 MANIFEST = replace(small_manifest(), sound=(MAIN,))
 SILENCE = bytes([0x0B, 0x06])
-"""The longest packet in the fewest bytes: six frames of 20 ms."""
+"""The longest possible packet in the fewest bytes: six frames of 20 ms."""
 
 
 def silent_object(num_packets: int, num_samples: int) -> SoundObject:
@@ -63,7 +63,7 @@ def test_the_last_segment_may_be_short_whatever_the_length_of_the_source(more_fr
         there = expected[begin:stop]
         assert len(samples) == end - begin
         np.testing.assert_array_equal(samples[: len(there)], there)
-        # What lies in the last packet is heard, and silence after it.
+        # The last packet is heard, and silence after it.
         assert not samples[stop - begin + PACKET_SAMPLES :].any()
 
 
@@ -78,7 +78,7 @@ def test_packets_far_before_the_segment_are_not_decoded() -> None:
     tracemalloc.start()
     try:
         assert decoder.decode(segment, whole.pack()).shape == (stop - begin, 2)
-        # A source that had ended, and goes on after all.
+        # A source that had ended, and continues after all.
         assert not decoder.decode(segment - 1, short.pack()).any()
         assert decoder.decode(segment, whole.pack()).shape == (stop - begin, 2)
         _, most_bytes = tracemalloc.get_traced_memory()

@@ -1,4 +1,4 @@
-"""Sound fetched ahead: bounded, from every kind of source, silent where it cannot be had."""
+"""Sound fetched ahead: bounded, from every kind of source, silent where it is unavailable."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def wait_for(is_so: Callable[[], bool]) -> None:
 
 
 def fed(source: str, at: Whereabouts, patience_s: float = 1.0) -> tuple[DecodedSound, SoundFeed]:
-    """The sound of `source` once all of it has come that is wanted at `at`."""
+    """The sound of `source` after everything needed at `at` has arrived."""
     opener = Opener(source, config=SourceConfig(RetryConfig(patience_s)))
     with closing(opener):
         opener.open(FrameRange(), None).close()
@@ -82,7 +82,7 @@ def test_what_cannot_be_had_is_silent_and_the_rest_is_heard(tmp_path: Path) -> N
             manifest = small_manifest()
             begin, stop = segment_span(manifest, 2)
             mixed = np.rint(decoded.mix(begin, stop, manifest.camera()) * 32768)
-            # A decoder that begins here is right but for what it cannot know.
+            # A decoder that begins here is right except for the history that it cannot know.
             assert np.abs(mixed - whole[begin:stop]).max() < 400
             begin, stop = segment_span(manifest, 1)
             assert not decoded.mix(begin, stop, manifest.camera()).any()

@@ -35,7 +35,7 @@ FLASHES = range(7, FRAMES, 15)
 
 
 class NotedTime(DeviceTime):
-    """Remembers when the first sample of the newest block is heard."""
+    """Records when the first sample of the newest block is heard."""
 
     begin_s = 0.0
 
@@ -93,7 +93,7 @@ def test_clicks_and_flashes_in_real_time(tmp_path: Path, monkeypatch: pytest.Mon
             while len(flashes_s) < 24:
                 for record in conductor.poll():
                     if record.frame in FLASHES:
-                        # By the time line: a busy machine draws late whatever is heard.
+                        # Times of the time line, because a busy machine draws late.
                         flashes_s.append(record.shown_s)
                 if len(flashes_s) > 8 + 3 * seeks and seeks < 4:
                     conductor.seek((17 * seeks + 31) % FRAMES)
@@ -108,7 +108,7 @@ def test_clicks_and_flashes_in_real_time(tmp_path: Path, monkeypatch: pytest.Mon
         if not any(-0.1 < at_s - moment_s < 0.4 for moment_s in unfair_s)
     ]
     assert len(apart_s) > 8
-    # Where the device's thread was held up for long, samples are lost, as a listener would hear.
+    # A long delay of the device's thread loses samples, audibly.
     assert float(np.median(apart_s)) < 0.005
     assert sorted(apart_s)[-4] < 0.02
     assert counts.failed_segments == 0

@@ -1,8 +1,8 @@
 """Pictures and sound on one time line: flashes and clicks in simulated time.
 
-A device that takes blocks at scattered moments by a crystal of its own, a stream that comes in
-time or not, seeks, stalls, loops, rates and pauses. Each frame that shows and each click that is
-heard is noted with the true time.
+They cover a device that takes blocks at irregular moments by its own clock, a stream that arrives
+in time or late, seeks, stalls, loops, rates and pauses. The true time of each shown frame and each
+heard click is recorded.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tests.support.sounding import BURST
 
 MINUTES = 10
 EVERY = 23
-"""Frames from one flash with a click to the next."""
+"""Frames from one flash with its click to the next."""
 
 PERIOD = 960
 LATENCY_S = 0.04
@@ -53,14 +53,14 @@ def stream_of(num_frames: int) -> tuple[Manifest, DecodedSound]:
 
 @dataclass
 class World:
-    """A playback in simulated time, by the player's own code without its threads."""
+    """A playback in simulated time with the player's own code, without its threads."""
 
     num_frames: int
     drift: float
     now_s: float = 0.0
     flashes: list[tuple[float, int]] = field(default_factory=list)
     clicks: list[float] = field(default_factory=list)
-    held_until_s: float = 0.0  # nothing comes until then
+    held_until_s: float = 0.0  # nothing arrives until then
 
     def __post_init__(self) -> None:
         self.manifest, decoded = stream_of(self.num_frames)
@@ -144,7 +144,7 @@ class World:
             self.begin(0, self.plays[0].end_s or 0.0)
 
     def listen(self) -> None:
-        """The device takes a block, if it is time to: its sample n is heard at (n / rate)."""
+        """Takes a block for the device if it is due; its sample n is heard at (n / rate)."""
         rate = SAMPLE_RATE * (1 + self.drift)
         if self.now_s < self.pull_s:
             return
@@ -155,12 +155,12 @@ class World:
             if not self.clicks or heard_s > self.clicks[-1] + 0.1:
                 self.clicks.append(heard_s)
         self.pulled += PERIOD
-        # Blocks come up to 8 ms late.
+        # Blocks are up to 8 ms late.
         self.pull_s = self.pulled / rate + self.random.uniform(0, 0.008)
 
     def worst_s(self, but_after_s: list[float]) -> float:
-        """The largest distance from a flash to the nearest click. but_after_s: moments within whose
-        next 0.1 s, LATENCY_S and more, samples that were taken before are heard."""
+        """Largest distance from a flash to the nearest click. but_after_s: moments after which
+        earlier samples are heard for 0.1 s, which includes LATENCY_S; they do not count."""
         clicks = np.array(self.clicks)
         worst = 0.0
         for at_s, _ in self.flashes:
@@ -216,7 +216,7 @@ def test_rates_stay_together(rate: float) -> None:
     moments = [0.0, world.now_s]
     world.run(60)
     assert len(world.flashes) > 15
-    # Slowed down, a click itself is heard around its time: 20 ms of the stream.
+    # At low rates a click itself is longer: 20 ms of the stream.
     assert world.worst_s(moments) < MOST_APART_S / min(rate, 1)
 
 
@@ -233,9 +233,9 @@ def test_the_time_of_a_device_passes_evenly_and_never_back() -> None:
         assert shown_s >= last_s
         uneven.append((shown_s - last_s) - (now_s - world_s))
         last_s = shown_s
-    # What is heard now was taken 40 ms ago, and the clock shows just that.
+    # The samples heard now were taken 40 ms ago, and the clock accounts for it.
     assert abs(last_s + 0.04 - begin_s) < 0.01
-    # A device that stops, and goes on, goes on from the clock's time.
+    # A device that stops and continues does so from the clock's time.
     now_s += 5
     shown_s = time.time_s()
     assert shown_s - last_s == pytest.approx(5, abs=1e-3)

@@ -43,7 +43,7 @@ def test_a_lossless_track_is_that_of_the_frames(root: Path, tmp_path: Path) -> N
             play(PlayConfig(source, out, frames=FRAMES, loop=2, renderer=CPU, size=SMALL))
             track = track_of(out)
             begin, count = first_sample(3, fps), first_sample(17, fps)
-            # A capture starts the decoder at its first frame's segment; it converges by there.
+            # A capture starts the decoder at its first frame's segment; it has converged by then.
             once = whole[begin : begin + count].astype(int)
             assert len(track) == first_sample(34, fps)
             assert np.abs(track[:count] - once).max() <= 400
@@ -63,7 +63,7 @@ def test_the_track_of_an_mp4_is_in_step_to_the_sample(root: Path, tmp_path: Path
     out = tmp_path / "out.mp4"
     play(PlayConfig(str(root / "s"), out, renderer=CPU, size=SMALL, volume=0.5))
     whole, track = heard(root / "s"), track_of(out)
-    assert abs(len(track) - len(whole)) <= 1024  # AAC's last packet is whole
+    assert abs(len(track) - len(whole)) <= 1024  # AAC completes its last packet
     count = min(len(track), len(whole))
     assert best_shift(whole[:count], track[:count], 60) == 0
     loud = float(np.linalg.norm(track[:count].astype(float)) / np.linalg.norm(whole.astype(float)))
@@ -104,7 +104,7 @@ def test_an_orbit_turns_the_sound_without_a_step(tmp_path: Path) -> None:
     loud = np.abs(mono) > 4000
     ratio = track[loud] / mono[loud, None]
     assert ratio.min() >= 0
-    assert np.abs(np.diff(ratio, axis=0)).max() < 0.1  # of what lies up to a frame apart
+    assert np.abs(np.diff(ratio, axis=0)).max() < 0.1  # values up to a frame apart
     assert np.ptp(ratio[:, 0]) > 0.1
 
 

@@ -1,4 +1,4 @@
-"""Samples in, samples out: unchanged at normal speed, the pitch kept at others, no clicks."""
+"""Samples are unchanged at normal speed, keep their pitch at other speeds, and have no clicks."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_other_rates_keep_pitch_and_loudness(rate: float) -> None:
     peak_hz = float(np.argmax(spectrum)) * 48000 / len(found)
     assert peak_hz == pytest.approx(TONE_HZ, abs=4)
     assert np.sqrt(np.mean(found**2)) == pytest.approx(np.sqrt(0.5), rel=0.1)
-    # No clicks: a sample is never farther from the one before than the tone's steepest step.
+    # No clicks: the step between samples is never larger than the tone's steepest step.
     assert np.abs(np.diff(found)).max() < 2 * 2 * np.pi * TONE_HZ / 48000
 
 

@@ -1,4 +1,4 @@
-"""Sound over a link that carries layer 0, the sound, and no more."""
+"""Sound over a link that carries only layer 0 and the sound."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ from tests.support.hosted_streams import served, write_stream
 
 PLAYED_S = 21
 TIMES = 1.3
-"""The link carries so many times what layer 0 and the sound take."""
+"""Ratio of the link's rate to the rate of layer 0 and the sound."""
 
 
 @given(st.floats(0.001, 2), st.floats(0.5, 10), st.floats(0.02, 0.3))
 def test_sound_is_in_time_and_leaves_the_link_to_the_pictures(
     length_s: float, ahead_s: float, share: float
 ) -> None:
-    """Segments of `length_s` that each take that share of it. None is late but the first ones, and
-    beyond what is heard soon they take a small part of the time."""
+    """Each segment of `length_s` takes `share` of it to fetch. Only the first ones are late, and
+    segments that are not heard soon take a small part of the time."""
     pace, took_s = FetchPace(), share * length_s
     now_s, fetched, begin_s = 0.0, 0, took_s
     while now_s < 60 * length_s:
@@ -65,7 +65,7 @@ def test_sound_is_in_time_and_leaves_the_link_to_the_pictures(
 
 
 class Silence:
-    """How long nothing was heard, from the first sample of a source that is never silent on."""
+    """Duration of silence after the first sample, of a source that is never silent."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.heard_s, self.silent_s = 0.0, 0.0
@@ -83,7 +83,7 @@ class Silence:
 
 
 def write_noisy_stream(folder: Path) -> tuple[Path, float]:
-    """A stream with noise, and what its layer 0 and its sound take together, bit/s."""
+    """Writes a stream with noise; returns it, and the rate of its layer 0 and sound, bit/s."""
     stream, frames, fps = folder / "s", 10 * (PLAYED_S + 5), 10.0
     write_stream(stream, frames, slice_size=280, fps=fps, segment_frames=10)
     samples = np.random.default_rng(1).normal(0, 3000, (frames * SAMPLE_RATE // 10, 1))

@@ -20,7 +20,7 @@ def stream(tmp_path: Path) -> Path:
 
 
 def told(stream: Path) -> tuple[str, int | None]:
-    """What playing all of `stream` from a host raises, from the folder on, and its place."""
+    """Message, from the folder on, and place of the error when playing `stream` from a host."""
     with static_host(stream.parent) as host, pytest.raises(CorruptError) as caught:
         read_all(f"{host}/s")
     message = str(caught.value)

@@ -1,4 +1,4 @@
-"""What of a stream of files is asked for, and what comes of it: no socket, no clock."""
+"""Requests for a stream of files, and their results, without sockets or clocks."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class MadeLink:
         self.now_s = 0.0
 
     def packets(self, rate_bps: float) -> list[Packets]:
-        """What one step of time brings; nothing is left once it is over."""
+        """The packets of one step of time; nothing is left after it."""
         play, found = self._play, list[Packets]()
         while isinstance(decision := play.next(self.now_s), Ask):
             if not self._knows_ranges:
@@ -150,7 +150,7 @@ def test_what_is_stored_is_not_asked_for_and_what_comes_whole_is_stored(
 
 @st.composite
 def hauls(draw: st.DrawFn) -> tuple[int, Part, list[range], int]:
-    """One of a stream's objects, runs of births to ask for, and bytes that come together."""
+    """An object of a stream, runs of births to request, and bytes that arrive together."""
     parts: list[Part] = [0, 1, 2, MASKS, snapshot_part(1)]
     segment, part = draw(st.integers(0, 5)), draw(st.sampled_from(parts))
     first = segment * 20

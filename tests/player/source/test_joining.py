@@ -1,5 +1,5 @@
-"""Streams from every source: wherever a player joins, and whatever breaks or is left out, it shows
-what the stream holds."""
+"""Streams from every source: for every joining frame, and despite breaks and missing data, the
+player shows the content of the stream."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NUM_FRAMES = 14
 
 
 def check_play(reader: StreamReader, got: list[Assembled], frames: FrameRange, layers: int) -> None:
-    """Each birth once, the first window whole, and every frame as the reader has it."""
+    """Asserts: each birth once, the first window complete, every frame as from the reader."""
     manifest = reader.manifest
     swin_size, end = manifest.swin_size, frames.end or reader.num_frames
     births = range(window_births(frames.first, swin_size).start, end)
@@ -44,8 +44,8 @@ def check_play(reader: StreamReader, got: list[Assembled], frames: FrameRange, l
 
 
 def packet_bytes(reader: StreamReader, first: int, end: int, layers: int) -> int:
-    """What the slices born after the first frame of the segment of `first` and before `end` take,
-    and the snapshots that they follow."""
+    """Bytes of the slices born after the first frame of the segment of `first` and before `end`,
+    and of the snapshots that they follow."""
     manifest = reader.manifest
     segment = manifest.segment_of(first)
     start = segment * manifest.segment_frames
@@ -145,7 +145,7 @@ def test_the_first_frame_carries_what_came_before_it(library: Path) -> None:
     told = [one.wire_bytes for one in read_all(str(library / "one"), FrameRange(8, 11), 2)]
     takes = [packet_bytes(reader, 8, frame, 2) for frame in (9, 10, 11)]
     assert told == [takes[0], takes[1] - takes[0], takes[2] - takes[1]]
-    # At a segment's first frame there is nothing but the snapshot.
+    # At a segment's first frame there is only the snapshot.
     told = [one.wire_bytes for one in read_all(str(library / "one"), FrameRange(5, 6), 2)]
     assert told == [packet_bytes(reader, 5, 6, 2)]
 
@@ -204,5 +204,5 @@ def test_a_killed_server_that_comes_back_is_not_noticed(tmp_path: Path) -> None:
                     server = ServerProcess(root, server.port)
     finally:
         server.kill()
-    # At a segment's first frame the new connection begins anew, and the window comes again.
+    # At a segment's first frame the new connection starts over, and the window is sent again.
     assert [one.layers for one in got] == [2] * 250

@@ -1,4 +1,4 @@
-"""Static hosts that break, vanish or grow: nothing is fetched twice, and the play goes on."""
+"""Static hosts that break, vanish or grow: nothing is fetched twice, and the play continues."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def host(root: Path) -> Iterator[RangeHost]:
 
 
 def check_all(root: Path, name: str, config: SourceConfig = PATIENT) -> int:
-    """Plays all of the stream; gives the bytes that came."""
+    """Plays the whole stream; returns the received bytes."""
     with opened(name, config=config) as source:
         shown = list(checked(StreamReader(root / "s"), assembled(source), 3))
         received_bytes = source.received_bytes
@@ -67,7 +67,7 @@ def test_what_broke_off_is_resumed_from_the_byte_that_is_missing(
 ) -> None:
     host.cut_bytes = 20_000
     received_bytes = check_all(root, f"{host.url}/s")
-    # What had come when an answer broke off is not asked for again.
+    # Bytes received before a response broke off are not requested again.
     assert received_bytes == size_of(root)
     assert sum(asked != "" for _, asked in host.asked) > 10
 
@@ -76,17 +76,17 @@ def test_a_host_without_ranges_starts_again(root: Path, host: RangeHost) -> None
     host.knows_ranges = False
     host.refusals = [(503, {}), (429, {"Retry-After": "0"})]
     with pytest.raises(BrokenError, match="HTTP 503"):
-        check_all(root, f"{host.url}/s")  # whoever opens is told at once
+        check_all(root, f"{host.url}/s")  # opening reports it at once
     host.refusals = []
     assert check_all(root, f"{host.url}/s") == size_of(root)
-    # A body that always breaks off never comes whole from such a host.
+    # Such a host never delivers a complete body if every body breaks off.
     host.cut_bytes = 4_000
     with pytest.raises(BrokenError, match=r"segments/0/snapshot-0: .* \(tried for"):
         check_all(root, f"{host.url}/s", QUICK)
 
 
 def test_pieces_of_two_contents_are_not_put_together(root: Path, tmp_path: Path) -> None:
-    """Another host has the same files, but the one broke off in the middle of other bytes."""
+    """The other host has the correct files, but the first one broke off amid different bytes."""
     shutil.copytree(root / "s", tmp_path / "s")
     for path in (tmp_path / "s" / "segments").glob("*/0"):
         path.write_bytes(bytes(path.stat().st_size))
@@ -117,7 +117,7 @@ def test_when_a_host_is_gone_the_next_one_is_asked(root: Path) -> None:
             first.gone = True
             assert [one.frame for one in frames] == list(range(1, NUM_FRAMES))
         assert second.objects()
-        # And back, if that one has nothing either.
+        # And back, if that host has nothing either.
         first.gone, second.gone = False, True
         check_all(root, name)
         first.gone = True
@@ -160,7 +160,7 @@ def test_the_second_time_objects_come_from_the_disk(
     few_bytes = check_all(root, f"{host.url}/s", config)
     assert len(host.objects()) == fetched
     assert few_bytes < 10_000
-    # What was damaged on the disk is fetched again.
+    # Damaged files on the disk are fetched again.
     kept = next(path for path in (tmp_path / "cache").rglob("*") if path.is_file())
     kept.write_bytes(b"x" + kept.read_bytes()[1:])
     with closing(Opener(f"{host.url}/s", config=config)) as opener:

@@ -1,4 +1,4 @@
-"""One stream opened again and again, as a seek does."""
+"""One stream opened repeatedly, as for seeks."""
 
 from __future__ import annotations
 

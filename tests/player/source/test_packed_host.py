@@ -1,5 +1,5 @@
-"""A packed stream on static hosts: played, sought and adapted like the folder that it was made of,
-by ranges of the one file."""
+"""A packed stream on static hosts: plays, seeks and adapts like its source folder, by ranges of one
+file."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def requests_to_first_picture(host: RangeHost, path: str) -> int:
 
 @pytest.mark.parametrize("adaptive", [False, True])
 def test_opening_takes_one_request_instead_of_two(host: RangeHost, adaptive: bool) -> None:
-    """How many follow in an adaptive play before its first picture depends on time."""
+    """The number of further requests before an adaptive play's first picture depends on time."""
     for path, expected in (("s", 2), ("s.swings", 1)):
         host.asked.clear()
         with opened(f"{host.url}/{path}", adaptive=adaptive):
@@ -179,7 +179,7 @@ def test_what_is_not_a_packed_stream_is_said(made: Path, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("adaptive", [False, True])
 def test_a_file_that_is_replaced_is_said(made: Path, tmp_path: Path, adaptive: bool) -> None:
-    """By one of another size, and by one of the same size."""
+    """The new file has another size, or the same size."""
     write_stream(tmp_path / "longer", NUM_FRAMES + 8)
     pack_stream(tmp_path / "longer", tmp_path / "longer.swings")
     whole = bytearray((made / "s.swings").read_bytes())

@@ -1,7 +1,7 @@
-"""Responses of any server that keeps the format: layers that come apart, late or never, connections
-that break.
+"""Responses of any server that follows the format: layers that arrive separately, late or never,
+and connections that break.
 
-Nothing here has a socket; the records are made from the packets on disk.
+There are no sockets here; the records are made from the packets on disk.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ Sent = SliceRecord | SnapshotRecord
 
 
 def response(reader: StreamReader, frame: int, rng: np.random.Generator) -> Iterator[Sent]:
-    """What a server may send from `frame` on: layer 0 in order, of the others anything, each packet
-    once, at any time after it could be made."""
+    """Records that a server may send from `frame` on: layer 0 in order, and any packets of the
+    other layers, each once, at any time after it could be made."""
     start = frame // SEGMENT_FRAMES * SEGMENT_FRAMES
     first = start + 1
     leaves_out, delays = rng.choice([0.0, 0.2, 0.6]), rng.choice([0, 2, 9])
@@ -75,7 +75,7 @@ def response(reader: StreamReader, frame: int, rng: np.random.Generator) -> Iter
 def test_whatever_comes_late_or_never_only_what_is_known_shows(
     reader: StreamReader, first: int, seed: int
 ) -> None:
-    """A frame shows as soon as layer 0 of it is there, with what has come by then."""
+    """A frame shows as soon as its layer 0 is there, with the data that has arrived by then."""
     rng = np.random.default_rng(seed)
     breaks = rng.choice([0.0, 0.02, 0.1])
     manifest = reader.manifest
@@ -89,7 +89,7 @@ def test_whatever_comes_late_or_never_only_what_is_known_shows(
         asked = first if frame == first else receiver.rejoin(NUM_FRAMES)
         for record in response(reader, asked, rng):
             one = receiver.ingest(record)
-            if one is None:  # it came before the break
+            if one is None:  # it arrived before the break
                 continue
             waiting.append(one)
             one.add_to(holding)
@@ -109,7 +109,7 @@ def take(receiver: PlayReceiver, *records: Sent) -> list[int]:
 
 
 def of_use(receiver: PlayReceiver, *records: Sent) -> list[Packets]:
-    """What is made of `records`, which are all of use."""
+    """Packets from `records`; asserts that all are useful."""
     taken = [receiver.ingest(record) for record in records]
     assert None not in taken
     return [packets for packets in taken if packets is not None]
@@ -142,7 +142,7 @@ def test_what_breaks_a_rule_is_named(reader: StreamReader, make: Make, message: 
     with pytest.raises(CorruptError, match=f"^S: .*{message}") as caught:
         take(receiver, make(reader))
     assert "\n" not in str(caught.value)
-    # What was refused has altered nothing.
+    # A refused record has changed nothing.
     assert take(receiver, slice_record(reader, 7, 0, 1)) == [7]
 
 
@@ -169,7 +169,7 @@ def test_a_play_begins_with_the_snapshot_of_its_segment(
 
 
 def assemble(reader: StreamReader, *records: Sent) -> list[int]:
-    """The births of the slices that frames 6 and 7 take in, of records behind a good start."""
+    """Births of the slices that frames 6 and 7 use, from records after a valid start."""
     receiver = PlayReceiver("S", reader.manifest, LAYERS, FrameRange(6))
     start = snapshot_record(reader, 5, 0, 1), slice_record(reader, 6, 0, 1)
     assembler = Assembler(reader.manifest, LAYERS, 6)

@@ -1,4 +1,4 @@
-"""Real servers that die, stop, fail or change under a play: it goes on, or says in one line why."""
+"""Real servers that die, stop, fail or change: the play continues, or fails with one line."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.support.hosted_streams import ServerProcess, served, static_host, wri
 pytestmark = pytest.mark.realtime
 
 NUM_FRAMES, FPS = 300, 40.0
-"""Longer than a server sends ahead."""
+"""A stream longer than a server's lead."""
 
 
 @pytest.fixture
@@ -47,8 +47,8 @@ def server(root: Path) -> Iterator[ServerProcess]:
 def played_through(
     reader: StreamReader, source: str, at_frame: int, act: Callable[[], None]
 ) -> None:
-    """Plays all of `source`, acts once when `at_frame` is there; every frame shows what is on
-    disk."""
+    """Plays all of `source`, and calls `act` once at `at_frame`. Asserts that every frame equals
+    that on disk."""
     with opened(source, layers=3) as found:
         token = found.play.token
         for one in checked(reader, assembled(found), 3):

@@ -1,4 +1,4 @@
-"""A served stream as a source: whatever a host answers, or a connection does."""
+"""A served stream as a source, with any response of a host and any fault of a connection."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ SNAPSHOT, SLICES = records_from_0(8)
 ALL: list[Record] = [SNAPSHOT, *SLICES[:4]]
 """Frames 0 to 4, a segment."""
 MISPLACED = SliceRecord(1, SLICES[1].packets, SLICES[0].mask)
-"""A slice with the layers of the one after it."""
+"""A slice with the layers of the next slice."""
 
 
 def open_play(url: str, retry: RetryConfig = QUICK) -> Source:
@@ -75,7 +75,7 @@ def test_a_response_cut_anywhere_is_taken_up_again() -> None:
     for cut in (first, first + 1, first + 200, len(whole) - 3):
         births, asked = births_from(whole[:cut], whole)
         assert births == [*range(1 - SWIN_SIZE, 5)]
-        # Once all has come, its end is not worth another connection.
+        # After all data, a missing end record does not need another connection.
         assert len(asked) == (1 if cut == len(whole) - 3 else 2)
 
 
@@ -97,7 +97,7 @@ def test_at_the_edge_of_a_live_stream_the_last_frame_is_asked_for_again() -> Non
         answer(later, SNAPSHOT, *SLICES, EndRecord(8)),
     )
     assert births == list(range(1 - SWIN_SIZE, 8))
-    # Frame 5, which is missing, is not there yet.
+    # The missing frame 5 does not exist yet.
     assert asked[1] == "/v1/streams/s/play?from=4&layers=auto"
 
 

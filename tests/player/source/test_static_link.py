@@ -1,4 +1,4 @@
-"""Streams on static hosts and servers over links that are slow, fall, and come back."""
+"""Streams from static hosts and servers over links that are slow, drop, and recover."""
 
 from __future__ import annotations
 
@@ -102,8 +102,8 @@ def check_plays(
     steps: Sequence[tuple[float, float]],
     check: Callable[[str, Watched], None],
 ) -> None:
-    """Plays both streams from each of `hosts`, at the same time, over a link each. What fails is
-    tried again where the machine had no time for it."""
+    """Plays both streams from each of `hosts`, at the same time, over a link each. A failure is
+    repeated if the machine was too busy."""
     cases = [(name, host) for name in NAMES for host in hosts]
     for _ in range(3):
         with Watch() as watch, ThreadPoolExecutor(len(cases)) as pool:
@@ -133,7 +133,7 @@ def test_a_link_of_one_and_a_half_streams_shows_all_layers_without_a_stall(
 
 
 def check_stalls(name: str, got: Watched) -> None:
-    """A host without ranges sends the whole of what was begun, however slow that has become."""
+    """A host without ranges finishes every begun object, even if the link has become slow."""
     assert got.totals.stalled_s <= (0.4 if static_host.__name__ in name else 0.0), name
 
 
@@ -159,7 +159,7 @@ def test_a_link_that_comes_back_brings_the_layers_back(root: Path) -> None:
 def test_a_seek_shows_layer_0_of_that_frame_first(
     root: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[Ask] = []  # not from the host: requests of the first play may still be on their way
+    asked: list[Ask] = []  # not the host's: requests of the first play may still arrive
     next_step = HostedPlay.next
 
     def recorded(play: HostedPlay, now_s: float) -> Ask | Wait:
@@ -198,7 +198,7 @@ def check_slices(reader: StreamReader, got: Watched) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_what_shows_is_what_the_stream_holds(root: Path, name: str) -> None:
-    """What the report counts is what came."""
+    """The report counts exactly the data that arrived."""
     reader = StreamReader(root / name)
     for host in STATIC:
         with host(root) as url, opened(f"{url}/{name}", FrameRange(90), adaptive=True) as source:
@@ -237,7 +237,7 @@ def test_a_live_stream_is_followed_as_it_grows(tmp_path: Path, host: Host) -> No
     check_slices(reader, got)
     births = [one.birth for one in got.packets if isinstance(one, SlicePackets)]
     assert sorted(set(births)) == list(range(1, num_frames))
-    # It was followed, not waited for.
+    # The play followed the stream; it did not wait for its end.
     assert got.startup_s < 1.0
 
 
@@ -262,7 +262,7 @@ def test_when_a_host_vanishes_the_next_one_is_asked(root: Path) -> None:
 
 
 def leave(host: RangeHost, after: int) -> None:
-    """Makes `host` hang up on every request once `after` objects were asked for."""
+    """Makes `host` close the connection of every request after `after` requested objects."""
     answer = host.answer
 
     def counting(handler: object) -> None:

@@ -1,4 +1,4 @@
-"""A player tells its server how it stands: over real sockets, and whatever a server answers."""
+"""A player reports its status to its server: over real sockets, with any response of a server."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_a_server_does_not_count_a_pause_as_shown(tmp_path: Path) -> None:
         metrics = server.state.metrics
 
         def births() -> int:
-            """Slices that were sent, less those of the first window."""
+            """Number of sent slices without those of the first window."""
             return round(metrics.packets.value("0")) - (SWIN_SIZE - 1)
 
         def num_reports() -> int:
@@ -89,7 +89,7 @@ def test_a_server_does_not_count_a_pause_as_shown(tmp_path: Path) -> None:
             clock.stop()
             events.time_changed()
             before = num_reports()
-            # The first may have been on its way, the last may not have been looked at.
+            # The first may have been on its way, the last may not have been read.
             wait_until(lambda: num_reports() > before + 2)
             status = events.client_status(0, 0)
             assert status is not None
@@ -106,7 +106,7 @@ def test_a_server_does_not_count_a_pause_as_shown(tmp_path: Path) -> None:
 
 
 NO_INDEX = b"HTTP/1.1 404 No\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
-"""To who wants to know the stream by more than its manifest."""
+"""Response to clients that want more of the stream than its manifest."""
 
 
 @contextmanager
@@ -149,8 +149,8 @@ def test_a_lost_status_report_is_not_repeated() -> None:
 
 
 def test_a_new_connection_is_told_at_once_how_the_playback_stands() -> None:
-    """It would take a player that holds seconds of media for one that waits for its first picture,
-    and send it few layers."""
+    """Otherwise the server would assume that the player waits for its first picture, although it
+    has seconds of media, and send it few layers."""
     cut = answer(start(), *ALL[:4]).replace(HEAD, NAMED)
     again = answer(start(), *ALL).replace(HEAD, NAMED.replace(b"abc-_1", b"abc-_2")) + HOLD
     heard = b"HTTP/1.1 204 Heard\r\nConnection: close\r\n\r\n"
@@ -191,7 +191,7 @@ def test_a_server_that_was_started_again_goes_by_what_the_last_one_said(tmp_path
     make_stream(tmp_path / "long", 160, fps=FPS)
     with in_thread(tmp_path) as server:
         url = f"{server.url}/v1/streams/long"
-        # Its name means nothing to this one.
+        # This server does not know the name of that play.
         last = LastPlay("0-" + "a" * 22, 7e6)
         source = ServedSource("S", url, Fetcher(), FrameRange(), None, last_play=last)
         assert source.play.token != last.token

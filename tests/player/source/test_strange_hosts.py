@@ -1,4 +1,4 @@
-"""What a stranger's server may do with time, with names and with a terminal."""
+"""Limits of an untrusted server: time, names, and text for a terminal."""
 
 from __future__ import annotations
 

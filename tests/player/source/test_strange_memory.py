@@ -1,4 +1,4 @@
-"""What a stranger's server sends costs no more memory than its manifest declares."""
+"""Data from an untrusted server takes no more memory than its manifest declares."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.support.hosted_streams import static_host, write_stream
 
 
 def claiming(size: int) -> bytes:
-    """A packet that says it holds `size` bytes, and has the first ones."""
+    """The first part of a packet that claims `size` bytes."""
     compressor = zstandard.ZstdCompressor(write_checksum=True).compressobj(size)
     packet = compressor.compress(bytes(1 << 20))
     return packet + compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
@@ -35,7 +35,7 @@ def claiming(size: int) -> bytes:
 
 @contextmanager
 def at_most(limit_bytes: int) -> Iterator[None]:
-    """Fails when more than `limit_bytes` are held at some time, beyond what is held already."""
+    """Fails if the block allocates more than `limit_bytes` at any time."""
     tracemalloc.start()
     try:
         yield
@@ -68,7 +68,7 @@ def test_a_packet_that_claims_more_than_its_part_can_hold_is_not_inflated(
 
 
 def joined(manifest: Manifest = MANIFEST, frames: FrameRange | None = None) -> PlayReceiver:
-    """A receiver that has the snapshot of frame 0."""
+    """A receiver with the snapshot of frame 0."""
     receiver = PlayReceiver("S", manifest, 3, frames or FrameRange())
     assert receiver.ingest(SNAPSHOT) is not None
     return receiver

@@ -1,5 +1,5 @@
-"""A stream with a temporal layer, over every way to a player: it comes as any layer does, is the
-first to stay behind, and where it does what goes on is drawn on its way."""
+"""A stream with a temporal layer from every source: the layer arrives like any other, is the first
+to be left out, and without it Gaussians that go on are interpolated."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from tests.support.slots.slot_streams import Shown, busy_updates, slot_manifest
 from tests.support.slots.updates import small_layout
 
 NUM_FRAMES, FPS, TEMPORAL = 80, 30.0, 2
-"""Frames, frames a second, and the number of the temporal layer."""
+"""Number of frames, frames per second, and number of the temporal layer."""
 
 QUALITY_DB = 30.0, 33.0, 33.5
-"""By the index: half a decibel is what the temporal layer adds in the demo."""
+"""Quality in the index; the temporal layer adds half a decibel, as in the demo."""
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_every_source_brings_all_of_it(root: Path, reader: StreamReader, first: 
 
 
 def played(playout: Playout, assembler: Assembler, reader: StreamReader, layers: int) -> int:
-    """Plays all that is in `playout`; gives how many frames it was."""
+    """Plays everything in `playout`; returns the number of frames."""
     shown, count = Shown(reader.manifest), 0
     while (due := playout.pop_due()) is not None:
         frame = due.record.frame
@@ -90,8 +90,8 @@ def test_a_play_without_it_shows_what_a_reader_does(
 
 
 def shares_of(reader: StreamReader, rate_share: float) -> list[float]:
-    """Share of the bytes of each layer that comes in time over a link of this share of what the
-    stream needs, without a stall."""
+    """Share of each layer's bytes that arrives in time, without a stall, over a link with this
+    share of the stream's rate."""
     play = HostedPlay(reader.manifest, reader.records, FrameRange(0, NUM_FRAMES), 0.0)
     link = MadeLink(reader, play)
     come, clock = [0.0] * (TEMPORAL + 1), play.session.clock
@@ -113,4 +113,4 @@ def shares_of(reader: StreamReader, rate_share: float) -> list[float]:
 def test_on_a_thin_link_it_stays_behind_first(reader: StreamReader) -> None:
     base, upper, temporal = shares_of(reader, 0.7)
     assert temporal < 0.1 < 0.4 < upper < base
-    assert min(shares_of(reader, 3.0)) > 0.75  # it begins after the others
+    assert min(shares_of(reader, 3.0)) > 0.75  # it starts after the others

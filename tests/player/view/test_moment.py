@@ -1,4 +1,4 @@
-"""A frame or a time, as people write them."""
+"""The syntax of a frame or a time."""
 
 from __future__ import annotations
 

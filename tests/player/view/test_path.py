@@ -1,4 +1,4 @@
-"""Camera paths, key frames and the window's view, as mathematics."""
+"""Mathematics of camera paths, key frames and the window's view."""
 
 from __future__ import annotations
 

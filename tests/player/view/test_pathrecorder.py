@@ -1,4 +1,4 @@
-"""A recorded path shows, when it is read again, what the user saw, with few key frames."""
+"""A recorded path, read again, shows the user's views with few key frames."""
 
 from __future__ import annotations
 
@@ -39,8 +39,7 @@ def reread(recorder: PathRecorder, tolerance_px: float) -> CameraPath:
 
 @st.composite
 def walks(draw: st.DrawFn) -> list[tuple[int, Camera]]:
-    """Frames, rising, and what a hand does to the camera from one to the next: jumps, stands,
-    turns and zooms."""
+    """Ascending frames with cameras that a user moves: jumps, rests, turns and zooms."""
     rng = np.random.default_rng(draw(st.integers(0, 1 << 32)))
     count, rough = draw(st.integers(1, 60)), draw(st.sampled_from((0.0, 0.003, 0.3, 3.0)))
     frames = np.cumsum(rng.integers(1, 4, count))
@@ -102,12 +101,12 @@ def test_an_orbit_is_thinned_and_stays_where_it_was() -> None:
         for seen, expected in zip(
             again(frame).project(corners), path(frame).project(corners), strict=True
         ):
-            # In pixels, and the depths in metres.
+            # Places in pixels, and depths in metres.
             np.testing.assert_allclose(seen, expected, atol=1.5)
 
 
 def test_moves_are_measured_as_the_picture_moves() -> None:
-    """The centre, seen by the camera that moved, is about as far off as is said."""
+    """The centre, seen by the moved camera, shifts by about the reported distance."""
     small = 0.01
     right = replace(BASE, w2c=world_to_camera(BASE.w2c[:3, :3], BASE.position + small * BASE.right))
     about = turned(BASE, BASE.position, BASE.down, small)
@@ -149,7 +148,7 @@ def test_the_file_is_a_path_of_the_command(tmp_path: Path) -> None:
 
 @pytest.mark.realtime
 def test_a_long_recording_has_an_end_and_can_be_read() -> None:
-    """The worst for thinning: a hand that shakes all the time."""
+    """The worst case for thinning: a camera that shakes all the time."""
     recorder, rng = PathRecorder(CENTRE), np.random.default_rng(0)
     for frame in range(MAX_FRAMES):
         shaken = turned(BASE, CENTRE, UP, rng.normal())

@@ -32,4 +32,4 @@ def chromium() -> Iterator[Page]:
 def page(chromium: Page) -> Iterator[Page]:
     """A page in Chromium."""
     yield chromium
-    chromium.close()  # a page that plays on would take time from all other tests
+    chromium.close()  # a page that keeps playing would slow down all other tests

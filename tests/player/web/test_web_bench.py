@@ -1,4 +1,4 @@
-"""The pages of bench/web: they play, and measure something."""
+"""The pages of bench/web play and return measurements."""
 
 from __future__ import annotations
 

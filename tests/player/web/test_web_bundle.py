@@ -1,4 +1,4 @@
-"""The bundle of player/web: what it is made of, what a page of it loads, and that it plays."""
+"""The bundle of player/web: its contents, the requests of its page, and a play."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PLAYER = f"{ELEMENT}?.player"
 MOST_REQUESTS = 8
 MOST_SCRIPT_BYTES = 58_000
 MOST_GZIPPED_BYTES = 61_000
-"""What browsers load from a host without TLS, which they ask for nothing better than gzip."""
+"""Maximum bytes from a host without TLS, from which browsers request at best gzip."""
 
 
 def test_it_is_what_the_sources_give() -> None:
@@ -63,7 +63,7 @@ Object.defineProperty(navigator, "clipboard", {{ value: clipboard, configurable:
 await {ELEMENT}.copyLink();
 return window.copied;
 """
-"""The link of a player whose page has no address of its own for it."""
+"""Copies the link of a player whose page has no own address for it."""
 
 
 def check_link(page: Page, watch_url: str) -> None:
@@ -74,7 +74,7 @@ def check_link(page: Page, watch_url: str) -> None:
 
 
 def test_links_and_embed_code_lead_to_the_page_beside_it(page: Page, tmp_path: Path) -> None:
-    """The frame is allowed what the server's page and docs/EMBED.md allow it."""
+    """The frame has the permissions of the server's page and docs/EMBED.md."""
     write_stream(tmp_path / "stream", 20)
     export_static(tmp_path / "stream", tmp_path / "static")
     (tmp_path / "player").symlink_to(webbundle.WEB / "bundle")
@@ -102,7 +102,7 @@ def test_links_and_embed_code_lead_to_the_page_beside_it(page: Page, tmp_path: P
 
 
 def requests_of(server: ServerProcess) -> dict[str, list[tuple[int, int]]]:
-    """By path without its query the status and bytes of each answer to a GET."""
+    """Status and bytes of each response to a GET, by path without the query."""
     answers: dict[str, list[tuple[int, int]]] = {}
     for line in server.settled_log(0):
         found = re.search(r"method=GET path=(\S+) .*?status=(\d+) bytes=(\d+)", line)

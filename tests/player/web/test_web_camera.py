@@ -18,7 +18,7 @@ from tests.support.web.nodeprocess import NODE, Json, NodeProcess, running_scrip
 PICTURES_PER_S = 60
 UP = np.array([0.0, -1.0, 0.0])
 SCENE = np.array([0.0, 0.0, 4.0])
-"""Where the rings look."""
+"""The point at which the rings look."""
 
 Step = Sequence[object]
 Move = Callable[..., list[Json]]
@@ -34,7 +34,7 @@ def node() -> Iterator[NodeProcess]:
 
 @pytest.fixture
 def move(node: NodeProcess) -> Move:
-    """How the camera stands after each of some steps."""
+    """A function that returns the state of the camera after each step."""
 
     def moving(*steps: Step, manifest: Manifest | None = None, reduced: bool = False) -> list[Json]:
         text = (manifest or small_manifest()).to_json().hex()
@@ -46,7 +46,7 @@ def move(node: NodeProcess) -> Move:
 
 
 def rig(*cameras: tuple[np.ndarray, np.ndarray]) -> Manifest:
-    """Cameras at some places that look at others."""
+    """A manifest with cameras, given by place and target."""
     made = tuple(
         replace(ring_of_cameras(1)[0], name=f"c{n}", w2c=look_at(place, target, UP))
         for n, (place, target) in enumerate(cameras)
@@ -88,7 +88,7 @@ RIGS = [small_manifest, dome, wall, outward, model, on_its_side]
 
 
 def arc(found: Json) -> float:
-    """How far the camera has turned about the vertical, radians."""
+    """Angle by which the camera has turned about the vertical, radians."""
     x, _, z = found["pose"]["forward"]
     return math.atan2(x, z)
 
@@ -140,8 +140,8 @@ def test_a_rig_of_one_side_ends_at_its_sides(node: NodeProcess) -> None:
     ],
 )
 def test_what_is_beyond_the_bounds_springs_back(move: Move, made: object, away: list[Step]) -> None:
-    """It comes nearer with every picture, and comes to rest within the bounds. A link may have put
-    the camera so far away that its turns alone move it by kilometres."""
+    """The camera comes nearer with every picture, and rests within the bounds. A link may have put
+    it so far away that turns alone move it by kilometres."""
     steps = [("run", n * 16, (n + 1) * 16, 62.5) for n in range(250)]
     found = move(("grab",), *away, ("release", "turn", 1e6), *steps, manifest=made())  # type: ignore[operator]
     sizes = [size(each["excess"]) for each in found[1 + len(away) :]]
@@ -263,7 +263,7 @@ def test_a_focus_turns_around_what_was_tapped(move: Move) -> None:
         towards = np.array(point) - position(found)
         ahead = towards / np.linalg.norm(towards)
         assert found["pose"]["forward"] == pytest.approx(list(ahead), abs=1e-6)
-    # What lies far behind the scene is looked at, but the camera turns around what is on the way.
+    # The camera looks at points far behind the scene, but turns around a nearer centre.
     _, far = move(("focusOn", [1, 1, 90]), ("run", 0, 2000, 60))
     assert np.linalg.norm(np.array(far["centre"]) - SCENE) <= 4 + 1e-6
     assert size(far["excess"]) < 1e-3
@@ -281,7 +281,7 @@ def test_fly_mode(move: Move) -> None:
     )
     assert start["isFlying"]
     assert flown["isMoving"]
-    # Half of the rig's distance a second, less the time to come up to speed, and the way to stop.
+    # Half of the rig's distance per second, minus the time to accelerate, plus the way to stop.
     assert position(rest)[2] == pytest.approx(2, rel=0.1)
     assert not rest["isMoving"]
     np.testing.assert_allclose(position(turned), position(rest), atol=1e-9)
@@ -324,7 +324,7 @@ def test_a_phone_that_is_turned(node: NodeProcess) -> None:
         [math.radians(20), -math.radians(20)]
     )
     assert turns((0, 0, 0))["turns"][0]["headingRad"] is None
-    # Held sideways, the same turn has other angles: here the phone's top points to the left.
+    # Held sideways, the same turn has other angles; here the top of the phone points left.
     assert turns((90, 0, -90), (120, 0, -90))["between"] == pytest.approx([math.radians(30), 0])
 
 

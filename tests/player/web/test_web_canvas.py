@@ -1,4 +1,4 @@
-"""The canvas of a player: as many pixels as the screen has, and no work when nothing changes."""
+"""The canvas of a player: the pixels of the screen, and no work when nothing changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Captions in the page: how files are read, and what shows over the picture."""
+"""Captions in the page: reading files, and text over the picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The WebGL context of a page: lost, restored, gone for good, and shared by twenty players."""
+"""The WebGL context of a page: lost, restored, lost forever, and shared by twenty players."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def opened(page: Page, folder: Path, tmp_path: Path) -> Iterator[Page]:
-    """The page, paused at the first frame. A limit of 10 s lasts `limitMs` there."""
+    """The page, paused at the first frame. Its time limits of 10 s last `limitMs` instead."""
     (tmp_path / "clock.js").write_text(
         "const { setTimeout } = window;"
         "window.limitMs = 10000;"
@@ -60,14 +60,14 @@ def opened(page: Page, folder: Path, tmp_path: Path) -> Iterator[Page]:
         page.open(address, 480, 320, scripts=(tmp_path / "clock.js", PIXELS))
         page.wait(f"{PLAYER}?.shownFrame === 0", 60)
         yield page
-        # The browser says so of a context that a script loses.
+        # The browser logs this for a context that a script loses.
         assert all("loseContext" in complaint for complaint in page.complaints)
 
 
 def test_a_lost_context_keeps_its_picture_and_plays_on(opened: Page) -> None:
     page = opened
     before = canvas_of(page)
-    page.run("window.limitMs = 1e6")  # it comes back, however slow the machine
+    page.run("window.limitMs = 1e6")  # it comes back, even on a slow machine
     page.run(LOSE)
     page.run(f"{PLAYER}.orbit.dragTurn(50, 0); {PLAYER}.moved()")
     page.wait(f"{NOTE}.includes('waiting for it')")
@@ -88,7 +88,7 @@ def test_a_lost_context_keeps_its_picture_and_plays_on(opened: Page) -> None:
 
 
 def test_a_context_that_does_not_come_back(opened: Page) -> None:
-    """The player says so, and a retry draws the same frame with another context."""
+    """The player reports it, and a retry draws the same frame with another context."""
     page = opened
     page.run(f"{ELEMENT}.currentTime = 1")
     page.wait(f"{PLAYER}.shownFrame === 30 && !{PLAYER}.isSeeking", 30)
@@ -124,8 +124,8 @@ window.requestAnimationFrame = requestAnimationFrame;
 player.view.loop.stop();
 player.view.redraw();
 """
-"""Has the sorter answer twice before the page draws, in `value` ms each, with all Gaussians in the
-first answer."""
+"""Makes the sorter answer twice before the page draws, after `value` ms each, with all Gaussians in
+the first answer."""
 
 
 def test_two_answers_of_the_sorter_before_a_picture(opened: Page) -> None:

@@ -47,7 +47,7 @@ def test_the_gyroscope_turns_the_camera_until_it_is_off(phone: Page) -> None:
     assert phone.run(f"return {ELEMENT}.hasGyroscope")
     assert phone.run(f"return {ELEMENT}.toggleGyroscope()") is True
     phone.run(TURN_PHONE, [10, 80])
-    assert phone.run(f"return {ELEMENT}.view") == "0,0,1,0,0"  # it counts from there
+    assert phone.run(f"return {ELEMENT}.view") == "0,0,1,0,0"  # turns count from there
     phone.run(TURN_PHONE, [20, 75])
     phone.wait(f"{ELEMENT}.view !== '0,0,1,0,0'")
     turned = phone.run(f"return {ELEMENT}.view")
@@ -89,12 +89,12 @@ def test_the_menu_shares_the_moment_and_the_view(phone: Page) -> None:
     query = parse_qs(urlsplit(shared[0]["url"]).query)
     assert float(query["t"][0]) == 1
     assert query["view"] == ["0.2,0.1,1,0,0"]
-    # A person who closes the dialog wants nothing more; a page that may not share copies.
+    # Closing the dialog ends it; a page that may not share copies the link.
     assert copied == [shared[2]["url"]]
 
 
 def pose_of(page: Page) -> npt.NDArray[np.float64]:
-    """(4, 4) world to camera."""
+    """(4, 4) world-to-camera matrix."""
     return np.array(page.run(f"return {PLAYER}.camera.w2c")).reshape(4, 4)
 
 

@@ -1,4 +1,4 @@
-"""The player on pages of others: from a file, in a frame, under a strict policy, from a script."""
+"""The player on other pages: from a file, in a frame, under a strict policy, from a script."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PLAYER = "document.querySelector('swings-player')"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a host of streams has: the player in web/, a stream of 1.5 s in stream/."""
+    """The folder of a host of streams: the player in web/, a stream of 1.5 s in stream/."""
     path = tmp_path_factory.mktemp("host")
     write_busy_stream(path / "trained", NUM_FRAMES, small_layout(1, (40, 30, 20), 0, 15))
     export_static(path / "trained", path / "stream")
@@ -69,12 +69,12 @@ def test_a_frame_of_another_origin_with_a_stream_of_a_third(
 
 
 def test_under_a_strict_policy(page: Page, folder: Path, tmp_path: Path) -> None:
-    """The policy that docs/EMBED.md names is enough, and the styles apply."""
+    """The policy in docs/EMBED.md is sufficient, and the styles apply."""
     with static_host(folder, cors=True) as host, static_host(tmp_path) as mine:
         text = (ROOT / "docs" / "EMBED.md").read_text(encoding="utf-8")
         policy = text.partition("Content-Security-Policy: ")[2].partition("\n")[0]
         assert EXAMPLE_HOST in policy
-        # The browser is driven from the page around it: the policy forbids that too.
+        # The browser is driven from the surrounding page, because the policy forbids that, too.
         (tmp_path / "around.html").write_text(
             '<!doctype html><link rel="icon" href="data:," /><iframe src="mine.html"></iframe>'
         )
@@ -162,7 +162,7 @@ def test_what_a_script_can_do(page: Page, folder: Path) -> None:
         page.wait("heard.time < 0.5", 30)
         page.run(f"{PLAYER}.pause()")
         found = heard()
-        # It has ended: playing begins with a seek to the first frame.
+        # The stream has ended: playing starts with a seek to the first frame.
         assert (found[:2], found[-1]) == (["seeking", "play"], "pause")
 
         assert page.run(COPY_LINK).startswith(

@@ -1,4 +1,4 @@
-"""A stream as Gaussians for renderers of others."""
+"""A stream as Gaussians for other renderers."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def rows_of(splats: Splats) -> np.ndarray:
 
 
 def sorted_rows(rows: np.ndarray) -> np.ndarray:
-    """In an order that only exact numbers decide: those of the mean and the harmonics."""
+    """Rows sorted by numbers that are exact: those of the mean and the harmonics."""
     keys = np.hstack([rows[:, 14:], rows[:, :3]])
     return rows[np.lexsort(keys.T)]
 
@@ -45,7 +45,7 @@ def sorted_rows(rows: np.ndarray) -> np.ndarray:
 def test_the_gaussians_are_those_of_the_package(
     browser: BrowserCode, tmp_path: Path, kind: str, first: int
 ) -> None:
-    """However seldom one looks, and when the stream begins anew."""
+    """The same holds if take() is called rarely, and when the stream restarts."""
     path = tmp_path / "stream"
     match kind:
         case "whole":
@@ -62,5 +62,5 @@ def test_the_gaussians_are_those_of_the_package(
         rows = sorted_rows(np.frombuffer(bits, np.float32).reshape(-1, expected.shape[1]))
         np.testing.assert_array_equal(rows[:, :3], expected[:, :3])
         np.testing.assert_allclose(rows, expected, rtol=1e-5, atol=1e-6)
-    # From one frame to the next only what changed is new.
+    # From one frame to the next, only changed Gaussians are new.
     assert found[LOOKS.index(4)]["numNew"] < reader.manifest.num_gs

@@ -1,5 +1,5 @@
-"""What else of a stream the browser reads: objects, packets, manifest, index,
-play records. It takes and refuses what the package does."""
+"""Other parts of a stream that the browser reads: objects, packets, manifest, index, play records.
+It accepts and refuses the same bytes as the package."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from tests.support.web.browsercode import BrowserCode
 
 STREAMS = [FOLDER / row["stream"] for row in read_table("streams.json")]
 ZSTD_MAGIC = "28b52ffd"
-HOSTILE = [  # a browser asks for no packets of zstd
+HOSTILE = [  # a browser requests no zstd packets
     row
     for row in read_table("hostile.json")
     if row["what"] != "packet" or not row["hex"].startswith(ZSTD_MAGIC)
@@ -59,7 +59,7 @@ def test_opacities_are_the_same_bits(browser: BrowserCode) -> None:
 
 @pytest.mark.parametrize("stream", STREAMS, ids=lambda stream: stream.name)
 def test_the_files_of_the_conformance_suite(browser: BrowserCode, stream: Path) -> None:
-    """Manifest, index, objects; what gzip packets hold."""
+    """Manifest, index, objects, and the contents of gzip packets."""
     data, index = ((stream / name).read_bytes() for name in ("manifest.json", "index.bin"))
     manifest = Manifest.from_json(data)
     assert_same_manifest(browser.ask("manifest", bytes=data.hex()), manifest)
@@ -246,7 +246,7 @@ CHECKED: dict[str, tuple[Callable[[bytes], object], Callable[[BrowserCode, bytes
         lambda browser, data: browser.ask("object", bytes=data.hex())["packets"],
     ),
 }
-"""By the name of a parser of the fuzzer what the package makes of its bytes, and the browser."""
+"""Readers of the package and of the browser, by the name of the fuzzer's target."""
 
 NEAR_THE_CORPUS = [
     path
@@ -257,8 +257,8 @@ NEAR_THE_CORPUS = [
 
 @pytest.mark.parametrize("path", NEAR_THE_CORPUS, ids=lambda path: path.name)
 def test_what_is_near_the_corpus_of_the_fuzzer(browser: BrowserCode, path: Path) -> None:
-    """Both give the same value, or both refuse. Only of numbers such as 3.0 may the browser take
-    what the package refuses: it cannot tell them from integers."""
+    """Both give the same value, or both refuse. The browser may accept numbers such as 3.0 that the
+    package refuses, because it cannot distinguish them from integers."""
     target = TARGET_NAMES[path.read_bytes()[0] % len(TARGETS)]
     by_package, by_browser = CHECKED[target]
     data, rng = path.read_bytes()[1:], random.Random(path.name)

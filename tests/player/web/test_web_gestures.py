@@ -61,7 +61,7 @@ def opened(page: Page, folder: Path) -> Opened:
 
 
 def view_of(page: Page) -> tuple[float, float, float, float, float]:
-    """How the camera is turned, tilted, zoomed, and moved to the right and down."""
+    """Turn, tilt and zoom of the camera, and its movement to the right and down."""
     turn, tilt, zoom, right, down = map(float, page.run(f"return {PLAYER}.orbit.text").split(","))
     return turn, tilt, zoom, right, down
 
@@ -71,7 +71,7 @@ def wait_until_still(page: Page) -> None:
 
 
 def check_picture(page: Page, folder: Path) -> None:
-    """The canvas shows what the CPU renderer sees from where the page's camera is."""
+    """Asserts that the canvas shows the CPU renderer's picture from the page's camera."""
     camera = from_browser(page.run(f"return {PLAYER}.camera"))
     expected = expected_of(StreamReader(folder / "stream"), camera)
     assert psnr_db(canvas_of(page), expected) >= LEAST_PSNR_DB
@@ -85,7 +85,7 @@ def test_a_mouse_turns_moves_and_comes_closer(opened: Opened, folder: Path) -> N
         assert tilt != 0
         assert others == [1, 0, 0]
         wait_until_still(page)
-        assert view_of(page)[0] <= turn < 0  # it may have run on
+        assert view_of(page)[0] <= turn < 0  # it may have moved further
         turn, tilt, *_ = view_of(page)
         page.drag((240, 120), (200, 150), button="right")
         assert view_of(page)[:3] == (turn, tilt, 1)
@@ -140,7 +140,7 @@ document.body.append(Object.assign(document.createElement("div"), { style: "heig
 window.hints = [];
 player.addEventListener("gesturehint", ({ detail }) => window.hints.push(detail));
 """
-"""Makes the page one that scrolls, with the player at its top."""
+"""Makes the page scrollable, with the player at its top."""
 
 
 SCROLL_BACK = """
@@ -152,8 +152,8 @@ for (let [still, last] = [0, -1]; still < 10; last = window.scrollY) {
 window.scrollTo(0, 0);
 for (let i = 0; i < 3; i++) await picture();
 """
-"""Waits until the page stands still, for a touch that stops it is no gesture, then scrolls to its
-top."""
+"""Waits until the page stands still, because a touch that stops it is no gesture, then scrolls to
+its top."""
 
 
 def test_a_page_scrolls_over_a_player(opened: Opened) -> None:
@@ -227,7 +227,7 @@ def test_a_double_click_with_alt_flies_to_what_shows_there(opened: Opened, folde
 def depths_of(
     reader: StreamReader, camera: Camera
 ) -> tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]]:
-    """(height, width) each: the mean depth of what shows, metres, and how opaque it is."""
+    """(height, width) mean depth of the visible Gaussians in metres, and their opacity."""
     splats = reader.active_splats(0, reader.manifest.num_layers)
     z = splats.means @ camera.w2c[2, :3] + camera.w2c[2, 3]
     drawn = []

@@ -1,4 +1,4 @@
-"""A browser that hangs fails the test that asked it, and no other."""
+"""A browser that hangs fails only the test that uses it."""
 
 from __future__ import annotations
 

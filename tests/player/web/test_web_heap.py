@@ -1,4 +1,4 @@
-"""Memory does not grow with what has been played."""
+"""Memory does not grow with the number of played frames."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def growth_bytes(page: Page, frames: range, lead_frames: int) -> list[float]:
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_five_thousand_frames(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One after another, as fast as they come: what is kept of each frame, picture or object would
-    show. It takes 24 bytes a frame for a leak; what V8 and the styles that Blink remembers of the
-    track's places gather is 10 to 18, and no object of the player's grows in number.
+    """The frames play as fast as they arrive, so that anything kept for each frame, picture or
+    object shows. 24 bytes per frame count as a leak. V8, and the styles of the track's places that
+    Blink keeps, gather 10 to 18; no object of the player grows in number.
 
-    Segments are shorter than what is chosen at a time: one that was left out would end the play."""
+    Segments are shorter than the unit of a choice, so that an omitted one would end the play."""
     monkeypatch.setattr(os, "fsync", lambda fd: None)
     write_stream(tmp_path / "stream", 5600, 10, 0, layers=(1.0,), segment_frames=2)
     less_than_a_thousand_frames_mb = 0.25
@@ -50,8 +50,8 @@ def test_five_thousand_frames(page: Page, tmp_path: Path, monkeypatch: pytest.Mo
 
 @pytest.mark.slow
 def test_a_loop(page: Page, tmp_path: Path) -> None:
-    """Forty times from the beginning: a play that is kept takes 38 kB. What has come ahead when
-    the heaps are looked at makes 300 kB more or less."""
+    """The clip plays forty times; a play that is kept takes 38 kB. Data fetched ahead when the
+    heaps are read makes a difference of 300 kB."""
     write_busy_stream(tmp_path / "stream", 60, small_layout(1, (200, 200, 100), 0, 15))
     with opened(page, tmp_path, 20, 64) as playing:
         found = growth_bytes(playing, range(600, 3001, 300), 0)

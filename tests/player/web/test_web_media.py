@@ -1,4 +1,4 @@
-"""`<swings-player>` as the media element that other people's controls and recorders expect."""
+"""`<swings-player>` as the media element that other controls and recorders expect."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_it_loads_plays_and_ends_as_a_media_element(page: Page, host: str) -> No
     page.wait("player.networkState === 1")
     metadata = ["loadstart", "durationchange", "loadedmetadata", "suspend"]
     assert heard() == metadata
-    # Nothing but the description was fetched.
+    # Only the description was fetched.
     assert page.run("return [player.readyState, player.player.state.receivedBytes]") == [1, 0]
     assert page.run("return player.currentSrc") == f"{host}/stream"
     assert page.run(f"return [{ranges('seekable')}, {ranges('buffered')}]") == [[[0, 1.5]], []]
@@ -97,7 +97,7 @@ def test_it_loads_plays_and_ends_as_a_media_element(page: Page, host: str) -> No
     assert heard() == ["volumechange"]
     assert page.run("return player.muted") is False, "the attribute has no effect later"
     page.run("player.defaultMuted = false")
-    # Promises of play whose playing never begins.
+    # Promises of play() for which playback never starts.
     paused = f"player.load(); const played = ({OUTCOME})(player.play()); player.pause();"
     assert page.run(f"{paused} return played") == "AbortError"
     assert heard() == ["abort", "emptied", "ratechange", "loadstart", "play", "pause"]
@@ -163,7 +163,7 @@ return [".ring", ".large", ".bar"].filter(shows);
 
 @pytest.mark.parametrize("preload", ["none", "metadata"])
 def test_where_nothing_loads_the_viewer_may_play(page: Page, host: str, preload: str) -> None:
-    """The large button, and no ring that turns for ever."""
+    """The page shows the large button, and no ring that turns forever."""
     page.open(f"{host}/empty.html", 480, 320)
     page.run(MAKE, {"src": "stream", "preload": preload})
     page.wait("player.networkState === 1")
@@ -175,9 +175,9 @@ def test_where_nothing_loads_the_viewer_may_play(page: Page, host: str, preload:
 
 
 def test_what_loads_for_long_has_a_ring(page: Page, host: str) -> None:
-    """It comes after a moment, alone: what begins at once never shows it."""
+    """The ring shows alone, after a moment; a start without delay never shows it."""
     page.open(f"{host}/empty.html", 480, 320)
-    hang = "Worker.prototype.postMessage = () => {}"  # nothing is asked for
+    hang = "Worker.prototype.postMessage = () => {}"  # nothing is requested
     page.run(f"{hang}; {MAKE}", {"src": "stream"})
     assert page.run(OVER_PICTURE) == []
     page.run("return new Promise((resolve) => setTimeout(resolve, 1200))")
@@ -185,7 +185,7 @@ def test_what_loads_for_long_has_a_ring(page: Page, host: str) -> None:
 
 
 def test_workers_start_before_the_page_is_drawn(page: Page, host: str) -> None:
-    """In view they do not wait for the browser's first picture; below the fold none starts."""
+    """In view, they do not wait for the browser's first picture; below the fold none starts."""
     page.open(f"{host}/empty.html", 480, 320)
     make, _, _ = MAKE.partition("return [")
     make += "return player.player.workers !== null;"
@@ -252,7 +252,7 @@ range.dispatchEvent(new Event("input", { bubbles: true, composed: true }));
 
 
 def test_media_chrome_binds_to_it(page: Page, host: str, tmp_path: Path) -> None:
-    """Controls that know nothing of swings play, seek, show times and set the rate."""
+    """Controls that are independent of swings can play, seek, show times and set the rate."""
     page.open(f"{host}/empty.html", 640, 480)
     page.run(CHROME)
     page.wait("player.readyState === 4", 30)
@@ -301,7 +301,7 @@ return [...during, numHolds];
 
 
 def test_its_pictures_are_a_stream_of_video(page: Page, host: str) -> None:
-    """`captureStream`: a video element plays what the canvas shows, until its track is stopped."""
+    """`captureStream`: a video element plays the canvas until its track is stopped."""
     page.open(f"{host}/empty.html", 200, 150)
     page.run(MAKE, {"src": "stream"})
     page.wait("player.readyState >= 3", 30)
@@ -324,7 +324,7 @@ document.querySelector("#pip").addEventListener("click", () => {
 
 
 def test_picture_in_picture(page: Page, host: str) -> None:
-    """A window above all others shows it, and leaves nothing behind."""
+    """A window above all others shows the player, and leaves nothing behind."""
     page.open(f"{host}/empty.html", 400, 300)
     page.run(MAKE, {"src": "stream", "loop": ""})
     page.wait("player.readyState >= 3", 30)

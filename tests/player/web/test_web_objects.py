@@ -1,4 +1,4 @@
-"""What a page gets of a real server: objects that the browser inflates."""
+"""Objects that a page fetches from a real server, inflated by the browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Players that nobody sees: they pause, hold no queue, and go on where they paused."""
+"""Players out of view: they pause, keep no queue, and continue where they paused."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def url(folder: Path) -> Iterator[str]:
 
 
 def test_a_frame_below_the_fold(page: Page, url: str, tmp_path: Path) -> None:
-    """On a page of another origin: no worker runs before it is scrolled to, and it pauses when it
-    is scrolled away, although the document is not hidden."""
+    """In a page of another origin, no worker runs before the frame is scrolled into view. The
+    player pauses when it is scrolled away, although the document is not hidden."""
     frame = f'<iframe src="{url}/web/watch.html?src=../static" allow="xr-spatial-tracking">'
     (tmp_path / "around.html").write_text(
         f'{PAGE}<div class="space"></div>{frame}</iframe>'
@@ -77,7 +77,7 @@ def test_a_frame_below_the_fold(page: Page, url: str, tmp_path: Path) -> None:
         page.wait(f"{PLAYER}.shownFrame > 3", 60)
         page.run("parent.postMessage(0, '*')")
         page.wait(f"!{STATE}.playing")
-        time.sleep(0.5)  # the worker is told meanwhile
+        time.sleep(0.5)  # time to notify the worker
         number = page.run(f"return {STATE}.frame")
         time.sleep(0.5)
         assert page.run(f"return [{STATE}.frame, {ELEMENT}.paused]") == [number, False]
@@ -88,7 +88,7 @@ def test_a_frame_below_the_fold(page: Page, url: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("rest_s", [2, pytest.param(60, marks=pytest.mark.slow)])
 def test_out_of_view_for_a_while(page: Page, url: str, rest_s: int) -> None:
-    """Memory stays as it was in view, within 10 %; picture in picture keeps a player going."""
+    """Memory stays the same as in view, within 10 %; picture in picture keeps a player playing."""
     page.open(f"{url}/element.html", 400, 300)
     page.wait(f"{PLAYER} !== undefined")
     time.sleep(0.5)
@@ -130,8 +130,8 @@ OPEN = (
 
 
 def test_a_player_that_is_parked(page: Page, url: str) -> None:
-    """Of those out of view the longest unseen one keeps nothing but its picture. It opens again in
-    view, with its frame, its camera and what was set."""
+    """The player that has been out of view longest keeps only its picture. In view it opens again,
+    with its frame, camera and settings."""
     page.open(f"{url}/element.html", 400, 150, scripts=(PIXELS,))
     page.run(MANY, NUM_PLAYERS)
     page.run(SHOW)
@@ -163,7 +163,7 @@ def test_a_player_that_is_parked(page: Page, url: str) -> None:
 
 @pytest.mark.slow
 def test_twenty_players_take_the_memory_of_those_that_stay_open(page: Page, url: str) -> None:
-    """One in view, and the few that wait; each of the others has been in view and is parked."""
+    """One player is in view and a few wait; each of the others has been in view and is parked."""
     found_bytes: list[int] = []
     for count in (MOST_WAITING + 1, 20):
         page.open(f"{url}/element.html", 400, 150)

@@ -1,4 +1,4 @@
-"""The npm package: packed, type-checked, bundled, and played by the engines of others."""
+"""The npm package: packed, type-checked, bundled, and played by other engines."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ELEMENT = "document.querySelector('swings-player')"
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of somebody's project, with the packed package, but its types, in node_modules."""
+    """A project folder with the packed package, without its types, in node_modules."""
     if why_not() is not None or not (PACKAGES / "esbuild").is_dir():
         pytest.skip("needs the npm packages of the tests: scripts/setup dev")
     path = tmp_path_factory.mktemp("project")
@@ -53,8 +53,8 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def host(installed: Path) -> Iterator[str]:
-    """The URL of that folder, with streams of one layer: stream/, and harmonics/ of degree 1."""
-    # Of one layer: which others are there in time is the link's doing.
+    """Serves that folder with streams of one layer: stream/, and harmonics/ of degree 1."""
+    # One layer, because the arrival of others depends on the link.
     for name, sh_degree in (("stream", 0), ("harmonics", 1)):
         write_stream(installed / f"{name}-trained", NUM_FRAMES, 150, sh_degree, layers=(1.0,))
         export_static(installed / f"{name}-trained", installed / name)
@@ -72,7 +72,7 @@ def test_it_has_what_its_description_names(installed: Path) -> None:
     assert {path.name for path in (package / "workers").iterdir()} == {
         *("feedworker.js", "playworker.js", "sortworker.js"),
     }
-    # Nothing of the tests, nothing of three.js and the others.
+    # Nothing from the tests, nothing from three.js and other engines.
     assert sum(path.stat().st_size for path in package.rglob("*")) < 2_000_000
 
 
@@ -124,7 +124,7 @@ def test_its_types_hold_in_a_strict_project(installed: Path) -> None:
     description = json.loads((package / "package.json").read_text(encoding="utf-8"))
     for targets in description["exports"].values():
         assert isinstance(targets, str) or (package / targets["types"]).is_file()
-    # The types of PlayCanvas need others, which npm would install with it.
+    # The types of PlayCanvas need other types, which npm would install with it.
     for name, text, flags in (
         ("consumer.ts", CONSUMER, []),
         ("inplaycanvas.ts", IN_PLAYCANVAS, ["--skipLibCheck"]),
@@ -166,7 +166,7 @@ def test_its_core_reads_a_stream_without_a_page(installed: Path, host: str) -> N
     assert done.stderr == ""
     found = json.loads(done.stdout)
     splats = StreamReader(installed / "stream-trained").active_splats(7, 1)
-    # What is not visible is not handed over.
+    # Invisible Gaussians are not passed on.
     visible = 1 / (1 + np.exp(-splats.logit_opacities)) >= ALPHA_MIN
     assert (found["frame"], found["count"]) == (7, visible.sum())
     assert np.float32(found["x"]) in splats.means[:, 0]
@@ -176,7 +176,7 @@ PAGE = '<!doctype html><link rel="icon" href="data:," />'
 
 
 def test_it_plays_from_a_bundle(page: Page, installed: Path, host: str) -> None:
-    """esbuild leaves the workers' URLs alone: they lie beside the bundle's folder."""
+    """esbuild does not change the workers' URLs: they are beside the bundle's folder."""
     (installed / "page.js").write_text('import "swings-player";', encoding="utf-8")
     command = [str(PACKAGES / ".bin" / "esbuild"), "page.js", "--bundle", "--format=esm"]
     subprocess.run([*command, "--outdir=built/app", "--log-level=error"], cwd=installed, check=True)
@@ -192,7 +192,7 @@ def test_it_plays_from_a_bundle(page: Page, installed: Path, host: str) -> None:
 
 
 def test_a_second_copy_only_warns(page: Page, installed: Path, host: str) -> None:
-    """Unbundled from a plain server, beside the player of another folder."""
+    """The package runs unbundled from a plain server, beside the player of another folder."""
     (installed / "other").symlink_to(ROOT / "player" / "web")
     (installed / "twice.html").write_text(
         f'{PAGE}<script type="module" src="npm/swings-player/element/swingsplayer.js"></script>'
@@ -210,7 +210,7 @@ def test_a_second_copy_only_warns(page: Page, installed: Path, host: str) -> Non
 
 
 def open_example(page: Page, installed: Path, host: str, name: str, kept: str, stream: str) -> None:
-    """Opens an example in a page of 320 by 240; `kept` is the name of what plays, for the test."""
+    """Opens an example in a page of 320 by 240; `kept` is its variable with the playing object."""
     text = (ROOT / "examples" / f"{name}.html").read_text(encoding="utf-8")
     (script,) = re.findall(r'<script type="module">\n(.*?) *</script>', text, re.DOTALL)
     assert script.count("\n") <= MOST_LINES
@@ -245,10 +245,10 @@ def test_an_engine_plays_it(
     stream: str,
     least_psnr_db: float,
 ) -> None:
-    """The examples: the picture is that of the CPU renderer, as far as the engine's recipe goes.
+    """The picture of an example is that of the CPU renderer, as far as the engine's recipe allows.
 
-    Spark: 52.7 dB, and 28.1 with random harmonics, whose colours leave 0 to 1 far more than
-    trained ones. PlayCanvas: 36.9, for it cuts Gaussians off at 2.83 sigma and blurs them less.
+    Spark: 52.7 dB, and 28.1 with random harmonics, whose colours exceed 0..1 much more than trained
+    ones. PlayCanvas: 36.9, because it cuts Gaussians off at 2.83 sigma and blurs them less.
     """
     open_example(page, installed, host, name, kept, stream)
     page.wait("window.video?.currentTime > 0.1", 60)

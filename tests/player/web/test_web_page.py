@@ -1,4 +1,4 @@
-"""The page plays a stream of a plain file server, as a person would have it."""
+"""The page plays a stream from a plain file server as expected."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PLAYER = "document.querySelector('swings-player').player"
 
 
 def note(selector: str) -> str:
-    """The expression for what a note on the page says."""
+    """The expression for the text of a note on the page."""
     root = "document.querySelector('swings-player').shadowRoot"
     return f"{root}.querySelector('{selector}').textContent"
 
@@ -51,7 +51,7 @@ def test_it_plays_pauses_seeks_and_ends(watched: Page, tmp_path: Path) -> None:
     watched.wait(f"{STATE}.playing === false")
     watched.press("Home")
     watched.wait(f"{PLAYER}.shownFrame === 0", 30)
-    watched.press("ArrowRight")  # a tenth of so short a clip
+    watched.press("ArrowRight")  # a tenth of this short clip
     watched.wait(f"{PLAYER}.shownFrame === 6", 30)
     watched.screenshot(tmp_path / "page.png")
     watched.press("o")
@@ -124,7 +124,7 @@ def test_a_host_that_is_gone_for_a_while_and_a_stream_that_is_not_there(
     ],
 )
 def test_a_file_that_was_altered(page: Page, long_stream: Path, name: str, kind: str) -> None:
-    """The page says what is wrong, or plays without it; it does not break, and does not hang."""
+    """The page reports the error, or plays without the file; it neither breaks nor hangs."""
     rng = random.Random(name + kind)
     folder = long_stream / f"altered-{kind}"
     if not folder.exists():

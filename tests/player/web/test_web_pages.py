@@ -25,7 +25,7 @@ NUM_STREAMS = 12
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    """One with twelve streams, of which number n has n + 1 seconds, and one that is broken."""
+    """A server with twelve streams, number n of n + 1 seconds, and a broken stream."""
     root = tmp_path_factory.mktemp("root")
     for n in range(NUM_STREAMS):
         write_stream(root / f"s{n}", 2 * n + 2, slice_size=8, fps=2, title=f"Take {n} of the walk")

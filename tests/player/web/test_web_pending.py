@@ -22,7 +22,7 @@ def test_the_newest_of_each_slot(browser: BrowserCode, sh_degree: int, seed: int
             [[slot, rng.randrange(1, 2**31)] for slot in rng.sample(range(NUM_SLOTS), count)]
             for count in (rng.randrange(20), rng.randrange(4))
         )
-        # As renderers have it: the lattice first.
+        # In the order of renderers: the lattice first.
         for slot, value in lattice + floats:
             expected[slot] = value
         is_handed = rng.random() < 0.05 or number == 199

@@ -1,4 +1,4 @@
-"""What the browser shows of a stream, frame by frame: the Gaussians that the package shows."""
+"""The browser shows the same Gaussians of a stream as the package, frame by frame."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NUM_FRAMES = 17
 
 
 def shown_by_package(stream: Path, frame: int) -> list[str]:
-    """The means of what shows, farthest first for the default camera."""
+    """Means of the shown Gaussians, farthest first for the default camera."""
     reader = StreamReader(stream)
     manifest = reader.manifest
     splats = reader.active_splats(frame, manifest.num_layers)
@@ -84,7 +84,7 @@ def test_layers_that_come_late_are_shown_soon(
 
 @pytest.mark.parametrize("rate_bps", [1e6, 1e9])
 def test_all_objects_are_asked_for(browser: BrowserCode, tmp_path: Path, rate_bps: float) -> None:
-    """Also where a link carries several segments at a time."""
+    """This also holds if a link carries several segments at a time."""
     stream = write_stream(tmp_path / "stream", 30, slice_size=8, layers=(1.0,))
     export_static(stream, tmp_path / "static")
     files = folder_files(tmp_path / "static")

@@ -1,4 +1,4 @@
-"""The page shows a stream's poster until the first frame is there, and goes without one."""
+"""The page shows a stream's poster until the first frame is there, and works without one."""
 
 from __future__ import annotations
 

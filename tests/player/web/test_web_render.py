@@ -1,4 +1,4 @@
-"""The picture of the browser is that of the CPU renderer."""
+"""The browser's picture is that of the CPU renderer."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from tests.support.web.chromium import Page
 ROOT = Path(__file__).parents[3]
 FRAME = 7
 LEAST_HALF_WAY_DB, LEAST_BETWEEN_DB = 45.0, 36.0
-"""Between two frames covariances are mixed, where the CPU mixes sizes and turns, and the order is
-that half way at any share."""
+"""Between two frames the browser mixes covariances, while the CPU mixes sizes and rotations; its
+order is always that of halfway."""
 
 
 def made_stream(path: Path, kind: str) -> Path:
@@ -52,7 +52,7 @@ def test_a_picture(page: Page, tmp_path: Path, kind: str) -> None:
 
 
 def test_what_is_behind_a_camera_that_has_just_turned(page: Page, tmp_path: Path) -> None:
-    """It is still in the order of before, and does not show."""
+    """Such Gaussians are still in the previous order, and do not show."""
     stream = made_stream(tmp_path / "stream", "slots that last")
     camera = StreamReader(stream).manifest.camera()
     away = replace(camera, w2c=np.diag([-1.0, 1.0, -1.0, 1.0]) @ camera.w2c)
@@ -63,7 +63,7 @@ def test_what_is_behind_a_camera_that_has_just_turned(page: Page, tmp_path: Path
 @pytest.mark.parametrize("sh_degree", [2, 3])
 @pytest.mark.parametrize("kind", ["floats", "on the lattice"])
 def test_every_degree_is_drawn(page: Page, tmp_path: Path, sh_degree: int, kind: str) -> None:
-    """From 8 places, after a few frames whose changes have colours of their own."""
+    """Seen from 8 places, after a few frames whose changes have their own colours."""
     stream, wide = tmp_path / "stream", {"near_m": 0.2}
     if kind == "floats":
         write_stream(stream, FRAME + 2, 30, sh_degree, **wide)
@@ -85,7 +85,7 @@ def test_every_degree_is_drawn(page: Page, tmp_path: Path, sh_degree: int, kind:
 
 @pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
 def test_between_two_frames(page: Page, tmp_path: Path, sh_degree: int) -> None:
-    """Gaussians that move, jump, end, begin and are given to others, as the CPU draws them."""
+    """Gaussians that move, jump, end, begin or are replaced are drawn as on the CPU."""
     layout = small_layout(1, (500, 300), sh_degree, 5)
     stream = write_moving_stream(tmp_path / "stream", FRAME + 2, layout)
     reader = StreamReader(stream)
@@ -106,8 +106,8 @@ def test_between_two_frames(page: Page, tmp_path: Path, sh_degree: int) -> None:
 
 
 def test_no_gaussian_jumps_and_comes_back(page: Page, tmp_path: Path) -> None:
-    """One that jumps, and one whose slot is given to another, fade where they are while what comes
-    after them fades in; between their places nothing shows at any time."""
+    """A Gaussian that jumps, and one whose slot gets another, fade out in place while their
+    successors fade in; between the places nothing shows at any time."""
     places_m = np.array([[-1, -0.6, 4], [1, -0.6, 4], [0, 0, 4], [-1, 0.6, 4], [1, 0.6, 4]])
     stream = write_jumps(tmp_path / "stream", FRAME + 1, FRAME, places_m.astype(np.float32))
     reader = StreamReader(stream)
@@ -131,7 +131,7 @@ def test_no_gaussian_jumps_and_comes_back(page: Page, tmp_path: Path) -> None:
 def drawn(
     page: Page, tmp_path: Path, stream: Path, cameras: list[Camera], **more: object
 ) -> list[npt.NDArray[np.float64]]:
-    """(height, width, 3) what the browser draws of FRAME for each of `cameras`, of one size, and
+    """(height, width, 3) pictures of FRAME by the browser for each of `cameras`, of one size, and
     for each of the shares."""
     (tmp_path / "player").symlink_to(ROOT / "player")
     (tmp_path / "render.html").write_bytes((Path(__file__).parent / "render.html").read_bytes())

@@ -1,4 +1,4 @@
-"""Slots as the browser decodes them: integer for integer and bit for bit what the package holds."""
+"""The browser decodes slots to the same integers and bits as the package."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NUM_FRAMES = 14
 
 @pytest.mark.parametrize("row", STREAMS, ids=lambda row: row["stream"])
 def test_a_stream_of_the_conformance_suite(browser: BrowserCode, row: dict[str, Any]) -> None:
-    """Joined at every segment and played to its end, with each number of layers."""
+    """The stream is joined at every segment and played to its end, with each number of layers."""
     stream = StreamFolder(FOLDER / row["stream"])
     layout = layout_of(stream.shape)
     for num_layers, segment in product(range(1, len(layout.slots) + 1), range(len(stream.index))):
@@ -50,8 +50,8 @@ def test_an_order_of_the_conformance_suite(browser: BrowserCode, row: dict[str, 
 
 @pytest.mark.parametrize("seed", range(24))
 def test_who_lacks_something_holds_the_same(browser: BrowserCode, seed: int) -> None:
-    """Packets that never come, or late; masks that never come; snapshots of some layers, some of
-    them late; bytes that were altered on the way."""
+    """Packets that arrive late or never; masks that never arrive; snapshots of some layers, some of
+    them late; altered bytes."""
     rng, random_bytes = np.random.default_rng(seed), random.Random(seed)
     slots_of_layers = ((1,), (9,), (6, 5), (1, 4, 3))[seed % 4]
     layout = small_layout(1 + seed % 3, slots_of_layers, seed % 2, (1, 3, 5, 9)[seed // 6])
@@ -75,7 +75,7 @@ def test_who_lacks_something_holds_the_same(browser: BrowserCode, seed: int) -> 
         if mask is not None:
             torn = [change and altered(change, random_bytes) for change in changes]
             offers.insert(0, (altered(mask, random_bytes), torn))
-        # What was altered may fit, and then what is right may not fit any more.
+        # An altered chunk may fit, and then the correct one may not fit any more.
         assert any(both_apply(ours, theirs, birth, *offer) for offer in offers)
         assert theirs.held() == held(ours)
         for layer in [layer for layer in absent if rng.random() < 0.3]:
@@ -106,7 +106,7 @@ def both_apply(
     mask: bytes | None,
     changes: list[bytes | None],
 ) -> bool:
-    """Whether the slice fits; both must say the same."""
+    """Whether the slice fits; both must agree."""
     try:
         rows = ours.apply(birth, mask, changes).rows
     except CodecError:
@@ -120,7 +120,7 @@ def both_apply(
 
 @pytest.mark.parametrize("seed", range(12))
 def test_passing_slices(browser: BrowserCode, seed: int) -> None:
-    """Here, missing, altered on the way; with the slice after them, and without."""
+    """Passing slices arrive, are missing or altered; with the next slice, and without."""
     rng, random_bytes = np.random.default_rng(seed), random.Random(seed)
     period, slots_of_layers = 2 + seed % 3, ((7,), (6, 5), (1, 4, 3))[seed % 3]
     length = period * (1 + seed % 2)
@@ -155,7 +155,7 @@ def test_passing_slices(browser: BrowserCode, seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_a_passing_slice_that_comes_late(browser: BrowserCode, seed: int) -> None:
-    """While its frame shows, the frame becomes what it would have been; later it is of no use."""
+    """While its frame shows, the slice completes the frame; later it has no effect."""
     rng, random_bytes = np.random.default_rng(seed), random.Random(seed)
     period, slots_of_layers = 2 + seed % 3, ((7,), (6, 5), (1, 4, 3))[seed % 3]
     length = period * (1 + seed % 2)
@@ -180,7 +180,7 @@ def test_a_passing_slice_that_comes_late(browser: BrowserCode, seed: int) -> Non
         found = theirs.apply(birth, mask, come, ahead)
         rows = ours.apply(birth, mask, changes).rows
         assert rows is not None
-        if not is_late:  # what stood for the one before may have shown in other slots
+        if not is_late:  # the replacement of the previous one may have shown in other slots
             more = set(found) - set(rows.tolist())
             assert set(rows.tolist()) | more == set(found)
             assert was_late or not more
@@ -195,7 +195,7 @@ def test_a_passing_slice_that_comes_late(browser: BrowserCode, seed: int) -> Non
 
 
 def test_a_damaged_slice_ahead_does_not_end_a_play(browser: BrowserCode) -> None:
-    """Nor in the bundle, where what reads passing slices has classes of errors of its own."""
+    """This holds also in the bundle, whose module for passing slices has its own error classes."""
     rng = random.Random(4)
     plain, layout = (small_layout(1, (6, 5), 0, 4, period) for period in (1, 2))
     chunks = encoded_chunks(layout, patternless_updates(plain, 5, 3, calm=1))

@@ -1,4 +1,4 @@
-"""Motion between frames in the browser: which Gaussians go on, and when pictures show it."""
+"""Motion between frames in the browser: which Gaussians go on, and when it is shown."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from tests.support.web.chromium import Page
 
 NUM_FRAMES = 14
 LEAST_INTERVALS = 5
-"""So many intervals between pictures are known before the screen's rate is."""
+"""Number of intervals between pictures after which the screen's rate is known."""
 LEFT = 4
-"""Stands in the browser's table beside how a slot came to what it holds: it held another one."""
+"""Flag in the browser's table of moves: the slot held another Gaussian before."""
 
 
 @pytest.mark.parametrize("kind", ["moving", "without a pattern", "of two lanes", "passing"])
 def test_which_go_on(browser: BrowserCode, kind: str) -> None:
-    """As the package says of the same slices."""
+    """The same Gaussians go on as in the package."""
     plain = small_layout(2 if kind == "of two lanes" else 1, (60, 40), 0, 4)
     layout = small_layout(1, (60, 40), 0, 4, 2) if kind == "passing" else plain
     make = moving_updates if kind in ("moving", "passing") else patternless_updates
@@ -75,7 +75,7 @@ def test_the_share_of_the_way(
     way: float,
     data: st.DataObject,
 ) -> None:
-    """It grows from 0 to 1 from when a frame is due to when the next one is, in any round."""
+    """The share grows from 0 to 1 between the due times of two frames, in any round."""
     frame = data.draw(st.integers(0, num_frames - 1))
     if num_frames < 4:
         way = min(way, 0.7 * num_frames)
@@ -102,7 +102,7 @@ def test_a_screen_that_is_faster(browser: BrowserCode, screen_hz: int) -> None:
 
 @pytest.mark.parametrize(("screen_hz", "fps"), [(60, 60), (30, 30), (60, 59.94), (50, 60)])
 def test_a_screen_that_is_not(browser: BrowserCode, screen_hz: float, fps: float) -> None:
-    """Each frame is drawn as it is, while the screen is measured, too: now and then by a few
+    """Each frame is drawn unchanged, also while the screen is measured from time to time by a few
     pictures."""
     found = smoothed(browser, screen_hz, fps, count=400)
     assert not any(one["isMoving"] or one["draws"] or one["share"] < 1 for one in found)
@@ -112,7 +112,7 @@ def test_a_screen_that_is_not(browser: BrowserCode, screen_hz: float, fps: float
 @given(st.integers(20, 200), st.integers(1, 100), st.sampled_from([3.0, 24.0, 30.0]))
 @settings(max_examples=30, deadline=None)
 def test_a_pause(browser: BrowserCode, first: int, count: int, fps: float) -> None:
-    """A paused player shows a frame as it is, and no picture of that frame is behind it later."""
+    """A paused player shows an exact frame, and later pictures never go back behind it."""
     found = smoothed(browser, 60, fps, paused=(first, first + count))
     assert all(one["share"] == 1 for one in found[first : first + count])
     for one, after in pairwise(found):
@@ -127,7 +127,7 @@ def test_nothing_is_drawn_anew_where_nothing_moves(browser: BrowserCode) -> None
 
 
 def test_a_page_that_is_busy_for_a_while(browser: BrowserCode) -> None:
-    """It counts as slow, and is measured again when it is no longer busy."""
+    """The page counts as slow, and is measured again once it is no longer busy."""
     busy_ms = [50.0] * 30 + [0.0] * 400
     found = smoothed(browser, 60, 30, busy_ms, count=400)
     moving = [one["isMoving"] for one in found]
@@ -150,8 +150,8 @@ def smoothed(
     paused: tuple[int, int] = (-1, -1),
     moves: bool = True,
 ) -> list[dict[str, float]]:
-    """What pictures showed. paused: the first one while it paused, and the first one after that.
-    moves: whether anything is on its way."""
+    """The shown pictures. paused: the first one in the pause, and the first one after it. moves:
+    whether anything moves."""
     question = {"screenHz": screen_hz, "fps": fps, "count": count, "interpolates": interpolates}
     busy = busy_ms or [0.0]
     found: list[dict[str, float]] = browser.ask(

@@ -1,4 +1,4 @@
-"""Sound in the page: what Chromium's audio device is given, against what the player shows."""
+"""Sound in the page: the samples for Chromium's audio device, compared with the shown frames."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def simulated(fps: float, frames: int, lasts_s: float, seed: int, what: str) -> 
 @pytest.mark.parametrize("seed", [7, 8, 9])
 def test_ten_minutes_of_clicks_and_flashes(seed: int) -> None:
     """Virtual time, clocks that differ by 200 ppm, 20 seeks, 3 stalls, and loops of 10 s: each
-    click is in step with its flash, but for samples that the device had before a seek."""
+    click is in step with its flash, except samples that the device had before a seek."""
     frames, lasts_s = 300, 600
     found = simulated(FPS, frames, lasts_s, seed, "seeks")
     flashes, clicks = found["flashes"], found["clicks"]
@@ -107,7 +107,7 @@ def test_a_loop_that_is_switched_off_near_its_end_is_silent_after_it() -> None:
 
 
 def test_many_short_rounds_stay_in_step() -> None:
-    """A round of 3 frames at 29.97 a second has 4804.8 samples."""
+    """A round of 3 frames at 29.97 fps has 4804.8 samples."""
     found = simulated(29.97, 3, 200, 1, "loop")
     flashes, clicks = found["flashes"], found["clicks"]
     assert (found["stalls"], found["gaps"]) == (0, 0)
@@ -159,7 +159,7 @@ def check_in_step(page: Page, count: int) -> None:
 
 
 def test_clicks_are_heard_with_their_pictures(page: Page, host: tuple[str, Path]) -> None:
-    """Through loops, which sound passes without a gap, after seeks and at another speed."""
+    """Clicks stay in step through loops, which have no gap, after seeks and at another speed."""
     open_stream(page, host[0], "plain/static")
     wait_for_clicks(page, 9)  # a loop and a half
     times = page.run("return clicks.map(({ atS }) => 1000 * atS)")
@@ -258,7 +258,7 @@ def test_a_browser_that_waits_for_a_person(
     assert page.run(PARTS) == {"label": "Unmute", "pill": True, "volume": "1", "muted": False}
     assert page.axe("swings-player") == []
     shown = page.run(f"return {ELEMENT}.player.shownFrame")
-    page.wait(f"{ELEMENT}.player.shownFrame !== {shown}")  # the picture plays meanwhile
+    page.wait(f"{ELEMENT}.player.shownFrame !== {shown}")  # the pictures play without sound
     assert page.run("return clicks.length") == 0
     assert page.run("return resumes") <= 2, "asked once, and again by a person alone"
     page.click(".unmute")
@@ -286,7 +286,7 @@ def test_a_link_that_carries_layer_0_and_no_more_carries_the_sound(
         page.wait(f"{ELEMENT}.ended", 100)
     stalls = page.run(f"return {ELEMENT}.player.state.stalls")
     times = page.run("return clicks.map(({ atS }) => 1000 * atS)")
-    # Where the picture waits, sound does; between such places there is no gap.
+    # Sound waits with the picture; between such places there is no gap.
     assert len(times) >= frames / CLICK_FRAMES - 1 - stalls
     assert np.sum(np.abs(np.diff(times) - CLICK_MS) > 1) <= stalls
 

@@ -63,7 +63,7 @@ def test_damaged_objects_are_refused_as_in_the_package(
         damaged = bytearray(data)
         damaged[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
         cases.append(bytes(damaged))
-    for _ in range(100):  # whose checksum is right
+    for _ in range(100):  # with a correct checksum
         packets = tuple(rng.randbytes(rng.randint(1, 3)) for _ in range(3))
         try:
             cases.append(SoundObject(2, whole.pre_skip, 9, 0, packets).pack())
@@ -79,7 +79,7 @@ def test_damaged_objects_are_refused_as_in_the_package(
 
 
 def test_packets_far_from_their_segment_are_refused(browser: BrowserCode) -> None:
-    """An object of 16 MB may hold an hour of sound: no segment has as much."""
+    """An object of 16 MB could hold an hour of sound, more than any segment."""
     packets = (b"\xf8\0",) * 3000  # of 20 ms
     data = SoundObject(1, 312, 60 * SAMPLE_RATE, 0, packets).pack().hex()
 
@@ -190,7 +190,7 @@ def test_pieces_cover_the_stream_once(
 
 
 def test_a_decoder_of_files_gives_all_samples(browser: BrowserCode, reader: StreamReader) -> None:
-    """The file of the packets decodes to what the packets decode to: nothing is passed over."""
+    """The file of the packets decodes to the same samples as the packets: none is skipped."""
     for source in SOURCES:
         found = read_sound(reader, 2, source)
         ends = list(itertools.accumulate(map(packet_samples, found.packets)))
@@ -225,7 +225,7 @@ def test_another_speed_keeps_the_pitch(browser: BrowserCode, rate: float) -> Non
     assert len(left) == len(right) == length
     assert pitch_hz(left) == pytest.approx(440, abs=2 * SAMPLE_RATE / length)
     assert np.array_equal(right, -left), "both channels move together"
-    # It joins what comes before and after, and has no steps.
+    # It joins the samples before and after it without steps.
     steps = np.abs(np.diff(left))
     assert steps.max() <= 1.2 * np.abs(np.diff(tone)).max()
     assert left[:500] == pytest.approx(tone[:500], abs=1e-6)
@@ -234,7 +234,7 @@ def test_another_speed_keeps_the_pitch(browser: BrowserCode, rate: float) -> Non
 
 @pytest.mark.parametrize("rate", [0.25, 0.7, 1.0, 1.9])
 def test_another_speed_is_made_in_parts(browser: BrowserCode, rate: float) -> None:
-    """A step makes half a second at most, so that the page goes on; nothing is left out."""
+    """A step makes at most half a second, so that the page stays responsive; nothing is omitted."""
     found = browser.ask("handed", rate=rate, steps=100)
     parts = [tuple(part) for step in found["all"] for part in step]
     assert found["gaps"] == 0
@@ -265,8 +265,8 @@ def test_a_folder_of_clicks_is_what_it_says(tmp_path: Path) -> None:
 def test_sound_is_in_time_and_leaves_the_link_to_the_pictures(
     browser: BrowserCode, length_ms: float, ahead_ms: float, share: float
 ) -> None:
-    """Segments of `length_ms` that each take that share of it. None is late, and beyond what is
-    heard soon they take a small part of the time."""
+    """Each segment of `length_ms` takes `share` of it to fetch. None is late, and segments that are
+    not heard soon take a small part of the time."""
     took_ms = share * length_ms
     question = {"lengthMs": length_ms, "aheadMs": ahead_ms, "tookMs": took_ms, "rounds": 60}
     for fetched, (_, came_ms, due_ms) in enumerate(browser.ask("paced", **question), 1):
@@ -280,7 +280,7 @@ def test_sound_is_in_time_and_leaves_the_link_to_the_pictures(
 @given(st.floats(0.01, 0.7))
 @settings(max_examples=20, deadline=None)
 def test_the_lead_of_sound_grows(browser: BrowserCode, share: float) -> None:
-    """However much of its length a segment takes, for latency it may be."""
+    """This holds for any share of its length that a segment takes, e.g. because of latency."""
     question = {"lengthMs": 500, "aheadMs": 15000, "tookMs": 500 * share, "rounds": 200}
     *_, (_, came_ms, due_ms) = browser.ask("paced", **question)
     assert due_ms - came_ms > 13000

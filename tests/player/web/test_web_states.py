@@ -1,4 +1,4 @@
-"""The player's states: each is accessible, and its controls do what people expect of them."""
+"""The player's states: each is accessible, and its controls do what users expect."""
 
 from __future__ import annotations
 

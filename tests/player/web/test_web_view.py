@@ -1,4 +1,4 @@
-"""A person turns, moves and zooms the camera in the browser as in the window of swings-play."""
+"""The camera in the browser turns, moves and zooms like in the window of swings-play."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOVES: tuple[tuple[str, tuple[float, ...]], ...] = (
 
 
 def outward() -> Manifest:
-    """Cameras that look away from each other, so that they see no point together."""
+    """Cameras that look away from each other, so that they have no common point."""
     made = small_manifest()
     turn = np.diag([-1.0, 1.0, -1.0, 1.0])
     return replace(made, cameras=tuple(replace(c, w2c=turn @ c.w2c) for c in made.cameras))
@@ -52,7 +52,7 @@ def test_the_camera(browser: BrowserCode, manifest: Manifest, again: bool) -> No
         w2c = np.array(found["w2c"]).reshape(4, 4)
         scale = 2e-3 * max(1, float(np.abs(expected.w2c).max()))
         np.testing.assert_allclose(w2c, expected.w2c, atol=scale if again else 1e-9)
-        # A phone's upright picture is four thirds as high as the view.
+        # The portrait picture of a phone is four thirds as high as the view.
         camera = manifest.camera()
         assert found["fxPx"] == pytest.approx(camera.fx_px * 844 / camera.height_px * 3 / 4)
         assert found["cxPx"] == pytest.approx(195)
@@ -74,7 +74,7 @@ def test_the_camera(browser: BrowserCode, manifest: Manifest, again: bool) -> No
 def test_a_narrow_picture_shows_what_the_rig_looks_at(
     browser: BrowserCode, width_px: int, x_m: float, scale: float, middle_px: float
 ) -> None:
-    """x_m: of the scene's centre, 4 m ahead. The camera's pictures have 64x48 pixels."""
+    """x_m: place of the scene's centre, 4 m ahead. The camera's pictures have 64x48 pixels."""
     made = small_manifest()
     camera = replace(made.cameras[0], w2c=np.eye(4))
     bounds = ((x_m - 2, -2.0, 2.0), (x_m + 2, 2.0, 6.0))

@@ -28,7 +28,7 @@ WHOLE = Slice(0, scattered_splats(COUNT, 3, 3), np.zeros(COUNT, np.uint8))
 
 @pytest.fixture(params=GL_VERSIONS)
 def renderer(request: pytest.FixtureRequest) -> Iterator[GlRenderer]:
-    """With nothing uploaded, for streams of degree 3 of one lane."""
+    """A renderer for streams of degree 3 with one lane, with nothing uploaded."""
     manifest = small_manifest(COUNT, 3, near_m=0.2, swin_size=1, layers=(1.0,))
     opened = GlRenderer(manifest, version=GlVersion(request.param))
     yield opened
@@ -62,7 +62,7 @@ def shifted(camera: Camera, by_m: float) -> Camera:
 
 
 def test_colours_follow_the_camera_in_steps(renderer: GlRenderer) -> None:
-    """Between them they are those of a place within the stated turn of what is nearest."""
+    """Between steps, colours are those of a place within the stated turn for the nearest ones."""
     renderer.put(WHOLE)
     here, step_m = turned_camera(), 0.3 * COLOUR_TURN_RAD * 0.2
     renderer.render(0, here)

@@ -1,4 +1,4 @@
-"""The GPU's sort against a stable one."""
+"""The GPU's sort, compared with a stable sort."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def context() -> Iterator[moderngl.Context]:
 
 
 def some_keys(count: int, kinds: int, absent_share: float, seed: int) -> Keys:
-    """Keys of at most `kinds` values, so that many are the same."""
+    """Keys with at most `kinds` different values, so that many are equal."""
     rng = np.random.default_rng(seed)
     values = rng.integers(0, 1 << KEY_BITS, kinds)
     keys = values[rng.integers(0, kinds, count)].astype(np.uint32)
@@ -47,7 +47,7 @@ def test_equal_keys_keep_their_order_and_absent_ones_are_left_out(
     context: moderngl.Context, count: int, kinds: int, absent_share: float
 ) -> None:
     sort = DepthSort(context, count)
-    # The second time there are other keys, and fewer.
+    # The second sort has different and fewer keys.
     for absent in (absent_share, 1 - (1 - absent_share) / 3):
         keys = some_keys(count, kinds, absent, count)
         slots = np.random.default_rng(1).permutation(count).astype(np.uint32)

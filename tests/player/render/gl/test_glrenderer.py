@@ -1,4 +1,4 @@
-"""OpenGL beside the CPU renderer: the same picture, and only the changed slice uploaded."""
+"""OpenGL compared with the CPU renderer: same picture, and only the changed slice is uploaded."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def version(request: pytest.FixtureRequest) -> GlVersion:
 
 @pytest.fixture
 def open_gl(version: GlVersion) -> Iterator[OpenGl]:
-    """Makes renderers that are closed after the test."""
+    """A factory of renderers, which are closed after the test."""
     opened: list[GlRenderer] = []
 
     def opening(manifest: Manifest, target: Target = Target.FLOAT32) -> GlRenderer:
@@ -77,7 +77,7 @@ def test_parity_with_the_cpu(open_gl: OpenGl, sh_degree: int) -> None:
         manifest.camera("c0"),
         # Odd size, principal point off the middle, pixels not square.
         replace(manifest.camera("c1"), width_px=95, height_px=51, cx_px=40.0, fy_px=75.0),
-        # In the midst of the Gaussians: many behind, and beside, and nearer than near_m.
+        # Among the Gaussians: many are behind, outside the picture, and nearer than near_m.
         replace(manifest.camera("c0"), w2c=shift(-3.9)),
     ]
     for birth in range(1 - SWIN_SIZE, 6):
@@ -104,7 +104,7 @@ def shift(z_m: float) -> npt.NDArray[np.float64]:
 
 @pytest.mark.parametrize(("target", "least_db"), [(Target.FLOAT16, 52), (Target.BYTE, 45)])
 def test_coarser_targets_are_near(open_gl: OpenGl, target: Target, least_db: float) -> None:
-    # Degree 0 and few layers: eight bits round and clip every layer that is blended.
+    # Degree 0 and few layers, because 8 bits round and clip every blended layer.
     manifest = small_manifest(slice_size=60, sh_degree=0)
     gl, cpu = open_gl(manifest, target), CpuRenderer(manifest)
     for birth in range(1 - SWIN_SIZE, 1):
@@ -119,8 +119,8 @@ def test_coarser_targets_are_near(open_gl: OpenGl, target: Target, least_db: flo
 
 
 def test_of_equally_far_gaussians_the_oldest_is_in_front(open_gl: OpenGl) -> None:
-    # Quantisation puts the two parts of a split Gaussian at one place; so do slices that change
-    # little. Colours are opaque, so that another order would be another picture.
+    # Quantisation puts both parts of a split Gaussian at the same place, as do slices that change
+    # little. Colours are opaque, so that another order would give another picture.
     manifest = small_manifest(slice_size=30, sh_degree=0)
     gl, cpu = open_gl(manifest), CpuRenderer(manifest)
     for birth in range(1 - SWIN_SIZE, 4):
@@ -192,7 +192,7 @@ def test_only_the_changed_slice_is_uploaded(open_gl: OpenGl) -> None:
         gl.render(frame, manifest.camera())
         gl.render(frame, manifest.camera("c1"))
         assert gl.uploaded_bytes == (SWIN_SIZE + frame) * slice_bytes
-    # Late starts need no upload either: the same slices show more Gaussians a frame later.
+    # Late starts need no upload: the same slices show more Gaussians a frame later.
     before = gl.uploaded_bytes
     gl.render(6, manifest.camera())
     assert gl.uploaded_bytes == before
@@ -260,7 +260,7 @@ def test_only_the_changed_rows_are_uploaded(open_gl: OpenGl) -> None:
         gl.upload(frame)
         expected_bytes = (64 + 4) * len(rows)
         if gl.version is GlVersion.V33:
-            # Of the last ones, every other: those between go along, but for one at each row's end.
+            # Every second of the last ones; those between go along, except one per row.
             expected_bytes = 64 * (len(rows) if frame < 4 else 4 * 511)
         assert gl.uploaded_bytes - before == expected_bytes
 
@@ -312,12 +312,12 @@ def test_a_window_gets_the_picture_the_right_way_up(version: GlVersion) -> None:
             gl.put(random_slice(birth, 200))
         camera = manifest.camera()
         expected = gl.render(0, camera)
-        # Larger than the picture, as a window that was just resized may be.
+        # Larger than the picture, like a window that was just resized.
         screen = context.framebuffer([context.renderbuffer((100, 90), 4, dtype="f1")])
         gl.present(0, camera, screen)
         area = (0, 0, camera.width_px, camera.height_px)
         data = screen.read(area, components=3, alignment=1)
-        # OpenGL's first row is the lowest one of a window.
+        # OpenGL's first row is the lowest row of a window.
         shown = np.frombuffer(data, np.uint8).reshape(camera.height_px, camera.width_px, 3)[::-1]
         assert np.abs(shown - np.clip(expected, 0, 1) * 255).max() <= 0.51
         np.testing.assert_array_equal(gl.render(0, camera), expected)

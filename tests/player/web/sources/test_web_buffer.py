@@ -1,4 +1,4 @@
-"""What was received stays: loops, seeks and scrubbing read it from the browser player's buffer."""
+"""Received data stays: loops, seeks and scrubbing read it from the browser player's buffer."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ await new Promise((resolve) => {
 });
 return player.state.receivedBytes;
 """
-"""Waits for the end of `value` more rounds; gives the bytes received by then."""
+"""Waits for the end of `value` more rounds; returns the bytes received by then."""
 
 SEEK = """
 const player = document.querySelector("swings-player").player;
@@ -70,7 +70,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def long_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """As `folder`, with a stream of ten segments."""
+    """Like `folder`, with a stream of ten segments."""
     return write_folder(tmp_path_factory.mktemp("long"), LONG_FRAMES)
 
 
@@ -84,7 +84,7 @@ def write_folder(folder: Path, num_frames: int) -> Path:
 
 @contextmanager
 def hosted(folder: Path, kind: str) -> Iterator[str]:
-    """The URL of the stream's page."""
+    """Serves the folder; gives the URL of the stream's page."""
     if kind == "static":
         with static_host(folder) as url:
             yield f"{url}/web/watch.html?src=../static"
@@ -119,7 +119,7 @@ def test_a_loop_is_received_once_and_goes_on_without_its_host(
 def test_a_hundred_paused_seeks_all_show_all_layers(
     page: Page, long_folder: Path, kind: str
 ) -> None:
-    """The buffer keeps what shows and the next segment alone: most seeks are received anew."""
+    """The buffer keeps only the shown and the next segment, so that most seeks fetch again."""
     rng = random.Random(kind)
     with hosted(long_folder, kind) as url:
         opened(page, f"{url}&buffer-mb=0.001")
@@ -137,7 +137,7 @@ def test_a_hundred_paused_seeks_all_show_all_layers(
 def test_layers_of_a_still_picture_are_read_behind_all_that_shows_later(
     page: Page, long_folder: Path, tmp_path: Path
 ) -> None:
-    """A server may send them in any order, and the buffer has no room for so much of layer 0."""
+    """A server may send them in any order, and the buffer cannot hold that much of layer 0."""
     parser = RecordParser()
     with served(long_folder) as server:
         wait_for_stream(server, "stream")
@@ -155,7 +155,7 @@ def test_layers_of_a_still_picture_are_read_behind_all_that_shows_later(
 
 
 def cached(browser: BrowserCode, actions: list[list[object]], limit_segments: float = 100) -> Json:
-    """What a cache for segments of a second holds after each action."""
+    """Contents of a cache of one-second segments after each action."""
     return browser.ask(
         "cached",
         fps=4,
@@ -169,7 +169,7 @@ def cached(browser: BrowserCode, actions: list[list[object]], limit_segments: fl
 
 PACKET_BYTES = 872
 SEGMENT_BYTES = 9 * 1000
-"""Of `whole`: with 128 bytes for each packet."""
+"""Bytes of a segment of `whole`, with 128 bytes for each packet."""
 
 
 def whole(segment: int) -> list[list[object]]:
@@ -232,7 +232,7 @@ def test_in_a_loop_what_has_just_played_is_needed_last(browser: BrowserCode) -> 
     found = cached(browser, actions, limit_segments=5)[-1]
     assert segments_in(found) == {5, 6, 7, 10, 11}
     assert found["numBytes"] == 5 * SEGMENT_BYTES
-    # 6 plays after 10, 11 and 5.
+    # Segment 6 plays after 10, 11 and 5.
     assert found["hasRoom"]
 
 
@@ -252,7 +252,7 @@ def test_scrubbing_keeps_one_request_underway_and_the_last_target_counts(
 ) -> None:
     files = folder_files(folder / "static")
     found = browser.ask("scrubbed", files=files, frames=[0, 31, 14, 29, 31, 44])
-    # 0 came after three moves, when 14 was wanted and 31 no more; 44 is nearest to the last
+    # 0 arrived after three moves, when 14 was wanted and 31 no longer; 44 is nearest to the last
     # segment's start.
     assert found == {"asked": [0, 1, 2], "shown": [0, 1, 2], "mostUnderway": 1}
 

@@ -1,5 +1,5 @@
-"""The browser player fetches a stream's files from the manifest's own origin, unless it is allowed
-more."""
+"""The browser player fetches a stream's files only from the manifest's own origin, unless more is
+allowed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def lead(folder: Path, object_url: str, name: str = "away") -> str:
-    """Makes a stream whose manifest leads to `object_url`; gives its folder's name."""
+    """Makes a stream whose manifest refers to `object_url`; returns its folder's name."""
     (folder / name).mkdir(exist_ok=True)
     shutil.copy(folder / "stream" / "index.bin", folder / name)
     manifest = json.loads((folder / "stream" / "manifest.json").read_bytes())

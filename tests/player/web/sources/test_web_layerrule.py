@@ -1,4 +1,4 @@
-"""What the browser fetches of a static host, and in which order."""
+"""Objects that the browser fetches from a static host, and their order."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.support.web.browsercode import BrowserCode
 
 NUM_SEGMENTS = 30
 SEGMENT_FRAMES = 30
-"""A second."""
+"""Frames of a segment: one second."""
 LAYER_BYTES = (300_000, 100_000, 100_000)
 SNAPSHOT_BYTES = (150_000, 60_000, 60_000)
 MASKS_BYTES = 10_000
@@ -60,7 +60,7 @@ def standing(
 def chosen(
     browser: BrowserCode, *standings: dict[str, object], first: int = 0, most: int = 3
 ) -> list[list[str]]:
-    """The objects that are asked for at each standing."""
+    """The objects that are requested in each situation."""
     found: list[list[str]] = browser.ask(
         "chosen",
         manifest=MANIFEST.to_json().hex(),

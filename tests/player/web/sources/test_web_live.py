@@ -1,4 +1,4 @@
-"""Live streams in the browser: where they are joined, how they grow, and how they end."""
+"""Live streams in the browser: joining, growth and end."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_the_edge_is_a_segment_behind_what_comes_while_one_waits(
         assert period_s == min(5, max(0.5, segment_frames / fps))
         assert edge % segment_frames == 0
         lag = num_frames - edge
-        # A segment is there once all of it is, found up to a period later, and then fetched.
+        # A segment exists once it is complete, is found up to a period later, and then fetched.
         needed = segment_frames + fps * period_s
         assert lag > needed if edge else lag <= needed + fps / 2 + segment_frames
         assert lag <= needed + fps / 2 + segment_frames
@@ -51,8 +51,8 @@ def test_the_edge_is_a_segment_behind_what_comes_while_one_waits(
 
 
 def shown(browser: BrowserCode, speed: float, period_s: float, delay_s: float) -> list[dict]:  # type: ignore[type-arg]
-    """What a player shows, tick by tick, of a stream that is made at `speed` times its own, looked
-    at every `period_s`; each segment takes `delay_s` to come."""
+    """Frames that a player shows, tick by tick, of a stream that grows at `speed` times its own
+    rate and is polled every `period_s`; each segment takes `delay_s` to arrive."""
     fps, segment_frames, num_frames, joined_s = 30, 15, 300, 3.1
 
     def known(now_s: float) -> int:
@@ -118,7 +118,7 @@ def test_the_index_is_followed_on_hosts_with_ranges_and_without(
         known = 0
         for count in (1, 0, 2, 1, 0, 5):
             publisher.publish(count)
-            while served_bytes(url) < (known + count) * size:  # a server looks now and then
+            while served_bytes(url) < (known + count) * size:  # a server polls from time to time
                 time.sleep(0.02)
             found = browser.ask("refresh")
             sent = count + 1 if has_ranges and known > 1 else known + count
@@ -133,7 +133,7 @@ def test_the_index_is_followed_on_hosts_with_ranges_and_without(
     else:
         with static_host(tmp_path) as url:
             follow(f"{url}/live/{INDEX_NAME}")
-            # Cut short, and another stream's: what is known stays known.
+            # A truncated index, and another stream's: known segments stay known.
             index = tmp_path / "live" / INDEX_NAME
             good = index.read_bytes()
             for bad in (good[: 3 * size], b"", (other(tmp_path) / INDEX_NAME).read_bytes()):
@@ -164,7 +164,7 @@ def url(publisher: Publisher, tmp_path: Path) -> Iterator[str]:
 
 
 def watch_frames(page: Page) -> None:
-    """Notes every frame that shows, from now on."""
+    """Records every shown frame from now on."""
     page.run(f"""
         const player = {PLAYER};
         window.frames_shown = [];
@@ -227,7 +227,7 @@ def test_a_stream_is_waited_for_before_it_begins_and_while_there_is_no_network(
     watch_frames(page)
     page.set_offline(True)
     publisher.publish(4)
-    # It shows what it had, and waits.
+    # It shows the data that it had, and waits.
     page.wait(f"{STATE}.waiting && {NOTE}.includes('trying again')", 30)
     assert page.run(f"return {PLAYER}.numFrames") == 45
     page.set_offline(False)

@@ -1,4 +1,4 @@
-"""A stream whose manifest asks for 2^24 Gaussians is refused by the browser player unless it is
+"""The browser player refuses a stream whose manifest claims 2^24 Gaussians, unless that is
 allowed."""
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def test_the_page_says_so_and_its_address_allows_more(page: Page, library: Path)
         assert "has 16,777,216 Gaussians; max-gaussians=16777216" in page.run(
             f"return {PLAYER}.error.message"
         )
-        # Allowed, it fails for what comes next: the device's textures, or objects without gzip.
+        # If allowed, it fails at the next step: the device's textures, or objects without gzip.
         page.open(f"{watch}&max-gaussians={NUM_GAUSSIANS}&autoplay=0")
         page.wait(f"{PLAYER}.error", 60)
         told = page.run(f"return {PLAYER}.error.message")

@@ -65,7 +65,7 @@ def test_every_object_of_it_comes_as_it_is(browser: BrowserCode, root: Path) -> 
 
 
 def complaint(browser: BrowserCode, url: str) -> str:
-    """What is wrong with the stream at `url`; empty if nothing is."""
+    """The error of reading the stream at `url`; empty if there is none."""
     try:
         return str(browser.ask("allObjects", url=url).get("failed", ""))
     except CodecError as error:
@@ -90,7 +90,7 @@ def test_hosts_and_files_that_will_not_do_are_said(browser: BrowserCode, root: P
             whole[:18] + b"\xff\xff\x0f\0" * 2 + whole[26:],  # the manifest
             whole[:48] + b"\1" + whole[49:],
             whole[:63] + b"\xff\xff\xff\x0f" + whole[67:],  # the table of sound and captions
-            whole[:47] + b"\1" + whole[48:],  # without it
+            whole[:47] + b"\1" + whole[48:],  # without the table
         ):
             bad.write_bytes(data)
             said = complaint(browser, f"{host.url}/bad.swings")
@@ -100,7 +100,7 @@ def test_hosts_and_files_that_will_not_do_are_said(browser: BrowserCode, root: P
 
 
 def first_picture(page: Page, host: RangeHost, name: str) -> int:
-    """Opens the page; gives the requests for files of the stream until its first picture."""
+    """Opens the page; returns the number of requests for the stream until its first picture."""
     host.asked.clear()
     page.open(f"{host.url}/web/watch.html?src=../{name}&autoplay=0", 320, 240)
     page.wait(f"{PLAYER}?.player?.shownFrame >= 0", 60)

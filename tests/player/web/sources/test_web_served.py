@@ -1,4 +1,4 @@
-"""The page of swings-serve in Chromium plays as a person would have it, over any network."""
+"""The page of swings-serve in Chromium plays as expected, over any network."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def server(root: Path) -> Iterator[ServerProcess]:
 
 @contextmanager
 def watching(page: Page, url: str, name: str, query: str = "") -> Iterator[Page]:
-    """The page of a stream, once a frame shows."""
+    """Opens the page of a stream, and waits until a frame shows."""
     page.open(f"{url}/watch/{name}{query}", WIDTH_PX, HEIGHT_PX, scripts=[PIXELS])
     page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
     yield page
@@ -139,7 +139,7 @@ def test_another_number_of_layers_does_not_begin_anew(
         )
         page.wait(f"{STATE}.frame > 30")
         page.run(choose, "1")
-        page.wait(f"{STATE}.frame > 240", 60)  # what was here with more layers has been shown
+        page.wait(f"{STATE}.frame > 240", 60)  # frames received with more layers have been shown
         page.wait(f"{STATE}.layers === 1")
         few = page.run(f"return {drawn}")
         page.run(choose, "0")
@@ -179,8 +179,8 @@ def test_a_server_that_is_killed_and_comes_back(page: Page, root: Path) -> None:
 
 @contextmanager
 def breaking_server(root: Path, folder: Path) -> Iterator[tuple[str, list[Message]]]:
-    """A host of the stream `any` whose plays begin, and break off once the client has reported its
-    status; its URL, and the headers with which plays were asked for."""
+    """A host of the stream `any` whose plays begin, and break off after the client has reported its
+    status; gives its URL, and the request headers of plays."""
     asked: list[Message] = []
     reported = threading.Semaphore(0)
 
@@ -235,7 +235,7 @@ def test_a_play_goes_on_with_what_the_last_server_said_of_the_link(
 def test_a_link_of_12_4_and_12_mbit_s_without_a_stall(
     page: Page, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """A stream of about 7 Mbit/s, so the drop is below it, but above its first layers."""
+    """The stream has about 7 Mbit/s: the drop is below it, but above its first layers."""
     folder = tmp_path_factory.mktemp("link")
     write_stream(folder / "stream", 300, 330)
     reader = StreamReader(folder / "stream")
@@ -291,7 +291,7 @@ def play_body(root: Path) -> bytes:
 
 @pytest.mark.parametrize("kind", ["noise", "flipped", "nothing", "far ahead", "too many layers"])
 def test_a_hostile_server(page: Page, root: Path, tmp_path: Path, kind: str) -> None:
-    """The page says what is wrong; it does not break, and does not hang."""
+    """The page reports the error; it does not break, and does not hang."""
     body = play_body(root)
     rng = random.Random(kind)
     if kind == "noise":

@@ -1,4 +1,4 @@
-"""The page plays a stream with a temporal layer, with it and without, from a server and files."""
+"""The page plays a stream with and without its temporal layer, from a server and from files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def check_frame(page: Page, reader: StreamReader, frame: int, layers: int) -> None:
-    """The picture of `frame`, with `layers` layers, is that of the CPU renderer."""
+    """Asserts that the picture of `frame` with `layers` layers is that of the CPU renderer."""
     page.run(f"{PLAYER}.seek({frame})")
     page.wait(f"{PLAYER}.shownFrame === {frame}", 30)
     width_px, height_px = page.run(f"return [{PLAYER}.canvas.width, {PLAYER}.canvas.height]")

@@ -1,4 +1,4 @@
-"""The eyes as cameras: side by side, and as a headset describes them."""
+"""The eyes as cameras: side by side, and in the form of a headset."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def some_transform(rng: np.random.Generator) -> Doubles:
 
 
 def frustum(left: float, right: float, bottom: float, top: float) -> Doubles:
-    """(4, 4) OpenGL's projection; tangents of the angles to the sides."""
+    """(4, 4) projection of OpenGL from the tangents of the angles to the sides."""
     near, far = 0.1, 1000.0
     return np.array(
         [
@@ -80,7 +80,7 @@ def frustum(left: float, right: float, bottom: float, top: float) -> Doubles:
 
 
 def columns(matrix: Doubles) -> list[float]:
-    """As WebXR has it."""
+    """The matrix in the column order of WebXR."""
     return matrix.ravel(order="F").tolist()
 
 
@@ -103,7 +103,7 @@ def placed(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_an_eye_of_a_headset_projects_as_opengl_does(browser: BrowserCode, seed: int) -> None:
-    """Where the headset's space is the world but for the names of the axes."""
+    """Here the headset's space is the world, except for the names of the axes."""
     rng = np.random.default_rng(seed)
     projection = frustum(*rng.uniform((-2, 0.2, -2, 0.2), (-0.2, 2, -0.2, 2)))
     transform = some_transform(rng)
@@ -129,7 +129,7 @@ def test_an_eye_of_a_headset_projects_as_opengl_does(browser: BrowserCode, seed:
 
 
 def yawed(rng: np.random.Generator) -> Doubles:
-    """(4, 4) a headset's space begun elsewhere: moved, and turned about what is up."""
+    """(4, 4) a headset's space that starts elsewhere: moved, and turned about the vertical."""
     change = np.eye(4)
     change[:3, :3] = rotation_about(XR_UP, rng.uniform(-np.pi, np.pi))
     change[:3, 3] = rng.normal(size=3)
@@ -184,6 +184,6 @@ def test_the_middle_of_eyes_that_look_outwards(browser: BrowserCode) -> None:
         w2cs.append((outward @ middle.w2c).ravel().tolist())
     found = np.reshape(browser.ask("middle", w2cs=w2cs), (4, 4))
     np.testing.assert_allclose(found[:3, :3], middle.w2c[:3, :3], atol=1e-12)
-    # Turned first, then moved along the turned axis: the middle lies a little aside, on the axis.
+    # Turned first, then moved along the turned axis: the middle is on the axis.
     offset = middle.w2c @ np.append(np.linalg.inv(found)[:3, 3], 1)
     np.testing.assert_allclose(offset[:2], 0, atol=1e-12)

@@ -45,7 +45,7 @@ def part(selector: str) -> str:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the page and a stream, whose colours depend on from where they are seen."""
+    """A folder with the page and a stream with view-dependent colours."""
     tmp_path = tmp_path_factory.mktemp("stereo")
     stream = write_stream(tmp_path / "stream", NUM_FRAMES, slice_size=200, layers=(1.0,))
     export_static(stream, tmp_path / "static")
@@ -117,7 +117,7 @@ def test_side_by_side(
 
 
 def head_pose(place: tuple[float, float, float], yaw_rad: float, pitch_rad: float) -> Doubles:
-    """(4, 4) of a head that is turned so, in the space where a session counts from the eyes' height
+    """(4, 4) pose of a turned head, in the space of a session, whose origin is at the eyes' height
     at its start: axes right, up and back."""
     pose = np.eye(4)
     yaw = rotation_about(np.array([0.0, 1.0, 0.0]), yaw_rad)
@@ -139,10 +139,10 @@ def turn_head(
 
 
 def eye_camera(eye: Json, begun: Doubles, start: Camera) -> Camera:
-    """The camera of an eye, when the head was at `begun` (4, 4), level, at the start."""
+    """The camera of an eye if the head was at `begun` (4, 4), level, at the start."""
     transform = np.reshape(eye["transform"], (4, 4), order="F")
     projection = np.reshape(eye["projection"], (4, 4), order="F")
-    # In the head's own axes as it was, which OpenCV has down and forward, then in the world.
+    # In the axes of the head at the start, with OpenCV's down and forward, then in the world.
     from_begun = np.linalg.inv(begun) @ transform
     flip = np.diag([1.0, -1.0, -1.0, 1.0])
     w2c = np.linalg.inv(flip @ from_begun @ flip) @ start.w2c
