@@ -1,4 +1,4 @@
-"""Links that drop and rise while something is sent: a token bucket of the kernel (root), and the
+"""Links whose rate drops and rises while data is sent: a token bucket of the kernel (root), and the
 emulated link."""
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ ROOT = Path(__file__).parents[2]
 
 NEEDS_TBF = pytest.mark.skipif(why_not() is not None, reason=str(why_not()))
 CHANGES = (16.0, 4.0), (4.0, 16.0), (100.0, 25.0), (25.0, 100.0)
-"""Mbit/s."""
+"""Rates before and after the change, Mbit/s."""
 SPELL_S = 2.2
-"""Of one rate: a second to find it, and the rest to keep it."""
+"""Duration of each rate: a second to find it, and the rest to keep it."""
 ATTEMPTS = 4
-"""Other work on the machine takes from what passes."""
+"""Attempts, because other work on the machine reduces the rate."""
 
 
 def knows(over: str, before: float, after: float) -> list[Told]:
-    """What a session knows of a link of `before`, then `after` Mbit/s, each for SPELL_S."""
+    """Data of a session over a link of `before`, then `after` Mbit/s, each for SPELL_S."""
     share = TCP_SHARE if over == "tbf" else 1.0
     link = Link([LinkStep(SPELL_S, mbps * 1e6 / share, 0.02) for mbps in (before, after)])
     with ExitStack() as stack:
@@ -58,13 +58,13 @@ def knows(over: str, before: float, after: float) -> list[Told]:
 
 
 def read_all(client: socket.socket) -> None:
-    with suppress(OSError):  # it is over
+    with suppress(OSError):  # the connection is over
         while client.recv(1 << 16):
             pass
 
 
 def faults(told: list[Told], before: float, after: float) -> list[str]:
-    """What should not be, from a second after the change on, and shortly before it."""
+    """Deviations from the expected state, shortly before the change and from a second after it."""
     found = []
     for one in told:
         if one.time_s < SPELL_S - 0.5 or SPELL_S <= one.time_s < SPELL_S + 1.0:

@@ -1,4 +1,4 @@
-"""Objects as `Content-Encoding: zstd`: the bytes as they lie, and a client that inflates them."""
+"""Objects as `Content-Encoding: zstd`: the stored bytes, and a client that inflates them."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def inflated(data: bytes) -> bytes:
-    """All frames of it, as a browser takes them."""
+    """The content of all frames of `data`, inflated like in a browser."""
     with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as reader:
         return reader.read()
 
 
 def contents(folder: Path, segment: int, part: Part) -> bytes:
-    """What is in the packets, one behind the other."""
+    """The contents of the packets, one after the other."""
     found = StreamReader(folder).read_object(segment, part)
     packets = [found.data[one.offset : one.offset + one.size] for one in found.entries]
     return b"".join(packet_content(packet, 1 << 24) for packet in packets)
@@ -52,14 +52,14 @@ Raw = tuple[int, Mapping[str, str], bytes]
 
 
 async def fetch(client: aiohttp.ClientSession, url: str, method: str = "GET", **fields: str) -> Raw:
-    """Status, fields and the bytes as they came."""
+    """Status, fields and the bytes as received."""
     headers = {name.replace("_", "-"): value for name, value in fields.items()}
     async with client.request(method, url, headers=headers) as response:
         return response.status, response.headers, await response.read()
 
 
 async def each_way(port: int, url: str, method: str = "GET", **fields: str) -> tuple[Raw, Raw]:
-    """As it lies and coded, by a client that decodes nothing."""
+    """The plain and the coded response, from a client that decodes nothing."""
     async with aiohttp.ClientSession(f"http://127.0.0.1:{port}", auto_decompress=False) as client:
         plain = await fetch(client, url, method, **{**NONE, **fields})
         return plain, await fetch(client, url, method, **{**ZSTD, **fields})
@@ -75,7 +75,7 @@ def test_its_frames_hold_the_contents_of_its_packets(root: Path) -> None:
         ]
         assert len(urls) > 12
         for url, folder, segment, part in urls:
-            for _ in range(2):  # read for it, and from memory
+            for _ in range(2):  # read from disk, and from memory
                 plain, coded = await each_way(server.port, url)
                 assert (
                     plain[2]

@@ -32,7 +32,7 @@ INDEX = "/v1/streams/live/index.bin"
 def test_who_waits_for_the_index_has_it_as_soon_as_it_grows(tmp_path: Path) -> None:
     async def check() -> None:
         writer = live_stream(tmp_path / "live", SEGMENT_FRAMES)
-        # As an operator has it: its default between two looks.
+        # The default config of an operator, with its interval between looks.
         async with (
             running(tmp_path, ServerConfig()) as server,
             aiohttp.ClientSession(server.url) as client,
@@ -45,7 +45,7 @@ def test_who_waits_for_the_index_has_it_as_soon_as_it_grows(tmp_path: Path) -> N
                     assert response.status == 200
                     return await response.read(), time.monotonic()
 
-            # There is more already.
+            # There is more data already.
             began_s = time.monotonic()
             assert (await wait(len(data) - 1, 20))[0] == data
             assert time.monotonic() - began_s < 0.3
@@ -61,7 +61,7 @@ def test_who_waits_for_the_index_has_it_as_soon_as_it_grows(tmp_path: Path) -> N
                 assert (found[: len(data)], len(found)) == (data, 2 * len(data))
                 assert at_s - grown_s < 0.3
             assert (await client.get(new)).status == 200
-            # Nothing comes.
+            # No data arrives.
             began_s = time.monotonic()
             found, at_s = await wait(2 * len(data), 1)
             assert len(found) == 2 * len(data)

@@ -1,4 +1,4 @@
-"""The HTTP surface over real sockets: the response, and what the directory holds."""
+"""The HTTP surface over real sockets: responses, compared with the directory."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from tests.support.server.running_server import make_stream, parse_records
 
 @contextmanager
 def serving(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A `python -m server` that is ready, and its URL."""
+    """Runs `python -m server` until it is ready; gives the process and its URL."""
     process = subprocess.Popen(
         [sys.executable, "-m", "server", *arguments],
         cwd=ROOT,
@@ -78,7 +78,7 @@ def test_sigint_ends_a_play_at_a_slice_boundary(tmp_path: Path) -> None:
             head = response.read(100)
             process.send_signal(signal.SIGINT)
             records = parse_records([head, response.read()])
-        # The signal may come while nothing but the snapshot of frame 0 has been sent.
+        # The signal may arrive when only the snapshot of frame 0 has been sent.
         *_, last, error = records
         assert isinstance(last, SliceRecord | SnapshotRecord)
         assert isinstance(error, ErrorRecord)

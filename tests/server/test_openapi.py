@@ -1,4 +1,4 @@
-"""docs/openapi.yaml is what a real swings-serve does: every route, and whatever is asked of it."""
+"""docs/openapi.yaml describes a real swings-serve: every route, and any request."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ HELD = [
     response_schema_conformance,
 ]
 UNSERVED = {"GET /v1/streams/{stream}/oembed.json"}
-"""Answers 501 to a request for another format, as oEmbed asks for it."""
+"""Operations that answer 501 to a request for another format, as oEmbed requires."""
 EXAMPLES = 100
 """Requests of each kind for each operation."""
 NOTHING_TO_GET_WRONG = {"GET /", "GET /healthz", "GET /readyz", "GET /metrics", "GET /v1/streams"}
@@ -44,11 +44,11 @@ LIKELY: dict[str, list[object]] = {
     "asset": ["watch.html", "nothing.js"],
     "picture": ["poster.png", "other.jpg"],
 }
-"""What is often asked for, as it is there, or could be."""
+"""Parameters that are often requested, existing or possible ones."""
 
 
 def served_routes() -> set[tuple[str, str]]:
-    """Method and path of all that the server answers."""
+    """Methods and paths of all routes of the server."""
     return {
         (method.lower(), route.template)
         for route in ROUTES
@@ -76,7 +76,7 @@ def server(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ser
 
 
 def made_likely() -> BaseSchema:
-    """The document, but that streams and objects are often those which are there."""
+    """The document, with mostly existing streams and objects."""
     raw = schemathesis.openapi.from_path(DOCUMENT).raw_schema
     raw["components"]["parameters"]["stream"]["schema"] = {"enum": ["walk", "nobody"]}
     for methods in raw["paths"].values():
@@ -109,7 +109,7 @@ def test_it_is_a_valid_openapi_document() -> None:
 def test_whatever_is_asked_is_answered_as_described(
     label: str, mode: GenerationMode, server: ServerProcess
 ) -> None:
-    """As the document allows it, and as it does not."""
+    """Requests that the document allows, and requests that it does not."""
     if mode is GenerationMode.NEGATIVE and label in NOTHING_TO_GET_WRONG:
         pytest.skip("it takes nothing that could be wrong")
 

@@ -1,4 +1,4 @@
-"""Pages for people: all streams, and the player of each one; no client can bend them."""
+"""Pages for users: all streams, and the player of each one; no client can manipulate them."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def test_a_page_describes_itself_to_those_that_link_to_it(root: Path) -> None:
 
 @pytest.mark.parametrize(("name", "kind"), [("poster.jpg", "JPEG"), ("a & b.png", "PNG")])
 def test_the_thumbnail_for_other_sites_is_the_poster(tmp_path: Path, name: str, kind: str) -> None:
-    """With its size, or not at all."""
+    """It has its size, or is omitted."""
     stream = tmp_path / "walk"
     with StreamWriter.create(stream, replace(small_manifest(), poster=name)) as writer:
         for birth in births_of(1):

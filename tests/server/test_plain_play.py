@@ -1,4 +1,4 @@
-"""/play for browsers over real sockets: its body, decoded, is the play of all others, inflated."""
+"""/play for browsers over real sockets: its decoded body is the usual play, inflated."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 async def plain_body(client: aiohttp.ClientSession, stream: str, accepts: str) -> tuple[str, bytes]:
-    """(Content-Encoding, body as it was sent) of a plain play."""
+    """(Content-Encoding, body as sent) of a plain play."""
     headers = {"Accept-Encoding": accepts}
     url = f"/v1/streams/{stream}/play{QUERY}&plain=1"
     async with client.get(url, headers=headers, auto_decompress=False) as response:
@@ -43,7 +43,7 @@ async def plain_body(client: aiohttp.ClientSession, stream: str, accepts: str) -
 
 
 def inflated(record: Record) -> Record:
-    """`record` with what is in its packets of coder zstd."""
+    """`record` with the contents of its zstd packets."""
 
     def content(packet: bytes) -> bytes:
         is_zstd = packet.startswith(b"\x28\xb5\x2f\xfd")

@@ -1,4 +1,4 @@
-"""/play over real sockets: what arrives is what the folder holds, however slowly it is read."""
+"""/play over real sockets: the received data is that of the folder, at any speed of reading."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_slot_stream(folder / "slots", NUM_FRAMES["slots"], layout, fps=300.0)
     # 240 frames in 4 s; 170 KB a second with one layer, 680 with all.
     make_stream(folder / "long", 240, slice_size=200, fps=60)
-    make_stream(folder / "wide", 9, slice_size=10_000, fps=30)  # more than sockets hold
+    make_stream(folder / "wide", 9, slice_size=10_000, fps=30)  # more than the sockets' buffers
     return folder
 
 
@@ -74,7 +74,7 @@ def packets_on_disk(path: Path) -> dict[tuple[int, Part], bytes]:
 
 
 def packets_of(records: Iterable[Record]) -> Iterator[tuple[tuple[int, Part], bytes]]:
-    """All packets that came, each with its birth and part."""
+    """All received packets, each with its birth and part."""
     for one in records:
         if isinstance(one, SnapshotRecord):
             for layer, packet in enumerate(one.packets, one.first_layer):
@@ -122,7 +122,7 @@ def test_a_play_is_the_folder_slice_by_slice(
         assert end == EndRecord(num_frames)
         assert births_with_layer_0(records) == list(range(frame, until))
         came = list(packets_of(records))
-        assert len(dict(came)) == len(came)  # none comes twice
+        assert len(dict(came)) == len(came)  # no packet arrives twice
         assert dict(came).items() <= disk.items()
         if layers is not None:
             parts = (MASKS, *range(layers))
@@ -148,7 +148,7 @@ def test_long_snapshots_come_in_several_records(
 
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         records = await play(client, "slots", "?from=5&until=6")
-        assert records[1] == SnapshotRecord(5, 0, packets[:1])  # layer 0 comes first
+        assert records[1] == SnapshotRecord(5, 0, packets[:1])  # layer 0 is first
         records = await play(client, "slots", "?from=5&until=6&layers=3")
         assert records[1] == SnapshotRecord(5, 0, packets[:2])
         assert records[2] == SnapshotRecord(5, 2, packets[2:])
@@ -167,7 +167,7 @@ def test_pacing_sends_no_more_than_the_lead(root: Path) -> None:
                     if isinstance(record, SnapshotRecord):
                         started_s = now_s
                     if isinstance(record, SliceRecord):
-                        # A tenth of a second for a machine that does something else.
+                        # A tenth of a second of tolerance for a busy machine.
                         lead_s = record.birth / 60 - (now_s - started_s)
                         assert lead_s <= 0.6 + 0.1
             assert time.monotonic() - began_s > 240 / 60 - 0.6 - 0.1
@@ -183,7 +183,7 @@ class SlowClient:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 16 * 1024)
         self._socket.settimeout(10)
         self._socket.connect(("127.0.0.1", port))
-        # HTTP/1.0, so that no chunk heads stand between the records.
+        # HTTP/1.0, so that there are no chunk heads between the records.
         self._socket.sendall(f"GET {path} HTTP/1.0\r\n{header}\r\n\r\n".encode())
         self._rate = rate
 
@@ -249,11 +249,11 @@ def test_a_reader_that_stops_is_cut(
 
 
 def test_bytes_left_in_buffers_do_not_hold_a_connection(root: Path) -> None:
-    """A response that fits the buffers is over for the handler, but its bytes are still there."""
+    """A response that fits the buffers is over for the handler, but its bytes are still queued."""
     route = "/v1/streams/{stream}/segments/{segment}/{layer}"
 
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        # More than the client and the kernel take, less than makes the handler wait.
+        # More than the client and the kernel buffer, less than what makes the handler wait.
         part = f"Range: bytes=0-{UNSENT_BYTES + 48 * 1024}"
         stuck = SlowClient(server.port, "/v1/streams/wide/segments/0/0", rate=1, header=part)
         await asyncio.to_thread(stuck.read_a_little)

@@ -1,4 +1,4 @@
-"""What a client may ask of /play: a valid query, or a 400 in one line."""
+"""Queries of /play: a valid query, or a 400 with one line."""
 
 from __future__ import annotations
 

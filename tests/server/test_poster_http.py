@@ -1,4 +1,4 @@
-"""A stream's poster over HTTP: the picture that its manifest names, and nothing else."""
+"""A stream's poster over HTTP: only the picture that its manifest names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The objects of a stream's sound over HTTP: those that its manifest names, and no others."""
+"""The objects of a stream's sound over HTTP: only those that its manifest names."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_they_are_served_like_the_other_files(
 
         url = "/v1/streams/walk/segments/0/audio-main"
         with monkeypatch.context() as patch:
-            patch.setattr(ServedStream, "read_sound", None)  # what is cached is not read again
+            patch.setattr(ServedStream, "read_sound", None)  # cached objects are not read again
             async with client.get(url) as response:
                 assert (response.status, await response.read()) == (200, objects[0])
         add_sound(broken, tmp_path / "in.wav", SoundSource("other", 1))
@@ -70,7 +70,7 @@ def test_they_are_served_like_the_other_files(
 
 def test_the_cache_drops_the_least_recently_used() -> None:
     class Shelf:
-        """Objects of 10 bytes."""
+        """A library with objects of 10 bytes."""
 
         generation = 1
         reads = 0

@@ -1,4 +1,4 @@
-"""What clients tell of their plays, over real sockets, and what the server makes of it."""
+"""Status reports of clients over real sockets, and their effect on plays."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 async def read_on(response: aiohttp.ClientResponse) -> None:
-    """Reads until somebody cancels it."""
+    """Reads until it is cancelled."""
     parser = RecordParser()
     async for piece in response.content.iter_any():
         parser.feed(piece)
@@ -119,7 +119,7 @@ def test_a_paused_client_is_sent_its_lead_and_no_more(root: Path) -> None:
         sent = server.state.metrics.packets
 
         def births() -> int:
-            """Slices that were sent, less those of the first window."""
+            """Number of sent slices without those of the first window."""
             return round(sent.value("0")) - (SWIN_SIZE - 1)
 
         async with client.get("/v1/streams/long/play?layers=1") as response:
@@ -169,7 +169,7 @@ def test_a_client_that_comes_back_does_not_start_blind(
         plays = server.state.plays
         first = await play("")
         await eventually(lambda: not len(plays))
-        plays.begin(first, "walk").rate_bps = 5e6  # whatever was measured here
+        plays.begin(first, "walk").rate_bps = 5e6  # replaces the measured rate
         plays.end(first, asyncio.get_running_loop().time())
         second = await play(first)
         assert second != first
@@ -177,7 +177,7 @@ def test_a_client_that_comes_back_does_not_start_blind(
         assert known == [None, 5e6, None]
         await eventually(lambda: not len(plays))
         plays.begin(second, "walk").rate_bps = 6e6
-        await play(second)  # a seek: the old play runs on
+        await play(second)  # a seek: the old play keeps running
         assert known[-1] == 6e6
         plays.end(second, 0.0)
 

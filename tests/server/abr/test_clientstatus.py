@@ -1,4 +1,4 @@
-"""How a client stands, as JSON: what is written is read again, and nonsense is one clear error."""
+"""Client status as JSON: it round-trips, and invalid input is one clear error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole plays in virtual time: what a link carries is shown, and nothing stalls without need."""
+"""Whole plays in virtual time: the link is used for quality, and there are no needless stalls."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ CONFIG = SessionConfig()
 
 
 def link_of(*steps: tuple[float, float]) -> Link:
-    """A link of (seconds, Mbit/s)."""
+    """A link with steps of (seconds, Mbit/s)."""
     return Link([LinkStep(duration_s, rate * 1e6, LATENCY_S) for duration_s, rate in steps])
 
 
 def played(
     media: MadeMedia, link: Link, layers: int | None = None
 ) -> tuple[list[Shown], PlayoutClock]:
-    """What a client shows of all of `media`."""
+    """The frames that a client shows of all of `media`, and its clock."""
     policy = Sweep() if layers is None else FixedLayers(layers)
     result = simulate(media, policy, link, CONFIG)
     return play_out(media, result, CONFIG, 0, media.num_frames)
@@ -156,14 +156,14 @@ def test_a_link_that_always_carries_layer_0_never_stalls_however_it_changes(
 def test_upper_layers_cost_no_more_than_the_first_outages(
     seed: int, steps: list[tuple[float, float]]
 ) -> None:
-    """Whoever is sent layer 0 alone waits least; ours waits little longer."""
+    """A client of layer 0 alone waits least; with our policy it waits little longer."""
     media = random_media(3, seed)
     link = link_of(*steps)
     _, least = played(media, link, layers=1)
     _, ours = played(media, link)
     assert least.started_s is not None
     assert ours.started_s is not None
-    # Layer 0 alone is sent as far ahead as may be; ours has to see first that there are outages.
+    # Layer 0 alone is sent with the whole lead; ours must first notice that there are outages.
     slack_s = CONFIG.max_lead_s + 2.0 + 0.3 * least.stalled_s
     assert ours.started_s + ours.stalled_s <= least.started_s + least.stalled_s + slack_s
 
@@ -199,8 +199,8 @@ def test_the_simulator_is_the_same_every_time() -> None:
 def test_a_still_picture_gets_all_layers(
     frame: int, steps_before: int, until_frame: int | None
 ) -> None:
-    """Wherever it is in its segment, also where the next segment's snapshot costs less than its own
-    with the changes since."""
+    """This holds for any place in its segment, also if the next segment's snapshot costs less than
+    its own with the later changes."""
     media, now_s = MadeMedia((sizes_of((3e3, 3e3, 1.5e3), (28, 1, 0.5)),)), 0.0
     session = PlaySession(media, Sweep(), CONFIG, now_s, frame, until_frame)
     for n in range(2000):

@@ -1,4 +1,4 @@
-"""The estimate of a link as mathematics."""
+"""Mathematics of the estimate of a link."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A number of layers that stays, but where the server allows fewer."""
+"""A fixed number of layers, except where the server allows fewer."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_layers_that_the_server_takes_come_back_at_a_segment() -> None:
     layers = {b: s.end_layer for s in sent if isinstance(s, SendSlices) for b in s.births}
     changes = [birth for birth in layers if layers[birth] != layers.get(birth - 1)]
     assert [(birth, layers[birth]) for birth in changes] == [(1, 3), (10, 2), (61, 3)]
-    # The slice of the frame goes before the snapshot.
+    # The slice of the frame is sent before the snapshot.
     assert sent[sent.index(SendSnapshots(60, 2, 3)) - 1].births.stop == 61  # type: ignore[union-attr]
 
 

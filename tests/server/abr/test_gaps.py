@@ -1,4 +1,4 @@
-"""A frame shows behind a chain of layer 0 without a gap, and nothing else."""
+"""A frame shows only after a chain of layer 0 without a gap."""
 
 from __future__ import annotations
 

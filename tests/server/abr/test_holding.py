@@ -1,4 +1,4 @@
-"""What a client holds, as mathematics."""
+"""Mathematics of a client's buffer."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ def test_a_layer_that_stops_wears_away() -> None:
     assert holding.fresh(1, 29) == 0
     assert holding.layers(41) == pytest.approx(1 + 0.85**2)
     assert holding.psnr_db(41) == pytest.approx(27.82 + 0.96 * 0.85**2)
-    # Late changes mend it from the first gap on.
+    # Late changes repair it from the first gap on.
     for birth in range(40, 45):
         holding.add(birth, 1, 2)
     assert holding.fresh(1, 44) == 1
     assert holding.end_birth(1) == 45
-    # And a snapshot begins anew.
+    # And a snapshot starts over.
     holding.add_snapshots(60, 1, 2)
     assert holding.fresh(1, 60) == 1
     assert holding.fresh(1, 59) == pytest.approx(0.85**15)

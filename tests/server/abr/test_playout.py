@@ -1,4 +1,4 @@
-"""When frames show, as mathematics: the clock that player, server and simulator share."""
+"""Mathematics of the times of frames: the clock that player, server and simulator share."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_a_stall_ends_with_a_lead() -> None:
     assert (clock.end_frame, clock.stalls) == (4, 1)
     assert clock.times_s(1) == (0.1, 7.0)
     assert clock.stalled_s == pytest.approx(6.9)
-    clock.ready_until(5, 8.0)  # of a stream that ends there, nothing more is waited for
+    clock.ready_until(5, 8.0)  # the stream ends there, so the clock waits for nothing more
     assert clock.stalled(8.0)
     clock.until_frame = 5
     clock.ready_until(5, 8.5)
@@ -115,7 +115,7 @@ def test_what_is_over_does_not_stall() -> None:
 
 def test_forgotten_times_take_no_room() -> None:
     clock = PlayoutClock(0, 10.0, AT_ONCE)
-    for frame in range(1000):  # each one stalls
+    for frame in range(1000):  # each frame stalls
         clock.ready_until(frame + 1, 1.0 + frame)
         clock.forget(frame)
         assert len(clock._bases) <= 3

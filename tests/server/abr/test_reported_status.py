@@ -1,4 +1,4 @@
-"""What a session makes of what its client tells: believed as far as it can be true, and no harm."""
+"""Use of client status by a session: plausible reports are believed, others do no harm."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_frame_before_the_first_puts_it_off() -> None:
 
 
 def test_who_comes_back_with_frames_in_hand_is_sent_no_whole_lead_beyond_them() -> None:
-    """It would be layer 0 of all of it, and when the connection breaks again nothing above."""
+    """It would be layer 0 of the whole lead, and no upper layers if the connection breaks again."""
     media = basketball_media(900)
     session = PlaySession(media, Sweep(), CONFIG, 0.0, first_frame=300, rate_bps=1e9)
     session.on_status(0.0, ClientStatus(300 - LEAD + 30))
@@ -82,7 +82,7 @@ def test_who_comes_back_with_frames_in_hand_is_sent_no_whole_lead_beyond_them() 
             session.acknowledge(now_s, session.sent_bytes)
             for birth in births:
                 layers[birth] = max(layers.get(birth, 0), decision.end_layer)
-    # A second of the lead was free, and another one has passed; a client may wait for some frames.
+    # One second of the lead was free, another one has passed; some frames may still be missing.
     assert max(layers) < 300 + 60 + 30
     assert min(layers[birth] for birth in range(301, 350)) == media.num_layers
 
@@ -98,7 +98,7 @@ def test_a_clock_that_has_not_begun_begins_where_it_is_told() -> None:
 
 
 class ForwardPolicy:
-    """Another policy, and that it is never asked about what is forgotten."""
+    """Forwards to another policy; asserts that it is never asked about forgotten frames."""
 
     mends = True
 
@@ -155,7 +155,7 @@ def test_whatever_is_told_each_packet_goes_once_and_within_the_lead(
 
 
 def run_until(session: PlaySession, from_s: float, until_s: float) -> list[float]:
-    """Over a link that takes no time, from one wait to the next; gives when something was sent."""
+    """Runs a session over an instant link, from wait to wait; returns the times of sends."""
     now_s, bursts_s = from_s, list[float]()
     while True:
         session.acknowledge(now_s, session.sent_bytes)
@@ -187,7 +187,7 @@ def test_a_paused_client_is_sent_no_more_than_its_lead() -> None:
         run_until(session, now_s, now_s + 1)
         now_s += 1
         assert session.next_frame == 80
-    # What went before it said so counted on frame 90.
+    # Sends before the report assumed frame 90.
     assert session.holding.end_frame <= 90 + LEAD
     session.on_status(now_s, ClientStatus(80))
     run_until(session, now_s, now_s + 10)
@@ -208,7 +208,7 @@ def test_a_client_that_falls_silent_in_a_pause_is_taken_to_go_on() -> None:
     ("status", "frame"),
     [
         (ClientStatus(30), 30),
-        (ClientStatus(92), 90),  # as good as known
+        (ClientStatus(92), 90),  # nearly known
         (ClientStatus(200), 200),
         (ClientStatus(0, buffer_s=1.0), 0),
         (ClientStatus(10**6), None),
@@ -253,10 +253,10 @@ def test_a_client_that_does_not_read_is_not_a_slow_link(tells: bool) -> None:
     go(2.05, 5_000)
     assert session.rate_bps is not None
     assert (session.rate_bps > 7.5e6) == tells
-    go(3.0, 2_500)  # from then on time counts again
+    go(3.0, 2_500)  # from then on the clock counts again
     assert session.rate_bps == pytest.approx(4e6, rel=0.05)
     session.on_status(now_s, ClientStatus(50, busy=True))
-    go(3.0 + CONFIG.told_s + 1, 1_250)  # also for one that says it once, and no more
+    go(3.0 + CONFIG.told_s + 1, 1_250)  # also for a client that reports it only once
     assert session.rate_bps == pytest.approx(2e6, rel=0.05)
 
 

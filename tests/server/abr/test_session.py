@@ -1,4 +1,4 @@
-"""A session from outside: live streams, ends, full clients and what is on the way."""
+"""A session from outside: live streams, ends, full clients and data in flight."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ RATE_BPS = 50e6
 
 
 def run(session: PlaySession, now_s: float) -> tuple[list[SendSlices | SendSnapshots], Decision]:
-    """Sends whatever the session wants at `now_s`, over a link that takes no time; gives that, and
-    why it stopped."""
+    """Sends everything that the session decides at `now_s`, over an instant link; returns it, and
+    the decision that ended it."""
     sent: list[SendSlices | SendSnapshots] = []
     while True:
         session.acknowledge(now_s, session.sent_bytes)
@@ -82,7 +82,7 @@ def test_a_full_client_rests_until_it_has_shown_some() -> None:
         sent, _ = run(session, now_s)
         rests += not sent
         assert session.holding.end_frame / media.fps - now_s <= CONFIG.max_lead_s + 0.05
-    assert rests > 50  # a burst now and then
+    assert rests > 50  # bursts are separated by rests
 
 
 def test_no_more_is_under_way_than_a_moment_of_the_link() -> None:

@@ -1,4 +1,4 @@
-"""Sessions in virtual time, where they came to nothing once."""
+"""Sessions in virtual time, in situations in which they once failed."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_parts_of_bytes_do_not_keep_an_idle_link_busy(layer_bytes: float) -> Non
 def test_what_is_sent_little_by_little_does_not_make_a_link_slow(
     latency_s: float, num_layers: int
 ) -> None:
-    # The lead is soon full, and what is sent then takes a tenth of the link or a half.
+    # The lead is soon full, and further data needs a tenth or a half of the link.
     media = MadeMedia((sizes_of((10e3, 40e3), (25.0, 1.0)),), num_frames=450)
     rate_bps = 24e6
     link = Link([LinkStep(1.0, rate_bps, latency_s)])
@@ -60,7 +60,7 @@ def test_a_link_that_slows_down_during_a_rest_is_noticed() -> None:
 
 @pytest.mark.parametrize("latency_s", [0.02, 0.1, 0.3])
 def test_a_link_that_recovers_is_noticed_however_little_is_underway(latency_s: float) -> None:
-    # At first so little may be underway that the link pauses between any two packets.
+    # At first so few bytes may be in flight that the link pauses between packets.
     media = MadeMedia((sizes_of((10e3, 30e3), (25.0, 1.0)),), num_frames=450)
     link = Link([LinkStep(10.0, 0.5e6, latency_s), LinkStep(100.0, 20e6, latency_s)])
     result = simulate(media, FixedLayers(2), link, keep_estimates=True)

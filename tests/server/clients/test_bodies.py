@@ -1,4 +1,4 @@
-"""Bodies over real sockets and through TLS: all their bytes, in little memory, and in turns."""
+"""Bodies over real sockets and TLS: complete, with little memory, and taking turns."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def speaking_tls(certificate: tuple[Path, Path]) -> tuple[ssl.SSLContext, ssl.SSLContext]:
-    """What the server and what the client speak."""
+    """TLS contexts of the server and of the client."""
     server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     server.load_cert_chain(*certificate)
     client = ssl.create_default_context(cafile=str(certificate[0]))
@@ -53,7 +53,7 @@ def tls(request: pytest.FixtureRequest) -> Tls:
 
 
 def body(exchange: Exchange) -> Response:
-    """As many bytes as the query says."""
+    """A body of as many bytes as the query states."""
     assert exchange.request is not None
     return Response(200, {}, memoryview(BODY)[: int(exchange.request.query)])
 
@@ -176,7 +176,7 @@ async def test_strangers_at_the_tls_port_leave_nothing_behind(
 
 
 class Holding(MemoryTransport):
-    """Its client takes nothing by itself."""
+    """A transport whose client reads nothing by itself."""
 
     def get_write_buffer_size(self) -> int:
         return len(self.sent)
@@ -186,7 +186,7 @@ STEP_S, TIMEOUT_S, LEAST_BYTES = 0.5, 4.0, 1000.0
 
 
 class Written:
-    """As much of aiohttp's writer as a connection looks at."""
+    """The part of aiohttp's writer that a connection reads."""
 
     output_size = 0
 

@@ -1,4 +1,4 @@
-"""Connections over real sockets: what comes in which order, and how they end."""
+"""Connections over real sockets: the order of responses, and their end."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ async def test_who_asks_is_told_to_go_on() -> None:
 async def test_times_run_out() -> None:
     async with on_site(ANSWERS, QUICK) as site:
         loop = asyncio.get_running_loop()
-        async with site.connect() as client:  # says nothing
+        async with site.connect() as client:  # sends nothing
             began_s = loop.time()
             assert await client.rest() == b""
             assert 0.3 < loop.time() - began_s < 2
@@ -173,7 +173,7 @@ async def test_times_run_out() -> None:
                 await client.answer()
                 client.send(begun)
                 began_s = loop.time()
-                while loop.time() < began_s + 0.3:  # as long as it likes, but for the whole
+                while loop.time() < began_s + 0.3:  # any time, but limited in total
                     await asyncio.sleep(0.05)
                     if begun.startswith(b"GET"):
                         client.send(b"x")
@@ -218,7 +218,7 @@ async def test_a_client_that_goes_away_costs_its_own_response_only() -> None:
                 client.writer.transport.abort()
                 other.get("/ok")
                 assert (await other.answer())[0] == 200
-        async with site.connect() as client:  # leaves politely
+        async with site.connect() as client:  # closes cleanly
             client.get("/endless")
             await client.reader.readexactly(200)
             client.writer.write_eof()
@@ -247,7 +247,7 @@ async def test_a_body_that_fails_is_cut_off_so_that_it_shows() -> None:
 async def test_a_flood_of_requests_is_bounded_and_others_have_their_turn(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """One client asks without end and takes nothing."""
+    """One client sends requests without end and reads nothing."""
     most = 0
     received = ClientConnection.buffer_updated
 

@@ -1,4 +1,4 @@
-"""Hostile requests and some near them, to the bytes of their responses: fuzz/http.py."""
+"""Hostile requests and variations of them, checked byte by byte; see fuzz/http.py."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def test_however_it_is_cut_the_answers_are_the_same(served: Served) -> None:
 
 
 def test_what_is_near_them_is_answered_well(served: Served) -> None:
-    """A glimpse of what the fuzzer does for longer: the same mutations in each run."""
+    """A short version of the fuzzer's work, with the same mutations in each run."""
     rng = random.Random(1)
     for sent in REQUESTS:
         if b"paused" in sent:
-            continue  # it takes half a second each
+            continue  # each takes half a second
         for _ in range(5):
             altered = bytearray(sent)
             for _ in range(rng.randint(1, 4)):

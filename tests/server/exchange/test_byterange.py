@@ -1,4 +1,4 @@
-"""The Range header against a plain reading of RFC 9110."""
+"""The Range header, compared with a plain reading of RFC 9110."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Conditional and partial requests, against a naive reading of RFC 9110, sections 13 and 14."""
+"""Conditional and partial requests, compared with a naive reading of RFC 9110, 13 and 14."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_it_is_as_the_rfc_says(method: str, fields: dict[str, str], can_code: bo
     assert (response.status, bytes(response.body)) == (status, body)
     assert response.fields["ETag"] == tag
     assert ("Content-Encoding" in response.fields) == (tag == CODED)
-    # A cache must know what else there is, whatever this client was given.
+    # A cache must know the other variants, whichever this client received.
     assert ("Vary" in response.fields) == can_code
     assert not (status == 206 and tag == CODED)
     if status == 206:

@@ -1,4 +1,4 @@
-"""Targets and fields: any text gives a request or an error, and what was written is read back."""
+"""Targets and fields: any text gives a request or an error, and valid ones round-trip."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the kernel tells of a connection: by the bytes of its struct, and on real sockets."""
+"""The kernel's data on a connection: from the bytes of its struct, and on real sockets."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_an_older_kernel_tells_less(length: int) -> None:
 
 @pytest.fixture
 def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
-    """(writing, reading) ends of a connection whose reader takes little at a time."""
+    """(writing, reading) ends of a connection whose reader has a small buffer."""
     listener = socket.create_server(("127.0.0.1", 0))
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 16 * 1024)
     writer = socket.create_connection(listener.getsockname())
@@ -56,7 +56,7 @@ def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
 
 
 def settled(value: Callable[[], int]) -> int:
-    """`value` once it has stood still for a while."""
+    """`value` once it has not changed for a while."""
     last, since_s = value(), time.monotonic()
     for _ in range(2000):
         time.sleep(0.005)
@@ -71,7 +71,7 @@ def settled(value: Callable[[], int]) -> int:
 def test_what_is_held_and_what_is_acknowledged_is_all_that_was_written(
     pair: tuple[socket.socket, socket.socket],
 ) -> None:
-    """So the ioctl, which is one figure, is all that a play needs; and the two never drift."""
+    """So a play needs only the ioctl, a single number, and the two never drift apart."""
     writer, reader = pair
 
     def acked_bytes() -> int:
@@ -113,7 +113,7 @@ def test_what_is_not_tcp_has_no_figures() -> None:
 
 
 class MacSocket:
-    """Answers the one question as macOS does."""
+    """Answers the only query like macOS."""
 
     def getsockopt(self, level: int, option: int) -> int:
         assert (level, option) == (socket.SOL_SOCKET, SO_NWRITE)

@@ -1,8 +1,9 @@
 """Slow clients as a process: `python -m tests.server.hostile.attack KIND PORT COUNT SECONDS PATH`.
 
-KIND is `heads`, which send a byte of their request a second and never end it; or `readers`, which
-ask for PATH and take nothing of it, or, every second one, 16 bytes a second. They come from many
-addresses of the loopback, so that no limit on one address helps. Says "connected" once all are.
+KIND is `heads`, which send one byte of their request per second and never finish it; or `readers`,
+which request PATH and read nothing of it, or, every second client, 16 bytes per second. They use
+many addresses of the loopback, so that a limit per address does not help. Prints "connected" once
+all are connected.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def attack(kind: str, port: int, count: int, seconds: float, path: str) -> None:
     for step in range(round(seconds)):
         time.sleep(1)
         for number, sock in enumerate(socks):
-            # That it was cut, the server's descriptors show.
+            # The server's descriptors show that the client was cut.
             with contextlib.suppress(OSError):
                 if kind == "heads":
                     sock.send(HEAD[10 + step : 11 + step] or b"y")

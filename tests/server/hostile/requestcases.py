@@ -1,7 +1,7 @@
-"""Requests that no honest client makes, and what may be answered: one table.
+"""Requests that no honest client sends, and their allowed responses, as one table.
 
-A status in `statuses` is one that may be given; where two are named, HTTP leaves it open. Nothing
-here depends on how the server is built.
+`statuses` are the allowed statuses; if there are several, HTTP leaves the choice open. Nothing here
+depends on the implementation of the server.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 OBJECT = "/v1/streams/walk/segments/0/0"
 STATUS = "/v1/streams/walk/play/nobody"
 POISON = b"GET /poison HTTP/1.1\r\nHost: h\r\n\r\n"
-"""A request that hides in another one: whoever answers it was fooled."""
+"""A request hidden in another one; a server that answers it was fooled."""
 
 BAD = (400,)
 REFUSED = (400, 404)
@@ -23,16 +23,16 @@ TOO_LONG = (400, 414, 431)
 class Case:
     name: str
     sent: bytes
-    """ETAG in it stands for the object's tag."""
+    """Bytes to send; ETAG stands for the object's tag."""
     statuses: tuple[int, ...]
-    """Of every answer."""
+    """Allowed statuses of every response."""
     least: int = 1
-    """Answers, at least."""
+    """Minimum number of responses."""
     most: int = 1
     closes: bool = False
-    """Whether the server must end the connection, as it cannot know what comes next."""
+    """Whether the server must close the connection, because it cannot find the next request."""
     shut: bool = False
-    """Whether the client says that it will send no more."""
+    """Whether the client closes its sending half."""
 
 
 def get(target: str, *lines: str, close: bool = True) -> bytes:
@@ -48,7 +48,7 @@ def post(*lines: str, body: bytes = b"") -> bytes:
 
 
 def smuggling() -> Iterator[Case]:
-    """Bodies whose end two readers could see in two places."""
+    """Bodies whose end two readers could place differently."""
     chunked = b"0\r\n\r\n" + POISON
     length = f"Content-Length: {len(chunked)}"
     refuse = (400, 404, 411, 413, 501)
@@ -103,7 +103,7 @@ def smuggling() -> Iterator[Case]:
 
 
 def hosts() -> Iterator[Case]:
-    """Host headers; some of them name something, and may be taken."""
+    """Host headers; some of them are valid and may be accepted."""
     hostile = "[", "a:b:c", "a:99999", "@", "", "a b", "a/b", "a?b", "a#b", "a\\b", "<b>", "[::1"
     for value in (*hostile, "[::1]x", "[::g]", "a:-1", "a:0x50", "a,b", "u@h", "\xe4", "a\x01b"):
         sent = f"GET / HTTP/1.1\r\nHost: {value}\r\nConnection: close\r\n\r\n".encode("latin-1")
@@ -120,7 +120,7 @@ def hosts() -> Iterator[Case]:
 
 
 def request_lines() -> Iterator[Case]:
-    """Targets and versions."""
+    """Odd targets and versions."""
     end = b"Host: h\r\nConnection: close\r\n\r\n"
     odd = (400, 404, 405, 501)
     for line, statuses in {
@@ -183,7 +183,7 @@ def request_lines() -> Iterator[Case]:
 
 
 def headers() -> Iterator[Case]:
-    """Header lines, and too many bytes of them."""
+    """Odd header lines, and too many bytes of them."""
     for name, lines in {
         "a fold": ("X: y", " z"),
         "a fold of the first": ("\tX: y",),
@@ -199,7 +199,7 @@ def headers() -> Iterator[Case]:
         "a name with brackets": ("X(y): z",),
     }.items():
         yield Case(f"header: {name}", get("/healthz", *lines), BAD, closes=True)
-    # A reader may take a bare line feed for the end of a line, or wait for what it calls one.
+    # A reader may accept a bare line feed as the end of a line, or wait for a CRLF.
     feeds = get("/healthz").replace(b"\r\n", b"\n")
     yield Case("header: only bare line feeds", feeds, (200, 400, 408), least=0)
     yield Case("header: a value that is not ASCII", get("/healthz", "X: \xe4"), (200, 400))
@@ -223,7 +223,7 @@ def headers() -> Iterator[Case]:
 
 
 def conditions() -> Iterator[Case]:
-    """Ranges and conditions; what bytes may come is checked of all that have 200 or 206."""
+    """Ranges and conditions; the bytes of all responses with 200 or 206 are checked."""
     for value in (
         "bytes=0-0,2-3",
         "bytes=" + ",".join(["0-"] * 1000),
@@ -276,7 +276,7 @@ def conditions() -> Iterator[Case]:
 
 
 def paths() -> Iterator[Case]:
-    """Ways out of a stream."""
+    """Paths that lead out of a stream."""
     stream = "/v1/streams/walk"
     for path in (
         f"{stream}%2Fsegments/0/0",
@@ -340,7 +340,7 @@ def paths() -> Iterator[Case]:
 
 
 def bodies() -> Iterator[Case]:
-    """Status reports with lengths that are not true, and many requests at once."""
+    """Status reports with wrong lengths, and many requests at once."""
     status = b'{"frame": 1}'
     close = "Connection: close"
     rest = post(f"Content-Length: {len(status) - 4}", body=status)
@@ -366,7 +366,7 @@ def bodies() -> Iterator[Case]:
     mixed = (get(OBJECT, close=False) + get("/nope", close=False)) * 25
     yield Case("pipeline: 25 objects, 25 not there", mixed, (200, 404), least=50, most=50)
     stop = one * 3 + b"nonsense\r\n\r\n" + one * 3
-    # What came in one read with it may go unanswered.
+    # Requests from the same read may stay unanswered.
     yield Case("pipeline: nonsense after three", stop, (200, 400), least=1, most=4, closes=True)
     yield Case("half: a whole request", one, (200,), least=0, closes=True, shut=True)
     yield Case("half: half a request", one[:20], (400, 408), least=0, closes=True, shut=True)

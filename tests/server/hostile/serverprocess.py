@@ -1,4 +1,4 @@
-"""A swings-serve whose whole output is kept, and what HTTP says of its answers."""
+"""A swings-serve whose whole output is kept, and a parser of its responses."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from tests.support.waiting import wait_until
 QUIET_S = 0.5
 """Time without a byte after which an answer counts as complete."""
 SECRET = b"not for you: 4f1d8a"
-"""What files hold that lie around the streams; no answer may have it."""
+"""Content of the files around the streams; no response may contain it."""
 
 
 @dataclass(frozen=True)
 class ServerProcess:
-    """One that runs."""
+    """A running server."""
 
     process: subprocess.Popen[bytes]
     port: int
     log: Path
-    """All that it writes, on stdout and stderr."""
+    """File of its stdout and stderr."""
 
     @property
     def pid(self) -> int:
@@ -48,7 +48,7 @@ class ServerProcess:
         return [line for line in lines if not kinds or line["event"] in kinds]
 
     def settled_log(self, least: int) -> list[str]:
-        """The log once it has not grown for a moment; waits a little for `least` lines."""
+        """The log once it has stopped growing; waits a short time for `least` lines."""
         before = self.log_lines()
         for _ in range(40):
             time.sleep(0.01)
@@ -101,7 +101,7 @@ class Answer:
 
     status: int
     headers: dict[str, str]
-    """By lower-case name; of several lines the last."""
+    """Headers by lower-case name; the last of several lines."""
     body: bytes
 
 

@@ -1,4 +1,4 @@
-"""Requests that no honest client makes, over raw sockets to a real swings-serve."""
+"""Requests that no honest client sends, over raw sockets to a real swings-serve."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.support.waiting import wait_until
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of streams, with what nobody shall see in it and around it."""
+    """A folder of streams, with secret files in it and around it."""
     top = tmp_path_factory.mktemp("hostile")
     root = top / "root"
     stream = write_stream(root / "walk", 12)
@@ -37,7 +37,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def server(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    # Without a line for each request, so that any other line shows.
+    # Without a line for each request, so that any other line is noticed.
     log = tmp_path_factory.mktemp("log")
     with server_process(root, log, "--no-log-requests") as running:
         wait_until(lambda: "is served" in running.log.read_text())
@@ -45,7 +45,7 @@ def server(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ser
 
 
 def check_bytes(answer: Answer, whole: bytes) -> None:
-    """An answer with a part of the object has just that part of it."""
+    """Asserts that a response with a part of the object has exactly that part."""
     if answer.headers.get("content-type") != "application/octet-stream":
         return
     if answer.status == 200:
@@ -89,15 +89,15 @@ def test_each_request_is_one_line_of_the_log(root: Path, tmp_path: Path) -> None
         for case in CASES:
             data, _ = exchange(server.port, case.sent.replace(b"ETAG", tag), case.shut)
             num_answers += sum(answer.status != 100 for answer in answers_of(data)[0])
-        time.sleep(0.5)  # lines go out together
+        time.sleep(0.5)  # lines are written in batches
         lines = [line for line in server.log_lines() if " request address=" in line]
-    # A client that goes away gets no answer, but a line.
+    # A client that leaves gets no response, but a log line.
     assert num_answers <= len(lines) <= num_answers + len(CASES)
     assert all(line.isascii() and line.isprintable() for line in lines)
 
 
 def test_a_poisoned_request_would_be_seen(server: ServerProcess) -> None:
-    """The harness tells two answers from one."""
+    """The harness distinguishes two responses from one."""
     one = b"GET /healthz HTTP/1.1\r\nHost: h\r\n\r\n"
     data, closed = exchange(server.port, one + one)
     answers, rest = answers_of(data)

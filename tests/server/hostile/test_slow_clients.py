@@ -1,4 +1,4 @@
-"""Slow clients by the thousand, and what the others feel of them; a slow one that is honest."""
+"""A thousand slow clients and their effect on other clients; and a slow honest client."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from tests.support.hosted_streams import write_stream
 CUT_S = 10.0
 """Seconds after which a client that makes no progress is cut."""
 SLACK_S = 5.0
-"""More than that may go by on a busy machine, and until somebody looks."""
+"""Additional time for a busy machine, and until the server checks."""
 MEMORY_BYTES = 100 << 20
-"""What all the slow clients together may cost the server."""
+"""Memory that all slow clients together may cost the server."""
 SLOW_BPS = 10_000
-"""Bytes a second of the honest one."""
+"""Bytes per second of the slow honest client."""
 
 pytestmark = [
     pytest.mark.realtime,
@@ -39,7 +39,7 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("slow")
-    write_stream(root / "big", 5, slice_size=24_000)  # objects of some MB: more than any buffer
+    write_stream(root / "big", 5, slice_size=24_000)  # objects of some MB, larger than any buffer
     write_stream(root / "small", 5)
     return root
 
@@ -51,13 +51,13 @@ def server(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ser
 
 
 def how_many() -> int:
-    """1,000, or as many as descriptors allow on this machine."""
+    """Number of clients: 1,000, or fewer if this machine has too few descriptors."""
     return min(1000, (resource.getrlimit(resource.RLIMIT_NOFILE)[0] - 100) // 2)
 
 
 def num_sockets(pid: int) -> int:
-    """Of the process and its children. What the kernel still holds of a connection that the server
-    has closed is not among them."""
+    """Sockets of the process and its children. Connections that the server has closed do not count,
+    even if the kernel still keeps them."""
     count = 0
     for member in family(pid):
         for descriptor in Path(f"/proc/{member}/fd").glob("*"):
@@ -91,7 +91,7 @@ def test_a_thousand_slow_clients_are_cut_and_the_others_hardly_feel_them(
     if count < 50:
         pytest.skip("this machine allows too few descriptors: raise `ulimit -n`")
     begin = len(server.settled_log(0))
-    first_byte_s(port, attacked)  # what it costs to have read it is not the attack's fault
+    first_byte_s(port, attacked)  # the memory of this read is not due to the attack
     alone_s = [first_byte_s(port, ordinary) for _ in range(300)]
     before_bytes, most_bytes = rss_bytes(server.pid), 0
     before_sockets = num_sockets(server.pid)
@@ -108,7 +108,7 @@ def test_a_thousand_slow_clients_are_cut_and_the_others_hardly_feel_them(
             assert time.monotonic() < began_s + 3, "they are not let in: that is not an attack"
             time.sleep(0.01)
         with_s = []
-        while time.monotonic() < began_s + CUT_S / 2:  # while none is cut yet
+        while time.monotonic() < began_s + CUT_S / 2:  # before any is cut
             with_s.append(first_byte_s(port, ordinary))
             most_bytes = max(most_bytes, rss_bytes(server.pid))
             time.sleep(0.005)
@@ -132,7 +132,7 @@ def test_a_thousand_slow_clients_are_cut_and_the_others_hardly_feel_them(
 def test_a_reader_of_10_kb_a_second_gets_its_whole_object(
     server: ServerProcess, root: Path
 ) -> None:
-    """It takes longer than the limit, but there is progress all the time."""
+    """The read takes longer than the limit, but makes progress all the time."""
     wanted = 550_000
     whole = (root / "big" / "segments" / "0" / "2").read_bytes()[:wanted]
     with socket.socket() as sock:

@@ -1,4 +1,4 @@
-"""Waiting for a live stream: at once when it grows, bounded when it does not, cheap for many."""
+"""Waiting for a live stream: ends at once when it grows, bounded otherwise, cheap for many."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.realtime
 
 @asynccontextmanager
 async def seldom_watched(root: Path) -> AsyncIterator[Library]:
-    """Only those who wait make it look."""
+    """A library that looks only for waiting clients."""
     library = Library(root, 3600.0)
     watch = asyncio.create_task(library.watch())
     await asyncio.sleep(0.05)
@@ -62,7 +62,7 @@ def test_who_waits_is_told_at_once_and_knows_the_new_view(tmp_path: Path) -> Non
             writer.close()
             await asyncio.wait_for(waiter, 1.0)
             assert not stream.live
-            # It will not grow: there is nothing to wait for.
+            # The stream will not grow, so the wait ends at once.
             await asyncio.wait_for(stream.wait_for_growth(5, 100.0), 0.5)
 
     asyncio.run(check())
@@ -90,11 +90,11 @@ def test_waiting_ends_in_time_and_may_be_cancelled(tmp_path: Path) -> None:
             append_frames(writer)
             await asyncio.wait_for(long, 1.0)
             await asyncio.sleep(0.1)
-            # Nobody waits: nothing runs but this and the watch.
+            # No client waits: only this task and the watch run.
             assert len(asyncio.all_tasks()) == 2
 
     asyncio.run(check())
-    # The same again on another loop.
+    # The same on another loop.
     asyncio.run(check())
 
 

@@ -1,4 +1,4 @@
-"""The table of streams: what is served, under which name, and why something is not."""
+"""The table of streams: served streams, their names, and reasons why others are not served."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def look(library: Library) -> None:
 
 
 def said(caplog: pytest.LogCaptureFixture) -> list[str]:
-    """The lines of the log, without the folder's name before them."""
+    """The lines of the log, without the folder's name in front."""
     return [record.getMessage().rpartition("/")[2] for record in caplog.records]
 
 
@@ -71,7 +71,7 @@ def test_an_empty_root_is_served_and_its_first_stream_says_what_it_is(tmp_path: 
     for library in (folder, single):
         look(library)
         assert list(library.streams) == ["one"]
-    # A stray manifest does not make a stream of a folder of streams.
+    # A stray manifest does not turn a folder of streams into a stream.
     (tmp_path / "manifest.json").write_text("{}")
     look(folder)
     assert (list(folder.streams), folder.broken) == (["one"], {})
@@ -194,7 +194,7 @@ def test_a_broken_stream_is_named_with_its_reason_and_the_others_are_served(
     assert line.levelno == logging.WARNING
     assert line.getMessage().startswith(f"{stream} is not served: ")
     assert name in line.getMessage()
-    # Repaired, it is served; and then another may break in the same way.
+    # Once repaired, it is served; then another one may break in the same way.
     shutil.rmtree(stream)
     shutil.copytree(whole, stream)
     look(library)
@@ -212,7 +212,7 @@ def test_objects_are_regular_files_of_the_right_size(
     library = Library(tmp_path / "root", 1.0)
     assert list(library.streams) == ["good"]
     assert library.broken["bad"].startswith("segments/1/2 ")
-    # What becomes odd while it is served is an error when it is read, at once.
+    # A file that becomes invalid while it is served is an error at its next read.
     good = library.streams["good"]
     make(tmp_path / "root" / "good" / "segments" / "0", "1")
     with pytest.raises(SwingsError, match=r"segments/0/1"):
@@ -279,7 +279,7 @@ def test_a_root_that_goes_keeps_what_is_served_until_it_comes_back(
 def test_a_stream_that_is_replaced_while_it_is_read_is_not_mixed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The moment between the manifest of one stream and the index of the next."""
+    """The stream is replaced between the reads of its manifest and of its index."""
     make_stream(tmp_path / "root" / "s", 12, title="old")
     new = make_stream(tmp_path / "new", 7, title="new")
     read, left = read_stream_file, [True]
@@ -310,7 +310,7 @@ def is_open(descriptor: int) -> bool:
 def test_a_process_without_descriptors_keeps_what_it_serves(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """However few are left: it may list the folder and then open nothing."""
+    """This holds for any number left: it may list the folder and then open nothing."""
     writer = live_stream(tmp_path / "live")
     make_stream(tmp_path / "other", 3)
     library = Library(tmp_path, 1.0)
@@ -318,7 +318,7 @@ def test_a_process_without_descriptors_keeps_what_it_serves(
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
 
     async def check() -> None:
-        await library.look()  # the thread is there
+        await library.look()  # starts the thread
         append_frames(writer)
         free = [number for number in range(1024) if not is_open(number)]
         outcomes = set()
@@ -355,7 +355,7 @@ def test_sizes_are_means_over_the_segment(tmp_path: Path) -> None:
 
 
 def test_a_slice_changes_no_more_than_its_lane(tmp_path: Path) -> None:
-    """Slices that are sent whole change one slot in `swin_size`."""
+    """Slices that are sent whole change one in `swin_size` slots."""
     make_stream(tmp_path / "whole", 12)
     write_slot_stream(tmp_path / "slots", 60, small_layout(3, (40, 40), 0, 30))
     streams = Library(tmp_path, 1.0).streams

@@ -1,4 +1,4 @@
-"""Packed streams among the streams that are served: found, followed, refused by name."""
+"""Packed streams among the served streams: found, followed, and refused by name."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.support.tiny_stream import files_of
 
 @pytest.fixture(scope="module")
 def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With sound and captions."""
+    """A stream with sound and captions."""
     stream = write_stream(tmp_path_factory.mktemp("made") / "s", 13)
     add_clicks(stream, (0, 6))
     (stream.parent / "in.vtt").write_text("WEBVTT\n\n00:00.000 --> 00:01.000\nHere\n")
@@ -47,7 +47,7 @@ def fetch(url: str, **fields: str) -> tuple[int, bytes]:
 def test_a_packed_stream_is_served_like_its_folder(
     stream: Path, tmp_path: Path, is_root: bool
 ) -> None:
-    """Every file of it, under the same URL with the same bytes and tags, whole and in part."""
+    """Every file has the same URL, bytes and tags, whole and in part."""
     pack_stream(stream, tmp_path / "talk.swings")
     with served(tmp_path / "talk.swings" if is_root else tmp_path) as server:
         base = f"{server.url}/v1/streams/talk"
@@ -86,7 +86,7 @@ def test_a_file_that_is_replaced_is_another_stream(stream: Path, tmp_path: Path)
     first = library.streams["s"]
     expected = StreamReader(stream).read_object(1, 0).data
     assert first.read_object(1, 0).data == expected
-    # The same bytes again are the same stream: its plays go on.
+    # The same bytes are the same stream, so that its plays continue.
     pack_stream(stream, packed)
     look(library)
     assert library.streams["s"] is first

@@ -1,4 +1,4 @@
-"""A library in an object store: the same promises, on a real S3 server."""
+"""A library in an object store: the same behaviour, on a real S3 server."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_a_live_stream_is_followed_and_may_be_waited_for(server: S3Server, tmp_p
     server.upload(tmp_path / "s", "root/live")
 
     def mirror() -> None:
-        """One more segment, as a mirror uploads it: objects first."""
+        """Uploads one more segment like a mirror: objects first."""
         segment = max(writer.next_birth, 0) // SEGMENT_FRAMES
         append_frames(writer)
         folder = tmp_path / "s" / "segments" / str(segment)
@@ -125,7 +125,7 @@ def test_a_store_that_fails_keeps_what_is_served(
             for _ in range(3):
                 await library.look()
                 assert library.find("s") is stream
-            # Whoever waits is not kept for longer than it asked for.
+            # A waiting client does not wait longer than requested.
             began_s = time.monotonic()
             await stream.wait_for_growth(10, 0.3)
             assert time.monotonic() - began_s < 1.0

@@ -1,4 +1,4 @@
-"""Views: what is sent is what was hashed, and growth is told from replacement."""
+"""Views: sent bytes match their hashes, and growth is distinguished from replacement."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NUM_SEGMENTS = 4
 
 
 def write(path: Path, count: int, title: str = "") -> Path:
-    """A finished stream of slices of `count` Gaussians."""
+    """Writes a finished stream of slices of `count` Gaussians."""
     with StreamWriter.create(path, small_manifest(title=title)) as writer:
         for birth in births_of(NUM_SEGMENTS * SEGMENT_FRAMES):
             writer.append(random_slice(birth, count))
@@ -39,7 +39,7 @@ def write(path: Path, count: int, title: str = "") -> Path:
 
 @pytest.fixture(scope="module")
 def kinds(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Three streams: the first two have the same manifest and sizes that differ, the third has
+    """Three streams: the first two have the same manifest and different sizes, the third has
     another title."""
     root = tmp_path_factory.mktemp("kinds")
     return [write(root / "a", 8), write(root / "b", 7), write(root / "c", 8, "c")]
@@ -56,7 +56,7 @@ def as_live(manifest_json: bytes) -> bytes:
 @settings(deadline=None)
 @given(cuts=st.lists(st.integers(0, 10_000), max_size=6))
 def test_however_it_grows_the_view_is_that_of_all_of_it(kinds: list[Path], cuts: list[int]) -> None:
-    """Cuts at any byte: a torn record is left out until it is whole."""
+    """The index is cut at any byte: a torn record is ignored until it is complete."""
     manifest_json, index = files(kinds[0])
     view, seen = view_of(as_live(manifest_json), b""), list[StreamView]()
     for cut in sorted(cut % (len(index) + 1) for cut in cuts):
@@ -116,7 +116,7 @@ def test_the_index_of_a_finished_stream_ends_with_a_whole_record(kinds: list[Pat
 
 
 class Told:
-    """What clients were told: bytes that belong to a tag, for ever."""
+    """The bytes that clients received for each tag, which must never change."""
 
     def __init__(self) -> None:
         self.indexes: dict[int, bytes] = {}
@@ -137,7 +137,7 @@ class Told:
                 try:
                     data = stream.read_object(segment, part).data
                 except CodecError:
-                    continue  # a copy is on its way; the client gets an error, not other bytes
+                    continue  # a copy is in progress; the client gets an error, not other bytes
                 assert hashlib.sha256(data).hexdigest() == stream.object_sha256(segment, part)
 
 
@@ -153,7 +153,7 @@ STEP = st.one_of(
 def test_whatever_is_put_in_its_place_a_tag_never_changes_its_bytes(
     kinds: list[Path], steps: list[tuple[str, int, object]], looks: object
 ) -> None:
-    """Streams are replaced file by file in any order, and somebody looks at any time between."""
+    """Streams are replaced file by file in any order, with reads at any time in between."""
     assert isinstance(looks, random.Random)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "root"

@@ -30,7 +30,7 @@ from tests.support.server.running_server import (
 )
 
 BOUND_S = 2.0
-"""What the tests allow on a machine that does other things too; the promise is a second."""
+"""Time that the tests allow on a busy machine; the promise is one second."""
 
 
 @asynccontextmanager
@@ -46,7 +46,7 @@ async def watching(root: Path, refresh_s: float = 0.5) -> AsyncIterator[Library]
 
 
 async def noticed(condition: Callable[[], object], what: str) -> None:
-    """Fails unless `condition` comes to hold within BOUND_S; prints when it did."""
+    """Fails unless `condition` becomes true within BOUND_S; prints the time that it took."""
     began_s = time.monotonic()
     while not condition():
         assert time.monotonic() - began_s < BOUND_S, what
@@ -67,7 +67,7 @@ def files_of(stream: Path) -> list[Path]:
 
 
 def copy_slowly(source: Path, target: Path, names: list[Path], pause_s: float) -> None:
-    """Copies file by file, each in two halves, as a slow copy does."""
+    """Copies file by file, each in two halves, like a slow copy."""
     for name in names:
         data, path = (source / name).read_bytes(), target / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -79,7 +79,7 @@ def copy_slowly(source: Path, target: Path, names: list[Path], pause_s: float) -
 
 
 def check_whole(stream: ServedStream) -> None:
-    """Everything that the stream offers can be read, and is what its tags say."""
+    """Asserts that everything in the stream can be read, and matches its tags."""
     view = stream.view
     assert hashlib.sha256(view.manifest_json).hexdigest() == view.manifest_sha256
     assert hashlib.sha256(view.index_data).hexdigest() == view.index_sha256
@@ -153,7 +153,7 @@ def test_a_replaced_stream_is_another_one(tmp_path: Path, how: str, alike: bool)
             await noticed(lambda: library.find("s") not in (old, None), f"replaced by {how}")
             assert old.gone
             assert old.view.index_sha256 == tag
-            # What the old one still knows by name is never given the bytes of the new one.
+            # Objects of the old stream never get the bytes of the new one.
             with pytest.raises(CodecError, match=r"segments/1/0"):
                 old.read_object(1, 0)
             fresh = library.streams["s"]
@@ -240,7 +240,7 @@ def test_what_may_not_be_read_is_served_once_it_may(tmp_path: Path) -> None:
 
 @pytest.mark.realtime
 def test_a_look_that_finds_nothing_new_only_looks_at_stamps(tmp_path: Path) -> None:
-    """20 finished streams, one broken one: what a look costs, and that it opens nothing."""
+    """20 finished streams and a broken one: the cost of a look, which opens nothing."""
     for number in range(20):
         make_stream(tmp_path / f"s{number}", 3)
     (tmp_path / "s0" / "segments" / "0" / "0").unlink()

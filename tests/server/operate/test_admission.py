@@ -1,4 +1,4 @@
-"""Limits per address and in all."""
+"""Limits per address and in total."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def test_giving_back_what_nobody_holds_is_a_bug() -> None:
 
 COUNTED_AS = {
     "192.0.2.1": "192.0.2.1",
-    "::ffff:192.0.2.1": "192.0.2.1",  # the same machine, however the kernel writes it
+    "::ffff:192.0.2.1": "192.0.2.1",  # the same machine, in another notation of the kernel
     "192.0.2.2": "192.0.2.2",
     "2001:db8:0:1::1": "2001:db8:0:1::/64",  # a whole network is one address
     "2001:db8:0:1:ffff::2": "2001:db8:0:1::/64",
     "2001:db8:0:2::1": "2001:db8:0:2::/64",
-    "10.0.0.1": "",  # a trusted proxy counts in all only
+    "10.0.0.1": "",  # a trusted proxy counts only in total
     "": "",
 }
 
@@ -71,7 +71,7 @@ def test_limits_below_one_are_refused() -> None:
 
 
 def limited(soft: int, hard: int, wanted: int) -> subprocess.CompletedProcess[str]:
-    """What a process with these limits of open files finds."""
+    """Runs a process with these limits of open files, which prints its actual limits."""
     code = (
         "import resource\n"
         f"resource.setrlimit(resource.RLIMIT_NOFILE, ({soft}, {hard}))\n"
@@ -89,7 +89,7 @@ def limited(soft: int, hard: int, wanted: int) -> subprocess.CompletedProcess[st
 
 def test_connections_stay_below_the_limit_of_open_files() -> None:
     limit, soft = map(int, limited(100, 512, 4096).stdout.split())
-    assert soft == 512  # it was raised as far as it may
+    assert soft == 512  # raised as far as allowed
     assert 512 - 64 - 20 < limit < 512 - 64
     assert limited(100, 512, 7).stdout.split()[0] == "7"
 

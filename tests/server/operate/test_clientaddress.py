@@ -1,4 +1,4 @@
-"""Whom a request is from, whatever its headers say."""
+"""The address of a client, independent of forged headers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PROXIES = parse_proxies("10.0.0.0/8, ::1,2001:db8:5::/48")
 @pytest.mark.parametrize(
     ("peer", "lines", "client"),
     [
-        ("192.0.2.7", ["198.51.100.1"], "192.0.2.7"),  # a stranger may say what he likes
+        ("192.0.2.7", ["198.51.100.1"], "192.0.2.7"),  # headers of an untrusted peer are ignored
         ("10.1.2.3", [], "10.1.2.3"),
         ("10.1.2.3", ["198.51.100.1"], "198.51.100.1"),
         ("10.1.2.3", ["203.0.113.9, 198.51.100.1"], "198.51.100.1"),  # forged on the left
@@ -41,7 +41,7 @@ def test_the_last_one_that_is_not_a_trusted_proxy_is_the_client(
 ) -> None:
     assert client_address(peer, lines, PROXIES) == client
     own = peer.removeprefix("::ffff:")
-    assert client_address(peer, lines, ()) == own  # where no proxy is trusted
+    assert client_address(peer, lines, ()) == own  # if no proxy is trusted
 
 
 def test_a_long_header_is_read_from_the_right_and_not_to_its_end() -> None:

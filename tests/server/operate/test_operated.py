@@ -1,4 +1,4 @@
-"""swings-serve as its operator has it: limits, overload, settings, the log and what is counted."""
+"""swings-serve for its operator: limits, overload, settings, the log and metrics."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_connections_above_the_limit_wait_and_are_served(root: Path, tmp_path: P
 def test_idle_clients_beyond_all_descriptors_are_waited_out_quietly(
     root: Path, tmp_path: Path
 ) -> None:
-    """Without room for 150 connections the log stays short, and who comes then is served soon."""
+    """Without room for 150 connections the log stays short, and later clients are served soon."""
 
     def few_files() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (128, 128))
@@ -125,7 +125,7 @@ def test_idle_clients_beyond_all_descriptors_are_waited_out_quietly(
 def test_too_much_egress_sheds_layers_then_refuses_and_recovers(root: Path, tmp_path: Path) -> None:
     options = "--max-egress-bps", 6e6, "--smooth-s", 0.3, "--recover-per-s", 0.5
     with server_process(root, tmp_path, *options) as server, ExitStack() as stack:
-        # Far more than that is asked for, and taken as fast as it comes.
+        # Clients request far more than that, and read it as fast as it arrives.
         def shed() -> float:
             return figures(server.port)["swings_shed_layers",]
 

@@ -1,4 +1,4 @@
-"""The ladder in virtual time, and its meter on a real event loop."""
+"""The overload ladder in virtual time, and its meter on a real event loop."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STEP_S = 0.25
 def run(
     overload: Overload, begin_s: float, seconds: float, busy: float = 0.0, **more: float
 ) -> float:
-    """Feeds `seconds` of samples of one load; gives when they end."""
+    """Feeds `seconds` of samples of one load; returns the time of their end."""
     now_s = begin_s
     while now_s < begin_s + seconds:
         now_s += STEP_S

@@ -1,4 +1,4 @@
-"""What /metrics says, read back with the parser of prometheus-client."""
+"""The text of /metrics, parsed by prometheus-client."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings from flags, environment and defaults, each before the next."""
+"""Settings from flags, environment and defaults, in this order of precedence."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def twice(word: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """Much as that of swings-serve."""
+    """A command similar to swings-serve."""
 
     root: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="ROOT")]]
     host: str = "127.0.0.1"
@@ -56,7 +56,7 @@ def test_each_source_goes_before_the_next() -> None:
     assert read("r").server.max_plays == ServerConfig().max_plays
     assert read("r", MAX_PLAYS="2").server.max_plays == 2
     assert read("r", "--max-plays", "3", MAX_PLAYS="2").server.max_plays == 3
-    # Settings that the flags do not have come from the environment, the rest from the defaults.
+    # Settings without flags come from the environment, the rest from the defaults.
     session = read("r", "--first-bytes", "1000", QUEUE_S="2", MAX_PLAYS="2").server.session
     assert (session.queue_s, session.first_bytes) == (2.0, 1000)
     assert session.run_s == ServerConfig().session.run_s
@@ -115,7 +115,7 @@ def test_a_bad_setting_names_the_variable(variable: str, value: str, message: st
 
 
 def test_values_that_go_together_are_judged_together() -> None:
-    """0.97 would be refused beside the default, and is not beside 0.99."""
+    """0.97 would be refused together with the default, but not together with 0.99."""
     overload = read("r", OVERLOAD_SHED_FROM="0.97", OVERLOAD_REFUSE_FROM="0.99").overload
     assert (overload.shed_from, overload.refuse_from) == (0.97, 0.99)
 
@@ -154,7 +154,7 @@ def test_the_settings_printed_give_them_again(capsys: pytest.CaptureFixture[str]
 
 
 def test_printed_settings_need_quotes_only_where_a_value_is_not_plain() -> None:
-    """`docker run --env-file` takes quotes as part of the value."""
+    """`docker run --env-file` treats quotes as part of the value."""
     told = settings_text("SWINGS_SERVE", Command(Path("s3://b/a-b"), host="::"))
     assert not {"'", '"', "\\"} & set(told)
     assert "SWINGS_SERVE_CORS_ORIGIN=*\n" in told

@@ -1,4 +1,4 @@
-"""What systemd is sent: by the class alone, and by servers of one and of two workers."""
+"""Notifications to systemd: from the class alone, and from servers with one and two workers."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def test_heartbeats_go_out_when_due(systemd: socket.socket, pid: str) -> None:
         "WATCHDOG_PID": str(os.getpid()) if pid == "own" else pid,
     }
     watchdog = Watchdog(environment)
-    assert not environment  # nothing else shall notify
+    assert not environment  # no other code may notify
     watchdog.ready()
     for _ in range(3):
         watchdog.ping()
     assert systemd.recv(100) == b"READY=1"
     systemd.setblocking(False)
-    if pid != "1":  # for another process
+    if pid != "1":  # the variable of another process
         assert systemd.recv(100) == b"WATCHDOG=1"
     with pytest.raises(BlockingIOError):
         systemd.recv(100)

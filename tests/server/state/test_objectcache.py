@@ -1,4 +1,4 @@
-"""Objects in memory: bounded, read once, and never others than the index names."""
+"""Objects in memory: bounded, read once, and always those of the index."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_the_cache_is_bounded_and_reads_once(tmp_path: Path) -> None:
         hits = metrics.cache_hits.value()
         await cache.load(stream, 5, 0)
         assert metrics.cache_hits.value() == hits + 1
-        # Nothing is cached that is too large alone.
+        # An object that is too large by itself is not cached.
         tiny = ObjectCache(10, Metrics())
         assert (await tiny.load(stream, 0, 0)).data == stream.read_object(0, 0).data
         assert tiny.size_bytes == 0

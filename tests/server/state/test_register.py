@@ -1,4 +1,4 @@
-"""The register of plays, as a table: bounded, whoever says what."""
+"""The register of plays as a table: bounded for any messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which traces are played over, and what the link of a case carries."""
+"""The choice of traces, and the link of a case."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A stream that is repeated: the index says what each frame takes, in every round."""
+"""A repeated stream: the sizes of each frame are those of the index, in every round."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FRAMES, FPS, SEGMENT = 14, 25.0, 4
 
 @pytest.fixture(scope="module")
 def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three segments of 4 frames, and one of 2."""
+    """A stream with three segments of 4 frames and one of 2."""
     path = tmp_path_factory.mktemp("looped") / "stream"
     write_slots(path, FRAMES)
     return path

@@ -1,4 +1,4 @@
-"""One case after another: the plays are the simulator's, and the notes taken of one fit it."""
+"""Case after case: the plays are those of the simulator, and the record of a play matches it."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_notes_fit_the_play() -> None:
     assert sum(until_s - since_s for since_s, until_s in stalls) == pytest.approx(clock.stalled_s)
     assert fmean(layers for _, layers in line.layers) == fmean(one.layers for one in shown)
     assert len(line.lead_s) == MEDIA.num_frames
-    # A frame that shows is there, and no more is sent ahead than may be.
+    # A shown frame has arrived, and the lead does not exceed its limit.
     frame_s = 1 / MEDIA.fps
     most_s = RULES.session.max_lead_s + frame_s
     assert all(frame_s - 1e-9 <= lead_s <= most_s for _, lead_s in line.lead_s)

@@ -1,4 +1,4 @@
-"""Links as numbers: time and bytes go over into each other and back."""
+"""Links as numbers: conversion of times to bytes and back."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ links = st.lists(
 
 
 def bits_between(link: Link, start_s: float, end_s: float) -> float:
-    """What the link passes from `start_s` to `end_s`, summed up step by step."""
+    """Bits that the link passes from `start_s` to `end_s`, summed up step by step."""
     total, at_s, n = 0.0, 0.0, 0
     while at_s < end_s:
         step = link.steps[n % len(link.steps)]
@@ -37,7 +37,7 @@ def bits_between(link: Link, start_s: float, end_s: float) -> float:
 
 @given(links, st.floats(0, 20), st.integers(0, 100_000))
 def test_bytes_take_as_long_as_the_steps_say(link: Link, start_s: float, num_bytes: int) -> None:
-    # Not more than a few rounds of the trace: the sum above is slow.
+    # At most a few rounds of the trace, because the sum above is slow.
     num_bytes = min(num_bytes, int(bits_between(link, start_s, start_s + 100) / 8))
     end_s = link.passed_s(start_s, num_bytes)
     assert end_s >= start_s
@@ -62,7 +62,7 @@ def test_rounds_are_alike(link: Link, rounds: int, start_s: float) -> None:
 
 @given(st.integers(1, 10**6), st.booleans())
 def test_whole_rounds_end_before_the_silence(rounds: int, silent_first: bool) -> None:
-    """Exactly, however many: one bit more would have to wait for the silence to pass."""
+    """The end is exact for any number of rounds: one more bit would wait for the silence."""
     loud, silent = LinkStep(0.5, 2e6, 0.0), LinkStep(0.25, 0.0, 0.0)
     link = Link([silent, loud] if silent_first else [loud, silent])
     end_s = 0.75 * rounds - (0 if silent_first else 0.25)

@@ -1,4 +1,4 @@
-"""Traces: both forms mean what they say, and any bytes give a link or one clear line."""
+"""Traces: both formats are read correctly, and any bytes give a link or one clear line."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_each_line_lets_1504_bytes_pass(
     assert link.round_s == pytest.approx(times_ms[-1] / 1000)
     assert link.mean_bps == pytest.approx(len(times_ms) * 1504 * 8000 / times_ms[-1])
     assert {step.latency_s for step in link.steps} == {latency_s}
-    # At the end of each step as many have passed as there are lines until then.
+    # At the end of each step, as many packets have passed as there are lines up to then.
     for end_s in accumulate(step.duration_s for step in link.steps):
         lines = sum(time_ms <= round(end_s * 1000) for time_ms in times_ms)
         assert link.capacity_bytes(0, end_s - 1e-9) == pytest.approx(lines * 1504, rel=1e-5)
@@ -62,7 +62,7 @@ def test_no_step_is_longer_than_100_ms_but_in_silence(times_ms: list[int]) -> No
 
 
 def test_a_trace_of_mahimahi() -> None:
-    # 12 Mbit/s, as its manual has it, for a quarter of a second; nothing for a second; one chance.
+    # 12 Mbit/s, as in its manual, for a quarter of a second; nothing for a second; one packet.
     link = parse_trace(text_of([*range(1, 251), 1250]), "t", 0.03)
     mtu_bits = 1504 * 8
     assert link.steps == (

@@ -19,7 +19,7 @@ from server.operate.log.logline import LogStyle
 
 
 class Told:
-    """A log into a file."""
+    """A log that writes into a file."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file

@@ -1,4 +1,4 @@
-"""Lines of the log: one event, one line, and it can be read back."""
+"""Lines of the log: one line for each event, and it can be parsed."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_whatever_a_field_holds_the_line_is_one_and_printable(fields: dict[str, 
 
 @given(st.text(st.characters(), max_size=60), st.text(max_size=60))
 def test_nobody_can_forge_a_key_in_plain_text(path: str, agent: str) -> None:
-    """Outside of quotes each = is one of ours."""
+    """Outside quotes, each = is one of ours."""
     rest = line(PLAIN, "request", path=path, agent=agent).split(" request ", 1)[1]
     found = {}
     while rest:
@@ -83,6 +83,6 @@ def test_long_fields_are_cut_at_their_end_and_a_traceback_at_its_beginning() -> 
     assert told["path"].endswith("p...")
     assert told["traceback"].startswith("...t")
     assert told["traceback"].endswith("tKeyError")
-    # Characters that take six bytes each: more is cut, so that a pipe takes the line in one piece.
+    # Characters of six bytes each: more is cut off, so that a pipe accepts the line in one piece.
     told = json.loads(line(JSON, "x", path="\x01" * 9000, traceback="\x01" * 9000))
     assert (len(told["path"]), len(told["traceback"])) == (48, 384)

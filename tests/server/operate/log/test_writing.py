@@ -63,7 +63,7 @@ def test_a_sink_that_is_stuck_holds_nobody_up() -> None:
             longest_s = max(longest_s, time.perf_counter() - began_s)
         assert longest_s < 0.2
         assert 5_000 < log.num_dropped < 10_000
-        # The reader wakes up: the queued lines come whole, and the number of the dropped ones.
+        # The reader wakes up: the queued lines are complete, then comes the number of dropped ones.
         read: list[list[dict[str, Any]]] = []
         thread = threading.Thread(target=lambda: read.append(read_until_closed(reader)))
         thread.start()

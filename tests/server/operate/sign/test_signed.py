@@ -1,4 +1,4 @@
-"""swings-serve with keys: what a signed URL opens, as a process and in a browser."""
+"""swings-serve with keys: access by signed URLs, as a process and in a browser."""
 
 from __future__ import annotations
 

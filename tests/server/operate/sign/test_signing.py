@@ -1,4 +1,4 @@
-"""Signed paths: what was signed is granted, and nothing else is."""
+"""Signed paths: signed access is granted, and nothing else."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_it_ends_at_its_expiry() -> None:
     path = SIGNER.sign("walk", EXPIRY_S) + "/watch/walk"
     assert isinstance(SIGNER.verify(path, EXPIRY_S - 0.001), Grant)
     assert SIGNER.verify(path, EXPIRY_S) is Reason.EXPIRED
-    # Of a signature that is not right, nobody learns when it ended.
+    # For a wrong signature, no client learns its time of expiry.
     assert SIGNER.verify(path.replace("/walk", "/run"), EXPIRY_S) is Reason.SIGNATURE
 
 

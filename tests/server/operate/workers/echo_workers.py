@@ -2,11 +2,11 @@
 WHAT CONFIG: its URL is on the first line of stdout, its log on stderr.
 
 WHAT: "echo", where "hang" blocks the event loop; "slow", which takes a while to end; "stubborn",
-which never does; "late", which takes four seconds to start; "crash", whose workers die; "refuse",
+which never ends; "late", which takes four seconds to start; "crash", whose workers die; "refuse",
 which cannot start; "relay", where "1 hello" asks worker 1 for its answer; "count", which counts
 connections and answers any line with all figures, in JSON.
 
-A file "refuse" in the folder keeps further workers from starting.
+A file "refuse" in the folder prevents further workers from starting.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ async def serve(what: str, worker: StreamWorker) -> None:
     await stop.wait()
     if what == "stubborn":
         await asyncio.Event().wait()
-    # asyncio drops a connection that it has accepted and not begun to serve when its server closes.
+    # When its server closes, asyncio drops accepted connections that it does not serve yet.
     loop.remove_reader(worker.listener)
     await asyncio.sleep(0)
     server.close()

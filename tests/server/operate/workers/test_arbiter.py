@@ -1,4 +1,4 @@
-"""Real processes: killed, hung, ended, renewed, orphaned; and the clients that they serve."""
+"""Real processes: killed, hung, ended, renewed, orphaned; and their clients."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from tests.support.waiting import is_running, wait_until
 
 
 class Talk:
-    """A connection, and which worker has it."""
+    """A connection, and the number of its worker."""
 
     def __init__(self, port: int) -> None:
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=20)
         self._file = self._socket.makefile("rb")
         try:
             self.number, self.pid = map(int, self._file.readline().split())
-        except (OSError, ValueError):  # cut before it began
+        except (OSError, ValueError):  # cut before the response
             self.close()
             raise
 
@@ -90,7 +90,7 @@ def test_killed_workers_cut_no_other_connection_and_none_is_refused(tmp_path: Pa
         with Comers(come) as comers:
             time.sleep(EARLY_S)
             for n in range(20):
-                time.sleep(EARLY_S / 2)  # with four workers, the oldest is no early death
+                time.sleep(EARLY_S / 2)  # of four workers, the oldest is past EARLY_S
                 died = {line["pid"] for line in served.events("worker_died")}
                 ready = [line["pid"] for line in served.events("worker_ready")]
                 os.kill(next(pid for pid in ready if pid not in {safe.pid, *died}), signal.SIGKILL)
@@ -102,7 +102,7 @@ def test_killed_workers_cut_no_other_connection_and_none_is_refused(tmp_path: Pa
         assert max(comers.took_s) < 5
         assert {line["restart_s"] for line in served.events("worker_died")} == {0.0}
         assert len([line for line in served.events("record") if "SIGKILL" in line["message"]]) == 20
-        # Each number belongs to one worker at a time, and is given up before it is given on.
+        # Each number belongs to one worker at a time, and is released before it is reused.
         holders: dict[int, int] = {}
         for line in served.events():
             if line["event"] == "worker_ready":
@@ -155,7 +155,7 @@ def test_it_ends_its_workers_and_then_itself(tmp_path: Path, number: signal.Sign
         served.process.send_signal(number)
         wait_until(lambda: served.events("stopping"))
         assert talk.echoes(b"still here")
-        # Who comes while they end is told at once, and does not wait for nobody.
+        # Connections while they end are refused at once, and do not wait in vain.
         wait_until(lambda: is_refused(served.port) and not served.events("worker_ended"), 0.8)
         assert served.process.wait(timeout=30) == 0
         assert len(served.events("worker_ended")) == 2

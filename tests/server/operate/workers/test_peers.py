@@ -22,7 +22,7 @@ pytestmark = pytest.mark.anyio
 
 @asynccontextmanager
 async def group(count: int, timeout_s: float = 1.0) -> AsyncIterator[list[Peers]]:
-    """Workers 0..count-1, and a place after them where nobody is."""
+    """Workers 0..count-1, and an empty place after them."""
     mailboxes = Mailboxes(count + 1)
     peers = [Peers(n, mailboxes, timeout_s) for n in range(count)]
     for n, one in enumerate(peers):
@@ -136,7 +136,7 @@ def test_workers_ask_each_other_and_a_successor_reads_on(tmp_path: Path) -> None
         began_s = time.monotonic()
         assert answer(b"two") == b"nothing\n"
         assert 0.9 < time.monotonic() - began_s < 3
-        # His answer comes too late, and is not taken for that to another question.
+        # Its answer arrives too late, and is not taken for the answer to another question.
         os.kill(pids[other], signal.SIGCONT)
         time.sleep(0.1)
         assert answer(b"again") == b"%d of %d: again\n" % (other, pids[other])

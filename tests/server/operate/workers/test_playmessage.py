@@ -1,4 +1,4 @@
-"""Messages about plays, and the tokens that tell where they run."""
+"""Messages about plays, and tokens, which contain the worker of a play."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""swings-serve with workers: what a client asks may come to another one, or to its successor."""
+"""swings-serve with workers: a client's request may reach another worker, or a successor."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def workers(root: Path, folder: Path, *options: object) -> Iterator[ServerProcess]:
-    """A server of two workers that are ready."""
+    """A server with two workers that are ready."""
     with server_process(root, folder, "--workers", 2, *JSON, *options) as server:
         wait_until(lambda: len(server.events("worker_ready")) == 2)
         yield server
 
 
 class Play:
-    """A play that runs, and is read as it comes."""
+    """A running play, read in a thread."""
 
     def __init__(self, server: ServerProcess, query: str = "") -> None:
         self._connection = HTTPConnection("127.0.0.1", server.port, timeout=20)
@@ -77,7 +77,7 @@ class Play:
         return self._reader.is_alive()
 
     def records(self) -> list[Record]:
-        """All that came, once the response has ended."""
+        """All received records, after the response has ended."""
         self._reader.join(20)
         return parse_records(self.pieces)
 
@@ -130,7 +130,7 @@ def test_a_status_report_may_reach_any_worker(root: Path, tmp_path: Path) -> Non
             play = stack.enter_context(closing(Play(server)))
             places.add(play.place)
             for place in to_both:
-                # It plays on, so that it is sent more until the link is measured.
+                # The client reports progress, so that more is sent until the link is measured.
                 at = map(b'{"frame": %d}'.__mod__, itertools.count(1))
                 wait_until(lambda p=place, t=play.token, a=at: tell(p, t, next(a))[1])
                 status, rate = tell(place, play.token, b'{"frame": 1}')
@@ -157,7 +157,7 @@ def test_renewed_workers_say_where_to_go_on_and_nobody_is_refused(
 
         with Comers(come) as comers:
             time.sleep(0.3)
-            for round in (1, 2):  # and once more: there is room for it
+            for round in (1, 2):  # a second time, to show that there is room
                 os.kill(server.pid, signal.SIGHUP)
                 wait_until(lambda n=2 * round: len(server.events("worker_ended")) == n)
             time.sleep(0.3)
@@ -265,7 +265,7 @@ def test_nothing_around_the_server_changes_how_gunicorn_runs(
 def test_under_load_all_workers_know_the_tokens_of_all_and_no_others(
     root: Path, tmp_path: Path
 ) -> None:
-    # A few objects fill a worker, which then recovers in days.
+    # A few objects overload a worker, which then needs days to recover.
     options = ("--max-egress-bps", 2e7, "--smooth-s", 0.01, "--recover-per-s", 1e-6)
     query = "?until=1&layers=1"
     with workers(root, tmp_path, *options) as server, ExitStack() as stack:

@@ -1,4 +1,4 @@
-"""Streams, links and rules of a play from a seed: small ones, and with what is awkward."""
+"""Small random streams, links and rules of a play, with awkward cases."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from server.study.simulate.simulator import play_out, simulate
 
 @dataclass(frozen=True)
 class Stream:
-    """A stream whose segments differ."""
+    """A stream with different segments."""
 
     fps: float
     segment_frames: int
@@ -33,7 +33,7 @@ class Stream:
 
     @property
     def need_bps(self) -> float:
-        """What all layers take."""
+        """Rate of all layers."""
         return 8 * self.fps * float(np.mean([sizes.slice_bytes[-1] for sizes in self.segments]))
 
 
@@ -73,8 +73,8 @@ def make_stream(
 
 
 def make_link(rng: np.random.Generator, need_bps: float, even: bool = False) -> Link:
-    """A link with outages that carries some of the stream, or a little more; `even`: with the
-    same latency all the time."""
+    """A link with outages that carries a part of the stream, or slightly more than all. even: with
+    constant latency."""
     mean_bps = max(1e4, need_bps) * rng.uniform(0.3, 2.0)
     same_s = float(rng.uniform(0, 0.1)) if even or rng.random() < 0.6 else None
     steps = []
@@ -101,7 +101,7 @@ def make_rules(rng: np.random.Generator) -> tuple[SessionConfig, QoeConfig]:
 
 
 def make_span(rng: np.random.Generator, media: Stream) -> tuple[int, int]:
-    """First frame of a play, and the one behind its last; mostly more than a second."""
+    """First frame of a play, and one past its last; mostly more than a second apart."""
     if rng.random() < 0.5:
         return 0, media.num_frames
     first = int(rng.integers(0, media.num_frames // 2))
@@ -116,7 +116,7 @@ def play_through(
     first_frame: int,
     until_frame: int,
 ) -> Qoe | None:
-    """A play of all these frames, scored; None where some never showed."""
+    """The score of a play of all these frames; None if some never showed."""
     session, qoe = rules
     result = simulate(media, policy, link, session, first_frame, until_frame, at_most_s=300.0)
     shown, clock = play_out(media, result, session, first_frame, until_frame)

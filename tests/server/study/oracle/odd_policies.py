@@ -1,4 +1,4 @@
-"""Policies that only tests have: whims, and plans made beforehand."""
+"""Policies for tests only: random ones, and plans made in advance."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from server.study.oracle.offers import Group
 
 
 class Whims:
-    """Sends anything that may be sent, of use or not."""
+    """Sends at random anything allowed, useful or not."""
 
     mends = True
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
-        self._base = rng.uniform(0.2, 0.9)  # how often layer 0 goes first
+        self._base = rng.uniform(0.2, 0.9)  # how often layer 0 is sent first
         self._idle = rng.choice([0.0, 0.0, 0.2])
         self._next_birth: int | None = None
 
@@ -33,7 +33,7 @@ class Whims:
         return self._upper_layer(context)
 
     def _base_layer(self, context: DecisionContext) -> Send | None:
-        """Layer 0 in order; at times with others."""
+        """Layer 0 in order, sometimes with other layers."""
         media, first = context.media, context.clock.first_frame
         end_layer = int(self._rng.integers(1, media.num_layers + 1)) if self._whim(0.4) else 1
         birth = self._next_birth
@@ -68,8 +68,8 @@ class Whims:
 def planned_sends(
     media: Media, groups: Sequence[Group], num_layers: Sequence[int]
 ) -> list[list[Send]] | None:
-    """Of each frame what a plan sends, slices whole and in order, if layers are taken up only
-    where they can be."""
+    """Data that a plan sends for each frame, with complete slices in order; None if it starts a
+    layer where that is not possible."""
     first, held = groups[0].first_frame, 0
     sends: list[list[Send]] = []
     for group, layers in zip(groups, num_layers, strict=True):
@@ -77,7 +77,7 @@ def planned_sends(
             start = frame - frame % media.segment_frames
             if layers > held and frame not in (start, first):
                 return None
-            # Layer 0 comes last: a frame shows with it, and then all others are there.
+            # Layer 0 is last: a frame shows with it, and by then all other layers are there.
             sends.append([])
             if layers > max(held, 1):
                 sends[-1].append(SendSnapshots(start, max(held, 1), layers))
@@ -99,7 +99,7 @@ def _change(media: Media, birth: int) -> float:
 
 
 def _cheapest_beginning(media: Media, frame: int) -> list[Send]:
-    """Layer 0 from the snapshot that makes it cheapest."""
+    """The cheapest layer 0 up to `frame`, over the possible snapshots."""
     costs = {
         start: media.sizes(start).snapshot_bytes[0]
         + sum(_change(media, birth) for birth in range(start + 1, frame + 1))
@@ -110,7 +110,7 @@ def _cheapest_beginning(media: Media, frame: int) -> list[Send]:
 
 
 class Planned:
-    """Sends slices whole and in order, with the layers that a plan has for their groups."""
+    """Sends complete slices in order, with the layers that a plan gives to their groups."""
 
     mends = False
 

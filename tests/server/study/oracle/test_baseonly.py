@@ -1,4 +1,4 @@
-"""Layer 0 alone, and the times between which frames show."""
+"""Plays of layer 0 alone, and bounds on the times at which frames show."""
 
 from __future__ import annotations
 
@@ -74,13 +74,13 @@ def test_a_long_outage_holds_frames_up_however_long_was_waited_before() -> None:
     media = Stream(10, 10, 200, 1, (sizes,) * 20)
     link = Link([LinkStep(10.0, 8e6, 0.0), LinkStep(20.0, 0.0, 0.0), LinkStep(100.0, 8e6, 0.0)])
     base = base_only(media, link, *RULES, 0, 200)
-    # Six seconds are ahead when the outage begins.
+    # The lead is six seconds when the outage begins.
     assert base.startup_s == pytest.approx(0.001, abs=1e-5)
     assert base.stalled_s == pytest.approx(14.0, abs=0.2)
     assert base.stalls == 1
     play = open_play(media, link, SessionConfig(), 0, 200)
     latest = latest_s(play, base.startup_s + base.stalled_s + 0.01)
-    # What shows before the outage may hardly wait: six seconds ahead of it are needed.
+    # Frames before the outage can hardly wait, because a lead of six seconds is needed.
     assert latest[99] < 10.2
     assert latest[170] > 30
 

@@ -1,4 +1,4 @@
-"""The bound holds for every play, and not higher than it must be."""
+"""The bound holds for every play, and is not needlessly high."""
 
 from __future__ import annotations
 
@@ -92,12 +92,12 @@ def test_a_link_that_carries_all_gives_all_layers() -> None:
 
 
 def test_half_of_a_layer_is_half_of_its_worth() -> None:
-    """A link between one layer and two, for long: the bound is on the line between them."""
+    """For a long play on a link between one and two layers, the bound is on the line between."""
     # A snapshot is worth 5 slices, and takes more.
     sizes = SegmentSizes((1e4, 1e4), (30.0, 34.0), (1e5, 1e5), (0.2, 0.2))
     media = Stream(10, 10, 600, 2, (sizes,) * 60)
     found = bound(media, steady(8 * 10 * 1.5e4), *RULES, 0, 600)
-    # What is sent ahead and in store at the ends counts little over a minute.
+    # The lead and the stored bytes at the ends count little over a minute.
     assert found.psnr_db == pytest.approx(32.0, abs=0.15)
 
 
@@ -109,7 +109,7 @@ def test_a_layer_that_lasts_begins_with_its_snapshot() -> None:
     link = steady(8 * 10 * 3e3)
     cheap = bound(layers(1e3), link, *RULES, 0, 60)
     assert cheap.psnr_db == pytest.approx(34.0, abs=1e-3)
-    # All that the link carries in the time is less than the snapshot.
+    # The link carries less in this time than the snapshot.
     assert bound(layers(1e6), link, *RULES, 0, 60).psnr_db < 30.5
 
 

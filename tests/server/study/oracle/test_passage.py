@@ -1,4 +1,4 @@
-"""Bytes that have passed, and when they come."""
+"""Bytes that have passed a link, and their times of arrival."""
 
 from __future__ import annotations
 

@@ -31,8 +31,8 @@ Rules = tuple[SessionConfig, QoeConfig]
 def plan_quality_db(
     play: Play, link: Link, rules: Rules, groups: tuple[Group, ...], plan: tuple[int, ...]
 ) -> float:
-    """QoE of `plan`, sent as early as it may be, by the client's own code. -inf where it takes up a
-    layer that it cannot."""
+    """QoE of `plan`, sent as early as allowed, by the client's own code. -inf if it starts a layer
+    where that is not possible."""
     media = play.media
     sends = planned_sends(media, groups, plan)
     if sends is None:

@@ -1,4 +1,4 @@
-"""Streams that are made up, as numbers only."""
+"""Made-up streams, as numbers only."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from tests.support.delivery.media import MadeMedia, sizes_of
 
 @st.composite
 def segment_sizes(draw: st.DrawFn, num_layers: int) -> SegmentSizes:
-    """A layer beyond the first takes a third of it or more, and gives 0.3 to 3 dB: what it takes
-    to send one that the link does not carry is never worth a stall."""
+    """An upper layer takes at least a third of the first one, and adds 0.3 to 3 dB, so that sending
+    a layer that the link cannot carry is never worth a stall."""
     base = draw(st.floats(2e3, 2e4))
     layers = (base, *(base * draw(st.floats(0.35, 1.5)) for _ in range(num_layers - 1)))
     gains = (25.0, *(draw(st.floats(0.3, 3.0)) for _ in range(num_layers - 1)))

@@ -1,4 +1,4 @@
-"""What rules are asked, made up."""
+"""Made-up situations for rules."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""BOLA as mathematics."""
+"""Mathematics of BOLA."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_it_leaves_layer_0_at_the_low_lead_and_wants_nothing_more_at_the_high_on
 
 
 def started(rate_bps: float, lead_s: float) -> BolaRule:
-    """One that began on a link for layer 0, so that its lead is what it has."""
+    """A rule that started on a link for layer 0, so that its lead is the real one."""
     rule = BolaRule()
     rule.choose_layers(situation(rate_bps=100e3, lead_s=1.0))
     rule.choose_layers(situation(rate_bps=rate_bps, lead_s=lead_s))
@@ -57,7 +57,7 @@ def started(rate_bps: float, lead_s: float) -> BolaRule:
 
 
 def test_the_lead_decides_below_what_the_link_carries() -> None:
-    # Three layers take 320 kbit/s.
+    # Three layers need 320 kbit/s.
     leads_s = (0.5, 1.0, 1.6, 3.0, 4.5, 5.5, 6.0)
     chosen = [started(1e6, s).choose_layers(situation(lead_s=s)) for s in leads_s]
     assert chosen == sorted(chosen)
@@ -86,7 +86,7 @@ def test_what_was_added_to_the_lead_keeps_the_layers() -> None:
 def test_a_group_may_not_eat_up_the_lead() -> None:
     rule = started(1e6, 5.9)
     collapsed = situation(rate_bps=20e3, lead_s=5.0)
-    # 160 kbit take 8 s; 80 kbit take 4 s, but 0.7 * 5 s is less: then there is layer 0 only.
+    # 160 kbit take 8 s; 80 kbit take 4 s, but 0.7 * 5 s is less: only layer 0 remains.
     assert rule.choose_layers(collapsed) == 1
 
 

@@ -1,4 +1,4 @@
-"""What holds of every policy, over streams, links and leads that are made up."""
+"""Properties of every policy, over made-up streams, links and leads."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ IN_ORDER = sorted(set(POLICIES) - {"sweep"})
 QUICK = settings(
     max_examples=25, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate)
 )
-"""Plays that fail are not shrunk: that takes minutes."""
+"""Failing plays are not shrunk, because that takes minutes."""
 steps = st.builds(LinkStep, st.floats(0.1, 5), st.floats(2e5, 4e7), st.floats(0, 0.1))
 
 
 class Checked:
-    """A policy whose every answer is checked against what the client will hold by then."""
+    """A policy whose decisions are checked against the client's buffer at their arrival."""
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
@@ -47,7 +47,7 @@ class Checked:
         assert births.step == 1
         assert births.stop <= context.end_birth
         assert 0 <= send.first_layer < send.end_layer <= context.media.num_layers
-        # A change is of use behind the one before it, and only there.
+        # A change is useful only after the previous one.
         for layer in range(send.first_layer, send.end_layer):
             assert holding.end_birth(layer) == births.start
 
@@ -83,7 +83,7 @@ def test_it_sends_what_is_of_use_and_ends_every_play(
 @given(medias(fewest_frames=450, most_frames=450))
 @settings(QUICK, max_examples=6)
 def test_a_link_for_all_layers_ends_up_with_all_layers(name: str, media: MadeMedia) -> None:
-    if name == "robust_mpc":  # to it, even pictures are worth a layer of those that are better
+    if name == "robust_mpc":  # it prefers constant quality to a better layer
         media = replace(media, segments=media.segments[:1])
     link = Link([LinkStep(1.0, 3 * media.most_bps(media.num_layers), 0.02)])
     config = SessionConfig()

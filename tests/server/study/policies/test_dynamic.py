@@ -1,4 +1,4 @@
-"""Which of its two rules Dynamic follows."""
+"""Dynamic's choice between its two rules."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.server.study.policies.situations import situation
 
 
 class Says:
-    """A rule that says what the test wants."""
+    """A rule whose choice the test sets."""
 
     horizon = 1
 
@@ -23,7 +23,7 @@ class Says:
 
 
 class Both:
-    """A rule of two that are steered; leads are shares of the greatest one."""
+    """Dynamic with two controlled rules; leads are shares of the maximum."""
 
     def __init__(self) -> None:
         self.rule = DynamicRule()
@@ -43,7 +43,7 @@ def test_bola_rules_from_half_of_the_lead_on_down_to_a_quarter() -> None:
     assert not both.follows_bola(0.49)
     assert both.follows_bola(0.51)
     assert both.follows_bola(0.26)
-    assert both.follows_bola(0.24)  # it chooses no fewer than the other
+    assert both.follows_bola(0.24)  # it chooses at least as many as the other
     assert not both.follows_bola(0.24, throughput=3, bola=1)
     assert not both.follows_bola(0.49)
 

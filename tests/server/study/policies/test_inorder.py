@@ -1,4 +1,4 @@
-"""How slices go out in order of birth, and what rules are asked."""
+"""Slices sent in order of birth, and the situations given to rules."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MEDIA = MadeMedia((sizes_of((8e3, 2e3, 3e3), (25.0, 1.0, 1.0), (60e3, 20e3, 30e3
 
 @dataclass
 class Whims:
-    """Chooses what the test says, one group after another, and again from the first."""
+    """Chooses the test's layers, group by group, cyclically."""
 
     layers: list[int]
     horizon: int = 3
@@ -42,7 +42,7 @@ def test_groups_follow_each_other_and_begin_with_segments(
     end = group_end(media, birth, group_s)
     assert birth < end
     assert all(group_end(media, b, group_s) == end for b in range(birth, end))
-    # None reaches beyond a segment that it does not hold whole.
+    # No group extends beyond a segment that it does not contain completely.
     frames = media.segment_frames
     assert end - birth <= frames - birth % frames or end % frames == 0
 
@@ -82,13 +82,13 @@ def test_a_layer_rises_by_its_snapshot_at_a_segment_and_falls_anywhere() -> None
     snapshots = [(n, s) for n, s in enumerate(sent) if isinstance(s, SendSnapshots)]
     assert [s for _, s in snapshots] == [
         SendSnapshots(0, 0, 1),
-        SendSnapshots(30, 1, 2),  # three were wanted at 15 already, but there is no way to rise
+        SendSnapshots(30, 1, 2),  # three were wanted at 15, but a rise is not possible there
         SendSnapshots(60, 1, 3),
     ]
     layers = {b: s.end_layer for s in sent if isinstance(s, SendSlices) for b in s.births}
     runs = [(b, layers[b]) for b in layers if layers[b] != layers.get(b - 1)]
     assert runs == [(1, 1), (31, 2), (45, 1), (61, 3), (75, 2)]
-    # The slice of the frame goes before the snapshots.
+    # The slice of the frame is sent before the snapshots.
     for n, snapshot in snapshots[1:]:
         assert sent[n - 1] == SendSlices(range(snapshot.frame, snapshot.frame + 1), 0, 1)
 
@@ -98,7 +98,7 @@ def test_a_rule_sees_what_comes() -> None:
     media = MadeMedia(MEDIA.segments, num_frames=60, segment_frames=30)
     simulate(media, InOrder(rule), FAST, first_frame=20)
     first, second = rule.asked[0], rule.asked[1]
-    # The first group only leads to frame 20.
+    # The first group only covers the way to frame 20.
     assert [g.media_s * 30 for g in first.coming] == pytest.approx([0, 10, 15])
     assert [g.can_rise for g in first.coming] == [True, False, True]
     assert first.group.snapshot_bytes == (60e3, 80e3, 110e3)

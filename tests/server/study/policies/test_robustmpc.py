@@ -1,4 +1,4 @@
-"""RobustMPC as mathematics: what it predicts, and that it finds the best plan."""
+"""Mathematics of RobustMPC: its predictions, and that it finds the best plan."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ QOE = QoeConfig()
 
 
 def worth(now: Situation, plan: list[int], rate_bps: float, last_db: float | None) -> float:
-    """What a plan is worth, written down group by group."""
+    """Value of a plan, computed group by group."""
     lead_s, held, total = now.lead_s, now.held, 0.0
     for layers, coming in zip(plan, now.coming, strict=True):
         takes_s = 8 * coming.cost_bytes(layers, held) / rate_bps
@@ -58,7 +58,7 @@ def test_no_plan_is_better_than_the_one_it_follows(
 
 
 def test_it_pays_to_rise_where_the_layers_can_be_kept() -> None:
-    # Three layers take 320 kbit/s, to rise to them 320 kbit.
+    # Three layers need 320 kbit/s, the rise to them 320 kbit.
     slots = group(snapshot_bytes=(50e3, 20e3, 20e3))
     stay = group(snapshot_bytes=(50e3, 20e3, 20e3), can_rise=False)
     assert best_plan(situation((slots, stay, stay, stay)), 400e3, 25.0, QOE) == 3
@@ -79,10 +79,10 @@ def test_what_it_plans_with_is_below_the_greatest_rate_of_late(rates_bps: list[f
 
 def test_errors_of_late_make_it_careful() -> None:
     assert predictions([1e6, 1e6, 1e6]) == pytest.approx([1e6, 1e6, 1e6])
-    # Half of what was said came: an error of 1, and the harmonic mean of 1, 1 and 0.5 is 0.75.
+    # Half of the prediction arrived: an error of 1; the harmonic mean of 1, 1 and 0.5 is 0.75.
     planned = predictions([1e6, 1e6, 0.5e6])
     assert planned[-1] == pytest.approx(0.75e6 / 2)
-    # It is forgotten after three more.
+    # The error is forgotten after three more.
     planned = predictions([1e6, 1e6, 0.5e6] + [0.5e6] * 6)
     assert planned[-1] == pytest.approx(0.5e6)
 

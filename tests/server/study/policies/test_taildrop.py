@@ -1,4 +1,4 @@
-"""What tail drop leaves out."""
+"""Layers that tail drop omits."""
 
 from __future__ import annotations
 

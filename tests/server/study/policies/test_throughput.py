@@ -1,4 +1,4 @@
-"""The throughput rule as mathematics."""
+"""Mathematics of the throughput rule."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bootstrap against what is known of it."""
+"""The bootstrap, compared with its known properties."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def test_the_mean_of_coins_is_binomial(ones: int, zeros: int) -> None:
     count = ones + zeros
     interval = mean_interval([1.0] * ones + [0.0] * zeros, seed=1)
     assert interval.mean == ones / count
-    # Of 10,000 draws the share below a point is known to about a percent; the points lie 1 / count
-    # apart.
+    # With 10,000 draws the share below a point is accurate to about a percent; the points are
+    # 1 / count apart.
     low, high = binom.ppf([0.015, 0.035], count, ones / count) / count
     assert low <= interval.low <= high
     low, high = binom.ppf([0.965, 0.985], count, ones / count) / count

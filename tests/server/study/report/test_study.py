@@ -1,4 +1,4 @@
-"""swings-abr from end to end: a report that depends on its settings only, and clear refusals."""
+"""swings-abr from end to end: a report that depends only on its settings, and clear errors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def traces(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three of them, of both kinds."""
+    """A folder of three traces in both formats."""
     path = tmp_path_factory.mktemp("traces")
     (path / "lte").mkdir()
     for name, rates in (("fast", (4000, 900)), ("slow", (700, 300, 1500))):
@@ -42,7 +42,7 @@ def traces(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def report(stream: Path, traces: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Made by the command, on two processes."""
+    """A report from the command, with two processes."""
     out = tmp_path_factory.mktemp("out") / "deep" / "report"
     told = commands.run_ok(
         "swings-abr", stream, "--traces", traces, "--out", out, "--jobs", 2, "--generate", 1,
@@ -60,7 +60,7 @@ def test_the_report_is_whole(report: Path) -> None:
     assert len(plays) == 4 * 2 * len(POLICIES)
     assert len({(one["trace"], one["load"], one["policy"]) for one in plays}) == len(plays)
     for one in plays:
-        # The bound of the oracle is one.
+        # The oracle's value is an upper bound.
         assert float(one["quality_db"]) <= float(one["oracle_quality_db"]) + 1e-3
         assert 0 <= float(one["wasted"]) < 1
     summary = json.loads((report / "summary.json").read_text())
@@ -127,7 +127,7 @@ def test_a_bitrate_and_a_half_and_a_case_to_draw(
     assert written["need_bps"] == pytest.approx(36e6)
     assert written["traces"] == ["mahimahi", "lte/fast.json"]
     page = (config.out / "index.html").read_text()
-    assert page.count("<svg") == 2  # without ours there is nothing to compare
+    assert page.count("<svg") == 2  # without our policy there is nothing to compare
 
 
 CASES: list[tuple[list[str], int, str]] = [

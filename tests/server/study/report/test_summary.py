@@ -1,4 +1,4 @@
-"""What is made of many plays: means, normalised QoE and paired differences, checked by hand."""
+"""Summaries of many plays: means, normalised QoE and paired differences, checked by hand."""
 
 from __future__ import annotations
 

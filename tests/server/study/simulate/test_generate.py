@@ -1,4 +1,4 @@
-"""Made-up links: what was asked for is what comes, the same everywhere."""
+"""Generated links: they have the requested properties, and are the same on every machine."""
 
 from __future__ import annotations
 

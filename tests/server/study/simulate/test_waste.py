@@ -1,4 +1,4 @@
-"""What came for nothing, counted by hand and against plays that waste nothing."""
+"""Wasted bytes, counted by hand and against plays that waste nothing."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ CHAIN = (0.0, slices(range(1, 10), 0, 1))
     ("sends", "changes", "snapshots"),
     [
         ([(0.0, SendSnapshots(0, 1, 2)), (0.0, slices(range(1, 10), 1, 2))], 0, 0),
-        ([(0.0, slices(range(1, 10), 1, 2))], 9, 0),  # changes of nothing
+        ([(0.0, slices(range(1, 10), 1, 2))], 9, 0),  # changes without a snapshot
         ([(0.0, SendSnapshots(0, 1, 2)), (0.0, slices(range(2, 10), 1, 2))], 8, 0),  # a gap
         ([(0.0, SendSnapshots(0, 1, 2)), (9.5, slices(range(1, 10), 1, 2))], 9, 0),  # too late
-        # The same twice.
+        # The same slices twice.
         (
             [
                 (0.0, SendSnapshots(0, 1, 2)),
@@ -56,7 +56,7 @@ CHAIN = (0.0, slices(range(1, 10), 0, 1))
             1,
             0,
         ),
-        # A snapshot takes the place of a chain of which the end had not come.
+        # A snapshot replaces a chain whose end had not arrived.
         (
             [
                 (0.0, SendSnapshots(0, 1, 2)),
@@ -68,7 +68,7 @@ CHAIN = (0.0, slices(range(1, 10), 0, 1))
             1,
             0,
         ),
-        # A snapshot of what is there already.
+        # A snapshot of a state that is there already.
         (
             [
                 (0.0, SendSnapshots(0, 1, 2)),
@@ -78,7 +78,7 @@ CHAIN = (0.0, slices(range(1, 10), 0, 1))
             0,
             1,
         ),
-        # The next snapshot is here early, and the chain grows into it.
+        # The next snapshot arrives early, and the chain reaches it later.
         (
             [
                 (0.0, SendSnapshots(0, 1, 2)),
@@ -88,7 +88,7 @@ CHAIN = (0.0, slices(range(1, 10), 0, 1))
             0,
             0,
         ),
-        # Nothing of a layer shows where the one under it is not there.
+        # A layer does not show without the layer below it.
         ([(0.0, SendSnapshots(0, 2, 3)), (0.0, slices(range(1, 10), 2, 3))], 9, 1),
     ],
 )
@@ -127,7 +127,7 @@ def test_waste_is_a_share_of_what_came(policy: str, loads: list[float]) -> None:
     shown, _ = play_out(media, result, CONFIG, 0, media.num_frames)
     traffic = measure_traffic(media, result.arrivals, shown)
     assert 0 <= traffic.wasted_share < 1
-    # Every frame showed, and that took layer 0: the first snapshot, and all changes or as much.
+    # Every frame showed, which needs layer 0: the first snapshot, and all changes or as many bytes.
     sizes = media.sizes(0)
     least_bytes = sizes.snapshot_bytes[0] + (media.num_frames - 1) * sizes.layer_bytes[0]
     assert traffic.came_bytes - traffic.wasted_bytes >= 0.99 * least_bytes
