@@ -1,4 +1,4 @@
-"""What lies in a capture's folder may be a pipe, or claim to be enormous: that is one line."""
+"""Files of a capture may be pipes, or claim an enormous size: each gives one error line."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_points_whose_header_claims_more_than_there_is(tmp_path: Path) -> None:
     path = tmp_path / "points.npz"
     np.savez(path, xyz=np.ones((10, 3)), rgb=np.ones((10, 3)))
     data = path.read_bytes()
-    # The zip still fits its checksums no more; either is damage.
+    # The checksum of the zip does not match either; both are damage.
     path.write_bytes(data.replace(b"(10, 3), }      ", b"(99999999999, 3)"))
     with pytest.raises(CaptureError, match=r"points\.npz: not an \.npz file of points"):
         read_points(path)

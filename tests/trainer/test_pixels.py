@@ -1,4 +1,4 @@
-"""Pictures are read rightly or refused: none becomes white, black or bodiless without a word."""
+"""Pictures are read correctly or refused: none silently becomes white, black or empty."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ RGB = np.stack([GREY, 255 - GREY, GREY // 2], axis=2)
 
 
 def any_size(path: Path, size: tuple[int, int]) -> None:
-    """A capture that declares the size that the file has."""
+    """A capture that declares the size of the file."""
 
 
 def png_16(path: Path, pixels: npt.NDArray[np.uint16], colour_type: int) -> None:
-    """Writes what Pillow cannot: 16 bits in each channel of a colour PNG."""
+    """Writes a colour PNG with 16 bits per channel, which Pillow cannot."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return (
@@ -54,7 +54,7 @@ def test_16_bit_grey_is_rounded_to_8(tmp_path: Path) -> None:
 
 
 def tiff_16(path: Path, pixels: npt.NDArray[np.uint16]) -> None:
-    """By FFmpeg's encoder: Pillow writes grey ones only."""
+    """Writes a 16-bit TIFF with FFmpeg's encoder, because Pillow writes only grey ones."""
     context = av.CodecContext.create("tiff", "w")
     assert isinstance(context, av.VideoCodecContext)
     context.height, context.width = pixels.shape[:2]

@@ -49,7 +49,7 @@ def layout(request: pytest.FixtureRequest) -> str:
 def whole(
     server: S3Server, layout: str, tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, bytes]:
-    """The stream that is trained from and to folders; its capture lies in the store, too."""
+    """The stream trained from and to folders; its capture is in the store, too."""
     path = tmp_path_factory.mktemp("whole") / layout
     WRITE[layout](path)
     server.upload(path, f"captures/{layout}")
@@ -102,7 +102,7 @@ def test_the_commands_of_the_manual_run(
     lines = [line.split() for line in section.splitlines() if line.startswith("    swings-")]
     train, resume, *others = [[word.replace("BUCKET", BUCKET) for word in words] for words in lines]
     assert resume == [*train, "--resume"]
-    # Stopped before its end, so that there is something to resume.
+    # Stopped before its end, so that there is work left to resume.
     stopped = started("swings-train", *train[1:], *SETTINGS, "--window-iterations", 400)
     deadline_s = time.monotonic() + 120
     while not (tmp_path / "show.work" / LOG_NAME).exists():
@@ -144,10 +144,10 @@ def test_killed_and_resumed_it_writes_the_same_bytes(
         if "manifest.json" in found:
             verify_stream(url)
         assert found.keys() <= whole.keys()
-        if not kept.exists():  # it was faster
+        if not kept.exists():  # the run was faster
             break
     if kept.exists():
-        # What it was told is in the work folder; nothing of it need be said again.
+        # Its settings are in the work folder, so that no option has to be repeated.
         done = run("swings-train", capture_url(layout), url, "--work", work, "--resume")
         if done.returncode:  # killed with all segments written, before the last pictures were
             assert "is finished; there is nothing to resume" in done.stderr
@@ -158,8 +158,8 @@ def test_killed_and_resumed_it_writes_the_same_bytes(
     assert server.files(key) == whole
 
 
-# In a process of its own, for one that compiles kernels may round differently. It trains as its
-# arguments say, and waits for a line before it trains frame 3.
+# A separate process, because a process that compiles kernels may round differently. It trains with
+# its arguments, and waits for a line before it trains frame 3.
 WAITING = """
 import sys
 import tyro

@@ -1,4 +1,4 @@
-"""Captures that are read from a real S3 server: the pictures of a folder, in bounded memory."""
+"""Captures read from a real S3 server: the same pictures as from a folder, in bounded memory."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_pictures_are_those_of_the_folder_in_any_order(
     write = write_dynerf if layout == "dynerf" else write_dynamic3dgs
     write(tmp_path / "capture", 4, FRAMES)
     server.upload(tmp_path / "capture", KEY)
-    server.put(f"{KEY}/ims/", b"")  # what consoles make of a folder
+    server.put(f"{KEY}/ims/", b"")  # the object that consoles create for a folder
     here, there = open_capture(tmp_path / "capture"), open_capture(f"{URL}/")
     assert there.layout == here.layout == layout
     assert there.root.name == "capture"
@@ -133,6 +133,6 @@ def test_memory_of_a_long_video_is_its_blocks(server: S3Server) -> None:
     )  # fmt: skip
     first_kb, all_kb, end = map(int, done.stdout.split())
     assert end == size
-    # After the first blocks the other 88 MiB take hardly more.
+    # After the first blocks the other 88 MiB need hardly more memory.
     assert (all_kb - first_kb) << 10 <= 4 * BLOCK_BYTES
-    assert first_kb < 200 << 10  # otherwise it is not this process that was measured
+    assert first_kb < 200 << 10  # otherwise another process was measured

@@ -1,4 +1,4 @@
-"""swings-capture import makes the cameras that were calibrated, of OpenCV's and COLMAP's files."""
+"""swings-capture import reads calibrated cameras from files of OpenCV and COLMAP."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def rvec_of(rotation: np.ndarray) -> list[float]:
 
 
 def calibration_of(cameras: list[Camera], as_matrix: bool) -> dict[str, dict[str, Any]]:
-    """As caliscope has it, in millimetres, with the first pixel's middle at 0, 0."""
+    """A calibration in the form of caliscope: millimetres, the first pixel's middle at 0, 0."""
     return {
         f"cam_{number}": {
             "name": camera.name,

@@ -1,4 +1,4 @@
-"""The COLMAP layout: models in both forms, both picture layouts, distortion, what is refused."""
+"""The COLMAP layout: models in both forms, both picture layouts, distortion, refusals."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_a_forward_rig_takes_its_depths_from_the_points(tmp_path: Path) -> None:
 
 
 def grid_colour(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
-    """Smooth crossing lines on the straight picture plane, seen at positions over the focal
+    """Smooth crossing lines on the undistorted picture plane; positions are relative to the focal
     length."""
     red = 128 + 100 * np.sin(12 * x)
     green = 128 + 100 * np.sin(12 * y)
@@ -105,7 +105,7 @@ def grid_colour(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.N
 
 
 def bent_grid(camera: Camera, lens: Lens) -> npt.NDArray[np.uint8]:
-    """What the lens shows of the grid: each pixel's straight position is found by iteration."""
+    """The grid seen through the lens; undistorted positions of pixels are found by iteration."""
     u = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px
     v = (np.arange(camera.height_px) + 0.5 - camera.cy_px) / camera.fy_px
     u, v = np.meshgrid(u, v)

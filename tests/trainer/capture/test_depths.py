@@ -1,4 +1,4 @@
-"""What the cameras of a capture say about where the scene is and how deep."""
+"""Place and depth of the scene, estimated from the cameras of a capture."""
 
 from __future__ import annotations
 

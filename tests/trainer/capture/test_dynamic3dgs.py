@@ -1,4 +1,4 @@
-"""Opening captures: the Dynamic 3D Gaussians layout and what is refused."""
+"""Opening captures: the Dynamic 3D Gaussians layout and refusals."""
 
 from __future__ import annotations
 

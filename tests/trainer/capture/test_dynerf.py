@@ -1,4 +1,4 @@
-"""The DyNeRF layout: poses, videos read in any order, and what is refused."""
+"""The DyNeRF layout: poses, videos read in any order, and refusals."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def tiny_camera() -> Camera:
 
 
 def nearly(picture: npt.NDArray[np.uint8], camera_index: int, frame: int) -> bool:
-    """Whether it is that picture, but for the rounding of RGB to YUV and back."""
+    """Whether it is that picture, except for rounding from RGB to YUV and back."""
     difference = picture.astype(int) - picture_of(camera_index, frame)
     return int(np.abs(difference).max()) <= 2
 
@@ -80,8 +80,8 @@ def test_held_out_and_points_files(capture_path: Path) -> None:
 
 
 def test_llff_axes() -> None:
-    # A camera at (1, 2, 3) that looks along the world's -z with the world's y up, as LLFF writes
-    # it: down = -y, right = x, backwards = z.
+    # A camera at (1, 2, 3) that looks along the world's -z with the world's y up, in the form of
+    # LLFF: down = -y, right = x, backwards = z.
     matrix = [[0, 1, 0, 1, 36], [-1, 0, 0, 2, 64], [0, 0, 1, 3, 50]]
     row = np.array([*np.ravel(matrix), 1.0, 9.0])
     camera = decode_pose(row, "cam00", Path("poses"))
@@ -228,7 +228,7 @@ def test_frames_are_counted_where_the_container_does_not_tell(
 
 
 def test_a_cut_video_is_named_when_its_end_is_read(tmp_path: Path) -> None:
-    # An MP4 whose table stands in front still tells all its frames when its end is cut off.
+    # A truncated MP4 with its table in front still lists all its frames.
     cut = tmp_path / "cam01.mp4"
     write_video(cut, 1, NUM_FRAMES, table_in_front=True)
     whole = cut.read_bytes()

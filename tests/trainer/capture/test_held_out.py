@@ -1,4 +1,4 @@
-"""Which cameras are held out: those of held_out.txt in every layout, or one between the others."""
+"""Held-out cameras: those of held_out.txt in every layout, or one between the others."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def write_nerfstudio(root: Path) -> None:
 def test_every_layout_reads_it_alike(tmp_path: Path, write: Callable[[Path], object]) -> None:
     root = tmp_path / "c"
     write(root)
-    assert open_capture(root).held_out == (1,)  # of three on an arc, the middle one
+    assert open_capture(root).held_out == (1,)  # the middle one of three on an arc
     for text, expected in (("", ()), ("cam01", (1,)), ("cam02\r\n\n cam00 \n", (0, 2))):
         (root / "held_out.txt").write_text(text)
         assert open_capture(root).held_out == expected
@@ -49,7 +49,7 @@ def test_without_the_file_it_is_the_one_between(tmp_path: Path) -> None:
 
 
 def standing_at(places: Sequence[Sequence[float]]) -> list[Camera]:
-    """Cameras at these places, which look at one point."""
+    """Cameras at these places that look at one point."""
     return [
         Camera(
             f"cam{i:02d}", 64, 36, 50.0, 50.0, 32.0, 18.0,
@@ -65,7 +65,7 @@ def test_never_the_end_of_an_arc(count: int, arc_deg: float) -> None:
     cameras = tiny_rig(count, arc_deg)
     found = camera_between(cameras)
     assert 0 < found < count - 1
-    # In whatever order the files come, it is in the middle third of the arc.
+    # For any order of the files, it is in the middle third of the arc.
     order = np.random.default_rng(count).permutation(count)
     place = order[camera_between([cameras[i] for i in order])]
     assert (count - 1) / 4 <= place <= 3 * (count - 1) / 4

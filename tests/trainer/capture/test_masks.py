@@ -1,4 +1,4 @@
-"""Masks of a capture: where the layouts keep them, what they mean, what is refused."""
+"""Masks of a capture: their places in the layouts, their meaning, and refusals."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ NUM_FRAMES = 3
 
 
 def grey_of(camera_index: int, frame: int) -> npt.NDArray[np.uint8]:
-    """(36, 64): a white rectangle that tells camera and frame; around it a grey just too dark."""
+    """(36, 64) white rectangle that encodes camera and frame, on a grey that is just too dark."""
     grey = np.full((HEIGHT_PX, WIDTH_PX), 127, np.uint8)
     grey[3 + frame : 30, 5 + camera_index : 50] = 128
     return grey
@@ -148,7 +148,7 @@ def test_nerfstudio_has_a_mask_for_each_entry(tmp_path: Path) -> None:
 
 
 def test_nerfstudio_masks_of_a_whole_camera(tmp_path: Path) -> None:
-    """An entry that stands for all frames, and entries that all name one file."""
+    """One entry for all frames, and entries that all name one file."""
     _, value = write_nerfstudio(tmp_path / "p", listed=False)
     value["frames"][2]["mask_path"] = "still.png"
     save_mask(tmp_path / "p/still.png", 2, 1)
@@ -173,7 +173,7 @@ def test_nerfstudio_masks_of_a_whole_camera(tmp_path: Path) -> None:
 
 
 def test_masks_are_straightened_with_their_pictures(tmp_path: Path) -> None:
-    """The picture is the mask in grey: where it straightens to pure white, the mask counts."""
+    """The picture is the mask in grey: the mask is set where the undistorted picture is white."""
     cameras = tiny_rig(3)
 
     def as_picture(index: int, frame: int) -> npt.NDArray[np.uint8]:
@@ -289,7 +289,7 @@ def test_masks_of_a_camera_with_pictures_but_no_pose_are_left_out(
     capture = open_capture(tmp_path)
     assert [c.camera.name for c in capture.cameras if c.masks] == ["cam00", "cam01"]
     expect(capture, 1, 2, 2)
-    save_mask(tmp_path / "masks/cam09/0007.png", 1, 0)  # which has no pictures either
+    save_mask(tmp_path / "masks/cam09/0007.png", 1, 0)  # a camera without pictures
     assert "masks/cam09: is not the name" in refusal(lambda: open_capture(tmp_path))
 
 
@@ -299,14 +299,14 @@ def test_a_plain_file_beside_masks_is_none(tmp_path: Path, layout: str) -> None:
     write_layout(root, layout)
     (root / "masks").mkdir()
     (root / "masks/README.txt").write_text("By hand.")
-    if not layout.startswith("colmap"):  # its folder shall not be there for nothing
+    if not layout.startswith("colmap"):  # colmap refuses a masks folder without masks
         assert not any(c.masks for c in open_capture(root).cameras)
     save_mask(root / "masks/cam02/0.png", 2, 1)
     assert [c.camera.name for c in open_capture(root).cameras if c.masks] == ["cam02"]
 
 
 def test_the_segmentation_of_a_data_set_is_no_mask(tmp_path: Path) -> None:
-    """The seg folder of Dynamic 3D Gaussians tells foreground, not what to ignore."""
+    """The seg folder of Dynamic 3D Gaussians marks the foreground, not pixels to ignore."""
     write_dynamic3dgs(tmp_path / "d", num_frames=NUM_FRAMES)
     for index in range(4):
         for frame in range(NUM_FRAMES):

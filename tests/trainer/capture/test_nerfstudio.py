@@ -1,4 +1,4 @@
-"""The Nerfstudio layout: its forms of file_path, points, held-out cameras, what is refused."""
+"""The Nerfstudio layout: its forms of file_path, points, held-out cameras, refusals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Videos as phones film them: HDR, turned by a note in the file, at a rate that varies."""
+"""Videos like those of phones: HDR, rotated by metadata, at a variable rate."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from trainer.capture.layout import open_capture
 
 BT709, PQ, HLG = 1, 16, 18
 TICKS = 600
-"""Of a video's time base, a second."""
+"""Ticks per second of a video's time base."""
 
 
 def film(
@@ -28,7 +28,7 @@ def film(
     turned_deg: int = 0,
     times: Sequence[int] = range(0, 100, 20),
 ) -> None:
-    """A video with a frame at each of `times`, in ticks."""
+    """Writes a video with a frame at each of `times`, in ticks."""
     with av.open(str(path), "w") as output:
         stream = output.add_stream("libx264", rate=Fraction(30), options={"qp": "0"})
         stream.width, stream.height, stream.pix_fmt = WIDTH_PX, HEIGHT_PX, "yuv420p"
@@ -66,7 +66,7 @@ def test_hdr_is_refused_with_the_command_that_converts_it(
     told = refusal(tmp_path)
     assert told.startswith(f"{tmp_path}/cam03.mp4: is HDR ({name})")
     assert "ffmpeg -i cam03.mp4 -vf zscale=t=linear" in told
-    for camera in rig:  # and where all of them are alike
+    for camera in rig:  # and if all cameras have the same fault
         film(tmp_path / f"{camera.name}.mp4", transfer)
     assert f"is HDR ({name})" in refusal(tmp_path)
 

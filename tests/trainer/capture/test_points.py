@@ -1,4 +1,4 @@
-"""Initial points: the flavours of .ply that programs write, hostile bytes, and evenness."""
+"""Initial points: the variants of .ply that programs write, hostile bytes, and evenness."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ WHOLE = {
 
 
 def accepts(path: Path, data: bytes) -> bool:
-    """Whether `data` are points; anything but points or a CaptureError rises."""
+    """Whether `data` are points. Raises every error except CaptureError."""
     path.write_bytes(data)
     with contextlib.suppress(CaptureError):
         read_ply(path)

@@ -1,4 +1,4 @@
-"""Which camera an iteration looks through."""
+"""The choice of the camera for an iteration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Training with spherical harmonics: colours that depend on the viewer are learnt."""
+"""Training with spherical harmonics learns view-dependent colours."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def shimmering(frame: int) -> Splats:
 
 
 class Shimmering(Rendered):
-    """Pictures of them."""
+    """Pictures of these blobs."""
 
     def picture(self, camera: int, frame: int) -> np.ndarray:
         return np.clip(render_splats(shimmering(frame), self.cameras[camera], NEAR_M), 0, 1)
@@ -33,7 +33,7 @@ class Shimmering(Rendered):
 
 
 def reached_db(sh_degree: int) -> float:
-    """Mean PSNR of the training cameras in frame 0, from the blobs without their harmonics."""
+    """Mean PSNR of the training cameras in frame 0, starting from the blobs without harmonics."""
     config = replace(CONFIG, num_gs=40, swin_size=1, sh_degree=sh_degree)
     # Rates at which few iterations suffice.
     optimiser = replace(config.optimiser, sh_lr=0.1)

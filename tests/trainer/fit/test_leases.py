@@ -1,4 +1,4 @@
-"""Leases: what a player is told of the slots is exactly what training shows."""
+"""Leases: the slots sent to a player are exactly those that training renders."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def config(swin_size: int, **lease: float) -> FitConfig:
 
 
 class Told:
-    """What a player knows who is told every update: a plain array of slots for each lane."""
+    """State of a player that receives every update: a plain array of slots for each lane."""
 
     def __init__(self, leases: Leases, swin_size: int) -> None:
         self.leases, self.swin_size = leases, swin_size
@@ -192,7 +192,7 @@ def test_weights_are_contributions_and_change_is_found_where_it_is() -> None:
         weights = scores.add(rendered, now, np.zeros_like(now), counts)
         np.testing.assert_allclose(weights, contribution(rendered), rtol=1e-4, atol=1e-4)
     by_score = np.argsort(-scores.scores)
-    assert np.isin(by_score[:8], np.arange(10)).sum() >= 6  # those ten drift
+    assert np.isin(by_score[:8], np.arange(10)).sum() >= 6  # these ten drift
 
 
 @pytest.mark.parametrize("wrong", [{"active_share": 1.1}, {"refresh_share": -1}, {"hold": 0.4}])
@@ -216,7 +216,7 @@ def test_a_budget_is_kept_over_time() -> None:
         budget.record_sent_bytes(num_bytes, slots)
         sent += num_bytes
     assert abs(sent / 300 - 10_000) < 500
-    for _ in range(100):  # nothing happens: what is saved is bounded
+    for _ in range(100):  # nothing happens: the saved budget is bounded
         budget.record_sent_bytes(0, 0)
     assert budget.slots < 2 * 10_000 / 3
 
@@ -228,8 +228,8 @@ def test_a_trainer_keeps_to_the_bytes_that_it_may_send() -> None:
     for window in trainer.windows():
         active.append(int((window.updates[-1].statuses != KEPT).sum()))
         trainer.record_sent_bytes(window, 10 * active[-1])
-    assert active[0] >= 80  # of 90: all that show something
-    assert max(active[1:]) <= 20 + 5  # the price is 5 at first; renewal comes on top
+    assert active[0] >= 80  # of 90: all visible ones
+    assert max(active[1:]) <= 20 + 5  # the price is 5 at first; renewal is added
     assert min(active[1:]) >= 5
 
 
@@ -239,7 +239,7 @@ def test_a_gaussian_that_matters_comes_into_a_lower_layer() -> None:
     contributions = np.array([9, 1, 9, 9, 5, 3, 5, 8, 3.9, 9], np.float32)
     rows = np.arange(10, dtype=np.int32)
     low, high = leases.trades(rows, contributions)
-    assert (low.tolist(), high.tolist()) == ([1], [9])  # 8 is not over four times 3
+    assert (low.tolist(), high.tolist()) == ([1], [9])  # 8 does not exceed four times 3
     leases.is_shown[9] = False
     assert leases.trades(rows, contributions)[0].tolist() == []
 

@@ -54,7 +54,7 @@ def test_one_slice_matures_per_frame_and_every_frame_has_num_gs(
             rows_now = lifespans.active_rows(frame)
             assert len(rows_now) == lifespans.num_gs
             assert len(set(rows_now % lifespans.num_gs)) == lifespans.num_gs
-        # The window's first frame sees one slice that can still change, its last one all of them.
+        # In the window's first frame one slice can still change, in its last frame all can.
         trainable = lifespans.active_rows(first_frame) < lifespans.num_gs
         assert trainable.sum() == slice_size
         last = lifespans.active_rows(first_frame + swin_size - 1)
@@ -69,7 +69,7 @@ def test_ages_count_the_windows_a_generation_was_trained_for() -> None:
     assert sorted(lifespans.ages(1)) == [0, 1, 2, 3]
     assert lifespans.ages(1)[lifespans.births == 1] == 3
     assert lifespans.ages(1)[lifespans.births == 4] == 0
-    # What begins later than its slice has been trained for as long as it has shown.
+    # A Gaussian that starts late has been trained for as long as it has shown.
     lifespans.starts[lifespans.births == 1] = 3
     assert lifespans.ages(1)[lifespans.births == 1] == 1
 

@@ -1,4 +1,4 @@
-"""Relocation as mathematics."""
+"""Mathematics of relocation."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def test_copies_together_are_as_opaque_as_the_one_they_replace(opacity: float, c
 def test_the_scale_keeps_the_integral_of_a_line_through_the_gaussian(
     opacity: float, copies: int
 ) -> None:
-    """The formula's promise, by quadrature: the blended opacity of the copies, integrated along a
-    line through their common centre, is the old Gaussian's."""
+    """The property of the formula, checked by quadrature: the blended opacity of the copies,
+    integrated along a line through their common centre, is that of the old Gaussian."""
     new, factor = split_opacity_and_scale(np.array([opacity]), np.array([copies]), 1e-9)
     x = np.linspace(-12, 12, 20001)
     before = opacity * np.exp(-0.5 * x**2)
@@ -56,7 +56,7 @@ def test_relocation_keeps_the_rendered_picture() -> None:
     view = View.prepare(camera, 0.2)
     for opacity in (0.3, 0.7, 0.95):
         values = lone_gaussian(4, opacity)
-        values.means[1:] = (50, 50, 3)  # the dead, elsewhere
+        values.means[1:] = (50, 50, 3)  # the dead ones, elsewhere
         values.logit_opacities[1:] = -9
         rows = np.arange(4, dtype=np.int32)
         before = render(values, rows, view).picture

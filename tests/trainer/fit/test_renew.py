@@ -1,4 +1,4 @@
-"""Renewal: what a frame shows and nobody renders is found, and Gaussians are placed there."""
+"""Renewal finds objects in a frame that no Gaussian renders, and places Gaussians there."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def room() -> Splats:
 
 
 def thing(at: npt.NDArray[np.floating] = NEW_AT_M) -> Splats:
-    """A red ball of blobs, not all of one red."""
+    """A red ball of blobs in different reds."""
     rng = np.random.default_rng(4)
     inside = rng.normal(size=(40, 3))
     inside *= NEW_RADIUS_M / np.linalg.norm(inside, axis=1, keepdims=True)
@@ -68,7 +68,7 @@ def seen(splats: Splats, camera: Camera, gain: float) -> npt.NDArray[np.uint8]:
 
 
 class Film:
-    """Pictures of Gaussians: those of each frame."""
+    """Pictures of the Gaussians of each frame."""
 
     def __init__(
         self,
@@ -97,7 +97,7 @@ def parameters(splats: Splats) -> Parameters:
 
 
 def compare(film: Film, splats: Splats, colour: CameraColour | None = None) -> Comparison:
-    """The film's first frame against `splats`."""
+    """Comparison of the film's first frame with `splats`."""
     colour = colour or CameraColour(len(film.cameras), 0)
     rows = np.arange(len(splats), dtype=np.int32)
     comparer = Comparer([View.prepare(c, NEAR_M) for c in film.cameras])
@@ -113,7 +113,7 @@ def find(compared: Comparison, count: int = 200) -> Splats:
     [
         ([(160, 90)], ()),
         ([(160, 90), (128, 100), (400, 225)], ()),
-        ([(160, 90)], (0, 2, 4, 5, 7)),  # the others neither help nor hinder
+        ([(160, 90)], (0, 2, 4, 5, 7)),  # the others have no effect
     ],
 )
 def test_what_is_missing_is_found_in_its_place_and_colour(
@@ -262,7 +262,7 @@ def test_what_jumps_is_followed() -> None:
 def test_only_the_least_of_each_slice_are_placed_and_they_show_from_the_frame_on(
     frame: int,
 ) -> None:
-    # With what a trainer holds before the window that brings the frame.
+    # With the state of a trainer before the window that includes the frame.
     state, film = trained(0.0, frame - 2).state(), jumping()
     generations, colour = Generations(CONFIG, None), CameraColour(len(film.cameras), 0)
     for part in (generations, colour):
@@ -288,7 +288,7 @@ def test_only_the_least_of_each_slice_are_placed_and_they_show_from_the_frame_on
     for array, old in zip(generations.values.arrays, before, strict=True):
         changed |= (array != old).reshape(len(array), -1).any(axis=1)
     assert set(np.flatnonzero(changed)) <= set(renewed.tolist())
-    assert (renewed < num_gs).all()  # never what has matured
+    assert (renewed < num_gs).all()  # never matured ones
     assert (lifespans.starts[renewed] == frame).all()
     others = np.setdiff1d(np.arange(num_gs), renewed)
     np.testing.assert_array_equal(lifespans.starts[others], starts[others])

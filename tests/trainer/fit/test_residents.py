@@ -1,5 +1,5 @@
-"""A training whose Gaussians live on a device of torch is as good as one in the host's arrays, and
-goes on from what it has kept."""
+"""A training with its Gaussians on a torch device reaches the same quality as one in host arrays,
+and resumes from its own state."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def quality_db(name: BackendName, config: FitConfig) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("config", "least_db"),
-    # With leases long enough to settle: before, rounding decides by 0.4 dB where Gaussians go.
+    # With leases, long enough to settle: before that, rounding makes a difference of 0.4 dB.
     [(SHORT, 18), (replace(LEASED, genesis_iterations=400, window_iterations=150), 27)],
     ids=["whole slices", "leases"],
 )
@@ -109,7 +109,7 @@ def test_a_stopped_training_on_a_device_goes_on_as_if_it_had_not(config: FitConf
 
 
 def test_with_an_early_report_of_losses_nothing_else_changes() -> None:
-    """Numba's losses are known at once, a device's with the next report: both get there."""
+    """Numba's losses are known at once, those of a device with the next report."""
     reported = [Reported(), Reported()]
     config = replace(LEASED, genesis_iterations=40, window_iterations=20, settle_rounds=0)
     names: tuple[BackendName, ...] = ("cpu", "torch")
@@ -150,8 +150,8 @@ def test_within_a_window_only_numbers_cross(config: FitConfig) -> None:
         told = [(crossed_bytes, p) for f, crossed_bytes, p in crossed if f == first_frame]
         assert len(told) >= 4
         (before, pictures), (after, later) = told[-2:]
-        assert later == pictures  # every camera was seen by then
+        assert later == pictures  # every camera was used by then
         assert after - before < 20 * 100  # of 20 steps
-    # Between the windows rows have crossed, so that the counter counts.
+    # Rows are copied between the windows, which shows that the counter works.
     genesis = [c for f, c, _ in crossed if f == 0]
     assert next(c for f, c, _ in crossed if f == 1) - genesis[-1] > 90 * 14 * 4

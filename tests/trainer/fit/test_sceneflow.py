@@ -1,4 +1,4 @@
-"""Scene flow: what moves is found where it went, and nothing else is touched."""
+"""Scene flow: moving Gaussians are found at their new places, and others are unchanged."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Floats = npt.NDArray[np.float32]
 def flow(
     motion_m: Floats, guess_m: float = 0.0, gains: npt.NDArray[np.floating] | None = None
 ) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """(M, 3) the flow of a room in which a thing moves, and (M,) which Gaussians are the thing."""
+    """(M, 3) flow of a room in which a thing moves, and (M,) whether a Gaussian is of the thing."""
     before = Splats.concatenate([room(), thing()])
     after = Splats.concatenate([room(), thing(NEW_AT_M + motion_m)])
     is_thing = np.arange(len(before)) >= len(room())

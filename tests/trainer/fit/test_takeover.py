@@ -1,4 +1,4 @@
-"""A seam: slots come to hold what another training holds, all of them in the end."""
+"""A seam: slots take over the Gaussians of another training, all of them by its end."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SEAM = range(1, 4)
 
 
 def trained(swin_size: int, seed: int) -> tuple[Trainer, SlotEncoder, list[Update]]:
-    """A trainer before its first window, an encoder for what it says, and that."""
+    """A trainer before its first window, an encoder for its updates, and the updates."""
     settings = replace(config(swin_size, active_share=0.4), seed=seed)
     slots = layout(swin_size, *SLOTS[swin_size])
     trainer = Trainer(settings, Rendered(), start(), NEAR_M, layout=slots)
@@ -52,7 +52,7 @@ def test_after_a_seam_the_other_training_goes_on_as_if_it_had_been_heard_from_th
             wanted = held[window.first_frame]
             same = (mine.states.positions == wanted.states.positions).all(axis=1)
             changed.append(same.mean())
-        # What is shown is what a player has.
+        # The shown Gaussians are those of a player.
         shown = sorted_rows(one.shown(window.first_frame))
         drawn = sorted_rows(mine.splats.take(np.flatnonzero(mine.shows)))
         assert np.array_equal(shown, drawn)
@@ -62,7 +62,7 @@ def test_after_a_seam_the_other_training_goes_on_as_if_it_had_been_heard_from_th
     assert changed[0] < 0.6
     assert all(np.diff(changed) > -0.05)
     for birth in range(SEAM.stop, max(theirs) + 1):
-        encoder.append(theirs[birth])  # raises where it does not fit
+        encoder.append(theirs[birth])  # raises if it does not fit
     for mine_slots, their_slots in zip(encoder.lanes[0], other_encoder.lanes[0], strict=True):
         for a, b in (
             (mine_slots.conditions, their_slots.conditions),

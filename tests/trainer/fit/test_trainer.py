@@ -1,4 +1,4 @@
-"""The sliding-window trainer on a tiny scene that the test makes itself."""
+"""The sliding-window trainer on a tiny generated scene."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SWIN = 3
 
 
 def ring_camera(angle: float, name: str) -> Camera:
-    """A camera two metres from the origin, looking at it."""
+    """A camera two metres from the origin that looks at it."""
     position = np.array([2 * np.sin(angle), -0.3, -2 * np.cos(angle)])
     forward = -position / np.linalg.norm(position)
     right = np.cross([0.0, 1.0, 0.0], forward)
@@ -81,7 +81,7 @@ class Masked(Rendered):
 
     def __init__(self, garbage: int) -> None:
         super().__init__()
-        self.cameras = [c.resized(96, 64) for c in self.cameras]  # genesis takes half of it
+        self.cameras = [c.resized(96, 64) for c in self.cameras]  # genesis uses half of it
         self.garbage = garbage
 
     def shot(self, camera: int, frame: int) -> Shot:
@@ -135,7 +135,7 @@ def test_a_whole_run_is_algorithm_one() -> None:
     held_out = ring_camera(0.3, "between")
     for frame in range(FRAMES):
         shown = active_splats(slices, frame, SWIN)
-        # All num_gs live in every frame; delayed starts may hide a few.
+        # All num_gs live in every frame; late starts may hide a few.
         living = [s for s in slices if s.birth <= frame < s.birth + SWIN]
         assert sum(len(s.splats) for s in living) == CONFIG.num_gs
         assert 0.6 * CONFIG.num_gs <= len(shown) <= CONFIG.num_gs

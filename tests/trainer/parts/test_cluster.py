@@ -1,4 +1,4 @@
-"""What is said of a cluster before work is given to it."""
+"""Checks and messages about a cluster before it gets work."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_claims_are_numbers_that_can_be_had(claims: dict[str, float]) -> None:
 def test_what_ray_says_of_a_dead_worker_becomes_one_line() -> None:
     words = io.StringIO()
     with redirect_stdout(RayOutput(Console(file=words))):
-        # As ray 2.60 prints it.
+        # The output of ray 2.60.
         sys.stdout.write(
             "\x1b[33m(raylet)\x1b[0m A worker died or was killed while executing a task by an "
             "unexpected system error. To troubleshoot the problem, check the logs for the dead "

@@ -1,4 +1,4 @@
-"""Parts cover a capture, in whole segments."""
+"""Parts cover a capture in whole segments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pieces of a stream, and the sound of the capture, are put together in order."""
+"""Pieces of a stream, and the sound of the capture, are joined in order."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SEGMENT_FRAMES = 2
 
 @pytest.fixture
 def whole(tmp_path: Path) -> Path:
-    """A stream that one process has written."""
+    """A stream written by one process."""
     made = write_stream(tmp_path / "whole", FRAMES, 20, fps=FPS, segment_frames=SEGMENT_FRAMES)
     write_clicks(tmp_path / "a.wav", 110_000, (500, 30_000, 105_000))
     return made
@@ -53,8 +53,8 @@ def sound_of(file: Path) -> CaptureSound:
 
 
 def leave_pieces(whole: Path, run: Run) -> list[Task]:
-    """Leaves the stream `whole` at the place of `run`, in the pieces that its workers leave; gives
-    their tasks."""
+    """Writes the stream `whole` to the target of `run`, in pieces like those of its workers;
+    returns their tasks."""
     files = open_growing(run.config.target, SHAPE)
     files.put(MANIFEST_PATH, (whole / "manifest.json").read_bytes())
     for path in (whole / "segments").rglob("*"):

@@ -1,4 +1,4 @@
-"""What is told and noted while parts are joined."""
+"""Messages and records while parts are joined."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from trainer.run.runlog import RunLog
 
 
 def record(segment: int, psnr_db: float, size: int) -> SegmentRecord:
-    """Its masks and snapshot have no bytes."""
+    """A record whose masks and snapshot have no bytes."""
     hashes = (bytes(32),) * 2
     return SegmentRecord(segment, 10 * segment, 10, (size,), hashes[:1], (psnr_db,), (0, 0), hashes)
 
@@ -32,7 +32,7 @@ def test_the_log_has_a_line_for_each_segment_and_means_over_all(tmp_path: Path) 
         monitor.progressed(250)
         monitor.joined([record(1, 30.0, 300), record(2, math.nan, 100)])
         now_s += 60
-        monitor.progressed(2_000)  # more than was counted on is not more than all
+        monitor.progressed(2_000)  # more than expected does not exceed 100 %
         monitor.joined([record(3, 40.0, 100)])
     rows = [json.loads(row) for row in path.read_text().splitlines()]
     assert [row["frame"] for row in rows] == [19, 29, 39]
@@ -58,7 +58,7 @@ def test_nothing_is_said_of_what_is_not_known(tmp_path: Path) -> None:
     told = io.StringIO()
     with ProgressLine(Console(file=told)) as line, RunLog(tmp_path / "log") as log:
         monitor = JoinMonitor(line, log, 60)
-        monitor.begin(0)  # all was there
+        monitor.begin(0)  # everything existed already
         monitor.progressed(0)
     assert told.getvalue().startswith("first of 60 frames  0% done")
     assert not (tmp_path / "log").exists()

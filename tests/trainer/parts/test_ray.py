@@ -33,13 +33,13 @@ from trainer.run.outputs import SNAPSHOT_FOLDER
 from trainer.run.runlog import LOG_NAME
 
 pytest.importorskip("ray", reason="ray is not installed")
-# Ray starts a dozen processes for each cluster, and gives up if they have not come up in 30 s.
+# Ray starts a dozen processes for each cluster, and gives up if they need more than 30 s.
 pytestmark = [pytest.mark.quiet, pytest.mark.timeout(1800)]
 
 CONFIG = TrainConfig("capture", "stream")
 KILLS = 5
 TALLY = b"ray::Tally"
-"""In the command line of the process that counts what has been done."""
+"""Part of the command line of the process that counts finished work."""
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def one(capture: Path) -> Path:
-    """The stream, by one process."""
+    """The stream trained by one process."""
     stream = capture.parent / "one"
     train_in_process(run_of(capture, stream))
     return stream
@@ -57,7 +57,7 @@ def one(capture: Path) -> Path:
 
 @contextmanager
 def killer(words: list[bytes], seed: int) -> Iterator[list[int]]:
-    """Kills processes of a run at random moments; gives how many it has killed of each kind."""
+    """Kills processes of a run at random moments; gives the number of kills of each kind."""
     killed, done = [0] * len(words), threading.Event()
     rng = random.Random(seed)
 
@@ -105,7 +105,7 @@ def test_two_captures_on_a_cluster_with_killed_workers_make_the_stream_of_one_pr
 
 
 def stop_at(file: str, number: signal.Signals, stream: Path, arguments: list[object]) -> None:
-    """Trains until a worker has left `file`, and ends the driver by a signal."""
+    """Trains until a worker has written `file`, then ends the driver by a signal."""
     driver = started("swings-train", *arguments)
     left = stream / STATE_FOLDER / file
     wait_until(lambda: left.exists() or driver.poll() is not None, 120)
@@ -131,7 +131,7 @@ def test_a_run_that_is_stopped_goes_on_with_what_is_there(
     other = run("swings-train", *arguments, "--resume", "--num-gs", 300)
     assert (other.returncode, other.stderr.count("\n")) == (1, 1)
     assert "needs the options" in other.stderr
-    words = [*arguments, "--resume", "--worker-cpus", 2]  # what changes no byte
+    words = [*arguments, "--resume", "--worker-cpus", 2]  # options that change no byte
     assert run_ok("swings-train", *words) == f"{stream}\n"
     assert contents(stream) == contents(one)
 
@@ -164,7 +164,7 @@ with open_cluster("local", 1, Console()) as ray:
         print(done.returncode, b"token" in done.stderr, file=sys.stderr)
 """
     argv = [sys.executable, "-c", code]
-    elsewhere = {**environment(), "RAY_ADDRESS": "127.0.0.1:1"}  # where no cluster is
+    elsewhere = {**environment(), "RAY_ADDRESS": "127.0.0.1:1"}  # there is no cluster
     done = subprocess.run(argv, env=elsewhere, capture_output=True, text=True, timeout=100)
     assert done.stderr.splitlines() == ["0 False", "1 True", "1 True"]
 
@@ -182,7 +182,7 @@ def test_a_process_that_compiles_kernels_leaves_its_task_undone(
     task = Task(run_of(capture, tmp_path), Kind.GENESIS)
     assert do_task(task, tally, frozenset({"elsewhere"})) == "here"
     assert not reported
-    # Where numba cannot keep what it compiles, the second process does the task all the same.
+    # If numba cannot cache compiled code, the second process still does the task.
     assert do_task(task, tally, frozenset({"here"})) is None
     assert reported[-1] == ("genesis", task.iterations)
     assert do_task(task, tally, frozenset()) is None  # it is done

@@ -1,4 +1,4 @@
-"""Tasks in an order in which they can be done, and in which the stream grows soonest."""
+"""Tasks in an executable order in which the stream grows soonest."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_few_parts_wait_for_their_seams(num_parts: int, at_a_time: int) -> None:
     """What parts leave for their seams is bounded by the workers, not by the length."""
     queue = TaskQueue(run_of(num_parts), lambda task: False)
     working: deque[Task] = deque()
-    waiting: set[int] = set()  # seams of which a part has been done, but not the seam
+    waiting: set[int] = set()  # unfinished seams with a finished part
     while True:
         while len(working) < at_a_time and (task := queue.take()) is not None:
             working.append(task)
@@ -69,6 +69,6 @@ def test_iterations_are_those_of_the_windows() -> None:
     genesis, first, second, seam, *_ = run.tasks
     fit = run.config.fit
     assert genesis.iterations == fit.iterations(0)
-    assert first.iterations == 5 * fit.window_iterations  # genesis has trained its first
+    assert first.iterations == 5 * fit.window_iterations  # genesis has trained its first frame
     assert second.iterations == (4 + 5) * fit.window_iterations + 2 * run.seam_fit.window_iterations
     assert seam.iterations == 2 * run.seam_fit.window_iterations

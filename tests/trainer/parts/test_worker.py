@@ -1,4 +1,4 @@
-"""A stream in parts, without a cluster: the pieces fit, however often a worker dies."""
+"""A stream in parts, without a cluster: the pieces fit, for any number of worker deaths."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_to_join_anywhere_is_to_have_played_from_the_beginning(stream: Path) -> 
 def test_workers_that_die_leave_the_same_stream(
     capture: Path, stream: Path, tmp_path: Path, keep_s: float
 ) -> None:
-    """With a checkpoint at every moment at which there can be one, and without any."""
+    """The test runs with a checkpoint at every possible moment, and without any."""
     rng = random.Random(3)
     left = 20
 
@@ -113,7 +113,7 @@ def test_from_store_to_store_are_the_bytes_of_folders(capture: Path, stream: Pat
 
 
 def do_until_killed(task: Task, iterations: int) -> None:
-    """A task in this process, which a SIGKILL ends once so many iterations are done."""
+    """Executes a task in this process, which is ended by SIGKILL after `iterations`."""
 
     def kill(done: int) -> None:
         if done >= iterations:
@@ -123,7 +123,7 @@ def do_until_killed(task: Task, iterations: int) -> None:
 
 
 WARM, IN_SEAM = 20, 40
-"""Iterations of a window, and of one of a seam."""
+"""Iterations of a window, and of a window in a seam."""
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The frame cache: right pictures at the right scale, within its bound."""
+"""The frame cache: correct pictures at the correct scale, within its bound."""
 
 from __future__ import annotations
 

@@ -37,16 +37,16 @@ Bytes = npt.NDArray[np.uint8]
 
 
 def hole(frame: int) -> Bytes:
-    """(36, 64) 0/1: a part near the middle is ignored, another in each frame."""
+    """(36, 64) 0/1 mask: a part near the middle is ignored, a different one in each frame."""
     mask = np.ones((HEIGHT_PX, WIDTH_PX), np.uint8)
     mask[8:20, 20 + frame : 41] = 0
     return mask
 
 
 def write_masked(root: Path, garbage: int | None = None, masked: bool = True) -> None:
-    """Three cameras of three frames; cam00, held out, and cam01 have masks of every frame.
+    """Writes three cameras of three frames; cam00, held out, and cam01 have masks for every frame.
 
-    garbage: what the pictures show where it is ignored, other than the picture.
+    garbage: colour of ignored pixels, instead of the picture.
     """
 
     def picture(index: int, frame: int) -> Bytes:
@@ -151,7 +151,7 @@ def test_masks_are_read_ahead_too_and_a_still_one_is_held_once(tmp_path: Path) -
 
 
 def write_stream(path: Path, capture_path: Path) -> tuple[float, ...]:
-    """A stream of coarse Gaussians; gives the quality noted while it was written."""
+    """Writes a stream of coarse Gaussians; returns the quality recorded meanwhile."""
     manifest = replace(
         seen_by(tiny_manifest(SWIN, segment_frames=FRAMES), capture_path), slots=SLOTS,
         lattice=(Lattice(0.01, 1 / 8, 1 / 60, 1 / 20, 41),) * 2, near_m=0.2,
@@ -177,7 +177,7 @@ def test_scores_see_only_what_counts(tmp_path: Path) -> None:
         moving.append(found.moving_share)
     assert noted[0] == noted[1]
     assert scored[0] == scored[1]
-    # Only the garbage comes and goes.
+    # Only the garbage changes.
     assert moving[0] == moving[1] == 0
     assert moving[2]
     assert noted[1] != noted[2]
@@ -191,14 +191,14 @@ def test_a_mask_that_ignores_all_leaves_nothing_to_score(tmp_path: Path) -> None
     write_masked(tmp_path / "c")
     black = np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8)
     Image.fromarray(black).save(tmp_path / "c/masks/1.png")
-    assert write_stream(tmp_path / "s", tmp_path / "c")  # of the other frames
+    assert write_stream(tmp_path / "s", tmp_path / "c")  # from the other frames
     with pytest.raises(CaptureError, match="camera cam01 ignores all of frame 1") as caught:
         evaluate_stream(EvaluateConfig(tmp_path / "s", tmp_path / "c"))
     assert "\n" not in str(caught.value)
 
 
 def trained(target: Floats, mask: Bytes | None) -> list[npt.NDArray[np.float32]]:
-    """The parameters after twenty steps towards one picture."""
+    """The parameters after twenty training steps on one picture."""
     count = 60
     rng = np.random.default_rng(1)
     values, gradients = Parameters.zeros(count, 0), Parameters.zeros(count, 0)
@@ -228,6 +228,6 @@ def test_ignored_pixels_do_not_change_the_trained_gaussians() -> None:
     first = trained(target, mask)
     assert all(np.array_equal(a, b) for a, b in zip(first, trained(other, mask), strict=True))
     assert not np.array_equal(trained(other, None)[0], trained(target, None)[0])
-    # With nothing that counts, nothing moves.
+    # If all pixels are ignored, nothing changes.
     assert (trained(target, np.zeros_like(mask))[1] == np.float32(np.log(0.15))).all()
     assert (first[1] != np.float32(np.log(0.15))).any()

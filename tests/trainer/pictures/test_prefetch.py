@@ -1,4 +1,4 @@
-"""Reading ahead: bounded, never at the cost of what is needed, ending cleanly, losing no error."""
+"""Prefetching: bounded, never evicts needed pictures, ends cleanly, and loses no error."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PICTURE_BYTES = 3 * 64 * 36
 
 
 class Gate:
-    """Sources that count what is read and wait for the gate to open."""
+    """Sources that record reads and wait for the gate to open."""
 
     def __init__(self, capture: Capture) -> None:
         self.open = threading.Event()
@@ -63,7 +63,7 @@ def gate(capture: Capture) -> Iterator[Gate]:
 
 
 def until(cache: FrameCache, done: Callable[[CacheStatistics], bool]) -> CacheStatistics:
-    """The statistics once they are `done`."""
+    """Waits until the statistics are `done`; returns them."""
     deadline_s = time.monotonic() + 60
     while not done(cache.statistics):
         assert time.monotonic() < deadline_s, cache.statistics
@@ -112,7 +112,7 @@ def test_what_finds_too_many_waiting_is_dropped_and_counted(gate: Gate) -> None:
 
 def test_close_ends_the_thread_in_the_middle(gate: Gate) -> None:
     cache = FrameCache(gate.capture, range(FRAMES))
-    cache.close()  # nothing began: nothing to end
+    cache.close()  # nothing has started, so there is nothing to end
     cache.prefetch(range(4), 3, 0)
     assert gate.reading.wait(60)
     assert len(prefetch_threads()) == 1
@@ -124,9 +124,9 @@ def test_close_ends_the_thread_in_the_middle(gate: Gate) -> None:
     closer.join(60)
     assert not closer.is_alive()
     assert not prefetch_threads()
-    assert gate.read == [(0, 3)]  # the three that waited are forgotten
+    assert gate.read == [(0, 3)]  # the three waiting ones are dropped
     assert cache.statistics.held_bytes == 0
-    cache.prefetch([2], 3, 0)  # a closed cache may be used again
+    cache.prefetch([2], 3, 0)  # a closed cache can be used again
     until(cache, lambda s: s.prefetched == 2)
     cache.close()
     cache.close()
@@ -142,12 +142,12 @@ def test_nothing_that_is_needed_goes(capture: Capture) -> None:
                 cache.image(camera, frame)
         cache.prefetch([0, 1], 3, 1)
         until(cache, lambda s: s.prefetch_skipped == 2)
-        assert (0, 3) not in gate.read  # not even read: a video would have to come back
+        assert (0, 3) not in gate.read  # not even read: a video would have to seek back
         for frame in (1, 2):
             for camera in (0, 1):
                 cache.image(camera, frame)
         assert cache.statistics.hits == 4
-        # Frame 1 has had its time: its pictures make room, although frame 2's are older in use.
+        # Frame 1 is past: its pictures are evicted, although frame 2's were used earlier.
         cache.image(0, 1)
         cache.image(1, 1)
         cache.prefetch([0, 1, 2], 3, 2)
@@ -180,12 +180,12 @@ def test_an_error_reaches_who_asks_for_the_picture(tmp_path: Path) -> None:
         until(cache, lambda s: s.prefetched == 3 and s.prefetch_failed == 1)
         with pytest.raises(CaptureError, match="000001"):
             cache.image(2, 1)
-        cache.prefetch([2], 2, 0)  # the thread lives on
+        cache.prefetch([2], 2, 0)  # the thread is still running
         until(cache, lambda s: s.prefetched == 4)
 
 
 def test_videos_are_read_forward_once(tmp_path: Path) -> None:
-    """As the job does it: a window of frames in any order, the next one's frame ahead of it."""
+    """Like the job: the frames of a window in any order, with the next frame read ahead."""
     length, window = 25, 3
     write_dynerf(tmp_path / "c", num_cameras=2, num_frames=length)
     opened = open_capture(tmp_path / "c")

@@ -1,4 +1,4 @@
-"""A picture and its mask travel together, whole and at half the size."""
+"""A picture and its mask stay together, at full and at half size."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_half_a_shot_is_the_unrounded_means_of_2x2_pixels(size: tuple[int, int])
     half = whole.half()
     assert whole.shape == size
     assert half.shape == (6, 9)
-    assert half.picture is picture  # no copy is made in a training step
+    assert half.picture is picture  # a training step makes no copy
     assert np.array_equal(half.mask, half_mask(mask))  # type: ignore[arg-type]
     assert Shot(picture).half().mask is None
     planes = np.empty((3, *half.shape), np.float32)

@@ -1,4 +1,4 @@
-"""A held-out camera that looks where no training camera does is warned of."""
+"""There is a warning for a held-out camera that looks where no training camera does."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def capture(tmp_path: Path) -> Capture:
 
 
 def tilted(capture: Capture, angle_deg: float) -> Capture:
-    """The capture whose held-out camera looks up by `angle_deg` more than it did."""
+    """The capture with its held-out camera tilted up by `angle_deg`."""
     (index,) = capture.held_out
     turn = np.eye(4)
     turn[:3, :3] = rotation_about(np.array([1.0, 0.0, 0.0]), np.radians(-angle_deg))

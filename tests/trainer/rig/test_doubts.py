@@ -1,4 +1,4 @@
-"""What makes it doubtful that a capture trains well."""
+"""Warnings about captures that may train badly."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_pictures_that_are_clipped_or_dark() -> None:
 
 
 def test_pictures_of_another_depth_are_named(tmp_path: Path) -> None:
-    """Of 12 bits stored in 16, and of 8."""
+    """Pictures of 12 bits stored in 16, and of 8 bits."""
     cameras = tiny_rig(9)
     write_transforms(
         tmp_path, transforms_of(cameras, write_pictures(tmp_path, cameras, 2, False)) | {"fps": 5}

@@ -1,4 +1,4 @@
-"""The near plane is where the rig suggests, or nearer where a camera sees something nearer."""
+"""The near plane is that of the rig, or nearer for a camera that sees something nearer."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from trainer.synth.scene import camera_rig
 
 
 def write(root: Path, cameras: list[Camera], points: int) -> Capture:
-    """One frame in nerfstudio layout, all cameras to train on."""
+    """Writes one frame in the nerfstudio layout, with all cameras for training."""
     paths = []
     for camera in cameras:
         paths.append([f"images/{camera.name}/0000.png"])
@@ -56,7 +56,7 @@ def write(root: Path, cameras: list[Camera], points: int) -> Capture:
 
 
 def least_depth(camera: Camera) -> float:
-    """Of all that the camera sees."""
+    """Minimum depth of everything that the camera sees."""
     studio = Studio(room(), camera)
     return studio.depth_range(studio.film(0)[1])[0]
 
@@ -101,11 +101,11 @@ def test_points_that_a_camera_sees_bring_it_in(tmp_path: Path) -> None:
     assert suggested is not None
     assert nearest < 0.6 * suggested
     near = near_of(capture)
-    assert near == pytest.approx(LEAST_SHARE * suggested)  # and no nearer by itself
+    assert near == pytest.approx(LEAST_SHARE * suggested)  # but not nearer automatically
     lines = checked(tmp_path)
     told = f"{near:.3g} units, from what the cameras see; the rig alone would give {suggested:.3g}"
     assert said(lines, "near") == told
-    assert said(lines, "near cuts").startswith("at most 0.5%")  # cameras have planes of their own
+    assert said(lines, "near cuts").startswith("at most 0.5%")  # cameras have their own planes
     planes = planes_of(capture)
     for camera in cameras:
         own = max(MARGIN * least_depth(camera), LEAST_OWN_SHARE * suggested)
@@ -147,7 +147,7 @@ def test_stray_points_do_not(tmp_path: Path) -> None:
 
 
 def test_what_is_too_near_is_cut_and_named(tmp_path: Path) -> None:
-    """A camera's own plane has a bound, and a camera that is held out has one as well."""
+    """A camera's own plane has a bound, also for a held-out camera."""
     cameras = camera_rig(12, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
     write(tmp_path, cameras, 3000)
     (tmp_path / "held_out.txt").write_text("cam06\n")
@@ -170,7 +170,7 @@ def test_what_is_too_near_is_cut_and_named(tmp_path: Path) -> None:
 
 
 def test_pictures_without_texture_do_not(tmp_path: Path) -> None:
-    """Every depth fits them."""
+    """Every depth matches such pictures."""
     cameras = tiny_rig(9)
     flat = np.full((36, 64, 3), 90, np.uint8)
     paths = write_pictures(tmp_path, cameras, 1, False, lambda *_: flat)

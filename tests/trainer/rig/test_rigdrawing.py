@@ -91,7 +91,7 @@ def test_the_axes_are_the_captures_own(tops: tuple[float, ...], names: list[str]
 
 
 def texts_of(capture: Capture, path: Path) -> str:
-    """All that is written in the picture."""
+    """All text in the picture."""
     with patch("matplotlib.figure.Figure.savefig", autospec=True) as saved:
         saved.side_effect = lambda figure, *_, **__: figure.canvas.draw()
         with suppress(FileNotFoundError):  # nothing was written
@@ -106,7 +106,7 @@ def test_its_numbers_are_the_captures_and_its_unit_unknown(tmp_path: Path) -> No
     for wanted in ("from above: along y", "from the side: along z", "x (units)", "y (units)"):
         assert wanted in texts
     numbers = [float(t.replace("\N{MINUS SIGN}", "-")) for t in texts.split("|") if is_number(t)]
-    assert min(numbers) < -2  # cameras stand 1 to 2 above the floor, where y is below 0
+    assert min(numbers) < -2  # cameras are 1 to 2 above the floor, where y is below 0
     assert "degrees off" not in texts
 
 

@@ -1,4 +1,4 @@
-"""What docs/CAPTURES.md shows runs as it stands there, and what it writes is what was filmed."""
+"""The code of docs/CAPTURES.md runs as written, and its captures equal the filmed ones."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def is_script(block: str) -> bool:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """In which all of the page was run, from top to bottom."""
+    """A folder in which the whole page was run, from top to bottom."""
     root = tmp_path_factory.mktemp("page")
     for block in BLOCKS:
         if is_script(block):
@@ -59,9 +59,9 @@ def run_script(folder: Path, script: str) -> None:
 
 
 def test_the_page_is_understood() -> None:
-    assert sum(map(is_script, BLOCKS)) == len(WRITTEN) - 1  # one makes two
+    assert sum(map(is_script, BLOCKS)) == len(WRITTEN) - 1  # one script writes two
     assert sum(len(block.splitlines()) for block in BLOCKS if not is_script(block)) == 11
-    # Nothing that looks like a command stands in the text, where it would not be run.
+    # The text has nothing like a command, because it would not be run.
     assert not re.findall(r"`swings-\w+ ", PAGE)
 
 

@@ -1,4 +1,4 @@
-"""Sound that a stream gets while it is trained: the same as if it were added afterwards."""
+"""Sound added to a stream during training is the same as sound added afterwards."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def with_sound(video: Path, sound: Path) -> None:
-    """Puts the sound of a WAV file beside the pictures of `video`, as plain samples."""
+    """Adds the sound of a WAV file to `video`, as plain samples."""
     silent = video.with_suffix(".silent.mp4")
     video.rename(silent)
     with (

@@ -58,7 +58,7 @@ def test_a_last_frame_that_cannot_be_read_is_found(tmp_path: Path) -> None:
 
 
 def test_too_few_cameras_to_train_on_are_told(tmp_path: Path) -> None:
-    write_dynerf(tmp_path / "c", num_cameras=3)  # one of them is held out
+    write_dynerf(tmp_path / "c", num_cameras=3)  # one camera is held out
     with pytest.raises(CaptureError, match="2 training cameras, needs 3"):
         checked(tmp_path / "c")
 

@@ -1,4 +1,4 @@
-"""Captures as people bring them give the right pictures, or the right warning."""
+"""Captures as users record them give the correct pictures, or the correct warning."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TINY = (
 
 
 def check_pictures(capture: Capture, footage: Footage, least_db: float) -> None:
-    """Cameras are where they were filmed from, and the pictures what pinholes see there."""
+    """Asserts that the cameras are the filming ones, and the pictures those of pinholes."""
     assert capture.num_frames == NUM_FRAMES
     for index, (camera, pictures) in enumerate(zip(footage.cameras, footage.pictures, strict=True)):
         read = capture.cameras[index].camera
@@ -49,8 +49,8 @@ def check_pictures(capture: Capture, footage: Footage, least_db: float) -> None:
 
 
 def likeness_db(shown: Picture, truth: Picture) -> float:
-    """PSNR of the pictures' 4x4 means: bending and straightening makes a picture soft. The edge,
-    where a lens may see less than a pinhole, is left out."""
+    """PSNR of the pictures' 4x4 means, because distortion and its removal soften a picture. The
+    edge, where a lens may see less than a pinhole, is left out."""
     a, b = (
         np.asarray(Image.fromarray(p[4:-4, 4:-4]).reduce(4), np.float64) for p in (shown, truth)
     )
@@ -75,7 +75,7 @@ def test_videos_of_cameras_with_lenses_of_their_own_one_of_them_upright(tmp_path
     assert said(lines, "frames") == "3 at 25 per second: 0.1 s"
     assert not all_said(lines, "warning")
     scores = trained(root, tmp_path / "s")
-    assert list(scores) == ["cam05", "cam09"]  # the upright one is cam05
+    assert list(scores) == ["cam05", "cam09"]  # the portrait one is cam05
     assert min(scores.values()) > 17
 
 

@@ -1,4 +1,4 @@
-"""swings-train --initial: a first frame that was trained elsewhere."""
+"""swings-train --initial: a first frame from another training."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_a_run_goes_on_from_given_gaussians(trained: Path, tmp_path: Path) -> No
         "--initial", initial, "--genesis-iterations", 0, "--settle-rounds", 1,
     )  # fmt: skip
     assert StreamReader(tmp_path / "s").num_frames == FRAMES
-    # 20 iterations make nothing of 200 seeds.
+    # 20 iterations cannot train 200 seeds.
     assert scores(tmp_path / "s")[0] > scores(trained / "first")[0] - 0.5
 
 

@@ -1,4 +1,4 @@
-"""A stream that its own training serves."""
+"""A stream served by its own training run."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def streams(server: str) -> list[dict[str, object]]:
 
 
 def address_in(process: subprocess.Popen[str]) -> str:
-    """The server that a training run names on standard error."""
+    """The address of the server that a training run prints on standard error."""
     assert process.stderr is not None
     for line in process.stderr:
         if line.startswith("watch it at "):

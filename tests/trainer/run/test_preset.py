@@ -91,7 +91,7 @@ def test_preset_paper_is_the_papers_training_with_whole_slices(tmp_path: Path) -
     assert (config.whole_slices, config.rank) == (True, "opacity")
     assert (fit.num_gs, fit.swin_size, fit.sh_degree) == (200_000, 5, 1)
     assert (fit.genesis_iterations, fit.window_iterations) == (30_000, 2_000)
-    # What the paper does not have: settling, calm, renewal.
+    # Features that the paper lacks: settling, calm, renewal.
     assert (fit.settle_rounds, fit.calm_from, fit.mcmc.renew_share) == (0, 1.0, 0.0)
     assert fit.iterations(0) == 30_000
     write_dynerf(tmp_path / "capture", num_cameras=4, num_frames=3)

@@ -1,4 +1,4 @@
-"""Slices in the order of what their Gaussians contribute."""
+"""Slices in the order of their Gaussians' contributions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Doubles = npt.NDArray[np.float64]
 
 
 def by_hand(splats: Splats, cameras: list[Camera]) -> Doubles:
-    """What each Gaussian adds: the picture with it alone white, all others black."""
+    """Contribution of each Gaussian: the picture with only this one white, all others black."""
     sums = np.zeros(len(splats))
     for i in range(len(splats)):
         sh = np.full_like(splats.sh, -WHITE)
@@ -61,7 +61,7 @@ CAMERAS = [turned_camera(0.4, "a"), turned_camera(-0.3, "b")]
 
 @pytest.fixture
 def stream(tmp_path: Path) -> StreamReader:
-    """A stream with every float; in every slice some Gaussians start late."""
+    """A stream with exact floats; in every slice some Gaussians start late."""
     lattice = Lattice.suiting(scattered_splats(SLICE_SIZE, 50))
     manifest = replace(
         tiny_manifest(SWIN, segment_frames=2), slots=(SLICE_SIZE // 2,) * 2, near_m=NEAR_M,
@@ -115,7 +115,7 @@ def test_a_stream_without_a_frame_is_refused(stream: StreamReader, tmp_path: Pat
 
 
 class Grey:
-    """Pictures of nothing in particular."""
+    """Arbitrary pictures."""
 
     num_frames = FRAMES
     cameras = CAMERAS
@@ -143,9 +143,9 @@ def test_a_trainers_slices_fall_by_what_they_show(swin_size: int) -> None:
             assert part.birth == before.birth
             assert sorted(rows_of(part)) == sorted(rows_of(before))
         found += ordered
-        if swin_size == 1:  # nothing but the slice itself shows
+        if swin_size == 1:  # only the slice itself shows
             assert_falls(by_hand(ordered[0].splats, CAMERAS))
-    # The last slice shows in the last frame only, where all that shows has matured.
+    # The last slice shows only in the last frame, in which all shown Gaussians have matured.
     last = found[-swin_size:]
     shown = last[-1].active(FRAMES - 1, swin_size)
     added = by_hand(active_splats(last, FRAMES - 1, swin_size), CAMERAS)[-shown.sum() :]

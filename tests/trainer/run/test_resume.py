@@ -1,4 +1,4 @@
-"""A run that is killed and resumed writes the bytes of a run that is not."""
+"""A run that is killed and resumed writes the same bytes as an uninterrupted one."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ SETTINGS_OF = {
     "budget": (*COMMON, "--lease.bytes-per-frame", 300, "--lease.active-share", 0.9),
     "whole slices": (*SETTINGS, "--whole-slices"),
 }
-"""Each kind of run: with leases of two frames, of one, with a bound on bytes (what is owed must
+"""Each kind of run: with leases of two frames, of one, with a byte budget (its balance must
 survive), and with slices sent whole."""
 
 
 @dataclass(frozen=True)
 class Whole:
-    """A run that was never stopped."""
+    """An uninterrupted run."""
 
     settings: tuple[object, ...]
     contents: dict[str, bytes]
@@ -68,7 +68,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def contents(stream: Path) -> dict[str, bytes]:
-    """Every file but the log, which tells the time."""
+    """Every file except the log, which contains times."""
     return {
         str(f.relative_to(stream)): f.read_bytes()
         for f in sorted(stream.rglob("*"))
@@ -127,7 +127,7 @@ def test_killed_at_any_moment_and_resumed_it_writes_the_same_bytes(
             process.kill()
             kills += 1
         process.communicate()
-        if not (stream / MANIFEST_NAME).exists():  # whole slices begin a stream after genesis
+        if not (stream / MANIFEST_NAME).exists():  # whole slices start a stream after genesis
             assert "--whole-slices" in whole.settings
             continue
         reader = StreamReader(stream)  # valid at every instant
@@ -140,7 +140,7 @@ def test_killed_at_any_moment_and_resumed_it_writes_the_same_bytes(
 
 
 class Begun(Observer):
-    """Notes with which window a run goes on, and how much of it was done."""
+    """Records the window with which a run continues, and its finished iterations."""
 
     def __init__(self) -> None:
         self.windows: list[tuple[int, int]] = []
@@ -168,7 +168,7 @@ sys.exit(train())
     argv = [sys.executable, "-c", code, *map(str, (capture, stream, *whole.settings))]
     done = subprocess.run(argv, env=environment(), capture_output=True, text=True, timeout=200)
     assert done.returncode == -signal.SIGKILL, done.stderr
-    # What the killed run was told is read from its checkpoint.
+    # The settings of the killed run are read from its checkpoint.
     config = parse_with_preset(TrainConfig, [str(capture), str(stream), "--resume"])
     train_stream(config, Console(file=io.StringIO()), observers=[begun])
     assert begun.windows[:2] == [(0, 60), (1, 0)]
@@ -187,7 +187,7 @@ def test_a_signal_ends_the_run_and_it_can_be_resumed(
         pytest.skip("the run was over before the signal came")
     assert process.returncode == 128 + number
     last = errors.splitlines()[-1]
-    # A signal may come when the checkpoint is on disk and its frame not yet counted.
+    # A signal may arrive when the checkpoint is on disk and its frame not yet counted.
     when = r"(after frame \d+|before the first frame was finished)"
     assert re.fullmatch(rf"stopped {when}; --resume continues from there", last)
     run_ok("swings-train", capture, stream, *SETTINGS, "--resume")
@@ -246,7 +246,7 @@ def test_resuming_what_is_not_there_or_other_is_one_line(
     assert "lease.hold was" in line
     assert "preset was 'cpu' and is 'fast' now" in line
     assert "seed was 0 and is 5 now" in line
-    assert "num_gs" not in line  # given, and the same
+    assert "num_gs" not in line  # given, with the same value
     # The same rig and number of frames, another take.
     take = tmp_path / "take"
     shutil.copytree(capture, take)
@@ -260,7 +260,7 @@ def test_resuming_what_is_not_there_or_other_is_one_line(
     again = run("swings-train", capture, stream, *SETTINGS)
     assert again.returncode == 1
     assert "--resume" in again.stderr
-    # What no option has to repeat: all that the first run was told.
+    # No option has to be repeated: the first run's settings are stored.
     run_ok("swings-train", capture, stream, "--resume")
     assert contents(stream) == uninterrupted
 
@@ -307,7 +307,7 @@ def test_updates_come_back_from_a_checkpoint(sh_degree: int, tmp_path: Path) -> 
     layout = small_layout(2, (9, 6), sh_degree, 4)
     updates = patternless_updates(layout, 5, wild=True)
     assert any(len(update.escapes) for update in updates)
-    updates.append(Update.keeping(5, layout))  # nothing but zeros
+    updates.append(Update.keeping(5, layout))  # zeros only
     slices = [tiny_slice(birth) for birth in (-1, 0)]
     save_checkpoint(path, {}, [*slices, *updates], {})
     found = load_checkpoint(path, {}).pending
@@ -320,7 +320,7 @@ def test_updates_come_back_from_a_checkpoint(sh_degree: int, tmp_path: Path) -> 
 
 
 def arrays_of(part: Slice | Update) -> list[npt.NDArray[Any]]:
-    """All that it holds but its birth."""
+    """All its arrays."""
     if isinstance(part, Slice):
         return [*part.splats.arrays, part.start_offsets]
     return [

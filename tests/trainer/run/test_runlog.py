@@ -1,4 +1,4 @@
-"""What a training run leaves beside the stream: its log, scalars and snapshots."""
+"""Other output of a training run: its log, scalars and snapshots."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_run_logs_every_frame_and_draws_snapshots(tmp_path: Path) -> None:
     assert all(r["iterations_per_s"] > 0 for r in records)
     assert records[-1]["left_s"] == 0 < records[0]["left_s"]
     assert records[-1]["psnr_db"] > 5
-    # Of the segments that are whole by then: no snapshot but those of frame 0.
+    # Bytes of the complete segments, without snapshots except those of frame 0.
     for frame in (1, 3):
         played = sum(
             file.stat().st_size

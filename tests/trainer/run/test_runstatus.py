@@ -1,4 +1,4 @@
-"""How a training run shows its progress: one line of a terminal, or plain lines at intervals."""
+"""Progress of a training run: one line in a terminal, or plain lines at intervals."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_on_a_terminal_of_80_columns_it_is_one_line(tmp_path: Path) -> None:
     while select.select([ours], [], [], 120)[0]:
         try:
             block = os.read(ours, 1 << 16)
-        except OSError:  # Linux: nobody writes any more
+        except OSError:  # Linux: there is no writer any more
             break
         shown += block
         if not block:
@@ -75,5 +75,5 @@ def test_on_a_terminal_of_80_columns_it_is_one_line(tmp_path: Path) -> None:
         assert line.isprintable()
         assert len(line.rstrip()) < 80
     assert " dB  " in drawn[-1]
-    # Drawn in place: what was there is wiped out, and one line stays.
+    # Drawn in place: the old text is erased, and one line stays.
     assert all("\x1b[2K" in part for part in drawn[1:])

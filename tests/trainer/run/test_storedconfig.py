@@ -1,4 +1,4 @@
-"""What a run was told comes back from JSON, and what is not such settings is an error."""
+"""Settings of a run round-trip through JSON, and invalid ones are an error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""swings-train --temporal: the same film, with a layer more."""
+"""swings-train --temporal: the same film, with an additional layer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Training by plain torch gives the stream that training by numba gives, but for rounding."""
+"""Training by plain torch gives the same stream as training by numba, except for rounding."""
 
 from __future__ import annotations
 

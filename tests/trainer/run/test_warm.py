@@ -1,4 +1,4 @@
-"""What is compiled ahead is all that training runs."""
+"""The kernels compiled ahead are all that training runs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from tests.support.commands import ROOT
 from tests.support.tiny_capture import write_dynerf
 
-# A process of its own, as other tests compile kernels too.
+# A separate process, because other tests compile kernels, too.
 PROGRAM = """
 import sys
 from pathlib import Path

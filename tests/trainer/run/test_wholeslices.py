@@ -1,4 +1,4 @@
-"""Slices sent whole: their options, their lattices, and what quantising does to their Gaussians."""
+"""Slices sent whole: their options, their lattices, and the effect of quantisation."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def manifest_of(capture: Path, whole_slices: bool) -> Manifest:
 def test_lattices_of_whole_slices_are_coarser_from_layer_to_layer(capture: Path) -> None:
     whole, lasting = (manifest_of(capture, whole_slices) for whole_slices in (True, False))
     assert whole.slots == lasting.slots == (140, 60, 80, 120)
-    # A slot may change its rank, so its lattice may not depend on it.
+    # A slot may change its rank, so its lattice must not depend on it.
     (shared,) = set(lasting.lattice)
     for name in ("position_m", "log_scale", "rotation", "colour"):
         steps = [getattr(lattice, name) for lattice in whole.lattice]
@@ -125,7 +125,7 @@ def config_of(capture: Path, folder: Path) -> TrainConfig:
 
 @pytest.fixture(scope="module")
 def streams(capture: Path) -> list[StreamReader]:
-    """What a run has written."""
+    """The streams that a run has written."""
     return [StreamReader(path) for path in run_targets(trained(config_of(capture, capture.parent)))]
 
 
@@ -146,10 +146,10 @@ def test_the_raw_stream_holds_what_the_other_rounds_to_the_lattice(
             assert (mine.conditions == ON_LATTICE).all()
             assert (theirs.conditions == ESCAPED).all()
             values = lattice_values(theirs.escapes, lattice)
-            # An axis thinner than the lattice holds has its smallest number.
+            # An axis thinner than the lattice's minimum has that minimum.
             sizes = values[:, 3 + SCALES : 3 + TURNS]
             np.maximum(sizes, -128, out=sizes)
-            # Each stream has an order of its own inside a layer.
+            # Each stream has its own order within a layer.
             apart = np.abs(mine.states.numbers()[:, None] - values).max(axis=2)
             nearest = apart.argmin(axis=1)
             assert sorted(nearest) == list(range(len(values)))
@@ -160,7 +160,7 @@ def test_the_raw_stream_holds_what_the_other_rounds_to_the_lattice(
 
 
 class StoppedError(Exception):
-    """Stands for whatever ends a run."""
+    """Stands for any cause that ends a run."""
 
 
 class Stopper(Observer):

@@ -1,5 +1,4 @@
-"""The ablation of the quantisation: one attribute at a time, on real files that hold
-every float."""
+"""The ablation of the quantisation: one attribute at a time, on real files with exact floats."""
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ SLICE_SIZE = sum(SLOTS)
 
 
 def coarse_slice(birth: int, centre: np.ndarray, sh_degree: int) -> Slice:
-    """Gaussians that show well; their colours alone fit fp16 without loss."""
+    """Clearly visible Gaussians; only their colours fit fp16 without loss."""
     rng = np.random.default_rng(birth + 9)
     splats = Splats(
         (centre + rng.normal(0, 0.7, (SLICE_SIZE, 3))).astype(np.float32),
@@ -45,16 +44,16 @@ class Made:
     capture: Path
     raw: Path
     paper: Path
-    """Exact, of what the paper's quantisation leaves of them."""
+    """Exact stream of the Gaussians after the paper's quantisation."""
     quantised: Path
-    """On a lattice."""
+    """Stream on a lattice."""
     raw_sh1: Path
 
 
 def write_stream(
     path: Path, capture: Path, case: str = "none", sh_degree: int = 0, exact: bool = True
 ) -> Path:
-    """A stream of Gaussians quantised as `case` says."""
+    """Writes a stream of Gaussians with the quantisation `case`."""
     manifest = seen_by(tiny_manifest(SWIN, segment_frames=2), capture)
     centre = rig_centre(manifest.cameras)
     assert centre is not None
@@ -94,7 +93,7 @@ def test_none_and_the_papers_choice_are_what_the_streams_score(
     rows = {row.case: row for row in ablation.rows}
     for case, stream in (("none", made.raw), ("all but feat", made.paper)):
         whole = evaluate_stream(EvaluateConfig(stream, made.capture)).layers[-1]
-        # A layer that a stream is cut into may be sorted otherwise, so sums round otherwise.
+        # A stream cut into layers may be sorted differently, so that sums round differently.
         assert rows[case].psnr_db == pytest.approx(whole.psnr_db, abs=1e-4)
         assert rows[case].ssim == pytest.approx(whole.ssim, abs=1e-5)
     assert rows["none"].psnr_db != rows["all but feat"].psnr_db

@@ -1,4 +1,4 @@
-"""A picture in a camera's colours, as mathematics."""
+"""Mathematics of a picture in a camera's colours."""
 
 from __future__ import annotations
 

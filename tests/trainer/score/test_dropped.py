@@ -1,4 +1,4 @@
-"""What is kept of a stream: the highest rank of every slice, for as long as a Gaussian lives."""
+"""Kept Gaussians of a stream: the highest ranks of every slice, for their whole life."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def views_of(reader: StreamReader) -> list[View]:
 
 
 def slots_of(path: Path, swin_size: int) -> tuple[StreamReader, list[Update]]:
-    """A stream with all that may become of slots."""
+    """A stream with all possible changes of slots, and its updates."""
     updates = write_slots(path, FRAMES, small_layout(swin_size, (20, 10), 0, 4))
     return StreamReader(path), updates
 
@@ -114,7 +114,7 @@ def test_what_comes_back_is_new_and_what_goes_is_ended() -> None:
 
 
 def shown(reader: StreamReader, lives: Mapping[int, Ints], frame: int, drop: Drop) -> Splats:
-    """What is kept of the Gaussians that show at `frame`."""
+    """The kept ones of the Gaussians that show at `frame`."""
     manifest, parts = reader.manifest, []
     for part in reader.window(frame, manifest.num_layers):
         rows = part.active(frame, manifest.swin_size) & drop.kept(lives[part.birth])
@@ -182,7 +182,7 @@ def test_contributions_are_those_that_the_trainer_ranks_by(tmp_path: Path) -> No
 
 
 def test_cameras_take_turns(tmp_path: Path) -> None:
-    # Of a slice that lives for one frame, which one saw it shows.
+    # For a slice that lives for one frame, the result shows which camera saw it.
     path = write_stream(tmp_path / "stream", 5, swin_size=1)
     reader = StreamReader(path)
     views, lives = views_of(reader)[:3], lives_of(reader)

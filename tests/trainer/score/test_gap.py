@@ -1,4 +1,4 @@
-"""swings-eval --training-cameras: the cameras that trained a stream beside those held out."""
+"""swings-eval --training-cameras: training cameras of a stream beside the held-out ones."""
 
 from __future__ import annotations
 

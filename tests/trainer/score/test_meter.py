@@ -1,4 +1,4 @@
-"""The quality that a writer notes is what `swings-eval` finds in the files, for slots, too."""
+"""The quality that a writer records is that of `swings-eval` on the files, for slots, too."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Made:
 
 @pytest.fixture(params=[1, 3])
 def made(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Made]:
-    """A capture whose one held-out camera sees all frames, and updates to write."""
+    """A capture with one held-out camera for all frames, and updates to write."""
     path = tmp_path / "capture"
     write_dynamic3dgs(path, num_cameras=3, num_frames=FRAMES)
     capture = open_capture(path)
@@ -51,8 +51,8 @@ def made(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Made]:
 
 
 def write(made: Made, stream: Path, killed_at: int | None = None) -> list[list[float]]:
-    """Writes the stream; what the meter said of each frame. killed_at: the birth before which the
-    writer is dropped, and another one resumes."""
+    """Writes the stream; returns the meter's scores of each frame. killed_at: the birth before
+    which the writer is dropped and another one resumes."""
     meter = QualityMeter(made.cache, made.manifest)
     said: dict[int, list[float]] = {}
 
@@ -60,7 +60,7 @@ def write(made: Made, stream: Path, killed_at: int | None = None) -> list[list[f
         scores_db = meter(frame, slices)
         if scores_db is not None:
             said[frame] = scores_db
-            assert meter.mean_db == scores_db[-1]  # of the one camera
+            assert meter.mean_db == scores_db[-1]  # of the only camera
         return scores_db
 
     writer = StreamWriter.create(stream, made.manifest, quality=noted)
@@ -97,7 +97,7 @@ def test_a_frame_is_scored_as_a_reader_shows_it(
 
 
 def test_the_mean_is_over_all_held_out_cameras_from_the_first_frame_on(tmp_path: Path) -> None:
-    """Cameras that differ by much: what a person reads must not jump from one to the other."""
+    """With very different cameras, the displayed quality must not jump from one to the other."""
     write_dynamic3dgs(tmp_path / "capture", num_cameras=6, num_frames=4)
     capture = open_capture(tmp_path / "capture")
     far = tuple(replace(c, held_out=i >= 3) for i, c in enumerate(capture.cameras))

@@ -1,4 +1,4 @@
-"""Moving pixels: which they are, and what a stream of known pictures scores on them."""
+"""Moving pixels: their choice, and the score of a stream with known pictures on them."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from trainer.score.sheet import ENLARGED, HEADER_PX, write_sheet
 FRAMES = 4
 GREY = 40
 BLOCK = (slice(10, 20), slice(10, 30))
-"""Of 200 pixels. A jump by 60 moves them and the 60 beside them, whose means change by 20; the
-means at its corners change by 6.7."""
+"""A block of 200 pixels. A jump by 60 moves them and the 60 adjacent ones, whose means change by
+20; the means at its corners change by 6.7."""
 BLOCK_PX, BESIDE_PX = 200, 60
 BRIGHTNESS = (40, 100, 160, 165)
-"""Of the block, frame by frame: from frame 2 to 3 it stands still."""
+"""Brightness of the block, frame by frame; from frame 2 to 3 it does not move."""
 
 
 def grey(value: int, size: tuple[int, int] = (30, 40)) -> Picture:
@@ -69,7 +69,7 @@ def test_the_mean_of_3x3_decides() -> None:
     assert np.array_equal(moving(grey(GREY), changed(108, np.s_[5:6, 7:8])), expected)
     expected[4:7, 6:9] = True
     assert np.array_equal(moving(grey(GREY), changed(109, np.s_[5:6, 7:8])), expected)
-    # In the corner the nearest pixel stands for those beyond: 4 of 9 are the one that changed.
+    # In the corner the nearest pixel replaces those outside: 4 of 9 are the changed one.
     expected[:] = False
     expected[0, 0] = True
     assert np.array_equal(moving(grey(GREY), changed(28, np.s_[0:1, 0:1])), expected)
@@ -92,7 +92,7 @@ def test_what_a_mask_ignores_neither_moves_nor_moves_its_neighbours() -> None:
         found = movement_of(Shot(grey(GREY), masks[0]), Shot(now, masks[1]))
         assert np.array_equal(found.pixels, mask > 0)
         assert found.counting == found.moving == 30 * 40 - 144
-    # The other way round: what is ignored jumps, the rest stands still.
+    # Conversely: ignored pixels jump, the others do not change.
     still = grey(GREY)
     still[8:20, 8:20] = 255
     assert moving(grey(GREY), still).any()
@@ -106,7 +106,7 @@ def test_psnr_is_that_of_the_moving_pixels_alone() -> None:
     assert found.moving == BLOCK_PX + BESIDE_PX
     truth = captured(now)
     shown = truth.copy()
-    shown[~found.pixels] = 1  # of no consequence
+    shown[~found.pixels] = 1  # has no effect
     shown[found.pixels] += np.float32(0.1)
     assert found.psnr_db(shown, truth) == pytest.approx(20, abs=1e-4)
 
@@ -122,7 +122,7 @@ def test_few_moving_pixels_give_no_score(missing: int) -> None:
 
 
 def write_moving_capture(root: Path) -> None:
-    """Its held-out camera sees a grey block on a grey wall, see BRIGHTNESS."""
+    """Writes a capture whose held-out camera sees a grey block on a grey wall; see BRIGHTNESS."""
     write_dynamic3dgs(root, num_cameras=3, num_frames=FRAMES)
     for frame, brightness in enumerate(BRIGHTNESS):
         picture = grey(GREY, (HEIGHT_PX, WIDTH_PX))
@@ -131,7 +131,7 @@ def write_moving_capture(root: Path) -> None:
 
 
 def write_black_stream(path: Path, capture: Path) -> None:
-    """A stream whose Gaussians cannot be seen."""
+    """Writes a stream of invisible Gaussians."""
     manifest = seen_by(tiny_manifest(), capture)
     count = manifest.slice_size
     splats = Splats(
@@ -147,7 +147,7 @@ def write_black_stream(path: Path, capture: Path) -> None:
 
 
 def expected_db(brightness: int) -> float:
-    """Of black in the place of the block and what lies beside it."""
+    """PSNR of black pixels against the block and the adjacent pixels."""
     squares = BLOCK_PX * brightness**2 + BESIDE_PX * GREY**2
     return -10 * float(np.log10(squares / (BLOCK_PX + BESIDE_PX) / 255**2))
 
@@ -157,7 +157,7 @@ MEAN_DB = (expected_db(100) + expected_db(160)) / 2
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With a capture and a black stream of it."""
+    """A folder with a capture and a black stream of it."""
     root = tmp_path_factory.mktemp("moving")
     write_moving_capture(root / "capture")
     write_black_stream(root / "stream", root / "capture")
@@ -180,8 +180,8 @@ def test_a_stream_is_scored_on_what_moves(folder: Path) -> None:
 
 
 def test_the_sheet_shows_what_moves_twice_as_large(folder: Path, tmp_path: Path) -> None:
-    """A line of its own below frames 1 and 2; nothing has moved since the frame before in frames 0
-    and 3."""
+    """There is a separate line below frames 1 and 2; in frames 0 and 3 nothing has moved since the
+    previous frame."""
     write_sheet(folder / "stream", folder / "capture", tmp_path / "sheet.png")
     with Image.open(tmp_path / "sheet.png") as image:
         sheet = np.asarray(image)
@@ -229,7 +229,7 @@ def test_stillness_gives_none(tmp_path: Path) -> None:
 
 
 def table_rows(found: Evaluation) -> dict[str, list[str]]:
-    """What the table says in 80 columns: of each row its cells, by the first one."""
+    """Cells of each row of the table in 80 columns, by the first cell."""
     console = Console(width=80, file=StringIO())
     with console.capture() as shown:
         console.print(found.table())

@@ -1,4 +1,4 @@
-"""The paper's quantisation: within what fp16 and bytes can hold, and nothing clamped."""
+"""The paper's quantisation: within the precision of fp16 and bytes, without clamping."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FIELDS = {
 
 @st.composite
 def gaussians(draw: st.DrawFn) -> Splats:
-    """Up to 40 Gaussians that fp16 can hold, with numbers of any magnitude."""
+    """Up to 40 Gaussians in the range of fp16, with numbers of any magnitude."""
     count = draw(st.integers(0, 40))
     degree = draw(st.integers(0, 3))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
@@ -66,7 +66,7 @@ def unit(quats: Floats) -> Doubles:
 
 
 def same(a: Splats, b: Splats, but: str = "") -> bool:
-    """Whether all fields but one are equal bit for bit."""
+    """Whether all fields except `but` are equal bit for bit."""
     names = set(FIELDS.values()) - {but}
     return all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in names)
 
@@ -81,7 +81,7 @@ def test_every_value_is_within_its_bit_depth(splats: Splats) -> None:
     units = unit(splats.quats)
     turned = np.abs(found.quats - units)
     assert (turned <= np.where(units > 127.5 / 128, 1 / 128, 1 / 256) + 1e-12).all()
-    # float32 rounds the opacity that goes in and the one that comes out.
+    # float32 rounds the opacities before and after.
     assert (error(found.opacities, splats.opacities) <= 1 / 510 + 3e-7).all()
 
 
@@ -105,7 +105,7 @@ def test_what_fp16_cannot_hold_is_refused_in_one_line(
     getattr(splats, FIELDS[attribute]).flat[7] = value
     with pytest.raises(InvalidError, match=rf"^paper: a {what} of .* does not fit fp16.*\)$"):
         quantise_attribute(splats, attribute)
-    # What the paper streams keeps colours as they are.
+    # The paper's streams do not change colours.
     if attribute == "feat":
         assert quantise_case(splats, "all but feat").sh.tobytes() == splats.sh.tobytes()
 

@@ -1,4 +1,4 @@
-"""What `swings-stream info` and `swings-eval` say of one stream agrees, or info says why not."""
+"""`swings-stream info` and `swings-eval` agree on a stream, or info states why not."""
 
 from __future__ import annotations
 

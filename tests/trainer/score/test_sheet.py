@@ -1,4 +1,4 @@
-"""The contact sheet shows each of its pictures whole, whatever their sizes."""
+"""The contact sheet shows each of its pictures completely, for any sizes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SIZES = ((64, 36), (20, 50), (90, 30))
 
 
 def test_cameras_of_any_size_are_whole(tmp_path: Path) -> None:
-    """A portrait camera and a wide one among others: the first row tells nothing about the rest."""
+    """A portrait camera and a wide one among others: the first row does not define the others."""
     root, frames = tmp_path / "capture", 6
     cameras = [resized(c, *SIZES[i % 3]) for i, c in enumerate(tiny_rig(6))]
     write_capture(root, cameras, frames)
@@ -58,7 +58,7 @@ def colour_of(camera: int, frame: int) -> tuple[int, int, int]:
 
 
 def write_capture(root: Path, cameras: list[Camera], num_frames: int) -> None:
-    """In the layout of nerfstudio, where each camera may have its own size."""
+    """Writes a capture in the nerfstudio layout, in which each camera may have its own size."""
     entries = []
     for index, camera in enumerate(cameras):
         pose = np.linalg.inv(camera.w2c) @ np.diag([1.0, -1.0, -1.0, 1.0])

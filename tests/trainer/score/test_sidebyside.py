@@ -1,4 +1,4 @@
-"""swings-eval --compare: what a camera saw, what the stream shows there, and the error."""
+"""swings-eval --compare: the captured picture, the stream's picture, and the error."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FRAMES = 6
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With a capture, and a stream that knows its cameras."""
+    """A folder with a capture, and a stream with its cameras."""
     root = tmp_path_factory.mktemp("compared")
     write_dynamic3dgs(root / "capture", num_cameras=3, num_frames=FRAMES)
     write_tiny(root / "stream", FRAMES, seen_by(tiny_manifest(), root / "capture"))
@@ -44,7 +44,7 @@ def config_of(folder: Path, every: int = 1) -> EvaluateConfig:
 def test_each_picture_has_truth_rendered_and_error(
     folder: Path, tmp_path: Path, index: int
 ) -> None:
-    """Of any camera, held out or not."""
+    """This holds for any camera, held out or not."""
     reader = StreamReader(folder / "stream")
     camera = reader.manifest.cameras[index]
     found = write_side_by_side(config_of(folder), camera.name, tmp_path / "out")
@@ -55,7 +55,7 @@ def test_each_picture_has_truth_rendered_and_error(
         assert picture.shape == (HEIGHT_PX + header_px, 3 * WIDTH_PX, 3)
         assert picture[:header_px].max() > 200
         truth, shown, error = np.split(picture[header_px:], 3, axis=1)
-        assert np.abs(truth.astype(int) - picture_of(index, frame)).mean() < 3  # was a JPEG
+        assert np.abs(truth.astype(int) - picture_of(index, frame)).mean() < 3  # stored as a JPEG
         splats = reader.active_splats(frame, 2)
         expected = displayed(splats, camera, reader.manifest.near_m)
         np.testing.assert_array_equal(shown, np.rint(expected * 255).astype(np.uint8))

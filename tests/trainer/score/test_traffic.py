@@ -1,4 +1,4 @@
-"""What a stream takes of a link: every file is either played or only there for who joins."""
+"""Traffic of a stream: every file is either played, or used only for joining."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_who_plays_from_frame_0_fetches_no_later_snapshot(swin_size: int, tmp_pa
         assert score.bytes_per_frame * FRAMES == pytest.approx(objects + overhead)
         assert score.snapshot_bytes_per_frame * FRAMES == pytest.approx(joined[1] + joined[2])
         assert score.bits_per_second == pytest.approx(8 * 25 * score.bytes_per_frame)
-        # Before frame 0 nothing is predicted, and the snapshots hold what is there in frame 0.
+        # Before frame 0 nothing is predicted, and the snapshots contain the state of frame 0.
         sent = sum(
             int((update.statuses[: edges[score.layers]] >= PREDICTED).sum()) for update in updates
         )

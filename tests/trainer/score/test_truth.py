@@ -1,4 +1,4 @@
-"""Scores are taken at the sizes that a stream was trained at, and of its own capture only."""
+"""Scores use the picture sizes of the training, and only the stream's own capture."""
 
 from __future__ import annotations
 

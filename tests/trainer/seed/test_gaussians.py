@@ -1,4 +1,4 @@
-"""Seeds lie where the cameras agree; the first Gaussians are sized by their neighbours."""
+"""Seeds are where the cameras agree; the sizes of first Gaussians depend on their neighbours."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FLOOR_Y_M = 0.0
 
 
 def colour_at(x: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """A smooth pattern on the floor that repeats nowhere nearby."""
+    """A smooth pattern on the floor that does not repeat nearby."""
     return np.stack(
         [
             0.5 + 0.5 * np.sin(2.1 * x + 0.7 * z),
@@ -35,7 +35,7 @@ def colour_at(x: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def picture_of_floor(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W, 3) uint8, and (H, W) bool: which pixels see the floor within five metres."""
+    """(H, W, 3) uint8 picture, and (H, W) bool: pixels that see the floor within five metres."""
     v, u = np.mgrid[0 : camera.height_px, 0 : camera.width_px] + 0.5
     local = np.stack(
         [
@@ -124,7 +124,7 @@ def test_depths_that_cameras_agree_on_are_right_though_their_colours_differ() ->
         kept += len(u)
         errors.append(np.abs(depths[v, u] - truth) / truth)
     assert kept > 0.2 * np.sum(seen)
-    # The depths that are tried lie 5 % apart here.
+    # The tested depths are 5 % apart here.
     assert np.median(np.concatenate(errors)) < 0.05
     assert np.percentile(np.concatenate(errors), 80) < 0.1
 
@@ -167,12 +167,12 @@ def spacings_by_all_pairs(points: Floats) -> Floats:
 
 
 def coordinates(limit: float) -> st.SearchStrategy[float]:
-    """Of points in metres: none so near 0 that its square is 0 in float32."""
+    """Coordinates of points in metres, not so near 0 that their squares are 0 in float32."""
     return st.floats(-limit, limit, width=32).filter(lambda x: x == 0 or abs(x) > 1e-9)
 
 
 @given(
-    # Ties and duplicates; places near and far; places that float32 can hardly tell apart.
+    # Ties and duplicates; near and far places; places that float32 can hardly distinguish.
     st.sampled_from(
         [st.integers(0, 2), coordinates(10), coordinates(1e9), st.integers(2**24 - 16, 2**24)]
     )
@@ -202,5 +202,5 @@ def test_spacings_of_many_points_take_seconds(places: int) -> None:
     points = np.concatenate([points, np.repeat(points[:1], 200_000 - places, axis=0)])
     begun_s = time.process_time()
     assert (spacings(points) == 0).sum() == (0 if places == 200_000 else 200_001 - places)
-    # It takes one; comparing all pairs takes a minute.
+    # It takes one second; comparing all pairs takes a minute.
     assert time.process_time() - begun_s < 15

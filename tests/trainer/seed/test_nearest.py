@@ -1,4 +1,4 @@
-"""How near the nearest things stand, by places that cameras see."""
+"""Depth of the nearest objects, from places that cameras see."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from trainer.seed.nearest import MIN_IN_VIEW, MIN_STRAYS, nearest_seen, share_ne
 
 
 def camera(forward: float = 1.0) -> Camera:
-    """At the origin, looking along z or away from it."""
+    """A camera at the origin that looks along z, or in the opposite direction."""
     pose = np.diag([1.0, forward, forward, 1.0])
     return Camera("c", 64, 64, 32.0, 32.0, 32.0, 32.0, pose)
 
 
 def places(depths: np.ndarray) -> np.ndarray:
-    """On the axis of the camera."""
+    """Places on the axis of the camera."""
     return np.stack([0 * depths, 0 * depths, depths], axis=1)
 
 

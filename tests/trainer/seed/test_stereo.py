@@ -1,4 +1,4 @@
-"""What the costs of several cameras say of one depth."""
+"""The combined cost of several cameras for one depth."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from trainer.seed.stereo import better_half
 
 @given(st.lists(st.integers(0, 255), min_size=2, max_size=9), st.integers(1, 2))
 def test_the_better_half_is_the_lower_one_whatever_the_order(costs: list[int], least: int) -> None:
-    spare = np.array([*costs, 0, 0], np.float32)  # what lies beyond the costs does not count
+    spare = np.array([*costs, 0, 0], np.float32)  # values after the costs do not count
     lower = sorted(costs)[: max(least, (len(costs) + 1) // 2)]
     assert better_half(spare, len(costs), least) == pytest.approx(np.mean(lower), rel=1e-6)
 

@@ -1,4 +1,4 @@
-"""A step that leaves out what does not matter to what is trained gives the same gradients."""
+"""A step that skips everything irrelevant to the trained Gaussians gives the same gradients."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WEIGHTS = (0.2, 0.01, 0.02)
 
 
 class Poisoned(CpuBackend):
-    """Whatever a step does not write first is NaN."""
+    """A backend whose buffers are NaN wherever a step does not write them first."""
 
     def poison(self, view: View, shot: Shot) -> None:
         size = 3, view.tiles_y * TILE_PX, view.tiles_x * TILE_PX
@@ -38,7 +38,7 @@ class Poisoned(CpuBackend):
 
 
 def cluster(rng: np.random.Generator, count: int, sh_degree: int) -> Parameters:
-    """A wide scene; its first rows are the nearest to a point."""
+    """A wide scene whose first rows are the nearest to a point."""
     values = Parameters.zeros(count, sh_degree)
     values.means[:] = rng.uniform((-2, -2, -0.5), (2, 2, 3), (count, 3))
     values.means[:] = values.means[

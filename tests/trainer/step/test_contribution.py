@@ -1,4 +1,4 @@
-"""Contributions are the blending weights, and they add up to the light."""
+"""Contributions are the blending weights, and sum up to the light."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def rendered(splats: Splats, cam: Camera) -> Rendered:
 
 
 def plain_blend(drawn: Rendered) -> tuple[Doubles, Doubles]:
-    """In float64, over whole pictures: weights summed by Gaussian, (H, W) transmittance left."""
+    """Weights summed by Gaussian, and (H, W) remaining transmittance, in float64, per pixel."""
     cam = drawn.view.camera
     v, u = np.mgrid[0 : cam.height_px, 0 : cam.width_px] + 0.5
     seen = np.ones((cam.height_px, cam.width_px))
@@ -59,9 +59,9 @@ def test_it_is_the_weight_of_a_plain_blend(count: int, logit: float) -> None:
     drawn = rendered(scattered_splats(count, 2, logit=logit), turned_camera())
     expected, left = plain_blend(drawn)
     got = contribution(drawn)
-    # The dense scene lets so little light through that the threshold ends pixels.
+    # The dense scene transmits so little light that the threshold ends pixels.
     assert (left < 100 * TRANSMITTANCE_MIN).any() == (logit > 0)
-    # A pixel near 1/255 or the threshold may fall to the other side in float32.
+    # A pixel near 1/255 or the threshold may be on the other side in float32.
     assert np.abs(got - expected).max() < 0.02
     assert np.quantile(np.abs(got - expected), 0.9) < 1e-3
     assert expected.max() > 20
@@ -98,7 +98,7 @@ def test_they_add_up_to_the_picture_of_a_white_scene() -> None:
 
 def test_it_is_the_slope_of_the_references_picture_by_colour() -> None:
     splats, cam = scattered_splats(80, 6), turned_camera()
-    splats.sh[:] = 0.1  # far from black, where the colour would be cut
+    splats.sh[:] = 0.1  # far from black, where the colour would be clipped
     means, scales, quats, logits, sh = (
         torch.tensor(array, dtype=torch.float64) for array in splats.arrays
     )

@@ -1,4 +1,4 @@
-"""The loss against plain torch."""
+"""The loss, compared with plain torch."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def ssim_map_reference(pred: torch.Tensor, target: torch.Tensor) -> torch.Tensor
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("dssim_weight", [0.0, 0.2, 1.0])
 def test_value_and_gradients_are_the_references(dssim_weight: float, masked: bool) -> None:
-    """Ignored pixels are grey on both sides."""
+    """Ignored pixels are grey in both pictures."""
     rng = np.random.default_rng(0)
     picture = rng.random((3, 32, 48)).astype(np.float32)  # padded
     target = rng.random((3, 25, 41)).astype(np.float32)
@@ -84,7 +84,7 @@ def test_metrics_of_a_picture_and_itself() -> None:
 
 
 def some_mask(height: int, width: int) -> npt.NDArray[np.uint8]:
-    """A hole, a border and single pixels are ignored."""
+    """A mask that ignores a hole, a border and single pixels."""
     mask = (np.random.default_rng(9).random((height, width)) > 0.1).astype(np.uint8)
     mask[5:12, 8:20] = 0
     mask[:, -3:] = 0
@@ -128,7 +128,7 @@ def test_what_a_mask_ignores_may_be_anything() -> None:
     other_target[:, mask == 0] = np.nan
     first = loss(picture, target, mask)
     assert loss(other_picture, other_target, mask) == first
-    assert np.isnan(other_target).any()  # the caller's target is left alone
+    assert np.isnan(other_target).any()  # the caller's target is unchanged
     unmasked = loss(picture, target, None)
     assert unmasked != first
     assert loss(picture, target, np.ones_like(mask)) == unmasked
@@ -146,7 +146,7 @@ def test_some_tiles_have_their_part_of_the_value_and_the_same_gradient(masked: b
     active[1, 3:5] = active[4, 10] = active[0, 0] = True
     inside = active.repeat(TILE_PX, axis=0).repeat(TILE_PX, axis=1)
     whole = photometric_loss(picture, target, dssim_weight, one, zero, None, mask)
-    # What is further than the tiles' neighbours may be anything.
+    # Pixels beyond the tiles' neighbours are undefined.
     known = np.zeros_like(inside)
     for y, x in np.argwhere(active):
         known[max(y - 1, 0) * TILE_PX : (y + 2) * TILE_PX][

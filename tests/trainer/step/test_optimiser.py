@@ -1,4 +1,4 @@
-"""Adam is that of torch, row by row; the noise has the covariance that 3DGS-MCMC asks for."""
+"""Adam equals that of torch, row by row; the noise has the covariance of 3DGS-MCMC."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The CPU rasteriser against a plain torch reference and against finite differences."""
+"""The CPU rasteriser, compared with a plain torch reference and with finite differences."""
 
 from __future__ import annotations
 
@@ -72,10 +72,10 @@ def test_gradients_are_the_references(sh_degree: int) -> None:
 def test_gradients_are_the_slopes_of_the_kernels_own_picture(name: str) -> None:
     """Central differences through the float32 kernels, along random directions."""
     splats, cam = scattered_splats(12, 5, sh_degree=3), turned_camera()
-    # Opaque: the cut at alpha = 1/255, whose jump no gradient sees, then weighs little.
+    # Opaque, so that the cut at alpha = 1/255, whose jump has no gradient, matters little.
     splats.logit_opacities[:] = np.abs(splats.logit_opacities) + 1.5
     rng = np.random.default_rng(11)
-    # Smooth weights keep the cut at 1/255 from mattering.
+    # With smooth weights the cut at 1/255 does not matter.
     v, u = np.mgrid[0 : cam.height_px, 0 : cam.width_px].astype(np.float32)
     weights = np.stack([np.sin(u / 9), np.cos(v / 7), np.sin((u + v) / 11)], -1) / 100
     view, rows = View.prepare(cam, NEAR_M), np.arange(len(splats), dtype=np.int32)

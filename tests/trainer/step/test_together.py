@@ -1,4 +1,4 @@
-"""Coherent motion: gradients of a cell's Gaussians become one."""
+"""Coherent motion: the Gaussians of a cell get a common gradient."""
 
 from __future__ import annotations
 

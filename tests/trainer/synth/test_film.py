@@ -70,7 +70,7 @@ def test_videos_hold_what_was_traced(made: Capture) -> None:
 
 
 def places_seen(distance: npt.NDArray[np.float32], camera: Camera) -> npt.NDArray[np.float64]:
-    """(h, w, 3) what the first ray of each pixel, a quarter pixel in from its corner, hits."""
+    """(h, w, 3) places that the first ray of each pixel, a quarter pixel off its corner, hits."""
     rows, columns = np.mgrid[: camera.height_px, : camera.width_px] + 0.25
     ways = np.stack([columns - camera.cx_px, rows - camera.cy_px], axis=-1) / camera.fx_px
     ways = np.concatenate([ways, np.ones((*ways.shape[:2], 1))], axis=-1)
@@ -95,7 +95,7 @@ def test_the_ball_is_where_the_cameras_see_it() -> None:
             rows, columns = np.nonzero(on_ball)
             assert np.hypot(columns.mean() + 0.5 - column, rows.mean() + 0.5 - row) < 0.7
             red, green, blue = picture[on_ball].mean(axis=0)
-            assert red > green + 30 > blue + 60  # orange, where the pictures show it too
+            assert red > green + 30 > blue + 60  # orange in the pictures, too
             checked += 1
     assert checked >= 4
 

@@ -1,7 +1,7 @@
-"""The backends of torch give the CPU's losses and gradients: gsplat's, and plain torch.
+"""The backends of torch, gsplat and plain torch, give the CPU's losses and gradients.
 
-Where there is no GPU, a slow rasteriser stands in for gsplat's, with its names of arguments: what
-is checked then is all that is ours, colours, loss, regularisers and the way of the gradients.
+Without a GPU, a slow rasteriser with the same argument names replaces gsplat's. Then all of our own
+code is checked: colours, loss, regularisers and the path of the gradients.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ CAMERA = Camera("c", 48, 40, 45.0, 47.0, 23.0, 21.0, np.eye(4))
 
 
 def stand_in(**given: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """What gsplat.rasterization gives for one camera, by the plain reference."""
+    """The result of gsplat.rasterization for one camera, from the plain reference."""
     assert (given["eps2d"], given["tile_size"]) == (LOW_PASS_PX2, TILE_PX)
     assert (given["rasterize_mode"], given["packed"]) == ("classic", False)
     k = given["Ks"][0].double().numpy()
@@ -53,7 +53,7 @@ def scene(sh_degree: int) -> Parameters:
     values.means[:] = rng.uniform((-1, -1, 2), (1, 1, 4), (COUNT, 3))
     values.log_scales[:] = rng.uniform(-3, -1.2, (COUNT, 3))
     values.quats[:] = rng.normal(size=(COUNT, 4))
-    # Nothing so opaque that the two rasterisers' largest alphas differ.
+    # No opacity at which the maximum alphas of the two rasterisers differ.
     values.logit_opacities[:] = rng.uniform(-3, 2, COUNT)
     values.sh[:] = rng.uniform(-0.4, 1.2, values.sh.shape)
     return values
@@ -72,7 +72,7 @@ def stepped(
 
 
 def random_shot(half: bool, masked: bool) -> Shot:
-    """Of the camera's size, whole or as the half of a picture of twice that."""
+    """A shot of the camera's size, at full size or as half of a picture of twice that size."""
     factor = 2 if half else 1
     size = factor * CAMERA.height_px, factor * CAMERA.width_px
     picture = np.random.default_rng(3).integers(0, 256, (*size, 3), dtype=np.uint8)
@@ -82,7 +82,7 @@ def random_shot(half: bool, masked: bool) -> Shot:
 
 
 def backend_named(name: str) -> Backend:
-    """Skips where it cannot run."""
+    """The backend `name`; skips the test if it cannot run."""
     if name == "stand-in":
         return CudaBackend(*WEIGHTS, stand_in, "cpu")
     if name == "torch":
@@ -102,7 +102,7 @@ def backend(request: pytest.FixtureRequest) -> Backend:
 def check(backend: Backend, sh_degree: int, half: bool, masked: bool = False) -> None:
     shot, values = random_shot(half, masked), scene(sh_degree)
     wanted, expected = stepped(CpuBackend(*WEIGHTS), values, shot)
-    # It computes all of the picture in any case.
+    # It always computes the whole picture.
     found, got = stepped(backend, values, shot, whole=False)
     assert found.covered == 1
     assert found.value == pytest.approx(wanted.value, rel=1e-4)
@@ -112,7 +112,7 @@ def check(backend: Backend, sh_degree: int, half: bool, masked: bool = False) ->
     assert found.bias_grad is not None
     assert wanted.bias_grad is not None
     np.testing.assert_allclose(found.bias_grad, wanted.bias_grad, rtol=1e-3, atol=1e-6)
-    # Plain torch has the recipe's largest alpha too, and differs by rounding alone.
+    # Plain torch has the recipe's maximum alpha, too, and differs only by rounding.
     rtol, share = (1e-3, 1e-4) if isinstance(backend, TorchBackend) else (2e-2, 2e-3)
     for a, b in zip(got.arrays, expected.arrays, strict=True):
         assert np.abs(b).max() > 0

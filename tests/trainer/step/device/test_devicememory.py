@@ -1,4 +1,4 @@
-"""A training says what memory of the device it takes; a device that has less is refused."""
+"""A training reports its device memory; a device with less memory is refused."""
 
 from __future__ import annotations
 
@@ -62,5 +62,5 @@ def test_a_step_keeps_to_the_plan(sh_degree: int, times: int) -> None:
     resident.step(steps(1)[0], selection)
     peak = peak_bytes(lambda: resident.step(steps(1)[0], selection))
     assert peak < plan.step_bytes
-    # The plan is not far too large either, beside the batches that it allows.
+    # The plan is not far too large either, apart from the batches that it allows.
     assert peak > 0.15 * (plan.step_bytes - (16 << 20))

@@ -1,7 +1,7 @@
 """Our call of gsplat fits the pinned version, whose signature is recorded here.
 
-Where gsplat is installed, the record is compared with it, and our projection with its own
-reference, which needs no GPU.
+If gsplat is installed, the record is compared with it, and our projection with its own reference,
+which needs no GPU.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ OPTIONS = {
     "distributed": False, "camera_model": "pinhole", "segmented": False, "covars": None,
     "with_ut": False, "with_eval3d": False,
 }  # fmt: skip
-"""The others that matter to us, with their defaults. What follows them is about lenses."""
+"""Other relevant parameters, with their defaults. The following ones are about lenses."""
 COUNT = 40
 
 
@@ -83,7 +83,7 @@ def test_the_call_binds_and_has_the_shapes_that_gsplat_documents() -> None:
         "colors": (COUNT, 3), "viewmats": (1, 4, 4), "Ks": (1, 3, 3),
     }  # fmt: skip
     assert all(v.dtype == torch.float32 for v in given.values() if isinstance(v, Tensor))
-    # Colours are those that the camera sees, and there is nothing behind: black.
+    # Colours are those that the camera sees, on black.
     assert (bound.arguments["sh_degree"], bound.arguments["backgrounds"]) == (None, None)
     assert bound.arguments["render_mode"] == "RGB"
 
@@ -99,7 +99,7 @@ def test_the_tiles_of_boxes_are_those_that_they_touch() -> None:
             for row, column in np.ndindex(expected.shape):
                 touches = column * 16 <= x + rx and x - rx < column * 16 + 16
                 expected[row, column] |= touches and row * 16 <= y + ry and y - ry < row * 16 + 16
-        centres[~shows] = np.nan  # gsplat leaves there what was there before
+        centres[~shows] = np.nan  # gsplat leaves the old content there
         found = reached_tiles(torch.tensor(centres).float(), torch.tensor(radii).int(), view)
         assert np.array_equal(found.numpy(), expected)
 
@@ -142,7 +142,7 @@ def test_the_record_is_that_of_gsplat() -> None:
 
 def test_our_projection_is_that_of_gsplats_own_reference() -> None:
     reference = pytest.importorskip("gsplat.cuda._torch_impl", reason="gsplat is not installed")
-    # Beside the picture gsplat's clamp follows the principal point, and ours does not.
+    # Outside the picture gsplat's clamp depends on the principal point, ours does not.
     camera = turned_camera()
     camera = replace(camera, cx_px=camera.width_px / 2, cy_px=camera.height_px / 2)
     given, view = solids(), view_of(camera)
@@ -153,7 +153,7 @@ def test_our_projection_is_that_of_gsplats_own_reference() -> None:
     )  # fmt: skip
     drawn = project(given, view).values
     assert len(drawn) > COUNT // 2
-    # Ours are those that show, nearest first.
+    # Our list has the visible ones, nearest first.
     order = torch.argsort(depths[0], stable=True)
     theirs = torch.cat([centres[0], conics[0]], 1)[order]
     apart = torch.cdist(drawn[:, [X, Y]], theirs[:, :2])

@@ -1,4 +1,4 @@
-"""The backend that is named is taken or refused; auto takes the best that works, and says why."""
+"""A named backend is used or refused; auto uses the best one that works, and states why."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ HAS_GPU = torch.cuda.is_available() or torch.xpu.is_available()
 
 
 def plain_torch(_: Weights, __: str = "") -> TorchBackend:
-    """What stands in for a device that is not here."""
+    """A replacement for a device that this machine lacks."""
     return TorchBackend(0.2, 0.01, 0.02, "cpu")
 
 
 class Wrong(TorchBackend):
-    """A device that errs."""
+    """A device with wrong results."""
 
     def step(self, given: StepInput, gradients: Parameters) -> Loss:
         loss = super().step(given, gradients)
@@ -54,7 +54,7 @@ class Mad(TorchBackend):
 
 
 class Idle(TorchBackend):
-    """A device on which updates go nowhere."""
+    """A device on which updates have no effect."""
 
     def start(self, training: Training) -> Resident:
         resident = super().start(training)

@@ -1,5 +1,5 @@
-"""A training that stays on a device follows the one in the host's arrays, and nothing but numbers
-crosses in a step."""
+"""A training that stays on a device matches the one in host arrays, and a step copies only single
+numbers between host and device."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ from trainer.step.scalebound import CameraSpread
 NUM_GS = 300
 SHOWN = np.concatenate([np.arange(20, NUM_GS), NUM_GS + np.arange(10, 60)]).astype(np.int32)
 TRAINED = np.arange(40, NUM_GS, dtype=np.int32)
-"""The others below NUM_GS follow another training."""
+"""Rows that are trained; the others below NUM_GS follow another training."""
 WEIGHTS = (0.2, 0.01, 0.02)
 NEAR_M = 0.2
 CAMERAS, FRAMES = 3, 2
 
 
 class Pictures:
-    """Noise; those of the second camera have masks."""
+    """Pictures of noise; those of the second camera have masks."""
 
     num_frames = FRAMES
 
@@ -75,7 +75,7 @@ class Pictures:
 
 
 def training(sh_degree: int, age_scaling: AgeScaling = "update", times: int = 1) -> Training:
-    """times: how many times as large pictures are."""
+    """A training with random Gaussians. times: scale of the pictures."""
     rng, pictures = np.random.default_rng(2), Pictures(times)
     values = Parameters.zeros(2 * NUM_GS, sh_degree)
     values.means[:] = rng.uniform(-1, 1, (2 * NUM_GS, 3))
@@ -98,7 +98,7 @@ def begin(resident: Resident) -> None:
 
 
 def steps(count: int, first: int = 0) -> list[Step]:
-    """Every camera and frame in turn; a quarter sees halves, a third moves together."""
+    """Steps over all cameras and frames; a quarter uses half size, a third moves cells together."""
     return [
         Step(
             i % CAMERAS, i // CAMERAS % FRAMES, is_half=i % 4 == 3, whole=True, means_lr_m=1e-3,
@@ -148,7 +148,7 @@ def test_fifty_steps_lead_to_the_same_gaussians(sh_degree: int) -> None:
 
 
 def test_where_few_are_trained_only_their_tiles_are_compared() -> None:
-    """Losses are those of numba, which leaves the other tiles out as well; colours rest."""
+    """Losses equal those of numba, which skips the other tiles, too; colours do not change."""
     ours, theirs = (training(1, times=4) for _ in range(2))
     losses, few = [], TRAINED[:6]
     some = [replace(step, whole=False, is_half=False) for step in steps(30)]
@@ -158,7 +158,7 @@ def test_where_few_are_trained_only_their_tiles_are_compared() -> None:
         given.values.log_scales[few] = -4
         resident.send(few)
         begin(resident)
-        # Those that numba takes for trained are all below NUM_GS.
+        # The rows that numba treats as trained are all below NUM_GS.
         rows = np.concatenate([few, SHOWN[SHOWN >= NUM_GS]]).astype(np.int32)
         selection = resident.select(rows, few)
         for step in some:
@@ -166,7 +166,7 @@ def test_where_few_are_trained_only_their_tiles_are_compared() -> None:
         losses.append(resident.losses(wait=True))
         resident.fetch(history=True)
     np.testing.assert_allclose(losses[1], losses[0], rtol=1e-3)
-    assert losses[0][0] < 0.15  # that of all of a picture is over 0.3
+    assert losses[0][0] < 0.15  # the loss of a whole picture is over 0.3
     for (name, a), b in zip(arrays_of(theirs).items(), arrays_of(ours).values(), strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-2 * np.abs(b).max(), err_msg=name)
     assert (theirs.colour.values[:, :3] == 1).all()
@@ -213,7 +213,7 @@ def test_a_steady_step_sends_numbers_alone() -> None:
         assert len(resident.losses(wait=i % 20 == 19)) == (20 if i % 20 == 19 else 0)
     assert 0 < crossing.crossed_bytes - before < 40 * 150
     assert crossing.picture_bytes == pictures
-    # What a whole training's rows would take shows that the counter counts.
+    # Copying all rows shows that the counter works.
     resident.fetch(history=True)
     assert crossing.received_bytes > NUM_GS * 3 * 23 * 4
     received = crossing.received_bytes
@@ -246,7 +246,7 @@ def test_pictures_keep_to_their_bound_and_come_again() -> None:
 
 
 def shape_only(**given: Any) -> tuple[torch.Tensor, torch.Tensor, dict[str, Any]]:
-    """A picture that depends on everything, of the size that gsplat's has."""
+    """A picture of gsplat's size that depends on all arguments."""
     names = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks")
     light = sum(given[name].sum() for name in names)
     drawn = {"means2d": given["means"][None, :, :2], "radii": given["means"][None, :, :2].int()}
@@ -254,8 +254,8 @@ def shape_only(**given: Any) -> tuple[torch.Tensor, torch.Tensor, dict[str, Any]
 
 
 def test_a_step_looks_at_no_value_on_the_device() -> None:
-    """Tensors of the device `meta` have no values: whoever asks for one, or mixes in a tensor of
-    the host, is refused."""
+    """Tensors of the device `meta` have no values: reading one, or mixing in a tensor of the host,
+    is an error."""
     given = training(3)
     resident = CudaBackend(*WEIGHTS, shape_only, "meta").start(given)
     begin(resident)
@@ -266,7 +266,7 @@ def test_a_step_looks_at_no_value_on_the_device() -> None:
     resident.bound_scales(selection, 0.1)
     with pytest.raises(NotImplementedError, match="meta"):
         resident.losses(wait=True)
-    # So would the rasteriser in plain torch: it reads how long its lists are.
+    # The rasteriser in plain torch fails here, because it reads the lengths of its lists.
     plain = TorchBackend(*WEIGHTS, "meta").start(given)
     with pytest.raises((NotImplementedError, RuntimeError)):
         plain.step(steps(1)[0], plain.select(SHOWN, TRAINED))
@@ -298,7 +298,7 @@ def test_the_plain_rasteriser_reads_lengths_of_lists_and_nothing_else() -> None:
             resident.step(replace(step, whole=step.seed % 2 == 0), selection)
     counts = operations.counts
     assert counts["index_copy_"] == 6 * 4  # values, two histories, counts of steps
-    # Those that read a value.
+    # Operations that read a value.
     assert not {"_local_scalar_dense", "item", "equal", "is_nonzero"} & set(counts)
     assert 0 < counts["nonzero"] <= 6 * 25
     assert counts["repeat_interleave"] == 6 * 2
@@ -308,7 +308,7 @@ CROSSES = {
     "item", "tolist", "cpu", "numpy", "to", "cuda", "from_numpy", "tensor", "as_tensor",
     "pin_memory", "synchronize",
 }  # fmt: skip
-"""Methods by which values cross, or the host waits."""
+"""Methods that copy values between host and device, or make the host wait."""
 
 
 def test_arrays_cross_in_one_module_alone() -> None:
@@ -346,7 +346,7 @@ def test_the_noise_is_the_kernel_s_and_repeats(seed: int) -> None:
 
 
 def test_the_host_s_changes_arrive_and_the_device_s_come_back() -> None:
-    """Rows that the host rewrites, places elsewhere or begins afresh, between steps."""
+    """The host rewrites, relocates or restarts rows between steps."""
     ours, theirs = training(1), training(1)
     for given, backend in ((ours, CpuBackend(*WEIGHTS)), (theirs, TorchBackend(*WEIGHTS, "cpu"))):
         resident: Resident = backend.start(given)

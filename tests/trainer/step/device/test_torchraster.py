@@ -1,4 +1,4 @@
-"""The rasteriser in plain torch draws and differentiates as the CPU's kernels do."""
+"""The rasteriser in plain torch draws and differentiates like the CPU's kernels."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NEAR_M = 0.2
 
 
 def scene(count: int, seed: int, sh_degree: int = 0) -> Parameters:
-    """Some behind the camera or beside the picture, some opaque, some too faint to show."""
+    """Gaussians, some behind the camera or outside the picture, some opaque, some too faint."""
     rng = np.random.default_rng(seed)
     values = Parameters.zeros(count, sh_degree)
     values.means[:] = rng.uniform(-2, 2, (count, 3))
@@ -57,7 +57,7 @@ def stepped(
     trainable: int,
     shot: Shot,
 ) -> tuple[Loss, Parameters]:
-    """Of gradients that hold a 7 where nothing was written."""
+    """Loss and gradients of a step; gradients are 7 where nothing was written."""
     gradients = Parameters(*(np.full_like(a, 7) for a in values.arrays))
     gain, bias = np.array([1.1, 0.9, 1], np.float32), np.array([0.02, -0.01, 0], np.float32)
     view = View.prepare(camera, NEAR_M)
@@ -89,7 +89,7 @@ def test_gradients_are_the_cpu_s_on_any_scene(
         np.testing.assert_array_equal(a != 7, moved)
         scale = np.abs(b[moved]).max(initial=0)
         off = ~np.isclose(a, b, rtol=5e-3, atol=1e-3 * scale)
-        # Where an alpha rounds to the other side of the least that shows, a pixel differs.
+        # A pixel differs if an alpha rounds to the other side of the visibility threshold.
         assert off.sum() <= max(3, 0.01 * off.size)
         np.testing.assert_allclose(a[off], b[off], atol=0.05 * scale)
 
@@ -107,7 +107,7 @@ def test_a_picture_is_the_cpu_s() -> None:
 
 @pytest.mark.parametrize("rows", [[], [0], [0, 1]])
 def test_nothing_that_shows_gives_a_black_picture_and_no_gradient(rows: list[int]) -> None:
-    """No rows at all; one behind the camera; one in its centre and one far beside the picture."""
+    """No rows; one behind the camera; one in its centre and one far outside the picture."""
     camera = turned_camera()
     values = scene(2, 0)
     behind = camera.position - 2 * camera.w2c[2, :3]
@@ -123,8 +123,8 @@ def test_nothing_that_shows_gives_a_black_picture_and_no_gradient(rows: list[int
 
 
 def test_a_pixel_ends_where_the_recipe_says() -> None:
-    """A hundred walls in a row: behind the first, 0.01 of the light is left, and the second would
-    leave less than the recipe allows."""
+    """A hundred walls in a row: after the first one, 0.01 of the light is left, and the second one
+    would leave less than the recipe allows."""
     values, camera = scene(100, 0), replace(turned_camera(), w2c=np.eye(4))
     values.means[:] = np.stack([np.zeros(100), np.zeros(100), np.linspace(2, 3, 100)], 1)
     values.log_scales[:], values.logit_opacities[:] = 3, 8
@@ -139,7 +139,7 @@ def test_a_pixel_ends_where_the_recipe_says() -> None:
 
 
 def peak_bytes(work: Callable[[], object]) -> int:
-    """The most that `work` has allocated at once, of torch's memory on the CPU."""
+    """Peak of torch's CPU memory during `work`."""
     with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as profiled:
         work()
     events = [e for e in profiled.profiler.kineto_results.events() if e.name() == "[memory]"]
@@ -148,7 +148,7 @@ def peak_bytes(work: Callable[[], object]) -> int:
 
 
 def test_memory_of_blending_is_bounded_whatever_the_lists_hold() -> None:
-    """Sixty tiles with all the Gaussians each, so faint that no pixel ends."""
+    """Sixty tiles contain all Gaussians each, which are so faint that no pixel ends."""
     tiles, batch_bytes, rng, peaks = 60, 8 << 20, np.random.default_rng(0), []
     for count in (200, 2_000):
         values = np.zeros((count, DRAWN), np.float32)
@@ -166,5 +166,5 @@ def test_memory_of_blending_is_bounded_whatever_the_lists_hold() -> None:
     pictures = 4 * 4 * 3 * 256 * tiles
     assert peaks[1] < batch_bytes + pictures
     assert peaks[1] < 1.2 * peaks[0]
-    # It is not the bound that is far too large.
+    # The bound is not far too large.
     assert peaks[1] > batch_bytes / 2
