@@ -7,10 +7,10 @@ tables of docs/ARCHITECTURE.md; after a change here run scripts/architecture.
 from __future__ import annotations
 
 PACKAGES = ("trainer", "codec", "server", "player")
-"""The packages, in the order in which the data passes them."""
+"""The packages, in the order of the data flow."""
 
 MAY_USE: dict[str, tuple[str, ...]] = {
-    # A comparison with a capture is written by the same code as what is played.
+    # Comparisons with a capture are written by the same code as plays.
     "trainer": (
         "codec",
         "player.render",
@@ -77,5 +77,5 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("player/run",),
     ),
 }
-"""The folders of each package on floors, from the ground up: a folder imports only from the floors
-below its own. A package's own files are named by the package."""
+"""The folders of each package on floors, from the ground up: a folder imports only from lower
+floors. The package's name stands for its own files."""

@@ -1,8 +1,8 @@
-"""What was once done to the programs, and the tests that hold what they do today.
+"""Past attacks and faults of the programs, and the tests that prevent their return.
 
-Each row is an attack in words, or what a stranger's file, a newcomer or a full disk did, and the
-tests (FILE::NAME, below tests) that fail if it ever works again. A test that is renamed is renamed
-here too.
+Each row describes an attack, or a fault with an untrusted file, a new user or a full disk, and has
+the tests (FILE::NAME, below tests) that fail if it ever works again. A renamed test must be renamed
+here, too.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import pytest
 HERE = Path(__file__).parent
 
 HELD_BY = {
-    # What strangers sent to the server.
+    # Attacks on the server.
     "idle connections take all descriptors; the log is flooded, nobody else is served": (
         "server/operate/test_operated.py::test_idle_clients_beyond_all_descriptors_are_waited_out_quietly",
         "server/operate/test_admission.py::test_connections_stay_below_the_limit_of_open_files",
@@ -87,7 +87,7 @@ HELD_BY = {
     "handshakes that fail use up what one address may have": (
         "server/clients/test_bodies.py::test_strangers_at_the_tls_port_leave_nothing_behind",
     ),
-    # What a newcomer met.
+    # Faults that new users met.
     "a sheet takes the size of its first row; pictures of other cameras are cut": (
         "trainer/score/test_sheet.py::test_cameras_of_any_size_are_whole",
     ),
@@ -123,7 +123,7 @@ HELD_BY = {
     "info and eval differ without a word": (
         "trainer/score/test_same_figures.py::test_info_and_eval_agree_or_info_says_why_not",
     ),
-    # Files of strangers.
+    # Untrusted files.
     "16-bit pictures become white, alpha is dropped, a float picture of NaN trains to 100 dB": (
         "trainer/test_pixels.py::test_16_bit_grey_is_rounded_to_8",
         "trainer/test_pixels.py::test_16_bit_colour_is_that_of_8",

@@ -1,7 +1,7 @@
 """`scripts/demo` from its first line to its last, on a scene that takes seconds.
 
-The script runs as it stands, in a folder where the commands of `.venv/bin` are the real ones with
-smaller settings behind what the script asks for.
+The script runs unchanged, in a folder where `.venv/bin` has the real commands with smaller settings
+appended to those of the script.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def test_it_serves_the_stream_until_ctrl_c(checkout: Path) -> None:
         os.killpg(process.pid, signal.SIGINT)
         assert process.wait(timeout=30) == 0
         until_s = time.monotonic() + 20
-        while is_served(link):  # the server takes a moment to close what is open
+        while is_served(link):  # the server takes a moment to close its connections
             assert time.monotonic() < until_s
     finally:
         if process.poll() is None:

@@ -1,4 +1,4 @@
-"""The documents point at what is there: links, files in backticks, names of the code."""
+"""References of the documents exist: links, files in backticks, names of the code."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CODE = ("codec", "trainer", "server", "player")
 
 
 def anchors(page: Path) -> set[str]:
-    """Those of a page's headings, as GitHub makes them."""
+    """The anchors of a page's headings, generated like GitHub's."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     kept = (re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings)
     return {heading.replace(" ", "-") for heading in kept}

@@ -1,4 +1,4 @@
-"""Every script of examples/ runs as its first lines say. tests/player/web opens the pages."""
+"""Every script of examples/ runs as its docstring describes; tests/player/web opens the pages."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NUM_FRAMES = 40
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With demo/stream, which demo/ of the scripts stands for, and my-frames, a folder of PLYs."""
+    """A folder with demo/stream, used as demo/ by the scripts, and my-frames, a folder of PLYs."""
     root = tmp_path_factory.mktemp("examples")
     cameras = tuple(write_dynerf(root / "capture", num_frames=2))
     manifest = replace(tiny_manifest(), cameras=cameras, default_camera=cameras[1].name)
@@ -35,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run_example(name: str, folder: Path) -> str:
-    """Its output, after the command line of its docstring."""
+    """Runs an example with the command line of its docstring; returns its output."""
     script = ROOT / "examples" / name
     (line,) = re.findall(rf"^python examples/{name} (.+)$", script.read_text(), re.MULTILINE)
     done = subprocess.run(
@@ -76,7 +76,7 @@ def test_importplys(folder: Path) -> None:
 
 
 def test_layerbytes(folder: Path, tmp_path: Path) -> None:
-    """The numbers are those of the files."""
+    """The numbers match the files."""
     layout = small_layout(1, (40, 30, 30), 0, 5)
     write_slot_stream(tmp_path / "demo" / "stream", 10, layout, seed=1)
     lines = run_example("layerbytes.py", tmp_path).splitlines()

@@ -1,6 +1,7 @@
-"""Whatever writes a file says, in one line, which one had no room, and leaves nothing half-written.
+"""Every command that writes a file reports in one line which one had no room, and leaves no partial
+file.
 
-A limit on the size of files stands for the disk: it stops the same calls at the same places.
+A limit on the size of files replaces the full disk: it stops the same calls at the same places.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ TRAINING = (
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With a capture, a stream of it, and a file of Gaussians."""
+    """A folder with a capture, a stream of it, and a file of Gaussians."""
     root = tmp_path_factory.mktemp("full")
     write_dynamic3dgs(root / "capture", num_cameras=4, num_frames=FRAMES)
     manifest = replace(seen_by(tiny_manifest(), root / "capture"), poster=POSTER_NAME)
@@ -42,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     roomy = 1 << 30
     done = limited(root, roomy, "swings-stream", "export", "stream", "frame.ply", "--frame", 0)
     assert done.returncode == 0, done.stderr
-    # So that what is compiled is kept, once: where there is no room for it, each process compiles.
+    # Fills the cache of compiled code once, because a process without room for it compiles anew.
     for name in ("check", "sheet"):
         _, _, (program, *arguments) = COMMANDS[name]
         limited(root, roomy, str(program), *arguments)
@@ -55,7 +56,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def limited(
     folder: Path, limit_bytes: int, name: str, *arguments: object
 ) -> subprocess.CompletedProcess[str]:
-    """The command in `folder`, where no file may be longer than `limit_bytes`."""
+    """Runs the command in `folder`, where no file may be longer than `limit_bytes`."""
     return subprocess.run(
         command(name, *arguments),
         cwd=folder,
@@ -100,7 +101,7 @@ COMMANDS: dict[str, tuple[int, str, tuple[object, ...]]] = {
                         "--width-px", 32, "--height-px", 32, "--points", 4000),
     ),
 }  # fmt: skip
-"""Bytes that fit, the place that the line names, and the command; all of it writes to out*."""
+"""Bytes that fit, the file that the line names, and the command; all of them write to out*."""
 
 
 @pytest.mark.parametrize("what", COMMANDS)
@@ -109,7 +110,7 @@ def test_a_full_disk_is_one_line_with_the_file_and_leaves_nothing(what: str, fol
     before = files(folder)
     done = limited(folder, limit_bytes, str(name), *arguments)
     assert done.returncode == 1, done.stderr
-    *_, line = done.stderr.strip().splitlines()  # after what tells the progress
+    *_, line = done.stderr.strip().splitlines()  # after the progress
     assert line.startswith(f"{name}: ")
     assert place in line, line
     assert line.endswith(" cannot be written: File too large")
@@ -126,8 +127,8 @@ def test_an_import_without_room_names_the_file(folder: Path) -> None:
 
 
 def test_training_without_room_is_told_and_goes_on_later(folder: Path) -> None:
-    """At each limit another file is the first that is too long: whichever it is, what stands can be
-    gone on with, and the whole stream is there in the end."""
+    """At each limit another file is the first that is too long. For each of them, the run can be
+    resumed, and the stream is complete at the end."""
     named = set[str]()
     for limit_bytes in (4_000, 90_000):
         resume = ["--resume"] if (folder / "trained").exists() else []

@@ -1,4 +1,4 @@
-"""A stream of a few kilobytes whose manifest asks for 2^24 Gaussians costs nothing unless its size
+"""A stream of a few kilobytes whose manifest claims 2^24 Gaussians costs no memory unless its size
 is allowed."""
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ atexit.register(tell)
 
 
 def run_measured(name: str, *words: object) -> tuple[int, str, float]:
-    """Exit status, stderr, and peak memory in MB of a command."""
+    """Runs a command; returns its exit status, stderr, and peak memory in MB."""
     with tempfile.TemporaryDirectory() as folder:
         peak_kb = Path(folder) / "peak"
         python, option, code, *rest = command(name, *words)
@@ -116,7 +116,7 @@ def test_playing_it_from_a_static_host(library: Path, tmp_path: Path) -> None:
 
 
 def test_playing_it_from_a_server(library: Path, tmp_path: Path) -> None:
-    """The server decodes nothing, so it may have the stream."""
+    """The server decodes nothing, so it may serve the stream."""
     with served(library) as server:
         out = ("--capture", tmp_path / "out.mp4", "--renderer", "cpu")
         assert_refused("swings-play", f"{server.url}/watch/many", *out)

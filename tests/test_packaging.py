@@ -29,7 +29,7 @@ def python_files(folder: str) -> list[Path]:
 
 
 def imported_modules(file: Path) -> set[str]:
-    """Full names of all modules that `file` imports, relative ones resolved."""
+    """Full names of all modules that `file` imports, with relative ones resolved."""
     package = file.relative_to(ROOT).parent.parts
     names: set[str] = set()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
@@ -76,7 +76,7 @@ def test_the_picture_and_the_tables_are_those_of_the_law() -> None:
 
 
 def folder_of(module: str) -> str:
-    """The folder of our module `module`, or of what one of its names stands for."""
+    """The folder of our module `module`, or of the module that contains this name."""
     path = ROOT.joinpath(*module.split("."))
     while not (path.is_dir() or path.with_suffix(".py").is_file()):
         path = path.parent
@@ -92,7 +92,7 @@ def test_folders_import_from_the_floors_below(package: str) -> None:
         folder = file.parent.relative_to(ROOT).as_posix()
         assert folder in floors, f"{folder} has no floor"
         if file.name in ("__init__.py", "__main__.py"):
-            continue  # a package's face names what is inside; a command starts above all
+            continue  # a package's __init__ exports its contents; a command is above everything
         for module in imported_modules(file):
             if module.split(".")[0] == package and module != package:
                 other = folder_of(module)
@@ -101,7 +101,7 @@ def test_folders_import_from_the_floors_below(package: str) -> None:
 
 
 def test_a_file_is_found_by_its_name() -> None:
-    """No two files of the house share a name, but those that mean the same in every package."""
+    """No two source files share a name, except those with the same role in every package."""
     stems = Counter(
         file.stem
         for folder in HOUSE
@@ -112,8 +112,8 @@ def test_a_file_is_found_by_its_name() -> None:
 
 
 def test_nobody_is_told_to_install_a_package_that_is_not_ours() -> None:
-    """`swings` on a package index would be somebody else's program; extras come from the
-    checkout: `pip install '.[s3]'`."""
+    """`swings` on a package index would be another program; extras come from the checkout:
+    `pip install '.[s3]'`."""
     files = [f for folder in (*HOUSE, "bench", "fuzz") for f in python_files(folder)]
     files += [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("codec/*.md")]
     files += [path for path in (ROOT / "deploy").iterdir() if path.is_file()]
@@ -146,10 +146,10 @@ def test_the_help_of_the_trainer_waits_for_no_large_library(command: str) -> Non
 
 
 def test_no_module_imports_from_a_command() -> None:
-    """A `__main__` is started; what others need of it belongs into a module."""
+    """A `__main__` is only started; code that others need belongs into a module."""
     for folder in HOUSE:
         for file in python_files(folder):
-            # swings-stream is a command of codec to which player lends its renderer.
+            # swings-stream is a command of codec that uses the player's renderer.
             may = file == ROOT / "player" / "streamcommand.py"
             named = [m for m in imported_modules(file) if "__main__" in m.split(".")]
             assert may or not named, f"{file.relative_to(ROOT)} imports {named}"
@@ -170,7 +170,7 @@ def test_there_is_no_circle_and_every_module_imports_alone() -> None:
         for f in python_files(folder)
         if f.name not in ("__init__.py", "__main__.py")
     ]
-    # One fresh interpreter; each module is loaded with none of ours in memory.
+    # One new interpreter; each module is loaded with none of ours in memory.
     code = (
         "import importlib, sys\n"
         f"for name in {modules!r}:\n"

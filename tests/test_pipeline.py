@@ -29,15 +29,15 @@ SWIN = 3
 
 @dataclass(frozen=True)
 class Made:
-    """What the pipeline left."""
+    """The files of a run of the pipeline."""
 
     capture: Path
     stream: Path
-    """Slices that are sent whole."""
+    """A stream of slices that are sent whole."""
     raw: Path
-    """The same Gaussians without loss."""
+    """A stream of the same Gaussians without loss."""
     lasting: Path
-    """Slots that last, the default."""
+    """A stream of slots that last, the default."""
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_dropping_layers_degrades_and_never_breaks(name: str, made: Made) -> Non
     assert psnr == sorted(psnr)
     assert psnr[0] < psnr[-1] - 0.3
     assert [s["bytes_per_frame"] for s in scores] == sorted(s["bytes_per_frame"] for s in scores)
-    # Layer 0 alone still shows the scene, though darker: what was light or dark still is.
+    # Layer 0 alone still shows the scene, darker, with the same light and dark areas.
     reader = StreamReader(stream)
     camera = reader.manifest.camera()
     full, base = (
@@ -120,7 +120,7 @@ def test_the_index_knows_the_quality_of_every_segment(name: str, made: Made) -> 
     for layers in (1, 2, 3):
         known = [record.psnr_db[layers - 1] for record in reader.records]
         assert np.isfinite(known).all()
-        # The index scores one held-out camera a frame, swings-eval all of them.
+        # The index has the score of one held-out camera per frame, swings-eval of all.
         frames = [record.num_frames for record in reader.records]
         mean = np.average(known, weights=frames)
         assert mean == pytest.approx(scores[layers - 1]["psnr_db"], abs=1.5)

@@ -1,8 +1,8 @@
 """The commands of README.md and docs/GUIDE.md work.
 
-Each command is run as it stands there, in a folder with the files that it names. Some get further
-options, so that they take seconds instead of minutes, or need no screen. Of `scripts/` only the
-syntax is checked here; test_demo.py runs the demo.
+Each command is run as written, in a folder with the files that it names. Some get further options,
+so that they take seconds instead of minutes, or need no screen. Only the syntax of `scripts/` is
+checked here; test_demo.py runs the demo.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ IS_COMMAND = re.compile(r"(swings-\w+|python3?|pip|cp|git|scripts/\w+)( |$)")
 
 
 def written_words() -> list[str]:
-    """What stands in backticks, and every line of an indented block without its comment."""
+    """All text in backticks, and every line of an indented block without its comment."""
     lines = re.findall(r"^ {4,}(\S.*)$", PAGES, re.MULTILINE)
     spans = re.findall(r"`([^`]+)`", PAGES)
     return [" ".join(re.sub(r"  +#.*", "", words).split()) for words in [*lines, *spans]]
@@ -73,7 +73,7 @@ BESIDES = {
     "swings-play my-stream --still 30 --turntable 4 --capture turn.mp4": PLAYED,
     **dict.fromkeys(PICTURES, PLAYED),
 }
-"""Options that are added, to need neither minutes nor a screen."""
+"""Added options, so that a command needs neither minutes nor a screen."""
 
 MADE = {
     "swings-train my-capture --check rig.png": "rig.png",
@@ -109,7 +109,7 @@ MADE = {
     **PICTURES,
     "swings-abr my-stream --traces DIR --out report": "report/index.html",
 }
-"""What each of these leaves."""
+"""The file that each of these commands writes."""
 
 ELSEWHERE = {
     "swings-stream audio add my-stream music.wav": "codec/tools/test_streamsound.py",
@@ -138,8 +138,7 @@ ELSEWHERE = {
     "scripts/demo --no-serve": "test_demo.py",
     "scripts/bench cuda": "bench/test_cuda.py",
 }
-"""Commands whose words stand for something or that take long, and the tests that run what they
-start."""
+"""Commands with placeholders, or that take long, and the tests that run their programs."""
 
 SERVED = {"swings-serve my-stream", "swings-play http://127.0.0.1:8080"}
 SITE = {
@@ -147,13 +146,13 @@ SITE = {
     "cp -r player/web site/player",
     "python3 -m http.server -d site",
 }
-"""A web server without swings."""
+"""Commands of a web server without swings."""
 NOT_RUN = {"git clone <this repository> swings"}
 
 
 @pytest.fixture(scope="module")
 def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With my-capture, my-stream, my-intro, model.ply, my-frames, region.json as the guide has it,
+    """A folder with my-capture, my-stream, my-intro, model.ply, my-frames, the guide's region.json,
     flight.json, and DIR, a folder of traces."""
     root = tmp_path_factory.mktemp("readme")
     write_dynerf(root / "my-capture", 5, 60)
@@ -217,7 +216,7 @@ def test_figures_of_the_readme_are_among_the_results() -> None:
 def test_a_command_leaves_what_it_says(words: str, folder: Path) -> None:
     made = folder / MADE[words]
     if words.startswith("swings-synth") or words == TRAIN:
-        shutil.rmtree(folder / made.relative_to(folder).parts[0])  # it is made anew
+        shutil.rmtree(folder / made.relative_to(folder).parts[0])  # the command makes it again
     if "--resume" in words:
         stop_a_run(folder)
     run_words(folder, f"{words} {BESIDES.get(words, '')}")
@@ -227,7 +226,7 @@ def test_a_command_leaves_what_it_says(words: str, folder: Path) -> None:
 
 
 def stop_a_run(folder: Path) -> None:
-    """Leaves my-stream as a run that was killed after its first window."""
+    """Makes my-stream the output of a run that was killed after its first window."""
     shutil.rmtree(folder / "my-stream")
     process = subprocess.Popen(
         command("swings-train", "my-capture", "my-stream", *TINY.split(), "--segment-frames", 9),
@@ -290,7 +289,7 @@ def test_a_plain_web_server_serves_the_export(folder: Path) -> None:
 
 @cache
 def all_options() -> frozenset[str]:
-    """Those that any help tells."""
+    """All options in the help texts."""
     told = ""
     subcommands = [["swings-stream", name] for name in ("info", "verify", "import", "export")]
     kinds = ("crop", "transform", "colour", "floaters", "trim", "join", "temporal")

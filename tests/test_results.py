@@ -1,6 +1,6 @@
-"""The command lines of docs/RESULTS.md are ones that the commands of today accept.
+"""The command lines of docs/RESULTS.md are accepted by the current commands.
 
-Each is given to its parser, which refuses options and values that there are not; nothing runs.
+Each is passed to its parser, which refuses unknown options and values; nothing runs.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ STANDS_FOR = {
     " ...": "",
     "URL --link demo/link.json": "http://127.0.0.1 --link 8M",
 }
-"""Words of the page that stand for others."""
+"""Placeholders of the page, and their replacements."""
 NAMES_ALONE = {
     "swings-stream info",
     "swings-stream verify",
     "swings-stream export --static",
     "swings-train --frames A:B --scale 0.5",
 }
-"""Said of a command without what it is for."""
+"""Commands that the page mentions without their arguments."""
 
 PARSE_EACH = """
 import contextlib, io, json, runpy, sys

@@ -1,7 +1,7 @@
-"""All modules, `--help` of all commands and a server of one process do without what Windows lacks.
+"""All modules, all `--help` and a server of one process need nothing that Windows lacks.
 
-No test runs on Windows itself. These remove from a process what Python lacks there, after loading
-the libraries; they imitate nothing else of Windows.
+No test runs on Windows itself. These tests remove from a process the parts that Python lacks there,
+after loading the libraries; they imitate nothing else of Windows.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tests.support.commands import ENTRY, ROOT, environment
 from tests.support.tiny_stream import tiny_manifest, write_tiny
 
 NEEDS_GUNICORN = ("arbiter", "workerprocess")
-"""Modules that only `--workers` above 1 imports; gunicorn cannot be installed on Windows."""
+"""Modules that only `--workers` above 1 imports, because Windows cannot install gunicorn."""
 
 MODULES = [
     ".".join(file.relative_to(ROOT).with_suffix("").parts)

@@ -1,4 +1,4 @@
-"""What deploy/Dockerfile and deploy/requirements.txt say."""
+"""Parsers of deploy/Dockerfile and deploy/requirements.txt."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ SERVED = DEPLOY / "requirements.txt"
 
 
 def instructions() -> list[tuple[str, str]]:
-    """All of them, with continued lines joined."""
+    """All instructions, with continued lines joined."""
     text = DOCKERFILE.read_text().replace("\\\n", " ")
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     return [(name, rest.strip()) for name, _, rest in (line.partition(" ") for line in lines)]
 
 
 def build_commands() -> list[str]:
-    """What the first stage runs."""
+    """The commands of the first stage."""
     steps = instructions()
     begins = [n for n, (name, _) in enumerate(steps) if name == "FROM"]
     return [rest for name, rest in steps[begins[0] : begins[1]] if name == "RUN"]
 
 
 def copied() -> list[str]:
-    """The files and folders of the repository that the first stage gets."""
+    """The files and folders of the repository that the first stage copies."""
     found = []
     for name, rest in instructions():
         if name == "COPY" and not rest.startswith("--from"):
@@ -38,6 +38,6 @@ def copied() -> list[str]:
 
 
 def pins(file: Path) -> dict[str, str]:
-    """The version of each package that the file names."""
+    """The version of each package in the file."""
     found = re.findall(r"^([\w.-]+)==(\S+)", file.read_text(), flags=re.MULTILINE)
     return {canonicalize_name(name): version for name, version in found}

@@ -1,4 +1,4 @@
-"""A server that says what it was asked: the headers that a proxy adds."""
+"""A server that returns the headers of its requests, with those that a proxy adds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.support.hosted_streams import answering
 
 @contextlib.contextmanager
 def echoing() -> Iterator[int]:
-    """Its port. It answers with the request's headers as JSON."""
+    """Runs a server that answers with the request's headers as JSON; gives its port."""
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"

@@ -1,4 +1,4 @@
-"""The files of deploy/, run as they are but for names, ports and folders."""
+"""Proxies with the files of deploy/, unchanged except for names, ports and folders."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAKE_CERTIFICATE += ["-subj", "/CN=swings.test"]
 
 
 def find_program(name: str) -> str | None:
-    """Where it is; Debian puts nginx where only root looks."""
+    """Path of the program; Debian installs nginx in a folder that only root's PATH has."""
     return shutil.which(name) or shutil.which(name, path="/usr/sbin:/sbin")
 
 
@@ -32,9 +32,9 @@ def free_port() -> int:
 
 
 def replaced(text: str, changes: Mapping[str, str]) -> str:
-    """`text` with every key, a regular expression, replaced; each must be there."""
+    """`text` with every key, a regular expression, replaced; each must match."""
     for pattern, new in changes.items():
-        plain = new.replace("\\", r"\\")  # no backslash in it is a command
+        plain = new.replace("\\", r"\\")  # backslashes in it are literal
         text, count = re.subn(pattern, plain, text, flags=re.MULTILINE)
         assert count, f"{pattern} is not in the file any more"
     return text
@@ -42,7 +42,7 @@ def replaced(text: str, changes: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True)
 class Proxy:
-    """One that runs before a server."""
+    """A running proxy in front of a server."""
 
     port: int
     tls: bool
@@ -50,7 +50,7 @@ class Proxy:
     def connect(self, timeout_s: float = 10.0) -> http.client.HTTPConnection:
         if not self.tls:
             return http.client.HTTPConnection("127.0.0.1", self.port, timeout=timeout_s)
-        context = ssl._create_unverified_context()  # made by the test a moment ago
+        context = ssl._create_unverified_context()  # a certificate of the test
         return http.client.HTTPSConnection(
             "127.0.0.1", self.port, timeout=timeout_s, context=context
         )
@@ -94,8 +94,8 @@ def started(command: list[str], proxy: Proxy, log: Path, **more: str) -> Iterato
 
 @contextlib.contextmanager
 def nginx(backend: int, folder: Path, root: Path = Path("/nowhere")) -> Iterator[Proxy]:
-    """nginx with TLS before the server at port `backend`. root: of the streams that it sends from
-    disk itself, by the secrets in `folder`/swings-secrets.map."""
+    """Runs nginx with TLS in front of the server at port `backend`. root: folder of the streams
+    that it sends from disk itself, with the secrets in `folder`/swings-secrets.map."""
     port, plain_port = free_port(), free_port()
     key, certificate = folder / "key.pem", folder / "certificate.pem"
     subprocess.run(
@@ -119,7 +119,7 @@ def nginx(backend: int, folder: Path, root: Path = Path("/nowhere")) -> Iterator
             r"/etc/letsencrypt/live/video.example.org/fullchain.pem": str(certificate),
             r"/etc/letsencrypt/live/video.example.org/privkey.pem": str(key),
             r"127\.0\.0\.1:8080": f"127.0.0.1:{backend}",
-            # Where a nginx that is not root may write.
+            # Folders in which an nginx without root may write.
             r"default_type .*;": "".join(
                 f"{name}_temp_path {folder}/{name};"
                 for name in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
@@ -139,14 +139,14 @@ def nginx(backend: int, folder: Path, root: Path = Path("/nowhere")) -> Iterator
 
 @contextlib.contextmanager
 def caddy(backend: int, folder: Path, open_root: Path | None = None) -> Iterator[Proxy]:
-    """Caddy, without TLS as nobody vouches for it here, before the server at port `backend`.
-    open_root: of the streams whose objects it sends from disk itself."""
+    """Runs Caddy in front of the server at port `backend`, without TLS, because there is no trusted
+    certificate. open_root: folder of the streams whose objects it sends from disk itself."""
     port = free_port()
     text = replaced(
         (DEPLOY / "Caddyfile").read_text(),
         {
             r"^\{$": "{\n\tadmin off",
-            # `h` is the host of the requests that no honest client makes.
+            # `h` is the host of the requests that no honest client sends.
             r"^video\.example\.org \{": f"http://127.0.0.1:{port}, http://h:{port} {{\n\tlog",
             r"127\.0\.0\.1:8080": f"127.0.0.1:{backend}",
         },

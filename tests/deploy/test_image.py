@@ -1,4 +1,4 @@
-"""The image of deploy/Dockerfile: what it gets, and that the server runs with that alone."""
+"""The image of deploy/Dockerfile: its contents, and that the server runs with them alone."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def direct() -> set[str]:
 
 
 def needed(names: set[str]) -> set[str]:
-    """These packages and all that they need, by what is installed here."""
+    """These packages and all their dependencies, according to the installed ones."""
     found, left = set(), list(names)
     while left:
         name = left.pop()
@@ -84,7 +84,7 @@ def test_the_dockerfile_copies_what_is_there_and_runs_as_nobody_special() -> Non
         "${PYTHON_IMAGE}",
     ]
     assert steps[0][0] == "ARG"
-    # A digest, as the tag gets another image with each release of Debian's.
+    # A digest, because the tag gets another image with each release of Debian.
     digest = r"PYTHON_IMAGE=python:3\.11\.\d+-slim-trixie@sha256:[0-9a-f]{64}"
     assert re.fullmatch(digest, steps[0][1])
     for source in copied():
@@ -104,7 +104,7 @@ def test_what_docker_ignores_is_all_but_what_is_copied() -> None:
 
 @pytest.fixture(scope="module")
 def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the packages of deploy/requirements.txt and nothing else."""
+    """A folder with only the packages of deploy/requirements.txt."""
     folder = tmp_path_factory.mktemp("packages")
     for name in pins(SERVED):
         distribution = importlib.metadata.distribution(name)
@@ -120,18 +120,18 @@ def read(url: str) -> bytes:
 
 
 def check_serves(url: str, stream: Path) -> None:
-    """A page, a file of the player, a play, metrics and files of the stream."""
+    """Checks a page, a file of the player, a play, metrics and files of the stream."""
     for path in ("/", "/watch/walk", "/healthz", "/v1/streams", "/v1/streams/walk/play?from=0"):
         assert read(url + path), path
-    # The counts of another worker come a moment later.
+    # The counts of another worker arrive a moment later.
     wait_until(lambda: b"swings_requests_total{" in read(f"{url}/metrics"))
     for file in ("manifest.json", "segments/1/0"):
         assert read(f"{url}/v1/streams/walk/{file}") == (stream / file).read_bytes()
 
 
 def python_with(packages: Path, code: str) -> list[str]:
-    """A command that runs `code` where only `packages`, ours and the standard library can be
-    imported."""
+    """A command that runs `code` with only `packages`, our code and the standard library
+    importable."""
     paths = [str(ROOT), str(packages)]
     return [sys.executable, "-I", "-S", "-c", f"import sys; sys.path += {paths}\n{code}"]
 
@@ -165,7 +165,7 @@ def test_urls_are_signed_without_another_package(packages: Path, tmp_path: Path)
 
 
 def test_other_packages_cannot_be_imported_there(packages: Path) -> None:
-    """Otherwise the tests above would show nothing."""
+    """Otherwise the tests above would prove nothing."""
     for name, found in {"numpy": 0, "numba": 1, "pytest": 1}.items():
         done = subprocess.run(python_with(packages, f"import {name}"), capture_output=True)
         assert done.returncode == found, name
@@ -173,7 +173,7 @@ def test_other_packages_cannot_be_imported_there(packages: Path) -> None:
 
 @pytest.mark.slow
 def test_the_image_is_built_and_serves(tmp_path: Path) -> None:
-    """The first stage's commands, in other folders and with the cache of pip; then the server."""
+    """Runs the first stage's commands, in other folders and with pip's cache; then the server."""
     source, opt = tmp_path / "source", tmp_path / "opt"
     for name in copied():
         path = ROOT / name

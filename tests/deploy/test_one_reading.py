@@ -1,4 +1,4 @@
-"""Bodies whose end two readers could see in two places: a proxy and swings-serve must not."""
+"""Bodies whose end two readers could place differently: a proxy and swings-serve must agree."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from tests.server.hostile.serverprocess import server_process
 from tests.support.hosted_streams import write_stream
 
 WAIT_S = 1.5
-"""Time for what a proxy has to say to a request that it takes for incomplete."""
+"""Time for a proxy's response to a request that it considers incomplete."""
 
 
 def targets_of_nginx(folder: Path) -> Counter[str]:
-    """The targets in the access log, by how often they were requested."""
+    """The targets in the access log, with the number of their requests."""
     text = (folder / "access.log").read_text()
     return Counter(re.findall(r'"[A-Z]+ (\S+) HTTP/[0-9.]+"', text))
 
 
 def targets_of_caddy(folder: Path) -> Counter[str]:
-    """The targets in the log, by how often they were requested."""
+    """The targets in the log, with the number of their requests."""
     records = map(json.loads, (folder / "out.log").read_text().splitlines())
     return Counter(record["request"]["uri"] for record in records if "request" in record)
 
@@ -39,11 +39,11 @@ PROXIES = {"nginx": (nginx, targets_of_nginx), "caddy": (caddy, targets_of_caddy
 
 
 def send(proxy: Proxy, sent: bytes) -> None:
-    """Sends a request and what hides in it over one connection, and waits for the responses."""
+    """Sends a request with a hidden one over one connection, and waits for the responses."""
     with suppress(OSError), socket.create_connection(("127.0.0.1", proxy.port), WAIT_S) as plain:
         sock: socket.socket = plain
         if proxy.tls:
-            context = ssl._create_unverified_context()  # made by the test a moment ago
+            context = ssl._create_unverified_context()  # a certificate of the test
             context.set_alpn_protocols(["http/1.1"])
             sock = context.wrap_socket(plain)
         with sock:
@@ -55,7 +55,7 @@ def send(proxy: Proxy, sent: bytes) -> None:
 
 @pytest.mark.parametrize("name", sorted(PROXIES))
 def test_a_proxy_and_the_server_read_the_same_requests(name: str, tmp_path: Path) -> None:
-    """Every request that the server reads is one that the proxy has read."""
+    """The proxy has read every request that the server reads."""
     needed = (name, "openssl") if name == "nginx" else (name,)
     for program in needed:
         if find_program(program) is None:
@@ -64,7 +64,7 @@ def test_a_proxy_and_the_server_read_the_same_requests(name: str, tmp_path: Path
     folder, root = tmp_path / name, tmp_path / "root"
     folder.mkdir()
     write_stream(root / "walk", 4, fps=10.0)
-    # Each case has targets of its own, as long as they were: lengths in it stay true.
+    # Each case has its own targets of the same length, so that lengths stay correct.
     requests = [
         case.sent.replace(b"/poison", b"/pois%02d" % number).replace(
             b"/nobody", b"/nobo%02d" % number

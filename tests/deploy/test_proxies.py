@@ -1,4 +1,4 @@
-"""nginx and Caddy with the files of deploy/, before a real swings-serve."""
+"""nginx and Caddy with the files of deploy/, in front of a real swings-serve."""
 
 from __future__ import annotations
 
@@ -81,12 +81,12 @@ def test_objects_come_whole_in_parts_and_not_at_all(proxy: Proxy, root: Path) ->
 
 
 def test_a_coded_object_and_a_range_of_it_do_not_get_mixed_up(proxy: Proxy, root: Path) -> None:
-    """Whatever a browser took before, a range is of the object as it lies on disk."""
+    """After any earlier request of a browser, a range is of the object as stored on disk."""
     path = "/v1/streams/walk/segments/2/0"
     data = (root / "walk" / "segments" / "2" / "0").read_bytes()
     zstd = {"Accept-Encoding": "gzip, zstd"}
     for _ in range(2):
-        assert proxy.ask(path, zstd)[2] == data  # an object of coder zstd, coded so or not
+        assert proxy.ask(path, zstd)[2] == data  # coder zstd, with content coding or not
         status, headers, body = proxy.ask(path, zstd | {"Range": "bytes=1-4"})
         assert (status, body) == (206, data[1:5])
         assert headers["Content-Encoding"] is None
@@ -107,7 +107,7 @@ def test_caddy_sends_objects_of_open_streams_from_disk(root: Path, tmp_path: Pat
         pytest.skip("needs caddy")
     data = (root / "walk" / "segments" / "1" / "2").read_bytes()
     (root / "walk" / "segments" / "1" / "secret").write_bytes(b"not an object")
-    # Nothing listens behind it: what it does not send itself is a 502.
+    # No server is behind it: everything that it does not send itself is a 502.
     with caddy(free_port(), tmp_path, root) as proxy:
         status, headers, body = proxy.ask(OBJECT)
         assert (status, body) == (200, data)
@@ -133,7 +133,7 @@ def test_what_is_told_of_the_server_itself_stays_inside(proxy: Proxy) -> None:
 
 
 def check_play(proxy: Proxy, prefix: str = "") -> None:
-    """A play comes slice by slice, and its status reports go back. prefix: of all paths."""
+    """Asserts that slices arrive one by one, and status reports pass. prefix: of all paths."""
     connection = proxy.connect()
     parser, began_s = RecordParser(), time.monotonic()
     try:
@@ -158,7 +158,7 @@ def check_play(proxy: Proxy, prefix: str = "") -> None:
     assert not [record for record in records if isinstance(record, ErrorRecord)]
     births = [record.birth for record in records if isinstance(record, SliceRecord)]
     assert births == list(range(1, FRAMES))
-    # Half of it is ahead of the lead, and comes while it is shown.
+    # Half of the stream exceeds the lead, and arrives while the play shows.
     assert came[0][0] < 1.0
     assert came[-1][0] - came[0][0] > 0.4, "all came at once: somebody keeps it back"
     assert len({round(at_s, 2) for at_s, _ in came}) >= 3
@@ -221,7 +221,7 @@ def test_nginx_sends_signed_objects_from_disk(root: Path, tmp_path: Path) -> Non
     until_s = int(time.time()) + 60
     good = sign_for_nginx(keys, "walk", until_s)
     data = (root / "walk" / "segments" / "1" / "2").read_bytes()
-    port = free_port()  # nothing answers there: what is answered comes from the disk
+    port = free_port()  # no server is there: responses come from the disk
     with nginx(port, tmp_path, streams) as proxy:
 
         def status(prefix: str, path: str = OBJECT) -> int:
@@ -236,7 +236,7 @@ def test_nginx_sends_signed_objects_from_disk(root: Path, tmp_path: Path) -> Non
         assert proxy.ask(f"{good}/v1/streams/walk/index.bin")[2] == index
         assert status(good, "/v1/streams/walk/segments/9/9") == 404
         assert proxy.ask(good + OBJECT, None, "POST", b"x")[0] == 405
-        # Another stream, also by a path that leads there.
+        # Another stream, also by a path that leads to it.
         other = OBJECT.replace("walk", "other")
         assert status(good, other) == 403
         for dots in ("../other", "..%2Fother", "%2e%2e/other", "../../streams//other"):
@@ -269,7 +269,7 @@ def test_nginx_sends_signed_objects_from_disk(root: Path, tmp_path: Path) -> Non
                 assert (got, "Range" in headers["Access-Control-Allow-Headers"]) == (204, True)
             assert status(good, f"{OBJECT}?anything") == 200
             assert status(good, f"{other}?anything") == 403
-            # What is verified here does not open what swings-serve verifies.
+            # A signature for nginx does not open what swings-serve verifies.
             token = good.rpartition(".")[2]
             assert status(good.replace(token, "A" * 43), "/v1/streams/walk/manifest.json") == 403
             assert status("", OBJECT) == 403

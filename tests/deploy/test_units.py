@@ -50,14 +50,14 @@ def test_the_server_may_stop_by_itself_before_systemd_kills_it() -> None:
         "Type": "notify",
         "Restart": "on-failure",
         "CapabilityBoundingSet": "",
-        # Else a call that a library can do without kills the server.
+        # Otherwise an optional system call of a library kills the server.
         "SystemCallErrorNumber": "EPERM",
     }.items():
         assert service[name] == value, name
 
 
 def checked_settings(words: list[str], environment: dict[str, str]) -> dict[str, str]:
-    """The variables of a server with these arguments; it must take them."""
+    """The variables of a server with these arguments, which it must accept."""
     done = subprocess.run(
         [sys.executable, "-m", "server", *words, "--check-config"],
         cwd=ROOT,

@@ -1,6 +1,6 @@
-"""The streams of the conformance suite: what each is made of.
+"""The streams of the conformance suite, as the updates from which each is made.
 
-A stream is made of integers and of floats that float32 holds, so every platform makes the same.
+A stream is made of integers and exact float32 values, so that every platform makes the same one.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ class Case:
     segment_frames: int
     sh_degree: int = 0
     far: bool = False
-    """Whether positions go over all of the lattice, so that residuals are long."""
+    """Whether positions cover the whole lattice, so that residuals are long."""
     late: bool = False
-    """Whether some of the new start late."""
+    """Whether some new Gaussians start late."""
     escapes: bool = False
     still: bool = False
     """Whether nothing changes after frame 0."""
     temporal_period: int = 1
-    """Over 1: the last layer is a temporal one."""
+    """If above 1, the last layer is a temporal layer."""
 
     @property
     def layout(self) -> SlotLayout:
@@ -56,7 +56,7 @@ class Case:
         )
 
     def is_known(self, frame: int, num_layers: int) -> bool:
-        """Whether readers may not differ in what they hold of these layers at this frame."""
+        """Whether all readers must have the same state of these layers at this frame."""
         return num_layers == len(self.slots) or frame % self.temporal_period == 0
 
 
@@ -74,7 +74,7 @@ STATUSES = KEPT, PREDICTED, NEW, KEPT, PREDICTED, ENDED, KEPT
 
 
 def made_updates(case: Case) -> list[Update]:
-    """What the stream of `case` is made of."""
+    """The updates of the stream of `case`."""
     layout, encoder = case.layout, SlotEncoder(case.layout)
     updates = []
     for birth in range(1 - case.swin_size, case.num_frames):

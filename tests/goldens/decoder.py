@@ -1,7 +1,7 @@
 """A decoder of chunks, written from codec/FORMAT.md alone: slow and plain.
 
-It shares no code with the package; `f32` is what a browser calls Math.fround. What the text calls
-corrupt fails an assertion.
+It shares no code with the package; `f32` is Math.fround in a browser. Bytes that FORMAT.md calls
+corrupt fail an assertion.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Statuses = list[list[int]]
 
 
 class Unsupported(AssertionError):
-    """The bytes may be right, but this version does not say what they mean."""
+    """The bytes may be valid, but this version does not define their meaning."""
 
 
 class Hole(enum.Enum):
-    """What a slot is without a Gaussian."""
+    """State of a slot without a Gaussian."""
 
     EMPTY = "empty"
     UNKNOWN = "unknown"
@@ -45,7 +45,7 @@ class Lattice:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """What the manifest says and a chunk does not."""
+    """Data from the manifest that chunks do not contain."""
 
     swin_size: int
     segment_frames: int
@@ -73,7 +73,7 @@ class Gaussian:
     start: int  # the frame from which it shows
     position: tuple[int, ...]
     attributes: tuple[int, ...]  # scales, turns, y, u, v, opacity
-    escaped: Floats | None = None  # then the integers mean nothing
+    escaped: Floats | None = None  # then the integers have no meaning
 
 
 Slot = Gaussian | Hole
@@ -83,7 +83,7 @@ Slot = Gaussian | Hole
 
 
 def f32(value: float) -> float:
-    """`value` rounded to the nearest float32, which is infinite for what is too large."""
+    """`value` rounded to the nearest float32; infinite if it is too large."""
     try:
         rounded: float = struct.unpack("<f", struct.pack("<f", value))[0]
     except OverflowError:
@@ -132,7 +132,7 @@ class Head:
 
 
 def decode_head(chunk: bytes, kind: int, shape: Shape) -> Head:
-    """The first 12 bytes of a chunk that stands where one of this kind belongs."""
+    """The first 12 bytes of a chunk in the place of one of this kind."""
     assert len(chunk) >= 12
     magic, found, layer, flags, zero, birth = struct.unpack_from("<4sBBBBi", chunk)
     assert magic == b"SWG2"
@@ -177,7 +177,7 @@ class BitDecoder:
 
 
 def decode_mask(body: bytes, slots: Sequence[int], before: Sequence[Statuses]) -> Statuses:
-    """`before`: the masks of this lane that count, the last one first."""
+    """`before`: the relevant earlier masks of this lane, the last one first."""
     decoder = BitDecoder(body)
     mask = []
     for layer, count in enumerate(slots):
@@ -225,7 +225,7 @@ class Residual:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Starts of the new are still counted from the birth."""
+    """A decoded change; starts of the new Gaussians are relative to the birth."""
 
     predicted: list[Residual]
     new: list[Gaussian]
@@ -247,7 +247,7 @@ def columns(data: bytes, count: int, num_planes: int) -> list[tuple[int, ...]]:
 def decode_change(
     body: bytes, shape: Shape, layer: int, counts: tuple[int, int], has_starts: bool
 ) -> Change:
-    """`counts`: how many of the layer's slots are predicted, and how many are new."""
+    """`counts`: numbers of predicted and of new slots in the layer."""
     cursor = Cursor(body)
     k = shape.num_coefficients
     predicted, new, long, escapes, low_bit_bytes = cursor.integers(5)
@@ -328,7 +328,7 @@ def decode_escapes(data: bytes, count: int, k: int) -> list[Floats]:
 
 
 def predict(before: Slot, residual: Residual, birth: int, lattice: Lattice) -> Slot:
-    """What a predicted slot holds after the change."""
+    """State of a predicted slot after the change."""
     if before is Hole.UNKNOWN:
         return Hole.UNKNOWN
     assert isinstance(before, Gaussian)

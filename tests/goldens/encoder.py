@@ -174,11 +174,11 @@ def encode_snapshot(lanes: Lanes, frame: int, layer: int, shape: Shape) -> bytes
 
 
 class RandomStream:
-    """A stream of noise, with all that may occur in one, and the truth about each frame."""
+    """A stream of noise with everything that may occur in one, and the true state of each frame."""
 
     def __init__(self, shape: Shape, num_frames: int, seed: int, spelled_out: bool = False) -> None:
         self.shape = shape
-        self.spelled_out = spelled_out  # what changes nothing has packets, too
+        self.spelled_out = spelled_out  # slices without changes have packets, too
         self.random = random.Random(seed)
         self.masks: list[Statuses] = []
         self.mask_chunks: list[bytes] = []
@@ -220,7 +220,7 @@ class RandomStream:
         return Gaussian(start, (0, 0, 0), (0,) * (7 + 3 * k), escaped)
 
     def moved(self, before: Gaussian, layer: int, birth: int) -> Gaussian:
-        """Another one near `before`, or anywhere."""
+        """Another Gaussian near `before`, or anywhere."""
         while True:
             after = self.gaussian(layer, birth)
             if after.escaped is None:

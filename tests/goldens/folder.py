@@ -48,7 +48,7 @@ def integer(value: object, least: int, most: int) -> int:
 
 
 def number(value: object, least: float, most: float) -> float:
-    """As f32."""
+    """`value` as f32, between `least` and `most`."""
     assert isinstance(value, int | float)
     assert not isinstance(value, bool)
     assert least <= value <= most
@@ -60,7 +60,7 @@ def step(value: object) -> float:
 
 
 def read_manifest(text: bytes) -> Shape:
-    """What decoding needs of the manifest."""
+    """The data of the manifest that decoding needs."""
     assert len(text) <= 2**20
     manifest: Any = json.loads(text)
     version = value_of(manifest, "version")
@@ -137,7 +137,7 @@ def read_record(row: bytes, n: int, shape: Shape) -> IndexRecord:
 
 
 def largest_content(name: str, shape: Shape) -> int:
-    """The bytes that the slots can fill in a chunk of this object."""
+    """Maximum bytes that the slots can need in a chunk of this object."""
     if name == "masks":
         return 16 + 4 * sum(shape.slots)
     if name == str(shape.temporal_layer):
@@ -164,7 +164,7 @@ class StreamFolder:
         self.num_frames = sum(record.num_frames for record in self.index)
 
     def chunks(self, segment: int, name: str) -> dict[int, bytes]:
-        """The chunks of an object by birth; no bytes for a birth at which nothing changes."""
+        """The chunks of an object by birth; empty for a birth without changes."""
         record = self.index[segment]
         data = (self.folder / "segments" / str(segment) / name).read_bytes()
         entry = record.files[name]
@@ -205,5 +205,5 @@ class StreamFolder:
 
 
 def state_at(folder: Path, frame: int, num_layers: int) -> Lanes:
-    """The slots, [lane][layer][slot], for who joins at `frame`."""
+    """The slots, [lane][layer][slot], of a reader that joins at `frame`."""
     return StreamFolder(folder).reader_at(frame, num_layers).lanes

@@ -23,7 +23,7 @@ NOT_AN_INTEGER = (
 
 
 def hostile_rows(stream: Path) -> list[Row]:
-    """All rows; `stream` is what they were made from."""
+    """All rows; they are made from `stream`."""
     files = {
         "manifest": (stream / "manifest.json").read_bytes(),
         "index": (stream / "index.bin").read_bytes(),
@@ -133,7 +133,7 @@ def _indexes(index: bytes, num_layers: int, stream: str) -> Iterator[Row]:
         return _row("index", name, data, verdict, stream=f"streams/{stream}", **more)
 
     def changed(place: int, fmt: str, value: float) -> bytes:
-        """A field of the second record changed, under a CRC that is right."""
+        """The index with a changed field in the second record, with a correct CRC."""
         made = bytearray(index)
         struct.pack_into(fmt, made, size + place, value)
         struct.pack_into("<I", made, 2 * size - 4, zlib.crc32(made[size : 2 * size - 4]))

@@ -1,4 +1,4 @@
-"""What a reader holds (section 7), written from codec/FORMAT.md alone."""
+"""State of a reader (section 7), written from codec/FORMAT.md alone."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class AppliedSlice:
 
 
 class Reader:
-    """A chunk that is refused counts as missing."""
+    """A reader of a stream; a refused chunk counts as missing."""
 
     def __init__(self, shape: Shape) -> None:
         self.shape = shape
@@ -47,33 +47,33 @@ class Reader:
         self.applied: dict[int, AppliedSlice] = {}
 
     def load(self, chunk: bytes) -> None:
-        """Takes a snapshot, whatever the layer held before."""
+        """Loads a snapshot, which replaces any state of the layer."""
         try:
             head, lanes = decode_snapshot(chunk, self.shape)
             assert head.birth >= 0
             assert head.birth % self.shape.segment_frames == 0
         except AssertionError:
             return
-        for slice_ in self.applied.values():  # a packet from before it changes nothing
+        for slice_ in self.applied.values():  # an earlier packet has no effect
             if slice_.birth <= head.birth:
                 slice_.before.pop(head.layer, None)
         for i, lane in enumerate(lanes):
             birth = head.birth - self.shape.swin_size + 1 + i
             self.lanes[birth % self.shape.swin_size][head.layer] = lane
             later = birth + self.shape.swin_size
-            if later in self.applied:  # the snapshot has come late
+            if later in self.applied:  # the snapshot is late
                 self.applied[later].before[head.layer] = lane
                 self.apply_again(later)
 
     def apply(self, birth: int, mask: bytes | None, changes: dict[int, bytes]) -> None:
-        """Applies one slice: its mask, and the changes that are at hand, by layer. One of no bytes
-        says that nothing changes."""
+        """Applies one slice: its mask, and the received changes, by layer. An empty one means that
+        nothing changes."""
         lane = self.lanes[birth % self.shape.swin_size]
         self.applied[birth] = AppliedSlice(birth, mask, dict(changes), dict(enumerate(lane)))
         self.apply_again(birth)
 
     def pass_by(self, birth: int, chunk: bytes) -> None:
-        """Shows the passing slice of the birth that was applied last; what stays is lost."""
+        """Shows the passing slice of the last applied birth; the lasting slots are lost."""
         mask, changes = split_passing(chunk, birth, self.shape)
         slots = dict(enumerate(self.lanes[0]))
         slice_ = AppliedSlice(birth, mask, dict(enumerate(changes)), slots)
@@ -84,12 +84,12 @@ class Reader:
             self.lanes[0][layer] = self.changed(slice_, statuses[layer], layer)
 
     def late(self, birth: int, layer: int, chunk: bytes) -> None:
-        """Takes a change that has come late."""
+        """Applies a change that arrives late."""
         self.applied[birth].changes[layer] = chunk
         self.apply_again(birth)
 
     def apply_again(self, birth: int) -> None:
-        """Applies a slice, and again what came after it in its lane."""
+        """Applies a slice again, with the later ones of its lane."""
         swin_size = self.shape.swin_size
         slices = [s for b, s in self.applied.items() if b >= birth and (b - birth) % swin_size == 0]
         for slice_ in slices:
@@ -104,7 +104,7 @@ class Reader:
                 self.lanes[birth % swin_size][layer] = slots
 
     def statuses(self, slice_: AppliedSlice) -> Statuses | None:
-        """What the mask says, if it is at hand and can be read."""
+        """The statuses of the mask; None if it is missing or unreadable."""
         if slice_.mask is None:
             return None
         first = slice_.birth - slice_.birth % self.shape.segment_frames

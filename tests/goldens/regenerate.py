@@ -1,6 +1,6 @@
-"""Writes the conformance suite anew: `python -m tests.goldens.regenerate` in the root.
+"""Rewrites the conformance suite: `python -m tests.goldens.regenerate` in the root.
 
-Only for a change of the format that is meant and told in FORMAT.md; the version then changes too.
+Only for an intended change of the format, described in FORMAT.md; the version then changes, too.
 """
 
 from __future__ import annotations

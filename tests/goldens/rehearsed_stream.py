@@ -1,4 +1,4 @@
-"""The stream that the player rehearses with; `regenerate` writes it into player/rehearsed."""
+"""The stream of the player's rehearsal; `regenerate` writes it into player/rehearsed."""
 
 from __future__ import annotations
 
@@ -21,8 +21,7 @@ _CAMERA = Camera("front", _SIZE_PX, _SIZE_PX, 30.0, 30.0, 16.0, 16.0, np.eye(4))
 
 
 def write_rehearsed(folder: Path) -> None:
-    """Writes a stream of new, predicted and kept Gaussians as `folder`, in place of what is
-    there."""
+    """Writes a stream of new, predicted and kept Gaussians as `folder`, and replaces an old one."""
     shutil.rmtree(folder, ignore_errors=True)
     splats = _some_splats()
     lattice = Lattice.suiting(splats)

@@ -1,4 +1,4 @@
-"""Shapes of streams to try."""
+"""Shapes of streams for tests."""
 
 from __future__ import annotations
 

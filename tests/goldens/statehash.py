@@ -1,4 +1,4 @@
-"""One hash over all that a reader holds at a frame: conformance/README.md has the bytes."""
+"""One hash of a reader's state at a frame; conformance/README.md defines the bytes."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from tests.support.slots.plain import Held
 
 EMPTY, UNKNOWN, ON_LATTICE, ESCAPED = range(4)
 LOGIT_BYTES = slice(4 * 10, 4 * 11)
-"""Of the floats mean, log-scales, quaternion, logit of the opacity, coefficients."""
+"""Bytes of the logit in the floats mean, log-scales, quaternion, logit, coefficients."""
 
 
 def state_sha256(found: Held) -> str:
-    """Of layers 0..n-1 of each lane, n as many as `found` has."""
+    """The hash of layers 0..n-1 of each lane; n is the number of layers in `found`."""
     slots = (slot for lane in found for layer in lane for slot in layer)
     return hashlib.sha256(b"".join(map(_slot_bytes, slots))).hexdigest()
 
@@ -31,7 +31,7 @@ def _slot_bytes(slot: object) -> bytes:
             attributes = struct.pack(
                 f"<{len(position_and_signed) - 3}bB", *position_and_signed[3:], opacity
             )
-            # How ln is rounded differs between platforms; the opacity is the integer.
+            # The rounding of ln differs between platforms; the integer is the opacity.
             exact = floats[: LOGIT_BYTES.start] + floats[LOGIT_BYTES.stop :]
             return struct.pack("<Bi", ON_LATTICE, start) + integers + attributes + exact
     raise TypeError(f"not a slot: {slot!r}")

@@ -1,6 +1,6 @@
 """The conformance suite in conformance/: writes it, and reads its tables.
 
-What a reader must hold is said by the plain reader, which was written from FORMAT.md alone.
+The expected state is that of the plain reader, which was written from FORMAT.md alone.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from tests.support.slots.plain import Chunks, encoded_chunks, plainly_held
 
 FOLDER = ROOT / "conformance"
 ALTERED_SHARES = (0.0,) * 8 + (0.3,) * 3
-"""Of the chunks that no frame waits for, in the orders of each stream."""
+"""Shares of altered chunks, among those that no frame needs, in the orders of each stream."""
 
 
 def write_suite(folder: Path) -> None:
-    """Writes streams and tables into `folder`, in place of those that are there."""
+    """Writes streams and tables into `folder`, and replaces old ones."""
     shutil.rmtree(folder / "streams", ignore_errors=True)
     for case in CASES:
         _write_streams(folder / "streams", case)
@@ -67,7 +67,7 @@ def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def _write_streams(folder: Path, case: Case) -> None:
-    """The stream of `case`, of each coder."""
+    """Writes the stream of `case` with each coder."""
     zstd, gzip = (
         folder / Path(stream_name(case, coder)).name for coder in (Coder.ZSTD, Coder.GZIP)
     )
@@ -88,7 +88,7 @@ def _stream_row(folder: Path, case: Case, coder: Coder) -> dict[str, Any]:
 
 
 def _state(stream: StreamFolder, frame: int, num_layers: int) -> str:
-    """The hash for who joins at `frame` with layers 0..num_layers-1."""
+    """The hash of a reader that joins at `frame` with layers 0..num_layers-1."""
     return state_sha256(plainly_held(stream.reader_at(frame, num_layers), frame, num_layers))
 
 
@@ -121,7 +121,7 @@ def _event_row(event: Event, chunks: Chunks, hashes: Iterator[str]) -> list[obje
 
 
 def read_order(row: dict[str, Any]) -> tuple[Arrivals, list[str]]:
-    """A row of orders.json, and the hash at each Look."""
+    """The arrivals of a row of orders.json, and the hash at each Look."""
     stream, hashes = StreamFolder(FOLDER / row["stream"]), []
     chunks: dict[tuple[str, int], bytes] = {}
     for record in range(len(stream.index)):

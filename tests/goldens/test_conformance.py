@@ -1,5 +1,5 @@
 """The conformance suite: the package and the plain reader, which was written from FORMAT.md alone,
-pass it; the writer still makes the chunks of its streams."""
+pass it; the writer still encodes the chunks of its streams."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def names(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def test_the_tables_are_as_regenerate_writes_them(tmp_path: Path) -> None:
-    """Those that follow from the streams: what is coded may be coded better one day."""
+    """Only tables that follow from the streams, because a later coder may code better."""
     write_suite(tmp_path)
     for name in ("streams.json", "orders.json"):
         assert (tmp_path / name).read_bytes() == (FOLDER / name).read_bytes()
@@ -134,7 +134,7 @@ def verdict_of_package(row: dict[str, Any]) -> str:
 
 
 def check_object(data: bytes) -> None:
-    """Reads `data` as layer 0 of segment 1 of the first stream, whose index says its size."""
+    """Reads `data` as layer 0 of segment 1 of the first stream, with its size in the index."""
     reader = StreamReader(FOLDER / STREAMS[0]["stream"])
     record = reader.records[1]
     sizes = (len(data), *record.object_bytes[1:])
@@ -154,7 +154,7 @@ def verdict_of_plain_reader(row: dict[str, Any]) -> str:
             case "packet":
                 inflate(data, row["limit_bytes"])
             case "manifest":
-                # Of what decoding does not need it reads nothing.
+                # The plain reader reads only the fields that decoding needs.
                 if read_manifest(data) == StreamFolder(FOLDER / STREAMS[0]["stream"]).shape:
                     return str(row["verdict"])
             case "index":
