@@ -1,4 +1,4 @@
-"""Mouse, fingers and the size of the window: the page then draws what the CPU renderer does."""
+"""After mouse and finger gestures and a resized window the page draws the CPU renderer's image."""
 
 from __future__ import annotations
 

@@ -175,7 +175,7 @@ def test_lenses_that_are_refused(tmp_path: Path) -> None:
             assert "cameras." in message
 
 
-# --- what is refused ------------------------------------------------------------------------------
+# --- refusals -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
