@@ -47,6 +47,20 @@ def test_all_forms_of_a_server_s_url(server: ServerProcess) -> None:
     assert len(read_all(f"{server.url}/v1/streams/one/manifest.json")) == 13
 
 
+def test_a_static_stream_by_its_folder_or_its_manifest(library: Path) -> None:
+    with static_host(library) as host:
+        for form in ("one", "one/manifest.json"):
+            got = read_all(f"{host}/{form}", FrameRange(3, 9), 2)
+            births = [slice.birth for slice in slices_of(got)]
+            assert births == list(range(3 - SWIN_SIZE + 1, 9))
+            assert {one.layers for one in got} == {2}
+
+
+def test_layers_are_checked_before_anything_is_sent(library: Path) -> None:
+    with pytest.raises(InvalidError, match="--layers 9"):
+        read_all(str(library / "one"), layers=9)
+
+
 def test_the_addresses_on_the_server_s_pages_can_be_played(server: ServerProcess) -> None:
     with urllib.request.urlopen(f"{server.url}/watch/one", timeout=10) as response:
         page = response.read().decode()

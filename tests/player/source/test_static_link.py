@@ -28,7 +28,7 @@ from player.source.source import SlicePackets
 from server.abr.link.link import Link, LinkStep
 from tests.player.playout.test_conductor import Played, picture
 from tests.player.source.test_hosted_play import need_bps
-from tests.support.delivery.assembled import check_packets
+from tests.support.delivery.assembled import assembled, check_packets
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.delivery.watched import Watched, watched
 from tests.support.hosted_streams import (
@@ -185,6 +185,16 @@ def test_a_seek_shows_layer_0_of_that_frame_first(
     assert got.layers(0.7) > LAYERS - 0.1
     assert asked
     assert all(ask.segment > 0 for ask in asked)
+
+
+def test_a_link_is_not_asked_twice_for_the_same_bytes(root: Path) -> None:
+    with range_host(root) as host, opened(f"{host.url}/whole", adaptive=True) as source:
+        list(assembled(source))
+    sizes = (sum(record.part_bytes) for record in StreamReader(root / "whole").records)
+    index_and_manifest = sum(
+        (root / "whole" / n).stat().st_size for n in ("index.bin", "manifest.json")
+    )
+    assert source.received_bytes <= sum(sizes) + index_and_manifest
 
 
 def check_slices(reader: StreamReader, got: Watched) -> None:

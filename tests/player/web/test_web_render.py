@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -64,7 +65,8 @@ def test_what_is_behind_a_camera_that_has_just_turned(page: Page, tmp_path: Path
 @pytest.mark.parametrize("kind", ["floats", "on the lattice"])
 def test_every_degree_is_drawn(page: Page, tmp_path: Path, sh_degree: int, kind: str) -> None:
     """Seen from 8 places, after a few frames whose changes have their own colours."""
-    stream, wide = tmp_path / "stream", {"near_m": 0.2}
+    stream = tmp_path / "stream"
+    wide: dict[str, Any] = {"near_m": 0.2}
     if kind == "floats":
         write_stream(stream, FRAME + 2, 30, sh_degree, **wide)
     else:
