@@ -96,7 +96,7 @@ class Trained:
 
 
 def processes(words: bytes) -> list[int]:
-    """Those descendants of this process whose command line contains `words`."""
+    """Process ids of this process's descendants whose command line contains `words`."""
     found = []
     for process in family(os.getpid()):
         with contextlib.suppress(OSError):
