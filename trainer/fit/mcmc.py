@@ -32,6 +32,9 @@ class McmcConfig:
     3DGS-MCMC: 25K of 30K."""
     dead_opacity: float = 0.005
     """Opacity at or below which a Gaussian is dead. From 3DGS-MCMC."""
+    settle_dead_opacity: float = 0.2
+    """The same in the settling rounds of genesis. Fainter Gaussians form a haze that explains what
+    single training cameras see; other cameras see more clearly without it."""
     noise_lr: float = 5e5
     """Noise of genesis, as a multiple of the positions' learning rate. From 3DGS-MCMC."""
     window_noise_lr: float = 5e4
@@ -59,8 +62,9 @@ class McmcConfig:
                 f"relocate_period {self.relocate_period}: choose 1 or more; relocate_until 0 "
                 "switches relocation off"
             )
-        if not 0 < self.dead_opacity < 1:
-            raise InvalidError(f"dead_opacity {self.dead_opacity:g}: choose above 0, below 1")
+        for name in ("dead_opacity", "settle_dead_opacity"):
+            if not 0 < getattr(self, name) < 1:
+                raise InvalidError(f"{name} {getattr(self, name):g}: choose above 0, below 1")
         for name in ("relocate_until", "renew_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")

@@ -90,6 +90,8 @@ class WindowPlan:
     """Iterations of this window that earlier plans have done."""
     is_ranked: bool
     """Whether its Gaussians are put into layers at `layered_from`."""
+    dead_opacity: float
+    """Opacity at or below which a Gaussian is relocated."""
     layered_from: int
     """The iteration from which on layers are trained as such."""
     prefix_share: float

@@ -257,9 +257,10 @@ class Trainer:
         settled for already."""
         config, generations, leases = self._config, self._generations, self._leases
         genesis = frames.start == 0
-        before = 0
+        before, dead_opacity = 0, config.mcmc.dead_opacity
         if settled is not None:
             before = config.genesis_iterations + settled * config.window_iterations
+            dead_opacity = config.mcmc.settle_dead_opacity
         layered_from = schedule.iterations
         if leases is not None and len(leases.slots) > 1:
             if not genesis or settled is not None:
@@ -287,6 +288,7 @@ class Trainer:
             schedule=schedule,
             before=before,
             is_ranked=genesis and leases is not None and not settled,
+            dead_opacity=dead_opacity,
             layered_from=layered_from,
             prefix_share=config.settle_prefix_share if genesis else config.prefix_share,
             newest_share=config.newest_share if brings_new else 0.0,
@@ -326,7 +328,7 @@ class Trainer:
             loss = self._note_losses(is_due)
             period, until = config.mcmc.relocate_period, config.mcmc.relocate_until
             if done % period == 0 and done <= until * plan.schedule.iterations:
-                generations.relocate(frames[-1], config.mcmc.dead_opacity, self._rng)
+                generations.relocate(frames[-1], plan.dead_opacity, self._rng)
                 self._selections.forget()
             if is_due:
                 total = config.iterations(frames.start)

@@ -42,8 +42,10 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
             num_gs=24_000,
             settle_rounds=90,
             window_iterations=450,
+            scene_flow=True,
             settle_prefix_share=0.1,
             prefix_share=0.08,
+            mcmc=McmcConfig(renew_share=0.03),
         ),
     ),
     # What a GPU should train in seconds a frame at 1352x1014, the size at which DyNeRF captures are

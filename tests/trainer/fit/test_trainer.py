@@ -268,6 +268,18 @@ def test_relocation_lets_the_dead_start_with_their_targets_and_never_early() -> 
     assert (generations.adam.steps == 20).any()
 
 
+def test_settling_relocates_what_is_faint() -> None:
+    def faint_share(settle_dead_opacity: float) -> float:
+        mcmc = replace(CONFIG.mcmc, relocate_until=1.0, settle_dead_opacity=settle_dead_opacity)
+        config = replace(CONFIG, swin_size=1, settle_rounds=1, mcmc=mcmc)
+        window = next(Trainer(config, Rendered(), start(), NEAR_M).windows())
+        logits = np.concatenate([part.splats.logit_opacities for part in window.slices])
+        return float((logits < np.log(0.1 / 0.9) - 1e-3).mean())
+
+    assert faint_share(0.005) > 0.1
+    assert faint_share(0.1) == 0
+
+
 def test_no_gaussian_of_genesis_is_larger_than_its_bound() -> None:
     def largest(bound: float) -> float:
         config = replace(CONFIG, mcmc=replace(CONFIG.mcmc, max_scale=bound))
@@ -316,6 +328,7 @@ def test_settings_that_cannot_work_are_refused(change: dict[str, int]) -> None:
         {"relocate_period": 0},
         {"relocate_until": 1.1},
         {"dead_opacity": 0.0},
+        {"settle_dead_opacity": 1.0},
         {"renew_share": -0.1},
         {"noise_lr": -1.0},
         {"scale_reg": float("nan")},
