@@ -32,7 +32,7 @@ from trainer.capture.capture import Picture
 from trainer.capture.dynerf import POINTS_NAME, POSES_NAME, encode_pose
 from trainer.capture.held_out import HELD_OUT_NAME
 
-from .motion import Moving, moving_parts
+from .motion import WALK_RADIUS_M, Moving, moving_parts
 from .scene import (
     LAMP_AT,
     ROOM,
@@ -75,6 +75,9 @@ class SynthConfig:
     """Height of the pictures, pixels."""
     arc_deg: float = 200.0
     """Angle between the first and the last camera, seen from the middle of the room, degrees."""
+    walk_radius_m: float = WALK_RADIUS_M
+    """Radius of the circle that the figure walks, metres. The cameras stand 3.2 m from its middle:
+    at 2.5 m the figure passes right before them."""
     points: int = 12_000
     """Number of points on the surfaces that training cameras see at frame 0; 0 writes none."""
     seed: int = 0
@@ -128,6 +131,7 @@ def check_config(config: SynthConfig) -> None:
         ("width_px", config.width_px, 16, MAX_SIDE_PX),
         ("height_px", config.height_px, 16, MAX_SIDE_PX),
         ("arc_deg", config.arc_deg, 0, 340),
+        ("walk_radius_m", config.walk_radius_m, 0.3, 2.9),
         ("points", config.points, 0, 10_000_000),
         ("seed", config.seed, 0, 1_000_000),
         ("held_out", config.held_out, 0, max(0, config.cameras - 2)),
@@ -136,9 +140,11 @@ def check_config(config: SynthConfig) -> None:
             raise InvalidError(f"{name} {value:g}: must be between {least:g} and {most:g}")
 
 
-def make_scene(num_frames: int, fps: float, seed: int) -> Scene:
+def make_scene(
+    num_frames: int, fps: float, seed: int, walk_radius_m: float = WALK_RADIUS_M
+) -> Scene:
     """The scene in each of its frames."""
-    moving = tuple(moving_parts(frame / fps, seed) for frame in range(num_frames))
+    moving = tuple(moving_parts(frame / fps, seed, walk_radius_m) for frame in range(num_frames))
     return Scene(furniture(), fixtures(seed), wall_pictures(), moving, seed)
 
 
@@ -191,7 +197,7 @@ class Studio:
 
 
 def _write_capture(config: SynthConfig, folder: Path, console: Console | None) -> None:
-    scene = make_scene(config.frames, config.fps, config.seed)
+    scene = make_scene(config.frames, config.fps, config.seed, config.walk_radius_m)
     arc_rad = float(np.radians(config.arc_deg))
     cameras = camera_rig(config.cameras, config.width_px, config.height_px, arc_rad)
     held_out = held_out_cameras(cameras, config.held_out)

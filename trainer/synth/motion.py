@@ -19,7 +19,8 @@ BALL_RADIUS_M = 0.15
 BALL_COLOUR = "ef7d1f"
 
 _UP = np.array([0.0, -1.0, 0.0])
-_PATH_RADIUS_M = 0.72
+WALK_RADIUS_M = 0.72
+"""Radius of the circle that the figure walks, unless another is chosen."""
 _WALK_M_PER_S = 0.85
 _STRIDE_M = 1.0
 """How far the body moves while each foot takes one step."""
@@ -37,11 +38,12 @@ class Moving:
     groups: Table  # (G, 7), columns GROUP_FIRST and so on of solid.py
 
 
-def moving_parts(time_s: float, seed: int) -> Moving:
-    """The figure and the ball at a time. The seed shifts where they start."""
+def moving_parts(time_s: float, seed: int, radius_m: float) -> Moving:
+    """The figure, on a circle of that radius, and the ball at a time. The seed shifts where they
+    start."""
     parts = PartList()
     start_m = 1.7 + 0.37 * (seed % 97)
-    ends = _add_figure(parts, _WALK_M_PER_S * time_s + start_m, time_s)
+    ends = _add_figure(parts, _WALK_M_PER_S * time_s + start_m, time_s, radius_m)
     _add_ball(parts, time_s, seed)
     built = parts.parts()
     bounds = pairwise([0, *ends, len(parts)])
@@ -65,10 +67,10 @@ def _add_ball(parts: PartList, time_s: float, seed: int) -> None:
     parts.add(BALL, BALL_COLOUR, place, BALL_RADIUS_M, axes=axes, second_colour="2a1a14")
 
 
-def _add_figure(parts: PartList, walked_m: float, time_s: float) -> list[int]:
+def _add_figure(parts: PartList, walked_m: float, time_s: float, radius_m: float) -> list[int]:
     """Adds a person after `walked_m` along the circle; gives where each group of parts
     ends."""
-    root, forward = _path_place(walked_m)
+    root, forward = _path_place(walked_m, radius_m)
     right = np.cross(-_UP, forward)
     stride = walked_m / _STRIDE_M
     beat = 4 * np.pi * stride  # twice a stride: once a step
@@ -119,7 +121,7 @@ def _add_figure(parts: PartList, walked_m: float, time_s: float) -> list[int]:
     parts.add(JEANS, "31507f", hips - 0.075 * right, 0.115, hips + 0.075 * right, 0.115)
     for side, offset in ((-1.0, 0.0), (1.0, 0.5)):
         hip = hips + side * 0.085 * right - 0.03 * _UP
-        foot, pitch, heading = foot_place(stride + offset, offset, side)
+        foot, pitch, heading = foot_place(stride + offset, offset, side, radius_m)
         ankle = foot + _ANKLE_M * _UP
         knee = _knee(hip, ankle, _THIGH_M, _SHIN_M, heading)
         parts.add(JEANS, "31507f", hip, 0.092, knee, 0.066)
@@ -133,15 +135,17 @@ def _add_figure(parts: PartList, walked_m: float, time_s: float) -> list[int]:
     return ends
 
 
-def _path_place(walked_m: float) -> tuple[Table, Table]:
+def _path_place(walked_m: float, radius_m: float) -> tuple[Table, Table]:
     """(place, direction) on the floor after walking that far along the circle."""
-    angle = walked_m / _PATH_RADIUS_M
+    angle = walked_m / radius_m
     out = np.array([np.cos(angle), 0.0, np.sin(angle)])
-    place = np.array([0.0, 0.0, 0.1]) + _PATH_RADIUS_M * out
+    place = np.array([0.0, 0.0, 0.1]) + radius_m * out
     return place, np.array([-np.sin(angle), 0.0, np.cos(angle)])
 
 
-def foot_place(cycle: float, offset: float, side: float) -> tuple[Table, float, Table]:
+def foot_place(
+    cycle: float, offset: float, side: float, radius_m: float
+) -> tuple[Table, float, Table]:
     """(place on or above the floor, pitch of the toes down in radians, heading) of a foot.
 
     A foot stands still for the first part of its cycle, below where the body passes in the middle
@@ -149,11 +153,11 @@ def foot_place(cycle: float, offset: float, side: float) -> tuple[Table, float, 
     """
     number = np.floor(cycle)
     phase = float(cycle - number)
-    here, heading_here = _footfall(number, offset, side)
+    here, heading_here = _footfall(number, offset, side, radius_m)
     if phase < _STANCE:
         roll = max(0.0, phase - 0.8 * _STANCE) / (0.2 * _STANCE)
         return here + 0.03 * roll * _UP, 0.35 * roll, heading_here
-    there, heading_there = _footfall(number + 1, offset, side)
+    there, heading_there = _footfall(number + 1, offset, side, radius_m)
     t = (phase - _STANCE) / (1 - _STANCE)
     ease = t * t * (3 - 2 * t)
     lift = 0.03 * (1 - t) ** 2 + 0.11 * np.sin(np.pi * t)
@@ -162,8 +166,8 @@ def foot_place(cycle: float, offset: float, side: float) -> tuple[Table, float, 
     return here + ease * (there - here) + lift * _UP, float(pitch), heading
 
 
-def _footfall(number: float, offset: float, side: float) -> tuple[Table, Table]:
-    place, heading = _path_place((number - offset + _STANCE / 2) * _STRIDE_M)
+def _footfall(number: float, offset: float, side: float, radius_m: float) -> tuple[Table, Table]:
+    place, heading = _path_place((number - offset + _STANCE / 2) * _STRIDE_M, radius_m)
     return place + side * 0.085 * np.cross(-_UP, heading), heading
 
 

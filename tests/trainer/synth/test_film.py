@@ -14,11 +14,18 @@ from rich.console import Console
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from codec.rig import rig_depths
 from tests.support.commands import run_ok
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.synth.film import Studio, SynthConfig, check_config, make_scene, synthesise
-from trainer.synth.motion import BALL_RADIUS_M, ball_place, foot_place, moving_parts
+from trainer.synth.motion import (
+    BALL_RADIUS_M,
+    WALK_RADIUS_M,
+    ball_place,
+    foot_place,
+    moving_parts,
+)
 from trainer.synth.scene import camera_rig
 
 TINY = SynthConfig(
@@ -134,15 +141,31 @@ def test_same_seed_same_bytes_other_seed_other_picture(tmp_path: Path, made: Cap
     assert digest(tmp_path / "other")["cam01.mp4"] != digest(made.root)["cam01.mp4"]
 
 
-def test_a_standing_foot_stands() -> None:
+@pytest.mark.parametrize("radius_m", [WALK_RADIUS_M, 2.5])
+def test_a_standing_foot_stands(radius_m: float) -> None:
     for start in (0.0, 3.0, 7.0):
-        places = np.stack([foot_place(start + p, 0.0, 1.0)[0] for p in np.linspace(0, 0.47, 9)])
+        steps = np.linspace(start, start + 0.47, 9)
+        places = np.stack([foot_place(step, 0.0, 1.0, radius_m)[0] for step in steps])
         assert np.ptp(places, axis=0).max() < 1e-9
         assert places[0, 1] == 0.0
     for time_s in np.linspace(0, 3, 40):
-        cones = moving_parts(float(time_s), 1).parts.cones
+        cones = moving_parts(float(time_s), 1, radius_m).parts.cones
         lowest = np.maximum(cones[:, 1] + cones[:, 3], cones[:, 5] + cones[:, 7]).max()
         assert lowest < 0.035  # shoes and ball may sink into the floor by no more
+
+
+def test_on_a_wide_circle_the_figure_passes_right_before_a_camera() -> None:
+    cameras = camera_rig(16, 64, 36, float(np.radians(200.0)))
+    depths = rig_depths(cameras)
+    assert depths is not None
+    nearest = {}
+    for radius_m in (WALK_RADIUS_M, 2.5):
+        distances = [
+            Studio(make_scene(1, 30.0, 22, radius_m), camera).film(0)[1] for camera in cameras
+        ]
+        nearest[radius_m] = min(float(distance.min()) for distance in distances)
+    assert nearest[2.5] < 0.6 * depths[0]
+    assert nearest[WALK_RADIUS_M] > 0.9 * depths[0]
 
 
 def test_the_command_prints_what_it_made(tmp_path: Path) -> None:
