@@ -2,10 +2,10 @@
 
 Usage: scripts/bench ghost STREAM CAPTURE
 
-Looks, in the held-out cameras, at pixels that were red in the frame before, have moved and are
-less red now. Redness is R - (G + B) / 2; the excess of a pixel is its redness in the rendered
-picture minus the median of the ring around all of these pixels. The capture itself stands beside
-it, as what it shows there is seldom quite even.
+Looks, in the held-out cameras, at pixels that were red in the frame before, have moved and are not
+red now. Redness is R - (G + B) / 2; the excess of a pixel is its redness in the rendered picture
+minus the median of the ring around all of these pixels, without what is red now. The capture itself
+stands beside it, as what it shows there is seldom quite even.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from trainer.score.picture import Floats, captured, displayed
 from trainer.score.scores import seen_of
 from trainer.score.truth import open_held_out
 
-RED = 50 / 255
-"""Redness from which on a pixel belongs to the thing."""
-LEFT = 25 / 255
-"""Fall in redness from which on the thing has left a pixel."""
+RED = 80 / 255
+"""Redness from which on a pixel belongs to the thing: skin has less."""
+EDGE_PX = 4
+"""Width of the thing's edge, where its redness fades; its seams are within."""
 RING_PX = 8
 """Width of the ring."""
 MIN_LEFT_PX = 30
@@ -57,25 +57,32 @@ def redness(picture: Floats) -> Floats:
     return red
 
 
+def grown(pixels: Flags, by_px: int) -> Flags:
+    """(H, W): the pixels at most that far, along rows and columns, from one of `pixels`."""
+    image = Image.fromarray(pixels.astype(np.uint8) * 255)
+    wider: Flags = np.asarray(image.filter(ImageFilter.MaxFilter(2 * by_px + 1))) > 0
+    return wider
+
+
+def covered(picture: Floats) -> Flags:
+    """(H, W): what the thing covers, with its edge."""
+    return grown(redness(picture) >= RED / 2, EDGE_PX)
+
+
 def left_pixels(before: Floats, now: Floats, moves: Flags) -> Flags:
     """(H, W): those that a red thing has left since the frame before."""
-    was, is_now = redness(before), redness(now)
-    left: Flags = moves & (was >= RED) & (is_now <= was - LEFT) & (is_now < RED)
+    left: Flags = moves & (redness(before) >= RED) & ~covered(now)
     return left
 
 
-def ring_around(pixels: Flags) -> Flags:
-    """(H, W): the pixels within RING_PX of `pixels` that are none of them."""
-    image = Image.fromarray(pixels.astype(np.uint8) * 255)
-    grown = np.asarray(image.filter(ImageFilter.MaxFilter(2 * RING_PX + 1))) > 0
-    ring: Flags = grown & ~pixels
-    return ring
+def excess(picture: Floats, left: Flags, now: Floats) -> Floats:
+    """(n,) redness in `picture` of the pixels `left` over the median of the ring around them.
 
-
-def excess(picture: Floats, left: Flags) -> Floats:
-    """(n,) redness of the pixels `left` over the median of the ring around them."""
+    now: what the camera sees, which says where the thing is.
+    """
+    ring = grown(left, RING_PX) & ~left & ~covered(now)
     red = redness(picture)
-    over: Floats = red[left] - np.median(red[ring_around(left)])
+    over: Floats = red[left] - np.median(red[ring])
     return over
 
 
@@ -92,7 +99,8 @@ def excesses(config: GhostConfig) -> Iterator[tuple[str, Floats, Floats]]:
                 left = left_pixels(before, seen.truths[c], seen.movements[c].pixels)
                 if left.sum() >= MIN_LEFT_PX:
                     shown = displayed(splats, camera, manifest.near_of(camera))
-                    yield camera.name, excess(shown, left), excess(seen.truths[c], left)
+                    truth = seen.truths[c]
+                    yield camera.name, excess(shown, left, truth), excess(truth, left, truth)
 
 
 def table(found: dict[str, tuple[Floats, Floats]]) -> Table:

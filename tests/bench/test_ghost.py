@@ -23,14 +23,15 @@ def with_ball(column: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
 
 
 def test_a_ghost_is_found_where_the_ball_was() -> None:
-    before, now = with_ball(10), with_ball(16)
+    before, now = with_ball(10), with_ball(18)
     left = left_pixels(before, now, (before != now).any(axis=2))
     rows, columns = np.nonzero(left)
-    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (15, 24, 10, 15)
-    assert np.abs(excess(now, left)).max() < 1e-6
+    # The edge of where it is now, four pixels, is left out.
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (15, 24, 10, 13)
+    assert np.abs(excess(now, left, now)).max() < 1e-6
     rendered = now.copy()
     rendered[18, 12] = GREY + np.float32(0.3) * (RED - GREY)  # three tenths of the ball remain
-    over = excess(rendered, left)
+    over = excess(rendered, left, now)
     assert over.max() == pytest.approx(0.3 * 0.5, abs=1e-6)
     assert (over > 12 / 255).sum() == 1
 
