@@ -1,4 +1,4 @@
-"""The cameras that a user moves through while frames show, as key frames that keyframes.py reads.
+"""Records the camera's path while a stream plays, as key frames that keyframes.py reads.
 
 Rule: pure; the window says which camera showed in which frame, and writes the bytes.
 """
@@ -15,16 +15,16 @@ from codec.camera import Camera
 from codec.pose import Doubles, quat_of
 
 MAX_FRAMES = 30_000
-"""Frames recorded at most, some 16 minutes: as key frames they fit into what is read."""
+"""Most recorded frames, 16 minutes at 30 a second: their file is one that keyframes.py reads."""
 
 TOLERANCE_PX = 0.5
-"""How far the picture may be from the recorded one where key frames are left out."""
+"""Largest displacement in the picture that leaving out key frames may cause."""
 
 LEAST_DISTANCE_M = 0.1
-"""To the scene's centre, from where a step of the camera counts as a move of the picture."""
+"""Least distance to the scene's centre with which a step of the camera becomes pixels."""
 
 LEAST_COSINE = 0.1
-"""Between the quaternions of two key frames: nearly half a turn could go either way."""
+"""Least cosine between the quaternions of two key frames: nearly half a turn is ambiguous."""
 
 
 def moved_px(a: Camera, b: Camera, centre: Doubles) -> float:

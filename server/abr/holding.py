@@ -14,7 +14,7 @@ from .media import Media
 
 
 class Holding:
-    """The packets that are there, as far as they are of use."""
+    """The usable part of the packets that a client holds."""
 
     def __init__(self, media: Media, first_frame: int, needed: int = 1) -> None:
         """A client that begins to play with `first_frame` holds nothing yet. needed: layers
@@ -26,7 +26,7 @@ class Holding:
 
     @property
     def end_frame(self) -> int:
-        """The first frame that cannot show: of the layers that it needs something is not here."""
+        """The first frame that cannot show: a layer that it needs is incomplete."""
         return min(self._ends)
 
     def end_birth(self, layer: int) -> int | None:

@@ -82,7 +82,7 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
             show_finished(config, console)
             return finished
     check_targets(config)
-    afresh = replace(config, resume=False)  # as workers are told it
+    afresh = replace(config, resume=False)  # the config that workers get
     with console.status("reading what the cameras see"):
         prepared = prepare(afresh)
         run = plan(afresh, prepared)
@@ -106,20 +106,20 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
 
 
 def _begin(run: Run, files: GrowingPlace, resume: bool) -> bool:
-    """Notes what is trained; whether something of it is there."""
-    # Without what changes no byte.
+    """Records the run's settings in `files`; whether a part of this run is there already."""
+    # Settings that change no byte of the result are left out.
     config = replace(
         run.config, worker_cpus=1, worker_gpus=0, cache_bytes=0, log=None, tensorboard=None,
         snapshot_every=0,
     )  # fmt: skip
     parts = [[part.first_frame, part.end_frame] for part in run.parts]
-    told = json.dumps({"config": config_to_json(config), "parts": parts}).encode()
+    settings = json.dumps({"config": config_to_json(config), "parts": parts}).encode()
     if not resume:
-        files.put(RUN_PATH, told)
+        files.put(RUN_PATH, settings)
         return False
     if not files.holds(RUN_PATH):
         raise InvalidError(f"{files.name}: no run with --ray was started there; leave --resume out")
-    if files.read(RUN_PATH, len(told) + (1 << 20)) != told:
+    if files.read(RUN_PATH, len(settings) + (1 << 20)) != settings:
         raise InvalidError(f"{files.name}: --resume needs the options of the run that it continues")
     return True
 

@@ -1,6 +1,5 @@
-"""The start of a run: a capture and settings that were found good, first Gaussians, a manifest.
-
-Nothing is written here.
+"""Prepares a training run: checks the capture and the settings, seeds the first Gaussians, makes
+the manifest. Nothing is written here.
 """
 
 from __future__ import annotations
@@ -40,11 +39,11 @@ from .config import TrainConfig
 from .rank import writer_rank
 
 GROWN = 1.25
-"""Size of trained Gaussians over that of the first ones."""
+"""Expected size of trained Gaussians, over the size of the first ones."""
 
 LEAST_POINT_SHARE = 0.3
-"""Share of the first Gaussians that points get where they lie in a few spots only: those spots
-matter most."""
+"""Least share of the first Gaussians that is placed at points, however few spots the points cover:
+those spots matter most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,8 +217,8 @@ def _fingerprint(capture: Capture, frame: int) -> str:
 
 
 def first_gaussians(config: TrainConfig, prepared: Prepared, pictures: Pictures) -> Splats:
-    """num_gs Gaussians: those given, or of the capture's points, and the rest seeded where the
-    cameras agree."""
+    """The num_gs Gaussians to begin with: those of `config.initial`, or some at the capture's
+    points and the rest where the cameras agree."""
     if prepared.initial is not None:
         return prepared.initial
     fit, points, cameras = config.fit, prepared.capture.points, pictures.cameras
@@ -264,8 +263,8 @@ def layer_slots(shares: Sequence[float], slice_size: int) -> tuple[int, ...]:
 def make_manifest(
     config: TrainConfig, prepared: Prepared, cache: FrameCache, gaussians: Splats
 ) -> Manifest:
-    """The manifest of a stream. gaussians: the initial ones; of whole slices the first slice,
-    because what trained Gaussians are like is not known before."""
+    """The manifest of a stream. gaussians: the first ones; where slices are sent whole, those of
+    the first slice, whose ranges are those of trained Gaussians."""
     capture = prepared.capture
     cameras = tuple(cache.camera(i) for i in range(len(capture.cameras)))
     points = capture.points.xyz if capture.points is not None else gaussians.means

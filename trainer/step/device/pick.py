@@ -23,7 +23,7 @@ TOLERANCE = 1e-3
 """Tolerated error of a trial's loss: far above rounding, far below a device that errs."""
 
 MAX_REASON = 160
-"""Characters of a foreign error that are told."""
+"""Largest part of a foreign error that a message quotes, characters."""
 
 
 @dataclass(frozen=True, slots=True)
