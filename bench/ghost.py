@@ -23,6 +23,7 @@ from rich.progress import track
 from rich.table import Table
 
 from codec.console import run_command
+from trainer.capture.capture import Mask
 from trainer.score.picture import Floats, captured, displayed
 from trainer.score.scores import seen_of
 from trainer.score.truth import open_held_out
@@ -64,23 +65,19 @@ def grown(pixels: Flags, by_px: int) -> Flags:
     return wider
 
 
-def covered(picture: Floats) -> Flags:
-    """(H, W): what the thing covers, with its edge."""
-    return grown(redness(picture) >= RED / 2, EDGE_PX)
+def left_and_around(
+    before: Floats, now: Floats, moves: Flags, mask: Mask | None
+) -> tuple[Flags, Flags]:
+    """(H, W) each: the pixels that a red thing has left since the frame before, and the ring of
+    others around them that it does not cover now. moves: the pixels that have moved."""
+    free = ~grown(redness(now) >= RED / 2, EDGE_PX)
+    left = moves & (redness(before) >= RED) & free
+    ring = grown(left, RING_PX) & ~left & free
+    return left, ring if mask is None else ring & (mask > 0)
 
 
-def left_pixels(before: Floats, now: Floats, moves: Flags) -> Flags:
-    """(H, W): those that a red thing has left since the frame before."""
-    left: Flags = moves & (redness(before) >= RED) & ~covered(now)
-    return left
-
-
-def excess(picture: Floats, left: Flags, now: Floats) -> Floats:
-    """(n,) redness in `picture` of the pixels `left` over the median of the ring around them.
-
-    now: what the camera sees, which says where the thing is.
-    """
-    ring = grown(left, RING_PX) & ~left & ~covered(now)
+def excess(picture: Floats, left: Flags, ring: Flags) -> Floats:
+    """(n,) redness of the pixels `left` over the median of those of the ring."""
     red = redness(picture)
     over: Floats = red[left] - np.median(red[ring])
     return over
@@ -96,25 +93,18 @@ def excesses(config: GhostConfig) -> Iterator[tuple[str, Floats, Floats]]:
             splats = reader.active_splats(frame, manifest.num_layers)
             for c, camera in enumerate(held_out.cameras):
                 before = captured(held_out.shot(c, frame - 1).picture)
-                left = left_pixels(before, seen.truths[c], seen.movements[c].pixels)
-                if left.sum() >= MIN_LEFT_PX:
+                truth, moves = seen.truths[c], seen.movements[c].pixels
+                left, ring = left_and_around(before, truth, moves, seen.masks[c])
+                if left.sum() >= MIN_LEFT_PX and ring.any():
                     shown = displayed(splats, camera, manifest.near_of(camera))
-                    truth = seen.truths[c]
-                    yield camera.name, excess(shown, left, truth), excess(truth, left, truth)
+                    yield camera.name, excess(shown, left, ring), excess(truth, left, ring)
 
 
 def table(found: dict[str, tuple[Floats, Floats]]) -> Table:
     """A row for each camera, and one for all; levels of 255."""
-    columns = (
-        "pixels",
-        "rendered: over 12",
-        "99 %",
-        "largest",
-        "capture: over 12",
-        "99 %",
-        "largest",
-    )
-    drawn = Table("camera", *columns)
+    measures = f"over {255 * VISIBLE:g}", "99 %", "largest"
+    columns = [f"{of}\n{measure}" for of in ("rendered", "capture") for measure in measures]
+    drawn = Table("camera", "pixels", *columns)
     every = tuple(np.concatenate(values) for values in zip(*found.values(), strict=True))
     for name, (shown, truth) in [*found.items(), ("all", every)]:
         cells = [f"{len(shown):,}"]

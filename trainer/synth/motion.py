@@ -18,9 +18,10 @@ from .solid import FIRST, RADIUS, SECOND, Parts, Table
 BALL_RADIUS_M = 0.15
 BALL_COLOUR = "ef7d1f"
 
-_UP = np.array([0.0, -1.0, 0.0])
 WALK_RADIUS_M = 0.72
 """Radius of the circle that the figure walks, unless another is chosen."""
+
+_UP = np.array([0.0, -1.0, 0.0])
 _WALK_M_PER_S = 0.85
 _STRIDE_M = 1.0
 """How far the body moves while each foot takes one step."""

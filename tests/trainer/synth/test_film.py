@@ -210,6 +210,7 @@ def test_a_failure_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         {"fps": 0.0},
         {"fps": float("nan")},
         {"arc_deg": 360.0},
+        {"walk_radius_m": 3.2},
         {"points": -1},
         {"seed": -1},
     ],
