@@ -35,6 +35,8 @@ class FitConfig:
     coarse_share: float = 0.6
     """Share of the iterations of genesis, from its beginning, that use pictures of half the size,
     so that the cameras agree on shapes before training fits detail; 0 switches it off."""
+    window_coarse_share: float = 0.0
+    """The same share of the iterations of every later window and settling round."""
     settle_rounds: int = 20
     """Number of settling rounds after genesis. Each trains the first window once more like a later
     window: Gaussians are renewed first, and the learning rates start high again."""
@@ -98,6 +100,7 @@ class FitConfig:
             raise InvalidError("genesis_iterations 0 and settle_rounds 0 leave nothing to train")
         for name in (
             "coarse_share",
+            "window_coarse_share",
             "newest_share",
             "dssim_weight",
             "calm_from",

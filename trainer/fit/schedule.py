@@ -58,12 +58,13 @@ class Schedule:
         )
 
     @staticmethod
-    def window(config: FitConfig, means_lr: float) -> Schedule:
-        """Schedule of a window whose learning rate of positions begins at `means_lr`."""
+    def window(config: FitConfig, coarse_share: float, means_lr: float) -> Schedule:
+        """Schedule of a window whose learning rate of positions begins at `means_lr`. coarse_share:
+        as for `genesis`."""
         rates = config.optimiser
         return Schedule(
             config.window_iterations,
-            0,
+            coarse_share * config.window_iterations,
             means_lr,
             means_lr * rates.window_means_lr_end / rates.window_means_lr,
             config.mcmc.window_noise_lr,

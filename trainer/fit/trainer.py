@@ -100,11 +100,12 @@ class Trainer:
         planes_m = [near_m] * len(cameras) if isinstance(near_m, (int, float)) else list(near_m)
         self._views = [View.prepare(*seen) for seen in zip(cameras, planes_m, strict=True)]
         smallest_px = min(min(c.width_px, c.height_px) for c in cameras)
-        self._coarse_share = config.coarse_share if smallest_px >= SMALLEST_HALVED_PX else 0.0
+        shares = config.coarse_share, config.window_coarse_share
+        self._coarse_shares = shares if smallest_px >= SMALLEST_HALVED_PX else (0.0, 0.0)
         self._half_views = [
             View.prepare(view.camera.halved(), view.near_m)
             for view in self._views
-            if self._coarse_share
+            if any(self._coarse_shares)
         ]
         self._search_m = min(planes_m) if search_from_m is None else search_from_m, far_m
         self._extent_m = scene_extent_m(cameras)
@@ -142,8 +143,8 @@ class Trainer:
             if first_frame == 0:
                 self._train_genesis(frames)
             else:
-                rate = self._config.optimiser.window_means_lr
-                self._train(self._plan(frames, Schedule.window(self._config, rate)))
+                schedule = self._window_schedule(self._config.optimiser.window_means_lr)
+                self._train(self._plan(frames, schedule))
             self._next_window += 1
             if self._leases is None:
                 yield Window(frames, tuple(self._generations.mature(self._next_window)))
@@ -155,15 +156,18 @@ class Trainer:
 
     def _train_genesis(self, frames: range) -> None:
         """Trains the first window, from the iteration on that a restored state has reached."""
-        schedule = Schedule.genesis(self._config, self._coarse_share)
+        schedule = Schedule.genesis(self._config, self._coarse_shares[0])
         self._train(self._plan(frames, schedule), self._steps)
-        schedule = Schedule.window(self._config, self._config.optimiser.settle_means_lr)
+        schedule = self._window_schedule(self._config.optimiser.settle_means_lr)
         for settled in range(self._config.settle_rounds):
             plan = self._plan(frames, schedule, settled)
             if self._steps <= plan.before:
                 self._renew(0)
             self._train(plan, self._steps - plan.before)
         self._generations.stagger(self._rng)
+
+    def _window_schedule(self, means_lr: float) -> Schedule:
+        return Schedule.window(self._config, self._coarse_shares[1], means_lr)
 
     def record_sent_bytes(self, window: Window, num_bytes: int) -> None:
         """Records the bytes that the update of `window`, which `windows` has just given, takes in
@@ -319,7 +323,9 @@ class Trainer:
             has_all = iteration < plan.layered_from or self._rng.random() >= plan.prefix_share
             layers = None if has_all else self._prefix()
             self._step(plan, iteration, camera, frame, self._selections.at(frame, layers))
-            self._unread.append(camera if has_all and not plan.whole else None)
+            is_half = iteration < plan.schedule.half_until
+            is_noted = has_all and not plan.whole and not is_half
+            self._unread.append(camera if is_noted else None)
             done = iteration + 1
             if not frames.start and config.mcmc.max_scale and done % BOUND_PERIOD == 0:
                 everyone = self._selections.at(frame)

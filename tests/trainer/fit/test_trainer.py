@@ -358,7 +358,8 @@ def test_fresh_adam_forgets_at_every_window_and_carried_adam_does_not() -> None:
     assert steps(True) > 30
 
 
-def test_genesis_begins_with_pictures_of_half_the_size() -> None:
+@pytest.mark.parametrize(("share", "window_share"), [(0.5, 0.0), (0.0, 0.3), (0.5, 0.3)])
+def test_windows_begin_with_pictures_of_half_the_size(share: float, window_share: float) -> None:
     class Large(Rendered):
         def __init__(self) -> None:
             super().__init__()
@@ -373,11 +374,20 @@ def test_genesis_begins_with_pictures_of_half_the_size() -> None:
             return super().step(given, gradients)
 
     sizes = list[tuple[int, int]]()
-    config = replace(CONFIG, coarse_share=0.5, genesis_iterations=20, window_iterations=10)
+    config = replace(
+        CONFIG,
+        coarse_share=share,
+        window_coarse_share=window_share,
+        genesis_iterations=20,
+        window_iterations=10,
+    )
     backend = Watched(config.dssim_weight, 0, 0)
     windows = Trainer(config, Large(), start(), NEAR_M, backend=backend).windows()
     next(windows)
     next(windows)
     halves = [width < 97 for width, _ in sizes]
-    assert halves == [True] * 10 + [False] * 20
+    first, later = int(20 * share), int(10 * window_share)
+    assert halves == (
+        [True] * first + [False] * (20 - first) + [True] * later + [False] * (10 - later)
+    )
     assert set(sizes) <= {(48, 33), (64, 32), (97, 66), (128, 64)}

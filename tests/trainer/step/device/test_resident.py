@@ -147,11 +147,12 @@ def test_fifty_steps_lead_to_the_same_gaussians(sh_degree: int) -> None:
         np.testing.assert_allclose(a, b, rtol=0, atol=3e-3 * np.abs(b).max(), err_msg=name)
 
 
-def test_where_few_are_trained_only_their_tiles_are_compared() -> None:
+@pytest.mark.parametrize("is_half", [False, True])
+def test_where_few_are_trained_only_their_tiles_are_compared(is_half: bool) -> None:
     """Losses equal those of numba, which skips the other tiles, too; colours do not change."""
     ours, theirs = (training(1, times=4) for _ in range(2))
     losses, few = [], TRAINED[:6]
-    some = [replace(step, whole=False, is_half=False) for step in steps(30)]
+    some = [replace(step, whole=False, is_half=is_half) for step in steps(30)]
     for given, backend in ((ours, CpuBackend(*WEIGHTS)), (theirs, TorchBackend(*WEIGHTS, "cpu"))):
         resident: Resident = backend.start(given)
         given.values.means[few] *= np.float32(0.2)
