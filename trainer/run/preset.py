@@ -34,7 +34,7 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
             scene_flow=True,  # so few iterations leave a ghost where a ball was
         ),
     ),
-    # What two cores can do for 150 frames of 640x360 in an hour and a half. docs/RESULTS.md.
+    # What two cores can do for 150 frames of 640x360 in an hour. docs/RESULTS.md.
     "fine": partial(
         TrainConfig,
         preset="fine",
@@ -42,6 +42,7 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
             num_gs=24_000,
             settle_rounds=90,
             window_iterations=450,
+            window_coarse_share=0.4,  # a quarter of the time for some flicker
             scene_flow=True,
             settle_prefix_share=0.1,
             prefix_share=0.08,
