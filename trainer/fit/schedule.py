@@ -72,6 +72,10 @@ class Schedule:
             config.calm_end,
         )
 
+    def is_half(self, iteration: int) -> bool:
+        """Whether an iteration sees pictures of half the size."""
+        return iteration < self.half_until
+
     def rates(self, iteration: int, extent_m: float) -> Rates:
         """The rates of an iteration, which fall log-linearly."""
         decay = self.means_lr_end / self.means_lr

@@ -323,8 +323,8 @@ class Trainer:
             has_all = iteration < plan.layered_from or self._rng.random() >= plan.prefix_share
             layers = None if has_all else self._prefix()
             self._step(plan, iteration, camera, frame, self._selections.at(frame, layers))
-            is_half = iteration < plan.schedule.half_until
-            is_noted = has_all and not plan.whole and not is_half
+            # The losses of half pictures are smaller: cameras are compared by those of whole ones.
+            is_noted = has_all and not plan.whole and not plan.schedule.is_half(iteration)
             self._unread.append(camera if is_noted else None)
             done = iteration + 1
             if not frames.start and config.mcmc.max_scale and done % BOUND_PERIOD == 0:
@@ -357,7 +357,7 @@ class Trainer:
         """One iteration on the Gaussians of `selection`, seen by a camera at a frame."""
         rates = plan.schedule.rates(iteration, self._extent_m)
         step = Step(
-            camera, frame, iteration < plan.schedule.half_until, plan.whole, rates.means_lr_m,
+            camera, frame, plan.schedule.is_half(iteration), plan.whole, rates.means_lr_m,
             rates.calm, rates.noise_m, self._config.seed * 1_000_003 + self._steps,
             plan.level(iteration),
         )  # fmt: skip
