@@ -44,12 +44,12 @@ class Schedule:
     """Share of those rates that is left at the end."""
 
     @staticmethod
-    def genesis(config: FitConfig, coarse_share: float) -> Schedule:
-        """Schedule of the first window. coarse_share: of its iterations that see half pictures."""
+    def genesis(config: FitConfig) -> Schedule:
+        """Schedule of the first window."""
         rates = config.optimiser
         return Schedule(
             config.genesis_iterations,
-            coarse_share * config.genesis_iterations,
+            config.coarse_share * config.genesis_iterations,
             rates.means_lr,
             rates.means_lr_end,
             config.mcmc.noise_lr,
@@ -58,13 +58,12 @@ class Schedule:
         )
 
     @staticmethod
-    def window(config: FitConfig, coarse_share: float, means_lr: float) -> Schedule:
-        """Schedule of a window whose learning rate of positions begins at `means_lr`. coarse_share:
-        as for `genesis`."""
+    def window(config: FitConfig, means_lr: float) -> Schedule:
+        """Schedule of a window whose learning rate of positions begins at `means_lr`."""
         rates = config.optimiser
         return Schedule(
             config.window_iterations,
-            coarse_share * config.window_iterations,
+            config.window_coarse_share * config.window_iterations,
             means_lr,
             means_lr * rates.window_means_lr_end / rates.window_means_lr,
             config.mcmc.window_noise_lr,

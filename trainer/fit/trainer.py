@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -93,19 +94,19 @@ class Trainer:
             config.sh_degree,
         ):
             raise InvalidError(f"{len(initial)} initial Gaussians for num_gs {config.num_gs}")
+        cameras = pictures.cameras
+        smallest_px = min(min(c.width_px, c.height_px) for c in cameras)
+        if smallest_px < SMALLEST_HALVED_PX:
+            config = replace(config, coarse_share=0.0, window_coarse_share=0.0)
         self._config = config
         self._pictures = pictures
         self._observers = observers
-        cameras = pictures.cameras
         planes_m = [near_m] * len(cameras) if isinstance(near_m, (int, float)) else list(near_m)
         self._views = [View.prepare(*seen) for seen in zip(cameras, planes_m, strict=True)]
-        smallest_px = min(min(c.width_px, c.height_px) for c in cameras)
-        shares = config.coarse_share, config.window_coarse_share
-        self._coarse_shares = shares if smallest_px >= SMALLEST_HALVED_PX else (0.0, 0.0)
         self._half_views = [
             View.prepare(view.camera.halved(), view.near_m)
             for view in self._views
-            if any(self._coarse_shares)
+            if config.coarse_share or config.window_coarse_share
         ]
         self._search_m = min(planes_m) if search_from_m is None else search_from_m, far_m
         self._extent_m = scene_extent_m(cameras)
@@ -143,8 +144,8 @@ class Trainer:
             if first_frame == 0:
                 self._train_genesis(frames)
             else:
-                schedule = self._window_schedule(self._config.optimiser.window_means_lr)
-                self._train(self._plan(frames, schedule))
+                rate = self._config.optimiser.window_means_lr
+                self._train(self._plan(frames, Schedule.window(self._config, rate)))
             self._next_window += 1
             if self._leases is None:
                 yield Window(frames, tuple(self._generations.mature(self._next_window)))
@@ -156,18 +157,15 @@ class Trainer:
 
     def _train_genesis(self, frames: range) -> None:
         """Trains the first window, from the iteration on that a restored state has reached."""
-        schedule = Schedule.genesis(self._config, self._coarse_shares[0])
+        schedule = Schedule.genesis(self._config)
         self._train(self._plan(frames, schedule), self._steps)
-        schedule = self._window_schedule(self._config.optimiser.settle_means_lr)
+        schedule = Schedule.window(self._config, self._config.optimiser.settle_means_lr)
         for settled in range(self._config.settle_rounds):
             plan = self._plan(frames, schedule, settled)
             if self._steps <= plan.before:
                 self._renew(0)
             self._train(plan, self._steps - plan.before)
         self._generations.stagger(self._rng)
-
-    def _window_schedule(self, means_lr: float) -> Schedule:
-        return Schedule.window(self._config, self._coarse_shares[1], means_lr)
 
     def record_sent_bytes(self, window: Window, num_bytes: int) -> None:
         """Records the bytes that the update of `window`, which `windows` has just given, takes in

@@ -34,7 +34,7 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
             scene_flow=True,  # so few iterations leave a ghost where a ball was
         ),
     ),
-    # What two cores can do for 150 frames of 640x360 in an hour. docs/RESULTS.md.
+    # Two cores train 150 frames of 640x360 with it in an hour. docs/RESULTS.md.
     "fine": partial(
         TrainConfig,
         preset="fine",
