@@ -18,14 +18,17 @@ const css = (text) =>
     .replace(/ ?([{};,]) ?/g, "$1");
 
 const OPERATOR = / ?([*/%=<>(){};,?:&|]|(?<![-+] ?)[-+](?! ?[-+])) ?/g;
-/** A line of the preprocessor stays one, and `a - -b` keeps its spaces. @param {string} text */
+/**
+ * A line of the preprocessor stays one, also the last one, since another text may follow it; and `a - -b`
+ * keeps its spaces. @param {string} text
+ */
 const glsl = (text) =>
   text
     .split("\n")
     .map((line) => line.replace(/\/\/.*/, "").trim())
     .filter((line) => line !== "")
-    .map((line) => (line.startsWith("#") ? line : line.replace(OPERATOR, "$1")))
-    .join("\n");
+    .map((line) => `${line.startsWith("#") ? line : line.replace(OPERATOR, "$1")}\n`)
+    .join("");
 
 const compact = {
   name: "compact-templates",

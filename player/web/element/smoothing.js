@@ -61,9 +61,10 @@ export class Smoothing {
         this.#inbetween = new Inbetween(renderer, this.view.manifest.numGs);
       }
       this.#inbetween.attach();
-    } catch {
-      // A device without this ability shows each frame as it is; a lost device gets another renderer.
-      if (!renderer.gl.isContextLost()) this.view.smoothing = null;
+    } catch (error) {
+      if (renderer.gl.isContextLost()) return; // it gets another renderer
+      console.warn("swings: this device draws no motion between frames:", error);
+      this.view.smoothing = null;
     }
   }
 
