@@ -15,10 +15,8 @@ from trainer.parts.raydriver import plan
 from trainer.parts.task import Kind, Run, Task
 from trainer.parts.worker import opened_worker
 from trainer.run.config import TrainConfig
-from trainer.run.outputs import SNAPSHOT_FOLDER
 from trainer.run.prepare import prepare
 from trainer.run.preset import PRESETS
-from trainer.run.runlog import LOG_NAME
 from trainer.run.warm import compile_kernels
 
 FRAMES, PART_FRAMES = 22, 7
@@ -76,11 +74,3 @@ def train_in_process(run: Run) -> None:
     with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
         pool.submit(compile_kernels, run.config.fit.sh_degree).result()
         pool.submit(train, run, do_here).result()
-
-
-def contents(stream: Path) -> dict[str, bytes]:
-    """The files of a stream without those only for people: pictures, and the log, which contains
-    times."""
-    names = [str(path.relative_to(stream)) for path in stream.rglob("*") if path.is_file()]
-    people = (LOG_NAME, SNAPSHOT_FOLDER)
-    return {name: (stream / name).read_bytes() for name in names if not name.startswith(people)}
