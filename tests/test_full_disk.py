@@ -10,7 +10,6 @@ import json
 import re
 import resource
 import shutil
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -21,15 +20,15 @@ import pytest
 from codec.stream import StreamReader
 from codec.stream.poster import POSTER_NAME
 from codec.tools.audit import verify_stream
-from tests.support.commands import command, environment
+from tests.support.commands import run, run_ok
 from tests.support.tiny_capture import seen_by, write_dynamic3dgs
 from tests.support.tiny_stream import tiny_manifest, write_tiny
 from trainer.run.runlog import RunLog
 
 FRAMES = 6
 TRAINING = (
-    "--num-gs", 400, "--genesis-iterations", 8, "--settle-rounds", 1, "--window-iterations", 4,
-    "--segment-frames", 2, "--snapshot-every", 1,
+    "swings-train", "capture", "trained", "--num-gs", 400, "--genesis-iterations", 8,
+    "--settle-rounds", 1, "--window-iterations", 4, "--segment-frames", 2, "--snapshot-every", 1,
 )  # fmt: skip
 
 
@@ -40,32 +39,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_dynamic3dgs(root / "capture", num_cameras=4, num_frames=FRAMES)
     manifest = replace(seen_by(tiny_manifest(), root / "capture"), poster=POSTER_NAME)
     write_tiny(root / "stream", FRAMES, manifest)
-    roomy = 1 << 30
-    done = limited(root, roomy, "swings-stream", "export", "stream", "frame.ply", "--frame", 0)
-    assert done.returncode == 0, done.stderr
-    # Fills the cache of compiled code once, because a process without room for it compiles anew.
-    for name in ("check", "sheet"):
-        _, _, (program, *arguments) = COMMANDS[name]
-        limited(root, roomy, str(program), *arguments)
-        (root / "out.png").unlink()
-    limited(root, roomy, "swings-train", "capture", "warm", *TRAINING)
-    shutil.rmtree(root / "warm")
+    run_ok("swings-stream", "export", "stream", "frame.ply", "--frame", 0, folder=root)
     return root
-
-
-def limited(
-    folder: Path, limit_bytes: int, name: str, *arguments: object
-) -> subprocess.CompletedProcess[str]:
-    """Runs the command in `folder`, where no file may be longer than `limit_bytes`."""
-    return subprocess.run(
-        command(name, *arguments),
-        cwd=folder,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=120,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limit_bytes)),
-    )
 
 
 def files(folder: Path) -> set[str]:
@@ -108,7 +83,7 @@ COMMANDS: dict[str, tuple[int, str, tuple[object, ...]]] = {
 def test_a_full_disk_is_one_line_with_the_file_and_leaves_nothing(what: str, folder: Path) -> None:
     limit_bytes, place, (name, *arguments) = COMMANDS[what]
     before = files(folder)
-    done = limited(folder, limit_bytes, str(name), *arguments)
+    done = run(str(name), *arguments, folder=folder, limits={"FSIZE": limit_bytes})
     assert done.returncode == 1, done.stderr
     *_, line = done.stderr.strip().splitlines()  # after the progress
     assert line.startswith(f"{name}: ")
@@ -118,7 +93,8 @@ def test_a_full_disk_is_one_line_with_the_file_and_leaves_nothing(what: str, fol
 
 
 def test_an_import_without_room_names_the_file(folder: Path) -> None:
-    done = limited(folder, 100, "swings-stream", "import", "frame.ply", "out")
+    words = ("swings-stream", "import", "frame.ply", "out")
+    done = run(*words, folder=folder, limits={"FSIZE": 100})
     assert done.returncode == 1
     (line,) = done.stderr.strip().splitlines()
     assert line == "swings-stream: out/manifest.json cannot be written: File too large"
@@ -132,9 +108,7 @@ def test_training_without_room_is_told_and_goes_on_later(folder: Path) -> None:
     named = set[str]()
     for limit_bytes in (4_000, 90_000):
         resume = ["--resume"] if (folder / "trained").exists() else []
-        done = limited(
-            folder, limit_bytes, "swings-train", "capture", "trained", *TRAINING, *resume
-        )
+        done = run(*TRAINING, *resume, folder=folder, limits={"FSIZE": limit_bytes})
         if done.returncode == 0:
             break
         line = done.stderr.strip().splitlines()[-1]
@@ -146,8 +120,7 @@ def test_training_without_room_is_told_and_goes_on_later(folder: Path) -> None:
         for frame in range(reader.num_frames):
             reader.active_splats(frame, reader.manifest.num_layers)
     else:
-        done = limited(folder, 1 << 30, "swings-train", "capture", "trained", *TRAINING, "--resume")
-        assert done.returncode == 0, done.stderr
+        run_ok(*TRAINING, "--resume", folder=folder)
     assert "trained/.checkpoint.npz" in named
     assert verify_stream(folder / "trained").num_frames == FRAMES
     shutil.rmtree(folder / "trained")

@@ -4,9 +4,7 @@ is allowed."""
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
-import tempfile
 from contextlib import closing
 from pathlib import Path
 
@@ -21,12 +19,12 @@ from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.script.openscene import Scene
 from player.source.directory import DirectorySource
 from player.source.opener import Opener
-from tests.support.commands import command, environment
+from tests.support.commands import run, run_ok
 from tests.support.hosted_streams import served, static_host
 from tests.support.slots.folder import slots_manifest, write_slots
 from tests.support.slots.many import NUM_GAUSSIANS, write_many
 
-LIMIT_MB = 400
+LIMIT_BYTES = 200_000_000
 
 REFUSAL = (
     r"16,777,216 Gaussians; use --max-gaussians 16777216 to read it \(about 4\.7 GB of memory\)"
@@ -42,38 +40,10 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-PEAK = """
-import atexit, re
-from pathlib import Path
-def tell():
-    # Not of `resource`, which counts what the parent had when it forked.
-    found = re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())
-    Path({file!r}).write_text(found[1])
-atexit.register(tell)
-"""
-
-
-def run_measured(name: str, *words: object) -> tuple[int, str, float]:
-    """Runs a command; returns its exit status, stderr, and peak memory in MB."""
-    with tempfile.TemporaryDirectory() as folder:
-        peak_kb = Path(folder) / "peak"
-        python, option, code, *rest = command(name, *words)
-        done = subprocess.run(
-            [python, option, PEAK.format(file=str(peak_kb)) + code, *rest],
-            env=environment(),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            timeout=240,
-        )
-        return done.returncode, done.stderr, int(peak_kb.read_text()) / 1024
-
-
 def assert_refused(name: str, *words: object) -> None:
-    status, told, peak_mb = run_measured(name, *words)
-    assert status == 1, told
-    assert re.fullmatch(rf"swings-\w+: \S+many\S* has {REFUSAL}\n", told), told
-    assert peak_mb < LIMIT_MB
+    done = run(name, *words, limits={"DATA": LIMIT_BYTES})
+    assert done.returncode == 1, done.stderr
+    assert re.fullmatch(rf"swings-\w+: \S+many\S* has {REFUSAL}\n", done.stderr), done.stderr
 
 
 def test_it_is_small(library: Path) -> None:
@@ -122,7 +92,7 @@ def test_playing_it_from_a_server(library: Path, tmp_path: Path) -> None:
         assert_refused("swings-play", f"{server.url}/watch/many", *out)
         status = Path(f"/proc/{server.process.pid}/status").read_text()
         (peak_kb,) = re.findall(r"VmHWM:\s+(\d+)", status)
-        assert int(peak_kb) / 1024 < LIMIT_MB
+        assert 1024 * int(peak_kb) < 2 * LIMIT_BYTES
 
 
 def test_in_python(library: Path) -> None:
@@ -162,15 +132,9 @@ def test_the_bound_is_the_number_that_is_given(tmp_path: Path) -> None:
         UnsupportedError, match=f"has {count} Gaussians; use --max-gaussians {count}"
     ):
         StreamReader(tmp_path / "s", count - 1)
-    status, told, _ = run_measured(
-        "swings-stream", "verify", tmp_path / "s", "--max-gaussians", count
-    )
-    assert (status, told) == (0, "")
-    status, told, _ = run_measured(
-        "swings-stream", "verify", tmp_path / "s", "--max-gaussians", count - 1
-    )
-    assert status == 1
-    assert f"has {count} Gaussians" in told
+    words = ("swings-stream", "verify", tmp_path / "s", "--max-gaussians")
+    run_ok(*words, count)
+    assert f"has {count} Gaussians" in run(*words, count - 1).stderr
 
 
 def test_a_live_stream_that_grows_beyond_the_bound(library: Path, tmp_path: Path) -> None:

@@ -10,11 +10,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tests.support.forked.commands import command_server
+from tests.support.waiting import BOUND_S
 
 ROOT = Path(__file__).parents[2]
 """The root of the repository."""
-PATIENCE_S = 600.0
-"""Time after which a command counts as hanging, even on a slow machine beside other tests."""
 ENTRY = {
     "swings-synth": "trainer.__main__:synth",
     "swings-train": "trainer.__main__:train",
@@ -40,25 +39,28 @@ def environment() -> dict[str, str]:
 
 
 def run(
-    name: str, *arguments: object, timeout_s: float = PATIENCE_S, folder: Path | None = None
+    name: str,
+    *arguments: object,
+    timeout_s: float | None = None,
+    folder: Path | None = None,
+    limits: dict[str, int] | None = None,
 ) -> subprocess.CompletedProcess[str]:
     """Runs the command as a process of its own, forked from one that has imported all commands. Its
-    working directory is `folder`, or the test's."""
+    working directory is `folder`, or the test's. limits: see Request. pytest ends a hang."""
     variables = environment()
     server = command_server(os.getpid())
     argv, words = command(name, *arguments), [*map(str, arguments)]
     if server.suits(variables):
-        return server.run(ENTRY[name], argv, words, variables, timeout_s, folder)
+        return server.run(ENTRY[name], argv, words, variables, timeout_s, folder, limits)
+    assert not limits
     return subprocess.run(
         argv, cwd=folder, env=variables, capture_output=True, text=True, timeout=timeout_s
     )
 
 
-def run_ok(
-    name: str, *arguments: object, timeout_s: float = PATIENCE_S, folder: Path | None = None
-) -> str:
+def run_ok(name: str, *arguments: object, folder: Path | None = None) -> str:
     """Runs the command; returns its standard output. Fails the test unless it exits with 0."""
-    done = run(name, *arguments, timeout_s=timeout_s, folder=folder)
+    done = run(name, *arguments, folder=folder)
     assert done.returncode == 0, f"{name} {arguments}: {done.stderr[-2000:]}"
     return done.stdout
 
@@ -94,5 +96,5 @@ def serving(
         yield ready.split()[1]
     finally:
         process.terminate()
-        process.wait(timeout=20)
+        process.wait(timeout=BOUND_S)
         process.stdout.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import os
 import select
 import signal
@@ -46,16 +47,26 @@ class CommandServer:
         argv: list[str],
         arguments: list[str],
         environment: dict[str, str],
-        timeout_s: float,
+        timeout_s: float | None,
         folder: Path | None = None,
+        limits: dict[str, int] | None = None,
     ) -> subprocess.CompletedProcess[str]:
         """Like subprocess.run with text output. After `timeout_s` it kills the command and raises
-        TimeoutExpired."""
+        TimeoutExpired. limits: see Request; the output of a command with limits fits in a pipe."""
         assert self._process.stdin is not None
-        with tempfile.TemporaryDirectory() as made:
+        with tempfile.TemporaryDirectory() as made, contextlib.ExitStack() as stack:
             out, err = Path(made) / "out", Path(made) / "err"
+            for path in (out, err) if limits else ():
+                os.mkfifo(path)  # a limit of files is not one of the output
+            flags = os.O_RDWR | os.O_CREAT | os.O_NONBLOCK
+            outputs = [
+                stack.enter_context(open(os.open(path, flags, 0o600), "rb", buffering=0))
+                for path in (out, err)
+            ]
             where = str(folder or os.getcwd())
-            request = Request(entry, argv, arguments, environment, where, str(out), str(err))
+            request = Request(
+                entry, argv, arguments, environment, where, str(out), str(err), limits or {}
+            )
             self._process.stdin.write(request.to_line().encode())
             self._process.stdin.flush()
             pid = None
@@ -64,7 +75,10 @@ class CommandServer:
                 assert pid is not None
                 status = self._answer(timeout_s)
                 if status is None:
+                    assert timeout_s is not None
                     raise subprocess.TimeoutExpired(argv, timeout_s)
+                said = [(file.read() or b"").decode() for file in outputs]
+                return subprocess.CompletedProcess(argv, status, *said)
             except BaseException:
                 # A test's time limit can end it anywhere; its answers are not for the next command.
                 if pid is not None:
@@ -72,9 +86,8 @@ class CommandServer:
                 self.close()
                 command_server.cache_clear()
                 raise
-            return subprocess.CompletedProcess(argv, status, out.read_text(), err.read_text())
 
-    def _answer(self, timeout_s: float) -> int | None:
+    def _answer(self, timeout_s: float | None) -> int | None:
         """The next number that the server prints; None if it does not arrive in time."""
         assert self._process.stdout is not None
         if not select.select([self._process.stdout], [], [], timeout_s)[0]:

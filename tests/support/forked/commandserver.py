@@ -11,10 +11,13 @@ import atexit
 import importlib
 import json
 import os
+import re
+import resource
 import sys
 import threading
 import traceback
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 PRELOADED = (
     "numba",
@@ -44,9 +47,24 @@ class Request:
     out: str
     """File for the standard output."""
     err: str
+    limits: dict[str, int]
+    """Bytes of FSIZE, the longest file, and of DATA, the memory on top of the server's."""
 
     def to_line(self) -> str:
         return json.dumps(asdict(self)) + "\n"
+
+
+def set_limits(limits: dict[str, int]) -> None:
+    """Limits this process. Linux only."""
+    # Python 3.11 keeps half a .pyc if there is no room for the other half.
+    sys.dont_write_bytecode = bool(limits)
+    for name, limit in limits.items():
+        if name == "DATA":
+            found = re.search(r"VmData:\s+(\d+) kB", Path("/proc/self/status").read_text())
+            assert found
+            limit += 1024 * int(found[1])
+        kind = getattr(resource, f"RLIMIT_{name}")
+        resource.setrlimit(kind, (limit, limit))
 
 
 def exit_status(code: object) -> int:
@@ -65,6 +83,7 @@ def run(request: Request) -> int:
         opened = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         os.dup2(opened, number)
         os.close(opened)
+    set_limits(request.limits)
     os.environ.clear()
     os.environ.update(request.environment)
     os.chdir(request.folder)

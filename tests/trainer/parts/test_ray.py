@@ -22,9 +22,9 @@ import pytest
 from bench.parts import WORKER, cluster_of, processes
 from codec.errors import InvalidError
 from codec.tools.audit import verify_stream
-from tests.support.commands import PATIENCE_S, environment, run, run_ok, started
+from tests.support.commands import environment, run, run_ok, started
 from tests.support.parts import FRAMES, SETTINGS, capture_of, contents, run_of, train_in_process
-from tests.support.waiting import wait_until
+from tests.support.waiting import BOUND_S, wait_until
 from trainer.parts.raytask import do_task, task_result
 from trainer.parts.task import STATE_FOLDER, Kind, Run, Task
 from trainer.run import warm
@@ -89,7 +89,7 @@ def test_two_captures_on_a_cluster_with_killed_workers_make_the_stream_of_one_pr
             for stream in streams
         ]
         for driver in runs:
-            said += driver.communicate(timeout=PATIENCE_S)[1]
+            said += driver.communicate(timeout=BOUND_S)[1]
             assert driver.returncode == 0, said
     assert min(killed) > 0
     assert re.search(r"^worker process \d+ on node [\d.]+ was killed", said, re.MULTILINE)
