@@ -4,9 +4,11 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests.support.suite.once import made_once
 from tests.support.web.browsercode import BrowserCode, running_code
 from tests.support.web.chromium import Page, running_chromium, why_not
 from tests.support.web.nodeprocess import NODE
+from tests.support.web.site import Site, player_host, write_streams
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +22,7 @@ def browser() -> Iterator[BrowserCode]:
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Page]:
-    """Chromium, with one page at a time."""
+    """Chromium, started once for each process of the suite, with one page at a time."""
     reason = why_not()
     if reason is not None:
         pytest.skip(reason)
@@ -28,8 +30,18 @@ def chromium() -> Iterator[Page]:
         yield running
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def page(chromium: Page) -> Iterator[Page]:
-    """A page in Chromium."""
+    """A page in Chromium. A test whose page complains fails, unless it expects that."""
     yield chromium
     chromium.close()  # a page that keeps playing would slow down all other tests
+    assert chromium.take_complaints() == []
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    folder = tmp_path_factory.mktemp("site")
+    for path in made_once(tmp_path_factory, "web-site", write_streams).iterdir():
+        (folder / path.name).symlink_to(path)
+    with player_host(folder) as url:
+        yield Site(url, folder)

@@ -1,22 +1,38 @@
 /**
- * Drives a page in Chromium as a person would, for the tests: one JSON object a line in, one out.
+ * Drives a page in a browser as a person would, for the tests: one JSON object a line in, one out.
  */
 import { readFile } from "node:fs/promises";
 import { createInterface } from "node:readline";
 
-import { chromium } from "playwright-core";
+import * as playwright from "playwright-core";
 
-const [executablePath] = process.argv.slice(2);
-const browser = await chromium.launch({
-  executablePath,
-  args: ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"],
-});
+/**
+ * Starts a browser; nothing else does. Another kind needs its arguments here, and its path in
+ * tests/support/web/chromium.py.
+ */
+async function launch(/** @type {"chromium"} */ kind, /** @type {string} */ executablePath) {
+  const args = {
+    chromium: ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"],
+  }[kind];
+  return playwright[kind].launch({ executablePath, args });
+}
+
+const [kind, executablePath, boundS] = process.argv.slice(2);
+const BOUND_MS = 1000 * Number(boundS);
+const browser = await launch(/** @type {"chromium"} */ (kind), executablePath);
+/** Names that the code of `run` and `wait` may use. */
+const NAMES = `
+  const element = document.querySelector("swings-player");
+  const player = element?.player;
+  const state = player?.state;
+  const part = (selector) => element?.shadowRoot?.querySelector(selector);
+`;
 /** @type {import("playwright-core").Page} */
 let page;
 /** @type {import("playwright-core").Page | import("playwright-core").Frame} the page, or a frame in it */
 let scene;
-/** @type {string[]} */
-let complaints = [];
+/** @type {string[]} errors and warnings of all pages since they were last asked for */
+const complaints = [];
 
 /** @type {Record<string, (question: any) => unknown>} */
 const ACTIONS = {
@@ -27,7 +43,6 @@ const ACTIONS = {
     const context = await browser.newContext({ viewport, hasTouch: touch, ...options });
     for (const path of scripts) await context.addInitScript({ path });
     page = await context.newPage();
-    complaints = [];
     page.on("pageerror", (error) => complaints.push(`${error.stack}`));
     page.on("console", (message) => {
       if (!["error", "warning"].includes(message.type())) return;
@@ -61,20 +76,25 @@ const ACTIONS = {
    * page may forbid that it makes code of text.
    */
   async run({ code, value }) {
-    return scene.evaluate(`(async (value) => {${code}})(${JSON.stringify(value ?? null)})`);
+    const text = JSON.stringify(value ?? null);
+    return scene.evaluate(`(async (value) => {${NAMES}{${code}}})(${text})`);
   },
+  /** Waits until the expression is true; an error means that it is not yet. */
   async wait({ code, timeoutS }) {
+    const text = `(() => {${NAMES} try { return Boolean(${code}) } catch (e) { return e.message } })()`;
     const endMs = performance.now() + 1000 * timeoutS;
-    while (!(await scene.evaluate(`Boolean(${code})`))) {
-      if (performance.now() > endMs) throw new Error(`after ${timeoutS} s still not: ${code}`);
-      await new Promise((resolve) => setTimeout(resolve, 50));
+    for (;;) {
+      const found = await scene.evaluate(text);
+      if (found === true) return;
+      if (performance.now() > endMs) throw new Error(`${found} after ${timeoutS} s: ${code}`);
+      await new Promise((resolve) => setTimeout(resolve, 30));
     }
   },
   async press({ key }) {
     await page.keyboard.press(key);
   },
   async click({ selector }) {
-    await scene.click(selector, { timeout: 5000 });
+    await scene.click(selector, { timeout: BOUND_MS });
   },
   async tap({ atPx }) {
     await page.touchscreen.tap(atPx[0], atPx[1]);
@@ -183,6 +203,9 @@ const ACTIONS = {
   },
   complaints() {
     return complaints;
+  },
+  takeComplaints() {
+    return complaints.splice(0);
   },
 };
 

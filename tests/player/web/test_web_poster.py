@@ -11,12 +11,10 @@ from PIL import Image
 from codec.files import write_atomic
 from codec.stream import StreamReader
 from codec.tools.static import export_static
-from tests.support.commands import ROOT
-from tests.support.hosted_streams import static_host, write_stream
+from tests.support.hosted_streams import write_stream
 from tests.support.web.chromium import Page
+from tests.support.web.site import player_host, watch
 
-PLAYER = "document.querySelector('swings-player')"
-POSTER = f"{PLAYER}.shadowRoot.querySelector('.poster')"
 NAME = "art/still #1.jpg"
 
 
@@ -32,18 +30,15 @@ def test_a_poster_shows_until_the_first_frame_and_may_be_missing(
     for name, missing in (("unplayable", "segments"), ("bare", "art")):
         shutil.copytree(tmp_path / "good", tmp_path / name)
         shutil.rmtree(tmp_path / name / missing)
-    (tmp_path / "web").symlink_to(ROOT / "player" / "web")
-    with static_host(tmp_path) as url:
-        page.open(f"{url}/web/watch.html?src=../unplayable&autoplay=0", 320, 240)
-        page.wait(f"{POSTER}?.naturalWidth === 64")
-        assert (
-            page.run(f"return {POSTER}.checkVisibility() && getComputedStyle({POSTER}).opacity")
-            == "1"
-        )
-        page.open(f"{url}/web/watch.html?src=../good&autoplay=0", 320, 240)
-        page.wait(f"{PLAYER}?.player?.shownFrame >= 0", 60)
-        page.wait(f"getComputedStyle({POSTER}).opacity === '0'")
-        assert page.run(f"return {POSTER}.naturalWidth") == 64
-        page.open(f"{url}/web/watch.html?src=../bare&autoplay=0", 320, 240)
-        page.wait(f"{PLAYER}?.player?.shownFrame >= 0", 60)
-        page.wait(f"{POSTER}.hidden")
+    page.expect("404")
+    opacity = "getComputedStyle(part('.poster')).opacity"
+    with player_host(tmp_path) as url:
+        address = f"{url}/player/watch.html?autoplay=0&src=.."
+        page.open(f"{address}/unplayable")
+        page.wait("part('.poster').naturalWidth === 64")
+        assert page.value(f"part('.poster').checkVisibility() && {opacity}") == "1"
+        watch(page, f"{address}/good")
+        page.wait(f"{opacity} === '0'")
+        assert page.value("part('.poster').naturalWidth") == 64
+        watch(page, f"{address}/bare")
+        page.wait("part('.poster').hidden")

@@ -1,4 +1,4 @@
-"""A page in Chromium, driven by playwright-core like by a user."""
+"""A page in a browser, driven by playwright-core like by a user."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from tests.support.waiting import BOUND_S
 from tests.support.web.nodeprocess import NODE, SCRIPTS, Json, NodeProcess, running_script
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -26,6 +27,7 @@ class Page:
 
     def __init__(self, node: NodeProcess) -> None:
         self._node = node
+        self._expected: list[str] = []
 
     def _do(self, kind: str, **question: object) -> Json:
         answer = self._node.answer(kind, question)
@@ -60,11 +62,16 @@ class Page:
         self._do("enter", part=part)
 
     def run(self, code: str, value: object = None) -> Json:
-        """The result of `code`, the body of an async function of `value`."""
+        """The result of `code`, the body of an async function of `value`. It may name the `element`
+        <swings-player>, its `player` and `state`, and a `part(selector)` of its shadow tree."""
         return self._do("run", code=code, value=value)
 
-    def wait(self, code: str, timeout_s: float = 60) -> None:
-        """Waits until the expression `code` is true."""
+    def value(self, code: str) -> Json:
+        """The value of the expression `code`, which may name what `run` may."""
+        return self.run(f"return {code}")
+
+    def wait(self, code: str, timeout_s: float = BOUND_S) -> None:
+        """Waits until the expression `code` is true, which may name what `run` may."""
         self._do("wait", code=code, timeoutS=timeout_s)
 
     def press(self, key: str) -> None:
@@ -116,13 +123,23 @@ class Page:
 
     @property
     def complaints(self) -> list[str]:
-        """Errors and warnings of the page."""
+        """Errors and warnings of the pages that were opened since they were last taken."""
         found: list[str] = self._do("complaints")
         return found
+
+    def expect(self, *texts: str) -> None:
+        """Complaints with any of `texts` are expected; see `take_complaints`."""
+        self._expected += texts
+
+    def take_complaints(self) -> list[str]:
+        """The complaints that nothing expected; forgets them, and what was expected."""
+        expected, self._expected = self._expected, []
+        found: list[str] = self._do("takeComplaints")
+        return [line for line in found if not any(text in line for text in expected)]
 
 
 @contextmanager
 def running_chromium() -> Iterator[Page]:
     assert CHROMIUM is not None
-    with running_script("drive.mjs", CHROMIUM) as node:
+    with running_script("drive.mjs", "chromium", CHROMIUM, f"{BOUND_S}") as node:
         yield Page(node)
