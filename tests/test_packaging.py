@@ -7,6 +7,10 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
+from functools import cache
+from graphlib import TopologicalSorter
+from itertools import accumulate
 from pathlib import Path
 
 import pytest
@@ -28,11 +32,23 @@ def python_files(folder: str) -> list[Path]:
     return sorted((ROOT / folder).rglob("*.py"))
 
 
-def imported_modules(file: Path) -> set[str]:
-    """Full names of all modules that `file` imports, with relative ones resolved."""
+def run_on_import(node: ast.AST) -> Iterator[ast.AST]:
+    """The nodes below `node` that run when its module is imported."""
+    for child in ast.iter_child_nodes(node):
+        for_types = isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)
+        if not for_types and not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield child
+            yield from run_on_import(child)
+
+
+@cache
+def imported_modules(file: Path, on_import: bool = False) -> set[str]:
+    """Full names of all modules that `file` imports, with relative ones resolved. on_import: only
+    those that importing it imports."""
     package = file.relative_to(ROOT).parent.parts
     names: set[str] = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    for node in run_on_import(tree) if on_import else ast.walk(tree):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -162,26 +178,37 @@ def test_what_is_simulated_is_pure(folder: str) -> None:
         assert not tops & NO_IO, f"{file.relative_to(ROOT)} imports {tops & NO_IO}"
 
 
-@pytest.mark.slow
-def test_there_is_no_circle_and_every_module_imports_alone() -> None:
-    modules = [
-        ".".join(f.relative_to(ROOT).with_suffix("").parts)
-        for folder in HOUSE
-        for f in python_files(folder)
-        if f.name not in ("__init__.py", "__main__.py")
-    ]
+def module_name(file: Path) -> str:
+    return ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def test_no_module_imports_itself_in_a_circle() -> None:
+    """So each of them can be imported first; `deep` imports them so."""
+    files = [file for folder in HOUSE for file in python_files(folder)]
+    modules = {module_name(file) for file in files}
+    needed: dict[str, set[str]] = {}
+    for file in files:
+        name, named = module_name(file), imported_modules(file, on_import=True)
+        from_packages = {module.rpartition(".")[0] for module in named & modules}
+        needed[name] = named & modules - from_packages
+        for module in named & modules:
+            parents = accumulate(module.split(".")[:-1], "{}.{}".format)
+            needed[name] |= {parent for parent in parents if not is_within(name, parent)}
+    TopologicalSorter(needed).prepare()
+
+
+@pytest.mark.deep
+def test_every_module_imports_alone() -> None:
+    modules = [module_name(file) for folder in HOUSE for file in python_files(folder)]
     # One new interpreter; each module is loaded with none of ours in memory.
     code = (
         "import importlib, sys\n"
         f"for name in {modules!r}:\n"
-        "    for loaded in [m for m in sys.modules if m.split('.')[0] in "
-        f"{HOUSE!r}]:\n"
+        f"    for loaded in [m for m in sys.modules if m.split('.')[0] in {HOUSE!r}]:\n"
         "        del sys.modules[loaded]\n"
         "    importlib.import_module(name)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=240
-    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
 
 
@@ -196,6 +223,27 @@ def test_no_catch_all_modules_and_short_commands() -> None:
 def test_no_test_folder_wears_a_package_name() -> None:
     # tests/codec/__init__.py would be imported as `codec` and hide the real one.
     assert not [name for name in HOUSE if (ROOT / "tests" / name / "__init__.py").exists()]
+
+
+def test_a_test_sleeps_for_a_reason_and_is_of_three_kinds() -> None:
+    """docs/TESTING.md says which kinds there are."""
+    of_pytest = {
+        "anyio",
+        "filterwarnings",
+        "parametrize",
+        "skipif",
+        "timeout",
+        "usefixtures",
+        "xfail",
+    }
+    for file in (*python_files("tests"), *ROOT.glob("tests/**/*.mjs"), *ROOT.glob("tests/**/*.js")):
+        if "node_modules" in file.parts:
+            continue
+        text = file.read_text(encoding="utf-8")
+        for line in text.splitlines():
+            assert not re.search(r"sleep\(", line) or re.search(r"(#|//) sleeps: ", line), file
+        marks = set(re.findall(r"pytest\.mark\.(\w+)", text)) - of_pytest
+        assert marks <= {"realtime", "deep"}, file
 
 
 def test_what_git_would_ship_is_not_ignored() -> None:
