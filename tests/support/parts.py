@@ -1,14 +1,13 @@
-"""A tiny run in parts, and one process that executes all its tasks."""
+"""A tiny run in parts, and one process that does all its tasks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
-import tyro
+import pytest
 
+from tests.support.suite.once import made_once
 from tests.support.tiny_capture import write_dynamic3dgs
 from trainer.parts.joiner import Joiner
 from trainer.parts.raydriver import plan
@@ -16,13 +15,13 @@ from trainer.parts.task import Kind, Run, Task
 from trainer.parts.worker import opened_worker
 from trainer.run.config import TrainConfig
 from trainer.run.prepare import prepare
-from trainer.run.preset import PRESETS
-from trainer.run.warm import compile_kernels
+from trainer.run.preset import parse_with_preset
 
-FRAMES, PART_FRAMES = 22, 7
+FRAMES = 14
+"""Two parts: of 8 frames, of which the last 4 are not the first part's to say, and of 6."""
 SETTINGS = (
-    "--num-gs", 200, "--genesis-iterations", 40, "--settle-rounds", 1, "--window-iterations", 20,
-    "--segment-frames", 2, "--seam-frames", 3, "--warm-frames", 2, "--part-frames", PART_FRAMES,
+    "--num-gs", 100, "--genesis-iterations", 40, "--settle-rounds", 1, "--window-iterations", 20,
+    "--segment-frames", 2, "--seam-frames", 3, "--warm-frames", 2, "--part-frames", 7,
     "--mcmc.relocate-period", 5, "--title", "parts", "--lease.trade-share", 0.05,
 )  # fmt: skip
 
@@ -31,21 +30,20 @@ class DiedError(Exception):
     """Stands for a worker's death."""
 
 
-def capture_of(folder: Path) -> Path:
-    """Writes a capture into `folder`."""
-    write_dynamic3dgs(folder / "capture", num_cameras=4, num_frames=FRAMES)
-    return folder / "capture"
+def capture_of(factory: pytest.TempPathFactory) -> Path:
+    def make(folder: Path) -> None:
+        write_dynamic3dgs(folder / "capture", num_cameras=4, num_frames=FRAMES)
+
+    return made_once(factory, "capture of parts", make) / "capture"
 
 
 def run_of(capture: Path | str, stream: Path | str) -> Run:
-    args = [str(word) for word in (capture, stream, *SETTINGS)]
-    config = tyro.cli(PRESETS["cpu"], args=args)
-    assert isinstance(config, TrainConfig)
+    config = parse_with_preset(TrainConfig, [str(word) for word in (capture, stream, *SETTINGS)])
     return plan(config, prepare(config))
 
 
 def train(run: Run, do: Callable[[Task], None]) -> None:
-    """Executes all tasks, and joins the pieces as soon as they are there."""
+    """Does all tasks, and joins the pieces as soon as they are there."""
     joiner = Joiner(run)
     for task in run.tasks:
         do(task)
@@ -59,7 +57,7 @@ def train(run: Run, do: Callable[[Task], None]) -> None:
 def do_here(
     task: Task, report: Callable[[int], None] = lambda iterations: None, keep_s: float = 60.0
 ) -> None:
-    """Executes a task in this process, and repeats it until it is done."""
+    """Does a task in this process, again and again until it is done."""
     while True:
         try:
             with opened_worker(task, report, keep_s) as worker:
@@ -67,10 +65,3 @@ def do_here(
             return
         except DiedError:
             pass
-
-
-def train_in_process(run: Run) -> None:
-    """Executes all tasks in one process, after another one has compiled all kernels."""
-    with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
-        pool.submit(compile_kernels, run.config.fit.sh_degree).result()
-        pool.submit(train, run, do_here).result()

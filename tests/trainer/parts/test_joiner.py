@@ -15,7 +15,6 @@ from codec.stream.writer import SHAPE
 from codec.tools.audit import verify_stream
 from codec.tools.streamsound import add_sound
 from tests.support.hosted_streams import write_stream
-from tests.support.parts import FRAMES, PART_FRAMES
 from tests.support.sounding import write_clicks
 from tests.support.tiny_capture import write_dynamic3dgs
 from trainer.capture.layout import open_capture
@@ -27,7 +26,7 @@ from trainer.run.capturesound import SOURCE, CaptureSound, capture_sound
 from trainer.run.config import TrainConfig
 
 FPS = 10.0
-SEGMENT_FRAMES = 2
+FRAMES, PART_FRAMES, SEGMENT_FRAMES = 22, 7, 2
 
 
 @pytest.fixture

@@ -12,7 +12,9 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
+from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,7 +25,8 @@ from bench.parts import WORKER, cluster_of, processes
 from codec.errors import InvalidError
 from codec.tools.audit import verify_stream
 from tests.support.commands import environment, run, run_ok, started
-from tests.support.parts import FRAMES, SETTINGS, capture_of, contents, run_of, train_in_process
+from tests.support.parts import FRAMES, SETTINGS, capture_of, do_here, run_of, train
+from tests.support.trainings import contents
 from tests.support.waiting import BOUND_S, wait_until
 from trainer.parts.raytask import do_task, task_result
 from trainer.parts.task import STATE_FOLDER, Kind, Run, Task
@@ -34,7 +37,7 @@ from trainer.run.runlog import LOG_NAME
 
 pytest.importorskip("ray", reason="ray is not installed")
 # Ray starts a dozen processes for each cluster, and gives up if they need more than 30 s.
-pytestmark = [pytest.mark.quiet, pytest.mark.timeout(1800)]
+on_a_cluster = pytest.mark.deep
 
 CONFIG = TrainConfig("capture", "stream")
 KILLS = 5
@@ -44,14 +47,17 @@ TALLY = b"ray::Tally"
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return capture_of(tmp_path_factory.mktemp("ray"))
+    return capture_of(tmp_path_factory)
 
 
 @pytest.fixture(scope="module")
-def one(capture: Path) -> Path:
-    """The stream trained by one process."""
-    stream = capture.parent / "one"
-    train_in_process(run_of(capture, stream))
+def one(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The stream trained by one process, after another one has compiled all kernels."""
+    stream = tmp_path_factory.mktemp("ray") / "one"
+    run = run_of(capture, stream)
+    with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
+        pool.submit(warm.compile_kernels, run.config.fit.sh_degree).result()
+        pool.submit(train, run, do_here).result()
     return stream
 
 
@@ -77,7 +83,7 @@ def killer(words: list[bytes], seed: int) -> Iterator[list[int]]:
         thread.join()
 
 
-@pytest.mark.slow
+@on_a_cluster
 def test_two_captures_on_a_cluster_with_killed_workers_make_the_stream_of_one_process(
     capture: Path, one: Path, tmp_path: Path
 ) -> None:
@@ -108,7 +114,7 @@ def stop_at(file: str, number: signal.Signals, stream: Path, arguments: list[obj
     """Trains until a worker has written `file`, then ends the driver by a signal."""
     driver = started("swings-train", *arguments)
     left = stream / STATE_FOLDER / file
-    wait_until(lambda: left.exists() or driver.poll() is not None, 120)
+    wait_until(lambda: left.exists() or driver.poll() is not None)
     assert left.exists(), driver.communicate()[1]
     driver.send_signal(number)
     said = driver.communicate()[1]
@@ -119,7 +125,7 @@ def stop_at(file: str, number: signal.Signals, stream: Path, arguments: list[obj
         assert "--resume continues from there" in said
 
 
-@pytest.mark.slow
+@on_a_cluster
 def test_a_run_that_is_stopped_goes_on_with_what_is_there(
     capture: Path, one: Path, tmp_path: Path
 ) -> None:
@@ -136,7 +142,7 @@ def test_a_run_that_is_stopped_goes_on_with_what_is_there(
     assert contents(stream) == contents(one)
 
 
-@pytest.mark.slow
+@on_a_cluster
 def test_what_a_worker_cannot_train_is_one_line(capture: Path, tmp_path: Path) -> None:
     damaged = tmp_path / "capture"
     shutil.copytree(capture, damaged)
@@ -149,6 +155,7 @@ def test_what_a_worker_cannot_train_is_one_line(capture: Path, tmp_path: Path) -
     assert "Traceback" not in done.stderr
 
 
+@on_a_cluster
 def test_a_cluster_of_this_machine_alone_is_a_new_one_that_others_cannot_use() -> None:
     code = """
 import os, subprocess, sys
@@ -209,18 +216,21 @@ def test_what_ray_gives_up_on_is_one_line() -> None:
         assert "\n" not in str(found.value)
 
 
-def test_what_no_cluster_can_train_is_one_line(capture: Path, tmp_path: Path) -> None:
-    cases: list[tuple[list[object], str]] = [
-        (["--swin-size", 5, "--num-gs", 200], "--swin-size 1"),
-        (["--whole-slices"], "--no-whole-slices"),
-        (["--ray", "127.0.0.1:9"], "127.0.0.1:9"),
-        (["--part-frames", 3], "part_frames 3"),
-        (["--resume"], "no run with --ray was started there"),
-    ]
-    for arguments, word in cases:
-        given = arguments if "--ray" in arguments else [*arguments, "--ray"]
-        done = run("swings-train", capture, tmp_path / "none", *SETTINGS, *given)
-        assert done.returncode == 1, done.stderr
-        assert done.stderr.count("\n") == 1, done.stderr
-        assert word in done.stderr, done.stderr
-        assert not (tmp_path / "none").exists()
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("--swin-size", 5), "--swin-size 1"),
+        (("--whole-slices",), "--no-whole-slices"),
+        (("--part-frames", 3), "part_frames 3"),
+        pytest.param(("--ray", "127.0.0.1:9"), "127.0.0.1:9", marks=on_a_cluster),
+        pytest.param(("--resume",), "no run with --ray was started there", marks=on_a_cluster),
+    ],
+)
+def test_what_no_cluster_can_train_is_one_line(
+    arguments: tuple[object, ...], word: str, capture: Path, tmp_path: Path
+) -> None:
+    given = arguments if "--ray" in arguments else [*arguments, "--ray"]
+    done = run("swings-train", capture, tmp_path / "none", *SETTINGS, *given)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
+    assert word in done.stderr
+    assert not (tmp_path / "none").exists()

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import random
 import shutil
-import signal
+from collections import defaultdict
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -16,30 +14,42 @@ import pytest
 from codec.stream import StreamReader
 from codec.stream.seeker import roll
 from codec.tools.audit import verify_stream
-from tests.support.parts import (
-    FRAMES,
-    DiedError,
-    capture_of,
-    contents,
-    do_here,
-    run_of,
-    train,
-)
+from tests.support.parts import FRAMES, DiedError, capture_of, do_here, run_of, train
 from tests.support.stores.s3_server import BUCKET, s3_server
+from tests.support.suite.once import made_once
+from tests.support.trainings import contents
 from trainer.parts.joiner import Joiner
 from trainer.parts.task import STATE_FOLDER, Kind, Task
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return capture_of(tmp_path_factory.mktemp("parts"))
+    return capture_of(tmp_path_factory)
 
 
-@pytest.fixture(scope="module")
-def stream(capture: Path) -> Path:
-    path = capture.parent / "stream"
-    train(run_of(capture, path), do_here)
-    return path
+@pytest.fixture(scope="session")
+def trained(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the stream, and with `pieces`: all that workers left before they were joined,
+    in a stream whose driver died after genesis."""
+
+    def make(folder: Path) -> None:
+        run = run_of(capture, folder / "pieces")
+        for task in run.tasks:
+            do_here(task)
+            if task.kind is Kind.GENESIS:
+                Joiner(run).begin(resumed=False)
+        shutil.copytree(folder / "pieces", folder / "stream")
+        joiner = Joiner(run_of(capture, folder / "stream"))
+        joiner.begin(resumed=False)
+        assert len(list(joiner.go_on())) == len(run.tasks) - 1
+        joiner.finish()
+
+    return made_once(tmp_path_factory, "parts", make)
+
+
+@pytest.fixture(scope="session")
+def stream(trained: Path) -> Path:
+    return trained / "stream"
 
 
 def test_parts_make_one_valid_stream(capture: Path, stream: Path) -> None:
@@ -47,7 +57,7 @@ def test_parts_make_one_valid_stream(capture: Path, stream: Path) -> None:
     assert (audit.num_frames, audit.live) == (FRAMES, False)
     assert not (stream / STATE_FOLDER).exists()
     run = run_of(capture, stream.parent / "other")
-    assert [part.end_frame for part in run.parts] == [8, 16, 22]
+    assert [part.end_frame for part in run.parts] == [8, 14]
 
 
 def test_to_join_anywhere_is_to_have_played_from_the_beginning(stream: Path) -> None:
@@ -62,38 +72,32 @@ def test_to_join_anywhere_is_to_have_played_from_the_beginning(stream: Path) -> 
         assert np.array_equal(joined.start_offsets, played.start_offsets)
 
 
-@pytest.mark.parametrize("keep_s", [0.0, 60.0])
-def test_workers_that_die_leave_the_same_stream(
-    capture: Path, stream: Path, tmp_path: Path, keep_s: float
+def test_workers_that_die_before_a_checkpoint_leave_the_same_stream(
+    capture: Path, stream: Path, tmp_path: Path
 ) -> None:
-    """The test runs with a checkpoint at every possible moment, and without any."""
     rng = random.Random(3)
-    left = 20
+    left = 10
 
     def die(iterations: int) -> None:
         nonlocal left
-        if left and rng.random() < 0.5:
+        if left and rng.random() < 0.3:
             left -= 1
             raise DiedError
 
     path = tmp_path / "stream"
-    train(run_of(capture, path), partial(do_here, report=die, keep_s=keep_s))
+    train(run_of(capture, path), partial(do_here, report=die))
     assert left == 0
     assert contents(path) == contents(stream)
 
 
 def test_a_driver_that_died_at_any_moment_is_gone_on_from(
-    capture: Path, stream: Path, tmp_path: Path
+    capture: Path, trained: Path, tmp_path: Path
 ) -> None:
-    whole = tmp_path / "whole"
-    run = run_of(capture, whole)
-    for task in run.tasks:
-        do_here(task)
-        if task.kind is Kind.GENESIS:
-            Joiner(run).begin(resumed=False)
-    for num_bytes in range(0, len((stream / "index.bin").read_bytes()) + 1, 200):
-        shutil.copytree(whole, path := tmp_path / "died")
-        (path / "index.bin").write_bytes((stream / "index.bin").read_bytes()[:num_bytes])
+    stream, path = trained / "stream", tmp_path / "died"
+    index = (stream / "index.bin").read_bytes()
+    for num_bytes in range(0, len(index) + 1, 200):
+        shutil.copytree(trained / "pieces", path)
+        (path / "index.bin").write_bytes(index[:num_bytes])
         joiner = Joiner(run_of(capture, path))
         found = joiner.begin(resumed=True)
         new = [record for _, records in joiner.go_on() for record in records]
@@ -103,57 +107,43 @@ def test_a_driver_that_died_at_any_moment_is_gone_on_from(
         shutil.rmtree(path)
 
 
-def test_from_store_to_store_are_the_bytes_of_folders(capture: Path, stream: Path) -> None:
+WARM, IN_SEAM = 20, 40
+"""Iterations of a window, and of a window in a seam."""
+DEATHS = {
+    "genesis": [(40, 20), (60, 40)],  # before, and in a settle round
+    "part-0": [(5 * WARM, 4 * WARM)],  # in a segment
+    # In the warm-up, and in the approach.
+    "part-1": [(2 * WARM, 1 * WARM), (2 * WARM + 3 * IN_SEAM, 2 * WARM + 2 * IN_SEAM)],
+    "seam-1": [(2 * IN_SEAM, 1 * IN_SEAM), (3 * IN_SEAM, 2 * IN_SEAM)],  # in a segment, after one
+}
+"""Iterations after which a task dies, and those that it goes on after."""
+
+
+def test_from_store_to_store_tasks_that_die_go_on_from_their_checkpoints(
+    capture: Path, stream: Path
+) -> None:
+    begun = defaultdict[str, list[int]](list)
+
+    def do(task: Task) -> None:
+        deaths, is_new = [killed_at for killed_at, _ in DEATHS[task.name]], True
+
+        def report(done: int) -> None:
+            nonlocal is_new
+            if is_new:
+                begun[task.name].append(done)
+                is_new = False
+            if deaths and done >= deaths[0]:
+                del deaths[0]
+                is_new = True
+                raise DiedError
+            assert done <= task.iterations
+
+        do_here(task, report, keep_s=0.0)
+
     with s3_server() as server:
         server.upload(capture, "captures/one")
         url = f"s3://{BUCKET}/streams/one"
-        train(run_of(f"s3://{BUCKET}/captures/one", url), do_here)
+        train(run_of(f"s3://{BUCKET}/captures/one", url), do)
         assert server.files("streams/one") == contents(stream)
         assert not verify_stream(url).live
-
-
-def do_until_killed(task: Task, iterations: int) -> None:
-    """Executes a task in this process, which is ended by SIGKILL after `iterations`."""
-
-    def kill(done: int) -> None:
-        if done >= iterations:
-            os.kill(os.getpid(), signal.SIGKILL)
-
-    do_here(task, kill, keep_s=0.0)
-
-
-WARM, IN_SEAM = 20, 40
-"""Iterations of a window, and of a window in a seam."""
-
-
-@pytest.mark.parametrize(
-    ("name", "killed_at", "resumed_at"),
-    [
-        ("genesis", 40, 20),
-        ("genesis", 60, 40),  # in a settle round
-        ("part-0", 5 * WARM, 4 * WARM),  # in a segment
-        ("part-1", 2 * WARM, 1 * WARM),  # in the warm-up
-        ("part-1", 2 * WARM + 3 * IN_SEAM, 2 * WARM + 2 * IN_SEAM),  # in the approach
-        ("seam-1", 2 * IN_SEAM, 1 * IN_SEAM),  # in a segment
-        ("seam-2", 3 * IN_SEAM, 2 * IN_SEAM),  # after a segment
-    ],
-)
-def test_a_killed_task_goes_on_from_its_checkpoint(
-    capture: Path, stream: Path, tmp_path: Path, name: str, killed_at: int, resumed_at: int
-) -> None:
-    done = list[int]()
-
-    def do(task: Task) -> None:
-        if task.name != name:
-            return do_here(task)
-        process = get_context("spawn").Process(target=do_until_killed, args=(task, killed_at))
-        process.start()
-        process.join()
-        assert process.exitcode == -signal.SIGKILL
-        do_here(task, done.append)
-        assert done[-1] == task.iterations
-
-    path = tmp_path / "stream"
-    train(run_of(capture, path), do)
-    assert done[0] == resumed_at
-    assert contents(path) == contents(stream)
+    assert begun == {name: [0, *(again for _, again in of)] for name, of in DEATHS.items()}
