@@ -7,6 +7,7 @@ import ast
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -66,14 +67,14 @@ print(len(list(out.glob("*.mp4"))))
 
 
 def output_of(program: str, *arguments: str, **environment: str) -> list[int]:
-    """The numbers that `program` prints; warnings are errors, progress output is allowed."""
+    """The numbers that `program` prints; warnings are errors, progress output is allowed. -B:
+    Python would use stale bytecode for a file of equal size and time in seconds."""
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program, *arguments],
+        [sys.executable, "-B", "-W", "error", "-c", program, *arguments],
         cwd=ROOT,
         env=os.environ | environment,
         capture_output=True,
         text=True,
-        timeout=200,
     )
     assert done.returncode == 0, done.stderr
     assert "arning" not in done.stderr
@@ -83,8 +84,9 @@ def output_of(program: str, *arguments: str, **environment: str) -> list[int]:
 @pytest.mark.parametrize(
     ("mode", "count"),
     [
-        pytest.param("NUMBA_BOUNDSCHECK", 6000, marks=pytest.mark.slow),
-        ("NUMBA_DISABLE_JIT", 1000),
+        pytest.param("NUMBA_BOUNDSCHECK", 6000, marks=pytest.mark.deep),
+        pytest.param("NUMBA_DISABLE_JIT", 1000, marks=pytest.mark.deep),
+        ("NUMBA_DISABLE_JIT", 200),
     ],
 )
 def test_hostile_chunks_never_lead_a_kernel_out_of_bounds(
@@ -97,58 +99,13 @@ def test_hostile_chunks_never_lead_a_kernel_out_of_bounds(
     assert 0.1 * count < taken < 0.9 * count
 
 
-def test_kernels_are_compiled_once(tmp_path: Path) -> None:
-    kernels, compiled, loaded = output_of(KERNELS, NUMBA_CACHE_DIR=str(tmp_path))
+def test_what_is_compiled_is_kept() -> None:
+    """In the cache beside the sources, which the first of these processes fills."""
+    kernels, _, _ = output_of(KERNELS)
     assert kernels >= 20
-    assert compiled > 0
-    assert loaded == 0
-    _, compiled, loaded = output_of(KERNELS, NUMBA_CACHE_DIR=str(tmp_path))
+    _, compiled, loaded = output_of(KERNELS)
     assert compiled == 0
     assert loaded > 0
-
-
-def test_kernels_work_where_nothing_can_be_kept() -> None:
-    _, compiled, loaded = output_of(NO_PLACE + KERNELS)
-    assert compiled > 0
-    assert loaded == 0
-
-
-@pytest.mark.slow
-def test_kernels_work_on_a_full_disk_and_leave_nothing_broken(tmp_path: Path) -> None:
-    _, compiled, _ = output_of(NO_ROOM + KERNELS, NUMBA_CACHE_DIR=str(tmp_path))
-    assert compiled > 0
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
-    _, again, loaded = output_of(KERNELS, NUMBA_CACHE_DIR=str(tmp_path))
-    assert (again, loaded) == (compiled, 0)
-
-
-@pytest.mark.slow
-def test_a_capture_is_made_where_nothing_can_be_kept(tmp_path: Path) -> None:
-    """The modules of the trainer's commands create their kernels at import."""
-    assert output_of(NO_PLACE + SYNTH, str(tmp_path / "made")) == [2]
-
-
-def names(file: Path) -> set[str]:
-    """Every name that the module `file` imports or uses."""
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    return {
-        getattr(node, kind)
-        for node in ast.walk(tree)
-        for kind in ("name", "attr", "id")
-        if isinstance(getattr(node, kind, None), str)
-    }
-
-
-def test_only_one_module_names_numbas_compiler() -> None:
-    """All other modules use its decorator, which works where no kernel can be cached."""
-    modules = [
-        file
-        for folder in ("codec", "trainer", "server", "player", "bench", "fuzz", "tests")
-        for file in sorted((ROOT / folder).rglob("*.py"))
-    ]
-    assert len(modules) > 100
-    naming = [str(m.relative_to(ROOT)) for m in modules if names(m) & {"jit", "njit"}]
-    assert naming == ["codec/kernel.py"]
 
 
 INNER = """
@@ -172,31 +129,65 @@ print(outer(3), sum(outer.stats.cache_hits.values()))
 """
 
 
-def test_a_change_in_a_kernel_or_constant_of_another_file_is_noticed(tmp_path: Path) -> None:
-    def told(step: int, added: int) -> str:
-        (tmp_path / "inner.py").write_text(INNER.format(step=step, added=added))
-        done = subprocess.run(
-            # -B: Python would use stale bytecode for a file of equal size and time in seconds.
-            [sys.executable, "-B", "-c", "import outer"],
-            env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"},
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        return done.stdout
-
+@pytest.fixture
+def run_outer(tmp_path: Path) -> Callable[..., list[int]]:
+    """Runs OUTER; gives its result and the number of kernels that it loaded."""
     (tmp_path / "outer.py").write_text(OUTER)
-    assert told(step=10, added=1) == "40 0\n"
-    assert told(step=10, added=1) == "40 1\n"
-    assert told(step=10, added=2) == "50 0\n"
-    assert told(step=20, added=2) == "100 0\n"
-    assert told(step=20, added=2) == "100 1\n"
+
+    def run(step: int, added: int, before: str = "") -> list[int]:
+        (tmp_path / "inner.py").write_text(INNER.format(step=step, added=added))
+        return output_of(f"{before}\nimport outer", PYTHONPATH=f"{tmp_path}{os.pathsep}{ROOT}")
+
+    return run
 
 
-@pytest.mark.parametrize(
-    "module", ["codec", "server.__main__", "player.config", "trainer.__main__"]
-)
-def test_numba_is_not_loaded_before_a_kernel_is_run(module: str) -> None:
-    program = f"import sys, {module}; print(int('numba' in sys.modules))"
-    assert output_of(program) == [0]
+@pytest.mark.parametrize("before", [NO_PLACE, NO_ROOM], ids=["no place", "full disk"])
+def test_a_kernel_runs_where_nothing_can_be_kept(
+    run_outer: Callable[..., list[int]], tmp_path: Path, before: str
+) -> None:
+    assert run_outer(10, 1, before) == [40, 0]
+    assert not [*tmp_path.rglob("*.nbc"), *tmp_path.rglob("*.nbi")]
+
+
+def test_a_change_in_a_kernel_or_constant_of_another_file_is_noticed(
+    run_outer: Callable[..., list[int]],
+) -> None:
+    assert [run_outer(*way) for way in ((10, 1), (10, 1), (10, 2), (20, 2))] == [
+        *([40, 0], [40, 1]),
+        *([50, 0], [100, 0]),
+    ]
+
+
+@pytest.mark.deep
+def test_all_kernels_work_where_nothing_can_be_kept(tmp_path: Path) -> None:
+    """On a full disk, where there is no place, and in the commands of the trainer."""
+    _, compiled, _ = output_of(NO_ROOM + KERNELS, NUMBA_CACHE_DIR=str(tmp_path))
+    assert compiled > 0
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert output_of(NO_PLACE + KERNELS)[1:] == [compiled, 0]
+    assert output_of(KERNELS, NUMBA_CACHE_DIR=str(tmp_path))[1:] == [compiled, 0]
+    assert output_of(NO_PLACE + SYNTH, str(tmp_path / "made")) == [2]
+
+
+def names(file: Path) -> set[str]:
+    """Every name that the module `file` imports or uses."""
+    nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+    found = {getattr(node, kind, None) for node in nodes for kind in ("name", "attr", "id")}
+    return {name for name in found if isinstance(name, str)}
+
+
+def test_only_one_module_names_numbas_compiler() -> None:
+    """All other modules use its decorator, which works where no kernel can be cached."""
+    folders = ("codec", "trainer", "server", "player", "bench", "fuzz", "tests")
+    modules = [file for folder in folders for file in sorted((ROOT / folder).rglob("*.py"))]
+    # What names it contains its letters: parsing every file takes seconds.
+    near = [m for m in modules if "jit" in m.read_text(encoding="utf-8")]
+    naming = [str(m.relative_to(ROOT)) for m in near if names(m) & {"jit", "njit"}]
+    assert len(modules) > 100
+    assert naming == ["codec/kernel.py"]
+
+
+def test_numba_is_not_loaded_before_a_kernel_is_run() -> None:
+    """A failed import would be noticed by `output_of`."""
+    names = "codec, server.__main__, player.config, trainer.__main__"
+    assert output_of(f"import sys, {names}; print(int('numba' in sys.modules))") == [0]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import math
+import tracemalloc
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,8 +27,18 @@ def survives(decode: Callable[[bytes], object], data: bytes) -> bool:
     return False
 
 
+@contextlib.contextmanager
+def within_bytes(limit_bytes: int) -> Iterator[None]:
+    """Asserts that what is allocated inside stays below `limit_bytes`."""
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < limit_bytes
+    finally:
+        tracemalloc.stop()
+
+
 def truncations(data: bytes) -> Iterable[bytes]:
-    """Every proper prefix of `data`."""
     return (data[:length] for length in range(len(data)))
 
 

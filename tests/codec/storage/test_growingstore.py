@@ -1,17 +1,8 @@
-"""Streams written to a real S3 server: the same bytes as in a folder, despite kills and other
-writers.
-
-The kills: the writers are processes that die by SIGKILL at moments drawn from a fixed seed, from
-before the first request to after the last one. After each kill the stream passes `verify`, and no
-written frame disappears; at the end it equals an undisturbed stream byte for byte.
-"""
+"""Streams written to a real S3 server: the same bytes as in a folder, despite other writers and a
+store that goes away; test_killed.py has the kills."""
 
 from __future__ import annotations
 
-import os
-import random
-import signal
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,26 +12,31 @@ import pytest
 from codec.errors import CodecError, CorruptError, InvalidError, UnwritableError
 from codec.slots.update import Update
 from codec.storage import objectstore
+from codec.storage.objectstore import RetryPolicy
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import verify_stream
 from tests.support.forked.forked_writer import forked_manifest, forked_updates, write
-from tests.support.forked.forker import Forker
 from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
-from tests.support.tiny_stream import tiny_manifest
+from tests.support.tiny_stream import files_of, tiny_manifest
 
-URL = f"s3://{BUCKET}/deep/stream"
-KEY = "deep/stream"
-KILLS = 20
+UPDATES = forked_updates()[:11]
+"""Of a stream of five segments of two frames, each with three objects."""
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def server() -> Iterator[S3Server]:
     with s3_server() as server:
         yield server
 
 
-def files(path: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
+@pytest.fixture
+def key(server: S3Server, request: pytest.FixtureRequest) -> str:
+    return f"deep/{request.node.name}"
+
+
+@pytest.fixture
+def url(key: str) -> str:
+    return f"s3://{BUCKET}/{key}"
 
 
 def append_some(writer: StreamWriter, slices: Sequence[Update]) -> None:
@@ -50,131 +46,85 @@ def append_some(writer: StreamWriter, slices: Sequence[Update]) -> None:
             writer.append(slice)
 
 
-def test_a_store_gets_the_bytes_of_a_folder(server: S3Server, tmp_path: Path) -> None:
-    slices = forked_updates()
-    write(tmp_path / "s", slices)
-    write(URL, slices)
-    assert server.files(KEY) == files(tmp_path / "s")
-    assert verify_stream(URL) == verify_stream(tmp_path / "s")
-    with pytest.raises(InvalidError, match=f"^{URL} is finished; "):
-        StreamWriter.resume(URL)
-    with pytest.raises(InvalidError, match=f"^{URL} is not empty; "):
-        StreamWriter.create(URL, forked_manifest())
-
-
-def test_a_segment_takes_a_request_for_each_object_and_one_for_the_index(
-    server: S3Server, monkeypatch: pytest.MonkeyPatch
+def test_a_store_gets_the_bytes_of_a_folder_in_a_request_for_each_object(
+    server: S3Server, key: str, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import obstore
 
     keys: list[str] = []
     put = obstore.put
 
-    def counted(store: Any, key: str, *arguments: Any, **options: Any) -> Any:
-        keys.append(key.rpartition(f"{KEY}/")[2])
-        return put(store, key, *arguments, **options)
+    def counted(store: Any, path: str, *arguments: Any, **options: Any) -> Any:
+        keys.append(path.rpartition(f"{key}/")[2])
+        return put(store, path, *arguments, **options)
 
     monkeypatch.setattr(obstore, "put", counted)
-    write(URL, forked_updates())
+    write(tmp_path / "s", UPDATES)
+    write(url, UPDATES)
     segments = [
         [*(f"segments/{segment}/{part}" for part in ("0", "masks", "snapshot-0")), "index.bin"]
-        for segment in range(16)
+        for segment in range(5)
     ]
     inner = [key for segment in segments for key in segment]
     assert keys == ["index.bin", "manifest.json", *inner, "index.bin", "manifest.json"]
+    assert server.files(key) == files_of(tmp_path / "s")
+    assert verify_stream(url) == verify_stream(tmp_path / "s")
+    with pytest.raises(InvalidError, match="is finished; "):
+        StreamWriter.resume(url)
+    with pytest.raises(InvalidError, match="is not empty; "):
+        StreamWriter.create(url, forked_manifest())
 
 
-@pytest.mark.slow
-def test_many_kills(server: S3Server, tmp_path: Path) -> None:
-    write(tmp_path / "whole", forked_updates())
-    whole = files(tmp_path / "whole")
-    rng = random.Random(0)
-    forker = Forker()
-    kills = number = num_frames = torn = 0
-    patience_s = 0.4
-    try:
-        while kills < KILLS or not number:
-            key = f"killed/{number}"
-            url = f"s3://{BUCKET}/{key}"
-            pid = forker.start(url)
-            time.sleep(rng.uniform(0, patience_s))
-            os.kill(pid, signal.SIGKILL)
-            ended = forker.ended()
-            assert ended in (0, -signal.SIGKILL)
-            kills += ended != 0
-            found = server.files(key)
-            assert found.keys() <= whole.keys()
-            if "manifest.json" not in found:
-                continue
-            summary = verify_stream(url)
-            assert summary.num_frames >= num_frames
-            grew, num_frames = summary.num_frames > num_frames, summary.num_frames
-            torn += len({name.split("/")[1] for name in found if "/" in name}) > (
-                summary.num_segments
-            )
-            for name, data in found.items():
-                assert data == whole[name] or name in ("index.bin", "manifest.json")
-            patience_s = min(patience_s * (0.8 if grew else 1.25), 2.0)
-            if not summary.live:
-                assert found == whole
-                number, num_frames = number + 1, 0
-        forker.start(f"s3://{BUCKET}/killed/{number}")
-        assert forker.ended() == 0
-    finally:
-        forker.close()
-    assert server.files(f"killed/{number}") == whole
-    assert torn > 0  # some died between the objects of a segment and its record
-
-
-def test_of_two_writers_the_one_that_came_later_goes_on(server: S3Server, tmp_path: Path) -> None:
-    slices = forked_updates()
-    write(tmp_path / "s", slices)
-    first = StreamWriter.create(URL, forked_manifest())
-    for slice in slices[:8]:
+def test_of_two_writers_the_one_that_came_later_goes_on(
+    server: S3Server, key: str, url: str, tmp_path: Path
+) -> None:
+    write(tmp_path / "s", UPDATES)
+    first = StreamWriter.create(url, forked_manifest())
+    for slice in UPDATES[:6]:
         first.append(slice)
-    segments = len(StreamReader(URL).records)
-    second = StreamWriter.resume(URL)
-    with pytest.raises(InvalidError, match=f"^{URL}: another writer has written to this stream; "):
-        append_some(first, slices[8:])
-    assert verify_stream(URL).num_segments == segments
+    segments = len(StreamReader(url).records)
+    second = StreamWriter.resume(url)
+    with pytest.raises(InvalidError, match=f"^{url}: another writer has written to this stream; "):
+        append_some(first, UPDATES[6:])
+    assert verify_stream(url).num_segments == segments
     with pytest.raises(InvalidError, match="another writer"):
         first.close()  # with a short segment, of other bytes than the whole one
-    assert verify_stream(URL).live
+    assert verify_stream(url).live
     with second:
-        append_some(second, slices)
-    assert server.files(KEY) == files(tmp_path / "s")
+        append_some(second, UPDATES)
+    assert server.files(key) == files_of(tmp_path / "s")
 
 
 def test_of_two_that_begin_at_once_one_is_refused(
-    server: S3Server, monkeypatch: pytest.MonkeyPatch
+    server: S3Server, url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from codec.storage.growingstore import GrowingStore
 
-    StreamWriter.create(URL, forked_manifest())
+    StreamWriter.create(url, forked_manifest())
     monkeypatch.setattr(GrowingStore, "check_unused", lambda self: None)  # checked just before
     with pytest.raises((InvalidError, CorruptError)):
-        StreamWriter.create(URL, tiny_manifest())
-    assert verify_stream(URL).num_segments == 0
+        StreamWriter.create(url, tiny_manifest())
+    assert verify_stream(url).num_segments == 0
 
 
-def test_a_store_that_is_gone_is_one_line_and_the_writer_goes_on_when_it_is_back(
-    server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_writer_goes_on_when_a_store_that_was_gone_is_back(
+    server: S3Server, key: str, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(objectstore, "PATIENT", objectstore.BRIEF)
-    slices = forked_updates()
-    write(tmp_path / "s", slices)
-    with StreamWriter.create(URL, forked_manifest()) as writer:
-        for n in range(len(slices)):
-            if n in (6, 11, 20):
+    quick = RetryPolicy(10.0, 0.001, 0.001, max_retries=1)
+    monkeypatch.setattr(objectstore, "PATIENT", quick)
+    write(tmp_path / "s", UPDATES)
+    with StreamWriter.create(url, forked_manifest()) as writer:
+        for n in range(len(UPDATES)):
+            if n in (4, 9):
                 server.stop()
                 with pytest.raises(UnwritableError) as caught:
-                    append_some(writer, slices[n : n + 3])  # one of them completes a segment
-                assert str(caught.value).startswith(f"{URL}/segments/")
+                    append_some(writer, UPDATES[n : n + 3])  # one of them completes a segment
+                assert str(caught.value).startswith(f"{url}/segments/")
                 assert "\n" not in str(caught.value)
                 assert len(str(caught.value)) < 400
                 server.start()
-            append_some(writer, slices[n : n + 1])
-    assert server.files(KEY) == files(tmp_path / "s")
+            append_some(writer, UPDATES[n : n + 1])
+    assert server.files(key) == files_of(tmp_path / "s")
 
 
 def test_what_a_store_refuses_is_one_line(server: S3Server) -> None:

@@ -39,8 +39,7 @@ def astray(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     way = request.param.replace("{root}", str(tmp_path))
     value = json.loads((path / "manifest.json").read_bytes())
     value["object_url"] = way + "/{segment}/{layer}"
-    value["poster"] = way + "/0/0"
-    value["title"] = way + "/0/0"
+    value["poster"] = value["title"] = way + "/0/0"
     value["default_camera"] = value["cameras"][0]["name"] = "../secret/0/0"
     (path / "manifest.json").write_text(json.dumps(value), encoding="utf-8")
     return path
@@ -59,21 +58,16 @@ def read_served(path: Path) -> None:
 READERS: dict[str, Callable[[Path], object]] = {
     "verify": verify_stream,
     "reader": lambda path: StreamReader(path).slice(0, 1),
-    "export": lambda path: export_stream(
-        path, path.parent / "out.ply", 0, None, SplatFormat.PLY, None
-    ),
+    "export": lambda p: export_stream(p, p.parent / "o.ply", 0, None, SplatFormat.PLY, None),
     "player": play,
     "server": read_served,
 }
 
 
-@pytest.mark.parametrize("reader", READERS)
-def test_nobody_follows_the_manifest_out_of_its_folder(astray: Path, reader: str) -> None:
-    with pytest.raises(CodecError, match=r"segments/0/(0|snapshot-0) is missing"):
-        READERS[reader](astray)
-
-
-def test_a_writer_writes_into_its_own_folder(astray: Path) -> None:
+def test_nobody_follows_the_manifest_out_of_its_folder(astray: Path) -> None:
+    for read in READERS.values():
+        with pytest.raises(CodecError, match=r"segments/0/(0|snapshot-0) is missing"):
+            read(astray)
     path = astray.parent / "written"
     before = sorted(astray.parent.iterdir())
     hostile = StreamReader(astray).manifest
@@ -85,15 +79,13 @@ def test_a_writer_writes_into_its_own_folder(astray: Path) -> None:
     assert sorted(p.name for p in path.iterdir()) == ["index.bin", "manifest.json", "segments"]
 
 
-@pytest.mark.parametrize(
-    "name", ["..", ".", "../stream", "/", "stream/../../stream", "stream\0", "", "stream/"]
-)
-def test_the_name_of_a_stream_is_looked_up_and_never_joined(tmp_path: Path, name: str) -> None:
+def test_the_name_of_a_stream_is_looked_up_and_never_joined(tmp_path: Path) -> None:
     write_tiny(tmp_path / "root" / "served", 4)
     write_tiny(tmp_path / "stream", 4)
     library = Library(tmp_path / "root", 0.0)
     asyncio.run(library.look())
-    assert library.find(name) is None
+    for name in ("..", ".", "../stream", "/", "stream/../../stream", "stream\0", "", "stream/"):
+        assert library.find(name) is None
     assert library.find("served") is not None
 
 

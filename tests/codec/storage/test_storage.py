@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,32 +22,34 @@ class Held:
     """A storage, with functions that add and remove files."""
 
     storage: Storage
-    folder: Path | None
-    server: S3Server | None
+    put: Callable[[str, bytes], None]
+    delete: Callable[[str], None]
 
-    def put(self, path: str, data: bytes) -> None:
-        if self.server is not None:
-            self.server.put(f"place/{path}", data)
-        elif self.folder is not None:
-            (self.folder / path).parent.mkdir(parents=True, exist_ok=True)
-            (self.folder / path).write_bytes(data)
 
-    def delete(self, path: str) -> None:
-        if self.server is not None:
-            self.server.delete(f"place/{path}")
-        elif self.folder is not None:
-            (self.folder / path).unlink()
+@pytest.fixture(scope="module")
+def server() -> Iterator[S3Server]:
+    with s3_server() as server:
+        yield server
+
+
+def put_file(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
 
 
 @pytest.fixture(params=["folder", "s3"])
-def held(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Held]:
+def held(request: pytest.FixtureRequest, tmp_path: Path) -> Held:
+    folder = tmp_path / "place"
     if request.param == "folder":
-        folder = tmp_path / "place"
         folder.mkdir()
-        yield Held(open_storage(folder), folder, None)
-        return
-    with s3_server() as server:
-        yield Held(open_storage(f"s3://{BUCKET}/place"), None, server)
+        put, delete = (lambda n, d: put_file(folder / n, d)), (lambda n: (folder / n).unlink())
+        return Held(open_storage(folder), put, delete)
+    server, key = request.getfixturevalue("server"), f"{request.node.name}/place"
+    put, delete = (
+        (lambda n, d: server.put(f"{key}/{n}", d)),
+        (lambda n: server.delete(f"{key}/{n}")),
+    )
+    return Held(open_storage(f"s3://{BUCKET}/{key}"), put, delete)
 
 
 def test_a_file_is_read_from_an_offset_up_to_a_limit(held: Held) -> None:

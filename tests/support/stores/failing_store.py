@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import socket
 import struct
-import time
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -31,21 +32,20 @@ class FailingStore(ThreadingHTTPServer):
         self.objects: dict[str, bytes] = {}
         self.requests = 0
         self._failure: Failure | None = None
-        self._until_s = 0.0
-        self._count = 0
+        self._count = 0.0
+        self.ended = threading.Event()
 
     def shutdown_request(self, request: Any) -> None:
         self.close_request(request)  # without a FIN, which would be sent before a reset
 
-    def fail(self, failure: Failure, *, duration_s: float = 0.0, count: int = 0) -> None:
-        """Makes all requests fail for `duration_s`, or the next `count` requests."""
-        self._failure = failure
-        self._until_s, self._count = time.monotonic() + duration_s, count
+    def fail(self, failure: Failure, *, count: float = math.inf) -> None:
+        """Makes the next `count` requests fail."""
+        self._failure, self._count = failure, count
 
     def next_failure(self) -> Failure | None:
         self.requests += 1
         self._count -= 1
-        return self._failure if self._count >= 0 or time.monotonic() < self._until_s else None
+        return self._failure if self._count >= 0 else None
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -86,7 +86,7 @@ class Handler(BaseHTTPRequestHandler):
             self._answer(int(failure))
             return
         if failure == "silent":
-            time.sleep(3.0)
+            self.server.ended.wait()
         self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
         self.close_connection = True
 
@@ -120,4 +120,5 @@ def failing_store(monkeypatch: pytest.MonkeyPatch, port: int = 0) -> Iterator[Fa
         try:
             yield server
         finally:
-            server.fail("reset", duration_s=float("inf"))  # on connections that are still open
+            server.fail("reset")  # on connections that are still open
+            server.ended.set()

@@ -7,6 +7,7 @@ import os
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,7 @@ class S3Server:
         url = f"{self.environment['AWS_ENDPOINT_URL']}/moto-api/reset"
         urllib.request.urlopen(urllib.request.Request(url, method="POST")).close()
 
+    @cached_property
     def client(self) -> Any:
         """A client of boto3: the tests write with it, not with the tested code."""
         import boto3
@@ -60,18 +62,18 @@ class S3Server:
         )
 
     def put(self, key: str, data: bytes) -> None:
-        self.client().put_object(Bucket=BUCKET, Key=key, Body=data)
+        self.client.put_object(Bucket=BUCKET, Key=key, Body=data)
 
     def delete(self, key: str) -> None:
         """Deletes the object and everything below it."""
-        client = self.client()
+        client = self.client
         for page in client.get_paginator("list_objects_v2").paginate(Bucket=BUCKET, Prefix=key):
             for entry in page.get("Contents", ()):
                 client.delete_object(Bucket=BUCKET, Key=entry["Key"])
 
     def files(self, key: str) -> dict[str, bytes]:
         """The objects below `key`, by relative name."""
-        client, found = self.client(), {}
+        client, found = self.client, {}
         for page in client.get_paginator("list_objects_v2").paginate(
             Bucket=BUCKET, Prefix=f"{key}/"
         ):
@@ -81,7 +83,7 @@ class S3Server:
         return found
 
     def upload(self, folder: Path, key: str) -> None:
-        """Uploads all files of `folder` below `key`, the manifest last."""
+        """Uploads the files of `folder` below `key`, the manifest last."""
         files = sorted(path for path in folder.rglob("*") if path.is_file())
         for path in sorted(files, key=lambda path: path.name == "manifest.json"):
             self.put(f"{key}/{path.relative_to(folder)}", path.read_bytes())
@@ -96,7 +98,7 @@ def s3_server() -> Iterator[S3Server]:
     os.environ.update(server.environment)
     try:
         server.empty()
-        server.client().create_bucket(Bucket=BUCKET)
+        server.client.create_bucket(Bucket=BUCKET)
         yield server
     finally:
         for name, value in before.items():
