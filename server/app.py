@@ -76,7 +76,7 @@ class Application:
         """Answers one request of a ClientConnection, to the end."""
         connection = connection_of(asked)
         exchange = Exchange(connection.address, self._clock(), asked.method)
-        closing = True
+        closing, sent_s = True, 0.0
         try:
             response = await self._respond(asked, connection, exchange)
             exchange.first_s = self._clock()
@@ -86,13 +86,19 @@ class Application:
             else:
                 sent = await self._send(asked, connection, exchange, response)
             closing = not sent.keep_alive
+            sent_s = self._clock()
+            await connection.deliver(closing)
         except asyncio.CancelledError:
-            exchange.status = CLIENT_GONE
+            sent_s, exchange.status = 0.0, CLIENT_GONE
             raise
         finally:
-            self._count(connection.take_sent_bytes())
+            sent_bytes = connection.take_sent_bytes()
+            self._count(sent_bytes)
+            if exchange.status == CLIENT_GONE and connection.cut:
+                exchange.body_bytes = min(exchange.body_bytes, sent_bytes)
+                exchange.facts = {**exchange.facts, "outcome": connection.cut}
             connection.end(closing)
-            self.finished(exchange, self._clock())
+            self.finished(exchange, sent_s or self._clock())
         return sent
 
     async def _send(

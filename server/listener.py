@@ -51,10 +51,14 @@ def is_loopback(listener: socket.socket) -> bool:
     return ip_address(listener.getsockname()[0].partition("%")[0]).is_loopback
 
 
-def bound_connections(listener: socket.socket) -> None:
-    """Bounds what a peer that takes nothing costs in the kernel: UNSENT_BYTES; and has what is
-    written go out at once. Accepted connections inherit both from `listener`."""
+def bound_connections(listener: socket.socket, write_timeout_s: float) -> None:
+    """Bounds what a peer that takes nothing costs in the kernel: UNSENT_BYTES, for
+    `write_timeout_s`; and has what is written go out at once. Accepted connections inherit all
+    three from `listener`."""
     # Else the last, small piece of a response waits until the client has acknowledged the others.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     if hasattr(socket, "TCP_NOTSENT_LOWAT"):
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
+    if hasattr(socket, "TCP_USER_TIMEOUT"):
+        milliseconds = max(1, round(1000 * write_timeout_s))
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)

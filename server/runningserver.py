@@ -69,7 +69,7 @@ class RunningServer:
     async def start(self) -> None:
         """Begins to serve, what is in the library by then."""
         state = self._state
-        bound_connections(self._listener)
+        bound_connections(self._listener, state.config.timeouts.write_timeout_s)
         self._acceptor.start()
         self._tasks = [
             asyncio.create_task(state.library.watch()),

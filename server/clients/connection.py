@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -35,6 +34,14 @@ PIECES_BYTES: Final = 16 * 1024 * 1024
 
 MIN_PIECE_BYTES: Final = 16 * 1024
 MAX_PIECE_BYTES: Final = 512 * 1024
+
+UNSEEN_BYTES: Final = 64 * 1024
+"""Unacknowledged bytes with which a response counts as delivered: about what the client's kernel
+may hold of it unseen, too."""
+
+FIRST_LOOK_S: Final = 0.005
+MAX_LOOK_S: Final = 0.5
+"""Seconds until a connection first asks the kernel what was acknowledged, and most between two."""
 
 LINGER_S: Final = 2.0
 """Seconds for the end of a connection after its last response."""
@@ -89,7 +96,7 @@ class ClientConnection(asyncio.BufferedProtocol):
         self.began = False
         """Whether there was a connection, after any handshake; if so, it reports its end itself."""
         self.cut = ""
-        """Why it is over: "gone", "stalled" or "stopped"; empty while it is not."""
+        """Why it is over: "gone", "stalled", "flood" or "stopped"; empty while it is not."""
         self.needs_client = False
         """Whether the request has no answer once its client has closed its side."""
         self.is_answering = False
@@ -102,7 +109,7 @@ class ClientConnection(asyncio.BufferedProtocol):
         self._ahead_bytes = 0
         self._before_bytes = 0  # written in the responses before the newest
         self._taken_bytes = 0  # of all that was written
-        self._window: tuple[float, int] | None = None  # when it began, what had arrived by then
+        self._look: asyncio.Future[None] | None = None  # while the last response is delivered
 
     # What asyncio calls.
 
@@ -126,10 +133,12 @@ class ClientConnection(asyncio.BufferedProtocol):
             self._begun = True
             self._deadline_s = self._request_deadline_s()
         self._ahead_bytes += nbytes
+        self._wake()
         if self._ahead_bytes > MAX_AHEAD_BYTES and not self._ending:
             if not self.is_answering:
                 self._refuse(431, "Request Header Fields Too Large", "the head is too long")
-            self._end("flood", "flood")
+            self._clients.metrics.timeouts.add(1, "flood")
+            self.abort("flood")
         else:
             self._http.data_received(bytes(_INCOMING[:nbytes]))
 
@@ -149,8 +158,10 @@ class ClientConnection(asyncio.BufferedProtocol):
         self._http.resume_writing()
 
     def connection_lost(self, error: Exception | None) -> None:
+        if isinstance(error, TimeoutError) and not self.cut:  # the kernel's: `write_timeout_s`
+            self._clients.metrics.timeouts.add(1, "write")
+            self.cut = "stalled"
         self.cut = self.cut or "gone"
-        self._bound_leftover()
         self._http.connection_lost(error)
         self._closed(self)
 
@@ -161,6 +172,21 @@ class ClientConnection(asyncio.BufferedProtocol):
         self._before_bytes = self._sent_bytes()
         self._writer = writer
         self.is_answering, self._begun, self._ahead_bytes = True, False, 0
+
+    async def deliver(self, closing: bool) -> None:
+        """Waits until the client has nearly all of the response, sends more, or the server stops;
+        cancelled when the connection is lost. closing: whether the response is the last."""
+        look_s = FIRST_LOOK_S
+        while not (self._ahead_bytes or self._stopping) and self.queued_bytes() > UNSEEN_BYTES:
+            if closing and self.transport.can_write_eof():
+                self.transport.write_eof()  # the client need not wait for the looks
+            self._look = self._loop.create_future()
+            timer = self._loop.call_later(look_s, self._wake)
+            try:
+                await self._look
+            finally:
+                timer.cancel()
+            look_s = min(2 * look_s, MAX_LOOK_S)
 
     def end(self, closing: bool) -> None:
         """The response is on its way. closing: whether it is the last."""
@@ -204,11 +230,9 @@ class ClientConnection(asyncio.BufferedProtocol):
 
     def check(self, now_s: float) -> None:
         """Ends the connection if its client takes too long. To be called twice a second or so."""
-        if self._has_stalled(now_s):
-            self._end("stalled", "write")
-        elif self.is_answering or now_s < self._deadline_s or self.transport.is_closing():
+        if self.is_answering or now_s < self._deadline_s or self.transport.is_closing():
             return
-        elif self._ending:
+        if self._ending:
             self.abort()
         elif self._begun:
             self._clients.metrics.timeouts.add(1, "head")
@@ -222,6 +246,7 @@ class ClientConnection(asyncio.BufferedProtocol):
         """Closes the connection as soon as no response is on its way. A request is still answered
         if the connection was accepted a moment ago."""
         self._stopping = True
+        self._wake()
         if self._writer is None or self._begun:
             self._deadline_s = min(self._deadline_s, self._request_deadline_s())
         else:
@@ -232,29 +257,18 @@ class ClientConnection(asyncio.BufferedProtocol):
         self.cut = self.cut or why
         self.transport.abort()
 
+    def _wake(self) -> None:
+        if self._look is not None and not self._look.done():
+            self._look.set_result(None)
+
     def _refuse(self, status: int, phrase: str, note: str) -> None:
         self._clients.refused(self.address, status, note)
         self.transport.write(refusal(status, phrase))
         self.transport.close()
 
-    def _end(self, why: str, kind: str) -> None:
-        self._clients.metrics.timeouts.add(1, kind)
-        self.abort(why)
-
     def _close_if_idle(self) -> None:
         if not self.is_answering:
             self.transport.close()
-
-    def _bound_leftover(self) -> None:
-        """Has the kernel forget after a while the bytes that the client has not taken yet: as long
-        as an honest client takes for them, for a nearly closed window counts as silence."""
-        if hasattr(socket, "TCP_USER_TIMEOUT"):
-            timeouts, seconds = self._clients.timeouts, self._clients.timeouts.write_timeout_s
-            if self.cut != "stalled":
-                seconds += unacked_bytes(self._socket) / max(1.0, timeouts.least_rate_bytes)
-            with suppress(OSError):
-                milliseconds = max(1, round(1000 * seconds))
-                self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
 
     def _request_deadline_s(self) -> float:
         """When a request must have come of which the first byte comes now."""
@@ -264,24 +278,6 @@ class ClientConnection(asyncio.BufferedProtocol):
     def _sent_bytes(self) -> int:
         """Bytes written so far, to the kernel or to the transport."""
         return self._before_bytes + (self._writer.output_size if self._writer is not None else 0)
-
-    def _has_stalled(self, now_s: float) -> bool:
-        """Whether the client has had something to take for all of the last `write_timeout_s`, and
-        took less of it than `least_rate_bytes` a second."""
-        queued_bytes = self.queued_bytes()
-        if not queued_bytes:
-            self._window = None
-            return False
-        arrived_bytes = self._sent_bytes() - queued_bytes
-        if self._window is None:
-            self._window = now_s, arrived_bytes
-        began_s, before_bytes = self._window
-        timeouts = self._clients.timeouts
-        if now_s - began_s < timeouts.write_timeout_s:
-            return False
-        self._window = now_s, arrived_bytes
-        least_bytes = timeouts.least_rate_bytes * timeouts.write_timeout_s
-        return arrived_bytes - before_bytes < max(1.0, least_bytes)
 
 
 def connection_of(request: web.BaseRequest) -> ClientConnection:

@@ -24,7 +24,6 @@ from codec.stream.playrecord import (
     SnapshotRecord,
     StartRecord,
 )
-from server.listener import UNSENT_BYTES
 from server.operate.workers.supervisorconfig import SupervisorConfig
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
@@ -223,46 +222,6 @@ def test_a_slow_reader_gets_fewer_layers_than_a_fast_one(root: Path) -> None:
         assert 1.2 < mean_layers(slow_records) < 1.8
 
     on_server(root, check, quick_config(send_queue_bytes=16 * 1024))
-
-
-@pytest.mark.parametrize(
-    "path", ["/v1/streams/wide/play?layers=4", "/v1/streams/wide/segments/0/0"]
-)
-def test_a_reader_that_stops_is_cut(
-    root: Path, path: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        stuck = SlowClient(server.port, path, rate=1)
-        await asyncio.to_thread(stuck.read_a_little)
-        metrics = server.state.metrics
-        route = path.split("?")[0]
-        route = route.replace("wide", "{stream}").replace("0/0", "{segment}/{layer}")
-        # Another client is served meanwhile.
-        assert slices_of(await play(client, "walk", "?layers=1"))
-        await eventually(lambda: metrics.requests.value(route, "499"))
-        assert metrics.timeouts.value("write") == 1
-        await eventually(lambda: not len(server.state.plays))
-        stuck.close()
-
-    on_server(root, check, quick_config(write_timeout_s=1.0))
-    assert not caplog.records
-
-
-def test_bytes_left_in_buffers_do_not_hold_a_connection(root: Path) -> None:
-    """A response that fits the buffers is over for the handler, but its bytes are still queued."""
-    route = "/v1/streams/{stream}/segments/{segment}/{layer}"
-
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        # More than the client and the kernel buffer, less than what makes the handler wait.
-        part = f"Range: bytes=0-{UNSENT_BYTES + 48 * 1024}"
-        stuck = SlowClient(server.port, "/v1/streams/wide/segments/0/0", rate=1, header=part)
-        await asyncio.to_thread(stuck.read_a_little)
-        requests = server.state.metrics.requests
-        await eventually(lambda: requests.value(route, "206") or requests.value(route, "499"))
-        await eventually(lambda: not server.server.connections)
-        stuck.close()
-
-    on_server(root, check, quick_config(write_timeout_s=1.0, keepalive_timeout_s=0.3))
 
 
 def test_one_play_more_is_asked_to_come_back(root: Path) -> None:

@@ -10,15 +10,9 @@ import ssl
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from fuzz.http import MemoryTransport
-from server.clients.connection import ClientConnection, Clients
-from server.clients.timeouts import TimeoutConfig
 from server.exchange.exchange import Exchange
 from server.exchange.response import BodyWriter, Response, StreamedResponse
-from server.operate.prometheus import Metrics
 from tests.support.server.certificates import make_certificate
 from tests.support.server.plain_site import on_site, text
 from tests.support.waiting import wait_until
@@ -173,52 +167,3 @@ async def test_strangers_at_the_tls_port_leave_nothing_behind(
         async with site.connect(client_tls) as client:
             client.get("/ok")
             assert (await client.answer())[0] == 200
-
-
-class Holding(MemoryTransport):
-    """A transport whose client reads nothing by itself."""
-
-    def get_write_buffer_size(self) -> int:
-        return len(self.sent)
-
-
-STEP_S, TIMEOUT_S, LEAST_BYTES = 0.5, 4.0, 1000.0
-
-
-class Written:
-    """The part of aiohttp's writer that a connection reads."""
-
-    output_size = 0
-
-
-@given(st.lists(st.tuples(st.integers(0, 800), st.integers(0, 800)), max_size=60))
-async def test_a_client_stalls_that_had_something_to_take_and_did_not(
-    steps: list[tuple[int, int]],
-) -> None:
-    """In each step some bytes are written and some are taken; against a model of the last steps."""
-    timeouts = TimeoutConfig(write_timeout_s=TIMEOUT_S, least_rate_bytes=LEAST_BYTES / TIMEOUT_S)
-    with socket.socket(socket.AF_UNIX) as sock:  # not TCP: the kernel tells nothing of it
-        transport, writer = Holding(sock), Written()
-        clients = Clients(asyncio.Protocol, lambda *_: None, timeouts, Metrics())
-        connection = ClientConnection(clients, "a", lambda _: None)
-        connection.connection_made(transport)
-        connection.begin(writer)  # type: ignore[arg-type]
-        window: tuple[int, int] | None = None  # the step and the bytes taken by then
-        taken = 0
-        for number, (more, takes) in enumerate(steps):
-            transport.write(bytes(more))
-            writer.output_size += more
-            takes = min(takes, len(transport.sent))
-            del transport.sent[:takes]
-            taken += takes
-            connection.check(number * STEP_S)
-            expected = False
-            if not transport.sent:
-                window = None
-            elif window is None:
-                window = number, taken
-            elif (number - window[0]) * STEP_S >= TIMEOUT_S:
-                expected = taken - window[1] < LEAST_BYTES
-                window = number, taken
-            assert (connection.cut == "stalled") == expected
-            connection.cut = ""
