@@ -15,7 +15,7 @@ def test_the_next_question_goes_to_a_new_browser(
 ) -> None:
     page.open("about:blank")
     with monkeypatch.context() as patched:
-        patched.setattr(nodeprocess, "ANSWER_S", 2.0)
+        patched.setattr(nodeprocess, "ANSWER_S", 0.5)
         with pytest.raises(AssertionError, match="did not answer"):
             page.run(FOREVER)
     page.open("about:blank")

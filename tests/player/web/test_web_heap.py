@@ -11,7 +11,6 @@ import pytest
 from tests.support.hosted_streams import write_stream
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
-from tests.support.web.canvas import PLAYER
 from tests.support.web.chromium import Page
 from tests.support.web.heaps import PLAY_UNTIL, opened
 
@@ -24,7 +23,7 @@ def growth_bytes(page: Page, frames: range, lead_frames: int) -> list[float]:
     found: list[list[int]] = []
     for frame in frames:
         page.run(PLAY_UNTIL, frame)
-        page.wait(f"{PLAYER}.state.endFrame - {PLAYER}.state.frame >= {lead_frames}", 300)
+        page.wait(f"state.endFrame - state.frame >= {lead_frames}")
         found.append(page.heaps_bytes())
     held = np.array(found)  # (looks, the page and its two workers)
     first, second = np.triu_indices(len(frames), 1)
@@ -32,7 +31,7 @@ def growth_bytes(page: Page, frames: range, lead_frames: int) -> list[float]:
     return [float(slope) for slope in np.median(slopes, axis=0)]
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.timeout(1200)
 def test_five_thousand_frames(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The frames play as fast as they arrive, so that anything kept for each frame, picture or
@@ -48,7 +47,7 @@ def test_five_thousand_frames(page: Page, tmp_path: Path, monkeypatch: pytest.Mo
         assert max(found) < 24, found
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 def test_a_loop(page: Page, tmp_path: Path) -> None:
     """The clip plays forty times; a play that is kept takes 38 kB. Data fetched ahead when the
     heaps are read makes a difference of 300 kB."""

@@ -7,13 +7,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from codec.tools.static import export_static
-from tests.support.commands import ROOT
-from tests.support.hosted_streams import static_host
-from tests.support.web.canvas import PLAYER
 from tests.support.web.chromium import Page
+from tests.support.web.site import player_host, watch
 
 PLAY_UNTIL = """
-const { player } = document.querySelector("swings-player");
 let [played, last] = [window.played ?? 0, player.state.frame];
 await new Promise((resolve) => {
   const look = () => {
@@ -38,10 +35,8 @@ return played;
 def opened(page: Page, folder: Path, rate: float, buffer_mb: float) -> Iterator[Page]:
     """Opens the page, paused at the first frame of the stream in `folder`."""
     export_static(folder / "stream", folder / "static")
-    (folder / "web").symlink_to(ROOT / "player" / "web")
-    with static_host(folder) as url:
-        page.open(f"{url}/web/watch.html?src=../static&autoplay=0&buffer-mb={buffer_mb}", 160, 120)
-        page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
-        page.run(f"{PLAYER}.setRate({rate})")
+    with player_host(folder) as url:
+        query = f"src=../static&autoplay=0&buffer-mb={buffer_mb}"
+        watch(page, f"{url}/player/watch.html?{query}")
+        page.run("player.setRate(value)", rate)
         yield page
-        assert not page.complaints
