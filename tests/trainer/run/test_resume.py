@@ -21,7 +21,6 @@ from codec.stream.poster import POSTER_NAME
 from tests.support.commands import command, environment, run, run_ok
 from tests.support.slots.updates import patternless_updates, small_layout
 from tests.support.suite.once import made_once
-from tests.support.tiny_capture import write_dynerf
 from tests.support.tiny_stream import tiny_slice
 from tests.support.trainings import contents, run_until, train_here
 from trainer.errors import CheckpointError
@@ -43,14 +42,6 @@ SETTINGS_OF = {
 """Each kind of run: with leases of two frames, of one, with a byte budget (its balance must
 survive), and with slices sent whole."""
 SETTINGS = SETTINGS_OF["two frames"]
-
-
-@pytest.fixture(scope="session")
-def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    def make(folder: Path) -> None:
-        write_dynerf(folder / "capture", 4, FRAMES)
-
-    return made_once(tmp_path_factory, "resume", make) / "capture"
 
 
 def moments_of(capture: Path, kind: str, factory: pytest.TempPathFactory) -> Path:

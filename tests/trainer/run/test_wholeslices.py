@@ -1,4 +1,4 @@
-"""Slices sent whole: their options, their lattices, and the effect of quantisation."""
+"""Slices sent whole: their lattices, and the effect of quantisation."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from codec.slots.update import NEW
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 from codec.tools.slotcensus import count_slots
-from tests.support.commands import run
-from tests.support.tiny_capture import write_dynerf
 from trainer.fit.config import FitConfig
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.observer import Observer
@@ -28,56 +26,13 @@ from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
 from trainer.run.outputs import run_targets
 from trainer.run.prepare import first_gaussians, layer_slots, make_manifest, prepare
-from trainer.run.preset import parse_with_preset
 
 FRAMES, SWIN = 5, 2
 
 
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("whole") / "capture"
-    write_dynerf(path, num_cameras=4, num_frames=FRAMES)
-    return path
-
-
-@pytest.mark.parametrize(
-    ("more", "word"),
-    [
-        (("--raw-stream", "raw"), "--raw-stream"),
-        (("--rank", "opacity"), "--rank opacity"),
-        (("--rank", "coverage"), "--rank coverage"),
-        (("--no-whole-slices", "--preset", "paper"), "--rank opacity"),
-    ],
-)
-def test_what_only_whole_slices_can_do_is_one_line(
-    more: Sequence[str], word: str, capture: Path, tmp_path: Path
-) -> None:
-    done = run("swings-train", capture, tmp_path / "out", *more, folder=tmp_path)
-    assert done.returncode == 1
-    (line,) = done.stderr.strip().splitlines()
-    assert line.startswith("swings-train: ")
-    assert word in line
-    assert "--whole-slices" in line
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    "more", [("--raw-stream", "raw"), ("--rank", "opacity"), ("--rank", "coverage")]
-)
-def test_whole_slices_allow_it_whatever_the_preset(more: Sequence[str]) -> None:
-    for preset in ("fast", "paper"):
-        args = ["capture", "stream", "--preset", preset, "--whole-slices", *more]
-        parse_with_preset(TrainConfig, args).check_slices()
-
-
 def manifest_of(capture: Path, whole_slices: bool) -> Manifest:
-    config = TrainConfig(
-        capture,
-        capture.parent / "none",
-        rank="coverage",
-        whole_slices=whole_slices,
-        fit=FitConfig(num_gs=400),
-    )
+    fit, none = FitConfig(num_gs=400), capture.parent / "none"
+    config = TrainConfig(capture, none, rank="coverage", whole_slices=whole_slices, fit=fit)
     prepared = prepare(config)
     with FrameCache(prepared.capture, prepared.frames) as cache:
         pictures = CapturePictures(cache, prepared.capture.training)
@@ -105,28 +60,20 @@ def trained(config: TrainConfig, observers: Sequence[Observer] = ()) -> TrainCon
 def config_of(capture: Path, folder: Path) -> TrainConfig:
     """A run that writes a stream and a raw stream to `folder`."""
     fit = FitConfig(
-        num_gs=120,
-        swin_size=SWIN,
-        genesis_iterations=40,
-        settle_rounds=0,
-        window_iterations=20,
+        num_gs=120, swin_size=SWIN, genesis_iterations=40, settle_rounds=0, window_iterations=20,
         mcmc=McmcConfig(relocate_period=10),
-    )
+    )  # fmt: skip
     return TrainConfig(
-        capture,
-        folder / "stream",
-        raw_stream=folder / "raw",
-        whole_slices=True,
-        segment_frames=2,
-        snapshot_every=0,
-        fit=fit,
-    )
+        capture, folder / "stream", raw_stream=folder / "raw", whole_slices=True, segment_frames=2,
+        snapshot_every=0, frames=f"0:{FRAMES}", fit=fit,
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def streams(capture: Path) -> list[StreamReader]:
+def streams(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> list[StreamReader]:
     """The streams that a run has written."""
-    return [StreamReader(path) for path in run_targets(trained(config_of(capture, capture.parent)))]
+    config = trained(config_of(capture, tmp_path_factory.mktemp("whole")))
+    return [StreamReader(path) for path in run_targets(config)]
 
 
 def test_the_raw_stream_holds_what_the_other_rounds_to_the_lattice(

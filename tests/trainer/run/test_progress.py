@@ -1,75 +1,34 @@
-"""Other output of a training run: its log, scalars and snapshots."""
+"""Progress of a training run: its log, and one line in a terminal, or plain lines at intervals."""
 
 from __future__ import annotations
 
 import io
 import json
+import os
+import pty
+import re
+import select
+import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image
 from rich.console import Console
 
 from codec.errors import InvalidError
-from codec.progressline import ProgressLine
-from tests.support.commands import run, run_ok
-from tests.support.tiny_capture import write_dynerf
+from codec.progressline import ProgressLine, line_of
+from tests.support.commands import command, environment, run
+from tests.support.waiting import BOUND_S
 from trainer.fit.config import FitConfig
 from trainer.fit.observer import Progress as FitProgress
 from trainer.run.monitor import Monitor
-from trainer.run.runlog import LOG_NAME, RunLog
+from trainer.run.runlog import RunLog
+from trainer.run.runstatus import RunStatus
 from trainer.score.meter import QualityMeter
 
-FRAMES = 5
-
-
-def test_a_log_without_a_place_is_refused_before_training(tmp_path: Path) -> None:
-    write_dynerf(tmp_path / "capture", 4, 2)
-    log = tmp_path / "nowhere" / "log.jsonl"
-    done = run("swings-train", tmp_path / "capture", tmp_path / "out", "--log", log)
-    assert done.returncode == 1
-    assert "nowhere is not a folder" in done.stderr
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_run_logs_every_frame_and_draws_snapshots(tmp_path: Path) -> None:
-    write_dynerf(tmp_path / "capture", 4, FRAMES)
-    stream = tmp_path / "stream"
-    xyz = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 3))
-    np.savez(tmp_path / "points.npz", xyz=xyz, rgb=np.full((50, 3), 99, np.uint8))
-    run_ok(
-        "swings-train", tmp_path / "capture", stream, "--num-gs", 200, "--swin-size", 2,
-        "--genesis-iterations", 30, "--settle-rounds", 1, "--window-iterations", 20,
-        "--segment-frames", 2,
-        "--snapshot-every", 2, "--points", tmp_path / "points.npz",
-    )  # fmt: skip
-    records = [json.loads(line) for line in (stream / LOG_NAME).read_text().splitlines()]
-    assert [r["frame"] for r in records] == list(range(FRAMES))
-    assert all(r["gaussians"] > 100 for r in records)
-    assert all(r["iterations_per_s"] > 0 for r in records)
-    assert records[-1]["left_s"] == 0 < records[0]["left_s"]
-    assert records[-1]["psnr_db"] > 5
-    # Bytes of the complete segments, without snapshots except those of frame 0.
-    for frame in (1, 3):
-        played = sum(
-            file.stat().st_size
-            for segment in range(frame // 2 + 1)
-            for file in (stream / "segments" / str(segment)).iterdir()
-            if segment == 0 or not file.name.startswith("snapshot")
-        )
-        assert records[frame]["bytes_per_frame"] == round(played / (frame + 1))
-    assert any((stream / "segments" / "1").glob("snapshot-*"))
-    assert sorted(p.name for p in (stream / "snapshots").iterdir()) == [
-        f"{frame:06d}.png" for frame in (0, 2, 4)
-    ]
-    with Image.open(stream / "snapshots" / "000004.png") as picture:
-        drawn = np.asarray(picture)
-    height, width = drawn.shape[:2]
-    captured, rendered = drawn[:, : width // 3], drawn[:, width // 3 : 2 * width // 3]
-    assert captured.std() > 1
-    assert rendered.std() > 1
-    assert height > 10
+TINY = (
+    "--num-gs", 100, "--genesis-iterations", 40, "--settle-rounds", 1, "--window-iterations", 20,
+    "--frames", "0:2",
+)  # fmt: skip
 
 
 def test_time_left_is_that_of_the_iterations_left(tmp_path: Path) -> None:
@@ -126,3 +85,55 @@ def test_tensorboard_gets_the_scalars_or_says_what_to_install(tmp_path: Path) ->
     with RunLog(tmp_path / "log", tmp_path / "board") as log:
         log.add({"frame": 3, "psnr_db": 25.0, "note": None})
     assert any(f.stat().st_size for f in (tmp_path / "board").iterdir())
+
+
+def test_a_usual_line_fits_80_columns_with_all_that_is_known() -> None:
+    long = RunStatus(1149, 3000, 0.383, 45_296, 72_960, 28.412, 33_123, 106.5).stage()
+    assert line_of(long, 80) == (
+        "frame 1149 of 3000  38% done  12:34:56 elapsed, 20:16:00 left  28.41 dB"
+    )
+    usual = RunStatus(149, 150, 0.383, 754, 1234, 28.412, 33_123, 106.5).stage()
+    assert line_of(usual, 80) == (
+        "frame 149 of 150  38% done  12:34 elapsed, 20:34 left  28.41 dB  33.1 kB/frame"
+    )
+
+
+def test_a_run_whose_output_is_a_file_says_how_it_goes(capture: Path, tmp_path: Path) -> None:
+    done = run("swings-train", capture, tmp_path / "stream", *TINY)
+    assert done.returncode == 0, done.stderr
+    lines = [line for line in done.stderr.splitlines() if " done" in line]
+    assert lines[0].startswith("first of 2 frames")
+    assert lines[-1].startswith("frame 1 of 2  100% done")
+    assert lines[-1].endswith("it/s")
+    assert " dB  " in lines[-1]
+    assert all(len(line) <= 80 and line.isprintable() for line in lines)
+
+
+def test_on_a_terminal_of_80_columns_it_is_one_line(capture: Path, tmp_path: Path) -> None:
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        command("swings-train", capture, tmp_path / "stream", *TINY),
+        env={**environment(), "COLUMNS": "80", "TERM": "xterm", "NO_COLOR": "1"},
+        stdout=subprocess.DEVNULL,
+        stderr=theirs,
+    )
+    os.close(theirs)
+    shown = b""
+    while select.select([ours], [], [], BOUND_S)[0]:
+        try:
+            block = os.read(ours, 1 << 16)
+        except OSError:  # Linux: there is no writer any more
+            break
+        shown += block
+        if not block:
+            break
+    os.close(ours)
+    assert process.wait(BOUND_S) == 0
+    drawn = [part for part in re.split("[\r\n]+", shown.decode()) if " done" in part]
+    for part in drawn:
+        line = re.sub(r"\x1b\[[?0-9]*[a-zA-Z]", "", part)
+        assert line.isprintable()
+        assert len(line.rstrip()) < 80
+    assert " dB  " in drawn[-1]
+    # Drawn in place: the old text is erased, and one line stays.
+    assert all("\x1b[2K" in part for part in drawn[1:])

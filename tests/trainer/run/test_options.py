@@ -1,0 +1,175 @@
+"""What options of swings-train make of a stream."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from rich.console import Console
+
+from codec.errors import SwingsError
+from codec.interop.formats import SplatFormat, read_splats, write_splats
+from codec.slots.update import NEW
+from codec.stream import StreamReader
+from codec.tools.audit import verify_stream
+from codec.tools.slotcensus import count_slots
+from tests.support.commands import run
+from tests.support.drawn import same_splats
+from tests.support.tiny_capture import WIDTH_PX
+from tests.support.trainings import train_here
+from trainer.run.runlog import LOG_NAME
+from trainer.score.evaluate import EvaluateConfig, evaluate_stream
+from trainer.synth.film import SynthConfig, synthesise
+
+FRAMES = 6
+LATER = "--window-iterations", 10, "--num-gs", 200, "--frames", "0:2"
+
+
+def test_a_temporal_layer_changes_no_frame(capture: Path, tmp_path: Path) -> None:
+    words = "--num-gs", 60, "--genesis-iterations", 4, "--settle-rounds", 1, "--temporal"
+    made = {}
+    for period in (1, 2):
+        out = tmp_path / f"s{period}"
+        train_here(capture, out, "--window-iterations", 1, *words, period)
+        assert verify_stream(out).num_frames == FRAMES
+        made[period] = StreamReader(out)
+    plain, halved = made[1], made[2]
+    assert halved.manifest.num_layers == plain.manifest.num_layers + 1
+    assert halved.manifest.segment_frames == 16
+    for frame in range(FRAMES):
+        wanted = plain.active_splats(frame, plain.manifest.num_layers)
+        assert same_splats(halved.active_splats(frame, halved.manifest.num_layers), wanted)
+    assert halved.records[0].psnr_db[-1] == pytest.approx(plain.records[0].psnr_db[-1])
+
+
+def score_db(stream: Path) -> float:
+    """That of the first frame, from the log."""
+    line = (stream / LOG_NAME).read_text().splitlines()[0]
+    score: float = json.loads(line)["psnr_db"]
+    return score
+
+
+def test_a_run_goes_on_from_given_gaussians_whose_higher_degrees_are_cut(
+    capture: Path, tmp_path: Path
+) -> None:
+    first, initial = tmp_path / "first", tmp_path / "first.ply"
+    train_here(capture, first, *LATER, "--genesis-iterations", 150, "--settle-rounds", 2)
+    reader = StreamReader(first)
+    splats = reader.active_splats(0, reader.manifest.num_layers)
+    write_splats(initial, splats.with_degree(3), SplatFormat.PLY)
+    assert read_splats(initial).sh_degree == 3
+    given = "--initial", initial, "--genesis-iterations", 0, "--settle-rounds", 1
+    train_here(capture, tmp_path / "s", *LATER, "--num-gs", len(splats), *given)
+    assert StreamReader(tmp_path / "s").manifest.sh_degree == 0
+    # 10 iterations cannot train 200 seeds.
+    assert score_db(tmp_path / "s") > score_db(first) - 0.5
+    with pytest.raises(SwingsError, match="set --num-gs"):
+        train_here(capture, tmp_path / "other", *given, "--num-gs", 300)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--initial", "none.ply"), r"none\.ply"),
+        (("--genesis-iterations", 0), "see --initial"),
+        (("--log", "nowhere/log.jsonl"), "nowhere is not a folder"),
+    ],
+)
+def test_what_cannot_begin_is_refused_before_anything_is_written(
+    words: tuple[object, ...], message: str, capture: Path, tmp_path: Path
+) -> None:
+    with pytest.raises((SwingsError, OSError), match=message):
+        train_here(capture, tmp_path / "s", *words)
+    assert not (tmp_path / "s").exists()
+
+
+def test_preset_gpu_says_its_memory_and_scales_a_large_capture(
+    capture: Path, tmp_path: Path
+) -> None:
+    stream = tmp_path / "stream"
+    done = run(
+        "swings-train", capture, stream, "--preset", "gpu", "--num-gs", 100, "--frames", "0:2",
+        "--genesis-iterations", 5, "--settle-rounds", 1, "--window-iterations", 2,
+        "--backend", "torch", "--torch-device", "cpu", "--longest-px", WIDTH_PX // 2,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "backend: torch on cpu" in done.stderr
+    assert re.search(
+        r"^memory: 0\.\d\d GB .* that are free on device cpu$", done.stderr, re.MULTILINE
+    )
+    trained = StreamReader(stream).manifest.cameras[0]
+    assert (trained.width_px, trained.height_px) == (WIDTH_PX // 2, 18)
+    assert verify_stream(stream).num_frames == 2
+
+
+@pytest.mark.deep
+def test_a_stream_trained_by_torch_is_valid_and_as_good(tmp_path: Path) -> None:
+    capture = tmp_path / "capture"
+    film = SynthConfig(
+        capture, frames=3, cameras=14, held_out=1, width_px=64, height_px=48, points=400
+    )
+    synthesise(film, Console(quiet=True))
+    psnr_db = {}
+    for name in ("cpu", "torch"):
+        stream = tmp_path / name
+        train_here(
+            capture, stream, "--backend", name, "--num-gs", 500, "--point-share", 0.8,
+            "--genesis-iterations", 200, "--settle-rounds", 0, "--window-iterations", 30,
+        )  # fmt: skip
+        verify_stream(stream)
+        psnr_db[name] = evaluate_stream(EvaluateConfig(stream, capture)).layers[-1].psnr_db
+    assert psnr_db["cpu"] > 15
+    assert psnr_db["torch"] == pytest.approx(psnr_db["cpu"], abs=0.2)
+
+
+def test_preset_paper_writes_whole_slices(capture: Path, tmp_path: Path) -> None:
+    words = "--num-gs", 100, "--genesis-iterations", 5, "--window-iterations", 2, "--frames", "0:3"
+    train_here(capture, tmp_path / "stream", "--preset", "paper", *words)
+    reader = StreamReader(tmp_path / "stream")
+    assert reader.manifest.swin_size == 5
+    assert reader.manifest.slots == (7, 3, 4, 6)
+    # Nothing is leased: in every slice each slot is new.
+    census = count_slots(reader)
+    assert (census.statuses[1:, :, NEW] == reader.manifest.slots).all()
+    assert np.array_equal(census.first, 5 * np.array(reader.manifest.slots))
+
+
+def test_a_run_logs_every_frame_and_draws_snapshots(capture: Path, tmp_path: Path) -> None:
+    stream, points = tmp_path / "stream", tmp_path / "points.npz"
+    xyz = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 3))
+    np.savez(points, xyz=xyz, rgb=np.full((50, 3), 99, np.uint8))
+    train_here(
+        capture, stream, "--num-gs", 200, "--swin-size", 2, "--genesis-iterations", 30,
+        "--settle-rounds", 1, "--window-iterations", 20, "--segment-frames", 2,
+        "--snapshot-every", 2, "--points", points,
+    )  # fmt: skip
+    records = [json.loads(line) for line in (stream / LOG_NAME).read_text().splitlines()]
+    assert [r["frame"] for r in records] == list(range(FRAMES))
+    assert all(r["gaussians"] > 100 for r in records)
+    assert all(r["iterations_per_s"] > 0 for r in records)
+    assert records[-1]["left_s"] == 0 < records[0]["left_s"]
+    assert records[-1]["psnr_db"] > 5
+    # Bytes of the complete segments, without snapshots except those of frame 0.
+    for frame in (1, 3):
+        played = sum(
+            file.stat().st_size
+            for segment in range(frame // 2 + 1)
+            for file in (stream / "segments" / str(segment)).iterdir()
+            if segment == 0 or not file.name.startswith("snapshot")
+        )
+        assert records[frame]["bytes_per_frame"] == round(played / (frame + 1))
+    assert any((stream / "segments" / "1").glob("snapshot-*"))
+    assert sorted(p.name for p in (stream / "snapshots").iterdir()) == [
+        f"{frame:06d}.png" for frame in (0, 2, 4)
+    ]
+    with Image.open(stream / "snapshots" / "000004.png") as picture:
+        drawn = np.asarray(picture)
+    height, width = drawn.shape[:2]
+    captured, rendered = drawn[:, : width // 3], drawn[:, width // 3 : 2 * width // 3]
+    assert captured.std() > 1
+    assert rendered.std() > 1
+    assert height > 10
