@@ -1,7 +1,8 @@
-"""`scripts/demo` from its first line to its last, on a scene that takes seconds.
+"""`scripts/demo` from its first line to its last.
 
-The script runs unchanged, in a folder where `.venv/bin` has the real commands with smaller settings
-appended to those of the script.
+The script runs unchanged, in a folder whose `.venv/bin` has the real commands with smaller settings
+appended to those of the script. In the gate a capture and a stream that are there already stand for
+filming and training.
 """
 
 from __future__ import annotations
@@ -12,70 +13,47 @@ import shlex
 import shutil
 import signal
 import subprocess
-import time
-import urllib.error
+import sys
 import urllib.request
 from pathlib import Path
 
 import pytest
 
-from tests.support.commands import ROOT, command, environment
+from tests.support.commands import ENTRY, ROOT, command, environment, run
+from tests.support.tiny_capture import seen_by, write_dynerf
+from tests.support.tiny_stream import tiny_manifest, write_tiny
+from tests.support.waiting import BOUND_S
 
 SMALLER = {
     "swings-synth": "--frames 6 --cameras 5 --width-px 32 --height-px 32 --points 50",
     "swings-train": "--num-gs 60 --genesis-iterations 4 --settle-rounds 1 --window-iterations 1",
-    "swings-serve": "",
     "swings-play": "--renderer cpu --size 64x36",
-    "swings-eval": "",
 }
+MADE = ("play.mp4", "play.png", "sheet.png", "stream/index.bin", "capture")
 
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    bin_folder, scripts = tmp_path / ".venv" / "bin", tmp_path / "scripts"
-    bin_folder.mkdir(parents=True)
-    scripts.mkdir()
-    shutil.copy(ROOT / "scripts" / "demo", scripts)
-    (scripts / "setup").write_text("#!/bin/sh\n")
-    for name, options in SMALLER.items():
-        words = shlex.join(command(name))
-        (bin_folder / name).write_text(f'#!/bin/sh\nexec {words} "$@" {options}\n')
-    (bin_folder / "python").write_text(
-        f'#!/bin/sh\nexec {shlex.quote(command("swings-eval")[0])} "$@"\n'
-    )
-    for program in [scripts / "setup", *bin_folder.iterdir()]:
-        program.chmod(0o755)
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+    (tmp_path / "scripts").mkdir()
+    shutil.copy(ROOT / "scripts" / "demo", tmp_path / "scripts")
+    write_program(tmp_path / "scripts" / "setup", "")
+    write_program(tmp_path / ".venv" / "bin" / "python", f'exec {sys.executable} "$@"')
+    for name in ENTRY:
+        line = f'exec {shlex.join(command(name))} "$@" {SMALLER.get(name, "")}'
+        write_program(tmp_path / ".venv" / "bin" / name, line)
     return tmp_path
 
 
-@pytest.mark.slow
-def test_without_serving_it_ends_and_leaves_everything(checkout: Path) -> None:
-    done = subprocess.run(
-        ["sh", "scripts/demo", "--no-serve"],
-        cwd=checkout,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=240,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "held-out PSNR" in done.stdout
-    assert "/watch/" not in done.stdout
-    for name in ("play.mp4", "play.png", "sheet.png", "stream/index.bin", "capture"):
-        assert (checkout / "demo" / name).stat().st_size > 0
+def write_program(path: Path, line: str) -> None:
+    path.write_text(f"#!/bin/sh\n{line}\n")
+    path.chmod(0o755)
 
 
-def is_served(link: str) -> bool:
-    try:
-        with urllib.request.urlopen(link, timeout=5):
-            return True
-    except OSError:
-        return False
-
-
-def test_it_serves_the_stream_until_ctrl_c(checkout: Path) -> None:
-    process = subprocess.Popen(
-        ["sh", "scripts/demo"],
+def started(checkout: Path, *words: str) -> subprocess.Popen[str]:
+    """Starts the script as the leader of a group of processes."""
+    return subprocess.Popen(
+        ["sh", "scripts/demo", *words],
         cwd=checkout,
         env=environment(),
         stdout=subprocess.PIPE,
@@ -83,28 +61,51 @@ def test_it_serves_the_stream_until_ctrl_c(checkout: Path) -> None:
         text=True,
         start_new_session=True,
     )
-    assert process.stdout is not None
-    try:
-        links = (re.search(r"http://\S+/watch/stream", line) for line in process.stdout)
-        link = next(found[0] for found in links if found)
-        with urllib.request.urlopen(link, timeout=20) as answer:
-            assert answer.status == 200
-        os.killpg(process.pid, signal.SIGINT)
-        assert process.wait(timeout=30) == 0
-        until_s = time.monotonic() + 20
-        while is_served(link):  # the server takes a moment to close its connections
-            assert time.monotonic() < until_s
-    finally:
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait(timeout=20)
-        process.stdout.close()
+
+
+def test_it_scores_and_serves_the_stream_until_ctrl_c(checkout: Path) -> None:
+    capture, stream, asked = checkout / "filmed", checkout / "trained", checkout / "asked"
+    write_dynerf(capture, 3, 4)
+    write_tiny(stream, 4, seen_by(tiny_manifest(), capture))
+    bin_folder = checkout / ".venv" / "bin"
+    write_program(bin_folder / "swings-synth", f'echo "$0 $*" > {asked}; cp -r {capture} "$1"')
+    write_program(bin_folder / "swings-train", f'echo "$0 $*" >> {asked}; cp -r {stream} "$2"')
+    with started(checkout) as process:
+        try:
+            assert process.stdout is not None
+            links = (re.search(r"http://\S+/watch/stream", line) for line in process.stdout)
+            link = next(found[0] for found in links if found)
+            with urllib.request.urlopen(link, timeout=BOUND_S) as answer:
+                assert answer.status == 200
+            os.killpg(process.pid, signal.SIGINT)
+            process.stdout.read()  # until the last process of the group has ended
+            assert process.wait(timeout=BOUND_S) == 0
+            with pytest.raises(OSError, match="refused"):
+                urllib.request.urlopen(link, timeout=BOUND_S)
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+    assert all((checkout / "demo" / name).exists() for name in MADE)
+    for line in asked.read_text().splitlines():
+        program, *words = shlex.split(line)
+        done = run(Path(program).name, *words, folder=checkout)
+        assert done.returncode == 1, done.stderr  # wrong options would be a 2
+        assert "not empty" in done.stderr
+
+
+@pytest.mark.deep
+def test_without_serving_it_ends_and_leaves_everything(checkout: Path) -> None:
+    with started(checkout, "--no-serve") as process:
+        said, _ = process.communicate()
+    assert process.returncode == 0
+    assert "held-out PSNR" in said
+    assert "/watch/" not in said
+    assert all((checkout / "demo" / name).stat().st_size > 0 for name in MADE)
 
 
 def test_other_words_are_refused(checkout: Path) -> None:
-    done = subprocess.run(
-        ["sh", "scripts/demo", "--serve"], cwd=checkout, capture_output=True, text=True
-    )
+    words = ["sh", "scripts/demo", "--serve"]
+    done = subprocess.run(words, cwd=checkout, capture_output=True, text=True)
     assert done.returncode == 2
     assert done.stderr == "usage: scripts/demo [--no-serve]\n"
     assert not (checkout / "demo").exists()
