@@ -1,0 +1,198 @@
+/** Which objects of a static host are fetched, in which order, over which link. */
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { readObject } from "../format/objecttable.js";
+import { readManifest } from "../format/manifest.js";
+import { readIndex } from "../format/streamindex.js";
+import { RateEstimator } from "../source/estimator.js";
+import { Fetcher } from "../source/fetcher.js";
+import { HostedStream } from "../source/hosted.js";
+import { HostedPlay } from "../source/hostedplay.js";
+import { LayerRule } from "../source/layerrule.js";
+import { SegmentCache } from "../source/segmentcache.js";
+import { answering, filesOf, manifestOf, settled } from "./support.mjs";
+
+const NUM_SEGMENTS = 30;
+const LAYER_BYTES = [300_000, 100_000, 100_000];
+const SNAPSHOT_BYTES = [150_000, 60_000, 60_000];
+const MASKS_BYTES = 10_000;
+const NEED_BPS = 8 * (500_000 + MASKS_BYTES);
+const MANIFEST = manifestOf();
+const RECORDS = Array.from({ length: NUM_SEGMENTS }, (_, segment) => ({
+  segment,
+  firstFrame: 30 * segment,
+  numFrames: 30,
+  psnrDb: [],
+  objectBytes: [...LAYER_BYTES, MASKS_BYTES, ...SNAPSHOT_BYTES],
+  objectSha256: [],
+}));
+
+/** How things stand: a fast link at `nextFrame`, unless `changes` says otherwise. */
+const at = (nextFrame, changes = {}) => ({
+  ...{ nextFrame, rateBps: 100 * NEED_BPS, paused: false, queuedBytes: 0, rate: 1 },
+  ...changes,
+});
+
+/** The objects that are asked for as things stand one after another, until nothing is worth it. */
+function chosen(states, { first = 0, most = 3, isHere } = {}) {
+  const rule = new LayerRule(MANIFEST, RECORDS, first, most, isHere);
+  return states.map((state) => {
+    const asked = [];
+    for (;;) {
+      const segment = rule.choose(state);
+      if (segment === null) return asked;
+      asked.push(...rule.parts(segment).map((part) => `${segment}/${part}`));
+      rule.add(segment);
+      assert.ok(asked.length < 1000, "the rule asks for ever");
+    }
+  });
+}
+
+const ofPart = (asked, part) => asked.filter((name) => name.split("/")[1] === part);
+const range = (end, part) => Array.from({ length: end }, (_, n) => `${n}/${part}`);
+
+test("a fast link brings every layer once, and snapshots at the start alone", () => {
+  const asked = chosen(RECORDS.map(({ firstFrame }) => at(firstFrame))).flat();
+  const wanted = ["0", "1", "2", "masks"].flatMap((part) => range(NUM_SEGMENTS, part));
+  const snapshots = [0, 1, 2].map((layer) => `0/snapshot-${layer}`);
+  assert.deepEqual(asked.sort(), [...wanted, ...snapshots].sort());
+});
+
+test("nine seconds of layer 0 come first, then other layers, and fifteen seconds at most", () => {
+  const [asked] = chosen([at(0)]);
+  assert.deepEqual(asked.slice(0, 3), ["0/snapshot-0", "0/masks", "0/0"]);
+  const layers = asked.filter((name) => /\/\d$/.test(name));
+  assert.deepEqual(
+    layers.slice(0, 27),
+    ["0", "1", "2"].flatMap((part) => range(9, part)),
+  );
+  assert.deepEqual(ofPart(asked, "0"), range(15, "0"));
+});
+
+test("a link that carries layer 0 alone brings no other", () => {
+  const [asked] = chosen([at(0, { rateBps: 8.5 * (LAYER_BYTES[0] + MASKS_BYTES) })]);
+  assert.deepEqual(asked.sort(), ["0/snapshot-0", ...range(15, "0"), ...range(15, "masks")].sort());
+});
+
+test("a layer that comes back begins with its snapshot", () => {
+  const [fast, slow, again] = chosen([at(0), at(300, { queuedBytes: 1e10 }), at(480)]);
+  assert.ok(fast.includes("14/1"));
+  assert.deepEqual(ofPart(slow, "1"), []);
+  assert.equal(again[again.indexOf("16/1") - 1], "16/snapshot-1");
+  const snapshots = again.filter((name) => name.includes("snapshot"));
+  assert.deepEqual(snapshots, ["16/snapshot-1", "16/snapshot-2"]);
+});
+
+test("what would come more than half a segment late is not asked for, but in a pause", () => {
+  const rateBps = 1.5 * NEED_BPS;
+  for (const queuedBytes of [0, 2_000_000]) {
+    const plannedS = (8 * (queuedBytes + LAYER_BYTES[1] + SNAPSHOT_BYTES[1])) / (0.9 * rateBps);
+    const [asked] = chosen([at(0, { rateBps, queuedBytes })]);
+    const first = Math.min(...ofPart(asked, "1").map((name) => parseInt(name, 10)));
+    assert.equal(first, Math.max(0, Math.ceil(plannedS - 0.5)));
+  }
+  const [playing, paused] = [false, true].map(
+    (isPaused) => chosen([at(25, { rateBps: 1.2 * NEED_BPS, paused: isPaused })], { first: 25 })[0],
+  );
+  assert.ok(!playing.includes("0/2"));
+  assert.deepEqual(
+    paused.slice(0, 7),
+    ["snapshot-0", "masks", "0", "snapshot-1", "1", "snapshot-2", "2"].map((part) => `0/${part}`),
+    "a still picture gets all layers first",
+  );
+});
+
+test("at double speed no more layers than the link carries then, and never more than wanted", () => {
+  const upper = [1, 2].map(
+    (rate) =>
+      ofPart(chosen([at(25, { rateBps: 1.5 * NEED_BPS, rate })], { first: 25 })[0], "2").length,
+  );
+  assert.ok(upper[0] > 0);
+  assert.equal(upper[1], 0);
+  const [asked] = chosen([at(0)], { most: 2 });
+  assert.deepEqual([ofPart(asked, "1").length > 0, ofPart(asked, "2")], [true, []]);
+});
+
+test("what has come is not asked for again, at no cost to the link", () => {
+  const isHere = ({ segment }, part) => segment === 1 && part !== "masks";
+  const rateBps = 8.5 * (LAYER_BYTES[0] + MASKS_BYTES);
+  const [asked] = chosen([at(0, { rateBps })], { isHere });
+  assert.deepEqual(
+    asked.filter((name) => name.startsWith("1/")),
+    ["1/masks"],
+  );
+});
+
+test("the rate follows the link", () => {
+  const estimator = new RateEstimator();
+  estimator.add(1000, 0.001);
+  assert.equal(estimator.rateBps, null, "too little to say");
+  for (let n = 0; n < 50; n++) estimator.add(20_000, 0.02);
+  const before = Number(estimator.rateBps);
+  assert.ok(Math.abs(before / 8e6 - 1) < 0.01);
+  estimator.add(0, 0.4);
+  const after = Number(estimator.rateBps);
+  assert.ok(after < 0.6 * before);
+  estimator.add(-20_000, 0);
+  assert.ok(Number(estimator.rateBps) >= 1 && Number(estimator.rateBps) < after);
+});
+
+const FILES = filesOf("one-lane-gzip");
+const STREAM = readManifest(FILES["manifest.json"]);
+const INDEX = readIndex(FILES["index.bin"], STREAM);
+
+for (const rateBps of [1e6, 1e9]) {
+  test(`a play asks a host with ${rateBps} bits a second for every object once`, () => {
+    const asked = [];
+    const stream = {
+      manifest: STREAM,
+      records: INDEX,
+      rateBps,
+      cache: new SegmentCache(STREAM),
+      async object({ segment }, part) {
+        asked.push(`${segment}/${part}`);
+        return readObject(FILES[`segments/${segment}/${part}`]).packets;
+      },
+    };
+    let nowS = 0;
+    const request = { firstFrame: 0, mostLayers: STREAM.numLayers, nowS: () => nowS };
+    const play = new HostedPlay(stream, request);
+    for (let frame = 0; frame < INDEX.length * STREAM.segmentFrames; frame++) {
+      nowS = frame / STREAM.fps;
+      play.reportPosition(frame, false, 1);
+      play.step();
+    }
+    const layers = STREAM.parts.filter((part) => !part.startsWith("snapshot-"));
+    const wanted = INDEX.flatMap(({ segment }) => layers.map((part) => `${segment}/${part}`));
+    const first = STREAM.parts.filter((part) => part.startsWith("snapshot-"));
+    assert.deepEqual(asked.sort(), [...wanted, ...first.map((part) => `0/${part}`)].sort());
+  });
+}
+
+test("a seek aborts what the last one asked for, and that is no failure", async (context) => {
+  const asked = [];
+  answering(context, (url, { signal }) => {
+    const name = url.split("/host/")[1];
+    if (!name.startsWith("segments/")) return new Response(FILES[name]);
+    asked.push({ name, signal: signal });
+    return new Promise((_, reject) =>
+      signal?.addEventListener("abort", () => reject(signal.reason)),
+    );
+  });
+  const stream = await HostedStream.open("http://any/host/", new Fetcher());
+  const [first, second] = [0, 1].map((segment) => {
+    const firstFrame = segment * STREAM.segmentFrames + 1;
+    const play = stream.play({ firstFrame, mostLayers: STREAM.numLayers, nowS: () => 0 });
+    play.step();
+    return play;
+  });
+  first.close();
+  await settled();
+  const abortedOf = (segment) =>
+    asked
+      .filter(({ name }) => name === `segments/${segment}/0`)
+      .map(({ signal }) => signal.aborted);
+  assert.deepEqual([abortedOf(0), abortedOf(1)], [[true], [true, false]]);
+  assert.deepEqual([first.failure, second.failure], [null, null]);
+});

@@ -1,0 +1,281 @@
+/** What is fetched of a stream's host, and what is done where that fails. */
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { Fetcher, SourceError } from "../source/fetcher.js";
+import { GrowingIndex } from "../source/growingindex.js";
+import { edgeFrame, followPeriodS, isBehind } from "../source/liveedge.js";
+import { objectUrl } from "../source/objecturl.js";
+import { openSource } from "../source/source.js";
+import { answering, filesOf, joined, manifestBytes, manifestOf, recordOf } from "./support.mjs";
+
+const BASE = "http://host:8000/away/";
+
+test("an object of another origin is refused unless it is allowed", () => {
+  const away = "http://other:8000/stream/0/0";
+  assert.throws(
+    () => objectUrl(BASE, away, false),
+    new SourceError(
+      `${BASE}manifest.json leads to another host, http://other:8000; other-hosts, as an attribute of ` +
+        "the player or other-hosts=1 in the address of its page, allows it",
+    ),
+  );
+  assert.equal(objectUrl(BASE, away, true), away);
+  for (const path of [
+    "//host/0/0",
+    "http://host:8001/0/0",
+    "\\\\host:1/0/0",
+    "https://host:8000/0/0",
+    "//elsewhere.example/0/0",
+    "http://host0.example/0",
+  ])
+    assert.throws(() => objectUrl(BASE, path, false), /leads to another host/, path);
+  for (const path of ["http://host:8000/stream/0/0", "/stream/0/0", "../stream/0/0"])
+    assert.equal(objectUrl(BASE, path, false), "http://host:8000/stream/0/0");
+  for (const isAllowed of [false, true]) {
+    const refused = (path, message) =>
+      assert.throws(() => objectUrl(BASE, path, isAllowed), { name: "FormatError", message });
+    refused("http://[0", /is not a URL/);
+    refused("data:text/plain,0", /is not on the web/);
+    refused("file:///etc/0", /is not on the web/);
+  }
+});
+
+test("what the manifest's address decides, the fetched stream obeys", async (context) => {
+  const files = filesOf("one-lane-gzip");
+  const described = JSON.parse(Buffer.from(files["manifest.json"]).toString());
+  const template = "http://other/{segment}/{layer}";
+  const led = JSON.stringify({ ...described, object_url: template });
+  answering(context, (url) => {
+    if (url === "http://other/0/0") return new Response(files["segments/0/0"]);
+    return new Response(url.endsWith(".json") ? led : files["index.bin"]);
+  });
+  for (const isAllowed of [false, true]) {
+    const stream = await openSource(BASE, new Fetcher(), null, isAllowed);
+    let numBytes = 0;
+    const fetched = stream.object(stream.records[0], "0", (n) => (numBytes += n));
+    if (!isAllowed) await assert.rejects(fetched, /leads to another host/);
+    else assert.ok((await fetched).size > 0 && numBytes === files["segments/0/0"].length);
+  }
+});
+
+const NUM_GAUSSIANS = 2 ** 24;
+const MANY = { slots: [2 ** 20], swin_size: 16, num_gs: NUM_GAUSSIANS, segment_frames: 1 };
+
+/** The bytes of a play's first records: a start, of which the manifest is 16-bit bytes of msgpack. */
+function startRecord(manifest) {
+  const text = (one) => Buffer.from([0xa0 + one.length, ...Buffer.from(one)]);
+  const size = Buffer.from([0xc5, manifest.length >> 8, manifest.length & 255]);
+  const pairs = [text("kind"), text("start"), text("from"), [0], text("num_frames"), [1]];
+  const body = Buffer.concat([[0x84], ...pairs, text("manifest"), size, manifest].map(Buffer.from));
+  return Buffer.concat([Buffer.from(Uint32Array.of(body.length).buffer), body]);
+}
+
+for (const [kind, url] of [
+  ["a static host", "http://host/many/"],
+  ["a server", "http://host/watch/many/"],
+]) {
+  test(`2^24 Gaussians on ${kind} are refused unless they are allowed, and cost nothing yet`, async (context) => {
+    const manifest = manifestBytes(MANY);
+    answering(context, (asked) => {
+      if (asked.endsWith("manifest.json")) return new Response(manifest);
+      if (asked.endsWith("index.bin")) return new Response(recordOf(manifestOf(MANY), 0));
+      assert.ok(asked.startsWith("http://host/v1/streams/many/play?"), asked);
+      return new Response(startRecord(manifest), { headers: { "Swings-Play": "a" } });
+    });
+    const message =
+      /has 16,777,216 Gaussians; max-gaussians=16777216, .* \(about 4\.7 GB of memory\)/;
+    for (const most of [null, NUM_GAUSSIANS - 1])
+      await assert.rejects(openSource(url, new Fetcher(), most), { kind: "unsupported", message });
+    const before = process.memoryUsage();
+    const stream = await openSource(url, new Fetcher(), NUM_GAUSSIANS);
+    const after = process.memoryUsage();
+    assert.equal(stream.manifest.numGs, NUM_GAUSSIANS);
+    assert.ok(after.arrayBuffers - before.arrayBuffers < NUM_GAUSSIANS);
+    assert.ok(after.heapTotal - before.heapTotal < 2 * NUM_GAUSSIANS);
+    if ("first" in stream) stream.first.close();
+  });
+}
+
+const MANIFEST = manifestOf();
+const row = (segment) => recordOf(MANIFEST, segment);
+
+for (const hasRanges of [true, false]) {
+  test(`the index grows on a host ${hasRanges ? "with" : "without"} ranges`, async (context) => {
+    let bytes = new Uint8Array(0);
+    answering(context, (_, { headers }) => {
+      const first = /^bytes=(\d+)-$/.exec(headers?.Range ?? "")?.[1];
+      const isRange = hasRanges && first !== undefined;
+      return new Response(isRange ? bytes.slice(Number(first)) : bytes, {
+        status: isRange ? 206 : 200,
+      });
+    });
+    const index = new GrowingIndex("http://host/index.bin", new Fetcher(), MANIFEST);
+    let known = 0;
+    for (const count of [0, 1, 0, 2, 1, 0, 5]) {
+      const rows = Array.from({ length: known + count }, (_, segment) => row(segment));
+      bytes = joined(rows);
+      const beforeBytes = index.fetcher.receivedBytes;
+      const fresh = await index.refresh();
+      const sent = hasRanges && known > 1 ? count + 1 : known + count;
+      assert.equal(index.fetcher.receivedBytes - beforeBytes, sent * row(0).length);
+      assert.deepEqual(
+        fresh.map(({ segment }) => segment),
+        rows.map((_, n) => n).slice(known),
+      );
+      known += count;
+      assert.equal(index.records.length, known);
+    }
+    const good = bytes;
+    const others = Array.from({ length: known }, (_, segment) => recordOf(MANIFEST, segment, 2));
+    for (const bad of [good.slice(0, 3 * row(0).length), new Uint8Array(0), joined(others)]) {
+      bytes = bad;
+      await assert.rejects(index.refresh(), /another stream/);
+      assert.equal(index.records.length, known, "what is known stays");
+    }
+    bytes = joined([good, row(known).slice(0, 100)]);
+    assert.deepEqual(await index.refresh(), [], "a record that is being written");
+  });
+}
+
+test("the edge is a segment behind what comes while one waits", () => {
+  for (const [fps, segmentFrames] of [
+    [30, 15],
+    [30, 1],
+    [25, 50],
+    [10, 200],
+  ]) {
+    const shape = { fps, segmentFrames };
+    const periodS = followPeriodS(shape);
+    assert.equal(periodS, Math.min(5, Math.max(0.5, segmentFrames / fps)));
+    // A segment exists once it is complete, is found up to a period later, and then fetched.
+    const neededFrames = segmentFrames + fps * periodS;
+    let last = 0;
+    for (let numFrames = 1; numFrames < 12 * segmentFrames + 8 * fps; numFrames++) {
+      const edge = edgeFrame(shape, numFrames);
+      assert.ok(edge >= last && edge % segmentFrames === 0);
+      const lag = numFrames - edge;
+      assert.ok(edge === 0 || lag > neededFrames);
+      assert.ok(lag <= neededFrames + fps / 2 + segmentFrames);
+      assert.equal(isBehind(shape, numFrames, edge - 3 * fps - 1), true);
+      assert.equal(isBehind(shape, numFrames, edge - 3 * fps), false);
+      last = edge;
+    }
+  }
+});
+
+/**
+ * A fetcher whose waits between tries are over at once, on a clock that goes on by `waitS` in each; and
+ * what it says of its trouble.
+ */
+function trying(context, giveUpS = 60, waitS = 1) {
+  let nowMs = 0;
+  context.mock.method(performance, "now", () => nowMs);
+  const waitsMs = [];
+  context.mock.method(globalThis, "setTimeout", (run, ms) => {
+    waitsMs.push(ms);
+    nowMs += 1000 * waitS;
+    queueMicrotask(run);
+  });
+  const troubles = [];
+  const fetcher = new Fetcher({ giveUpS, onTrouble: (message) => troubles.push(message) });
+  return { fetcher, troubles, waitsMs };
+}
+
+const URL_ = "http://host/file";
+const GONE = "The network is gone; trying again";
+
+test("a host that fails for a while is asked again, less and less often", async (context) => {
+  const { fetcher, troubles, waitsMs } = trying(context);
+  let tries = 0;
+  answering(context, () => {
+    tries += 1;
+    if (tries < 3) throw new TypeError("no network");
+    return new Response("bytes", { status: tries < 6 ? 503 : 200 });
+  });
+  assert.equal(Buffer.from(await fetcher.get(URL_, 10)).toString(), "bytes");
+  assert.deepEqual(troubles, [GONE, GONE, GONE, GONE, GONE, null]);
+  for (const [n, mostMs] of [250, 500, 1000, 1000, 1000].entries())
+    assert.ok(waitsMs[n] >= mostMs / 2 && waitsMs[n] <= mostMs);
+});
+
+test("a host is given up after a minute without success", async (context) => {
+  const { fetcher, waitsMs } = trying(context, 60, 10);
+  answering(context, () => new Response("", { status: 500 }));
+  await assert.rejects(fetcher.get(URL_, 10), /cannot be reached; check the network and try again/);
+  assert.equal(waitsMs.length, 7);
+});
+
+test("a host that answers other pages only is told from a network that is gone", async (context) => {
+  const { fetcher, troubles } = trying(context, 2);
+  const modes = [];
+  let isThere = true;
+  answering(context, (_, { method = "GET", mode }) => {
+    modes.push([method, mode]);
+    if (method === "GET" || !isThere) throw new TypeError("refused");
+    return new Response();
+  });
+  await assert.rejects(
+    fetcher.get(URL_, 10),
+    /^SourceError: http:\/\/host answers, but does not let/,
+  );
+  const get = ["GET", undefined];
+  assert.deepEqual(modes, [get, get, get, ["HEAD", "no-cors"]]);
+  assert.deepEqual(troubles, [GONE, GONE]);
+  isThere = false;
+  await assert.rejects(fetcher.get(URL_, 10), /cannot be reached/);
+  modes.length = 0;
+  fetcher.receivedBytes = 1;
+  await assert.rejects(fetcher.get(URL_, 10), /cannot be reached/);
+  assert.ok(
+    modes.every((one) => String(one) === String(get)),
+    "it has answered this page before",
+  );
+});
+
+test("what is refused, too long or no address of the web is not asked for twice", async (context) => {
+  const { fetcher, waitsMs } = trying(context);
+  answering(context, (url) => new Response("12345", { status: url.endsWith("no") ? 404 : 200 }));
+  await assert.rejects(fetcher.get(`${URL_}/no`, 10), new SourceError(`${URL_}/no: HTTP 404`));
+  await assert.rejects(fetcher.get(URL_, 4), /has more than 4 bytes; this is not a stream/);
+  await assert.rejects(fetcher.get("file:///etc/passwd", 10), /play it from a web server/);
+  assert.equal((await fetcher.get(URL_, 5)).length, 5);
+  const ended = AbortSignal.abort(new Error("over"));
+  await assert.rejects(fetcher.get(URL_, 9, undefined, { signal: ended }), ended.reason);
+  assert.deepEqual(waitsMs, []);
+});
+
+test("the bytes of a try that broke off do not count", async (context) => {
+  const { fetcher } = trying(context);
+  let tries = 0;
+  answering(context, () => {
+    const isGood = ++tries === 2;
+    let pulls = 0;
+    const pull = (controller) => {
+      if (pulls++ === 0) controller.enqueue(new Uint8Array(3));
+      else if (isGood) controller.close();
+      else controller.error(new TypeError("broken"));
+    };
+    return new Response(new ReadableStream({ pull }));
+  });
+  const counts = [];
+  assert.equal((await fetcher.get(URL_, 10, (numBytes) => counts.push(numBytes))).length, 3);
+  assert.deepEqual(counts, [3, -3, 3]);
+  assert.equal(fetcher.receivedBytes, 6, "they have crossed the network");
+});
+
+test("a part of a file is what was asked for, and tells the size of the file", async (context) => {
+  const { fetcher } = trying(context);
+  let reply = { status: 206, headers: { "Content-Range": "bytes 5-7/99" } };
+  const calls = answering(context, () => new Response("abc", reply));
+  const range = () => fetcher.range(URL_, { first: 5, size: 3 });
+  assert.deepEqual(await range(), { bytes: Uint8Array.from(Buffer.from("abc")), fileBytes: 99 });
+  const init = calls.mock.calls[0].arguments[1];
+  assert.deepEqual([init.headers, init.cache], [{ Range: "bytes=5-7" }, "no-store"]);
+  reply = { status: 206 };
+  assert.equal((await range()).fileBytes, null, "a host of another origin hides it");
+  reply = { status: 206, headers: { "Content-Range": "bytes 4-6/99" } };
+  await assert.rejects(range(), /sent another part than requested/);
+  reply = { status: 200 };
+  await assert.rejects(range(), /does not send parts of a file/);
+});
