@@ -1,4 +1,5 @@
-"""Renewal finds objects in a frame that no Gaussian renders, and places Gaussians there."""
+"""Renewal finds objects in a frame that no Gaussian renders, and places Gaussians there; scene flow
+finds moving Gaussians at their new places, and leaves others unchanged."""
 
 from __future__ import annotations
 
@@ -10,6 +11,8 @@ import numpy.typing as npt
 import pytest
 
 from codec.camera import Camera
+from codec.lattice.lattice import Lattice
+from codec.slots.slotlayout import SlotLayout
 from codec.splats import Splats
 from player.render.cpu import render_splats
 from tests.support.tiny_capture import tiny_rig
@@ -18,7 +21,9 @@ from trainer.fit.config import FitConfig
 from trainer.fit.generations import Generations
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.renew import Comparer, Comparison, missing_splats
+from trainer.fit.sceneflow import scene_flow as flow_of
 from trainer.fit.trainer import Trainer
+from trainer.lease.leases import LeaseConfig
 from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats
 from trainer.step.colour import CameraColour
@@ -76,8 +81,7 @@ class Film:
         gains: npt.NDArray[np.floating] | None = None,
         sizes: Sequence[tuple[int, int]] = ((160, 90),),
     ) -> None:
-        self.cameras = rig(sizes)
-        self.num_frames = len(frames)
+        self.cameras, self.num_frames = rig(sizes), len(frames)
         gains = np.ones(len(self.cameras)) if gains is None else gains
         self._pictures: list[list[npt.NDArray[np.uint8]]] = [
             [seen(splats, camera, gain) for camera, gain in zip(self.cameras, gains, strict=True)]
@@ -195,13 +199,8 @@ def test_nothing_is_placed_outside_the_depths_of_the_scene() -> None:
     away.log_scales[:] = np.log(0.6)
     compared = compare(Film([Splats.concatenate([room(), away])]), room())
     found = missing_splats(compared, 200, 1.0, 6.0, 0, np.random.default_rng(0))
-    for camera in compared.cameras:
-        local = found.means @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]
-        assert (local[:, 2] < 12).all()
-    depths = [
-        found.means @ c.w2c[2, :3].astype(np.float32) + np.float32(c.w2c[2, 3])
-        for c in compared.cameras
-    ]
+    depths = [found.means @ c.w2c[2, :3] + c.w2c[2, 3] for c in compared.cameras]
+    assert np.max(depths, initial=0) < 12
     assert (np.min(depths, axis=0) < 6.001).all()
 
 
@@ -220,13 +219,9 @@ def test_contributions_come_with_the_comparison() -> None:
 
 
 CONFIG = FitConfig(
-    num_gs=300,
-    swin_size=3,
-    genesis_iterations=150,
-    settle_rounds=0,
-    window_iterations=20,
+    num_gs=300, swin_size=3, genesis_iterations=100, settle_rounds=0, window_iterations=20,
     mcmc=McmcConfig(renew_share=0.2),
-)
+)  # fmt: skip
 
 
 def jumping() -> Film:
@@ -294,7 +289,61 @@ def test_only_the_least_of_each_slice_are_placed_and_they_show_from_the_frame_on
     np.testing.assert_array_equal(lifespans.starts[others], starts[others])
     assert (lifespans.expires[renewed] > frame).all()
     assert (np.bincount(renewed // lifespans.slice_size) <= 0.2 * lifespans.slice_size).all()
-    if frame == 4:  # the jump
-        assert len(renewed) > 20
-    else:
-        assert len(renewed) < 20
+    assert (len(renewed) > 20) == (frame == 4)  # the jump
+
+
+def flow(
+    motion_m: npt.NDArray[np.float32],
+    guess_m: float = 0.0,
+    gains: npt.NDArray[np.floating] | None = None,
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+    """(M, 3) flow of a room in which a thing moves, and (M,) whether a Gaussian is of the thing."""
+    before = Splats.concatenate([room(), thing()])
+    after = Splats.concatenate([room(), thing(NEW_AT_M + motion_m)])
+    is_thing = np.arange(len(before)) >= len(room())
+    film = Film([before, after], gains)
+    rows = np.arange(len(before), dtype=np.int32)
+    colour = CameraColour(len(film.cameras), 0)
+    values = parameters(before)
+    comparer = Comparer([View.prepare(c, NEAR_M) for c in film.cameras], for_flow=True)
+    compared, _, _ = comparer.compare(values, rows, film, 1, colour, 0)
+    guesses = np.full_like(before.means, guess_m)
+    return flow_of(compared, before.means, guesses, np.random.default_rng(0)), is_thing
+
+
+@pytest.mark.parametrize("motion_m", [(0.3, 0, 0), (0.0, -0.2, 0.1), (0.05, 0.05, -0.05)])
+def test_a_thing_is_found_where_it_went_and_the_room_stays(
+    motion_m: tuple[float, float, float],
+) -> None:
+    moved = np.array(motion_m, np.float32)
+    motions, is_thing = flow(moved)
+    errors_m = np.linalg.norm(motions[is_thing] - moved, axis=1)
+    assert np.median(errors_m) < 0.02
+    assert np.mean(errors_m < 0.04) > 0.8
+    assert np.mean((motions[~is_thing] == 0).all(axis=1)) > 0.97
+
+
+@pytest.mark.parametrize("guess_m", [0.0, 0.1])
+def test_nothing_moves_where_nothing_changed(guess_m: float) -> None:
+    motions, _ = flow(np.zeros(3, np.float32), guess_m)
+    assert not motions.any()
+
+
+@pytest.mark.parametrize("scene_flow", [False, True])
+def test_a_window_begins_where_things_went(scene_flow: bool) -> None:
+    moved = np.array([0.3, 0, 0], np.float32)
+    before = Splats.concatenate([room(), thing()])
+    film = Film([before, Splats.concatenate([room(), thing(NEW_AT_M + moved)])])
+    config = FitConfig(
+        num_gs=len(before), genesis_iterations=0, settle_rounds=1, settle_renew_share=0,
+        window_iterations=1, scene_flow=scene_flow,
+        mcmc=McmcConfig(renew_share=0, noise_lr=0, window_noise_lr=0),
+        lease=LeaseConfig(active_share=0.5, trade_share=0),
+    )  # fmt: skip
+    layout = SlotLayout(1, (len(before),), 0, (Lattice.suiting(before),), 15)
+    trainer = Trainer(config, film, before, NEAR_M, layout=layout)
+    for _ in trainer.windows():
+        pass
+    apart_m = np.linalg.norm(trainer.shown(1).means - NEW_AT_M - moved, axis=1)
+    at_new_place = (apart_m < 1.3 * NEW_RADIUS_M).sum()
+    assert at_new_place > 32 if scene_flow else at_new_place < 8  # of 40

@@ -24,7 +24,7 @@ from tests.trainer.fit.test_trainer import (
 from trainer.fit.config import FitConfig
 from trainer.fit.observer import Observer, Progress
 from trainer.fit.trainer import Trainer
-from trainer.step.backend import BackendName
+from trainer.step.backend import Backend, BackendName
 from trainer.step.device.device import DeviceBackend
 from trainer.step.loss import psnr_db
 
@@ -42,20 +42,23 @@ class Reported(Observer):
         self.losses.append(progress.loss)
 
 
+def backend_of(name: BackendName, config: FitConfig) -> Backend:
+    return config.backend(name, "cpu" if name == "torch" else None).backend
+
+
 def trainer_of(
-    name: BackendName, config: FitConfig, initial: Splats | None, *observers: Observer
+    backend: Backend, config: FitConfig, initial: Splats | None, *observers: Observer
 ) -> Trainer:
-    leased = layout(1, *SLOTS[1]) if config.swin_size == 1 else None
-    backend = config.backend(name, "cpu" if name == "torch" else None).backend
     return Trainer(
-        config, Rendered(), initial, NEAR_M, backend=backend, observers=observers, layout=leased
-    )
+        config, Rendered(), initial, NEAR_M, backend=backend, observers=observers,
+        layout=layout(1, *SLOTS[1]) if config.swin_size == 1 else None,
+    )  # fmt: skip
 
 
 def quality_db(name: BackendName, config: FitConfig) -> float:
     """Mean PSNR of all frames between the cameras."""
     reported = Reported()
-    trainer = trainer_of(name, config, start(), reported)
+    trainer = trainer_of(backend_of(name, config), config, start(), reported)
     held_out, found = [ring_camera(angle, "between") for angle in (-0.95, 0.05, 0.55)], []
     for window in trainer.windows():
         for camera in held_out:
@@ -67,7 +70,7 @@ def quality_db(name: BackendName, config: FitConfig) -> float:
     return float(np.mean(found))
 
 
-@pytest.mark.slow
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("config", "least_db"),
     # Short: rounding, which differs between processors, then moves a seed by at most 0.1 dB. With a
@@ -98,13 +101,13 @@ def test_a_stopped_training_on_a_device_goes_on_as_if_it_had_not(config: FitConf
             if progress.first_frame == 0:
                 kept.append({name: array.copy() for name, array in trainer.state().items()})
 
-    trainer = trainer_of("torch", config, start(), Keeping())
+    trainer = trainer_of(backend_of("torch", config), config, start(), Keeping())
     for window in trainer.windows():
         kept.append({name: array.copy() for name, array in trainer.state().items()})
         if window.first_frame == 2:
             break
     for state in (kept[0], kept[-2]):
-        other = trainer_of("torch", config, None)
+        other = trainer_of(backend_of("torch", config), config, None)
         other.restore(state)
         for window in other.windows():
             if window.first_frame == 2:
@@ -119,7 +122,7 @@ def test_with_an_early_report_of_losses_nothing_else_changes() -> None:
     config = replace(LEASED, genesis_iterations=40, window_iterations=20, settle_rounds=0)
     names: tuple[BackendName, ...] = ("cpu", "torch")
     for name, observer in zip(names, reported, strict=True):
-        trainer = trainer_of(name, config, start(), observer)
+        trainer = trainer_of(backend_of(name, config), config, start(), observer)
         next(trainer.windows())
     assert reported[1].losses == pytest.approx(reported[0].losses, rel=2e-3)
 
@@ -130,27 +133,17 @@ def test_within_a_window_only_numbers_cross(config: FitConfig) -> None:
         def progressed(self, progress: Progress) -> None:
             crossed.append((progress.first_frame, crossing.crossed_bytes, crossing.picture_bytes))
 
-    crossed: list[tuple[int, int, int]] = []
+    crossed = list[tuple[int, int, int]]()
     config = replace(
         config, genesis_iterations=100, window_iterations=80, settle_rounds=0,
         mcmc=replace(config.mcmc, relocate_period=1000),
     )  # fmt: skip
-    picked = config.backend("torch", "cpu").backend
-    assert isinstance(picked, DeviceBackend)
-    crossing = picked.crossing
-    layout_of = layout(1, *SLOTS[1]) if config.swin_size == 1 else None
-    trainer = Trainer(
-        config,
-        Rendered(),
-        start(),
-        NEAR_M,
-        backend=picked,
-        observers=[Counting()],
-        layout=layout_of,
-    )
-    for window in trainer.windows():
-        if window.first_frame == 1:
-            break
+    backend = backend_of("torch", config)
+    assert isinstance(backend, DeviceBackend)
+    crossing = backend.crossing
+    windows = trainer_of(backend, config, start(), Counting()).windows()
+    next(windows)
+    next(windows)
     for first_frame in (0, 1):
         told = [(crossed_bytes, p) for f, crossed_bytes, p in crossed if f == first_frame]
         assert len(told) >= 4
