@@ -104,7 +104,7 @@ def test_links_and_embed_code_lead_to_the_page_beside_it(page: Page, tmp_path: P
 def requests_of(server: ServerProcess) -> dict[str, list[tuple[int, int]]]:
     """Status and bytes of each response to a GET, by path without the query."""
     answers: dict[str, list[tuple[int, int]]] = {}
-    for line in server.settled_log(0):
+    for line in server.settled_log():
         found = re.search(r"method=GET path=(\S+) .*?status=(\d+) bytes=(\d+)", line)
         if found:
             answers.setdefault(found[1], []).append((int(found[2]), int(found[3])))

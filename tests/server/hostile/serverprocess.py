@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import itertools
 import json
 import re
 import socket
@@ -18,10 +19,12 @@ from typing import Any
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.support.commands import command, environment
-from tests.support.waiting import wait_until
+from tests.support.waiting import BOUND_S, wait_until
 
-QUIET_S = 0.5
-"""Time without a byte after which an answer counts as complete."""
+LAST = "the-last-request"
+"""A stream that does not exist, requested at the end of an exchange: the answer shows that the
+connection was kept."""
+_MARKS = itertools.count()
 SECRET = b"not for you: 4f1d8a"
 """Content of the files around the streams; no response may contain it."""
 
@@ -47,16 +50,12 @@ class ServerProcess:
         lines = [json.loads(line) for line in self.log_lines() if line.startswith("{")]
         return [line for line in lines if not kinds or line["event"] in kinds]
 
-    def settled_log(self, least: int) -> list[str]:
-        """The log once it has stopped growing; waits a short time for `least` lines."""
-        before = self.log_lines()
-        for _ in range(40):
-            time.sleep(0.01)
-            now = self.log_lines()
-            if len(now) >= least and now == before:
-                break
-            before = now
-        return self.log_lines()
+    def settled_log(self) -> list[str]:
+        """The log with all requests that have ended by now; the server logs its requests."""
+        mark = f"/marked-{next(_MARKS)}"
+        ask(self.port, mark)
+        wait_until(lambda: any(mark in line for line in self.log_lines()))
+        return [line for line in self.log_lines() if "/marked-" not in line]
 
 
 def server_process(
@@ -81,15 +80,14 @@ def logged_process(words: Sequence[str], folder: Path, **options: Any) -> Iterat
             **options,
         )
     try:
-        wait_until(lambda: "serving http" in log.read_text() or process.poll() is not None, 30)
+        wait_until(lambda: "serving http" in log.read_text() or process.poll() is not None)
         found = re.search(r"^serving https?://\S+:(\d+)$", log.read_text(), re.MULTILINE)
         assert found, log.read_text()
-        time.sleep(0.1)  # the names of the streams
         yield ServerProcess(process, int(found[1]), log)
     finally:
         process.terminate()
         try:
-            process.wait(timeout=20)
+            process.wait(timeout=BOUND_S)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
@@ -131,32 +129,24 @@ def answers_of(data: bytes) -> tuple[list[Answer], bytes]:
 
 
 def exchange(port: int, sent: bytes, shut: bool = False) -> tuple[bytes, bool]:
-    """What the server sends for `sent`, and whether it closed the connection by itself.
-
-    Ends when the server closes, or has said something and then nothing for QUIET_S, or nothing
-    within four times that. shut: close our half after sending.
-    """
+    """What the server sends for `sent`, and whether it closed the connection by itself, or answers
+    another request after that. shut: close our half after sending."""
+    last = f"GET /v1/streams/{LAST}/index.bin HTTP/1.1\r\nHost: h\r\n\r\n".encode()
+    if shut or b"connection: close" in sent.lower():
+        last = b""
     received = bytearray()
-    began_s = time.monotonic()
-    with socket.create_connection(("127.0.0.1", port), timeout=5) as sock:
-        try:
-            sock.sendall(sent)
+    with socket.create_connection(("127.0.0.1", port), timeout=BOUND_S) as sock:
+        with contextlib.suppress(OSError):  # it has closed already; what it said may still be there
+            sock.sendall(sent + last)
             if shut:
                 sock.shutdown(socket.SHUT_WR)
-        except OSError:
-            pass  # it has closed already; what it said may still be there
-        while time.monotonic() - began_s < 10:
-            sock.settimeout(QUIET_S if received else 4 * QUIET_S)
-            try:
-                piece = sock.recv(1 << 16)
-            except TimeoutError:
-                return bytes(received), False
-            except ConnectionError:
-                return bytes(received), True
-            if not piece:
-                return bytes(received), True
-            received += piece
-    return bytes(received), False
+        with contextlib.suppress(ConnectionError):
+            while piece := sock.recv(1 << 16):
+                received += piece
+                answer = received.rfind(b"HTTP/1.1 404 ")
+                if answer >= 0 and LAST.encode() in received[answer:]:
+                    return bytes(received[:answer]), False
+    return bytes(received), True
 
 
 def ask(
@@ -167,7 +157,7 @@ def ask(
     body: bytes | None = None,
 ) -> Answer:
     """The answer to a request over a connection of its own."""
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=BOUND_S)
     with contextlib.closing(connection):
         connection.request(method, path, body, {"Connection": "close", **(headers or {})})
         response = connection.getresponse()

@@ -88,7 +88,7 @@ def test_a_thousand_slow_clients_are_cut_and_the_others_hardly_feel_them(
     port, count = server.port, how_many()
     if count < 50:
         pytest.skip("this machine allows too few descriptors: raise `ulimit -n`")
-    begin = len(server.settled_log(0))
+    begin = len(server.settled_log())
     first_byte_s(port, attacked)  # the memory of this read is not due to the attack
     alone_s = [first_byte_s(port, ordinary) for _ in range(300)]
     before_bytes, most_bytes = rss_bytes(server.pid), 0
@@ -121,6 +121,6 @@ def test_a_thousand_slow_clients_are_cut_and_the_others_hardly_feel_them(
     assert left <= 0, f"{left} of {count} are kept after {CUT_S + SLACK_S} s"
     assert most_bytes - before_bytes <= MEMORY_BYTES
     assert p99(with_s) <= 2 * p99(alone_s) + 0.02, f"{p99(alone_s)} s, {p99(with_s)} s attacked"
-    lines = server.settled_log(0)[begin:]
+    lines = server.settled_log()[begin:]
     assert not any("Traceback" in line for line in lines)
     assert len(lines) <= 50 + len(alone_s) + len(with_s) + 2 * count, "more than a line each"
