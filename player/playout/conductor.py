@@ -110,14 +110,15 @@ class Conductor:
         interrupt: Callable[[], None] = lambda: None,
         open_whole: OpenAt | None = None,
         smoothing: Smoothing | None = None,
+        time_s: Callable[[], float] = time.monotonic,
     ) -> None:
         """plays: how often the frames are played; math.inf for without end. interrupt: makes an
         `open_at` that waits raise StoppedError. open_whole: as open_at, but with all layers,
         however long they take; None leaves a picture that stands as it is. smoothing: None draws
-        nothing between frames."""
+        nothing between frames. time_s: seconds of the world, from anywhere."""
         self._open_at, self._make_events = open_at, make_events
         self._interrupt, self._open_whole = interrupt, open_whole
-        self._clock = clock
+        self._clock, self._time_s = clock, time_s
         self.smoothing = smoothing or Smoothing()
         """Whether pictures between frames are drawn; a key of the window switches it."""
         self._first_frame, self._plays = first_frame, plays
@@ -240,7 +241,7 @@ class Conductor:
         self._changed.notify_all()
 
     def _time_changed(self) -> None:
-        self._changed_s = time.monotonic()
+        self._changed_s = self._time_s()
         self._changed.notify_all()
         for play in (self._current, self._following):
             if play is not None:
@@ -260,7 +261,7 @@ class Conductor:
             records = play.handoff.poll()
             if records:
                 assert self._renderer is not None
-                self._newest, self._changed_s = records[-1], time.monotonic()
+                self._newest, self._changed_s = records[-1], self._time_s()
                 self._renderer.upload(records[-1].frame)
                 self.transport.shown = records[-1].frame
                 self._target = None
@@ -382,7 +383,7 @@ class Conductor:
         )
 
     def _is_to_sharpen(self) -> bool:
-        return self._lacks_layers() and time.monotonic() >= self._changed_s + SHARPEN_S
+        return self._lacks_layers() and self._time_s() >= self._changed_s + SHARPEN_S
 
     def _sharpen(self, frame: int) -> None:
         """Shows `frame`, which stands, with all layers."""

@@ -15,28 +15,18 @@ from codec.errors import SwingsError
 from player.link.linkprocess import LinkProcess, RelayError
 from player.link.linktext import read_link
 from tests.support.commands import ROOT
-from tests.support.waiting import wait_until
+from tests.support.waiting import BOUND_S, is_running, wait_until
 
 LINK = read_link("8M")
 
 PLAYER = """
-import time
+import threading
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
 relay = LinkProcess(read_link("8M"), "127.0.0.1", 9)
 print(relay.pid, relay.address[1], flush=True)
-time.sleep(60)
+threading.Event().wait()
 """
-
-
-def is_gone(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return True
-    # Its parent may not have waited for it yet.
-    with open(f"/proc/{pid}/stat") as file:
-        return file.read().rpartition(")")[2].split()[0] == "Z"
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
@@ -51,10 +41,10 @@ def test_it_ends_with_whoever_started_it(number: signal.Signals) -> None:
     assert player.stdout is not None
     with player.stdout:
         pid, port = map(int, player.stdout.readline().split())
-        assert not is_gone(pid)
+        assert is_running(pid)
         player.send_signal(number)
-        player.wait(timeout=20)
-        wait_until(lambda: is_gone(pid))
+        player.wait(timeout=BOUND_S)
+        wait_until(lambda: not is_running(pid))
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port), timeout=5)
 
@@ -74,7 +64,7 @@ def test_one_that_dies_is_named_instead_of_what_follows() -> None:
         with relay:
             if kill:
                 os.kill(relay.pid, signal.SIGKILL)
-                wait_until(lambda: is_gone(relay.pid))
+                wait_until(lambda: not is_running(relay.pid))
             raise SwingsError("the connection broke")
 
     with pytest.raises(RelayError, match=message):

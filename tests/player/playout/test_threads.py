@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import tempfile
 import threading
-import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 import numpy as np
@@ -22,19 +22,16 @@ from player.playout.clock import Clock
 from player.playout.outputtimes import OutputTimes
 from player.playout.queues import EmptyStreamError, Events, Handoff
 from player.playout.threads import Threads, render_thread
-from player.playout.timeline import FrameRecord, Playout, QueueConfig
+from player.playout.timeline import DueFrame, FrameRecord, Playout, QueueConfig
 from player.render.steptimes import StepTimes
 from player.source.directory import DirectorySource
 from player.source.source import NO_PLAY, Packets
 from server.abr.clientstatus import ClientStatus
-from server.abr.playout import PlayoutConfig
+from tests.player.playout.conducted import AT_ONCE, FOLLOWED, World
 from tests.support.hosted_streams import SWIN_SIZE, small_manifest, write_stream
-
-pytestmark = pytest.mark.realtime
+from tests.support.waiting import BOUND_S, wait_until
 
 CAMERA = small_manifest().camera()
-MANIFEST = small_manifest(4, 0)
-AT_ONCE = PlayoutConfig(start_lead_s=0, resume_lead_s=0)
 
 
 def packets_of_frames(count: int) -> list[Packets]:
@@ -47,28 +44,16 @@ def packets_of_frames(count: int) -> list[Packets]:
 PACKETS = packets_of_frames(40)
 
 
-def playout_of(fps: float, queue: QueueConfig | None = None) -> Playout:
-    return Playout(small_manifest(4, 0, fps), 0, None, queue, AT_ONCE)
+def events_of(fps: float, clock: Clock, queue: QueueConfig | None = None) -> Events:
+    return Events(Playout(small_manifest(4, 0, fps), 0, None, queue, AT_ONCE), clock)
 
 
 class ListSource:
-    """Packets from a list, then an error if there is one, else nothing forever."""
-
-    def __init__(
-        self,
-        num_frames: int,
-        gap_s: float = 0.0,
-        failure: Exception | None = None,
-        silent: bool = False,
-    ) -> None:
-        self._packets, self._gap_s = PACKETS[:num_frames], gap_s
-        self._failure, self._silent = failure, silent
-        self._stopped = threading.Event()
-        self.given = 0
-        self.heard: list[ClientStatus] = []
+    """Packets from a list, then an error if there is one, else nothing forever where it is
+    silent."""
 
     name = "list"
-    manifest: Manifest = MANIFEST
+    manifest: Manifest = small_manifest(4, 0)
     frames = FrameRange(0)
     play = NO_PLAY
     adaptive = False
@@ -76,9 +61,18 @@ class ListSource:
     received_bytes = 0
     num_frames = 0
 
+    def __init__(
+        self, num_frames: int, failure: Exception | None = None, silent: bool = False
+    ) -> None:
+        self._packets, self._failure, self._silent = PACKETS[:num_frames], failure, silent
+        self._stopped = threading.Event()
+        self.passes: Callable[[], None] = lambda: None  # is called before each packet
+        self.given = 0
+        self.heard: list[ClientStatus] = []
+
     def packets(self) -> Iterator[Packets]:
         for one in self._packets:
-            time.sleep(self._gap_s)
+            self.passes()
             self.given += 1
             yield one
         if self._failure is not None:
@@ -99,17 +93,19 @@ class ListSource:
 
 
 class NotingRenderer:
-    """Records the slices that were put before each drawn frame."""
+    """Records the slices that were put before each drawn frame. draws: is called before it."""
 
     name = "notes"
     uploaded_bytes = 0
     times: StepTimes | None = None
     alpha = False
 
-    def __init__(self, failure: Exception | None = None, draw_s: float = 0.0) -> None:
+    def __init__(
+        self, failure: Exception | None = None, draws: Callable[[int], None] = lambda frame: None
+    ) -> None:
         self.births: list[int] = []
         self.drawn: list[tuple[int, int]] = []
-        self._failure, self._draw_s = failure, draw_s
+        self._failure, self._draws = failure, draws
 
     def glide(self, share: float) -> bool:
         return False
@@ -129,7 +125,7 @@ class NotingRenderer:
         return self.render_again(frame, camera)
 
     def render_again(self, frame: int, camera: Camera) -> npt.NDArray[np.float32]:
-        time.sleep(self._draw_s)
+        self._draws(frame)
         self.drawn.append((frame, max(self.births)))
         return np.zeros((2, 2, 3), np.float32)
 
@@ -137,112 +133,115 @@ class NotingRenderer:
         pass
 
 
-def run(
-    source: ListSource,
-    renderer: NotingRenderer,
-    *,
-    real: bool = False,
-    fps: float = 30.0,
-    queue: QueueConfig | None = None,
-) -> tuple[list[FrameRecord], Events]:
-    events = Events(playout_of(fps, queue), Clock(real))
+def run(source: ListSource, renderer: NotingRenderer, events: Events) -> list[FrameRecord]:
     shown: list[FrameRecord] = []
     with Threads(source, events) as threads:
-        handoff = threads.update(renderer)
-        times = OutputTimes(fps, fps, interpolates=False)
+        times = OutputTimes(30.0, 30.0, interpolates=False)
 
         def show(record: FrameRecord | None, pictures: Iterator[npt.NDArray[np.float32]]) -> None:
             assert len(list(pictures)) == (record is not None)
             if record is not None:
                 shown.append(record)
 
+        handoff = threads.update(renderer)
         assert render_thread(handoff, renderer, lambda _: CAMERA, times, 0, show) == len(shown)
-    return shown, events
+    return shown
 
 
-def no_threads_left() -> bool:
-    return not {"receive", "status", "update"} & {thread.name for thread in threading.enumerate()}
+@pytest.fixture(autouse=True)
+def _no_thread_is_left() -> Iterator[None]:
+    yield
+    assert not {*FOLLOWED} & {thread.name for thread in threading.enumerate()}
 
 
 def test_a_capture_draws_every_frame_once_in_order_with_its_slices() -> None:
     renderer = NotingRenderer()
-    shown, _ = run(ListSource(30), renderer, fps=0.001)
+    shown = run(ListSource(30), renderer, events_of(0.001, Clock(False)))
     assert [record.frame for record in shown] == list(range(30))
     assert renderer.births == list(range(1 - SWIN_SIZE, 30))
     assert [frame for frame, _ in renderer.drawn] == list(range(30))
     # Slices may arrive slightly early, never late.
     assert all(frame <= last <= frame + 3 for frame, last in renderer.drawn)
-    assert no_threads_left()
 
 
-def test_a_slow_drawer_holds_the_stream_back_and_is_not_a_stall() -> None:
-    source, renderer = ListSource(20), NotingRenderer(draw_s=0.02)
-    ahead: list[int] = []
-    draw = renderer.render_again
+def test_a_slow_drawer_holds_the_stream_back() -> None:
+    source, ahead = ListSource(20), list[int]()
+    events = events_of(1000.0, Clock(False), QueueConfig(max_frames=3))
 
-    def noting(frame: int, camera: Camera) -> npt.NDArray[np.float32]:
+    def is_held() -> bool:
+        status = events.client_status(0, 0)
+        return status is None or status.busy  # None: all has come
+
+    def draws(frame: int) -> None:
+        wait_until(is_held)
         ahead.append(source.given - (frame + 1))
-        return draw(frame, camera)
 
-    renderer.render_again = noting  # type: ignore[method-assign]
-    # The machine draws 50 frames a second, the stream has 1000.
-    shown, events = run(source, renderer, fps=1000.0, queue=QueueConfig(max_frames=3))
-    assert len(shown) == 20
+    assert len(run(source, NotingRenderer(draws=draws), events)) == 20
     # 3 in the queue, 3 on their way to the renderer, 1 in the receiver.
-    assert max(ahead) <= 8
-    assert events.totals.most_frames_waiting <= 3
-    assert events.totals.stalled_s < 0.1
+    assert 3 < max(ahead) <= 8
+    assert events.totals.most_frames_waiting == 3
 
 
-def test_with_a_real_clock_frames_wait_until_they_are_due() -> None:
-    began_s = time.monotonic()
-    shown, events = run(ListSource(10), NotingRenderer(), real=True, fps=30.0)
-    assert time.monotonic() - began_s >= 9 / 30
-    assert len(shown) == 10
-    assert events.totals.stalls == 0
+def test_a_full_queue_stops_the_time_of_a_capture() -> None:
+    """A slow machine is not taken for a slow link."""
+    world = World()
+    clock = Clock(False, world)
+    events = events_of(30.0, clock, QueueConfig(max_frames=3))
+    with ThreadPoolExecutor(1) as pool:
+        coming = pool.submit(lambda: [events.append(one) for one in PACKETS[:6]])
+        wait_until(lambda: not clock.running)
+        world.now_s += 5
+        shown = [events.wait_for_frame() for _ in range(6)]
+        coming.result(BOUND_S)
+    assert clock.running
+    assert clock.now_s() == 0
+    assert shown[-1] is not None
+    assert shown[-1].record.shown_s == pytest.approx(5 / 30)
 
 
 def test_a_slow_stream_stalls() -> None:
-    shown, events = run(ListSource(6, gap_s=0.03), NotingRenderer(), fps=1000.0)
+    world, source = World(), ListSource(6)
+
+    def passes() -> None:
+        world.now_s += 0.03
+
+    source.passes = passes
+    events = events_of(1000.0, Clock(False, world))
+    shown = run(source, NotingRenderer(), events)
     assert events.totals.stalls == 5
-    assert events.totals.stalled_s == pytest.approx(5 * 0.03, rel=0.5)
-    assert events.totals.startup_s >= 0.03
+    assert events.totals.stalled_s == pytest.approx(5 * 0.029)
+    assert events.totals.startup_s == pytest.approx(0.03)
     assert [record.late for record in shown] == [False] + [True] * 5
 
 
 @pytest.mark.parametrize("real", [True, False])
 def test_what_breaks_the_stream_rises_where_frames_are_drawn(real: bool) -> None:
+    source = ListSource(4, failure=SwingsError("the network is gone"))
     with pytest.raises(SwingsError, match="the network is gone"):
-        run(
-            ListSource(4, failure=SwingsError("the network is gone")),
-            NotingRenderer(),
-            real=real,
-        )
-    assert no_threads_left()
+        run(source, NotingRenderer(), events_of(30.0, Clock(real)))
 
 
-def test_what_breaks_the_renderer_rises_and_ends_the_stream() -> None:
-    source = ListSource(40, silent=True)
-    with pytest.raises(SwingsError, match="no memory"):
-        run(source, NotingRenderer(failure=SwingsError("no memory")))
-    assert no_threads_left()
+def fail_to_draw(frame: int) -> None:
+    raise SwingsError("the disk is full")
 
 
-def test_what_breaks_the_drawing_ends_both_threads() -> None:
-    renderer = NotingRenderer()
-
-    def broken(frame: int, camera: Camera) -> npt.NDArray[np.float32]:
-        raise SwingsError("the disk is full")
-
-    renderer.render_again = broken  # type: ignore[method-assign]
-    with pytest.raises(SwingsError, match="the disk is full"):
-        run(ListSource(3, silent=True), renderer)
-    assert no_threads_left()
+@pytest.mark.parametrize(
+    ("renderer", "message"),
+    [
+        (NotingRenderer(failure=SwingsError("no memory")), "no memory"),
+        (NotingRenderer(draws=fail_to_draw), "the disk is full"),
+    ],
+)
+def test_what_breaks_the_renderer_rises_and_ends_the_stream(
+    renderer: NotingRenderer, message: str
+) -> None:
+    with pytest.raises(SwingsError, match=message):
+        run(ListSource(40, silent=True), renderer, events_of(30.0, Clock(False)))
 
 
 def test_a_stream_that_ends_before_its_first_frame_is_an_error() -> None:
     with pytest.raises(EmptyStreamError):
-        run(ListSource(0), NotingRenderer())
+        run(ListSource(0), NotingRenderer(), events_of(30.0, Clock(False)))
 
 
 def test_a_window_sees_errors_too_and_takes_all_frames_at_once() -> None:
@@ -257,46 +256,53 @@ def test_a_window_sees_errors_too_and_takes_all_frames_at_once() -> None:
         handoff.poll()
 
 
-def pause(events: Events, clock: Clock) -> None:
-    clock.stop()
-    events.time_changed()
-
-
-def go_on(events: Events, clock: Clock) -> None:
-    clock.start()
-    events.time_changed()
-
-
-def test_a_pause_stops_the_time() -> None:
-    clock = Clock(real=True)
-    events = Events(playout_of(100.0), clock)
+def test_a_frame_waits_until_it_is_due_and_longer_in_a_pause() -> None:
+    world = World()
+    clock = Clock(True, world)
+    events = events_of(10.0, clock)
     for one in PACKETS[:2]:
         events.append(one)
     assert events.wait_for_frame() is not None
-    pause(events, clock)
-    threading.Timer(0.2, go_on, (events, clock)).start()
-    began_s = time.monotonic()
-    assert events.wait_for_frame() is not None
-    assert time.monotonic() - began_s >= 0.2
+
+    def still_waits(frame: Future[DueFrame | None], seconds: float) -> bool:
+        """Whether the frame is not there after `seconds`, whenever the thread looks."""
+        world.now_s += seconds
+        events.time_changed()
+        return frame not in wait([frame], 0.05).done
+
+    with ThreadPoolExecutor(1) as pool:
+        frame = pool.submit(events.wait_for_frame)
+        assert still_waits(frame, 0.09)
+        clock.stop()
+        assert still_waits(frame, 5.0)
+        clock.start()
+        assert still_waits(frame, 0.009)
+        still_waits(frame, 0.002)
+        due = frame.result(BOUND_S)
+    assert due is not None
+    assert due.record.shown_s == pytest.approx(0.1)
 
 
 def test_who_sends_is_told_of_a_full_queue_and_of_a_pause() -> None:
-    def heard(expected: Callable[[ClientStatus], bool]) -> None:
-        for _ in range(2000):
-            if source.heard and expected(source.heard[-1]):
-                return
-            time.sleep(0.01)
-        raise AssertionError(f"{source.heard[-3:]}")
+    world, source = World(), ListSource(31, silent=True)
+    clock = Clock(True, world)
+    events = events_of(1e-3, clock, QueueConfig(max_frames=3))
 
-    source = ListSource(31, silent=True)
-    clock = Clock(real=True)
-    events = Events(playout_of(1e-3, QueueConfig(max_frames=3)), clock)
+    def passes() -> None:
+        world.now_s += 0.01
+
+    source.passes = passes
+
+    def hears(expected: Callable[[ClientStatus], bool]) -> None:
+        wait_until(lambda: source.heard and expected(source.heard[-1]))
+
     with Threads(source, events):
         # On the time line frame 0 shows, although no thread has taken it.
-        heard(lambda one: one == ClientStatus(1, 2000.0, busy=True))
+        hears(lambda one: one == ClientStatus(1, 2000.0, busy=True))
         assert events.wait_for_frame() is not None
-        pause(events, clock)
-        heard(lambda one: one.paused and one.busy)
-        go_on(events, clock)
-        heard(lambda one: not one.paused)
-    assert no_threads_left()
+        clock.stop()
+        events.time_changed()
+        hears(lambda one: one.paused and one.busy)
+        clock.start()
+        events.time_changed()
+        hears(lambda one: not one.paused)
