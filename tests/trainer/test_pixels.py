@@ -15,6 +15,8 @@ import numpy.typing as npt
 import pytest
 from PIL import Image
 
+from tests.support.tiny_capture import refusal
+from tests.trainer.capture.test_masks import write_layout
 from trainer.errors import CaptureError
 from trainer.pixels import read_grey, read_rgb
 
@@ -160,7 +162,24 @@ def test_a_picture_of_a_billion_pixels_is_one_line(tmp_path: Path) -> None:
         assert "\n" not in str(refused.value)
 
 
-def test_nobody_waits_for_a_pipe(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("layout", "name"),
+    [
+        ("dynerf", "poses_bounds.npy"),
+        ("dynerf", "cam01.mp4"),
+        ("dynamic3dgs", "ims/2/000000.png"),
+        ("nerfstudio", "transforms.json"),
+    ],
+)
+def test_nobody_waits_for_the_other_end_of_a_pipe(layout: str, name: str, tmp_path: Path) -> None:
+    path = tmp_path / "c" / name
+    write_layout(tmp_path / "c", layout)
+    path.unlink()
+    os.mkfifo(path)
+    assert path.name in refusal(tmp_path / "c")
+
+
+def test_a_pipe_that_replaces_a_picture_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.png")
     with pytest.raises(CaptureError, match="not a regular file"):
         read_rgb(tmp_path / "pipe.png", any_size)

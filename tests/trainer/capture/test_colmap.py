@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from codec.camera import Camera
+from tests.support.footage.rebuilt import straight_place
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, refusal, tiny_rig
 from tests.support.tiny_models import COLOURS, POINTS, write_model, write_pictures
 from trainer.capture.layout import open_capture
@@ -44,9 +45,7 @@ def test_capture_as_written(tmp_path: Path, binary: bool, by_frame: bool) -> Non
         got = capture.cameras[index].camera
         assert got.name == camera.name
         assert np.allclose(got.w2c, camera.w2c, atol=1e-12)
-        assert (got.fx_px, got.fy_px, got.cx_px, got.cy_px) == (
-            camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
-        )  # fmt: skip
+        assert np.array_equal(got.intrinsics, camera.intrinsics)
         for frame in (2, 0):
             picture = capture.open_images(index).read(frame)
             assert np.array_equal(picture, picture_of(index, frame))
@@ -71,18 +70,6 @@ def test_the_rate_of_a_file(tmp_path: Path) -> None:
         assert "fps.txt" in refusal(tmp_path)
 
 
-def test_cameras_of_different_sizes(tmp_path: Path) -> None:
-    cameras = tiny_rig(3)
-    cameras[1] = cameras[1].resized(WIDTH_PX // 2, HEIGHT_PX // 2)
-    write_model(tmp_path / "sparse/0", cameras, [f"{c.name}.png" for c in cameras], True)
-    write_pictures(
-        tmp_path, cameras, 1, True, lambda i, f: picture_of(i, f)[:: 1 + (i == 1), :: 1 + (i == 1)]
-    )
-    capture = open_capture(tmp_path)
-    assert capture.open_images(1).read(0).shape == (HEIGHT_PX // 2, WIDTH_PX // 2, 3)
-    assert capture.open_images(2).read(0).shape == (HEIGHT_PX, WIDTH_PX, 3)
-
-
 def test_a_forward_rig_takes_its_depths_from_the_points(tmp_path: Path) -> None:
     cameras = tiny_rig(3, arc_deg=10)
     write_model(tmp_path / "sparse/0", cameras, [f"{c.name}.png" for c in cameras], True)
@@ -93,31 +80,13 @@ def test_a_forward_rig_takes_its_depths_from_the_points(tmp_path: Path) -> None:
     assert capture.far_m == pytest.approx(1.1 * depths.max(), rel=0.01)
 
 
-# --- distortion -----------------------------------------------------------------------------------
-
-
-def grid_colour(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
-    """Smooth crossing lines on the undistorted picture plane; positions are relative to the focal
-    length."""
-    red = 128 + 100 * np.sin(12 * x)
-    green = 128 + 100 * np.sin(12 * y)
-    return np.stack([red, green, 0 * x + 50], axis=-1).round().astype(np.uint8)
-
-
-def bent_grid(camera: Camera, lens: Lens) -> npt.NDArray[np.uint8]:
-    """The grid seen through the lens; undistorted positions of pixels are found by iteration."""
-    u = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px
-    v = (np.arange(camera.height_px) + 0.5 - camera.cy_px) / camera.fy_px
-    u, v = np.meshgrid(u, v)
-    x, y = u.copy(), v.copy()
-    for _ in range(200):
-        r2 = x * x + y * y
-        radial = 1 + lens.k1 * r2 + lens.k2 * r2**2 + lens.k3 * r2**3
-        x, y = (
-            (u - 2 * lens.p1 * x * y - lens.p2 * (r2 + 2 * x * x)) / radial,
-            (v - 2 * lens.p2 * x * y - lens.p1 * (r2 + 2 * y * y)) / radial,
-        )
-    return grid_colour(x, y)
+def grid_picture(camera: Camera, lens: Lens) -> npt.NDArray[np.uint8]:
+    """Smooth crossing lines on the undistorted picture plane, seen through the lens."""
+    v, u = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
+    bent = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px], axis=-1)
+    x, y = np.moveaxis(straight_place(bent, lens), -1, 0)
+    colours = [128 + 100 * np.sin(12 * x), 128 + 100 * np.sin(12 * y), 0 * x + 50]
+    return np.stack(colours, axis=-1).round().astype(np.uint8)
 
 
 @pytest.mark.parametrize(
@@ -133,8 +102,8 @@ def test_a_bent_grid_comes_back_straight(
 ) -> None:
     pose = tiny_rig(1)[0].w2c
     camera = Camera("cam00", 240, 160, 150.0, 150.0, 118.0, 83.0, pose)
-    straight = bent_grid(camera, Lens())
-    bent = bent_grid(camera, lens)
+    straight = grid_picture(camera, Lens())
+    bent = grid_picture(camera, lens)
     write_model(tmp_path / "sparse/0", [camera], ["cam00.png"], True, model, distortion)
     write_pictures(tmp_path, [camera], 2, True, lambda *_: bent)
     capture = open_capture(tmp_path)
@@ -175,9 +144,6 @@ def test_lenses_that_are_refused(tmp_path: Path) -> None:
             assert "cameras." in message
 
 
-# --- refusals -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
 def test_binary_files_cut_anywhere_or_continued(tmp_path: Path, name: str) -> None:
     write_colmap(tmp_path)
@@ -198,85 +164,86 @@ def test_text_files_with_another_count_or_words(tmp_path: Path, name: str) -> No
     write_colmap(tmp_path, binary=False)
     path = tmp_path / "sparse/0" / f"{name}.txt"
     text = path.read_text()
-    path.write_text(text.replace(": 3", ": 4"))
-    assert f"{name}.txt: declares 4 rows, has 3" in refusal(tmp_path)
-    path.write_text(text + "99 word\n")
-    assert f"{name}.txt: line" in refusal(tmp_path)
-    path.write_bytes(b"\xff\xfe" + text.encode())
-    assert f"{name}.txt: not text" in refusal(tmp_path)
+    for data, said in (
+        (text.replace(": 3", ": 4").encode(), "declares 4 rows, has 3"),
+        ((text + "99 word\n").encode(), "line"),
+        (b"\xff\xfe" + text.encode(), "not text"),
+    ):
+        path.write_bytes(data)
+        assert f"{name}.txt: {said}" in refusal(tmp_path)
 
 
-def test_rows_that_contradict_each_other(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("# nothing", "has no images"),
+        ("10 0 0 0 0 1 2 3 1 cam00.png", "image cam00.png: its quaternion"),
+        ("10 1e200 0 0 0 1 2 3 1 cam00.png", "image cam00.png: its quaternion"),
+    ],
+)
+def test_images_without_a_pose(tmp_path: Path, row: str, said: str) -> None:
     write_colmap(tmp_path, binary=False)
-    cameras, images = (tmp_path / "sparse/0" / f"{n}.txt" for n in ("cameras", "images"))
-    optics, poses = cameras.read_text(), images.read_text()
-    cameras.write_text(optics.replace("PINHOLE", "RADIAL"))
-    assert "RADIAL has 5 parameters, not 4" in refusal(tmp_path)
-    cameras.write_text(optics.replace("\n2 P", "\n1 P"))
-    assert "cameras.txt: camera 1 is listed twice" in refusal(tmp_path)
-    cameras.write_text(optics.replace("\n2 P", "\n5 P"))
-    assert "image cam01.png names camera 2" in refusal(tmp_path)
-    cameras.write_text(optics.replace(f" {WIDTH_PX} ", " 65 "))
-    assert "cam00.png: is 64x36 px" in refusal(tmp_path)
-    cameras.write_text(optics.replace(f" {WIDTH_PX} ", " 0 "))
-    assert "cameras.txt: camera cam00: size 0x36" in refusal(tmp_path)
-    cameras.write_text(optics)
-    images.write_text(poses.replace("cam01.png", "../cam01.png"))
-    assert "images.txt: '../cam01.png' is not a path inside" in refusal(tmp_path)
-    images.write_text(poses.replace("cam01.png", "cam00.jpg"))
-    assert "cam00.jpg and cam00.png are both camera cam00" in refusal(tmp_path)
-    images.write_text("\n".join(["10 0 0 0 0 1 2 3 1 cam00.png", "", ""]))
-    assert "images.txt: image cam00.png: its quaternion" in refusal(tmp_path)
-    images.write_text(poses.replace("cam01.png", "cam\x0001.png"))
-    assert "is not a path inside" in refusal(tmp_path)
-    first = poses.index("\n10 ") + 4
-    images.write_text(poses[:first] + "1e200 " + poses[first:].split(maxsplit=1)[1])
-    assert "images.txt: image cam00.png: its quaternion" in refusal(tmp_path)
-    images.write_text("# nothing\n")
-    assert "images.txt: has no images" in refusal(tmp_path)
+    (tmp_path / "sparse/0/images.txt").write_text(f"{row}\n\n")
+    assert f"images.txt: {said}" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after", "said"),
+    [
+        ("cameras", "PINHOLE", "RADIAL", "RADIAL has 5 parameters, not 4"),
+        ("cameras", "\n2 P", "\n1 P", "cameras.txt: camera 1 is listed twice"),
+        ("cameras", "\n2 P", "\n5 P", "image cam01.png names camera 2"),
+        ("cameras", f" {WIDTH_PX} ", " 65 ", "cam00.png: is 64x36 px"),
+        ("cameras", f" {WIDTH_PX} ", " 0 ", "cameras.txt: camera cam00: size 0x36"),
+        ("images", "cam01.png", "../cam01.png", "images.txt: '../cam01.png' is not a path inside"),
+        ("images", "cam01.png", "cam00.jpg", "cam00.jpg and cam00.png are both camera cam00"),
+        ("images", "cam01.png", "cam\x0001.png", "is not a path inside"),
+    ],
+)
+def test_rows_that_contradict_each_other(
+    tmp_path: Path, name: str, before: str, after: str, said: str
+) -> None:
+    write_colmap(tmp_path, binary=False)
+    path = tmp_path / "sparse/0" / f"{name}.txt"
+    text = path.read_text()
+    assert before in text
+    path.write_text(text.replace(before, after))
+    assert said in refusal(tmp_path)
 
 
 def test_numbers_that_no_camera_has(tmp_path: Path) -> None:
     whole = tiny_rig(1)[0]
-    odd = (replace(whole, fx_px=1e-300), replace(whole, fy_px=1e300), replace(whole, cx_px=-1e5))
-    for number, camera in enumerate(odd):
-        cameras = [camera]
-        write_model(tmp_path / f"{number}/sparse", cameras, ["cam00.png"], True)
-        write_pictures(tmp_path / f"{number}", cameras, 1, True)
-        assert "cameras.bin: camera cam00: focal length" in refusal(tmp_path / f"{number}")
-    cameras = tiny_rig(1)
-    cameras[0].w2c[0, 3] = 1e200
-    write_model(tmp_path / "far/sparse", cameras, ["cam00.png"], True)
-    write_pictures(tmp_path / "far", cameras, 1, True)
-    assert "camera cam00: is over 1e+09 m away" in refusal(tmp_path / "far")
-
-
-def test_points_that_are_not_points(tmp_path: Path) -> None:
-    write_colmap(tmp_path)
-    path = tmp_path / "sparse/0/points3D.bin"
-    whole = path.read_bytes()
-    for value, said in (
-        (1e300, "points3D.bin: a point is over 1e+09 m away"),
-        (float("nan"), "points3D.bin: points: a coordinate is not finite"),
+    far = whole.w2c.copy()
+    far[0, 3] = 1e200
+    for number, (change, said) in enumerate(
+        [
+            ({"fx_px": 1e-300}, "cameras.bin: camera cam00: focal length"),
+            ({"fy_px": 1e300}, "cameras.bin: camera cam00: focal length"),
+            ({"cx_px": -1e5}, "cameras.bin: camera cam00: focal length"),
+            ({"w2c": far}, "camera cam00: is over 1e+09 m away"),
+        ]
     ):
-        path.write_bytes(whole[:16] + struct.pack("<d", value) + whole[24:])
-        assert said in refusal(tmp_path)
+        root, cameras = tmp_path / f"{number}", [replace(whole, **change)]  # type: ignore[arg-type]
+        write_model(root / "sparse", cameras, ["cam00.png"], True)
+        write_pictures(root, cameras, 1, True)
+        assert said in refusal(root)
 
 
-def test_unknown_model_number(tmp_path: Path) -> None:
+def test_bytes_of_a_model_that_are_none(tmp_path: Path) -> None:
     write_colmap(tmp_path)
-    path = tmp_path / "sparse/0/cameras.bin"
-    data = bytearray(path.read_bytes())
-    data[12] = 77
-    path.write_bytes(data)
-    assert "cameras.bin: camera 1 has the unknown model number 77" in refusal(tmp_path)
-
-
-def test_missing_files_of_the_model(tmp_path: Path) -> None:
-    write_colmap(tmp_path)
-    (tmp_path / "sparse/0/images.bin").unlink()
+    folder = tmp_path / "sparse/0"
+    for name, at, data, said in (
+        ("points3D.bin", 16, struct.pack("<d", 1e300), "a point is over 1e+09 m away"),
+        ("points3D.bin", 16, struct.pack("<d", np.nan), "points: a coordinate is not finite"),
+        ("cameras.bin", 12, b"\x4d", "camera 1 has the unknown model number 77"),
+    ):
+        whole = (folder / name).read_bytes()
+        (folder / name).write_bytes(whole[:at] + data + whole[at + len(data) :])
+        assert f"{name}: {said}" in refusal(tmp_path)
+        (folder / name).write_bytes(whole)
+    (folder / "images.bin").unlink()
     assert "images.bin: is missing" in refusal(tmp_path)
-    (tmp_path / "sparse/0/cameras.bin").unlink()
+    (folder / "cameras.bin").unlink()
     assert "cameras.bin or cameras.txt" in refusal(tmp_path)
 
 
@@ -327,9 +294,8 @@ def test_pictures_that_are_none_or_of_another_size(tmp_path: Path) -> None:
 
 
 def test_names_sort_by_their_numbers(tmp_path: Path) -> None:
-    cameras = [
-        replace(c, name=n) for c, n in zip(tiny_rig(3), ("c10", "c2", "d"), strict=True)
-    ]  # fmt: skip
+    names = "c10", "c2", "d"
+    cameras = [replace(c, name=n) for c, n in zip(tiny_rig(3), names, strict=True)]
     write_model(tmp_path / "sparse", cameras, [f"{c.name}.png" for c in cameras], True)
     write_pictures(tmp_path, cameras, 1, True)
     assert [c.camera.name for c in open_capture(tmp_path).cameras] == ["c2", "c10", "d"]

@@ -1,8 +1,11 @@
-"""Held-out cameras: those of held_out.txt in every layout, or one between the others."""
+"""Held-out cameras, those of held_out.txt in every layout or one between the others; and place and
+depth of the scene, estimated from the cameras."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -10,36 +13,26 @@ import pytest
 
 from codec.camera import Camera
 from codec.pose import look_at
-from tests.support.tiny_capture import tiny_rig, write_dynamic3dgs, write_dynerf
-from tests.support.tiny_models import transforms_of, write_model, write_pictures, write_transforms
+from codec.rig import rig_centre, rig_depths
+from tests.support.tiny_capture import refusal, tiny_rig
+from tests.trainer.capture.test_masks import LAYOUTS, write_layout
 from trainer.capture.held_out import camera_between, read_held_out
 from trainer.capture.layout import open_capture
-from trainer.errors import CaptureError
+from trainer.synth.scene import CAMERA_RADIUS_M, CAMERA_TARGET
 
 
-def write_colmap(root: Path) -> None:
-    cameras = tiny_rig(3)
-    write_model(root / "sparse", cameras, [f"{c.name}.png" for c in cameras], True)
-    write_pictures(root, cameras, 1, True)
-
-
-def write_nerfstudio(root: Path) -> None:
-    cameras = tiny_rig(3)
-    write_transforms(root, transforms_of(cameras, write_pictures(root, cameras, 1, True)))
-
-
-@pytest.mark.parametrize("write", [write_dynerf, write_colmap, write_nerfstudio, write_dynamic3dgs])
-def test_every_layout_reads_it_alike(tmp_path: Path, write: Callable[[Path], object]) -> None:
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_layout_reads_it_alike(tmp_path: Path, layout: str) -> None:
     root = tmp_path / "c"
-    write(root)
-    assert open_capture(root).held_out == (1,)  # the middle one of three on an arc
+    write_layout(root, layout)
+    if layout != "dynamic3dgs":
+        assert open_capture(root).held_out == (1,)  # the middle one of three on an arc
     for text, expected in (("", ()), ("cam01", (1,)), ("cam02\r\n\n cam00 \n", (0, 2))):
         (root / "held_out.txt").write_text(text)
         assert open_capture(root).held_out == expected
     for data, said in ((b"cam07", "'cam07' is not a camera of"), (b"\xff\xfe", "not text")):
         (root / "held_out.txt").write_bytes(data)
-        with pytest.raises(CaptureError, match=f"held_out.txt: {said}"):
-            open_capture(root)
+        assert f"held_out.txt: {said}" in refusal(root)
 
 
 def test_without_the_file_it_is_the_one_between(tmp_path: Path) -> None:
@@ -59,30 +52,23 @@ def standing_at(places: Sequence[Sequence[float]]) -> list[Camera]:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("arc_deg", [20, 90, 160, 200, 240])
-@pytest.mark.parametrize("count", range(4, 25))
-def test_never_the_end_of_an_arc(count: int, arc_deg: float) -> None:
-    cameras = tiny_rig(count, arc_deg)
-    found = camera_between(cameras)
-    assert 0 < found < count - 1
-    # For any order of the files, it is in the middle third of the arc.
-    order = np.random.default_rng(count).permutation(count)
-    place = order[camera_between([cameras[i] for i in order])]
-    assert (count - 1) / 4 <= place <= 3 * (count - 1) / 4
+def test_never_the_end_of_an_arc() -> None:
+    for arc_deg, count in product((20, 90, 160, 200, 240), range(4, 25)):
+        cameras = tiny_rig(count, arc_deg)
+        assert 0 < camera_between(cameras) < count - 1
+        # For any order of the files, it is in the middle third of the arc.
+        order = np.random.default_rng(count).permutation(count)
+        place = order[camera_between([cameras[i] for i in order])]
+        assert (count - 1) / 4 <= place <= 3 * (count - 1) / 4, (arc_deg, count)
 
 
-def test_never_the_corner_or_edge_of_a_grid() -> None:
+def test_never_the_corner_or_edge_of_a_grid_nor_what_is_far_above_a_ring() -> None:
     grid = [(x, y, 0.0) for y in range(4) for x in range(5)]
     assert camera_between(standing_at(grid)) in (7, 12)
-
-
-def test_of_a_ring_and_a_camera_far_above_it_is_one_of_the_ring() -> None:
     angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     ring = [(3 * np.cos(a), 0.0, 3 * np.sin(a)) for a in angles]
     assert camera_between(standing_at([(0.0, -0.8, 0.0), *ring])) == 1
-
-
-def test_twins_do_not_make_an_end_a_middle() -> None:
+    # Twins do not make an end a middle.
     pairs = [(x + e, 0.0, 0.0) for x in range(6) for e in (0.0, 0.05)]
     assert 2 <= camera_between(standing_at(pairs)) <= 9
 
@@ -99,3 +85,41 @@ def test_another_unit_or_frame_of_the_world_chooses_alike() -> None:
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     expected = camera_between(standing_at(places.tolist()))
     assert camera_between(standing_at((1e-3 * places @ turn + 7).tolist())) == expected
+
+
+def test_rig_depths_of_an_inward_rig() -> None:
+    cameras = tiny_rig(9)
+    centre = rig_centre(cameras)
+    assert centre is not None
+    assert np.allclose(centre, CAMERA_TARGET, atol=1e-9)
+    depths = rig_depths(cameras, (0.1, 99.0))
+    assert depths is not None
+    distances = [float(np.linalg.norm(c.position - centre)) for c in cameras]
+    assert depths[0] == pytest.approx(0.35 * min(distances))
+    assert depths[1] >= 2 * max(distances) - 1e-9
+    assert depths[1] >= 1.2 * 2 * CAMERA_RADIUS_M * np.sin(np.radians(79))
+
+
+def test_rig_depths_of_a_forward_facing_rig() -> None:
+    cameras = tiny_rig(6, arc_deg=20)
+    assert rig_centre(cameras) is None
+    assert rig_depths(cameras, (1.2, 34.0)) == (1.2, 34.0)
+    assert rig_depths(cameras) is None
+    assert rig_depths([]) is None
+    assert rig_depths(cameras[:1]) is None
+
+
+def test_rigs_without_a_centre() -> None:
+    cameras, around = tiny_rig(9), np.diag([-1.0, 1.0, -1.0, 1.0])
+    away = replace(cameras[8], w2c=around @ cameras[8].w2c)
+    assert rig_centre([*cameras[:8], away]) is None
+
+    def camera(x_m: float, z_m: float) -> Camera:
+        pose = look_at(np.array([x_m, 0, z_m]), np.zeros(3), np.array([0.0, -1, 0]))
+        return Camera("c", 64, 36, 50.0, 50.0, 32.0, 18.0, pose)
+
+    # Facing each other along one line.
+    assert rig_centre([camera(0, -3), camera(0, 3)]) is None
+    off_line = rig_centre([camera(0, -3), camera(0, 3), camera(0.1, 3)])
+    assert off_line is not None
+    np.testing.assert_allclose(off_line, np.zeros(3), atol=1e-9)

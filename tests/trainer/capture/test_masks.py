@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +42,9 @@ def grey_of(camera_index: int, frame: int) -> npt.NDArray[np.uint8]:
     return grey
 
 
-def save_mask(path: Path, camera_index: int, frame: int) -> None:
+def save_mask(path: Path, camera_index: int, frame: int, columns: slice = slice(None)) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(grey_of(camera_index, frame)).save(path)
+    Image.fromarray(grey_of(camera_index, frame)[:, columns]).save(path)
 
 
 def mask(capture: Capture, camera_index: int, frame: int) -> npt.NDArray[np.uint8]:
@@ -53,10 +53,17 @@ def mask(capture: Capture, camera_index: int, frame: int) -> npt.NDArray[np.uint
     return masks.read(frame)
 
 
-def expect(capture: Capture, camera_index: int, frame: int, drawn_frame: int) -> None:
-    got = mask(capture, camera_index, frame)
-    assert got.dtype == np.uint8
-    assert np.array_equal(got, grey_of(camera_index, drawn_frame) >= 128)
+def masked_cameras(root: Path) -> list[str]:
+    return [c.camera.name for c in open_capture(root).cameras if c.masks is not None]
+
+
+def expect(root: Path, camera_index: int, drawn_frames: Sequence[int] = range(NUM_FRAMES)) -> None:
+    """Asserts that a camera's masks, by frame, are those drawn for these frames."""
+    capture = open_capture(root)
+    for frame, drawn in enumerate(drawn_frames):
+        got = mask(capture, camera_index, frame)
+        assert got.dtype == np.uint8
+        assert np.array_equal(got, grey_of(camera_index, drawn) >= 128)
 
 
 def refusal(ask: Callable[[], object]) -> str:
@@ -86,22 +93,19 @@ def test_colmap_masks_mirror_the_pictures(tmp_path: Path, by_frame: bool, whole_
     for frame, path in enumerate(paths[1]):
         name = mirrored(tmp_path, path, lambda p: p.name + ".png" if whole_name else p.name)
         save_mask(name, 1, frame)
-    capture = open_capture(tmp_path)
-    assert [c.masks is not None for c in capture.cameras] == [False, True, False]
-    for frame in range(NUM_FRAMES):
-        expect(capture, 1, frame, frame)
-    assert not np.array_equal(mask(capture, 1, 0), mask(capture, 1, 2))
+    assert masked_cameras(tmp_path) == ["cam01"]
+    expect(tmp_path, 1)
 
 
 def test_colmap_masks_that_cannot_be_used(tmp_path: Path) -> None:
     paths = write_colmap(tmp_path, True)
-    assert all(c.masks is None for c in open_capture(tmp_path).cameras)
+    assert not masked_cameras(tmp_path)
     (tmp_path / "masks").mkdir()
     assert "masks: has no mask of a picture in frames/" in refusal(lambda: open_capture(tmp_path))
     files = [mirrored(tmp_path, path, lambda p: p.name + ".png") for path in paths[2]]
     for frame, file in enumerate(files):
         save_mask(file, 2, frame)
-    Image.fromarray(grey_of(2, 1)[:, 1:]).save(files[1])
+    save_mask(files[1], 2, 1, slice(1, None))
     files[2].write_bytes(b"none")
     capture = open_capture(tmp_path)
     assert "frame_08/cam02.png.png: is 63x36 px" in refusal(lambda: mask(capture, 2, 1))
@@ -131,10 +135,8 @@ def test_nerfstudio_has_a_mask_for_each_entry(tmp_path: Path) -> None:
         value["frames"][NUM_FRAMES + frame]["mask_path"] = f"./m/{frame}.png"
         save_mask(tmp_path / f"m/{frame}.png", 1, frame)
     write_transforms(tmp_path, value)
-    capture = open_capture(tmp_path)
-    assert [c.masks is not None for c in capture.cameras] == [False, True, False]
-    for frame in range(NUM_FRAMES):
-        expect(capture, 1, frame, frame)
+    assert masked_cameras(tmp_path) == ["cam01"]
+    expect(tmp_path, 1)
     (tmp_path / "m/2.png").unlink()
     assert "m/2.png: is missing; a mask_path" in refusal(lambda: open_capture(tmp_path))
     del value["frames"][NUM_FRAMES + 1]["mask_path"]
@@ -147,29 +149,20 @@ def test_nerfstudio_has_a_mask_for_each_entry(tmp_path: Path) -> None:
         assert why in refusal(lambda: open_capture(tmp_path))
 
 
-def test_nerfstudio_masks_of_a_whole_camera(tmp_path: Path) -> None:
+@pytest.mark.parametrize("form", ["pictures", "listed", "videos"])
+def test_nerfstudio_masks_of_a_whole_camera(form: str, tmp_path: Path) -> None:
     """One entry for all frames, and entries that all name one file."""
-    _, value = write_nerfstudio(tmp_path / "p", listed=False)
-    value["frames"][2]["mask_path"] = "still.png"
-    save_mask(tmp_path / "p/still.png", 2, 1)
-    write_transforms(tmp_path / "p", value)
-    cameras, value = write_nerfstudio(tmp_path / "l", listed=True)
-    for entry in value["frames"][2 * NUM_FRAMES :]:
+    cameras, value = write_nerfstudio(tmp_path, listed=form == "listed")
+    if form == "videos":
+        value = transforms_of(cameras, write_videos(tmp_path, cameras, NUM_FRAMES))
+    for entry in value["frames"][2 * len(value["frames"]) // 3 :]:
         entry["mask_path"] = "still.png"
-    save_mask(tmp_path / "l/still.png", 2, 1)
-    write_transforms(tmp_path / "l", value)
-    videos = write_videos(tmp_path / "v", cameras, NUM_FRAMES)
-    value = transforms_of(cameras, videos)
-    value["frames"][2]["mask_path"] = "still.png"
-    save_mask(tmp_path / "v/still.png", 2, 1)
-    write_transforms(tmp_path / "v", value)
-    for name in ("p", "l", "v"):
-        capture = open_capture(tmp_path / name)
-        masks = capture.cameras[2].masks
-        assert masks is not None
-        assert masks.is_still
-        for frame in range(NUM_FRAMES):
-            expect(capture, 2, frame, 1)
+    save_mask(tmp_path / "still.png", 2, 1)
+    write_transforms(tmp_path, value)
+    masks = open_capture(tmp_path).cameras[2].masks
+    assert masks is not None
+    assert masks.is_still
+    expect(tmp_path, 2, [1] * NUM_FRAMES)
 
 
 def test_masks_are_straightened_with_their_pictures(tmp_path: Path) -> None:
@@ -222,14 +215,11 @@ def test_every_layout_takes_a_folder_of_masks_for_a_camera(tmp_path: Path, layou
         save_mask(root / f"masks/cam01/mask_{frame + 7:04d}.png", 1, frame)
     save_mask(root / "masks/cam02/0.png", 2, 1)  # for all frames
     (root / "masks/.DS_Store").touch()
+    assert masked_cameras(root) == ["cam01", "cam02"]
+    expect(root, 1)
+    expect(root, 2, [1] * NUM_FRAMES)
     capture = open_capture(root)
-    has = {c.camera.name for c in capture.cameras if c.masks is not None}
-    assert has == {"cam01", "cam02"}
-    for frame in range(NUM_FRAMES):
-        expect(capture, 1, frame, frame)
-        expect(capture, 2, frame, 1)
-    lines = describe_capture(capture)
-    (line,) = (line for line in lines if line.startswith("masks"))
+    (line,) = (line for line in describe_capture(capture) if line.startswith("masks"))
     assert f"2 of {len(capture.cameras)} cameras have them, 1 one for all frames" in line
 
 
@@ -250,10 +240,10 @@ def test_a_folder_of_masks_that_cannot_be_used(tmp_path: Path, layout: str) -> N
     (folder / "2.png").unlink()
     assert "masks/cam01: has 2 masks, 0.png to 1.png, for 3 frames; give one" in said()
     save_mask(folder / "2.png", 1, 2)
-    Image.fromarray(grey_of(1, 0)[:, 1:]).save(folder / "0.png")
+    save_mask(folder / "0.png", 1, 0, slice(1, None))
     assert "masks/cam01/0.png: is 63x36 px; its picture has 64x36 px" in said()
     save_mask(folder / "0.png", 1, 0)
-    Image.fromarray(grey_of(1, 2)[:, 1:]).save(folder / "2.png")
+    save_mask(folder / "2.png", 1, 2, slice(1, None))
     capture = open_capture(root)
     assert "masks/cam01/2.png: is 63x36 px" in refusal(lambda: mask(capture, 1, 2))
     save_mask(folder / "2.png", 1, 2)
@@ -265,10 +255,14 @@ def test_a_folder_of_masks_that_cannot_be_used(tmp_path: Path, layout: str) -> N
     (root / "masks/kamera").rmdir()
     for file in folder.iterdir():
         file.unlink()
-    wrong = (
-        "masks: has no mask" if layout.startswith("colmap") else "masks/cam01: holds no numbered"
-    )
-    assert wrong in said()
+    is_colmap = layout.startswith("colmap")
+    assert ("masks: has no mask" if is_colmap else "masks/cam01: holds no numbered") in said()
+    # A plain file beside masks is none.
+    (root / "masks/README.txt").write_text("By hand.")
+    folder.rmdir()
+    assert is_colmap or not masked_cameras(root)  # colmap refuses a masks folder without masks
+    save_mask(root / "masks/cam02/0.png", 2, 1)
+    assert masked_cameras(root) == ["cam02"]
 
 
 @pytest.mark.parametrize("layout", ["colmap", "colmap by camera", "nerfstudio"])
@@ -286,23 +280,10 @@ def test_masks_of_a_camera_with_pictures_but_no_pose_are_left_out(
     for index in range(3):
         for frame in range(NUM_FRAMES):
             save_mask(tmp_path / f"masks/cam0{index}/{frame + 7:04d}.png", index, frame)
-    capture = open_capture(tmp_path)
-    assert [c.camera.name for c in capture.cameras if c.masks] == ["cam00", "cam01"]
-    expect(capture, 1, 2, 2)
+    assert masked_cameras(tmp_path) == ["cam00", "cam01"]
+    expect(tmp_path, 1)
     save_mask(tmp_path / "masks/cam09/0007.png", 1, 0)  # a camera without pictures
     assert "masks/cam09: is not the name" in refusal(lambda: open_capture(tmp_path))
-
-
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_a_plain_file_beside_masks_is_none(tmp_path: Path, layout: str) -> None:
-    root = tmp_path / "c"
-    write_layout(root, layout)
-    (root / "masks").mkdir()
-    (root / "masks/README.txt").write_text("By hand.")
-    if not layout.startswith("colmap"):  # colmap refuses a masks folder without masks
-        assert not any(c.masks for c in open_capture(root).cameras)
-    save_mask(root / "masks/cam02/0.png", 2, 1)
-    assert [c.camera.name for c in open_capture(root).cameras if c.masks] == ["cam02"]
 
 
 def test_the_segmentation_of_a_data_set_is_no_mask(tmp_path: Path) -> None:
@@ -311,21 +292,5 @@ def test_the_segmentation_of_a_data_set_is_no_mask(tmp_path: Path) -> None:
     for index in range(4):
         for frame in range(NUM_FRAMES):
             save_mask(tmp_path / f"d/seg/{index}/{frame:06d}.png", index, frame)
-    write_dynerf(tmp_path / "v")
-    for name in ("d", "v"):
-        assert all(c.masks is None for c in open_capture(tmp_path / name).cameras)
+    assert not masked_cameras(tmp_path / "d")
     assert "masks       none: every pixel counts" in checked(tmp_path / "d")
-
-
-def test_check_says_that_masks_were_found(tmp_path: Path) -> None:
-    _, value = write_nerfstudio(tmp_path, listed=True)
-    value["frames"][0]["mask_path"] = value["frames"][1]["mask_path"] = "a.png"
-    value["frames"][2]["mask_path"] = "b.png"
-    for entry in value["frames"][NUM_FRAMES : 2 * NUM_FRAMES]:
-        entry["mask_path"] = "a.png"
-    save_mask(tmp_path / "a.png", 0, 0)
-    save_mask(tmp_path / "b.png", 0, 1)
-    write_transforms(tmp_path, value)
-    lines = describe_capture(open_capture(tmp_path))
-    (line,) = (line for line in lines if line.startswith("masks"))
-    assert "2 of 3 cameras have them, 1 one for all frames" in line

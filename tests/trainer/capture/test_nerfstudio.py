@@ -11,13 +11,7 @@ import numpy as np
 import pytest
 
 from codec.camera import Camera
-from tests.support.tiny_capture import (
-    HEIGHT_PX,
-    WIDTH_PX,
-    picture_of,
-    refusal,
-    tiny_rig,
-)
+from tests.support.tiny_capture import picture_of, refusal, tiny_rig, write_video
 from tests.support.tiny_models import (
     COLOURS,
     POINTS,
@@ -27,11 +21,11 @@ from tests.support.tiny_models import (
     write_transforms,
     write_videos,
 )
+from tests.trainer.capture.test_points import write_ply
 from trainer.capture.layout import open_capture
 from trainer.capture.lens import Lens, straightened
 
 NUM_FRAMES = 3
-COLOUR_NAMES = ("red", "green", "blue")
 FORMS = ("frames", "images", "frames listed", "images listed", "times")
 
 
@@ -45,9 +39,9 @@ def write_nerfstudio(root: Path, form: str = "frames") -> list[Camera]:
             for frame, path in enumerate(of_camera):
                 of_camera[frame] = "all/" + path.replace("/", "_")
                 (root / path).rename(root / of_camera[frame])
-    listed = paths if "listed" in form or form == "times" else [p[:1] for p in paths]
-    value = transforms_of(cameras, listed)
-    if form != "frames" and form != "images":
+    is_listed = form not in ("frames", "images")
+    value = transforms_of(cameras, paths if is_listed else [p[:1] for p in paths])
+    if is_listed:
         for number, entry in enumerate(value["frames"]):
             entry["time"] = (number % NUM_FRAMES) / NUM_FRAMES
     write_transforms(root, value)
@@ -102,18 +96,6 @@ def test_distortion_is_taken_out_of_pictures_and_videos(tmp_path: Path) -> None:
     source.close()
 
 
-def test_cameras_of_different_sizes(tmp_path: Path) -> None:
-    cameras = tiny_rig(2)
-    cameras[1] = cameras[1].resized(WIDTH_PX // 2, HEIGHT_PX // 2)
-    paths = write_pictures(
-        tmp_path, cameras, 2, False, lambda i, f: picture_of(i, f)[:: 1 + i, :: 1 + i]
-    )
-    write_transforms(tmp_path, transforms_of(cameras, [p[:1] for p in paths]))
-    capture = open_capture(tmp_path)
-    assert [c.camera.width_px for c in capture.cameras] == [WIDTH_PX, WIDTH_PX // 2]
-    assert capture.open_images(1).read(1).shape == (HEIGHT_PX // 2, WIDTH_PX // 2, 3)
-
-
 def test_held_out_cameras_and_rate(tmp_path: Path) -> None:
     write_nerfstudio(tmp_path, "images listed")
     names = [f"./images/cam01/{7 + frame:04d}.png" for frame in range(NUM_FRAMES)]
@@ -142,10 +124,7 @@ def test_points_of_a_ply_file_or_of_an_npz_beside_it(tmp_path: Path) -> None:
     write_nerfstudio(tmp_path)
     edit(tmp_path, lambda v: v.update(ply_file_path="points.ply"))
     assert "points.ply is missing" in refusal(tmp_path)
-    names = [f"property float {n}" for n in "xyz"] + [f"property uchar {n}" for n in COLOUR_NAMES]
-    rows = [" ".join(map(str, (*p, *c))) for p, c in zip(POINTS, COLOURS, strict=True)]
-    head = ["ply", "format ascii 1.0", "element vertex 3", *names, "end_header"]
-    (tmp_path / "points.ply").write_text("\n".join([*head, *rows, ""]))
+    write_ply(tmp_path / "points.ply", POINTS, COLOURS)
     points = open_capture(tmp_path).points
     assert points is not None
     assert np.array_equal(points.xyz, np.array(POINTS, np.float32))
@@ -187,6 +166,8 @@ def turn(entry: dict[str, Any]) -> None:
         ("frames", lambda v: v["frames"][1].update(file_path="a.mp4"), "some file_path are videos"),
         ("frames", lambda v: v["frames"][1].update(file_path="a.png"), "names neither a camera"),
         ("frames", lambda v: v["frames"][1].update(file_path="b/frames/1/a.png"), "use one folder"),
+        ("frames", lambda v: v["frames"][1].update(fl_x=1e-300), "focal length"),
+        ("frames", lambda v: v["frames"][1].update(fl_y=1e300), "focal length"),
         ("images", lambda v: v["frames"][1].update(file_path="images/a/b.png"), "end in a frame "),
         ("images", lambda v: v["frames"][1].update(file_path="images/a/1.png"), "images/a: is mis"),
         ("images listed", lambda v: v["frames"].pop(4), "camera cam01 lacks frame 8, which"),
@@ -209,27 +190,26 @@ def test_bad_transforms_are_refused(
     assert said in refusal(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[1]", "\x00"])
-def test_transforms_that_are_not_a_json_object(tmp_path: Path, text: str) -> None:
-    (tmp_path / "transforms.json").write_text(text)
-    assert "transforms.json" in refusal(tmp_path)
+def test_transforms_that_are_not_a_json_object(tmp_path: Path) -> None:
+    for text in ("", "{", "[1]", "\x00"):
+        (tmp_path / "transforms.json").write_text(text)
+        assert "transforms.json" in refusal(tmp_path)
 
 
 def test_videos_that_do_not_fit(tmp_path: Path) -> None:
     cameras = tiny_rig(3)
-    paths = write_videos(tmp_path, cameras, 4)
-    value = transforms_of(cameras, paths)
+    value = transforms_of(cameras, write_videos(tmp_path, cameras, 4))
     write_transforms(tmp_path, value)
     assert open_capture(tmp_path).num_frames == 4
     write_transforms(tmp_path, value | {"w": 128})
     assert "cam00.mp4: is 64x36 px" in refusal(tmp_path)
     write_transforms(tmp_path, value)
-    write_videos(tmp_path / "short", cameras[:1], 3)
-    (tmp_path / "short/videos/cam00.mp4").rename(tmp_path / "videos/cam00.mp4")
+    video = tmp_path / "videos/cam00.mp4"
+    write_video(video, 0, 3)
     assert "cam00.mp4 has 3, the others 4 frames" in refusal(tmp_path)
-    (tmp_path / "videos/cam00.mp4").write_bytes(b"none")
+    video.write_bytes(b"none")
     assert "cam00.mp4: not a video" in refusal(tmp_path)
-    (tmp_path / "videos/cam00.mp4").unlink()
+    video.unlink()
     assert "cam00.mp4: is missing" in refusal(tmp_path)
     again = {**value["frames"][1], **intrinsics_of(cameras[0]), "file_path": "other/cam02.mp4"}
     write_transforms(tmp_path, value | {"frames": [value["frames"][2], again]})

@@ -11,12 +11,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from codec.camera import Camera
 from tests.support.hostile import flips, truncations
 from trainer.capture import points as module
 from trainer.capture.capture import InitialPoints
-from trainer.capture.points import MAX_PLY_POINTS, points_evenness, read_ply, read_points_file
+from trainer.capture.points import (
+    MAX_PLY_POINTS,
+    points_evenness,
+    read_ply,
+    read_points,
+    read_points_file,
+)
 from trainer.errors import CaptureError
 
 XYZ = ((0.5, -1.0, 0.25), (0.0, -0.5, 0.0), (-0.25, -1.5, 1.0))
@@ -163,15 +170,21 @@ def test_a_false_claim_costs_little_memory(
     assert peak_bytes < 8 << 20
 
 
+def write_ply(path: Path, xyz: ArrayLike, rgb: ArrayLike) -> None:
+    """As text, with colours and nothing else."""
+    places, colours = np.asarray(xyz).tolist(), np.asarray(rgb).tolist()
+    names = [f"property float {n}" for n in "xyz"]
+    names += [f"property uchar {n}" for n in ("red", "green", "blue")]
+    head = ["ply", "format ascii 1.0", f"element vertex {len(places)}", *names, "end_header"]
+    rows = [" ".join(map(str, [*p, *c])) for p, c in zip(places, colours, strict=True)]
+    path.write_text("\n".join([*head, *rows, ""]))
+
+
 def test_points_come_from_a_ply_as_from_an_npz(tmp_path: Path) -> None:
     xyz = np.array([[0.5, -1, 2], [3, 0.25, -4]], np.float32)
     rgb = np.array([[255, 0, 7], [1, 2, 3]], np.uint8)
     np.savez(tmp_path / "points.npz", xyz=xyz, rgb=rgb)
-    names = [f"property float {n}" for n in "xyz"]
-    names += [f"property uchar {n}" for n in ("red", "green", "blue")]
-    head = ["ply", "format ascii 1.0", "element vertex 2", *names, "end_header"]
-    rows = [" ".join(map(str, [*p.tolist(), *c.tolist()])) for p, c in zip(xyz, rgb, strict=True)]
-    (tmp_path / "points.PLY").write_text("\n".join([*head, *rows, ""]))
+    write_ply(tmp_path / "points.PLY", xyz, rgb)
     for name in ("points.npz", "points.PLY"):
         points = read_points_file(tmp_path / name)
         np.testing.assert_array_equal(points.xyz, xyz)
@@ -193,3 +206,33 @@ def test_evenness_is_the_share_of_the_picture_that_points_fill() -> None:
     assert points_evenness(points(slice(0, 40)), [camera]) == pytest.approx(0.25)
     away = replace(camera, w2c=np.diag([1.0, -1, -1, 1]))
     assert points_evenness(points(slice(None)), [camera, away]) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("name", ["points.ply", "points.npz"])
+def test_points_are_not_read_from_a_pipe(name: str, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(CaptureError, match="not a regular file"):
+        read_points_file(tmp_path / name)
+
+
+def test_points_that_unpack_to_gigabytes_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "points.npz"
+    np.savez_compressed(path, xyz=np.zeros((4_000_000, 3)), rgb=np.zeros((4_000_000, 3), np.uint8))
+    assert path.stat().st_size < 1 << 20
+    tracemalloc.start()
+    try:
+        with pytest.raises(CaptureError, match=r"bytes that claim to be \d+ bytes of points"):
+            read_points(path)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 22
+    finally:
+        tracemalloc.stop()
+
+
+def test_points_whose_header_claims_more_than_there_is(tmp_path: Path) -> None:
+    path = tmp_path / "points.npz"
+    np.savez(path, xyz=np.ones((10, 3)), rgb=np.ones((10, 3)))
+    data = path.read_bytes()
+    # The checksum of the zip does not match either; both are damage.
+    path.write_bytes(data.replace(b"(10, 3), }      ", b"(99999999999, 3)"))
+    with pytest.raises(CaptureError, match=r"points\.npz: not an \.npz file of points"):
+        read_points(path)
