@@ -1,12 +1,18 @@
-"""Adam equals that of torch, row by row; the noise has the covariance of 3DGS-MCMC."""
+"""Adam equals that of torch, row by row; the noise has the covariance of 3DGS-MCMC; Gaussians of a
+cell get a common gradient."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
+from codec.pose import rotation_of
 from trainer.step.optimiser import GATE_STEEPNESS, Adam, AgeScaling, OptimiserConfig, add_noise
 from trainer.step.raster import Parameters
+from trainer.step.together import cells_of, move_together
 
 
 def round_gaussians(rows: int, opacity: float) -> Parameters:
@@ -17,27 +23,23 @@ def round_gaussians(rows: int, opacity: float) -> Parameters:
     return values
 
 
+def noisy(values: Parameters, amount: float, seed: int) -> np.ndarray:
+    """The means after noise."""
+    add_noise(
+        *values.arrays[:4], np.arange(len(values.means), dtype=np.int32), np.float32(amount),
+        np.float32(0.005), np.float32(GATE_STEEPNESS), seed,
+    )  # fmt: skip
+    return values.means
+
+
 def test_the_noise_has_the_covariance_sigma_squared() -> None:
     """means += Sigma xi, so the shift's covariance is amount^2 gate^2 Sigma^2."""
-    rows = 200_000
-    values = round_gaussians(rows, 0.005)
+    values = round_gaussians(200_000, 0.005)
     values.log_scales[:] = np.log([0.5, 0.2, 0.1])
-    quat = np.array([0.8, 0.1, -0.5, 0.3], np.float32)
+    quat = np.array([0.8, 0.1, -0.5, 0.3])
     values.quats[:] = 3 * quat  # any norm
-    start = values.means.copy()
-    add_noise(
-        *values.arrays[:4], np.arange(rows, dtype=np.int32), np.float32(0.7), np.float32(0.005),
-        np.float32(GATE_STEEPNESS), 42,
-    )  # fmt: skip
-    moved = (values.means - start).astype(np.float64)
-    w, x, y, z = quat / np.linalg.norm(quat)
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    moved = noisy(values, 0.7, 42).astype(np.float64)
+    rotation = rotation_of(quat / np.linalg.norm(quat))
     sigma = rotation @ np.diag([0.25, 0.04, 0.01]) @ rotation.T
     expected = (0.7 * 0.5) ** 2 * sigma @ sigma  # the gate is one half at its own opacity
     assert np.abs(moved.mean(axis=0)).max() < 1e-3
@@ -45,28 +47,16 @@ def test_the_noise_has_the_covariance_sigma_squared() -> None:
 
 
 def test_opaque_gaussians_get_no_noise_and_the_same_seed_gives_the_same() -> None:
-    rows = np.arange(100, dtype=np.int32)
-
-    def noisy(opacity: float, seed: int) -> np.ndarray:
-        values = round_gaussians(100, opacity)
-        add_noise(
-            *values.arrays[:4],
-            rows,
-            np.float32(1),
-            np.float32(0.005),
-            np.float32(GATE_STEEPNESS),
-            seed,
-        )
-        return values.means
-
-    assert (noisy(0.5, 1) == round_gaussians(100, 0.5).means).all()
-    assert (noisy(0.01, 1) == noisy(0.01, 1)).all()
-    assert (noisy(0.01, 1) != noisy(0.01, 2)).any()
+    opaque, *faint = (
+        noisy(round_gaussians(100, opacity), 1, seed)
+        for opacity, seed in ((0.5, 1), (0.01, 1), (0.01, 1), (0.01, 2))
+    )
+    assert (opaque == 0).all()
+    assert (faint[0] == faint[1]).all()
+    assert (faint[0] != faint[2]).any()
 
 
 def test_adam_is_torchs_and_leaves_other_rows_alone() -> None:
-    import torch
-
     rng = np.random.default_rng(0)
     config = OptimiserConfig(age_scaling="off")
     values, gradients = Parameters.zeros(6, 1), Parameters.zeros(6, 1)
@@ -99,3 +89,24 @@ def test_age_scales_the_update_or_only_the_gradient(mode: AgeScaling, ratio: flo
     ages = np.array([0, 3], np.float32)
     Adam(2, 0, config).step(values, gradients, np.arange(2, dtype=np.int32), 0.1, ages)
     assert values.means[1, 0] / values.means[0, 0] == pytest.approx(ratio, rel=1e-4)
+
+
+@given(st.integers(1, 60), st.floats(0.05, 3), st.integers(0, 99))
+def test_a_cell_holds_what_lies_in_its_cube(count: int, size_m: float, seed: int) -> None:
+    means = np.random.default_rng(seed).normal(size=(count, 3)).astype(np.float32)
+    cells = cells_of(means, size_m)
+    cubes = [tuple(cube) for cube in np.floor(means / np.float32(size_m)).astype(int)]
+    for i in range(count):
+        for j in range(count):
+            assert (cells[i] == cells[j]) == (cubes[i] == cubes[j])
+
+
+def test_gradients_are_summed_over_those_that_move() -> None:
+    gradients = np.arange(12, dtype=np.float32).reshape(4, 3)
+    before = gradients.copy()
+    cells = np.array([0, 1, 0, 0], np.int32)
+    move_together(gradients, np.array([0, 1, 3], np.int32), cells)
+    assert (gradients[0] == before[0] + before[3]).all()
+    assert (gradients[3] == gradients[0]).all()
+    assert (gradients[1] == before[1]).all()
+    assert (gradients[2] == before[2]).all()  # kept: it stands still

@@ -28,13 +28,7 @@ from trainer.step.device.packedrows import pack
 from trainer.step.device.picturecache import PictureCache
 from trainer.step.device.tensorupdate import add_tensor_noise
 from trainer.step.device.torchraster import TorchBackend
-from trainer.step.optimiser import (
-    GATE_STEEPNESS,
-    Adam,
-    AgeScaling,
-    OptimiserConfig,
-    add_noise,
-)
+from trainer.step.optimiser import GATE_STEEPNESS, Adam, AgeScaling, OptimiserConfig, add_noise
 from trainer.step.raster import Ints, Parameters, View
 from trainer.step.scalebound import CameraSpread
 
@@ -91,6 +85,19 @@ def training(sh_degree: int, age_scaling: AgeScaling = "update", times: int = 1)
     return Training(values, adam, colour, pictures, views, halves, spread, 0.005)
 
 
+def started(on_torch: bool, given: Training) -> Resident:
+    """On the CPU's backend, or on plain torch."""
+    backend = TorchBackend(*WEIGHTS, "cpu") if on_torch else CpuBackend(*WEIGHTS)
+    resident: Resident = backend.start(given)
+    return resident
+
+
+def assert_alike(theirs: Training, ours: Training, share: float) -> None:
+    """Asserts that all arrays agree, up to a share of the largest number of each."""
+    for (name, a), b in zip(arrays_of(theirs).items(), arrays_of(ours).values(), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=share * np.abs(b).max(), err_msg=name)
+
+
 def begin(resident: Resident) -> None:
     ages = (np.arange(NUM_GS) % 4).astype(np.float32)
     cells = [(np.arange(NUM_GS) // size).astype(np.int32) for size in (7, 2)]
@@ -132,9 +139,9 @@ def test_fifty_steps_lead_to_the_same_gaussians(sh_degree: int) -> None:
     age_scaling: AgeScaling = ("update", "gradient", "off", "update")[sh_degree]
     ours, theirs = (training(sh_degree, age_scaling) for _ in range(2))
     before = ours.values.means.copy()
-    host, device = CpuBackend(*WEIGHTS).start(ours), TorchBackend(*WEIGHTS, "cpu").start(theirs)
     losses = []
-    for resident in (host, device):
+    for given in (ours, theirs):
+        resident = started(given is theirs, given)
         begin(resident)
         losses.append(run(resident, steps(50)))
         resident.fetch(history=True)
@@ -143,8 +150,7 @@ def test_fifty_steps_lead_to_the_same_gaussians(sh_degree: int) -> None:
     moved = np.abs(ours.values.means - before).max(axis=1)
     assert (moved[TRAINED] > 0).all()
     assert (np.delete(moved, TRAINED) == 0).all()
-    for (name, a), b in zip(arrays_of(theirs).items(), arrays_of(ours).values(), strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=3e-3 * np.abs(b).max(), err_msg=name)
+    assert_alike(theirs, ours, 3e-3)
 
 
 @pytest.mark.parametrize("is_half", [False, True])
@@ -153,8 +159,8 @@ def test_where_few_are_trained_only_their_tiles_are_compared(is_half: bool) -> N
     ours, theirs = (training(1, times=4) for _ in range(2))
     losses, few = [], TRAINED[:6]
     some = [replace(step, whole=False, is_half=is_half) for step in steps(30)]
-    for given, backend in ((ours, CpuBackend(*WEIGHTS)), (theirs, TorchBackend(*WEIGHTS, "cpu"))):
-        resident: Resident = backend.start(given)
+    for given in (ours, theirs):
+        resident = started(given is theirs, given)
         given.values.means[few] *= np.float32(0.2)
         given.values.log_scales[few] = -4
         resident.send(few)
@@ -168,8 +174,7 @@ def test_where_few_are_trained_only_their_tiles_are_compared(is_half: bool) -> N
         resident.fetch(history=True)
     np.testing.assert_allclose(losses[1], losses[0], rtol=1e-3)
     assert losses[0][0] < 0.15  # the loss of a whole picture is over 0.3
-    for (name, a), b in zip(arrays_of(theirs).items(), arrays_of(ours).values(), strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-2 * np.abs(b).max(), err_msg=name)
+    assert_alike(theirs, ours, 1e-2)
     assert (theirs.colour.values[:, :3] == 1).all()
 
 
@@ -177,11 +182,11 @@ def test_where_few_are_trained_only_their_tiles_are_compared(is_half: bool) -> N
 @pytest.mark.parametrize("rows", [SHOWN, SHOWN[:0]], ids=["none trained", "none shown"])
 def test_where_nothing_is_trained_nothing_moves(rows: Ints, whole: bool) -> None:
     losses = []
-    for backend in (CpuBackend(*WEIGHTS), TorchBackend(*WEIGHTS, "cpu")):
+    for on_torch in (False, True):
         given = training(1)
         before = [array.copy() for array in given.values.arrays]
         shown = rows[rows >= NUM_GS]
-        resident: Resident = backend.start(given)
+        resident = started(on_torch, given)
         begin(resident)
         selection = resident.select(shown, SHOWN[:0])
         for step in steps(6):
@@ -289,7 +294,7 @@ class Operations(TorchDispatchMode):  # type: ignore[no-untyped-call]
 
 def test_the_plain_rasteriser_reads_lengths_of_lists_and_nothing_else() -> None:
     given = training(1)
-    resident = TorchBackend(*WEIGHTS, "cpu").start(given)
+    resident = started(True, given)
     begin(resident)
     selection = resident.select(SHOWN, TRAINED)
     for step in steps(CAMERAS * FRAMES):
@@ -349,8 +354,8 @@ def test_the_noise_is_the_kernel_s_and_repeats(seed: int) -> None:
 def test_the_host_s_changes_arrive_and_the_device_s_come_back() -> None:
     """The host rewrites, relocates or restarts rows between steps."""
     ours, theirs = training(1), training(1)
-    for given, backend in ((ours, CpuBackend(*WEIGHTS)), (theirs, TorchBackend(*WEIGHTS, "cpu"))):
-        resident: Resident = backend.start(given)
+    for given in (ours, theirs):
+        resident = started(given is theirs, given)
         begin(resident)
         run(resident, steps(5))
         resident.fetch(history=True)
@@ -367,8 +372,7 @@ def test_the_host_s_changes_arrive_and_the_device_s_come_back() -> None:
         run(resident, steps(5, 10))
         resident.fetch(history=True)
     assert ours.adam.steps[TRAINED].tolist() == [5] * len(TRAINED)
-    for (name, a), b in zip(arrays_of(theirs).items(), arrays_of(ours).values(), strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=3e-3 * np.abs(b).max(), err_msg=name)
+    assert_alike(theirs, ours, 3e-3)
 
 
 def test_on_a_gpu_a_step_does_not_wait() -> None:

@@ -1,4 +1,5 @@
-"""The rasteriser in plain torch draws and differentiates like the CPU's kernels."""
+"""The rasteriser in plain torch draws and differentiates like the CPU's kernels; a training reports
+its device memory, and a device with less memory is refused."""
 
 from __future__ import annotations
 
@@ -13,10 +14,13 @@ from hypothesis import strategies as st
 from torch.profiler import ProfilerActivity, profile
 
 from codec.camera import Camera
+from codec.errors import InvalidError
 from tests.support.reference_render import turned_camera
+from tests.trainer.step.device.test_resident import NUM_GS, begin, steps, training
 from trainer.pictures.shot import Shot
-from trainer.step.backend import StepInput
+from trainer.step.backend import Backend, MemoryNeeds, StepInput
 from trainer.step.cpubackend import CpuBackend
+from trainer.step.device.devicememory import free_bytes, planned
 from trainer.step.device.deviceview import DeviceView
 from trainer.step.device.packedrows import pack
 from trainer.step.device.torchblend import PAIR_BYTES, SLAB, blend
@@ -42,26 +46,29 @@ def scene(count: int, seed: int, sh_degree: int = 0) -> Parameters:
     return values
 
 
-def shot_of(camera: Camera, seed: int, masked: bool = False) -> Shot:
-    rng = np.random.default_rng(seed)
-    picture = rng.integers(0, 256, (camera.height_px, camera.width_px, 3), dtype=np.uint8)
-    mask = (rng.random(picture.shape[:2]) > 0.3).astype(np.uint8) if masked else None
-    return Shot(picture, mask)
+def shot_of(camera: Camera, seed: int, masked: bool = False, half: bool = False) -> Shot:
+    """A shot of the camera's size, at full size or as half of a picture of twice that size."""
+    rng, factor = np.random.default_rng(seed), 2 if half else 1
+    size = factor * camera.height_px, factor * camera.width_px
+    picture = rng.integers(0, 256, (*size, 3), dtype=np.uint8)
+    shot = Shot(picture, (rng.random(size) > 0.3).astype(np.uint8) if masked else None)
+    return shot.half() if half else shot
 
 
 def stepped(
-    backend: CpuBackend | TorchBackend,
+    backend: Backend,
     values: Parameters,
     camera: Camera,
     rows: Ints,
     trainable: int,
     shot: Shot,
+    whole: bool = True,
 ) -> tuple[Loss, Parameters]:
     """Loss and gradients of a step; gradients are 7 where nothing was written."""
     gradients = Parameters(*(np.full_like(a, 7) for a in values.arrays))
     gain, bias = np.array([1.1, 0.9, 1], np.float32), np.array([0.02, -0.01, 0], np.float32)
     view = View.prepare(camera, NEAR_M)
-    given = StepInput(values, rows, view, shot, gain, bias, trainable)
+    given = StepInput(values, rows, view, shot, gain, bias, trainable, whole)
     return backend.step(given, gradients), gradients
 
 
@@ -73,7 +80,7 @@ def stepped(
     trained=st.floats(0, 1),
     batch_bytes=st.sampled_from([1, 3 * SLAB * PAIR_BYTES, 1 << 30]),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_gradients_are_the_cpu_s_on_any_scene(
     seed: int, count: int, sh_degree: int, masked: bool, trained: float, batch_bytes: int
 ) -> None:
@@ -168,3 +175,50 @@ def test_memory_of_blending_is_bounded_whatever_the_lists_hold() -> None:
     assert peaks[1] < 1.2 * peaks[0]
     # The bound is not far too large.
     assert peaks[1] > batch_bytes / 2
+
+
+GPU = MemoryNeeds(200_000, 0, 1352 * 1014, 40, False)
+
+
+def test_preset_gpu_fits_a_small_gpu_and_pictures_get_what_is_left() -> None:
+    plan = planned(GPU, 8 << 30, 512 << 20, 4 << 30, "device cuda")
+    assert plan.total_bytes < 4e9
+    assert plan.pictures_bytes == 40 * 3 * 1352 * 1014
+    tight = planned(GPU, plan.total_bytes - 50_000_000, 512 << 20, 4 << 30, "device cuda")
+    assert tight.pictures_bytes == plan.pictures_bytes - 50_000_000
+    assert tight.total_bytes == plan.total_bytes - 50_000_000
+    bounded = planned(GPU, 8 << 30, 512 << 20, 20_000_000, "device cuda")
+    assert bounded.pictures_bytes == 20_000_000
+    masked = planned(replace(GPU, has_masks=True), 8 << 30, 512 << 20, 4 << 30, "device cuda")
+    assert masked.pictures_bytes * 3 == plan.pictures_bytes * 4
+    with pytest.raises(InvalidError, match=r"^device cuda:1 has 1\.00 GB free.*--num-gs") as caught:
+        planned(GPU, 10**9, 512 << 20, 4 << 30, "device cuda:1")
+    assert "\n" not in str(caught.value)
+
+
+def test_the_plan_is_said_before_training() -> None:
+    line = TorchBackend(*WEIGHTS, "cpu").plan(GPU)
+    assert line is not None
+    assert line.startswith("memory: ")
+    assert "that are free on device cpu" in line
+    assert "\n" not in line
+    assert CpuBackend(*WEIGHTS).plan(GPU) is None
+    assert free_bytes(torch.device("cpu")) > 1 << 28
+
+
+@pytest.mark.parametrize(("sh_degree", "times"), [(0, 3), (3, 1)])
+def test_a_step_keeps_to_the_plan(sh_degree: int, times: int) -> None:
+    given = training(sh_degree, times=times)
+    backend = TorchBackend(*WEIGHTS, "cpu")
+    camera = given.views[0].camera
+    needs = MemoryNeeds(NUM_GS, sh_degree, camera.width_px * camera.height_px, 6, True)
+    plan = planned(needs, 1 << 40, 16 << 20, 4 << 30, "device cpu")
+    resident = backend.start(given)
+    begin(resident)
+    every = np.arange(NUM_GS, dtype=np.int32)
+    selection = resident.select(every, every)
+    resident.step(steps(1)[0], selection)
+    peak = peak_bytes(lambda: resident.step(steps(1)[0], selection))
+    assert peak < plan.step_bytes
+    # The plan is not far too large either, apart from the batches that it allows.
+    assert peak > 0.15 * (plan.step_bytes - (16 << 20))
