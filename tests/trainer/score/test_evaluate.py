@@ -1,0 +1,224 @@
+"""swings-eval: capture and sizes that it scores with, traffic, training cameras, and figures that
+`swings-stream info` prints, too."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+from codec.slots.update import PREDICTED
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.manifest import Manifest
+from tests.support.commands import run_ok
+from tests.support.slots.folder import slots_manifest
+from tests.support.slots.updates import patternless_updates, small_layout
+from tests.support.tiny_capture import seen_by, tiny_rig, write_dynamic3dgs, write_dynerf
+from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
+from tests.support.tiny_stream import tiny_manifest, write_tiny
+from tests.support.trainings import train_here
+from trainer.capture.capture import Capture
+from trainer.capture.layout import open_capture
+from trainer.errors import CaptureError
+from trainer.pictures.framecache import FrameCache
+from trainer.score.evaluate import EvaluateConfig, evaluate_stream
+from trainer.score.picture import captured, displayed
+from trainer.score.sheet import HEADER_PX, write_sheet
+from trainer.score.traffic import traffic
+from trainer.score.truth import stream_cameras
+from trainer.step.loss import psnr_db
+
+SCALE = 0.3
+
+
+def trained_on(capture: Capture) -> Manifest:
+    cameras = tuple(c.camera.scaled(SCALE) for c in capture.cameras)
+    return replace(tiny_manifest(), cameras=cameras, default_camera=cameras[0].name)
+
+
+@pytest.fixture
+def uneven(tmp_path: Path) -> Capture:
+    """Cameras of 64, 51 and 33 pixels in width, which SCALE does not divide."""
+    write_dynamic3dgs(tmp_path / "c", num_cameras=4, num_frames=3)
+    plain = open_capture(tmp_path / "c")
+    sizes = [(64, 36), (51, 29), (33, 19), (64, 36)]
+    cameras = [
+        replace(c, camera=c.camera.resized(*size), held_out=True)
+        for c, size in zip(plain.cameras, sizes, strict=True)
+    ]
+    return replace(plain, cameras=tuple(cameras))
+
+
+def test_every_camera_has_the_size_that_training_gave_it(uneven: Capture) -> None:
+    cameras = stream_cameras(trained_on(uneven), uneven, "stream")
+    sizes = [(c.width_px, c.height_px) for c in cameras]
+    with FrameCache(uneven, range(3), SCALE) as cache:
+        scaled = [cache.camera(i) for i in range(len(cameras))]
+    assert sizes == [(c.width_px, c.height_px) for c in scaled]
+    with FrameCache(uneven, range(3), cameras=cameras) as cache:
+        assert cache.camera(1) == cameras[1]
+        assert cache.image(0, 0).shape == (cameras[0].height_px, cameras[0].width_px, 3)
+
+
+@pytest.mark.parametrize("index", [0, 2])
+def test_another_capture_is_told_by_any_held_out_camera(uneven: Capture, index: int) -> None:
+    manifest = trained_on(uneven)
+    cameras = list(manifest.cameras)
+    w2c = cameras[index].w2c.copy()
+    w2c[:3, 3] += 0.1
+    cameras[index] = replace(cameras[index], w2c=w2c)
+    with pytest.raises(CaptureError, match=f"camera {cameras[index].name} is not the one"):
+        stream_cameras(replace(manifest, cameras=tuple(cameras)), uneven, "stream")
+    cameras[index] = replace(cameras[index], w2c=np.eye(4), name="other")
+    others = replace(manifest, cameras=tuple(cameras), default_camera="other")
+    with pytest.raises(CaptureError, match="has no camera"):
+        stream_cameras(others, uneven, "stream")
+
+
+def colour_of(camera: int, frame: int) -> tuple[int, int, int]:
+    return 90 + 20 * camera, 100 + 5 * frame, 200
+
+
+def test_a_contact_sheet_shows_cameras_of_any_size_whole(tmp_path: Path) -> None:
+    """A portrait camera and a wide one among others: the first row does not define the others."""
+    root, frames, sizes = tmp_path / "capture", 6, [(64, 36), (20, 50), (90, 30)]
+
+    def resized(camera: Camera, width: int, height: int) -> Camera:
+        return replace(camera, width_px=width, height_px=height, cx_px=width / 2, cy_px=height / 2)
+
+    def picture(index: int, frame: int) -> np.ndarray:
+        width_px, height_px = sizes[index % 3]
+        return np.full((height_px, width_px, 3), colour_of(index, frame), np.uint8)
+
+    cameras = [resized(c, *sizes[i % 3]) for i, c in enumerate(tiny_rig(6))]
+    paths = write_pictures(root, cameras, frames, False, picture)
+    write_transforms(root, transforms_of(cameras, paths))
+    (root / "held_out.txt").write_text("".join(f"{c.name}\n" for c in cameras[:3]))
+    manifest = replace(tiny_manifest(), cameras=tuple(cameras), default_camera=cameras[0].name)
+    write_tiny(tmp_path / "stream", frames, manifest)
+    write_sheet(tmp_path / "stream", root, tmp_path / "sheet.png")
+    with Image.open(tmp_path / "sheet.png") as image:
+        sheet = np.asarray(image)
+    assert sheet.shape == (2 * sum(h + HEADER_PX for _, h in sizes), 3 * 90, 3)
+    top = 0
+    for row in range(6):
+        width_px, height_px = sizes[row % 3]
+        top += HEADER_PX
+        line = sheet[top : top + height_px]
+        assert (line[:, :width_px] == colour_of(row % 3, row)).all()
+        error = line[:, 2 * width_px : 3 * width_px]
+        assert error[:, -1].max() > 0  # the third column is there to its last pixel
+        assert line[:, 3 * width_px :].max(initial=0) == 0
+        top += height_px
+
+
+@pytest.mark.parametrize("swin_size", [1, 3])
+def test_who_plays_from_frame_0_fetches_no_later_snapshot(swin_size: int, tmp_path: Path) -> None:
+    capture, stream, frames = tmp_path / "capture", tmp_path / "stream", 7
+    write_dynamic3dgs(capture, num_cameras=3, num_frames=frames)
+    layout = small_layout(swin_size, (9, 6, 4), 0, 3)  # the last segment is short
+    updates = patternless_updates(layout, frames)
+    manifest = replace(seen_by(slots_manifest(layout), capture), live=True)
+    with StreamWriter.create(stream, manifest) as writer:
+        for update in updates:
+            writer.append(update)
+
+    def size_of(*names: str) -> int:
+        return sum((stream / name).stat().st_size for name in names)
+
+    found = evaluate_stream(EvaluateConfig(stream, capture)).layers
+    assert len(found) == 3
+    for score in found:
+        layers = range(score.layers)
+        played = [f"segments/{n}/{part}" for n in range(3) for part in (*layers, "masks")]
+        joins = [[f"segments/{n}/snapshot-{layer}" for layer in layers] for n in range(3)]
+        objects = size_of(*played, *joins[0])
+        overhead = size_of("manifest.json", "index.bin")
+        assert score.bytes_per_frame * frames == pytest.approx(objects + overhead)
+        assert score.snapshot_bytes_per_frame * frames == pytest.approx(
+            size_of(*joins[1], *joins[2])
+        )
+        assert score.bits_per_second == pytest.approx(8 * 25 * score.bytes_per_frame)
+        # Before frame 0 nothing is predicted, and the snapshots contain the state of frame 0.
+        rows = slice(layout.row_edges[score.layers])
+        sent = sum(int((update.statuses[rows] >= PREDICTED).sum()) for update in updates)
+        assert score.bytes_per_gaussian == pytest.approx(objects / sent)
+
+
+def test_whole_slices_bring_all_their_gaussians(tmp_path: Path) -> None:
+    write_tiny(tmp_path, 5)
+    reader = StreamReader(tmp_path)
+    manifest = reader.manifest
+    found = traffic(reader)
+    files = [f for f in (tmp_path / "segments").rglob("*") if f.is_file()]
+    assert found[-1].object_bytes + found[-1].join_bytes == sum(f.stat().st_size for f in files)
+    slices = 5 + manifest.swin_size - 1
+    assert [one.gaussians for one in found] == [slices * n for n in np.cumsum(manifest.slots)]
+
+
+def test_training_cameras_are_scored_and_info_agrees_or_says_why_not(tmp_path: Path) -> None:
+    capture, stream, frames = tmp_path / "capture", tmp_path / "stream", 3
+    write_dynerf(capture, 6, frames)
+    (capture / "held_out.txt").write_text("cam01\ncam03\n")
+    train_here(
+        capture, stream, "--num-gs", 200, "--genesis-iterations", 40, "--settle-rounds", 1,
+        "--window-iterations", 5, "--segment-frames", 2,
+    )  # fmt: skip
+    reader, footage = StreamReader(stream), open_capture(capture)
+    scores = json.loads(run_ok("swings-eval", stream, capture, "--training-cameras", "--json"))
+    training, held_out = scores["gap"]["training"], scores["gap"]["held_out"]
+    best = scores["layers"][-1]
+    for name in ("psnr_db", "fitted_psnr_db", "moving_psnr_db", "fitted_moving_psnr_db"):
+        assert held_out[name] == pytest.approx(best[name])
+    assert len(footage.training) == 4
+    for frame in range(frames):
+        splats = reader.active_splats(frame, reader.manifest.num_layers)
+        found_db = []
+        for index in footage.training:
+            shown = displayed(splats, footage.cameras[index].camera, reader.manifest.near_m)
+            with closing(footage.open_images(index)) as pictures:
+                found_db.append(psnr_db(shown, captured(pictures.read(frame))))
+        assert training["per_frame_psnr_db"][frame] == pytest.approx(np.mean(found_db))
+    assert training["fitted_psnr_db"] >= training["psnr_db"]
+    table = run_ok("swings-eval", stream, capture, "--training-cameras")
+    gap_db = training["psnr_db"] - held_out["psnr_db"]
+    [line] = [line for line in table.splitlines() if line.startswith("│ gap")]
+    assert f"{gap_db:.2f}" in line
+
+    info = json.loads(run_ok("swings-stream", "info", stream, "--json"))
+    assert info["played_bytes"] / frames == pytest.approx(best["bytes_per_frame"])
+    for said, scored in zip(info["layers"], scores["layers"], strict=True):
+        whole_bytes = said["size_bytes"] + reader.overhead_bytes
+        assert whole_bytes / frames == pytest.approx(scored["bytes_per_frame"])
+        by_turns_db = scored["per_camera_psnr_db"].values()
+        assert min(by_turns_db) - 1 < said["psnr_db"] < max(by_turns_db) + 1
+    text = run_ok("swings-stream", "info", stream)
+    assert "one held-out\n             camera a frame, in turn" in text
+    assert "swings-eval adds manifest and index" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"json": True}, "--compare draws and does not score"),
+        ({"sheet": Path("s.png")}, "--compare draws and does not score"),
+        ({"ablate_quantisation": True}, "--compare draws and does not score"),
+        ({"training_cameras": True}, "--compare draws and does not score"),
+        ({"compare": ("cam00", Path("x.gif"))}, "name an .mp4 or .mov file, or a folder"),
+        (
+            {"compare": None, "ablate_quantisation": True, "training_cameras": True},
+            "leave out --training-cameras",
+        ),
+    ],
+)
+def test_options_that_do_not_go_together(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidError, match=message):
+        EvaluateConfig("s", "c", **{"compare": ("cam00", Path("x.mp4")), **options})
