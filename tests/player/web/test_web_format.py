@@ -1,5 +1,5 @@
-"""Other parts of a stream that the browser reads: objects, packets, manifest, index, play records.
-It accepts and refuses the same bytes as the package."""
+"""Other parts of a stream that the browser reads: objects, packets, manifest, index, play records,
+captions. It accepts and refuses the same bytes as the package."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from codec.coders.coder import decompress
-from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.lattice.quantise import opacity_logits
+from codec.stream.captions import captions_of, check_captions, parse_webvtt
 from codec.stream.index import SegmentRecord
 from codec.stream.integrity import read_index
 from codec.stream.manifest import Manifest
@@ -290,3 +291,70 @@ def mutate(data: bytes, rng: random.Random) -> bytes:
             case _:
                 altered[place:place] = rng.randbytes(rng.randint(1, 8))
     return bytes(altered)
+
+
+CAPTION_LINES = [
+    "",
+    "1",
+    "NOTE x",
+    "00:00.000 --> 00:01.000",
+    "00:00:00.500 --> 01:00:00.000 line:0",
+    "00:0.5 --> 00:01.000",
+    "a <b>bold</b> word",
+    "1 &lt; 2 &amp;&nbsp;3",
+    "it&#39;s &#x20AC;5 &#xD800;&#0;&#1114112; &; &#; &#x;",
+    "<v Ann",
+    "-->",
+]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_captions_are_read_alike(browser: BrowserCode, seed: int) -> None:
+    rng = random.Random(seed)
+    for _ in range(40):
+        begin = rng.choice(["WEBVTT", "WEBVTT", "WEBVTT\tx", "WEBVTTx", ""])
+        text = "\n".join([begin, *rng.choices(CAPTION_LINES, k=rng.randint(0, 12))])
+        said = browser.ask("cues", text=text, timeS=0.75)
+        try:
+            cues = parse_webvtt(text.encode())
+        except CorruptError:
+            assert said["cues"] is None, text
+            continue
+        assert said["cues"] == [
+            {"startS": cue.start_s, "endS": cue.end_s, "text": cue.text} for cue in cues
+        ], text
+        due = [cue.text for cue in cues if cue.start_s <= 0.75 < cue.end_s]
+        assert said["text"] == "\n".join(due), text
+
+
+ENGLISH = {"language": "en", "label": "English"}
+
+
+@pytest.mark.parametrize(
+    ("taken", "captions"),
+    [
+        (True, []),
+        (True, [ENGLISH, {"language": "pt-BR", "label": "Português (Brasil) 字幕 😀"}]),
+        (True, [{"language": "en", "label": "x" * 80}]),
+        (False, [ENGLISH, ENGLISH]),
+        (False, [ENGLISH, {"language": "EN", "label": "Upper"}]),
+        (False, [{"language": "en", "label": ""}]),
+        (False, [{"language": "en", "label": "x" * 81}]),
+        (False, [{"language": "en", "label": "a\nb"}]),
+        (False, [{"language": "en", "label": "a\u202eb"}]),
+        (False, [{"language": "en", "label": "a\u00a0b"}]),
+        (False, [{"language": "en"}]),
+        (False, [{"language": "../x", "label": "x"}]),
+        (False, [{"language": str(n), "label": "x"} for n in range(17)]),
+        (False, {}),
+    ],
+)
+def test_the_captions_of_a_manifest_are_taken_alike(
+    browser: BrowserCode, taken: bool, captions: object
+) -> None:
+    try:
+        check_captions(captions_of({"captions": captions}))
+        is_taken = True
+    except (CorruptError, InvalidError):
+        is_taken = False
+    assert browser.takes("captions", captions=captions) == is_taken == taken

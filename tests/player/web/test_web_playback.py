@@ -80,14 +80,3 @@ def test_layers_that_come_late_are_shown_soon(
             assert Counter(means) == expected
             complete += 1
     assert complete > 2 or kind == "whole"
-
-
-@pytest.mark.parametrize("rate_bps", [1e6, 1e9])
-def test_all_objects_are_asked_for(browser: BrowserCode, tmp_path: Path, rate_bps: float) -> None:
-    """This also holds if a link carries several segments at a time."""
-    stream = write_stream(tmp_path / "stream", 30, slice_size=8, layers=(1.0,))
-    export_static(stream, tmp_path / "static")
-    files = folder_files(tmp_path / "static")
-    found = browser.ask("asked", files=files, rateBps=rate_bps)
-    wanted = [f"{segment}/{part}" for segment in range(6) for part in ("0", "masks")]
-    assert sorted(found) == sorted(["0/snapshot-0", *wanted])

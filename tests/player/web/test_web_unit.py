@@ -1,5 +1,4 @@
-"""The modules of player/web that need no page, tested by Node beside them; `node --test player/web/test/`
-runs all of these."""
+"""Node tests the modules of player/web that need no page: `node --test player/web/test/`."""
 
 from __future__ import annotations
 

@@ -13,13 +13,11 @@ import pytest
 from codec.stream.playrecord import RecordParser, encode_record
 from codec.tools.static import export_static
 from tests.support.commands import ROOT
-from tests.support.hosted_streams import folder_files, served, static_host, wait_for_stream
+from tests.support.hosted_streams import served, static_host, wait_for_stream
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
-from tests.support.web.browsercode import BrowserCode
 from tests.support.web.canvas import ELEMENT, PLAYER, STATE
 from tests.support.web.chromium import Page
-from tests.support.web.nodeprocess import Json
 
 NUM_FRAMES = 45
 LONG_FRAMES = 150
@@ -152,109 +150,6 @@ def test_layers_of_a_still_picture_are_read_behind_all_that_shows_later(
     with static_host(tmp_path) as url:
         opened(page, f"{url}/web/watch.html?src=/v1/streams/any&buffer-mb=0.001")
         page.wait(f"{STATE}.layers === {NUM_LAYERS}")
-
-
-def cached(browser: BrowserCode, actions: list[list[object]], limit_segments: float = 100) -> Json:
-    """Contents of a cache of one-second segments after each action."""
-    return browser.ask(
-        "cached",
-        fps=4,
-        segmentFrames=4,
-        numLayers=2,
-        numFrames=160,
-        limitBytes=limit_segments * SEGMENT_BYTES,
-        actions=actions,
-    )
-
-
-PACKET_BYTES = 872
-SEGMENT_BYTES = 9 * 1000
-"""Bytes of a segment of `whole`, with 128 bytes for each packet."""
-
-
-def whole(segment: int) -> list[list[object]]:
-    """Adds a segment of layer 0."""
-    births = range(4 * segment, 4 * segment + 4)
-    slices = [
-        one
-        for birth in births
-        for one in (["addMask", birth, PACKET_BYTES], ["addChange", birth, 0, PACKET_BYTES])
-    ]
-    return [*slices, ["addSnapshot", 4 * segment, 0, PACKET_BYTES]]
-
-
-def segments_in(found: Json) -> set[int]:
-    return {frame // 4 for first, end in found["ranges"] for frame in range(first, end)}
-
-
-def test_a_frame_is_buffered_with_its_mask_and_layer_0(browser: BrowserCode) -> None:
-    found = cached(
-        browser,
-        [
-            ["addChange", 5, 0, 10],
-            ["addMask", 5, 0],
-            ["addChange", 6, 1, 10],
-            ["addMask", 6, 0],
-            ["addSnapshot", 4, 0, 10],
-            ["addSnapshot", 8, 1, 10],
-        ],
-    )
-    ranges = [one["ranges"] for one in found]
-    assert ranges == [[], [[5, 6]], [[5, 6]], [[5, 6]], [[4, 6]], [[4, 6]]]
-    twice = cached(browser, [["addMask", 5, 100], ["addMask", 5, 900]])
-    assert [one["numBytes"] for one in twice] == [228, 228]
-
-
-def test_the_least_recently_used_segment_goes_but_never_what_plays_next(
-    browser: BrowserCode,
-) -> None:
-    actions = [one for segment in (30, 31, 32, 0, 1) for one in whole(segment)]
-    actions += [["setPlayhead", 4 * 30, None], ["setPlayhead", 0, None]]
-    held = []
-    for segment in (2, 3, 4, 5, 25):
-        actions += whole(segment)
-        held.append(cached(browser, actions, limit_segments=5)[-1])
-    first = {0, 1, 2}
-    assert [segments_in(one) for one in held] == [
-        first | {30, 32},
-        first | {30, 3},
-        first | {3, 4},
-        first | {3, 4, 5},
-        first | {3, 4, 5, 25},
-    ]
-    assert [one["hasRoom"] for one in held] == [True, True, False, False, False]
-    assert held[2]["numBytes"] == 5 * SEGMENT_BYTES
-
-
-def test_in_a_loop_what_has_just_played_is_needed_last(browser: BrowserCode) -> None:
-    actions = [one for segment in range(5, 10) for one in whole(segment)]
-    actions += [["setPlayhead", 4 * 10, 160], *whole(10), *whole(11)]
-    found = cached(browser, actions, limit_segments=5)[-1]
-    assert segments_in(found) == {5, 6, 7, 10, 11}
-    assert found["numBytes"] == 5 * SEGMENT_BYTES
-    # Segment 6 plays after 10, 11 and 5.
-    assert found["hasRoom"]
-
-
-def test_a_seek_aborts_what_the_last_one_asked_for(browser: BrowserCode, folder: Path) -> None:
-    files = folder_files(folder / "static")
-    found = browser.ask("aborted", files=files, frames=[20, 40])
-    parts = ["snapshot-0", "masks", "0"]
-    first = [[f"segments/1/{part}", True] for part in parts]
-    assert found["asked"][:3] == first
-    assert found["asked"][-3:] == [[f"segments/2/{part}", False] for part in parts]
-    assert all(isAborted for name, isAborted in found["asked"] if "segments/1" in name)
-    assert found["failures"] == [None, None]
-
-
-def test_scrubbing_keeps_one_request_underway_and_the_last_target_counts(
-    browser: BrowserCode, folder: Path
-) -> None:
-    files = folder_files(folder / "static")
-    found = browser.ask("scrubbed", files=files, frames=[0, 31, 14, 29, 31, 44])
-    # 0 arrived after three moves, when 14 was wanted and 31 no longer; 44 is nearest to the last
-    # segment's start.
-    assert found == {"asked": [0, 1, 2], "shown": [0, 1, 2], "mostUnderway": 1}
 
 
 @pytest.mark.parametrize("kind", HOSTS)
