@@ -49,9 +49,7 @@ def test_pixels_of_a_camera_that_can_be_read_off() -> None:
 
 
 @given(posed_cameras(), st.lists(shares, min_size=1, max_size=5))
-def test_what_projects_to_a_pixel_comes_back_from_it(
-    camera: Camera, share: list[tuple[float, float, float]]
-) -> None:
+def test_pixels_come_back(camera: Camera, share: list[tuple[float, float, float]]) -> None:
     u_px, v_px, depths = np.array(share).T
     u_px, v_px = u_px * camera.width_px, v_px * camera.height_px
     points = camera.unproject(u_px, v_px, depths)
@@ -63,9 +61,7 @@ def test_what_projects_to_a_pixel_comes_back_from_it(
 
 
 @given(posed_cameras(), shares)
-def test_the_intrinsics_are_the_projection(
-    camera: Camera, share: tuple[float, float, float]
-) -> None:
+def test_intrinsics_project(camera: Camera, share: tuple[float, float, float]) -> None:
     point = point_at(camera, share)
     x, y, w = camera.intrinsics @ (camera.w2c[:3, :3] @ point + camera.w2c[:3, 3])
     assert seen_at(camera, point) == pytest.approx((x / w, y / w), rel=1e-9, abs=1e-6)
@@ -107,9 +103,7 @@ def test_a_scaled_camera_is_resized_to_whole_pixels(camera: Camera, scale: float
 
 
 @given(posed_cameras(), shares)
-def test_a_halved_camera_sees_every_point_at_half_its_pixel(
-    camera: Camera, share: tuple[float, float, float]
-) -> None:
+def test_a_halved_camera(camera: Camera, share: tuple[float, float, float]) -> None:
     full = camera.resized(max(2, camera.width_px), max(2, camera.height_px))
     half = full.halved()
     point = point_at(full, share)
@@ -121,9 +115,7 @@ def test_a_halved_camera_sees_every_point_at_half_its_pixel(
 
 
 @given(posed_cameras(), sides_px, sides_px)
-def test_a_fitted_camera_keeps_pixels_square_and_loses_nothing(
-    camera: Camera, width_px: int, height_px: int
-) -> None:
+def test_a_fitted_camera_loses_nothing(camera: Camera, width_px: int, height_px: int) -> None:
     other = camera.fitted(width_px, height_px)
     assert (other.width_px, other.height_px) == (width_px, height_px)
     assert other.fx_px / other.fy_px == pytest.approx(camera.fx_px / camera.fy_px)

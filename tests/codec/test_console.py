@@ -47,9 +47,7 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Any:
     return command
 
 
-def test_one_line_and_an_exit_code_say_what_is_wrong(
-    command: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_wrong_is_one_line(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
     command("7", "--twice")
     assert capsys.readouterr().out == "Number(value=7, twice=True)\n"
     for arguments, status, message in (
@@ -73,9 +71,7 @@ def test_verbose_anywhere_shows_the_traceback(command: Any, arguments: Sequence[
         command(*arguments)
 
 
-def test_help_and_completion_are_those_of_the_command(
-    command: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_help_and_completion(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments in (["--help"], ["--tyro-print-completion", "bash"]):
         with pytest.raises(SystemExit) as ended:
             command(*arguments)
@@ -83,9 +79,7 @@ def test_help_and_completion_are_those_of_the_command(
         assert "--twice" in capsys.readouterr().out
 
 
-def test_a_command_may_parse_in_its_own_way(
-    command: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_parser_of_its_own(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
     def parse(config_type: type[Number], args: Sequence[str], **options: Any) -> Number:
         found = tyro.cli(config_type, args=args, **options)
         return config_type(found.value + 1)

@@ -58,9 +58,7 @@ def test_bad_usage_exits_with_2() -> None:
     assert run("swings-stream", "polish").returncode == 2
 
 
-def test_the_help_of_export_names_the_first_file_that_it_writes(
-    stream: Path, tmp_path: Path
-) -> None:
+def test_the_help_of_export_names_its_first_file(stream: Path, tmp_path: Path) -> None:
     run_ok("swings-stream", "export", stream, tmp_path / "name.ply", "--frames", "0:2")
     first = min(path.name for path in tmp_path.iterdir())
     assert f"gives {first}" in " ".join(run_ok("swings-stream", "export", "--help").split())

@@ -31,9 +31,7 @@ def test_quaternions_and_rotations_are_the_same(axis: Doubles, angle_rad: float)
 
 
 @given(directions, turns_rad)
-def test_a_quaternion_is_the_cosine_of_half_the_angle_and_then_the_axis(
-    axis: Doubles, angle_rad: float
-) -> None:
+def test_quaternions_turn_by_twice_their_angle(axis: Doubles, angle_rad: float) -> None:
     quat = np.array([math.cos(angle_rad / 2), *(math.sin(angle_rad / 2) * axis)])
     np.testing.assert_allclose(rotation_of(quat), rotation_about(axis, angle_rad), atol=1e-12)
     # A quarter turn about z takes x to y.
@@ -49,9 +47,7 @@ def test_slerp_turns_evenly(axis: Doubles, angle_rad: float, share: float) -> No
 
 
 @given(rotations, places)
-def test_a_pose_takes_its_place_to_the_origin_and_its_axes_to_x_y_and_z(
-    rotation: Doubles, position: Doubles
-) -> None:
+def test_a_pose_takes_its_place_to_0(rotation: Doubles, position: Doubles) -> None:
     w2c = world_to_camera(rotation, position)
     np.testing.assert_allclose(w2c @ [*position, 1], [0, 0, 0, 1], atol=1e-12)
     for axis, expected in zip(rotation, np.eye(3), strict=True):

@@ -27,9 +27,7 @@ def shapes(splats: Splats) -> Doubles:
 
 @given(rotations, places, st.floats(0.1, 10), st.booleans())
 @settings(max_examples=30, deadline=None)
-def test_a_body_keeps_its_shape_and_its_colours_from_every_side(
-    turn: Doubles, offset: Doubles, scale: float, mirrored: bool
-) -> None:
+def test_a_moved_body(turn: Doubles, offset: Doubles, scale: float, mirrored: bool) -> None:
     splats = trained_like_splats(20, 3, 3)
     turn = turn @ np.diag([1.0, 1.0, -1.0 if mirrored else 1.0])
     moved = Similarity.of(matrix_of(scale * turn, offset)).moved(splats)

@@ -1,10 +1,8 @@
 """A decoder with a memory limit.
 
-It is a process of its own, `python -m tests.support.bounded_decoder`, with a fork for each case.
-The fork receives the hostile input, reads its data memory (VmData: heap and private mappings, so it
-includes allocations of zstd and numpy), limits itself to the declared bytes plus SLACK_BYTES more,
-decodes, and reports the outcome: `value`, or the error. The process prints the outcomes of all
-cases as a JSON object.
+It is a process, `python -m tests.support.bounded_decoder`, with a fork for each case. The fork gets
+the hostile input, reads its data memory (VmData, with the allocations of zstd and numpy), limits
+itself to the declared bytes plus SLACK_BYTES, and decodes. The process prints all outcomes as JSON.
 
 Declared bytes are, within the caps of the format, the content bytes that a header claims plus the
 bytes of its claimed Gaussians as float32. A claim over a cap declares nothing: it must be refused
@@ -29,16 +27,17 @@ import msgpack
 import zstandard
 
 from codec.interop.formats import decode_any, read_splats
-from codec.slots.slotlayout import MAX_SLOT_CHUNK_BYTES as MOST
 from codec.stream.manifest import Manifest
 from codec.stream.object import HEAD, packet_content
 from codec.stream.playrecord import LENGTH, MAX_RECORD_BYTES, RecordParser
 from codec.stream.reader import StreamReader
 from tests.support.objects import object_packets
-from tests.support.slots.bounded_slots import SLOT_CASES, warm
+from tests.support.slots.bounded_slots import SLOT_CASES, compress, warm
 from tests.support.tiny_stream import tiny_manifest, write_tiny
 
 SLACK_BYTES = 64 << 20
+MOST = 80 << 20
+"""Largest content of a packet here; more than SLACK_BYTES, so that a copy of it is noticed."""
 N = 1 << 20
 VALUE_BYTES = 236
 """Bytes of a Gaussian of SH degree 3 as float32."""
@@ -46,15 +45,13 @@ VALUE_BYTES = 236
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A decoder, a hostile input for it, and the declared bytes of the input."""
+    """A hostile input, a decoder for it, and the declared bytes of the input."""
 
     make: Callable[[], bytes]
     decode: Callable[[bytes], object]
     declared_bytes: int
-
-
-def compress(content: bytes) -> bytes:
-    return zstandard.ZstdCompressor(level=1, write_checksum=True).compress(content)
+    outcome: str = "value"
+    """`value`, or a part of the error. A failed allocation inside zstd gives neither."""
 
 
 def gzip_member(content: bytes, said_bytes: int) -> bytes:
@@ -157,55 +154,89 @@ def spz_bomb() -> bytes:
 RECORDS_BYTES = 2 * MAX_RECORD_BYTES
 """Bytes of a record as received, and as decoded."""
 
+HALF = "CorruptError: packet: decompression error: did not decompress full frame"
+TOO_MUCH = f"{MOST + 1} bytes of content, at most {MOST}"
+
+
+def feed(data: bytes) -> object:
+    return RecordParser().feed(data)
+
+
 CASES: dict[str, Case] = {
     "zstd": Case(lambda: compress(bytes(MOST)), content, MOST),
-    "cut off": Case(lambda: compress(bytes(MOST))[:-9], content, MOST),
-    "claims the most": Case(lambda: claiming(MOST), content, MOST),
-    "claims too much": Case(lambda: claiming(MOST + 1), content, 0),
-    "claims an exabyte": Case(lambda: claiming(1 << 60), content, 0),
+    "cut off": Case(lambda: compress(bytes(MOST))[:-9], content, MOST, HALF),
+    "claims the most": Case(lambda: claiming(MOST), content, MOST, HALF),
+    "claims too much": Case(lambda: claiming(MOST + 1), content, 0, TOO_MUCH),
+    "claims an exabyte": Case(
+        lambda: claiming(1 << 60), content, 0, f"{1 << 60} bytes of content cannot come from 8"
+    ),
     "gzip": Case(lambda: gzip_member(bytes(MOST), MOST), content, MOST),
-    "gzip says less": Case(lambda: gzip_member(bytes(200 << 20), 1000), content, 0),
-    "gzip claims too much": Case(lambda: gzip_member(bytes(MOST), MOST + 1), content, 0),
-    "table": Case(lying_table, object_packets, 0),
-    "index": Case(lambda: b"", sparse_index, 0),
-    "manifest": Case(lambda: b"[" + b"[]," * 349_000 + b"1]", Manifest.from_json, 0),
+    "gzip says less": Case(
+        lambda: gzip_member(bytes(100 << 20), 1000),
+        content,
+        0,
+        "CorruptError: packet: more content than the 1000 bytes that it declares",
+    ),
+    "gzip claims too much": Case(lambda: gzip_member(bytes(MOST), MOST + 1), content, 0, TOO_MUCH),
+    "table": Case(
+        lying_table,
+        object_packets,
+        0,
+        "CorruptError: object: 196628 bytes, its table says 1065156628",
+    ),
+    "index": Case(lambda: b"", sparse_index, 0, "index.bin is longer than"),
+    "manifest": Case(
+        lambda: b"[" + b"[]," * 349_000 + b"1]",
+        Manifest.from_json,
+        0,
+        "CorruptError: manifest: is not a JSON object",
+    ),
     "texts in a manifest": Case(
         lambda: tiny_manifest().to_json().replace(b"front", "\U0001f600".encode() * 60_000),
         Manifest.from_json,
         0,
+        "a name of 60000 characters, at most 2000",
     ),
     "snapshot record": Case(
         lambda: record(
             {"kind": "snapshot", "frame": 0, "first": 0, "packets": [bytes(4_000_000)] * 16}
         ),
-        lambda data: RecordParser().feed(data),
+        feed,
         RECORDS_BYTES,
     ),
     "bytes as a kind": Case(
         lambda: record({"kind": bytes(64_000_000)}),
-        lambda data: RecordParser().feed(data),
+        feed,
         RECORDS_BYTES,
+        "CorruptError: play: a record of kind bytes",
     ),
     "text in a record": Case(
         lambda: record({"kind": "error", "message": "\U0001f600" + "x" * 64_000_000}),
-        lambda data: RecordParser().feed(data),
+        feed,
         RECORDS_BYTES,
+        "CorruptError: play: a record is not msgpack",
     ),
     "short file": Case(lambda: bytes(28) + b"\xff" * 4, read_short_file, 0),
-    "ply": Case(lambda: ply_claiming(1 << 24), decode_any, 0),
-    "ply over the cap": Case(lambda: ply_claiming(1 << 40), decode_any, 0),
-    "spz": Case(spz_bomb, decode_any, 0),
+    "ply": Case(lambda: ply_claiming(1 << 24), decode_any, 0, "CorruptError: PLY: ends after"),
+    "ply over the cap": Case(
+        lambda: ply_claiming(1 << 40), decode_any, 0, f"CorruptError: PLY: claims {1 << 40} Gaus"
+    ),
+    "spz": Case(
+        spz_bomb, decode_any, 0, "CorruptError: SPZ: not the 171 bytes that 9 Gaussians need"
+    ),
     "ply of degree 3": Case(lambda: ply_of_floats(3), decode_any, N * VALUE_BYTES),
     "compressed ply": Case(lambda: compressed_ply(2 * N), decode_any, 2 * N * 56),
-    "splat": Case(
-        lambda: bytes(32) * 2 * N,
-        lambda data: decode_any(data, ".splat"),
-        2 * N * 56,
-    ),
+    "splat": Case(lambda: bytes(32) * 2 * N, lambda data: decode_any(data, ".splat"), 2 * N * 56),
     "spz 3": Case(lambda: spz_3(2 * N), decode_any, 2 * N * (20 + 56)),
-    "spz 4": Case(lambda: spz_4(200 << 20), decode_any, 0),
+    "spz 4": Case(
+        lambda: spz_4(100 << 20),
+        decode_any,
+        0,
+        "CorruptError: SPZ: an array: decompression error: did not decompress full frame",
+    ),
     **{name: Case(*hostile) for name, hostile in SLOT_CASES.items()},
-    "control": Case(lambda: b"", lambda _: bytearray(SLACK_BYTES + (1 << 20)), 0),
+    # The limit is effective.
+    "control": Case(lambda: b"", lambda _: bytearray(SLACK_BYTES + (1 << 20)), 0, "MemoryError"),
 }
 
 

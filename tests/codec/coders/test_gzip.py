@@ -19,14 +19,7 @@ from codec.coders.coder import Coder, coder_of, compress, decompress
 from codec.errors import CorruptError
 from codec.slots.slotlayout import MAX_SLOT_CHUNK_BYTES
 from codec.stream.object import encode_packet, join_packets, packet_content
-from tests.support.objects import (
-    BIRTHS,
-    contents,
-    new_chunk,
-    new_chunks,
-    object_of,
-    object_packets,
-)
+from tests.support.objects import BIRTHS, contents, new_chunk, new_chunks, object_of, object_packets
 
 NODE = shutil.which("node")
 

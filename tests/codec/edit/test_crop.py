@@ -36,9 +36,7 @@ def in_box(means: Doubles, box: tuple[float, ...] = BOX) -> Rows:
 
 
 @pytest.mark.parametrize("swin_size", [1, 5])
-def test_a_box_keeps_what_lies_in_it_and_its_complement_the_rest(
-    swin_size: int, tmp_path: Path
-) -> None:
+def test_a_box_and_its_complement_share_the_gaussians(swin_size: int, tmp_path: Path) -> None:
     source = write_trained_like(tmp_path / "s", swin_size)
     edit_stream(source, tmp_path / "in", CropOptions(box=BOX))
     edit_stream(source, tmp_path / "out", CropOptions(box=BOX, outside=True))
@@ -55,7 +53,7 @@ def test_a_box_keeps_what_lies_in_it_and_its_complement_the_rest(
 
 @pytest.mark.parametrize(("swin_size", "period"), [(1, 1), (2, 1), (3, 1), (1, 2), (1, 4)])
 @pytest.mark.parametrize("seed", range(2))
-def test_patternless_streams_that_escape_come_and_go(
+def test_patternless_streams_cropped(
     swin_size: int, period: int, seed: int, tmp_path: Path
 ) -> None:
     layout = small_layout(swin_size, (20, 10), 1, 4, period)

@@ -27,7 +27,7 @@ from tests.support.slots.updates import small_layout
 
 @pytest.mark.parametrize(("swin_size", "period"), [(1, 1), (3, 1), (6, 1), (1, 2), (1, 4)])
 @pytest.mark.parametrize("cuts", [(4,), (3,), (8, 12), (2, 5), (7, 9), (1, 12)])
-def test_the_parts_of_a_stream_joined_are_the_stream_again(
+def test_the_parts_joined(
     cuts: tuple[int, ...], swin_size: int, period: int, tmp_path: Path
 ) -> None:
     layout = small_layout(swin_size, (6, 4), 0, 4, period)
@@ -45,9 +45,7 @@ def test_the_parts_of_a_stream_joined_are_the_stream_again(
 
 
 @pytest.mark.parametrize("swin_size", [1, 5])
-def test_what_was_cut_costs_about_what_it_did_once_it_is_joined(
-    swin_size: int, tmp_path: Path
-) -> None:
+def test_what_was_cut_costs_no_more_once_joined(swin_size: int, tmp_path: Path) -> None:
     source = write_trained_like(tmp_path / "s", swin_size)
     parts = tmp_path / "a", tmp_path / "b"
     trim_stream(source, parts[0], FrameRange(0, SEGMENT_FRAMES))
@@ -60,9 +58,7 @@ def test_what_was_cut_costs_about_what_it_did_once_it_is_joined(
 
 @pytest.mark.parametrize("lengths", [(8, 14, 9), (7, 9, 12), (2, 3, 4), (4, 12, 4)])
 @pytest.mark.parametrize("swin_size", [1, 3])
-def test_other_streams_follow_with_their_own_frames(
-    swin_size: int, lengths: tuple[int, ...], tmp_path: Path
-) -> None:
+def test_other_streams_follow(swin_size: int, lengths: tuple[int, ...], tmp_path: Path) -> None:
     layout = small_layout(swin_size, (6, 4), 0, 4)
     parts = [
         write_slot_stream(tmp_path / str(n), length, layout, n) for n, length in enumerate(lengths)

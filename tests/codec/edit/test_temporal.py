@@ -34,9 +34,7 @@ def assert_same_frames(source: Path, other: Path) -> None:
 
 @pytest.mark.parametrize("periods", [(2, 1), (4, 1), (4, 2), (1, 3), (8, 8)])
 @pytest.mark.parametrize("seed", range(3))
-def test_patternless_streams_show_the_same_frames(
-    periods: tuple[int, int], seed: int, tmp_path: Path
-) -> None:
+def test_patternless_streams_moved(periods: tuple[int, int], seed: int, tmp_path: Path) -> None:
     before, after = periods
     layout = small_layout(1, (20, 10), 1, 8, before)
     source = write_slot_stream(tmp_path / "s", 21, layout, seed)

@@ -26,7 +26,7 @@ from tests.support.slots.updates import small_layout
 
 @pytest.mark.parametrize(("swin_size", "period"), [(1, 1), (3, 1), (6, 1), (1, 2), (1, 4)])
 @pytest.mark.parametrize("frames", [(0, 4), (0, 14), (3, 4), (4, 14), (5, 11), (8, 11), (13, 14)])
-def test_a_trimmed_stream_shows_the_frames_of_its_source(
+def test_trimmed_frames(
     frames: tuple[int, int], swin_size: int, period: int, tmp_path: Path
 ) -> None:
     layout = small_layout(swin_size, (6, 4), 1, 4, period)
@@ -96,9 +96,7 @@ def test_the_planes_of_segments_that_move_are_the_same_bytes(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("frames", [(14, 15), (0, 15), (20, None)])
-def test_frames_that_the_stream_lacks_are_refused(
-    frames: tuple[int, int | None], tmp_path: Path
-) -> None:
+def test_frames_that_are_not_there(frames: tuple[int, int | None], tmp_path: Path) -> None:
     source = write_slot_stream(tmp_path / "s", 14)
     with pytest.raises(InvalidError, match="has frames 0:14"):
         trim_stream(source, tmp_path / "t", FrameRange(*frames))

@@ -76,9 +76,7 @@ def encrypted() -> bytes:
         ),
     ],
 )
-def test_a_bad_archive_is_refused_with_the_reason(
-    data: bytes, kind: type[CodecError], says: str
-) -> None:
+def test_a_bad_archive_is_refused(data: bytes, kind: type[CodecError], says: str) -> None:
     with pytest.raises(kind, match=says):
         Bundle(data, "it").read("a")
 

@@ -82,9 +82,7 @@ def test_a_buffer_may_be_a_file_beside(tmp_path: Path) -> None:
         ("data:#0", CorruptError, "0 bytes of"),
     ],
 )
-def test_no_other_place_is_looked_at(
-    uri: str, kind: type[CodecError], says: str, tmp_path: Path
-) -> None:
+def test_places_not_looked_at(uri: str, kind: type[CodecError], says: str, tmp_path: Path) -> None:
     (tmp_path / "secret.bin").write_bytes(CHUNK)
     folder = tmp_path / "folder"
     (folder / "sub").mkdir(parents=True)
@@ -116,8 +114,6 @@ def test_bytes_without_a_place_have_no_file_beside() -> None:
         (b'{"a": ' + b"9" * 5000 + b"}", CorruptError, "is not JSON"),
     ],
 )
-def test_a_bad_container_is_refused_with_the_reason(
-    data: bytes, kind: type[CodecError], says: str
-) -> None:
+def test_a_bad_container_is_refused(data: bytes, kind: type[CodecError], says: str) -> None:
     with pytest.raises(kind, match=says):
         decode_any(data)

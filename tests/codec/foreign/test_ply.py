@@ -116,9 +116,7 @@ def test_ply_goes_by_name_whatever_else_there_is() -> None:
         ),
     ],
 )
-def test_a_bad_ply_is_refused_with_the_reason(
-    data: bytes, kind: type[CodecError], says: str
-) -> None:
+def test_a_bad_ply_is_refused(data: bytes, kind: type[CodecError], says: str) -> None:
     with pytest.raises(kind, match=says):
         decode_ply(data)
 

@@ -80,11 +80,7 @@ def test_spz_by_hand(data: bytes) -> None:
     assert splats.quats[0] == pytest.approx([HALF, 0, HALF, 0], abs=1e-6)
     assert splats.quats[1] == pytest.approx([HALF, HALF, 0, 0], abs=1e-6)
     # The order of the harmonics of degree 1 is y, z, x.
-    assert splats.sh[0, 1:].tolist() == [
-        [0, 1, -127 / 128],
-        [-0.5, -0.5, -0.5],
-        [-0.5, -0.5, -0.5],
-    ]
+    assert splats.sh[0, 1:].tolist() == [[0, 1, -127 / 128], [-0.5, -0.5, -0.5], [-0.5, -0.5, -0.5]]
 
 
 def test_spz_2_keeps_the_rotation_in_three_bytes() -> None:
@@ -221,9 +217,7 @@ def altered(data: bytes, place: int, value: bytes) -> bytes:
         (altered(version_4(), 8, b"\3"), CorruptError, "18 bytes, not 27"),
     ],
 )
-def test_a_bad_spz_is_refused_with_the_reason(
-    data: bytes, kind: type[CodecError], says: str
-) -> None:
+def test_a_bad_spz_is_refused(data: bytes, kind: type[CodecError], says: str) -> None:
     with pytest.raises(kind, match=says):
         decode_any(data)
 

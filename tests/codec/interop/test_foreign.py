@@ -63,7 +63,7 @@ def test_a_number_of_thousands_of_digits(frames: str, stream: Path, tmp_path: Pa
         FrameRange.parse("x" * 5000)
 
 
-def test_the_command_says_it_in_one_line(
+def test_the_command_in_a_line(
     stream: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

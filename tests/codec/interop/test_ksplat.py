@@ -50,9 +50,7 @@ def transformed(path: Path, out: Path) -> Path:
 @needs_splat_transform
 @pytest.mark.parametrize("degree", [0, 1, 2])
 @pytest.mark.parametrize("level", list(LARGEST))
-def test_a_ksplat_is_read_as_splat_transform_reads_it(
-    level: int, degree: int, tmp_path: Path
-) -> None:
+def test_splat_transform_reads_a_ksplat_alike(level: int, degree: int, tmp_path: Path) -> None:
     assert NODE is not None
     source = trained_like_splats(COUNT, 2, degree)
     inside = np.flatnonzero(np.abs(source.means).max(axis=1) < 4)  # floaters have only f16

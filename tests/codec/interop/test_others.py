@@ -205,9 +205,7 @@ def test_gsply_reads_the_sog(sh_degree: int, tmp_path: Path) -> None:
 @needs_gsply
 @degrees
 @pytest.mark.parametrize("version", [3, 4])
-def test_the_spz_that_gsply_writes_is_read_alike(
-    version: int, sh_degree: int, tmp_path: Path
-) -> None:
+def test_the_spz_of_gsply_is_read_alike(version: int, sh_degree: int, tmp_path: Path) -> None:
     stream, splats = shown(tmp_path, sh_degree)
     [path] = export_stream(stream, tmp_path / "frame.ply", 0, None, None, None)
     gsply.write_spz(tmp_path / "theirs.spz", gsply.plyread(path), version=version)
@@ -231,9 +229,7 @@ def transformed(path: Path, out: Path) -> Path:
 @needs_splat_transform
 @degrees
 @pytest.mark.parametrize("format", [SplatFormat.PLY, SplatFormat.SPLAT])
-def test_splat_transform_reads_what_is_exported(
-    format: SplatFormat, sh_degree: int, tmp_path: Path
-) -> None:
+def test_splat_transform_reads_exports(format: SplatFormat, sh_degree: int, tmp_path: Path) -> None:
     path, splats = exported(tmp_path, sh_degree, format)
     found = read_splats(transformed(path, tmp_path / "theirs.ply"))
     assert_within(found, splats, format)
@@ -334,7 +330,7 @@ def test_the_playcanvas_engine_reads_the_glb(sh_degree: int, tmp_path: Path) -> 
 @needs_modules
 @pytest.mark.parametrize("format", [SplatFormat.GLB, SplatFormat.GLTF])
 @pytest.mark.parametrize("count", [0, 400])
-def test_the_validator_of_khronos_finds_no_fault(
+def test_the_khronos_validator_finds_no_fault(
     format: SplatFormat, count: int, tmp_path: Path
 ) -> None:
     path = tmp_path / f"frame.{format}"

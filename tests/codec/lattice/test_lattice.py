@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 
 from codec.errors import InvalidError
-from codec.lattice.lattice import (
-    MAX_HOLD,
-    MIN_STEP,
-    POSITION_LIMIT,
-    Lattice,
-    dequantise,
-    quantise,
-)
+from codec.lattice.lattice import MAX_HOLD, MIN_STEP, POSITION_LIMIT, Lattice, dequantise, quantise
 from codec.lattice.orientation import canonical
 from codec.lattice.quantise import to_luma
 from codec.splats import SH_C0

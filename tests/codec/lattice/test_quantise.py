@@ -33,7 +33,7 @@ scales = st.tuples(*[st.floats(-8, 3, width=32)] * 3)
     st.sampled_from([1e-36, 1.0, 1e36]),
 )
 @settings(max_examples=300)
-def test_the_canonical_form_is_the_same_gaussian(
+def test_canonical_forms(
     quat: tuple[float, ...], log_scale: tuple[float, ...], norm: float
 ) -> None:
     quats = np.array([quat], np.float32)

@@ -233,9 +233,7 @@ def test_every_frame_is_within_the_stated_errors(
 @pytest.mark.parametrize(
     ("degree", "finer", "log_factor"), [(3, 1, 0), (3, 2, 0), (0, 4, 0), (0, 1, -7), (0, 10, 0)]
 )
-def test_sizes_that_show_fit_the_finest_steps(
-    degree: int, finer: float, log_factor: float, tmp_path: Path
-) -> None:
+def test_sizes_that_show_fit(degree: int, finer: float, log_factor: float, tmp_path: Path) -> None:
     splats = trained_like_splats(1500, 0, degree)
     splats = splats.take(np.flatnonzero(np.abs(splats.means).max(axis=1) < 4))
     splats.means[:] *= np.exp(log_factor)

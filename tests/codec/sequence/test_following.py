@@ -97,9 +97,7 @@ def test_a_sequence_that_goes_on_elsewhere_is_refused_and_can_be_resumed(tmp_pat
     assert followed(folder, stream, resume=True).num_frames == 4
 
 
-def test_a_fuller_file_loses_its_least_important(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_fuller_file_loses_the_least(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     folder, stream = tmp_path / "files", tmp_path / "stream"
     write_frame(folder, 0, frame_of(0, 100))
     fuller = frame_of(1, 200)
@@ -172,9 +170,7 @@ def test_options_that_do_not_go_together(tmp_path: Path) -> None:
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_finishes_the_stream_and_other_signals_leave_it_live(
-    tmp_path: Path, number: signal.Signals
-) -> None:
+def test_ctrl_c_finishes_and_others_leave_it_live(tmp_path: Path, number: signal.Signals) -> None:
     folder, stream = tmp_path / "files", tmp_path / "stream"
     folder.mkdir()
     process = started("swings-stream", "import", folder, stream, "--follow", "--fps", "10")

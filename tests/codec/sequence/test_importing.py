@@ -20,12 +20,7 @@ from codec.framerange import FrameRange
 from codec.interop.formats import SplatFormat, read_splats, write_splats
 from codec.lattice.lattice import Lattice
 from codec.sequence.errorbound import ErrorBound
-from codec.sequence.importing import (
-    WRITE_STEPS,
-    ImportOptions,
-    import_stream,
-    make_manifest,
-)
+from codec.sequence.importing import WRITE_STEPS, ImportOptions, import_stream, make_manifest
 from codec.sequence.survey import Survey
 from codec.splats import Splats
 from codec.stream import StreamReader
@@ -237,9 +232,7 @@ def test_every_format_makes_a_sequence(format: SplatFormat, tmp_path: Path) -> N
             assert abs(a - b).max() < 0.003
 
 
-def test_more_than_a_frame_holds_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_more_than_a_frame_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("codec.sequence.survey.MAX_SLOTS", 9)
     model = save(tmp_path / "model.ply", trained_like_splats(10))
     with pytest.raises(
@@ -261,9 +254,7 @@ SPLAT_RECORD_BYTES = 32
     ],
     ids=["v3", "v4", "splat"],
 )
-def test_too_many_are_refused_by_the_header_alone(
-    tmp_path: Path, name: str, head: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_too_many(tmp_path: Path, name: str, head: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing follows the header: a reader that continued would report that instead."""
     monkeypatch.setattr("codec.sequence.survey.MAX_SLOTS", 9)
     (tmp_path / name).write_bytes(head)
@@ -336,9 +327,7 @@ def test_a_full_disk_is_told_by_the_name_of_the_file_that_has_no_room(tmp_path: 
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
-def test_a_killed_import_leaves_no_stream_and_the_next_one_goes_through(
-    tmp_path: Path, number: signal.Signals
-) -> None:
+def test_a_killed_import_leaves_no_stream(tmp_path: Path, number: signal.Signals) -> None:
     folder = moving(tmp_path / "seq", 60)
     out = tmp_path / "s"
     words = command("swings-stream", "import", folder, out, "--fps", 30)

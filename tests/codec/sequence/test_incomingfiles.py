@@ -104,9 +104,7 @@ def test_a_missing_file_that_comes_in_time_is_not_missed(tmp_path: Path) -> None
     assert not rig.troubles.counts
 
 
-def test_a_broken_file_is_stood_for_once_a_later_one_is_there(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_broken_file_is_stood_for(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     rig = Rig(tmp_path, next_number=0)
     rig.file(0).write_bytes(b"ply\nrubbish")
     assert rig.settled(after_s=100) is None
@@ -120,9 +118,7 @@ def test_a_broken_file_is_stood_for_once_a_later_one_is_there(
     assert rig.troubles.counts == {"odd files": 1}
 
 
-def test_what_is_no_frame_is_named_and_left_out(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_is_no_frame_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     rig = Rig(tmp_path, next_number=0, step=2)
     (tmp_path / "final.ply").write_bytes(b"ply")
     (tmp_path / "notes.txt").write_text("nothing")

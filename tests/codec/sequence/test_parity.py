@@ -21,9 +21,7 @@ NUM_FRAMES, NUM_GS = 30, 3000
 
 
 @pytest.mark.parametrize("swin_size", [1, 2, 5])
-def test_an_exported_stream_with_leases_comes_back_exactly_and_as_small(
-    swin_size: int, tmp_path: Path
-) -> None:
+def test_an_exported_stream_comes_back_exactly(swin_size: int, tmp_path: Path) -> None:
     layout = trained_like_layout(NUM_GS // swin_size, swin_size, 15)
     with StreamWriter.create(tmp_path / "s", slot_manifest(layout)) as writer:
         for update in trained_like_updates(layout, NUM_FRAMES, 0.3):

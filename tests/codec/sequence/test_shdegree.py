@@ -9,11 +9,7 @@ import pytest
 from codec.errors import InvalidError
 from codec.interop.formats import SplatFormat, write_splats
 from codec.sequence.errorbound import HOLD, KINDS, ErrorBound, steps_of
-from codec.sequence.importing import (
-    Imported,
-    ImportOptions,
-    import_stream,
-)
+from codec.sequence.importing import Imported, ImportOptions, import_stream
 from codec.splats import Splats
 from codec.stream import StreamReader
 from codec.tools.audit import describe, summarise

@@ -68,9 +68,7 @@ def test_both_encoders_make_the_same_bytes(shape: Shape, seed: int) -> None:
 
 @given(streams(), st.data())
 @settings(max_examples=25)
-def test_who_has_all_and_who_joins_hold_the_same(
-    stream: tuple[Shape, Chunks], data: st.DataObject
-) -> None:
+def test_a_join_at_any_segment(stream: tuple[Shape, Chunks], data: st.DataObject) -> None:
     shape, chunks = stream
     first = data.draw(st.sampled_from(sorted(chunks.snapshots)))
     layers = data.draw(st.integers(1, len(shape.slots)))
@@ -120,9 +118,7 @@ def test_who_lacks_something_holds_the_same(stream: tuple[Shape, Chunks], seed: 
 
 @given(streams(), seeds)
 @settings(max_examples=40)
-def test_who_takes_wrong_changes_late_holds_the_same(
-    stream: tuple[Shape, Chunks], seed: int
-) -> None:
+def test_a_reader_that_takes_wrong_changes_late(stream: tuple[Shape, Chunks], seed: int) -> None:
     """An accepted wrong change makes later ones wrong, whether they arrived before it or after."""
     (shape, chunks), rng = stream, np.random.default_rng(seed)
     both = BothReaders(shape)

@@ -53,9 +53,7 @@ def changes(draw: st.DrawFn) -> Case:
 
 @given(changes())
 @settings(max_examples=150)
-def test_any_states_come_back(
-    case: tuple[SlotLayout, States, States, Newcomers, np.ndarray],
-) -> None:
+def test_states_come_back(case: tuple[SlotLayout, States, States, Newcomers, np.ndarray]) -> None:
     layout, before, predicted, new, offsets = case
     chunk = encode_change(0, 4, before, predicted, new, offsets)
     assert len(chunk.data) <= layout.max_change_bytes(0)

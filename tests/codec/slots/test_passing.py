@@ -97,9 +97,7 @@ def test_with_all_slices_each_frame_is_what_was_given(stream: Twins, segment: in
 
 @given(twins, st.integers(0, 1 << 32), st.booleans())
 @settings(max_examples=60)
-def test_any_may_be_missing_and_nothing_becomes_unknown(
-    stream: Twins, seed: int, with_layer: bool
-) -> None:
+def test_any_may_be_missing(stream: Twins, seed: int, with_layer: bool) -> None:
     rng, layout = np.random.default_rng(seed), stream.layout
     decoder = stream.joined(0, layout.num_layers - (not with_layer))
     shown = decoder.whole(0).splats
@@ -193,8 +191,6 @@ def test_hostile_bytes_are_refused_and_leave_all_as_it_was() -> None:
         ((1, (), 0, 4, 2), "at least 1 each"),
     ],
 )
-def test_layouts_that_are_refused(
-    layout: tuple[int, tuple[int, ...], int, int, int], why: str
-) -> None:
+def test_refused_layouts(layout: tuple[int, tuple[int, ...], int, int, int], why: str) -> None:
     with pytest.raises(InvalidError, match=why):
         small_layout(*layout)

@@ -126,9 +126,7 @@ def test_what_late_changes_need_has_a_bound(monkeypatch: pytest.MonkeyPatch) -> 
     assert not decoder.late(7, 0, chunks.changes[7][0])
 
 
-def test_the_bound_leaves_room_for_a_segment_without_snapshots(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_bound_leaves_room_for_a_segment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(slotdecoder, "MIN_LOG_BYTES", 0)
     layout = trained_like_layout(4000, 1, 30)
     encoder, decoder = SlotEncoder(layout), SlotDecoder(layout)

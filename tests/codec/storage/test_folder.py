@@ -88,7 +88,7 @@ def test_what_is_not_a_regular_file_is_refused_at_once(tmp_path: Path, name: str
 
 
 @pytest.mark.parametrize("swapped", ["deep", "deep/file"])
-def test_a_link_that_comes_after_the_look_is_not_followed(
+def test_a_link_after_the_look(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, swapped: str
 ) -> None:
     (tmp_path / "away").mkdir()

@@ -14,9 +14,7 @@ from codec.storage.growingplace import Shape
 
 
 @pytest.mark.parametrize("last", [1, 2, 3])
-def test_no_thread_writes_after_an_interrupt(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: int
-) -> None:
+def test_no_thread_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: int) -> None:
     """Ctrl-C arrives while thread number `last` starts, before its pool has registered it; the
     writes begun until then go on after it."""
     place = GrowingFolder(tmp_path / "s", Shape(log="log", head="head", folder="objects"))

@@ -75,9 +75,7 @@ def test_a_store_gets_the_bytes_of_a_folder_in_a_request_for_each_object(
         StreamWriter.create(url, forked_manifest())
 
 
-def test_of_two_writers_the_one_that_came_later_goes_on(
-    server: S3Server, key: str, url: str, tmp_path: Path
-) -> None:
+def test_of_two_writers_the_later_one(server: S3Server, key: str, url: str, tmp_path: Path) -> None:
     write(tmp_path / "s", UPDATES)
     first = StreamWriter.create(url, forked_manifest())
     for slice in UPDATES[:6]:
@@ -95,9 +93,7 @@ def test_of_two_writers_the_one_that_came_later_goes_on(
     assert server.files(key) == files_of(tmp_path / "s")
 
 
-def test_of_two_that_begin_at_once_one_is_refused(
-    server: S3Server, url: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_beginning_at_once(server: S3Server, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from codec.storage.growingstore import GrowingStore
 
     StreamWriter.create(url, forked_manifest())

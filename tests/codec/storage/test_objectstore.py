@@ -38,7 +38,7 @@ def test_the_commands_take_urls(server: S3Server, tmp_path: Path) -> None:
     assert f"s3://{BUCKET}/nothing/manifest.json is missing" in done.stderr
 
 
-def test_what_the_store_says_no_to_is_one_line(
+def test_what_a_store_refuses_is_one_line(
     server: S3Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(objectstore, "BRIEF", RetryPolicy(10.0, 0.001, 0.001, max_retries=1))
@@ -68,10 +68,7 @@ def test_what_the_store_says_no_to_is_one_line(
     ],
 )
 def test_the_variable_to_set_is_named(
-    server: S3Server,
-    changes: dict[str, str | None],
-    advice: str,
-    monkeypatch: pytest.MonkeyPatch,
+    server: S3Server, changes: dict[str, str | None], advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, value in changes.items():
         if value is None:

@@ -73,9 +73,7 @@ def test_a_store_that_stays_away_is_one_line(
         assert re.search(r": \d+ attempts in \d+ s failed: HTTP 500|: HTTP 500", line)
 
 
-def test_a_store_that_is_silent_is_one_line(
-    server: FailingStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_silent_store_is_one_line(server: FailingStore, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AWS_TIMEOUT", "100ms")
     store = patient(monkeypatch, SHORT)
     server.fail("silent")
@@ -84,9 +82,7 @@ def test_a_store_that_is_silent_is_one_line(
             store.put("new", b"1", over)
 
 
-def test_a_put_whose_response_was_lost_is_a_conflict_with_itself(
-    server: FailingStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_put_without_a_response(server: FailingStore, monkeypatch: pytest.MonkeyPatch) -> None:
     """The callers check whether the object is their own."""
     store = patient(monkeypatch, LONG)
     server.fail("reset_after", count=1)
@@ -105,9 +101,7 @@ def test_what_the_store_forbids_is_asked_once(server: FailingStore) -> None:
         assert server.requests == 1
 
 
-def test_missing_credentials_are_reported_at_once(
-    server: FailingStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_credentials(server: FailingStore, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(objectstore, "BRIEF", RetryPolicy(BOUND_S, 0.001, 0.001, max_retries=2))
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")

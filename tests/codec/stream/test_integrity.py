@@ -16,12 +16,7 @@ from codec.stream.integrity import (
     read_index,
 )
 from codec.stream.manifest import MASKS, Part, snapshot_part
-from codec.stream.object import (
-    MAX_OBJECT_BYTES,
-    encode_packet,
-    join_packets,
-    read_object_table,
-)
+from codec.stream.object import MAX_OBJECT_BYTES, encode_packet, join_packets, read_object_table
 from tests.support.hostile import record_of
 from tests.support.objects import new_chunk, object_of
 from tests.support.tiny_stream import tiny_manifest

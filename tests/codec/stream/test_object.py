@@ -25,14 +25,7 @@ from codec.stream.object import (
     read_object_table,
 )
 from tests.support.hostile import flips, survives, truncations
-from tests.support.objects import (
-    BIRTHS,
-    contents,
-    new_chunk,
-    new_chunks,
-    object_of,
-    object_packets,
-)
+from tests.support.objects import BIRTHS, contents, new_chunk, new_chunks, object_of, object_packets
 
 coders = pytest.mark.parametrize("coder", list(Coder))
 

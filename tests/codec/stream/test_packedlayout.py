@@ -50,9 +50,7 @@ def layout_of(sizes: list[int], num_segments: int) -> PackedLayout:
     ],
     ids=["small", "far", "many"],
 )
-def test_a_zip_program_finds_every_file_where_the_layout_says(
-    tmp_path: Path, size_bytes: int, num_segments: int
-) -> None:
+def test_zip_programs_find_the_files(tmp_path: Path, size_bytes: int, num_segments: int) -> None:
     layout = layout_of([size_bytes] * (2 * LAYERS + 1), num_segments)
     path = tmp_path / "sparse.swings"
     with open(path, "wb") as file:

@@ -99,9 +99,7 @@ def test_noise_of_the_largest_size_keeps_the_bound(tmp_path: Path) -> None:
     check_pictures(tmp_path / "s", StreamReader(tmp_path / "s").manifest)
 
 
-def test_there_is_none_before_the_first_frame_nor_where_the_manifest_names_none(
-    tmp_path: Path,
-) -> None:
+def test_no_poster_without_a_frame_or_a_name(tmp_path: Path) -> None:
     StreamWriter.create(tmp_path / "new", manifest_of(64, 48)).abort()
     write_tiny(tmp_path / "none", 2, manifest_of(64, 48, None))
     write_tiny(tmp_path / "other", 2, manifest_of(64, 48, "other.jpg"))
@@ -126,9 +124,7 @@ def test_a_live_stream_has_one_from_its_first_segment_on(tmp_path: Path) -> None
     assert names == ["index.bin", "manifest.json", "poster.jpg", "segments"]
 
 
-def test_one_that_cannot_be_written_leaves_the_one_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_that_fails_leaves_the_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_tiny(tmp_path / "s", 2, manifest_of(64, 48))
     (tmp_path / "s" / POSTER_NAME).write_bytes(b"before")
 
@@ -154,9 +150,7 @@ def picture_bytes(kind: str) -> bytes:
     ("name", "kind"),
     [("a.jpg", "JPEG"), ("b/a.JPEG", "JPEG"), ("é #?.png", "PNG"), ("a.webp", "WEBP")],
 )
-def test_a_picture_in_the_folder_is_found_and_must_be_what_its_name_says(
-    name: str, kind: str, tmp_path: Path
-) -> None:
+def test_a_picture_must_be_what_its_name_says(name: str, kind: str, tmp_path: Path) -> None:
     manifest, path = manifest_of(64, 48, name), tmp_path / name
     assert read_picture(tmp_path, manifest.poster) is None
     check_pictures(tmp_path, manifest)  # it may be written later

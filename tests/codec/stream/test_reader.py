@@ -197,9 +197,7 @@ def test_a_reader_of_one_layer_needs_no_other(stream: Path) -> None:
 
 
 @pytest.mark.parametrize(("swin_size", "segment_frames"), [(1, 1), (9, 2), (3, 4096), (255, 5)])
-def test_windows_and_segments_of_any_length(
-    tmp_path: Path, swin_size: int, segment_frames: int
-) -> None:
+def test_any_windows_and_segments(tmp_path: Path, swin_size: int, segment_frames: int) -> None:
     write_tiny(tmp_path / "s", 5, tiny_manifest(swin_size, segment_frames))
     reader = StreamReader(tmp_path / "s")
     for frame in range(5):

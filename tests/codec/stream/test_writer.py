@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,23 +16,10 @@ from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import verify_stream
 from tests.support.slots.folder import slots_manifest, write_slots
-from tests.support.slots.updates import patternless_updates
-from tests.support.tiny_stream import (
-    append_tiny,
-    files_of,
-    tiny_manifest,
-    tiny_slice,
-    write_tiny,
-)
+from tests.support.slots.updates import patternless_updates, small_layout
+from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, tiny_slice, write_tiny
 
 NUM_FRAMES = 10
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    path = tmp_path_factory.mktemp("writer") / "whole"
-    write_tiny(path, NUM_FRAMES)
-    return files_of(path)
 
 
 def test_what_the_writer_refuses(tmp_path: Path) -> None:
@@ -41,14 +29,15 @@ def test_what_the_writer_refuses(tmp_path: Path) -> None:
     writer = StreamWriter.create(tmp_path / "s", manifest)
     with pytest.raises(InvalidError, match="not empty"):
         StreamWriter.create(tmp_path / "s", manifest)
-    with pytest.raises(InvalidError, match="born at 0, expected -2"):
-        writer.append(tiny_slice(0))
     slice = tiny_slice(-2)
     double = Splats.concatenate([slice.splats, slice.splats])
-    with pytest.raises(InvalidError, match="80 Gaussians, at most 40"):
-        writer.append(Slice(-2, double, np.zeros(80, np.uint8)))
-    with pytest.raises(InvalidError, match="SH degree 1, not 0"):
-        writer.append(Slice(-2, Splats.empty(1), np.zeros(0, np.uint8)))
+    for wrong, message in (
+        (tiny_slice(0), "born at 0, expected -2"),
+        (Slice(-2, double, np.zeros(80, np.uint8)), "80 Gaussians, at most 40"),
+        (Slice(-2, Splats.empty(1), np.zeros(0, np.uint8)), "SH degree 1, not 0"),
+    ):
+        with pytest.raises(InvalidError, match=message):
+            writer.append(wrong)
     writer.append(slice)
     writer.close()
     writer.close()
@@ -78,39 +67,25 @@ def too_late(birth: int) -> Slice:
     return replace(slice, start_offsets=slice.start_offsets + np.uint8(3))
 
 
-@pytest.mark.parametrize("birth", [-2, 0, 3, 9])
-def test_a_slice_that_was_refused_leaves_nothing(
-    tmp_path: Path, whole: dict[str, bytes], birth: int
-) -> None:
+@pytest.mark.parametrize("goes_on", [True, False])
+@pytest.mark.parametrize("birth", [-2, 0, 2, 3, 8, 9])
+def test_a_slice_that_was_refused_leaves_nothing(tmp_path: Path, birth: int, goes_on: bool) -> None:
     with StreamWriter.create(tmp_path / "s", tiny_manifest()) as writer:
-        for good in range(-2, birth):
-            writer.append(tiny_slice(good))
+        append_tiny(writer, birth)
         for _ in range(2):
             with pytest.raises(InvalidError, match=r"s: update born at .*: start offset"):
                 writer.append(too_late(birth))
-        append_tiny(writer, NUM_FRAMES)
-    assert files_of(tmp_path / "s") == whole
+        if goes_on:
+            append_tiny(writer, NUM_FRAMES)
+    assert verify_stream(tmp_path / "s").num_frames == (NUM_FRAMES if goes_on else max(birth, 0))
+    if goes_on:
+        write_tiny(tmp_path / "whole", NUM_FRAMES)
+        assert files_of(tmp_path / "s") == files_of(tmp_path / "whole")
 
 
-@pytest.mark.parametrize("birth", [0, 2, 3, 8, 9])
-def test_a_refused_slice_and_then_the_end(tmp_path: Path, birth: int) -> None:
-    with StreamWriter.create(tmp_path / "s", tiny_manifest()) as writer:
-        for good in range(-2, birth):
-            writer.append(tiny_slice(good))
-        with pytest.raises(InvalidError):
-            writer.append(too_late(birth))
-    assert verify_stream(tmp_path / "s").num_frames == birth
-
-
-@pytest.fixture(scope="module")
-def updates() -> list[Update]:
-    return patternless_updates(slots_manifest().slot_layout, NUM_FRAMES)
-
-
-def test_an_update_that_was_refused_leaves_nothing(tmp_path: Path, updates: list[Update]) -> None:
-    write_slots(tmp_path / "whole", NUM_FRAMES)
+def test_an_update_that_was_refused_leaves_nothing(tmp_path: Path) -> None:
     with StreamWriter.create(tmp_path / "s", slots_manifest()) as writer:
-        for update in updates:
+        for update in write_slots(tmp_path / "whole", NUM_FRAMES):
             with pytest.raises(InvalidError, match="expected"):
                 writer.append(replace(update, birth=update.birth + 1))
             with pytest.raises(InvalidError, match="at most 3"):
@@ -128,15 +103,13 @@ def test_slices_sent_whole_and_updates_may_follow_each_other(tmp_path: Path) -> 
     reader = StreamReader(tmp_path / "s")
     assert verify_stream(tmp_path / "s").num_frames == 6
     assert [len(reader.slice(birth, 2).splats) for birth in range(-2, 6)] == [40] * 8
-    kept, before = reader.slice(4, 2).splats, reader.slice(1, 2).splats
-    assert (kept.means == before.means).all()
+    assert (reader.slice(4, 2).splats.means == reader.slice(1, 2).splats.means).all()
 
 
 def test_an_exception_leaves_a_shorter_live_stream(tmp_path: Path) -> None:
     def write_and_fail() -> None:
         with StreamWriter.create(tmp_path / "s", tiny_manifest()) as writer:
-            for birth in range(-2, 6):
-                writer.append(tiny_slice(birth))
+            append_tiny(writer, 6)
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
@@ -146,24 +119,29 @@ def test_an_exception_leaves_a_shorter_live_stream(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kept", range(NUM_FRAMES + 3))
-def test_a_writer_that_was_stopped_goes_on_with_the_same_bytes(
-    updates: list[Update], tmp_path: Path, kept: int
-) -> None:
-    write_slots(tmp_path / "whole", NUM_FRAMES)
-    path = tmp_path / "s"
-    writer = StreamWriter.create(path, slots_manifest())
-    for update in updates[:kept]:
-        writer.append(update)
+@pytest.mark.parametrize("period", [1, 2])
+def test_a_stopped_writer_goes_on(tmp_path: Path, period: int, kept: int) -> None:
+    layout = small_layout(3, (9, 6), 0, 4) if period == 1 else small_layout(1, (5, 3), 0, 4, period)
+    manifest, path = slots_manifest(layout), tmp_path / "s"
+    plain = small_layout(layout.swin_size, (9, 6) if period == 1 else (5, 3), 0, 4)
+    updates = patternless_updates(plain, NUM_FRAMES)
+
+    def write(writer: StreamWriter, stop: Callable[[StreamWriter], object], end: int) -> None:
+        for update in updates[writer.next_birth - manifest.first_birth : end]:
+            writer.append(update)
+        stop(writer)
+
+    write(StreamWriter.create(tmp_path / "whole", manifest), StreamWriter.close, 99)
+    writer = StreamWriter.create(path, manifest)
+    write(writer, StreamWriter.abort, kept)
     durable = writer.durable_birth
-    writer.abort()
     (path / "segments" / "7").mkdir()
     (path / "segments" / "7" / ".0.tmp").write_bytes(b"part")
     with open(path / "index.bin", "ab") as index:
         index.write(b"part")
-    with StreamWriter.resume(path) as writer:
-        assert writer.next_birth == durable
-        for update in updates[writer.next_birth + 2 :]:
-            writer.append(update)
+    writer = StreamWriter.resume(path)
+    assert writer.next_birth == durable
+    write(writer, StreamWriter.close, 99)
     (path / "segments" / "7").rmdir()
     assert files_of(path) == files_of(tmp_path / "whole")
     records = StreamReader(path).records

@@ -72,9 +72,7 @@ def test_a_good_stream_has_no_such_place(finished: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["segments/1/0", "segments/1/masks", "segments/0/snapshot-1"])
-def test_an_altered_byte_of_an_object_is_found_in_its_field_or_packet(
-    stream: Path, name: str
-) -> None:
+def test_an_altered_byte_is_found_in_its_field_or_packet(stream: Path, name: str) -> None:
     path = stream / name
     data = path.read_bytes()
     parts = list(pairwise(fields(data)))
@@ -151,9 +149,7 @@ def test_an_altered_byte_of_the_index_is_found_in_its_record(stream: Path) -> No
         ({"psnr_db": (30.0, float("inf"))}, 16 + 44 + 40),
     ],
 )
-def test_a_field_of_the_index_with_a_right_checksum(
-    stream: Path, change: dict[str, object], field: int
-) -> None:
+def test_a_wrong_field_of_the_index(stream: Path, change: dict[str, object], field: int) -> None:
     records = list(StreamReader(stream).records)
     records[1] = replace(records[1], **change)  # type: ignore[arg-type]
     (stream / "index.bin").write_bytes(b"".join(map(forged_record, records)))
@@ -184,9 +180,7 @@ def test_the_index_of_a_finished_stream_has_no_torn_end(stream: Path, torn: byte
         (lambda data: data.replace(b'"fps": 25.0,', b'"fps": 25.0;'), 29),
     ],
 )
-def test_where_the_manifest_stops_being_json(
-    stream: Path, change: Callable[[bytes], bytes], at: int
-) -> None:
+def test_a_manifest_cut_off(stream: Path, change: Callable[[bytes], bytes], at: int) -> None:
     path = stream / "manifest.json"
     path.write_bytes(change(path.read_bytes()))
     error = found(stream, "manifest.json")
@@ -297,9 +291,7 @@ def test_what_a_faulty_writer_would_do_is_named(updates: Path, tmp_path: Path) -
         ("segments/1/masks", None),
     ],
 )
-def test_an_altered_folder_gives_one_line_that_names_the_file(
-    stream: Path, name: str, change: Callable[[bytes], bytes] | None
-) -> None:
+def test_an_altered_file(stream: Path, name: str, change: Callable[[bytes], bytes] | None) -> None:
     path = stream / name
     if change is None:
         path.unlink()

@@ -34,9 +34,7 @@ def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def write_scored(path: Path, manifest: Manifest, scores_db: Sequence[tuple[float, ...]]) -> Path:
     """Writes a stream whose frame n has the quality `scores_db[n]`."""
     with StreamWriter.create(
-        path,
-        manifest,
-        quality=lambda frame, slices: scores_db[frame] if frame >= 0 else None,
+        path, manifest, quality=lambda frame, slices: scores_db[frame] if frame >= 0 else None
     ) as writer:
         for birth in range(manifest.first_birth, len(scores_db)):
             writer.append(tiny_slice(birth))
@@ -73,9 +71,7 @@ def test_a_known_bitrate() -> None:
     assert bitrates_bps([record], 30).tolist() == [[16e6, 4e6]]
 
 
-def test_layers_and_mean_are_drawn_and_quality_only_where_known(
-    stream: Path, tmp_path: Path
-) -> None:
+def test_quality_is_drawn_where_it_is_known(stream: Path, tmp_path: Path) -> None:
     draw_stream(stream, tmp_path / "deep" / "plain.png")
     plain = pixels(tmp_path / "deep" / "plain.png")
     # Two layers: the first and the last colour, over most of the width.

@@ -92,9 +92,7 @@ def test_add_replace_and_remove(stream: Path, file: Path) -> None:
     assert files_of(stream) == before
 
 
-def test_they_are_exported_packed_edited_and_served_but_not_cut(
-    stream: Path, file: Path, tmp_path: Path
-) -> None:
+def test_captions_go_with_the_stream_but_for_cuts(stream: Path, file: Path, tmp_path: Path) -> None:
     add_captions(stream, file, Captions("en", "English"))
     export_static(stream, tmp_path / "static")
     assert (tmp_path / "static" / "captions-en.vtt").read_text() == VTT

@@ -40,8 +40,8 @@ STATE_BYTES = 12 + 10 + 2
 FLOAT_BYTES = 56
 """Bytes of a Gaussian of SH degree 0 as float32."""
 
-Hostile = tuple[Callable[[], bytes], Callable[[bytes], object], int]
-"""A function that makes the input, one that decodes it, and the declared bytes."""
+Hostile = tuple[Callable[[], bytes], Callable[[bytes], object], int, str]
+"""The fields of a `Case`."""
 
 
 def compress(content: bytes) -> bytes:
@@ -102,9 +102,7 @@ def lying_sizes(_: bytes) -> None:
         path = Path(folder) / "stream"
         write_slots(path, 4)
         record = replace(
-            StreamReader(path).records[0],
-            object_bytes=(1 << 30,) * 2,
-            side_bytes=(1 << 30,) * 3,
+            StreamReader(path).records[0], object_bytes=(1 << 30,) * 2, side_bytes=(1 << 30,) * 3
         )
         (path / "index.bin").write_bytes(pack_record(record))
         read_last(path)
@@ -135,17 +133,19 @@ def warm() -> None:
 
 def mask_of(body: Callable[[int], bytes]) -> Hostile:
     """A mask whose content is 4 * N bytes of `body`."""
-    return lambda: compress(head(Kind.MASK, 5) + body(4 * N)), read_mask, N * (4 + 2)
+    outcome = "CorruptError: mask: a body of 1048576 bytes, of which"
+    return lambda: compress(head(Kind.MASK, 5) + body(4 * N)), read_mask, N * (4 + 2), outcome
 
 
 def beyond(
-    kind: Kind, birth: int, part: Part, read: Callable[[Path], object] = read_last
+    kind: Kind, birth: int, part: Part, at: str, read: Callable[[Path], object] = read_last
 ) -> Hostile:
     """A packet of `part` that inflates to far more bytes than its slots can need."""
     return (
         lambda: compress(head(kind, birth) + bytes(100 << 20)),
         lambda data: read_folder(part, data, read),
         0,
+        f"{at}: packet: 104857612 bytes of content",
     )
 
 
@@ -155,19 +155,21 @@ SLOT_CASES: dict[str, Hostile] = {
         lambda data: read_change(DEGREE_3, data, N),
         # The content, the state, the floats and a copy of them.
         N * (58 + 4 + 236) + N * (12 + 55 + 2 * 236),
+        "value",
     ),
     "change that no mask names": (
         lambda: escaped_change(0),
         lambda data: read_change(LAYOUT, data, 7),
         N * (13 + 4 + FLOAT_BYTES),
+        "CorruptError: change: 262144 new, the mask declares 7",
     ),
-    "full snapshot": (full_snapshot, read_snapshot, N * (13 + 3 * STATE_BYTES)),
+    "full snapshot": (full_snapshot, read_snapshot, N * (13 + 3 * STATE_BYTES), "value"),
     "mask of zeros": mask_of(bytes),
     "mask of noise": mask_of(os.urandom),
-    "mask beyond its slots": beyond(Kind.MASK, 1, MASKS),
-    "change beyond its slots": beyond(Kind.CHANGE, 1, 1),
-    "snapshot beyond its slots": beyond(Kind.SNAPSHOT, 0, snapshot_part(0)),
-    "verify beyond its slots": beyond(Kind.CHANGE, 1, 0, verify_stream),
-    "sizes in an index": (lambda: b"", lying_sizes, 0),
-    "empty slots": (lambda: b"", empty_slots, N * 4 * (STATE_BYTES + FLOAT_BYTES)),
+    "mask beyond its slots": beyond(Kind.MASK, 1, MASKS, "segments/0/masks: byte 3303"),
+    "change beyond its slots": beyond(Kind.CHANGE, 1, 1, "segments/0/1: byte 3303"),
+    "snapshot beyond its slots": beyond(Kind.SNAPSHOT, 0, snapshot_part(0), "snapshot-0: byte 32"),
+    "verify beyond its slots": beyond(Kind.CHANGE, 1, 0, "segments/0/0: byte 68", verify_stream),
+    "sizes in an index": (lambda: b"", lying_sizes, 0, "bytes, the index says 1073741824"),
+    "empty slots": (lambda: b"", empty_slots, N * 4 * (STATE_BYTES + FLOAT_BYTES), "value"),
 }

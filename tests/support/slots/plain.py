@@ -14,7 +14,7 @@ import numpy as np
 
 from codec.errors import CodecError
 from codec.lattice.lattice import Lattice, States, num_attributes
-from codec.slice import HIDDEN
+from codec.slice import HIDDEN, Slice
 from codec.slots.mask import decode_mask
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
@@ -25,6 +25,7 @@ from codec.splats import Splats, array_shapes
 from tests.goldens import decoder as plain
 from tests.goldens.encoder import RandomStream, encode_snapshot
 from tests.goldens.reader import AppliedSlice, Reader
+from tests.support.drawn import same_splats
 
 
 def layout_of(shape: plain.Shape) -> SlotLayout:
@@ -118,6 +119,16 @@ def _update(sh_degree: int, birth: int, statuses: list[int], coded: list[plain.G
     )
 
 
+def onto(change: Slice, before: Slice) -> Slice:
+    """The whole slice after `change`, with rows, is applied to the whole slice before it."""
+    arrays = [array.copy() for array in before.splats.arrays]
+    for array, new in zip(arrays, change.splats.arrays, strict=True):
+        array[change.rows] = new
+    offsets = np.where(before.start_offsets == HIDDEN, HIDDEN, 0).astype(np.uint8)
+    offsets[change.rows] = change.start_offsets
+    return Slice(change.birth, Splats(*arrays), offsets)
+
+
 Held = list[list[list[object]]]
 """[lane][layer][slot]: a word, or a Gaussian's start, its integers and the bits of its floats. A
 start in the past counts as the current frame, because two readers may store it differently."""
@@ -139,6 +150,8 @@ def held(decoder: SlotDecoder) -> Held:
                 offset = int(part.start_offsets[first + slot])
                 assert (offset == HIDDEN) == (condition in (UNKNOWN, EMPTY))
                 if offset == HIDDEN:
+                    if condition == EMPTY:  # nothing shows it, but no rotation is zero
+                        assert flat[2][first + slot].tolist() == [1, 0, 0, 0]
                     row.append("unknown" if condition == UNKNOWN else "empty")
                     continue
                 bits = b"".join(array[first + slot].tobytes() for array in flat)
@@ -173,11 +186,12 @@ def plainly_held(reader: Reader, frame: int, num_layers: int) -> Held:
 
 class BothReaders:
     """A reader of each implementation. Both receive the same calls, and must have the same state
-    after each."""
+    after each. `shown` follows the slices that the decoder hands out, as a player does."""
 
     def __init__(self, shape: plain.Shape, num_layers: int | None = None) -> None:
         self.decoder = SlotDecoder(layout_of(shape), num_layers)
         self.reader = Reader(shape)
+        self.shown: dict[int, Slice] = {}
 
     def check(self) -> None:
         frame, num_layers = self.decoder.frame, self.decoder.num_layers
@@ -189,9 +203,22 @@ class BothReaders:
         self.reader.load(snapshot)
 
     def apply(self, birth: int, mask: bytes | None, changes: Sequence[bytes | None]) -> None:
-        self.decoder.apply(birth, mask, changes)
+        if not self.shown:
+            frame = self.decoder.frame
+            assert frame is not None
+            self.shown = {one.birth % self.swin_size: one for one in self.decoder.hand_out(frame)}
+        change = self.decoder.apply(birth, mask, changes)
         self._apply_plainly(birth, mask, changes)
         self.check()
+        # It updates its lane, including snapshots and changes that came late.
+        lane, whole = birth % self.swin_size, self.decoder.whole(birth)
+        found = self.shown[lane] = onto(change, self.shown[lane])
+        assert same_splats(found.splats, whole.splats)
+        assert (found.start_offsets == whole.start_offsets).all()
+
+    @property
+    def swin_size(self) -> int:
+        return self.decoder.layout.swin_size
 
     def apply_what_fits(self, birth: int, mask: bytes, changes: Sequence[bytes | None]) -> None:
         """Applies a slice without the changes that break a rule."""

@@ -34,11 +34,7 @@ def slot_manifest(layout: SlotLayout, **changes: object) -> Manifest:
 
 
 def write_slot_stream(
-    path: Path,
-    num_frames: int,
-    layout: SlotLayout | None = None,
-    seed: int = 0,
-    **changes: object,
+    path: Path, num_frames: int, layout: SlotLayout | None = None, seed: int = 0, **changes: object
 ) -> Path:
     """Writes a finished stream of random updates to `path`. changes: fields of the manifest."""
     layout = small_layout() if layout is None else layout
