@@ -14,8 +14,7 @@ from tests.support.commands import run, serving
 
 
 def play(url: str, out: Path) -> subprocess.CompletedProcess[str]:
-    # Less than a player is patient with a host that may do better.
-    return run("swings-play", url, "--capture", out, "--renderer", "cpu", timeout_s=30)
+    return run("swings-play", url, "--capture", out, "--renderer", "cpu")
 
 
 def test_a_certificate_that_is_not_trusted_or_of_another_host(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from pathlib import Path
+from statistics import fmean
 
 import pytest
 from hypothesis import given, settings
@@ -14,9 +16,12 @@ from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import MASKS, Part, snapshot_part
 from player.network.diskcache import DiskCache
+from player.playout.timeline import FrameRecord, Playout
 from player.source.hostedplay import Ask, HostedPlay
 from player.source.partialobject import PartialObject
 from player.source.source import Packets, SlicePackets
+from server.abr.clientstatus import ClientStatus
+from server.abr.playout import PlayoutConfig
 from server.abr.session import Finished
 from tests.support.delivery.assembled import check_packets
 from tests.support.slots.slot_streams import write_busy_stream
@@ -100,19 +105,67 @@ def test_on_a_link_that_carries_it_all_comes_once_and_in_time(
     assert link.now_s <= (NUM_FRAMES - first) / FPS + 0.5
 
 
-def test_on_half_a_link_layer_0_comes_in_time_and_no_stall_follows(reader: StreamReader) -> None:
+def watched(
+    reader: StreamReader, steps: list[tuple[float, float]], knows_ranges: bool = True
+) -> tuple[list[FrameRecord], Playout]:
+    """A window's play over a link. steps: seconds, and what it carries as a share of the stream."""
     play = HostedPlay(reader.manifest, reader.records, FrameRange(0, NUM_FRAMES), 0.0)
-    link = MadeLink(reader, play)
-    births = []
-    while True:
-        for one in link.packets((1.5 if link.now_s < 1 else 0.5) * need_bps(reader)):
-            if isinstance(one, SlicePackets) and one.first_layer == 0:
-                births.append(one.birth)
-        if link.over:
-            break
-    assert births[-1] == NUM_FRAMES - 1
-    assert play.session.clock.stalls == 0
-    assert any(ask.part == 2 for ask in link.asked)
+    link = MadeLink(reader, play, knows_ranges)
+    playout = Playout(reader.manifest, 0, NUM_FRAMES, config=PlayoutConfig(conceal_s=0.15))
+    ends_s, frames = [*itertools.accumulate(seconds for seconds, _ in steps)], list[FrameRecord]()
+    while not frames or frames[-1].frame < NUM_FRAMES - 1:
+        step = next(n for n, end_s in enumerate(ends_s) if link.now_s < end_s)
+        for one in link.packets(steps[step][1] * need_bps(reader)):
+            playout.push(one, link.now_s)
+        while (due := playout.pop_due(link.now_s)) is not None:
+            frames.append(due.record)
+        place_s = playout.place(link.now_s)
+        play.session.on_status(link.now_s, ClientStatus(*place_s))
+    return frames, playout
+
+
+def mean_layers(frames: list[FrameRecord], begin_s: float, end_s: float = 1e9) -> float:
+    """Mean layers of the frames shown from begin_s to end_s after the first picture."""
+    first_s = frames[0].shown_s
+    return fmean(one.layers for one in frames if begin_s <= one.shown_s - first_s < end_s)
+
+
+@pytest.mark.parametrize("knows_ranges", [True, False])
+@pytest.mark.parametrize(
+    ("steps", "laws"),
+    [
+        # Of what it carries all shows, almost from the start.
+        ([(60.0, 1.5)], [(2.0, 9.0, 2.9, 3.0), (0.0, 9.0, 2.4, 3.0)]),
+        # A link that falls to half of it goes on with fewer layers.
+        ([(1.5, 1.5), (60.0, 0.5)], [(0.8, 1.4, 2.2, 3.0), (2.0, 9.0, 1.0, 2.7)]),
+        # One that comes back brings the layers back.
+        ([(1.0, 1.5), (1.2, 0.5), (60.0, 2.0)], [(1.6, 2.2, 1.0, 2.7), (3.5, 9.0, 2.7, 3.0)]),
+    ],
+)
+def test_layers_follow_the_link_without_a_stall(
+    reader: StreamReader,
+    knows_ranges: bool,
+    steps: list[tuple[float, float]],
+    laws: list[tuple[float, float, float, float]],
+) -> None:
+    """laws: mean layers from a to b seconds after the first picture, at least and at most."""
+    frames, playout = watched(reader, steps, knows_ranges)
+    assert [one.frame for one in frames] == list(range(NUM_FRAMES))
+    assert frames[0].shown_s < 0.5
+    # A host without ranges finishes every begun object, even if the link has become slow.
+    assert playout.totals.stalled_s <= (0.0 if knows_ranges else 0.4)
+    for begin_s, end_s, least, most in laws:
+        assert least <= mean_layers(frames, begin_s, end_s) <= most
+
+
+def test_a_play_with_a_known_rate_shows_its_frame_with_layer_0_first(reader: StreamReader) -> None:
+    rate_bps = 2 * need_bps(reader)
+    play = HostedPlay(reader.manifest, reader.records, FrameRange(75, NUM_FRAMES), 0.0, rate_bps)
+    link, came = MadeLink(reader, play), list[Packets]()
+    while not came:
+        came += link.packets(rate_bps)
+    assert came[0].first_layer == 0
+    assert {ask.segment for ask in link.asked} == {3}
 
 
 def test_no_more_requests_are_open_than_share_the_link_well(reader: StreamReader) -> None:
@@ -161,7 +214,7 @@ def hauls(draw: st.DrawFn) -> tuple[int, Part, list[range], int]:
 
 
 @given(hauls())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_whatever_is_asked_for_comes_and_is_what_the_object_holds(
     reader: StreamReader, haul: tuple[int, Part, list[range], int]
 ) -> None:

@@ -1,10 +1,10 @@
-"""Static hosts that break, vanish or grow: nothing is fetched twice, and the play continues."""
+"""Static hosts that break, vanish or grow: nothing is fetched twice, and the play continues. Of
+adaptive plays here only the packets count; test_hosted_play.py decides what comes over which link,
+and test_static_link.py measures it."""
 
 from __future__ import annotations
 
 import shutil
-import threading
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -14,10 +14,11 @@ import pytest
 from codec.errors import CorruptError, SwingsError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader, StreamWriter
-from player.network.fetch import BrokenError, FetchError
+from player.network.fetch import BrokenError, Fetcher, FetchError
 from player.network.retry import RetryConfig
 from player.source.opener import Opener, SourceConfig, opened
-from tests.support.delivery.assembled import assembled, checked
+from player.source.source import Packets, SlicePackets
+from tests.support.delivery.assembled import assembled, check_packets, checked
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.hosted_streams import (
     SWIN_SIZE,
@@ -28,9 +29,11 @@ from tests.support.hosted_streams import (
     write_stream,
 )
 
-PATIENT = SourceConfig(RetryConfig(10, first_delay_s=0.01, max_delay_s=0.05))
+PATIENT = SourceConfig(RetryConfig(86400, first_delay_s=0.01, max_delay_s=0.01))
 QUICK = SourceConfig(RetryConfig(0.3, first_delay_s=0.01, max_delay_s=0.05))
 NUM_FRAMES = 40
+
+both = pytest.mark.parametrize("adaptive", [False, True])
 
 
 @pytest.fixture(scope="module")
@@ -46,12 +49,26 @@ def host(root: Path) -> Iterator[RangeHost]:
         yield host
 
 
-def check_all(root: Path, name: str, config: SourceConfig = PATIENT) -> int:
+def check(reader: StreamReader, packets: list[Packets], whole: bool) -> None:
+    """Each packet is that of the stream and came once, with layer 0 of all slices; all layers of
+    all slices where it is a `whole` play."""
+    come: list[tuple[int, int]] = []
+    for one in packets:
+        check_packets(reader, one)
+        if isinstance(one, SlicePackets):
+            layers = range(one.first_layer, one.first_layer + len(one.packets))
+            come += [(one.birth, layer) for layer in layers]
+    assert len(set(come)) == len(come)
+    layers = range(3 if whole else 1)
+    assert {(birth, n) for birth in range(1, reader.num_frames) for n in layers} <= {*come}
+
+
+def check_all(root: Path, name: str, config: SourceConfig = PATIENT, adaptive: bool = False) -> int:
     """Plays the whole stream; returns the received bytes."""
-    with opened(name, config=config) as source:
-        shown = list(checked(StreamReader(root / "s"), assembled(source), 3))
+    with opened(name, config=config, adaptive=adaptive) as source:
+        packets = list(source.packets())
         received_bytes = source.received_bytes
-    assert len(shown) == NUM_FRAMES
+    check(StreamReader(root / "s"), packets, not adaptive)
     return received_bytes
 
 
@@ -66,10 +83,12 @@ def test_what_broke_off_is_resumed_from_the_byte_that_is_missing(
     root: Path, host: RangeHost
 ) -> None:
     host.cut_bytes = 20_000
-    received_bytes = check_all(root, f"{host.url}/s")
     # Bytes received before a response broke off are not requested again.
-    assert received_bytes == size_of(root)
+    assert check_all(root, f"{host.url}/s") == size_of(root)
     assert sum(asked != "" for _, asked in host.asked) > 10
+    host.cut_bytes = 9_000
+    every = sum(path.stat().st_size for path in (root / "s").rglob("*") if path.is_file())
+    assert check_all(root, f"{host.url}/s", adaptive=True) <= every
 
 
 def test_a_host_without_ranges_starts_again(root: Path, host: RangeHost) -> None:
@@ -97,32 +116,57 @@ def test_pieces_of_two_contents_are_not_put_together(root: Path, tmp_path: Path)
         assert right.objects()
 
 
-@pytest.mark.realtime
-def test_a_server_that_asks_for_time_is_left_alone(root: Path, host: RangeHost) -> None:
+def test_a_server_that_asks_for_time_is_left_alone(
+    host: RangeHost, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pauses_s: list[float] = []
+    monkeypatch.setattr(Fetcher, "pause", lambda _, seconds: pauses_s.append(seconds))
     with opened(f"{host.url}/s", config=PATIENT) as source:
-        packets = source.packets()
-        host.refusals = [(503, {"Retry-After": "1"})]
-        began_s = time.monotonic()
-        next(packets)
-        assert 1.0 <= time.monotonic() - began_s < 3
+        host.refusals = [(503, {"Retry-After": "77"})]
+        next(source.packets())
+    assert pauses_s == [77]
 
 
-def test_when_a_host_is_gone_the_next_one_is_asked(root: Path) -> None:
+@both
+def test_when_a_host_is_gone_the_next_one_is_asked(root: Path, adaptive: bool) -> None:
     with range_host(root) as first, range_host(root) as second:
         name = f"{first.url}/s,{second.url}/s"
-        with opened(name, config=PATIENT) as source:
-            frames = assembled(source)
-            assert next(frames).frame == 0
+        with opened(name, config=PATIENT, adaptive=adaptive) as source:
+            packets = source.packets()
+            came = [next(packets)]
             assert not second.asked
-            first.gone = True
-            assert [one.frame for one in frames] == list(range(1, NUM_FRAMES))
+            leave(first, 3)
+            came += packets
+        check(StreamReader(root / "s"), came, whole=not adaptive)
+        assert first.objects()
         assert second.objects()
         # And back, if that host has nothing either.
         first.gone, second.gone = False, True
-        check_all(root, name)
+        check_all(root, name, adaptive=adaptive)
         first.gone = True
         with pytest.raises(BrokenError):
-            check_all(root, name)
+            check_all(root, name, adaptive=adaptive)
+
+
+def leave(host: RangeHost, after: int) -> None:
+    """Makes `host` close the connection of every request after `after` requested objects."""
+    answer = host.answer
+
+    def counting(handler: object) -> None:
+        if len(host.objects()) >= after:
+            host.gone = True
+            host.answer = answer  # type: ignore[method-assign]
+        answer(handler)  # type: ignore[arg-type]
+
+    host.answer = counting  # type: ignore[method-assign]
+
+
+@both
+def test_a_host_that_is_gone_for_good_is_named(host: RangeHost, adaptive: bool) -> None:
+    with opened(f"{host.url}/s", config=QUICK, adaptive=adaptive) as source:
+        leave(host, 3)
+        with pytest.raises(BrokenError, match=r"segments/\d/\S+: .*tried for"):
+            list(source.packets())
 
 
 def test_a_host_that_lacks_a_file_is_passed_over(root: Path, tmp_path: Path) -> None:
@@ -151,15 +195,18 @@ def test_several_servers_of_one_stream(root: Path) -> None:
 # --- the disk cache
 
 
+@both
 def test_the_second_time_objects_come_from_the_disk(
-    root: Path, host: RangeHost, tmp_path: Path
+    root: Path, host: RangeHost, tmp_path: Path, adaptive: bool
 ) -> None:
     config = SourceConfig(PATIENT.retry, cache=tmp_path / "cache")
     check_all(root, f"{host.url}/s", config)
     fetched = len(host.objects())
-    few_bytes = check_all(root, f"{host.url}/s", config)
+    assert check_all(root, f"{host.url}/s", config, adaptive) < 10_000
+    if adaptive:  # not the snapshots of later segments, which the first play did not need
+        assert all("/snapshot-" in path for path in host.objects()[fetched:])
+        return
     assert len(host.objects()) == fetched
-    assert few_bytes < 10_000
     # Damaged files on the disk are fetched again.
     kept = next(path for path in (tmp_path / "cache").rglob("*") if path.is_file())
     kept.write_bytes(b"x" + kept.read_bytes()[1:])
@@ -176,43 +223,68 @@ def test_the_second_time_objects_come_from_the_disk(
 # --- live
 
 
-@pytest.mark.parametrize("kind", ["static", "ranges", "files of swings", "swings"])
-def test_a_live_stream_is_followed_to_its_end(tmp_path: Path, kind: str) -> None:
-    root = tmp_path / "library"
-    writer = StreamWriter.create(root / "s", small_manifest())
-    births = iter(range(1 - SWIN_SIZE, 23))
+@pytest.mark.parametrize(
+    ("kind", "adaptive"),
+    [
+        ("static", False),
+        ("static", True),
+        ("ranges", False),
+        ("ranges", True),
+        ("files of swings", False),
+        ("files of swings", True),
+        ("swings", False),
+    ],
+)
+def test_a_live_stream_is_followed_to_its_end(tmp_path: Path, kind: str, adaptive: bool) -> None:
+    root, num_frames = tmp_path / "library", 23
+    writer = StreamWriter.create(root / "s", small_manifest(live=True))
+    births = iter(range(1 - SWIN_SIZE, num_frames))
 
-    def write() -> None:
-        with writer:
-            for birth in births:
-                writer.append(random_slice(birth))
-                time.sleep(0.03)
+    def write_until(end: int) -> None:
+        for birth in births:
+            writer.append(random_slice(birth))
+            if birth + 1 == end:
+                break
+        if end == num_frames:
+            writer.close()
 
-    thread = threading.Thread(target=write)
     hosts = {"static": static_host, "ranges": range_host}
     paths = {"files of swings": "v1/streams/s/manifest.json", "swings": "watch/s"}
     with hosts.get(kind, served)(root) as host:  # type: ignore[operator]
         url = host if isinstance(host, str) else host.url
-        with opened(f"{url}/{paths.get(kind, 's')}", layers=3, config=PATIENT) as source:
+        layers = None if adaptive else 3
+        came = list[Packets]()
+        name = f"{url}/{paths.get(kind, 's')}"
+        with opened(name, layers=layers, config=PATIENT, adaptive=adaptive) as source:
             assert source.frames.end is None
-            thread.start()
-            got = list(assembled(source))
+            write_until(11)
+            for one in source.packets():
+                came.append(one)
+                if one.first_frame == 9 and writer.next_birth == 11:
+                    write_until(num_frames)  # only now: it follows, and waits for no end
             assert source.manifest.live == (kind == "swings")  # then it is that of the beginning
-        thread.join()
-    assert len(list(checked(StreamReader(root / "s"), got, 3))) == 23
+    check(StreamReader(root / "s"), came, whole=not adaptive)
 
 
-def test_a_stream_that_was_replaced_is_not_mixed_with_the_old_one(tmp_path: Path) -> None:
+@both
+def test_a_stream_that_was_replaced_is_not_mixed_with_the_old_one(
+    tmp_path: Path, adaptive: bool
+) -> None:
     write_stream(tmp_path / "s", NUM_FRAMES)
     write_stream(tmp_path / "new", NUM_FRAMES, seed=10_000)
-    with static_host(tmp_path) as host, opened(f"{host}/s", config=QUICK) as source:
-        frames = assembled(source)
-        shown = [next(frames)]
+    came = list[Packets]()
+    with (
+        static_host(tmp_path) as host,
+        opened(f"{host}/s", config=QUICK, adaptive=adaptive) as source,
+    ):
+        packets = source.packets()
+        came.append(next(packets))
         shutil.copytree(tmp_path / "s", tmp_path / "old")
         shutil.rmtree(tmp_path / "s")
         (tmp_path / "new").rename(tmp_path / "s")
         with pytest.raises(SwingsError) as caught:
-            shown.extend(frames)
+            came += packets
     assert isinstance(caught.value, CorruptError)
     assert "/s: the stream was replaced by another one; play it again" in str(caught.value)
-    assert list(checked(StreamReader(tmp_path / "old"), shown, 3))
+    for one in came:
+        check_packets(StreamReader(tmp_path / "old"), one)
