@@ -87,19 +87,8 @@ def test_8_bits_are_as_they_are(suffix: str, tmp_path: Path) -> None:
     assert (read_rgb(path, any_size) == GREY[..., None]).all()
 
 
-def test_alpha_that_hides_nothing_is_left_out(tmp_path: Path) -> None:
-    path = tmp_path / "opaque.png"
-    opaque = np.dstack([RGB, np.full(GREY.shape, 255, np.uint8)])
-    Image.fromarray(opaque).save(path)
-    assert (read_rgb(path, any_size) == RGB).all()
-
-
-def saved_with_alpha(path: Path) -> None:
-    Image.fromarray(np.dstack([RGB, GREY])).save(path)
-
-
-def saved_with_grey_alpha(path: Path) -> None:
-    Image.fromarray(np.dstack([GREY, GREY]), "LA").save(path)
+def saving(pixels: npt.NDArray[np.generic], mode: str | None = None) -> Callable[[Path], None]:
+    return lambda path: Image.fromarray(pixels, mode).save(path)
 
 
 def saved_with_a_transparent_colour(path: Path) -> None:
@@ -108,20 +97,17 @@ def saved_with_a_transparent_colour(path: Path) -> None:
     picture.save(path, transparency=1)
 
 
-def saved_with_16_bit_alpha(path: Path) -> None:
-    png_16(path, np.full((6, 8, 4), 0x8000, np.uint16), 6)
-
-
 INDEXED = np.array([[9, 8, 7], [0, 0, 0], [200, 0, 0], [0, 0, 200]], np.uint8)[GREY // 64]
 
 
 @pytest.mark.parametrize(
     ("save", "expected"),
     [
-        (saved_with_alpha, RGB * (GREY / 255)[..., None]),
-        (saved_with_grey_alpha, np.repeat((GREY * (GREY / 255))[..., None], 3, axis=2)),
+        (saving(np.dstack([RGB, np.full_like(GREY, 255)])), RGB),  # hides nothing
+        (saving(np.dstack([RGB, GREY])), RGB * (GREY / 255)[..., None]),
+        (saving(np.dstack([GREY, GREY]), "LA"), (GREY * (GREY / 255))[..., None] * np.ones(3)),
         (saved_with_a_transparent_colour, INDEXED),
-        (saved_with_16_bit_alpha, np.full((6, 8, 3), 64)),
+        (lambda path: png_16(path, np.full((6, 8, 4), 0x8000, np.uint16), 6), 64),
     ],
 )
 @pytest.mark.filterwarnings("ignore:'mode' parameter:DeprecationWarning")
@@ -130,22 +116,24 @@ def test_what_is_transparent_is_laid_on_black(
 ) -> None:
     path = tmp_path / "picture.png"
     save(path)
-    assert np.abs(read_rgb(path, any_size) - expected.astype(np.float64)).max() <= 1
+    assert np.abs(read_rgb(path, any_size) - np.asarray(expected, np.float64)).max() <= 1
 
 
-def test_what_is_not_8_or_16_bit_rgb_or_grey_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "nan.tif"
-    Image.fromarray(np.full((6, 8), np.nan, np.float32)).save(path)
-    with pytest.raises(CaptureError, match=r"nan\.tif: pixels of mode F"):
-        read_rgb(path, any_size)
-    path = tmp_path / "ink.jpg"
-    Image.new("CMYK", (8, 6)).save(path)
-    with pytest.raises(CaptureError, match=r"ink\.jpg: pixels of mode CMYK"):
-        read_rgb(path, any_size)
-    path = tmp_path / "deep.tif"
-    Image.fromarray(np.full((6, 8), 1 << 20, np.int32)).save(path)
-    with pytest.raises(CaptureError, match=r"deep\.tif: pixels of mode I"):
-        read_rgb(path, any_size)
+@pytest.mark.parametrize(
+    ("name", "pixels", "mode"),
+    [
+        ("nan.tif", np.full((6, 8), np.nan, np.float32), "F"),
+        ("ink.jpg", np.zeros((6, 8, 4), np.uint8), "CMYK"),
+        ("deep.tif", np.full((6, 8), 1 << 20, np.int32), "I"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:'mode' parameter:DeprecationWarning")
+def test_what_is_not_8_or_16_bit_rgb_or_grey_is_refused(
+    name: str, pixels: npt.NDArray[np.generic], mode: str, tmp_path: Path
+) -> None:
+    saving(pixels, mode)(tmp_path / name)
+    with pytest.raises(CaptureError, match=rf"{name}: pixels of mode {mode}"):
+        read_rgb(tmp_path / name, any_size)
 
 
 @pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")

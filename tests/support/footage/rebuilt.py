@@ -22,7 +22,7 @@ from trainer.synth.scene import UP, camera_rig
 Picture = npt.NDArray[np.uint8]
 
 WIDTH_PX, HEIGHT_PX = 128, 72
-NUM_FRAMES = 3
+NUM_FRAMES = 2
 FINER = 3
 """Scale at which distorted pictures are filmed before they are reduced."""
 
@@ -42,9 +42,9 @@ def room() -> Scene:
     return make_scene(NUM_FRAMES, 30.0, 0)
 
 
-def filmed(camera: Camera) -> list[Picture]:
+def filmed(camera: Camera, num_frames: int = 1) -> list[Picture]:
     studio = Studio(room(), camera)
-    return [studio.film(frame)[0] for frame in range(NUM_FRAMES)]
+    return [studio.film(frame)[0] for frame in range(num_frames)]
 
 
 def points_seen(cameras: Sequence[Camera], count: int) -> tuple[Doubles, Picture]:
@@ -72,8 +72,8 @@ def straight_place(bent: Doubles, lens: Lens) -> Doubles:
     return np.moveaxis(straight, 0, -1)
 
 
-def bent_pictures(camera: Camera, lens: Lens) -> list[Picture]:
-    """The camera's pictures through the lens: those of a finer and wider pinhole, distorted."""
+def bent_picture(camera: Camera, lens: Lens) -> Picture:
+    """The camera's picture through the lens: that of a finer and wider pinhole, distorted."""
     wide = replace(
         camera,
         width_px=int(1.3 * FINER * camera.width_px),
@@ -90,13 +90,11 @@ def bent_pictures(camera: Camera, lens: Lens) -> list[Picture]:
     columns = np.clip((places[..., 0] * wide.fx_px + wide.cx_px).astype(int), 0, wide.width_px - 1)
     rows = np.clip((places[..., 1] * wide.fy_px + wide.cy_px).astype(int), 0, wide.height_px - 1)
     shape = camera.height_px, FINER, camera.width_px, FINER, 3
-    return [
-        np.rint(picture[rows, columns].reshape(shape).mean(axis=(1, 3))).astype(np.uint8)
-        for picture in filmed(wide)
-    ]
+    (picture,) = filmed(wide)
+    return np.rint(picture[rows, columns].reshape(shape).mean(axis=(1, 3))).astype(np.uint8)
 
 
-def write_portrait(root: Path, num_cameras: int = 16) -> Footage:
+def write_portrait(root: Path, num_cameras: int = 10) -> Footage:
     """nerfstudio: a video for each camera, each with its own intrinsics, one in portrait format."""
     cameras = camera_rig(num_cameras, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
     for i, camera in enumerate(cameras):
@@ -112,7 +110,7 @@ def write_portrait(root: Path, num_cameras: int = 16) -> Footage:
                 cx_px=own.cy_px, cy_px=own.cx_px,
             )  # fmt: skip
         cameras[i] = own
-    pictures = [filmed(camera) for camera in cameras]
+    pictures = [filmed(camera, NUM_FRAMES) for camera in cameras]
     (root / "videos").mkdir(parents=True)
     for camera, of_camera in zip(cameras, pictures, strict=True):
         with VideoWriter(root / "videos" / f"{camera.name}.mp4", camera, 25.0) as video:
@@ -128,16 +126,16 @@ def moved(camera: Camera, scale: float, turn: Doubles, offset: Doubles) -> Camer
     return replace(camera, w2c=world_to_camera(camera.w2c[:3, :3] @ turn.T, position))
 
 
-def write_radial(root: Path, scale: float = 0.37, num_cameras: int = 18) -> Footage:
+def write_radial(root: Path, num_cameras: int = 9) -> Footage:
     """COLMAP in text: SIMPLE_RADIAL lenses, one camera of another size, a turned world of any unit.
 
     Its pictures are images/<camera>/<frame>.png, and no file states their rate.
     """
-    lens = Lens(k1=-0.09)
+    lens, scale = Lens(k1=-0.09), 0.37
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     offset = np.array([2.0, -5.0, 0.5])
-    cameras = camera_rig(num_cameras, WIDTH_PX, HEIGHT_PX, float(np.radians(240)))
+    cameras = camera_rig(num_cameras, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
     cameras[7] = cameras[7].scaled(0.75)
     xyz, rgb = points_seen(cameras, 4000)
     xyz = scale * xyz @ turn.T + offset
@@ -147,8 +145,8 @@ def write_radial(root: Path, scale: float = 0.37, num_cameras: int = 18) -> Foot
     optics, poses = ["# Camera list"], ["# Image list"]
     for number, (camera, at) in enumerate(zip(cameras, placed, strict=True), 1):
         (root / "images" / camera.name).mkdir(parents=True)
-        for frame, picture in enumerate(bent_pictures(camera, lens)):
-            Image.fromarray(picture).save(root / "images" / camera.name / f"{frame:04d}.png")
+        picture = bent_picture(camera, lens)
+        Image.fromarray(picture).save(root / "images" / camera.name / "0000.png")
         numbers = " ".join(map(repr, parameters_of(camera, "SIMPLE_RADIAL", (lens.k1,))))
         optics.append(f"{number} SIMPLE_RADIAL {camera.width_px} {camera.height_px} {numbers}")
         pose = (*quaternion_of(at.w2c[:3, :3]), *at.w2c[:3, 3].tolist())
@@ -169,8 +167,8 @@ def write_distant(root: Path) -> Footage:
     for camera in cameras:
         (root / "images" / camera.name).mkdir(parents=True)
         paths.append([f"images/{camera.name}/0000.png"])
-        for frame, picture in enumerate(bent_pictures(camera, lens)):
-            Image.fromarray(picture).save(root / "images" / camera.name / f"{frame:04d}.png")
+        picture = bent_picture(camera, lens)
+        Image.fromarray(picture).save(root / "images" / camera.name / "0000.png")
     terms = {"k1": lens.k1, "k2": lens.k2, "p1": lens.p1, "p2": lens.p2}
     write_transforms(root, transforms_of(cameras, paths) | terms | {"fps": 30})
     return Footage(cameras, [filmed(camera) for camera in cameras])

@@ -11,8 +11,8 @@ import pytest
 
 from codec.camera import Camera
 from tests.support.commands import run, run_ok
-from tests.support.tiny_capture import tiny_rig, write_video
-from tests.support.tiny_models import write_model
+from tests.support.tiny_capture import tiny_rig
+from tests.support.tiny_models import write_model, write_videos
 from trainer.capture.layout import open_capture
 
 LENS = [-0.02, 0.003, 0.001, -0.002]
@@ -23,34 +23,26 @@ def rvec_of(rotation: np.ndarray) -> list[float]:
     values, vectors = np.linalg.eig(rotation)
     axis = np.real(vectors[:, np.argmin(abs(values - 1))])
     angle_rad = float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
-    skew = np.array(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
+    skew = (rotation - rotation.T)[(2, 0, 1), (1, 2, 0)]
     found: list[float] = (axis * angle_rad * (1 if axis @ skew >= 0 else -1)).tolist()
     return found
 
 
 def calibration_of(cameras: list[Camera], as_matrix: bool) -> dict[str, dict[str, Any]]:
     """A calibration in the form of caliscope: millimetres, the first pixel's middle at 0, 0."""
-    return {
-        f"cam_{number}": {
+    tables = {}
+    for number, camera in enumerate(cameras):
+        rotation, matrix = camera.w2c[:3, :3], np.diag([camera.fx_px, camera.fy_px, 1.0])
+        matrix[:2, 2] = camera.cx_px - 0.5, camera.cy_px - 0.5
+        tables[f"cam_{number}"] = {
             "name": camera.name,
             "size": [camera.width_px, camera.height_px],
-            "matrix": [
-                [camera.fx_px, 0.0, camera.cx_px - 0.5],
-                [0.0, camera.fy_px, camera.cy_px - 0.5],
-                [0.0, 0.0, 1.0],
-            ],
+            "matrix": matrix.tolist(),
             "distortions": LENS,
-            "rotation": camera.w2c[:3, :3].tolist() if as_matrix else rvec_of(camera.w2c[:3, :3]),
+            "rotation": rotation.tolist() if as_matrix else rvec_of(rotation),
             "translation": (1000 * camera.w2c[:3, 3]).tolist(),
         }
-        for number, camera in enumerate(cameras)
-    }
+    return tables
 
 
 def as_toml(tables: dict[str, dict[str, Any]]) -> str:
@@ -60,50 +52,48 @@ def as_toml(tables: dict[str, dict[str, Any]]) -> str:
     return "\n".join([*lines, "[metadata]", "adjusted = true", ""])
 
 
-@pytest.mark.parametrize(("kind", "as_matrix"), [("toml", False), ("json", True)])
-def test_a_calibrated_rig_becomes_a_capture(kind: str, as_matrix: bool, tmp_path: Path) -> None:
-    cameras = tiny_rig(7)
-    (tmp_path / "c/videos").mkdir(parents=True)
-    for index, camera in enumerate(cameras):
-        write_video(tmp_path / "c/videos" / f"{camera.name}.mp4", index, 3)
-    tables = calibration_of(cameras, as_matrix)
-    rig = tmp_path / f"rig.{kind}"
-    rig.write_text(as_toml(tables) if kind == "toml" else json.dumps(tables))
-    told = run_ok("swings-capture", "import", rig, tmp_path / "c", "--unit", "mm")
-    assert told.strip() == f"{tmp_path / 'c'}: 7 cameras, 3 frames"
-    capture = open_capture(tmp_path / "c")
-    assert capture.num_frames == 3
-    for entry, camera in zip(capture.cameras, cameras, strict=True):
+def write_rig(root: Path, num_cameras: int, num_frames: int) -> list[Camera]:
+    """Writes the videos of a rig that has no poses yet."""
+    cameras = tiny_rig(num_cameras)
+    write_videos(root, cameras, num_frames)
+    return cameras
+
+
+def assert_cameras(root: Path, cameras: list[Camera]) -> None:
+    for entry, camera in zip(open_capture(root).cameras, cameras, strict=True):
         assert entry.camera.name == camera.name
         np.testing.assert_allclose(entry.camera.w2c, camera.w2c, atol=1e-9)
         np.testing.assert_allclose(entry.camera.intrinsics, camera.intrinsics, atol=1e-9)
-    frames = json.loads((tmp_path / "c/transforms.json").read_text())["frames"]
+
+
+@pytest.mark.parametrize(("kind", "as_matrix"), [("toml", False), ("json", True)])
+def test_a_calibrated_rig_becomes_a_capture(kind: str, as_matrix: bool, tmp_path: Path) -> None:
+    root, rig = tmp_path / "c", tmp_path / f"rig.{kind}"
+    cameras = write_rig(root, 3, 3)
+    tables = calibration_of(cameras, as_matrix)
+    rig.write_text(as_toml(tables) if kind == "toml" else json.dumps(tables))
+    told = run_ok("swings-capture", "import", rig, root, "--unit", "mm")
+    assert told == f"{root}: 3 cameras, 3 frames\n"
+    assert open_capture(root).num_frames == 3
+    assert_cameras(root, cameras)
+    frames = json.loads((root / "transforms.json").read_text())["frames"]
     assert [frames[0][key] for key in ("k1", "k2", "p1", "p2", "k3")] == [*LENS, 0]
-    assert "cameras     7" in run_ok("swings-train", tmp_path / "c", "--check", tmp_path / "r.png")
 
 
 @pytest.mark.parametrize("binary", [True, False])
 def test_a_model_of_the_first_frames_becomes_a_capture(binary: bool, tmp_path: Path) -> None:
-    cameras = tiny_rig(4)
-    (tmp_path / "c/videos").mkdir(parents=True)
-    for index, camera in enumerate(cameras):
-        write_video(tmp_path / "c/videos" / f"{camera.name}.mp4", index, 2)
-    names = [f"{camera.name}.png" for camera in cameras]
-    write_model(tmp_path / "sparse", cameras, names, binary, "OPENCV", LENS)
-    run_ok("swings-capture", "import", tmp_path / "sparse", tmp_path / "c")
-    for entry, camera in zip(open_capture(tmp_path / "c").cameras, cameras, strict=True):
-        assert entry.camera.name == camera.name
-        np.testing.assert_allclose(entry.camera.w2c, camera.w2c, atol=1e-9)
-        np.testing.assert_allclose(entry.camera.intrinsics, camera.intrinsics, atol=1e-9)
-    again = run("swings-capture", "import", tmp_path / "sparse", tmp_path / "c")
+    root, model = tmp_path / "c", tmp_path / "sparse"
+    cameras = write_rig(root, 4, 2)
+    write_model(model, cameras, [f"{c.name}.png" for c in cameras], binary, "OPENCV", LENS)
+    run_ok("swings-capture", "import", model, root)
+    assert_cameras(root, cameras)
+    again = run("swings-capture", "import", model, root)
     assert "transforms.json exists; remove it first" in again.stderr
 
 
 def test_what_cannot_be_imported_is_one_line(tmp_path: Path) -> None:
-    cameras = tiny_rig(2)
-    (tmp_path / "c/videos").mkdir(parents=True)
-    for index, camera in enumerate(cameras):
-        write_video(tmp_path / "c/videos" / f"{camera.name}.mp4", index, 1)
+    root, rig = tmp_path / "c", tmp_path / "rig.json"
+    cameras = write_rig(root, 2, 1)
     for change, message in (
         ({"name": "elsewhere"}, "give both the same names"),
         ({"size": [64]}, "size is not numbers of the expected shape"),
@@ -116,8 +106,8 @@ def test_what_cannot_be_imported_is_one_line(tmp_path: Path) -> None:
     ):
         tables = calibration_of(cameras, as_matrix=True)
         tables["cam_1"] |= change
-        (tmp_path / "rig.json").write_text(json.dumps(tables))
-        done = run("swings-capture", "import", tmp_path / "rig.json", tmp_path / "c")
+        rig.write_text(json.dumps(tables))
+        done = run("swings-capture", "import", rig, root)
         assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
         assert message in done.stderr
-        assert not (tmp_path / "c/transforms.json").exists()
+        assert not (root / "transforms.json").exists()

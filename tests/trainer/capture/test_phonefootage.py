@@ -23,10 +23,7 @@ TICKS = 600
 
 
 def film(
-    path: Path,
-    transfer: int = BT709,
-    turned_deg: int = 0,
-    times: Sequence[int] = range(0, 100, 20),
+    path: Path, transfer: int = BT709, turned_deg: int = 0, times: Sequence[int] = range(0, 100, 20)
 ) -> None:
     """Writes a video with a frame at each of `times`, in ticks."""
     with av.open(str(path), "w") as output:

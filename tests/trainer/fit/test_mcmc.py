@@ -9,11 +9,7 @@ from hypothesis import strategies as st
 
 from codec.camera import Camera
 from player.render.recipe import ALPHA_MAX
-from trainer.fit.mcmc import (
-    MAX_COPIES,
-    relocate,
-    split_opacity_and_scale,
-)
+from trainer.fit.mcmc import MAX_COPIES, relocate, split_opacity_and_scale
 from trainer.step.raster import Parameters, View, render
 from trainer.step.scalebound import CameraSpread, bound_scales
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from codec.stream import StreamReader, StreamWriter
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, seen_by, tiny_rig
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
 from tests.support.tiny_stream import tiny_manifest
+from tests.support.waiting import wait_until
 from tests.trainer.score.test_ablation import SLOTS, coarse_slice
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
@@ -27,9 +27,6 @@ from trainer.pictures.framecache import FrameCache
 from trainer.pictures.scale import half_mask, scaled_mask
 from trainer.score.evaluate import EvaluateConfig, LayerScore, evaluate_stream
 from trainer.score.meter import QualityMeter
-from trainer.step.loss import Floats, photometric_loss
-from trainer.step.optimiser import Adam, OptimiserConfig
-from trainer.step.raster import Parameters, View, backward, render
 
 FRAMES, SWIN = 3, 2
 
@@ -65,7 +62,7 @@ def write_masked(root: Path, garbage: int | None = None, masked: bool = True) ->
     write_transforms(root, value)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(
     size=st.tuples(st.integers(1, 23), st.integers(1, 23)),
     small=st.tuples(st.integers(1, 23), st.integers(1, 23)),
@@ -79,18 +76,10 @@ def test_a_small_pixel_counts_if_all_that_it_touches_counts(
     got = scaled_mask(mask, width, height)
     assert got.shape == (height, width)
     assert got.dtype == np.uint8
-    for y in range(height):
-        for x in range(width):
-            touched = [
-                mask[v, u]
-                for v in range(size[0])
-                for u in range(size[1])
-                if v < (y + 1) * size[0] / height - 1e-9
-                and v + 1 > y * size[0] / height + 1e-9
-                and u < (x + 1) * size[1] / width - 1e-9
-                and u + 1 > x * size[1] / width + 1e-9
-            ]
-            assert got[y, x] == min(touched)
+    for y, x in np.ndindex(height, width):
+        top, bottom = y * size[0] // height, -(-(y + 1) * size[0] // height)
+        left, right = x * size[1] // width, -(-(x + 1) * size[1] // width)
+        assert got[y, x] == mask[top:bottom, left:right].min()
 
 
 @pytest.mark.parametrize("size", [(12, 18), (13, 18), (12, 19), (13, 19)])
@@ -101,9 +90,10 @@ def test_half_a_mask_is_that_of_2x2_means(size: tuple[int, int]) -> None:
     assert half_mask(mask).shape == (6, 9)
 
 
-def test_the_cache_scales_masks_with_their_pictures(tmp_path: Path) -> None:
+def test_the_cache_scales_masks_with_their_pictures_and_counts_them(tmp_path: Path) -> None:
     write_masked(tmp_path)
-    with FrameCache(open_capture(tmp_path), range(1, FRAMES), 0.5) as cache:
+    capture, pixels = open_capture(tmp_path), WIDTH_PX * HEIGHT_PX
+    with FrameCache(capture, range(1, FRAMES), 0.5) as cache:
         got = cache.mask(1, 2)
         assert got is not None
         assert got.shape == cache.image(1, 2).shape[:2]
@@ -114,17 +104,10 @@ def test_the_cache_scales_masks_with_their_pictures(tmp_path: Path) -> None:
         assert cache.statistics.held_bytes == got.size + 3 * got.size
         with pytest.raises(ValueError, match="read-only"):
             got[0, 0] = 1
-
-
-def test_the_bound_counts_masks(tmp_path: Path) -> None:
-    write_masked(tmp_path)
-    pixels = WIDTH_PX * HEIGHT_PX
-    with FrameCache(open_capture(tmp_path), range(FRAMES), max_bytes=5 * pixels) as cache:
+    with FrameCache(capture, range(FRAMES), max_bytes=5 * pixels) as cache:
         for frame in range(FRAMES):
             cache.image(0, frame)
-            mask = cache.mask(0, frame)
-            assert mask is not None
-            assert np.array_equal(mask, hole(frame))
+            assert np.array_equal(cache.mask(0, frame), hole(frame))  # type: ignore[arg-type]
             assert cache.statistics.held_bytes <= 5 * pixels
         assert cache.statistics.evictions > 0
 
@@ -135,19 +118,14 @@ def test_masks_are_read_ahead_too_and_a_still_one_is_held_once(tmp_path: Path) -
     for entry in value["frames"][2 * FRAMES :]:
         entry["mask_path"] = "masks/1.png"
     write_transforms(tmp_path, value)
-    pixels = WIDTH_PX * HEIGHT_PX
-    cache = FrameCache(open_capture(tmp_path), range(FRAMES))
-    for frame in range(FRAMES):
-        cache.prefetch([0, 2], frame, 0)
-    deadline_s = time.monotonic() + 60
-    while cache.statistics.prefetched < 6 + 3 + 1:
-        assert time.monotonic() < deadline_s, cache.statistics
-        time.sleep(0.002)
-    assert cache.statistics.held_bytes == (3 * 6 + 3 + 1) * pixels
-    assert cache.mask(2, 0) is cache.mask(2, 2)
-    assert np.array_equal(cache.mask(0, 1), hole(1))  # type: ignore[arg-type]
-    assert cache.statistics.misses == 0
-    cache.close()
+    with FrameCache(open_capture(tmp_path), range(FRAMES)) as cache:
+        for frame in range(FRAMES):
+            cache.prefetch([0, 2], frame, 0)
+        wait_until(lambda: cache.statistics.prefetched == 6 + 3 + 1)
+        assert cache.statistics.held_bytes == (3 * 6 + 3 + 1) * WIDTH_PX * HEIGHT_PX
+        assert cache.mask(2, 0) is cache.mask(2, 2)
+        assert np.array_equal(cache.mask(0, 1), hole(1))  # type: ignore[arg-type]
+        assert cache.statistics.misses == 0
 
 
 def write_stream(path: Path, capture_path: Path) -> tuple[float, ...]:
@@ -195,39 +173,3 @@ def test_a_mask_that_ignores_all_leaves_nothing_to_score(tmp_path: Path) -> None
     with pytest.raises(CaptureError, match="camera cam01 ignores all of frame 1") as caught:
         evaluate_stream(EvaluateConfig(tmp_path / "s", tmp_path / "c"))
     assert "\n" not in str(caught.value)
-
-
-def trained(target: Floats, mask: Bytes | None) -> list[npt.NDArray[np.float32]]:
-    """The parameters after twenty training steps on one picture."""
-    count = 60
-    rng = np.random.default_rng(1)
-    values, gradients = Parameters.zeros(count, 0), Parameters.zeros(count, 0)
-    values.means[:] = rng.uniform((-0.5, -0.5, 1.5), (0.5, 0.5, 2.5), (count, 3))
-    values.log_scales[:] = np.log(0.15)
-    values.quats[:, 0] = 1
-    values.sh[:] = rng.normal(size=values.sh.shape)
-    camera = tiny_rig(3)[0]
-    camera.w2c[:] = np.eye(4)
-    view, rows = View.prepare(camera, 0.2), np.arange(count, dtype=np.int32)
-    adam = Adam(count, 0, OptimiserConfig())
-    gain, bias = np.ones(3, np.float32), np.zeros(3, np.float32)
-    for _ in range(20):
-        rendered = render(values, rows, view)
-        loss = photometric_loss(rendered.picture, target, 0.2, gain, bias, None, mask)
-        backward(rendered, values, loss.picture_grad, count, gradients, 0.0, 0.0)
-        adam.step(values, gradients, rows, 1e-3, np.zeros(count, np.float32))
-    return [array.copy() for array in values.arrays]
-
-
-def test_ignored_pixels_do_not_change_the_trained_gaussians() -> None:
-    rng = np.random.default_rng(6)
-    target = rng.random((3, HEIGHT_PX, WIDTH_PX)).astype(np.float32)
-    mask = hole(0)
-    other = target.copy()
-    other[:, mask == 0] = rng.random((3, int((mask == 0).sum())))
-    first = trained(target, mask)
-    assert all(np.array_equal(a, b) for a, b in zip(first, trained(other, mask), strict=True))
-    assert not np.array_equal(trained(other, None)[0], trained(target, None)[0])
-    # If all pixels are ignored, nothing changes.
-    assert (trained(target, np.zeros_like(mask))[1] == np.float32(np.log(0.15))).all()
-    assert (first[1] != np.float32(np.log(0.15))).any()

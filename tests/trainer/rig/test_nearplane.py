@@ -12,28 +12,13 @@ from PIL import Image
 from codec.camera import Camera
 from codec.rig import rig_depths
 from tests.support.footage.checking import all_said, checked, said
-from tests.support.footage.rebuilt import (
-    HEIGHT_PX,
-    WIDTH_PX,
-    close_rig,
-    filmed,
-    points_seen,
-    room,
-)
+from tests.support.footage.rebuilt import HEIGHT_PX, WIDTH_PX, close_rig, points_seen, room
 from tests.support.tiny_capture import tiny_rig
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
-from trainer.rig.nearplane import (
-    LEAST_OWN_SHARE,
-    LEAST_SHARE,
-    MARGIN,
-    cut_by,
-    look,
-    near_doubts,
-    near_plane,
-    near_planes,
-)
+from trainer.rig import nearplane
+from trainer.rig.nearplane import LEAST_OWN_SHARE, LEAST_SHARE, MARGIN, look
 from trainer.run.config import TrainConfig
 from trainer.run.prepare import prepare
 from trainer.synth.film import Studio
@@ -42,17 +27,21 @@ from trainer.synth.scene import camera_rig
 
 def write(root: Path, cameras: list[Camera], points: int) -> Capture:
     """Writes one frame in the nerfstudio layout, with all cameras for training."""
-    paths = []
     for camera in cameras:
-        paths.append([f"images/{camera.name}/0000.png"])
         (root / "images" / camera.name).mkdir(parents=True)
-        Image.fromarray(filmed(camera)[0]).save(root / paths[-1][0])
-    write_transforms(root, transforms_of(cameras, paths) | {"fps": 30})
+        picture, _ = Studio(room(), camera).film(0)
+        Image.fromarray(picture).save(root / f"images/{camera.name}/0000.png")
+    declare(root, cameras)
     (root / "held_out.txt").write_text("")
     if points:
         xyz, rgb = points_seen(cameras, points)
         np.savez(root / "points.npz", xyz=xyz, rgb=rgb)
     return open_capture(root)
+
+
+def declare(root: Path, cameras: list[Camera]) -> None:
+    paths = [[f"images/{camera.name}/0000.png"] for camera in cameras]
+    write_transforms(root, transforms_of(cameras, paths) | {"fps": 30})
 
 
 def least_depth(camera: Camera) -> float:
@@ -62,22 +51,15 @@ def least_depth(camera: Camera) -> float:
 
 
 def near_of(capture: Capture) -> float:
-    near = near_plane(capture, look(capture, range(1)))
+    near = nearplane.near_plane(capture, look(capture, range(1)))
     assert near is not None
     return near
 
 
 def planes_of(capture: Capture) -> dict[str, float]:
     """The near planes by camera."""
-    planes = near_planes(capture, look(capture, range(1)))
+    planes = nearplane.near_planes(capture, look(capture, range(1)))
     return dict(zip([c.camera.name for c in capture.cameras], planes, strict=True))
-
-
-def warned_of_near(lines: list[str]) -> list[str]:
-    """The warnings about near planes, one for each camera."""
-    found = [line for line in all_said(lines, "warning") if "near plane" in line]
-    assert all("--near-m" in line for line in found)
-    return found
 
 
 def test_a_rig_that_sees_nothing_near_keeps_what_the_rig_suggests(tmp_path: Path) -> None:
@@ -88,9 +70,10 @@ def test_a_rig_that_sees_nothing_near_keeps_what_the_rig_suggests(tmp_path: Path
         capture = write(tmp_path / name, cameras, points)
         assert near_of(capture) == capture.near_m == pytest.approx(depths[0])
         assert set(planes_of(capture).values()) == {capture.near_m}
-    assert said(checked(tmp_path / "with"), "near").endswith(", from the rig")
-    assert not all_said(checked(tmp_path / "with"), "near of")
-    assert said(checked(tmp_path / "with"), "near cuts").startswith("at most 0.5%")
+    lines = checked(tmp_path / "with")
+    assert said(lines, "near").endswith(", from the rig")
+    assert not all_said(lines, "near of")
+    assert said(lines, "near cuts").startswith("at most 0.5%")
 
 
 def test_points_that_a_camera_sees_bring_it_in(tmp_path: Path) -> None:
@@ -113,17 +96,26 @@ def test_points_that_a_camera_sees_bring_it_in(tmp_path: Path) -> None:
         assert planes[camera.name] <= near
     assert f"cam10 {planes['cam10']:.3g}" in said(lines, "near of")
     assert said(checked(tmp_path, near_m=0.8 * nearest), "near cuts").startswith("at most 0.5%")
-    cut = warned_of_near(checked(tmp_path, near_m=suggested))
+    lines = checked(tmp_path, near_m=suggested)
+    assert said(lines, "near").endswith("units, as given")
+    cut = [line for line in all_said(lines, "warning") if "near plane" in line]
     assert len(cut) == 3
+    assert all("--near-m" in line for line in cut)
     assert any(line.startswith("the near plane of cam10, ") for line in cut)
-    assert said(checked(tmp_path, near_m=suggested), "near").endswith("units, as given")
 
 
-def test_so_do_cameras_that_agree_where_there_are_no_points(tmp_path: Path) -> None:
+def test_so_do_cameras_that_agree_where_there_are_no_points_in_a_world_of_any_unit(
+    tmp_path: Path,
+) -> None:
     cameras = close_rig(16)
     capture = write(tmp_path, cameras, 0)
     assert capture.near_m is not None
-    assert near_of(capture) < 0.9 * capture.near_m
+    near = near_of(capture)
+    assert near < 0.9 * capture.near_m
+    for camera in cameras:
+        camera.w2c[:3, 3] *= 40
+    declare(tmp_path, cameras)
+    assert near_of(open_capture(tmp_path)) / 40 == pytest.approx(near, rel=1e-3)
 
 
 def test_stray_points_do_not(tmp_path: Path) -> None:
@@ -143,7 +135,7 @@ def test_stray_points_do_not(tmp_path: Path) -> None:
     assert planes_of(there)["cam06"] == pytest.approx(MARGIN * 0.9)
     seen = look(there, range(1))
     assert seen is not None
-    assert cut_by(there, seen, 0.91)[0][0] == "cam06"
+    assert nearplane.cut_by(there, seen, 0.91)[0][0] == "cam06"
 
 
 def test_what_is_too_near_is_cut_and_named(tmp_path: Path) -> None:
@@ -160,9 +152,9 @@ def test_what_is_too_near_is_cut_and_named(tmp_path: Path) -> None:
         xyz[:60] = cameras[6].position + depth * suggested * cameras[6].forward
         near_by = replace(capture, points=replace(points, xyz=xyz))
         seen = look(near_by, range(1))
-        planes = near_planes(near_by, seen)
+        planes = nearplane.near_planes(near_by, seen)
         assert planes[6] == pytest.approx(own * suggested, rel=0.01)
-        doubts = near_doubts(near_by, seen, planes)
+        doubts = nearplane.near_doubts(near_by, seen, planes)
         if depth > LEAST_OWN_SHARE:
             assert not doubts
         else:
@@ -184,10 +176,10 @@ def test_a_rig_that_looks_one_way_keeps_what_it_declares(tmp_path: Path) -> None
     capture = write(tmp_path / "with", cameras, 1000)
     seen = look(capture, range(1))
     assert seen is None
-    assert near_plane(capture, seen) == capture.near_m
-    assert near_planes(capture, seen) == ()
+    assert nearplane.near_plane(capture, seen) == capture.near_m
+    assert nearplane.near_planes(capture, seen) == ()
     capture = write(tmp_path / "without", cameras, 0)
-    assert near_plane(capture, look(capture, range(1))) is None
+    assert nearplane.near_plane(capture, look(capture, range(1))) is None
     assert said(checked(tmp_path / "without"), "near").startswith("0.2 units, by default")
 
 

@@ -56,15 +56,9 @@ def camera_at(pose: npt.NDArray[np.float64]) -> Camera:
 def test_odd_rigs_are_drawn_too(tmp_path: Path) -> None:
     write_dynerf(tmp_path / "c")
     capture = open_capture(tmp_path / "c")
-    flipped = np.diag([-1.0, -1.0, 1.0, 1.0])
+    still, flipped = np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0])
     downward = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-    rigs = [
-        [np.eye(4)],
-        [np.eye(4), np.eye(4)],
-        [np.eye(4), flipped],
-        [downward, downward],
-    ]
-    for poses in rigs:
+    for poses in ([still], [still, still], [still, flipped], [downward, downward]):
         cameras = tuple(replace(capture.cameras[0], camera=camera_at(p)) for p in poses)
         axes = drawn_axes([c.camera for c in cameras])
         assert np.allclose(axes @ axes.T, np.eye(3))
@@ -100,23 +94,16 @@ def texts_of(capture: Capture, path: Path) -> str:
     return "|".join(text.get_text() for text in figure.findobj(Text))
 
 
-def test_its_numbers_are_the_captures_and_its_unit_unknown(tmp_path: Path) -> None:
-    write_dynamic3dgs(tmp_path / "c")
-    texts = texts_of(open_capture(tmp_path / "c"), tmp_path / "rig.png")
-    for wanted in ("from above: along y", "from the side: along z", "x (units)", "y (units)"):
-        assert wanted in texts
-    numbers = [float(t.replace("\N{MINUS SIGN}", "-")) for t in texts.split("|") if is_number(t)]
-    assert min(numbers) < -2  # cameras are 1 to 2 above the floor, where y is below 0
-    assert "degrees off" not in texts
-
-
-def is_number(text: str) -> bool:
-    return bool(re.fullmatch(r"[-\N{MINUS SIGN}]?\d+(\.\d+)?", text))
-
-
-def test_a_world_that_is_tilted_is_told(tmp_path: Path) -> None:
+def test_its_numbers_are_the_captures_in_an_unknown_unit_and_a_tilt_is_told(tmp_path: Path) -> None:
     write_dynamic3dgs(tmp_path / "c")
     capture = open_capture(tmp_path / "c")
+    texts = texts_of(capture, tmp_path / "rig.png")
+    for wanted in ("from above: along y", "from the side: along z", "x (units)", "y (units)"):
+        assert wanted in texts
+    told = [text.replace("\N{MINUS SIGN}", "-") for text in texts.split("|")]
+    numbers = [float(text) for text in told if re.fullmatch(r"-?\d+(\.\d+)?", text)]
+    assert min(numbers) < -2  # cameras are 1 to 2 above the floor, where y is below 0
+    assert "degrees off" not in texts
     tilt = np.eye(4)
     tilt[:3, :3] = rotation_about(np.array([1.0, 0.0, 0.0]), np.radians(35))
     cameras = tuple(

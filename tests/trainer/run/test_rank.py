@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.lattice.lattice import Lattice
 from codec.slice import Slice, active_splats
@@ -31,15 +30,15 @@ WHITE = 0.5 / SH_C0
 Doubles = npt.NDArray[np.float64]
 
 
-def by_hand(splats: Splats, cameras: list[Camera]) -> Doubles:
+def by_hand(splats: Splats) -> Doubles:
     """Contribution of each Gaussian: the picture with only this one white, all others black."""
     sums = np.zeros(len(splats))
     for i in range(len(splats)):
         sh = np.full_like(splats.sh, -WHITE)
         sh[i] = WHITE
-        alone = replace(splats, sh=sh)
-        for cam in cameras:
-            sums[i] += float(render_splats(alone, cam, NEAR_M)[..., 1].sum(dtype=np.float64))
+        for camera in CAMERAS:
+            picture = render_splats(replace(splats, sh=sh), camera, NEAR_M)
+            sums[i] += float(picture[..., 1].sum(dtype=np.float64))
     return sums
 
 
@@ -74,7 +73,9 @@ def stream(tmp_path: Path) -> StreamReader:
     return StreamReader(tmp_path / "stream")
 
 
-def test_the_slices_of_a_stream_fall_by_what_they_show(stream: StreamReader) -> None:
+def test_the_slices_of_a_stream_fall_by_what_they_show(
+    stream: StreamReader, tmp_path: Path
+) -> None:
     views = [View.prepare(cam, NEAR_M) for cam in CAMERAS]
     found = list(slices_by_contribution(stream, views))
     stored = list(stream.slices(1 - SWIN, 2))
@@ -82,7 +83,7 @@ def test_the_slices_of_a_stream_fall_by_what_they_show(stream: StreamReader) -> 
     sums = {part.birth: np.zeros(SLICE_SIZE) for part in found}
     for frame in range(FRAMES):
         window = found[frame : frame + SWIN]
-        added = by_hand(active_splats(window, frame, SWIN), CAMERAS)
+        added = by_hand(active_splats(window, frame, SWIN))
         for part in window:
             shown = part.active(frame, SWIN)
             sums[part.birth][shown] += added[: shown.sum()]
@@ -91,24 +92,15 @@ def test_the_slices_of_a_stream_fall_by_what_they_show(stream: StreamReader) -> 
         assert sorted(rows_of(part)) == sorted(rows_of(before))
         assert_falls(sums[part.birth])
     assert [rows_of(part) for part in found] != [rows_of(part) for part in stored]
-
-
-def test_a_stream_written_as_given_keeps_the_order_in_its_layers(
-    stream: StreamReader, tmp_path: Path
-) -> None:
-    slices = list(slices_by_contribution(stream, [View.prepare(CAMERAS[0], NEAR_M)]))
+    # A stream written as given keeps the order in its layers.
     again = tmp_path / "again"
     with StreamWriter.create(again, stream.manifest, Rank.GIVEN, exact=True) as writer:
-        for part in slices:
+        for part in found:
             writer.append(part)
     reader = StreamReader(again)
-    for part in slices:
-        half = rows_of(part)[: SLICE_SIZE // 2]
-        assert rows_of(reader.slice(part.birth, 1)) == half
+    for part in found:
+        assert rows_of(reader.slice(part.birth, 1)) == rows_of(part)[: SLICE_SIZE // 2]
         assert rows_of(reader.slice(part.birth, 2)) == rows_of(part)
-
-
-def test_a_stream_without_a_frame_is_refused(stream: StreamReader, tmp_path: Path) -> None:
     StreamWriter.create(tmp_path / "empty", stream.manifest).abort()
     with pytest.raises(InvalidError, match="no finished segment"):
         list(slices_by_contribution(StreamReader(tmp_path / "empty"), []))
@@ -117,8 +109,7 @@ def test_a_stream_without_a_frame_is_refused(stream: StreamReader, tmp_path: Pat
 class Grey:
     """Arbitrary pictures."""
 
-    num_frames = FRAMES
-    cameras = CAMERAS
+    num_frames, cameras = FRAMES, CAMERAS
 
     def shot(self, camera: int, frame: int) -> Shot:
         return Shot(np.full((37, 45, 3), 60 + 30 * frame + 9 * camera, np.uint8))
@@ -144,10 +135,9 @@ def test_a_trainers_slices_fall_by_what_they_show(swin_size: int) -> None:
             assert sorted(rows_of(part)) == sorted(rows_of(before))
         found += ordered
         if swin_size == 1:  # only the slice itself shows
-            assert_falls(by_hand(ordered[0].splats, CAMERAS))
+            assert_falls(by_hand(ordered[0].splats))
     # The last slice shows only in the last frame, in which all shown Gaussians have matured.
     last = found[-swin_size:]
     shown = last[-1].active(FRAMES - 1, swin_size)
-    added = by_hand(active_splats(last, FRAMES - 1, swin_size), CAMERAS)[-shown.sum() :]
     assert shown.all()
-    assert_falls(added)
+    assert_falls(by_hand(active_splats(last, FRAMES - 1, swin_size))[-shown.sum() :])

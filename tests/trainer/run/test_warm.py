@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-
-from tests.support.commands import ROOT
-from tests.support.tiny_capture import write_dynerf
-
-# A separate process, because other tests compile kernels, too.
-PROGRAM = """
-import sys
-from pathlib import Path
 from numba.core.dispatcher import Dispatcher
-from rich.console import Console
-from trainer.fit.config import FitConfig
-from trainer.run.config import TrainConfig
-from trainer.run.job import train_stream
+
+from tests.support import commands
+from tests.support.tiny_capture import write_dynerf
+from tests.support.trainings import train_here
 from trainer.run.warm import compile_kernels
 
-def known():
+TINY = (
+    "--num-gs", 60, "--swin-size", 2, "--genesis-iterations", 101, "--settle-rounds", 1,
+    "--window-iterations", 101, "--scene-flow",
+)  # fmt: skip
+
+
+def known() -> set[tuple[str, str, object]]:
+    """The kernels that this process has loaded or compiled, with the types of their arguments."""
     return {
         (name, at, signature)
         for name, module in list(sys.modules.items())
@@ -32,32 +30,23 @@ def known():
         for signature in value.signatures
     }
 
-capture, stream, sh_degree = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
-compile_kernels(sh_degree)
-before = known()
-assert len(before) > 20, before
-fit = FitConfig(
-    num_gs=60, swin_size=2, sh_degree=sh_degree, genesis_iterations=101, settle_rounds=1,
-    window_iterations=101, scene_flow=True,
-)
-for whole_slices in (False, True):
-    job = TrainConfig(capture, stream / str(whole_slices), whole_slices=whole_slices, fit=fit)
-    train_stream(job, Console(quiet=True))
-for name, at, signature in sorted(known() - before, key=str):
-    print(name, at, signature)
-"""
+
+def main() -> None:
+    """In a process of its own, because other tests compile kernels, too."""
+    capture, stream, sh_degree = sys.argv[1:]
+    compile_kernels(int(sh_degree))
+    before = known()
+    assert len(before) > 20, before
+    for way in ("--whole-slices", "--no-whole-slices"):
+        train_here(capture, f"{stream}{way}", way, "--sh-degree", sh_degree, *TINY)
+    sys.stdout.writelines(f"{one}\n" for one in sorted(known() - before, key=str))
 
 
-@pytest.mark.parametrize("sh_degree", [0, 1, 3])
+@pytest.mark.parametrize("sh_degree", [0, pytest.param(1, marks=pytest.mark.deep), 3])
 def test_training_compiles_nothing_that_was_not_compiled_ahead(
     sh_degree: int, tmp_path: Path
 ) -> None:
-    write_dynerf(tmp_path / "capture", num_cameras=9, num_frames=4)  # no warning
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, tmp_path / "capture", tmp_path / "out", str(sh_degree)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
+    write_dynerf(tmp_path / "capture", num_cameras=9, num_frames=3)  # no warning
+    commands.ENTRY["warm"] = "tests.trainer.run.test_warm:main"
+    done = commands.run("warm", tmp_path / "capture", tmp_path / "out", sh_degree)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -40,14 +40,13 @@ def coarse_slice(birth: int, centre: np.ndarray, sh_degree: int) -> Slice:
 
 @dataclass(frozen=True)
 class Made:
-    """A capture, and streams of the same Gaussians."""
+    """A capture, and streams of the same Gaussians: exact ones, of which one is quantised as in the
+    paper and one has colours of degree 1, and one on a lattice."""
 
     capture: Path
     raw: Path
     paper: Path
-    """Exact stream of the Gaussians after the paper's quantisation."""
     quantised: Path
-    """Stream on a lattice."""
     raw_sh1: Path
 
 

@@ -1,4 +1,5 @@
-"""Moving pixels: their choice, and the score of a stream with known pictures on them."""
+"""Moving pixels: their choice, and the score of a stream with known pictures on them; and pictures
+in a camera's colours."""
 
 from __future__ import annotations
 
@@ -22,10 +23,12 @@ from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, seen_by, write_dynam
 from tests.support.tiny_stream import tiny_manifest
 from trainer.capture.capture import Mask, Picture
 from trainer.pictures.shot import Shot
+from trainer.score.colourfit import colour_fitted
 from trainer.score.evaluate import EvaluateConfig, Evaluation, evaluate_stream
 from trainer.score.moving import MIN_MOVING_PX, Movement, movement_of
-from trainer.score.picture import captured
+from trainer.score.picture import Floats, captured
 from trainer.score.sheet import ENLARGED, HEADER_PX, write_sheet
+from trainer.step.loss import psnr_db
 
 FRAMES = 4
 GREY = 40
@@ -243,3 +246,48 @@ def test_the_table_tells_what_moves_and_each_camera_whatever_its_name(folder: Pa
     one = {"per_camera_psnr_db": {name: 20.0}, "per_camera_fitted_psnr_db": {name: 20.0}}
     rows = table_rows(replace(found, layers=[replace(s, **one) for s in found.layers]))  # type: ignore[arg-type]
     assert "".join(rows) == f"12{name}mean"
+
+
+colours = st.tuples(st.floats(0.5, 1.5), st.floats(-0.2, 0.2))
+
+
+def noise(seed: int) -> Floats:
+    return np.random.default_rng(seed).random((6, 7, 3), np.float32)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 99), st.tuples(colours, colours, colours))
+def test_a_camera_with_other_colours_costs_nothing(
+    seed: int, cast: tuple[tuple[float, float], ...]
+) -> None:
+    shown = noise(seed)
+    gain_bias = np.array(cast, np.float32)
+    truth: Floats = gain_bias[:, 0] * shown + gain_bias[:, 1]
+    assert colour_fitted(shown, truth) == pytest.approx(truth, abs=1e-5)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 99))
+def test_no_other_colours_fit_better(seed: int) -> None:
+    shown, truth = noise(seed), noise(seed + 100)
+    best = psnr_db(colour_fitted(shown, truth), truth)
+    assert best >= psnr_db(shown, truth)
+    rng = np.random.default_rng(seed)
+    for _ in range(5):
+        gain, bias = rng.normal(1, 0.3, 3), rng.normal(0, 0.1, 3)
+        assert best >= psnr_db((gain * shown + bias).astype(np.float32), truth) - 1e-6
+
+
+def test_what_a_mask_ignores_does_not_count() -> None:
+    shown = noise(0)
+    truth: Floats = np.float32(0.5) * shown + np.float32(0.1)
+    mask = np.ones((6, 7), np.uint8)
+    mask[:, 4:] = 0
+    other = truth.copy()
+    other[:, 4:] = 1
+    assert (colour_fitted(shown, other, mask) == colour_fitted(shown, truth, mask)).all()
+    assert colour_fitted(shown, other, np.zeros((6, 7), np.uint8)) is shown
+    # A channel of one value is only moved.
+    flat = np.full_like(truth, 0.25)
+    expected = np.broadcast_to(truth.mean(axis=(0, 1)), truth.shape)
+    assert colour_fitted(flat, truth) == pytest.approx(expected, abs=1e-6)

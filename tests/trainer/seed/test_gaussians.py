@@ -1,4 +1,5 @@
-"""Seeds are where the cameras agree; the sizes of first Gaussians depend on their neighbours."""
+"""Seeds are where the cameras agree; the spacing of first Gaussians; and the depth of the nearest
+objects, from places that cameras see."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ import time
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
@@ -15,7 +16,8 @@ from codec.camera import Camera
 from codec.splats import SH_C0
 from tests.support.tiny_capture import tiny_rig
 from trainer.seed.gaussians import SPACING_SCALE, initial_splats, spacings, stereo_seeds
-from trainer.seed.stereo import depth_maps
+from trainer.seed.nearest import MIN_IN_VIEW, MIN_STRAYS, nearest_seen, share_nearer
+from trainer.seed.stereo import better_half, depth_maps
 
 Floats = npt.NDArray[np.float32]
 
@@ -24,28 +26,20 @@ FLOOR_Y_M = 0.0
 
 def colour_at(x: np.ndarray, z: np.ndarray) -> np.ndarray:
     """A smooth pattern on the floor that does not repeat nearby."""
-    return np.stack(
-        [
-            0.5 + 0.5 * np.sin(2.1 * x + 0.7 * z),
-            0.5 + 0.5 * np.sin(1.3 * z - 0.9 * x + 1),
-            0.5 + 0.5 * np.sin(0.8 * x * z + 2),
-        ],
-        axis=-1,
-    )
+    waves = [np.sin(2.1 * x + 0.7 * z), np.sin(1.3 * z - 0.9 * x + 1), np.sin(0.8 * x * z + 2)]
+    return 0.5 + 0.5 * np.stack(waves, axis=-1)
+
+
+def rays_of(camera: Camera, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """(..., 3) viewing rays through places of the picture in the world, one metre deep."""
+    local = [(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, 0 * u + 1]
+    rays: np.ndarray = np.stack(local, axis=-1) @ camera.w2c[:3, :3]
+    return rays
 
 
 def picture_of_floor(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """(H, W, 3) uint8 picture, and (H, W) bool: pixels that see the floor within five metres."""
-    v, u = np.mgrid[0 : camera.height_px, 0 : camera.width_px] + 0.5
-    local = np.stack(
-        [
-            (u - camera.cx_px) / camera.fx_px,
-            (v - camera.cy_px) / camera.fy_px,
-            np.ones_like(u),
-        ],
-        axis=-1,
-    )
-    rays = local @ camera.w2c[:3, :3]
+    rays = rays_of(camera, *np.mgrid[0 : camera.height_px, 0 : camera.width_px] + 0.5)
     with np.errstate(divide="ignore"):
         depth = (FLOOR_Y_M - camera.position[1]) / rays[..., 1]
     hit = camera.position + depth[..., None] * rays
@@ -91,14 +85,6 @@ def test_no_seed_lies_behind_an_ignored_pixel_nor_depends_on_what_it_shows() -> 
     assert np.mean(np.abs(points[:, 1] - FLOOR_Y_M) < 0.2) > 0.8
 
 
-def test_where_all_is_ignored_there_is_no_seed() -> None:
-    cameras = [c.resized(128, 72) for c in tiny_rig(4)]
-    pictures = [picture_of_floor(c)[0] for c in cameras]
-    masks = [np.zeros((72, 128), np.uint8)] * 4
-    rng = np.random.default_rng(0)
-    assert len(stereo_seeds(cameras, pictures, 50, 0.8, 9.0, rng, masks)[0]) == 0
-
-
 def test_depths_that_cameras_agree_on_are_right_though_their_colours_differ() -> None:
     cameras = [c.resized(128, 72) for c in tiny_rig(8)]
     pictures, seen = zip(*map(picture_of_floor, cameras), strict=True)
@@ -112,15 +98,7 @@ def test_depths_that_cameras_agree_on_are_right_though_their_colours_differ() ->
         cameras, seen, maps.depths, maps.agreeing, strict=True
     ):
         v, u = np.nonzero(floor & (agreeing >= 3))
-        rays = np.stack(
-            [
-                (u + 0.5 - camera.cx_px) / camera.fx_px,
-                (v + 0.5 - camera.cy_px) / camera.fy_px,
-                np.ones(len(u)),
-            ],
-            axis=1,
-        )
-        truth = (FLOOR_Y_M - camera.position[1]) / (rays @ camera.w2c[:3, :3])[:, 1]
+        truth = (FLOOR_Y_M - camera.position[1]) / rays_of(camera, v + 0.5, u + 0.5)[:, 1]
         kept += len(u)
         errors.append(np.abs(depths[v, u] - truth) / truth)
     assert kept > 0.2 * np.sum(seen)
@@ -129,14 +107,17 @@ def test_depths_that_cameras_agree_on_are_right_though_their_colours_differ() ->
     assert np.percentile(np.concatenate(errors), 80) < 0.1
 
 
-def test_cameras_back_to_back_give_no_seed() -> None:
+def test_cameras_back_to_back_or_where_all_is_ignored_give_no_seed() -> None:
+    around, rng = np.diag([1.0, -1.0, -1.0, 1.0]), np.random.default_rng(0)
     away = [
-        Camera(c.name, 64, 36, 60.0, 60.0, 32.0, 18.0, np.diag([1.0, s, s, 1.0]) @ np.eye(4))
-        for c, s in zip(tiny_rig(2), (1, -1), strict=True)
+        Camera(f"{i}", 64, 36, 60.0, 60.0, 32.0, 18.0, w2c)
+        for i, w2c in enumerate((np.eye(4), around))
     ]
-    pictures = [np.zeros((36, 64, 3), np.uint8)] * 2
-    points, _ = stereo_seeds(away, pictures, 50, 0.5, 5.0, np.random.default_rng(0))
-    assert len(points) == 0
+    black = [np.zeros((36, 64, 3), np.uint8)] * 2
+    assert len(stereo_seeds(away, black, 50, 0.5, 5.0, rng)[0]) == 0
+    cameras = [c.resized(128, 72) for c in tiny_rig(4)]
+    pictures, masks = [picture_of_floor(c)[0] for c in cameras], [np.zeros((72, 128), np.uint8)] * 4
+    assert len(stereo_seeds(cameras, pictures, 50, 0.8, 9.0, rng, masks)[0]) == 0
 
 
 def test_first_gaussians_are_round_coloured_and_as_large_as_their_spacing() -> None:
@@ -147,13 +128,10 @@ def test_first_gaussians_are_round_coloured_and_as_large_as_their_spacing() -> N
     np.testing.assert_allclose(np.exp(splats.log_scales), 0.1 * SPACING_SCALE, rtol=1e-4)
     np.testing.assert_allclose(0.5 + SH_C0 * splats.sh[:, 0], 200 / 255, rtol=1e-5)
     assert (splats.sh[:, 1:] == 0).all()
-
-
-@pytest.mark.parametrize("count", [1, 2, 50])
-def test_points_that_coincide_still_make_gaussians(count: int) -> None:
-    splats = initial_splats(np.zeros((count, 3), np.float32), np.zeros((count, 3), np.uint8), 0)
-    assert len(splats) == count
-    assert np.isfinite(splats.log_scales).all()
+    for count in (1, 2, 50):  # points that coincide
+        splats = initial_splats(np.zeros((count, 3), np.float32), colours[:count], 0)
+        assert len(splats) == count
+        assert np.isfinite(splats.log_scales).all()
 
 
 def spacings_by_all_pairs(points: Floats) -> Floats:
@@ -171,6 +149,7 @@ def coordinates(limit: float) -> st.SearchStrategy[float]:
     return st.floats(-limit, limit, width=32).filter(lambda x: x == 0 or abs(x) > 1e-9)
 
 
+@settings(max_examples=25)
 @given(
     # Ties and duplicates; near and far places; places that float32 can hardly distinguish.
     st.sampled_from(
@@ -184,14 +163,15 @@ def test_spacings_are_those_of_comparing_all_pairs(points: list[Floats]) -> None
     np.testing.assert_array_equal(spacings(array), spacings_by_all_pairs(array))
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_spacings_are_exact_where_many_places_are_almost_equally_near(seed: int) -> None:
+def test_spacings_are_exact_where_many_places_are_almost_equally_near() -> None:
     """Float32 orders the places of a sphere around a point differently than float64 does."""
-    rng = np.random.default_rng(seed)
-    sphere = rng.normal(size=(500, 3))
-    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
-    points = (np.concatenate([np.zeros((1, 3)), sphere]) + rng.normal(size=3)).astype(np.float32)
-    np.testing.assert_array_equal(spacings(points), spacings_by_all_pairs(points))
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        sphere = rng.normal(size=(500, 3))
+        sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+        points = np.concatenate([np.zeros((1, 3)), sphere]) + rng.normal(size=3)
+        points = points.astype(np.float32)
+        np.testing.assert_array_equal(spacings(points), spacings_by_all_pairs(points))
 
 
 @pytest.mark.realtime
@@ -204,3 +184,51 @@ def test_spacings_of_many_points_take_seconds(places: int) -> None:
     assert (spacings(points) == 0).sum() == (0 if places == 200_000 else 200_001 - places)
     # It takes one second; comparing all pairs takes a minute.
     assert time.process_time() - begun_s < 15
+
+
+def camera(forward: float = 1.0) -> Camera:
+    """A camera at the origin that looks along z, or in the opposite direction."""
+    pose = np.diag([1.0, forward, forward, 1.0])
+    return Camera("c", 64, 64, 32.0, 32.0, 32.0, 32.0, pose)
+
+
+def places(depths: np.ndarray) -> np.ndarray:
+    """Places on the axis of the camera."""
+    return np.stack([0 * depths, 0 * depths, depths], axis=1)
+
+
+def test_a_few_strays_do_not_count() -> None:
+    depths = np.linspace(2.0, 9.0, 200)
+    assert nearest_seen([camera()], places(depths)) == pytest.approx(depths[MIN_STRAYS])
+    strayed = np.concatenate([np.full(MIN_STRAYS, 0.1), depths])
+    assert nearest_seen([camera()], places(strayed)) == pytest.approx(2.0)
+    assert nearest_seen([camera()], places(np.append(strayed, 0.2))) == pytest.approx(0.2)
+    many = np.concatenate([np.full(50, 0.1), np.linspace(2.0, 9.0, 10_000)])
+    assert nearest_seen([camera()], places(many)) == pytest.approx(2.0, rel=0.01)
+
+
+def test_what_is_out_of_view_does_not_count() -> None:
+    behind = places(np.linspace(0.5, 3.0, 500))
+    assert nearest_seen([camera(-1.0)], behind) is None
+    beside = behind + (1.1, 0.0, 0.0) * behind[:, 2:]
+    assert nearest_seen([camera()], beside) is None
+    assert nearest_seen([camera(-1.0), camera()], behind) == pytest.approx(0.5, rel=0.1)
+
+
+def test_too_few_places_tell_nothing() -> None:
+    few = places(np.linspace(1.0, 2.0, MIN_IN_VIEW - 1))
+    assert nearest_seen([camera()], few) is None
+    assert nearest_seen([], few) is None
+    assert share_nearer(camera(), few, 1.5) == 0
+    enough = places(np.linspace(1.0, 2.0, 101))
+    assert share_nearer(camera(), enough, 1.5) == pytest.approx(50 / 101)
+
+
+@given(st.lists(st.integers(0, 255), min_size=2, max_size=9), st.integers(1, 2))
+def test_the_better_half_is_the_lower_one_whatever_the_order(costs: list[int], least: int) -> None:
+    spare = np.array([*costs, 0, 0], np.float32)  # values after the costs do not count
+    lower = sorted(costs)[: max(least, (len(costs) + 1) // 2)]
+    assert better_half(spare, len(costs), least) == pytest.approx(np.mean(lower), rel=1e-6)
+    # Of two cameras one settles a depth unless two are asked for.
+    two = np.array([5.0, 1.0], np.float32)
+    assert (better_half(two, 2, 1), better_half(two, 2, 2)) == (1, 3)
