@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from bench.parts import WORKER, Killer, PartsConfig, peak_bytes, processes, runs
+from tests.support.waiting import BOUND_S, wait_until
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
 
@@ -18,17 +18,13 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux'
 def test_processes_are_those_that_this_one_has_started() -> None:
     waits = "import sys; sys.stdin.read()"
     with subprocess.Popen([sys.executable, "-c", waits, WORKER], stdin=subprocess.PIPE) as child:
-        deadline_s = time.monotonic() + 10
-        while child.pid not in processes(WORKER):
-            assert time.monotonic() < deadline_s
-        while peak_bytes(child.pid) <= 1_000_000:  # an interpreter that has started uses more
-            assert time.monotonic() < deadline_s
+        wait_until(lambda: child.pid in processes(WORKER))
+        wait_until(lambda: peak_bytes(child.pid) > 1_000_000)  # an interpreter that has started
         assert os.getppid() not in processes(b"")
         assert os.getpid() in processes(b"")
         killer = Killer(1, 0.0, 1)
-        while child.poll() is None:
-            assert time.monotonic() < deadline_s
-            killer.look()
+        killer.look()
+        child.wait(timeout=BOUND_S)
         killer.look()
         assert killer.killed == 1
     assert peak_bytes(child.pid) == 0

@@ -9,26 +9,33 @@ from contextlib import ExitStack
 
 import pytest
 
-from bench.serve.heldplays import measure_plays
+from bench.serve.heldplays import measure_plays, show_plays
 from bench.serve.livelatency import measure_live
 from bench.serve.objectrate import cases_of, measure_objects
 from bench.serve.processes import two_cores
 
-pytestmark = [
-    pytest.mark.realtime,
-    pytest.mark.skipif(
-        not sys.platform.startswith("linux")
-        or (os.cpu_count() or 1) < 2
-        or not shutil.which("taskset"),
-        reason="it needs Linux, two cores and taskset",
-    ),
-]
+pytestmark = pytest.mark.skipif(
+    not sys.platform.startswith("linux")
+    or (os.cpu_count() or 1) < 2
+    or not shutil.which("taskset"),
+    reason="it needs Linux, two cores and taskset",
+)
 
 
 def nothing(pid: int) -> ExitStack:
     return ExitStack()
 
 
+def test_plays_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    figures = measure_plays(2, 400, 0.1, 0.5, two_cores(), (), nothing)
+    assert (figures.clients, figures.double) == (2, 0)
+    show_plays(figures)
+    printed = capsys.readouterr().out
+    for column in ("2 plays", "first picture, ms", "slices late, ms", "missing", "% of a core"):
+        assert column in printed
+
+
+@pytest.mark.realtime
 def test_every_slice_of_every_play_comes_once() -> None:
     figures = measure_plays(8, 4000, 0.5, 4.0, two_cores(), (), nothing)
     assert (figures.clients, figures.failed, figures.missing, figures.double) == (8, 0, 0, 0)
@@ -38,6 +45,7 @@ def test_every_slice_of_every_play_comes_once() -> None:
     assert figures.server_rss_bytes > 10_000_000
 
 
+@pytest.mark.realtime
 def test_a_live_stream_reaches_who_follows_it() -> None:
     figures = measure_live(3, 4000, 6.0, two_cores(), ())
     assert figures.segments >= 3 * 5
@@ -45,6 +53,7 @@ def test_a_live_stream_reaches_who_follows_it() -> None:
     assert -20 < figures.first_ms.p50 <= figures.last_ms.p50 < 3000
 
 
+@pytest.mark.realtime
 def test_objects_are_measured_beside_others() -> None:
     for program in ("nginx", "wrk"):
         if not shutil.which(program) and not shutil.which(program, path="/usr/sbin"):

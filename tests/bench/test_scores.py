@@ -1,0 +1,330 @@
+"""Benches that score a stream against its capture, on one small stream: their figures are those of
+swings-eval, and their tables and plots show them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from rich.console import Console, RenderableType
+
+from bench import dropping, flip, ghost, temporal
+from bench.dropping import BY_CONTRIBUTION, BY_OPACITY, LAYERS, DroppingConfig, Outcome
+from bench.flip import FlipConfig, flip_map
+from bench.ghost import GhostConfig, excess, left_and_around
+from bench.network import shown
+from bench.play import between
+from bench.play.between import FADED, HELD, INTERPOLATED, SENT, BetweenConfig
+from codec.errors import InvalidError
+from codec.stream import StreamReader
+from codec.tools.audit import verify_stream
+from codec.tools.cutting import set_temporal_layer
+from tests.player.render.test_glide import write_body
+from tests.support.slots.slot_streams import write_busy_stream
+from tests.support.slots.updates import small_layout
+from tests.support.tiny_capture import picture_of, write_dynamic3dgs
+from trainer.capture.layout import open_capture
+from trainer.score.evaluate import EvaluateConfig, evaluate_stream
+from trainer.score.truth import open_held_out
+
+FRAMES = 6
+PLANES: dict[str, dict[str, Any]] = {
+    "every": {"near_m": 6.9},
+    "own": {"camera_near_m": (6.9,) * 4},
+    "none": {},
+}
+"""Changes of a manifest: one near plane for every view, the same plane as each camera's own, and
+none."""
+
+
+def write_scored(path: Path, swin_size: int = 2, **changes: object) -> tuple[Path, Path]:
+    """Writes a stream of FRAMES frames and two layers, and its capture, whose camera 1 is held out;
+    returns the folders of both. changes: fields of the manifest."""
+    capture, stream = path / "capture", path / "stream"
+    path.mkdir(exist_ok=True)
+    write_dynamic3dgs(capture, num_cameras=4, num_frames=FRAMES)
+    cameras = tuple(c.camera for c in open_capture(capture).cameras)
+    layout = small_layout(swin_size, (60, 40), 0, 4)
+    changes = {"cameras": cameras, "default_camera": cameras[0].name, **changes}
+    write_busy_stream(stream, FRAMES, layout, **changes)
+    return stream, capture
+
+
+@pytest.fixture(scope="module")
+def scored(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    return write_scored(tmp_path_factory.mktemp("scored"))
+
+
+def text_of(table: RenderableType, width: int = 160) -> str:
+    console = Console(width=width)
+    with console.capture() as shown_text:
+        console.print(table)
+    return shown_text.get()
+
+
+MEASURES: dict[str, Callable[[Path, Path], object]] = {
+    "flip": lambda stream, capture: flip.scored(FlipConfig(stream, capture, every=3)),
+    "between against the stream": lambda stream, capture: between.against_stream(
+        StreamReader(stream), 2, BetweenConfig(stream, capture, pictures=2)
+    ),
+    "between against the film": lambda stream, capture: between.against_film(
+        BetweenConfig(stream, capture, pictures=2)
+    ),
+}
+
+
+@pytest.mark.parametrize("what", MEASURES)
+def test_a_camera_has_its_own_near_plane(what: str, tmp_path: Path) -> None:
+    every, own, none = (
+        MEASURES[what](*write_scored(tmp_path / name, **changes))
+        for name, changes in PLANES.items()
+    )
+    assert own == every
+    assert own != none
+
+
+# --- flip ---
+
+
+def test_flip_tells_no_difference_from_the_largest() -> None:
+    black, white = np.zeros((20, 30, 3), np.float32), np.ones((20, 30, 3), np.float32)
+    assert flip_map(black, black).shape == (20, 30)
+    assert flip_map(black, black).max() == 0
+    assert flip_map(black, white).min() > 0.8
+    slightly = flip_map(black, black + np.float32(0.05)).mean()
+    assert 0 < slightly < flip_map(black, black + np.float32(0.2)).mean()
+
+
+def test_flip_stands_beside_the_scores_of_swings_eval(scored: tuple[Path, Path]) -> None:
+    found = flip.scored(FlipConfig(*scored))
+    psnr_db, each, moving_db, moving_flip = found["cam01"]
+    expected = evaluate_stream(EvaluateConfig(*scored)).layers[-1]
+    assert np.mean(psnr_db) == pytest.approx(expected.psnr_db, abs=1e-3)
+    assert len(each) == FRAMES
+    assert all(0 < value < 1 for value in each)
+    assert len(moving_db) == len(moving_flip)
+    if expected.moving_psnr_db is not None:
+        assert np.mean(moving_db) == pytest.approx(expected.moving_psnr_db, abs=1e-3)
+    assert f"{np.mean(each):.4f}" in text_of(flip.table(found))
+
+
+# --- between ---
+
+
+def test_what_moves_straight_is_interpolated_best(tmp_path: Path) -> None:
+    write_body(tmp_path / "s")
+    reader = StreamReader(tmp_path / "s")
+    config = BetweenConfig(tmp_path / "s", pictures=3)
+    near, far = (between.against_stream(reader, gap, config) for gap in (2, 4))
+    for scores in (near, far):
+        assert min(scores.goes_on) > 0.9  # small Gaussians jump
+        assert len(scores.whole[HELD]) == 3 * len(reader.manifest.cameras[:2])
+        by = {how: np.mean(found) for how, found in scores.changing.items()}
+        assert by[INTERPOLATED] > by[FADED] + 6 > by[HELD] + 6
+    assert np.mean(far.whole[HELD]) < np.mean(near.whole[HELD])
+    for gap in (1, 3, 100):  # without a middle, or too long
+        with pytest.raises(InvalidError, match=r"gap \d+"):
+            between.against_stream(reader, gap, config)
+
+
+def test_pictures_between_are_scored_against_the_film(scored: tuple[Path, Path]) -> None:
+    film = between.against_film(BetweenConfig(*scored, gaps=(2,)))
+    assert set(film.whole) == {HELD, FADED, INTERPOLATED, SENT}
+    assert len(film.goes_on) == 2
+    table = between.table_of("against the film", {"2 frames": film}, (SENT, HELD))
+    row = next(line for line in text_of(table).splitlines() if "2 frames" in line)
+    assert float(row.split("|")[2]) == pytest.approx(np.mean(film.whole[SENT]), abs=0.006)
+
+
+# --- shown ---
+
+
+def report_of(reader: StreamReader, layers: int, late_s: float = 0.0) -> dict[str, Any]:
+    """The report of a play in which `layers` layers arrived before the start, and the others
+    `late_s` after the frame in which they were due; never if `late_s` is 0."""
+    manifest = reader.manifest
+    arrivals = []
+
+    def came(first_layer: int, count: int, came_s: float, **what: int) -> None:
+        packets = {"first_layer": first_layer, "layers": count, "bytes": 1, "came_s": came_s}
+        arrivals.append({"play": 0, "birth": None, "snapshot_frame": None, **packets, **what})
+
+    for first, count in ((0, layers), (layers, manifest.num_layers - layers)):
+        if not count or (first and not late_s):
+            continue
+        came(first, count, late_s if first else 0.0, snapshot_frame=0)
+        for birth in range(1, FRAMES):
+            came(first, count, birth + late_s if first else 0.0, birth=birth)
+    frames = [{"play": 0, "frame": frame, "shown_s": float(frame)} for frame in range(FRAMES)]
+    return {"frames": frames, "arrivals": arrivals, "dropped": {"frames": 0, "arrivals": 0}}
+
+
+def test_shown_frames_score_what_had_come(scored: tuple[Path, Path]) -> None:
+    expected = evaluate_stream(EvaluateConfig(*scored)).layers
+    with open_held_out(*scored) as held_out:
+        for layers in (1, 2):
+            scores = list(shown.shown_scores(held_out, report_of(held_out.reader, layers), 1))
+            assert [score.frame for score in scores] == list(range(FRAMES))
+            found = [score.rendered_db for score in scores]
+            assert found == pytest.approx(expected[layers - 1].per_frame_psnr_db, abs=1e-6)
+            assert scores[-1].layers == layers
+        # Packets that arrive half a frame late show from the next frame on.
+        late = list(shown.shown_scores(held_out, report_of(held_out.reader, 1, 0.5), 1))
+        assert late[0].rendered_db == pytest.approx(expected[0].per_frame_psnr_db[0], abs=1e-6)
+        assert 1 < fmean(score.layers for score in late) < 2
+        report = report_of(held_out.reader, 2)
+        assert [score.frame for score in shown.shown_scores(held_out, report, 2)] == [0, 2, 4]
+        report["dropped"]["arrivals"] = 1
+        with pytest.raises(InvalidError, match="lacks part of the play"):
+            list(shown.shown_scores(held_out, report, 1))
+    assert "all" in text_of(shown.table_of(late))
+
+
+# --- temporal ---
+
+
+def test_a_temporal_layer_is_scored_as_one_more(tmp_path: Path) -> None:
+    stream, capture = write_scored(tmp_path, 1)
+    set_temporal_layer(stream, tmp_path / "halved", 2)
+    assert verify_stream(tmp_path / "halved").num_frames == FRAMES
+    assert StreamReader(tmp_path / "halved").manifest.temporal_period == 2
+    config = temporal.TemporalConfig(stream, capture)
+    plain, halved = (temporal.scored(path, config) for path in (stream, tmp_path / "halved"))
+    assert [row.layers for row in halved] == [1, 2, 3]
+    assert halved[-1].psnr_db == pytest.approx(plain[-1].psnr_db, abs=1e-6)
+    assert halved[-2].bytes_per_frame < plain[-1].bytes_per_frame < halved[-1].bytes_per_frame
+
+
+# --- ghost ---
+
+RED = np.array([0.8, 0.4, 0.2], np.float32)
+GREY = np.array([0.4, 0.4, 0.4], np.float32)
+EVERYWHERE = np.ones((40, 60), np.bool_)
+
+
+def with_ball(column: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    """(40, 60, 3) a red square of 10 pixels on grey."""
+    picture = np.tile(GREY, (40, 60, 1))
+    picture[15:25, column : column + 10] = RED
+    return picture
+
+
+def test_a_ghost_is_found_where_the_ball_was() -> None:
+    before, now = with_ball(10), with_ball(18)
+    left, ring = left_and_around(before, now, (before != now).any(axis=2), None)
+    rows, columns = np.nonzero(left)
+    # The edge of where it is now, four pixels, is left out.
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (15, 24, 10, 13)
+    assert np.abs(excess(now, left, ring)).max() < 1e-6
+    rendered = now.copy()
+    rendered[18, 12] = GREY + np.float32(0.3) * (RED - GREY)  # three tenths of the ball remain
+    over = excess(rendered, left, ring)
+    assert over.max() == pytest.approx(0.3 * 0.5, abs=1e-6)
+    assert (over > 12 / 255).sum() == 1
+
+
+def test_a_thing_that_stands_leaves_nothing_and_ignored_pixels_are_not_around_it() -> None:
+    left, ring = left_and_around(with_ball(10), with_ball(10), EVERYWHERE, None)
+    assert not left.any()
+    assert not ring.any()
+    mask = np.ones((40, 60), np.uint8)
+    mask[:15] = 0
+    _, ring = left_and_around(with_ball(10), with_ball(40), EVERYWHERE, mask)
+    assert ring.any()
+    assert not ring[:15].any()
+
+
+def test_ghosts_of_a_stream_are_searched_and_drawn(
+    scored: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = GhostConfig(*scored)
+    ghost.run(config)
+    assert "no red thing" in capsys.readouterr().out
+    # Nothing red moves in this capture: its upper half stands for what a thing has left.
+    camera = open_capture(config.capture).cameras[1].camera
+    upper = np.zeros((camera.height_px, camera.width_px), np.bool_)
+    upper[: len(upper) // 2] = True
+    monkeypatch.setattr("bench.ghost.left_and_around", lambda *_: (upper, ~upper))
+    monkeypatch.setattr("bench.ghost.MIN_LEFT_PX", 1)
+    found = list(ghost.excesses(config))
+    assert len(found) == FRAMES - 1
+    assert all(len(drawn) == len(truth) == upper.sum() for _, drawn, truth in found)
+    values = np.array([0.0, 0.1, 0.02], np.float32)
+    assert "25.5" in text_of(ghost.table({"cam01": (values, values * np.float32(0.5))}))
+
+
+# --- dropping ---
+
+
+def dropping_of(stream: Path, capture: Path) -> DroppingConfig:
+    plots = stream.parent / "plots"
+    return DroppingConfig(
+        stream, capture, plots / "a.png", plots / "a.jpg", every=2, views=2, frame=3
+    )
+
+
+@pytest.mark.parametrize("swin_size", [1, 2])
+def test_dropping_is_measured_and_drawn(swin_size: int, tmp_path: Path) -> None:
+    config = dropping_of(*write_scored(tmp_path, swin_size))
+    found = dropping.measure(config)
+    layers = evaluate_stream(EvaluateConfig(config.stream, config.capture, every=2)).layers
+    of_layers = [(score.psnr_db, score.bytes_per_frame) for score in reversed(layers)]
+    assert [(o.psnr_db, o.bytes_per_frame) for o in found.of(LAYERS)] == of_layers
+    assert [o.name for o in found.of(LAYERS)] == ["2 layers", "1 layer"]
+    assert len({o.psnr_db for o in found.outcomes}) > 3
+    for chosen in (BY_OPACITY, BY_CONTRIBUTION):
+        outcomes = found.of(chosen)
+        assert (outcomes[0].psnr_db, outcomes[0].bytes_per_frame) == of_layers[0]
+        sizes = [o.bytes_per_frame for o in outcomes]
+        assert sizes == sorted(set(sizes), reverse=True)
+        assert [o.share for o in outcomes] == [1, 0.8, 0.6, 0.4, 0.2]
+    assert found.truth_name == "camera cam01, frame 3"
+    assert (found.truth == picture_of(1, 3)).all()
+    lines = text_of(dropping.table_of(found), 110).splitlines()
+    rows = [line.split("|")[1:-1] for line in lines if "%" in line]
+    for row, one in zip(rows, found.outcomes, strict=True):
+        assert row[1].strip() == f"{one.share:.0%}"
+        expected = [one.bytes_per_frame / 1e3, one.psnr_db]
+        assert [float(row[i]) for i in (2, 3)] == pytest.approx(expected, abs=0.06)
+    dropping.draw(found, config.out)
+    dropping.draw_sheet(found, config.sheet)
+    assert config.out.read_bytes().startswith(b"\x89PNG")
+    with Image.open(config.sheet) as sheet:
+        assert sheet.format == "JPEG"
+        assert 1280 <= sheet.width <= 1600
+    assert config.sheet.stat().st_size < 600_000
+
+
+def test_no_held_out_camera_ranks(scored: tuple[Path, Path]) -> None:
+    with open_held_out(*scored) as held_out:
+        names = [view.camera.name for view in dropping.training_views(held_out)]
+    assert names == ["cam00", "cam02", "cam03"]
+
+
+def test_what_as_many_bytes_give_lies_between_the_points() -> None:
+    nothing = np.zeros((1, 1, 3), np.uint8)
+    line = [Outcome(BY_OPACITY, "", 1, n, db, nothing, db) for n, db in ((400, 30), (100, 20))]
+    wanted = {400: 30, 200: 25, 100: 20, 99: None, 401: None}
+    assert {n: dropping.at_same_bytes(line, n) for n in wanted} == pytest.approx(wanted)
+
+
+WRONG: Sequence[tuple[dict[str, Any], str]] = (
+    ({"shares": ()}, "at least one share"),
+    ({"shares": (0.5, 1.1)}, "at most 1"),
+    ({"views": 0}, "views 0"),
+    ({"every": 0}, "every 0"),
+    ({"frame": FRAMES}, f"frames 0:{FRAMES}, not {FRAMES}"),
+    ({"camera": "cam00"}, "'cam00' is not held out; choose cam01"),
+)
+
+
+def test_options_out_of_their_bounds_are_refused(scored: tuple[Path, Path]) -> None:
+    for changes, message in WRONG:
+        with pytest.raises(InvalidError, match=message):
+            dropping.measure(replace(dropping_of(*scored), **changes))
