@@ -74,12 +74,12 @@ class Page:
         """Waits until the expression `code` is true, which may name what `run` may."""
         self._do("wait", code=code, timeoutS=timeout_s)
 
-    def wait_until_still(self, code: str) -> None:
-        """Waits until the expression `code` has had the same value at ten looks in a row."""
+    def wait_until_still(self, code: str, looks: int = 10) -> None:
+        """Waits until the expression `code` has had the same value at so many looks in a row."""
         look = f"JSON.stringify({code})"
         self.run(f"window.looked = {{ text: {look}, times: 0 }}")
         same = f"looked.text === (looked.text = {look})"
-        self.wait(f"(looked.times = {same} ? looked.times + 1 : 0) >= 10")
+        self.wait(f"(looked.times = {same} ? looked.times + 1 : 0) >= {looks}")
 
     def press(self, key: str) -> None:
         self._do("press", key=key)

@@ -14,16 +14,14 @@ from codec.stream.captions import Captions
 from codec.tools.packing import pack_stream
 from codec.tools.static import export_static
 from codec.tools.streamcaptions import add_captions
-from tests.support.commands import ROOT
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.sounding import add_clicks
 from tests.support.tiny_stream import files_of
 from tests.support.web.browsercode import BrowserCode
 from tests.support.web.chromium import Page
+from tests.support.web.site import LINKS, watch
 
-PLAYER = "document.querySelector('swings-player')"
-POSTER = f"{PLAYER}.shadowRoot.querySelector('.poster')"
 TAP = Path(__file__).parents[1] / "soundtap.js"
 NUM_FRAMES = 30
 
@@ -42,7 +40,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     add_captions(trained, root / "in.vtt", Captions("en", "English"))
     export_static(trained, root / "folder")
     export_static(trained, root / "packed.swings")
-    (root / "web").symlink_to(ROOT / "player" / "web")
+    (root / "player").symlink_to(LINKS["player"])
     return root
 
 
@@ -102,8 +100,7 @@ def test_hosts_and_files_that_will_not_do_are_said(browser: BrowserCode, root: P
 def first_picture(page: Page, host: RangeHost, name: str) -> int:
     """Opens the page; returns the number of requests for the stream until its first picture."""
     host.asked.clear()
-    page.open(f"{host.url}/web/watch.html?src=../{name}&autoplay=0", 320, 240)
-    page.wait(f"{PLAYER}?.player?.shownFrame >= 0", 60)
+    watch(page, f"{host.url}/player/watch.html?src=../{name}&autoplay=0")
     return sum(1 for path, _ in host.asked if path.startswith(f"/{name}"))
 
 
@@ -112,26 +109,24 @@ def test_a_page_plays_it_and_seeks_in_it_like_in_a_folder(page: Page, root: Path
         folder = first_picture(page, host, "folder")
         packed = first_picture(page, host, "packed.swings")
         assert packed <= folder + 2, (packed, folder)
-        page.wait(f"{POSTER}?.naturalWidth === 64")
-        page.run(f"{PLAYER}.currentTime = {NUM_FRAMES // 2} / 30")
-        page.wait(f"{PLAYER}.player.shownFrame === {NUM_FRAMES // 2}", 60)
-        page.run(f"{PLAYER}.play()")
-        page.wait(f"{PLAYER}.player.shownFrame === {NUM_FRAMES - 1}", 60)
-        assert page.run(f"return {PLAYER}.error") is None
+        page.wait("part('.poster').naturalWidth === 64")
+        page.run(f"element.currentTime = {NUM_FRAMES // 2} / 30")
+        page.wait(f"player.shownFrame === {NUM_FRAMES // 2}")
+        page.run("element.play()")
+        page.wait(f"player.shownFrame === {NUM_FRAMES - 1}")
+        assert page.value("element.error") is None
 
 
 def test_a_page_plays_its_sound_and_shows_its_captions(page: Page, root: Path) -> None:
     with range_host(root) as host:
-        page.open(f"{host.url}/web/watch.html?src=../packed.swings", 320, 240, scripts=[TAP])
-        page.wait(f"{PLAYER}?.player?.shownFrame >= 0", 60)
-        page.wait("clicks.length >= 4", 60)
-        page.run(f"{PLAYER}.focus()")
+        watch(page, f"{host.url}/player/watch.html?src=../packed.swings", scripts=(TAP,))
+        page.wait("clicks.length >= 4")
+        page.run("element.focus()")
         page.press("Shift+C")
-        page.wait(f"{PLAYER}.shadowRoot.querySelector('.captions').textContent === 'Here'")
+        page.wait("part('.captions').textContent === 'Here'")
         ours = [asked for path, asked in host.asked if path.startswith("/packed")]
         assert ours
         assert all(ours)
-        assert not page.complaints
 
 
 def test_a_page_of_another_origin_plays_it(page: Page, root: Path) -> None:
@@ -139,6 +134,5 @@ def test_a_page_of_another_origin_plays_it(page: Page, root: Path) -> None:
     with range_host(root) as host, range_host(root) as other:
         other.cors = True
         src = f"{other.url}/packed.swings"
-        page.open(f"{host.url}/web/watch.html?src={src}&autoplay=0", 320, 240)
-        page.wait(f"{PLAYER}?.player?.shownFrame >= 0", 60)
+        watch(page, f"{host.url}/player/watch.html?src={src}&autoplay=0")
         assert len(other.asked) > 3

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,75 +10,38 @@ import pytest
 
 from codec.camera import Camera
 from codec.pose import rotation_about, world_to_camera
-from codec.stream.reader import StreamReader
-from codec.tools.static import export_static
-from tests.support.hosted_streams import static_host, write_stream
 from tests.support.web.browsercamera import from_browser
 from tests.support.web.canvas import (
-    ELEMENT,
     LEAST_PSNR_DB,
-    PIXELS,
-    PLAYER,
-    STATE,
     Doubles,
     canvas_of,
+    check_picture,
     expected_of,
     picture_of,
     psnr_db,
 )
 from tests.support.web.chromium import Page
 from tests.support.web.nodeprocess import SCRIPTS, Json
+from tests.support.web.site import Site
 
-HERE = Path(__file__).parent
-ROOT = Path(__file__).parents[4]
 EMULATOR = SCRIPTS / "node_modules" / "iwer" / "build" / "iwer.min.js"
-NUM_FRAMES = 60
+HEADSET = Path(__file__).with_name("headset.js")
 EMULATED_EYES_M = 1.6
 WIDTH_PX, HEIGHT_PX = 640, 320
+IN_HEADSET = "player.headset?.last"
 
 
-def part(selector: str) -> str:
-    return f"{ELEMENT}.shadowRoot.querySelector('{selector}')"
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the page and a stream with view-dependent colours."""
-    tmp_path = tmp_path_factory.mktemp("stereo")
-    stream = write_stream(tmp_path / "stream", NUM_FRAMES, slice_size=200, layers=(1.0,))
-    export_static(stream, tmp_path / "static")
-    (tmp_path / "web").symlink_to(ROOT / "player" / "web")
-    return tmp_path
-
-
-@pytest.fixture(scope="module")
-def reader(folder: Path) -> StreamReader:
-    return StreamReader(folder / "stream")
+def opened(page: Page, site: Site, *scripts: Path) -> None:
+    site.watch(page, "whole", width_px=WIDTH_PX, height_px=HEIGHT_PX, scripts=scripts)
 
 
 @pytest.fixture
-def opened(page: Page, folder: Path) -> Callable[..., AbstractContextManager[Page]]:
-    """Opens the page, paused at the first frame."""
-
-    @contextmanager
-    def opening(*scripts: Path) -> Iterator[Page]:
-        with static_host(folder) as url:
-            address = f"{url}/web/watch.html?src=../static&autoplay=0"
-            page.open(address, WIDTH_PX, HEIGHT_PX, scripts=(*scripts, PIXELS))
-            page.wait(f"{PLAYER}?.shownFrame === 0", 60)
-            yield page
-            assert not page.complaints
-
-    return opening
-
-
-@pytest.fixture
-def worn(opened: Callable[..., AbstractContextManager[Page]]) -> Iterator[Page]:
+def worn(page: Page, site: Site) -> Page:
     """The page with a headset."""
     if not EMULATOR.is_file():
         pytest.skip("needs the emulator of headsets: scripts/setup dev")
-    with opened(EMULATOR, HERE / "headset.js") as page:
-        yield page
+    opened(page, site, EMULATOR, HEADSET)
+    return page
 
 
 def aside(camera: Camera, aside_m: float) -> Camera:
@@ -90,28 +51,23 @@ def aside(camera: Camera, aside_m: float) -> Camera:
     )
 
 
-def test_side_by_side(
-    opened: Callable[..., AbstractContextManager[Page]], reader: StreamReader, tmp_path: Path
-) -> None:
-    with opened() as page:
-        alone = page.run(f"return window.readCanvas({PLAYER})")
-        page.click("swings-player .side-by-side")
-        assert page.run(f"return {part('.side-by-side')}.ariaPressed") == "true"
-        both = canvas_of(page)
-        half = from_browser(page.run(f"return {PLAYER}.camera"))
-        page.screenshot(tmp_path / "side-by-side.png")
-        page.press("e")
-        again = page.run(f"return window.readCanvas({PLAYER})")
-    assert again == alone
-    whole = reader.manifest.camera().fitted(WIDTH_PX, HEIGHT_PX)
-    assert psnr_db(picture_of(alone), expected_of(reader, whole)) >= LEAST_PSNR_DB
+def test_side_by_side(page: Page, site: Site) -> None:
+    opened(page, site)
+    check_picture(page, site.reader("whole"))
+    alone = canvas_of(page)
+    page.click("swings-player .side-by-side")
+    assert page.value("part('.side-by-side').ariaPressed") == "true"
+    both = canvas_of(page)
+    half = from_browser(page.value("player.camera"))
+    page.press("e")
+    np.testing.assert_array_equal(canvas_of(page), alone)
     assert (half.width_px, half.height_px) == (WIDTH_PX // 2, HEIGHT_PX)
     # The scene's centre is 4 m away, and shows at the same place to both eyes.
     pictures = {}
     for side, picture in zip((-0.5, 0.5), np.split(both, 2, axis=1), strict=True):
         eye = aside(half, side * 0.063)
         eye = replace(eye, cx_px=half.cx_px + half.fx_px * side * 0.063 / 4)
-        pictures[side] = expected_of(reader, eye)
+        pictures[side] = expected_of(site.reader("whole"), eye)
         assert psnr_db(picture, pictures[side]) >= LEAST_PSNR_DB
     assert psnr_db(pictures[-0.5], pictures[0.5]) < LEAST_PSNR_DB - 10
 
@@ -156,66 +112,61 @@ def eye_camera(eye: Json, begun: Doubles, start: Camera) -> Camera:
     return Camera("eye", width, height, *lens, w2c)
 
 
-def test_what_the_eyes_see(worn: Page, reader: StreamReader) -> None:
+def test_what_the_eyes_see(worn: Page, site: Site) -> None:
     place, yaw_rad = (0.4, 1.7, -0.3), 0.8
     turn_head(worn, place, yaw_rad, 0.0)
     begun = head_pose(place, yaw_rad, 0.0)
     worn.click("swings-player .headset")
-    worn.wait(f"{PLAYER}.headset?.last")
-    assert worn.run(f"return {part('.headset')}.ariaPressed") == "true"
+    worn.wait(IN_HEADSET)
+    assert worn.value("part('.headset').ariaPressed") == "true"
 
+    reader = site.reader("whole")
     start = reader.manifest.camera()
-    views = {}
-    for name, moved, yaw, pitch in (
-        ("begun", place, yaw_rad, 0.0),
-        ("moved", (0.2, 1.5, -1.0), 0.9, -0.2),
-    ):
+    pictures = []
+    for moved, yaw, pitch in ((place, yaw_rad, 0.0), ((0.2, 1.5, -1.0), 0.9, -0.2)):
         turn_head(worn, moved, yaw, pitch)
-        views[name] = worn.run(f"return window.readEyes({PLAYER})")
-        middle = np.mean(
-            [np.reshape(eye["transform"], (4, 4), order="F") for eye in views[name]], 0
-        )
+        eyes = worn.run("return window.readEyes(player)")
+        middle = np.mean([np.reshape(eye["transform"], (4, 4), order="F") for eye in eyes], 0)
         np.testing.assert_allclose(middle, head_pose(moved, yaw, pitch), atol=1e-6)
-        for eye in views[name]:
+        for eye in eyes:
+            pictures.append(picture_of(eye))
             expected = expected_of(reader, eye_camera(eye, begun, start))
-            assert psnr_db(picture_of(eye), expected) >= LEAST_PSNR_DB
-    pictures = [picture_of(eye) for eye in views["begun"] + views["moved"]]
+            assert psnr_db(pictures[-1], expected) >= LEAST_PSNR_DB
     for a, b in ((0, 1), (0, 2), (1, 3)):
         assert psnr_db(pictures[a], pictures[b]) < LEAST_PSNR_DB - 10
 
 
-def test_it_plays_in_a_headset_and_goes_on_at_the_page(worn: Page, reader: StreamReader) -> None:
+def test_it_plays_in_a_headset_and_goes_on_at_the_page(worn: Page, site: Site) -> None:
     worn.click("swings-player .headset")
-    worn.wait(f"{PLAYER}.headset?.last")
+    worn.wait(IN_HEADSET)
     for value in (1, 0):
         worn.run("device.controllers.right.updateButtonValue('trigger', value)", value)
-        worn.run(f"await window.twoFrames({PLAYER}.headset.session)")
-    worn.wait(f"{STATE}.playing && {STATE}.frame > 2", 60)
+        worn.run("await window.twoFrames(player.headset.session)")
+    worn.wait("state.playing && state.frame > 2")
     worn.run("device.updateVisibilityState('hidden')")
-    worn.wait(f"!{STATE}.playing")
+    worn.wait("!state.playing")
     worn.run("device.updateVisibilityState('visible')")
-    worn.wait(f"{STATE}.playing")
+    worn.wait("state.playing")
     worn.press("v")
-    worn.wait(f"{PLAYER}.headset === null && {part('.headset')}.ariaPressed === 'false'")
-    frame = worn.run(f"return {PLAYER}.shownFrame")
-    worn.wait(f"{PLAYER}.shownFrame !== {frame}")
+    worn.wait("player.headset === null && part('.headset').ariaPressed === 'false'")
+    frame = worn.value("player.shownFrame")
+    worn.wait(f"player.shownFrame !== {frame}")
     worn.press("k")
     worn.press("Home")
-    worn.wait(f"{PLAYER}.shownFrame === 0 && !{STATE}.playing", 30)
-    found = canvas_of(worn)
-    whole = reader.manifest.camera().fitted(WIDTH_PX, HEIGHT_PX)
-    assert psnr_db(found, expected_of(reader, whole)) >= LEAST_PSNR_DB
+    worn.wait("player.shownFrame === 0 && !state.playing")
+    check_picture(worn, site.reader("whole"))
 
 
-def test_a_viewer_who_asks_for_it_is_back_at_the_start(worn: Page, reader: StreamReader) -> None:
+def test_a_viewer_who_asks_for_it_is_back_at_the_start(worn: Page, site: Site) -> None:
     worn.click("swings-player .headset")
-    worn.wait(f"{PLAYER}.headset?.last")
-    first = worn.run(f"return {PLAYER}.headset.last.w2c")
-    np.testing.assert_allclose(np.reshape(first, (4, 4)), reader.manifest.camera().w2c, atol=1e-6)
+    worn.wait(IN_HEADSET)
+    first = worn.value("player.headset.last.w2c")
+    start = site.reader("whole").manifest.camera().w2c
+    np.testing.assert_allclose(np.reshape(first, (4, 4)), start, atol=1e-6)
     turn_head(worn, (0.2, 1.4, -1.0), 0.9, 0.0)
-    worn.wait(f"Math.abs({PLAYER}.headset.last.w2c[0] - 1) > 0.1")
+    worn.wait("Math.abs(player.headset.last.w2c[0] - 1) > 0.1")
     worn.run("device.recenter()")
-    worn.wait(f"Math.hypot(...{PLAYER}.headset.last.w2c.map((x, i) => x - {first}[i])) < 1e-5")
+    worn.wait(f"Math.hypot(...player.headset.last.w2c.map((x, i) => x - {first}[i])) < 1e-5")
 
 
 @pytest.mark.parametrize(
@@ -232,15 +183,15 @@ def test_a_viewer_who_asks_for_it_is_back_at_the_start(worn: Page, reader: Strea
 def test_a_headset_that_does_not_start(worn: Page, breakage: str, says: str) -> None:
     worn.run(breakage)
     worn.click("swings-player .headset")
-    worn.wait(f"{part('.note.soft')}.textContent.includes({says!r})")
-    assert worn.run(f"return {PLAYER}.headset === null && !device.activeSession")
+    worn.wait(f"part('.note.soft').textContent.includes({says!r})")
+    assert worn.value("player.headset === null && !device.activeSession")
     worn.press("k")
-    worn.wait(f"{STATE}.frame > 2", 60)
+    worn.wait("state.frame > 2")
 
 
-def test_without_a_headset(opened: Callable[..., AbstractContextManager[Page]]) -> None:
-    with opened() as page:
-        assert page.run(f"return {part('.headset')}.hidden")
-        page.run(f"{ELEMENT}.focus()")
-        page.press("v")
-        page.wait(f"{part('.note.soft')}.textContent.includes('headset')")
+def test_without_a_headset(page: Page, site: Site) -> None:
+    opened(page, site)
+    assert page.value("part('.headset').hidden")
+    page.run("element.focus()")
+    page.press("v")
+    page.wait("part('.note.soft').textContent.includes('headset')")
