@@ -248,6 +248,58 @@ def test_a_server_that_dies_leaves_no_half_video(library: Path, tmp_path: Path) 
         ),
         (("--rate", "5"), "not within 0.1..4"),
         (("--background", "blue"), "is not RRGGBB"),
+        (("--still", "3"), "name it with --capture"),
+        (
+            ("--still=-1", "--capture", "o.png"),
+            "neither a frame, such as 30, nor a time, such as 2.5s",
+        ),
+        (("--still", "3m", "--capture", "o.png"), "'3m' is neither a frame"),
+        (("--still", "3", "--capture", "o.mp4"), "name a .png file"),
+        (("--still", "3", "--capture", "o.exr"), "name a .png file"),
+        (("--picture", "mask", "--still", "3", "--capture", "o.jpg"), "a .png or .exr file"),
+        (("--picture", "depth", "--capture", "o.exr"), "name an .mp4 or .mov file, or a folder"),
+        (("--picture", "depth", "--capture", "o", "--loop", "2"), "--loop cannot be combined"),
+        (
+            ("--picture", "depth", "--capture", "o", "--fps", "60"),
+            "--picture depth cannot be combined with --fps",
+        ),
+        (("--picture", "depth"), "--picture depth needs an output"),
+        (("--capture", "o", "--exr"), "--exr cannot be combined with --picture colour"),
+        (
+            ("--picture", "depth", "--still", "3", "--capture", "o.png", "--exr"),
+            "name a .exr file instead",
+        ),
+        (("--still", "3", "--capture", "absent/o.png"), "there is no folder absent"),
+        (("--turntable", "3", "--capture", "o.mp4"), "choose its frame with --still"),
+        (
+            ("--still", "3", "--turntable", "3", "--capture", "o.png"),
+            "name an .mp4 or .mov file, or a folder",
+        ),
+        (("--still", "3", "--turntable", "0", "--capture", "o.mp4"), "more than 0"),
+        (("--still", "3", "--turntable", "nan", "--capture", "o.mp4"), "more than 0"),
+        (("--still", "3", "--turntable", "1e9", "--capture", "o.mp4"), "at most 3600 seconds"),
+        (
+            ("--still", "3", "--capture", "o.png", "--frames", "3:4"),
+            "--frames cannot be combined with --still",
+        ),
+        (
+            ("--still", "3", "--capture", "o.png", "--loop", "2"),
+            "--loop cannot be combined with --still",
+        ),
+        (
+            ("--still", "3", "--capture", "o.png", "--report", "r.json"),
+            "--report cannot be combined with --still",
+        ),
+        (
+            ("--still", "3", "--capture", "o.png", "--plot", "p.png"),
+            "--plot cannot be combined with --still",
+        ),
+        (("--viser", "x"), "'x' is not a port; put SOURCE before --viser"),
+        (("--viser", "65536"), "'65536' is not a port"),
+        (("--viser", "--capture", "o.mp4"), "--capture cannot be combined with --viser"),
+        (("--viser", "--still", "3"), "--still cannot be combined with --viser"),
+        (("--viser", "--loop", "2"), "--loop cannot be combined with --viser"),
+        (("--viser", "--renderer", "cpu"), "--renderer cannot be combined with --viser"),
     ],
 )
 def test_options_that_are_wrong_for_any_stream(
@@ -255,8 +307,10 @@ def test_options_that_are_wrong_for_any_stream(
     message: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["swings-play", "somewhere", *arguments])
     with pytest.raises(SystemExit) as exit:
         main()

@@ -7,9 +7,6 @@ import resource
 import signal
 import socket
 import subprocess
-import sys
-import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,6 +32,7 @@ from tests.support.commands import command, environment, run, run_ok
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
+from tests.support.waiting import BOUND_S, wait_until
 
 CPU = RendererKind.CPU
 
@@ -169,74 +167,6 @@ def test_a_turntable_may_swing_and_be_a_video(library: Path, tmp_path: Path) -> 
     assert [path.name for path in tmp_path.iterdir()] == ["turn.mp4"]
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--still", 3), "name it with --capture"),
-        (
-            ("--still=-1", "--capture", "o.png"),
-            "neither a frame, such as 30, nor a time, such as 2.5s",
-        ),
-        (("--still", "3m", "--capture", "o.png"), "'3m' is neither a frame"),
-        (("--still", 3, "--capture", "o.mp4"), "name a .png file"),
-        (("--still", 3, "--capture", "o.exr"), "name a .png file"),
-        (("--picture", "mask", "--still", 3, "--capture", "o.jpg"), "a .png or .exr file"),
-        (("--picture", "depth", "--capture", "o.exr"), "name an .mp4 or .mov file, or a folder"),
-        (("--picture", "depth", "--capture", "o", "--loop", "2"), "--loop cannot be combined"),
-        (
-            ("--picture", "depth", "--capture", "o", "--fps", "60"),
-            "--picture depth cannot be combined with --fps",
-        ),
-        (("--picture", "depth"), "--picture depth needs an output"),
-        (("--capture", "o", "--exr"), "--exr cannot be combined with --picture colour"),
-        (
-            ("--picture", "depth", "--still", 3, "--capture", "o.png", "--exr"),
-            "name a .exr file instead",
-        ),
-        (("--still", 3, "--capture", "absent/o.png"), "there is no folder absent"),
-        (("--turntable", 3, "--capture", "o.mp4"), "choose its frame with --still"),
-        (
-            ("--still", 3, "--turntable", 3, "--capture", "o.png"),
-            "name an .mp4 or .mov file, or a folder",
-        ),
-        (("--still", 3, "--turntable", 0, "--capture", "o.mp4"), "more than 0"),
-        (("--still", 3, "--turntable", "nan", "--capture", "o.mp4"), "more than 0"),
-        (("--still", 3, "--turntable", "1e9", "--capture", "o.mp4"), "at most 3600 seconds"),
-        (
-            ("--still", 3, "--capture", "o.png", "--frames", "3:4"),
-            "--frames cannot be combined with --still",
-        ),
-        (
-            ("--still", 3, "--capture", "o.png", "--loop", "2"),
-            "--loop cannot be combined with --still",
-        ),
-        (
-            ("--still", 3, "--capture", "o.png", "--report", "r.json"),
-            "--report cannot be combined with --still",
-        ),
-        (
-            ("--still", 3, "--capture", "o.png", "--plot", "p.png"),
-            "--plot cannot be combined with --still",
-        ),
-    ],
-)
-def test_options_that_do_not_go_together(
-    options: tuple[object, ...], message: str, tmp_path: Path
-) -> None:
-    arguments = ["player", "somewhere", *map(str, options)]
-    code = "import sys, player.__main__ as m; sys.argv = sys.argv[1:]; m.main()"
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        cwd=tmp_path,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert (done.returncode, done.stdout) == (2, "")
-    assert len([line for line in done.stderr.splitlines() if message in line]) == 1, done.stderr
-
-
 def test_a_frame_that_is_not_there_leaves_nothing(library: Path, tmp_path: Path) -> None:
     config = PlayConfig(
         str(library / "whole"), still=Moment(13), capture=tmp_path / "o.png", renderer=CPU
@@ -248,42 +178,30 @@ def test_a_frame_that_is_not_there_leaves_nothing(library: Path, tmp_path: Path)
     assert list(tmp_path.iterdir()) == []
 
 
-def turning(library: Path, out: Path) -> Sequence[str]:
-    """A command line that takes long."""
-    options = ("--still", 3, "--turntable", 3000, "--capture", out, "--renderer", "cpu")
-    return command("swings-play", library / "slots", *options)
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_a_signal_leaves_no_half_video(
     library: Path, tmp_path: Path, number: signal.Signals
 ) -> None:
     out = tmp_path / "out.mp4"
     out.write_bytes(b"what was there before")
+    options = ("--still", 3, "--turntable", 3000, "--capture", out, "--renderer", "cpu")
     process = subprocess.Popen(
-        turning(library, out),
+        command("swings-play", library / "slots", *options),
         env=environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
-    partial, until_s = tmp_path / ".out.mp4.tmp", time.monotonic() + 100
-    while not (partial.exists() and partial.stat().st_size > 0):
-        assert process.poll() is None
-        assert time.monotonic() < until_s
-        time.sleep(0.05)
+    partial = tmp_path / ".out.mp4.tmp"
+    wait_until(lambda: partial.exists() and partial.stat().st_size > 0)
     process.send_signal(number)
-    assert process.communicate(timeout=60) == ("", "")
+    assert process.communicate(timeout=BOUND_S) == ("", "")
     assert process.returncode == 128 + number
     assert [path.name for path in tmp_path.iterdir()] == ["out.mp4"]
     assert out.read_bytes() == b"what was there before"
 
 
-@pytest.mark.realtime
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_the_wait_for_a_host_that_is_silent(
-    tmp_path: Path, number: signal.Signals
-) -> None:
+def test_a_signal_ends_the_wait_for_a_host_that_is_silent(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         url = f"http://127.0.0.1:{listener.getsockname()[1]}/s"
         words = (url, "--still", 3, "--capture", tmp_path / "out.png")
@@ -293,11 +211,9 @@ def test_a_signal_ends_the_wait_for_a_host_that_is_silent(
         connection, _ = listener.accept()
         with connection:
             assert connection.recv(4) == b"GET "
-            process.send_signal(number)
-            began_s = time.monotonic()
-            assert process.communicate(timeout=60)[1] == ""
-            assert time.monotonic() - began_s < 10
-    assert process.returncode == 128 + number
+            process.send_signal(signal.SIGTERM)
+            assert process.communicate(timeout=BOUND_S)[1] == ""
+    assert process.returncode == 128 + signal.SIGTERM
     assert list(tmp_path.iterdir()) == []
 
 
@@ -306,7 +222,6 @@ def test_a_signal_ends_the_wait_for_a_host_that_is_silent(
     [
         (("--still", 3, "--capture", "OUT/out.png", "--size", "400x300"), 1000),
         (("--still", 3, "--turntable", 20, "--capture", "OUT/out.mp4"), 20_000),
-        (("--capture", "OUT/out.mp4", "--camera", "orbit", "--size", "400x300"), 5_000),
     ],
 )
 def test_a_full_disk_leaves_nothing_and_names_the_file(
@@ -331,25 +246,3 @@ def test_a_full_disk_leaves_nothing_and_names_the_file(
     assert "File too large" in line
     assert f"{tmp_path}/out." in line
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_real_full_disk(library: Path, tmp_path: Path) -> None:
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=16k", "none", str(disk)], capture_output=True
-    )
-    if mounted.returncode:
-        pytest.skip("a small disk cannot be mounted here")
-    try:
-        for options in (("--still", 3), ("--still", 3, "--turntable", 20), ()):
-            out = disk / ("out.mp4" if len(options) != 2 else "out.png")
-            words = (*options, "--capture", out, "--size", "400x300", "--renderer", "cpu")
-            done = run("swings-play", library / "slots", *words)
-            assert done.returncode == 1
-            assert "No space left on device" in done.stderr
-            assert str(out) in done.stderr
-            assert done.stderr.count("\n") == 1
-            assert list(disk.iterdir()) == []
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)
