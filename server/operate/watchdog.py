@@ -11,7 +11,7 @@ import logging
 import os
 import socket
 import time
-from collections.abc import MutableMapping
+from collections.abc import Callable, MutableMapping
 
 log = logging.getLogger(__name__)
 
@@ -23,7 +23,11 @@ SEND_TIMEOUT_S = 1.0
 class Watchdog:
     """Does nothing where no systemd asks for notifications."""
 
-    def __init__(self, environment: MutableMapping[str, str] = os.environ) -> None:
+    def __init__(
+        self,
+        environment: MutableMapping[str, str] = os.environ,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         """Takes the variables of systemd out of `environment`, so that nothing else uses them."""
         address = environment.pop("NOTIFY_SOCKET", "")
         timeout_us = environment.pop("WATCHDOG_USEC", "")
@@ -33,6 +37,7 @@ class Watchdog:
         if address and timeout_us.isdecimal() and pid in ("", str(os.getpid())):
             self._interval_s = int(timeout_us) / 1e6 / PINGS_PER_TIMEOUT
         self._pinged_s = -float("inf")
+        self._clock = clock
 
     def ready(self) -> None:
         """Reports that the service has started."""
@@ -40,7 +45,7 @@ class Watchdog:
 
     def ping(self) -> None:
         """Sends a heartbeat if one is due; may be called as often as wanted."""
-        now_s = time.monotonic()
+        now_s = self._clock()
         if self._interval_s is not None and now_s - self._pinged_s >= self._interval_s:
             self._pinged_s = now_s
             self._send(b"WATCHDOG=1")

@@ -125,7 +125,7 @@ def test_a_reader_that_stops_is_cut_and_logged_as_cut(
             patched.setattr(app, "finished", note)
             # Another client is served meanwhile.
             assert slices_of(await play(client, "walk", "?layers=1"))
-            await eventually(lambda: len(finished) == 2, 120)
+            await eventually(lambda: len(finished) == 2)
             metrics = server.state.metrics
             assert metrics.timeouts.value("write") == 1
             (cut,) = (exchange for exchange in finished if exchange.status != 200)
@@ -164,7 +164,8 @@ def test_readers_of_5_kb_a_second_get_everything_and_those_of_2_end(root: Path) 
             running = [pool.submit(read, server.port, rate, ended) for rate in fast + slow]
             stuck = asking(server.port, OBJECT)
             with stuck:
-                await eventually(lambda: metrics.timeouts.value("write") == len(slow) + 1, 70)
+                async with asyncio.timeout(70):
+                    await eventually(lambda: metrics.timeouts.value("write") == len(slow) + 1)
             for reader in running[: len(fast)]:
                 num_bytes, _ = await asyncio.wrap_future(reader)
                 assert num_bytes > OBJECT_BYTES  # and its head

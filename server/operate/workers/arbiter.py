@@ -60,6 +60,13 @@ class WorkerHooks:
     """Called at least once a second as long as the arbiter works."""
 
 
+def restart_delay_s(num_early: int) -> float:
+    """Seconds until the next start after `num_early` early deaths in a row."""
+    if num_early < 2:
+        return 0.0
+    return min(MAX_DELAY_S, FIRST_DELAY_S * 2.0 ** min(num_early - 2, 64))
+
+
 def run_workers(listener: socket.socket, config: SupervisorConfig, hooks: WorkerHooks) -> None:
     """Returns when all workers have ended after a signal. Takes over `listener`.
 
@@ -235,7 +242,6 @@ class _Arbiter(Arbiter):
             raise HaltServer(self.failure, 0)
         else:
             self._num_early = self._num_early + 1 if lived_s < EARLY_S else 0
-            delay_s = min(MAX_DELAY_S, FIRST_DELAY_S * 2.0 ** min(self._num_early - 2, 64))
-            delay_s = delay_s if self._num_early > 1 else 0.0
+            delay_s = restart_delay_s(self._num_early)
             self._spawn_s = now_s + delay_s
             self.app.event("worker_died", **fields, restart_s=delay_s)

@@ -10,7 +10,6 @@ import re
 import socket
 import subprocess
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -165,23 +164,24 @@ def ask(
         return Answer(response.status, fields, response.read())
 
 
+def samples(text: str) -> dict[tuple[str, ...], float]:
+    """The samples in the text of /metrics, by their name and the sorted values of their labels."""
+    found = [one for family in text_string_to_metric_families(text) for one in family.samples]
+    return {(one.name, *sorted(one.labels.values())): one.value for one in found}
+
+
 def figures(port: int) -> dict[tuple[str, ...], float]:
-    """The samples of /metrics, by their name and the sorted values of their labels."""
-    families = text_string_to_metric_families(ask(port, "/metrics").body.decode())
-    samples = [sample for family in families for sample in family.samples]
-    return {(one.name, *sorted(one.labels.values())): one.value for one in samples}
+    return samples(ask(port, "/metrics").body.decode())
 
 
 class Comers:
-    """Clients that connect one after the other, in a thread, until the block ends."""
+    """Clients that connect one after the other, in a thread, until the block ends; at least one."""
 
     def __init__(self, come: Callable[[], None]) -> None:
         """come: what each client does."""
         self._come = come
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run)
-        self.took_s: list[float] = []
-        """Duration of each client's visit, in seconds."""
         self.troubles: list[str] = []
 
     def __enter__(self) -> Comers:
@@ -193,10 +193,10 @@ class Comers:
         self._thread.join()
 
     def _run(self) -> None:
-        while not self._stop.is_set():
-            began_s = time.monotonic()
+        while True:
             try:
                 self._come()
             except Exception as error:
                 self.troubles.append(repr(error))
-            self.took_s.append(time.monotonic() - began_s)
+            if self._stop.is_set():
+                return

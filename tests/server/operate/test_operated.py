@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+import asyncio
+import re
 import resource
 import socket
-import subprocess
 import sys
-import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
+import aiohttp
 import pytest
 
-from tests.server.hostile.serverprocess import Answer, ask, exchange, figures, server_process
-from tests.support.commands import run, run_ok
-from tests.support.server.running_server import make_stream
-from tests.support.waiting import wait_until
+from server.operate.admission import AdmissionConfig
+from server.operate.overload import OverloadConfig
+from server.state.config import ServerConfig
+from tests.server.hostile.serverprocess import ask, exchange, figures, samples, server_process
+from tests.support.commands import run, run_ok, serving
+from tests.support.server.running_server import (
+    Running,
+    eventually,
+    make_stream,
+    on_server,
+    quick_config,
+)
+from tests.support.waiting import BOUND_S, wait_until
 
 OBJECT = "/v1/streams/walk/segments/0/0"
 PLAY = "/v1/streams/walk/play?layers=1"
@@ -25,7 +39,7 @@ PLAY = "/v1/streams/walk/play?layers=1"
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("root")
     make_stream(root / "walk", 300, title="A walk")
-    make_stream(root / "wide", 900, slice_size=2000)
+    make_stream(root / "wide", 5, slice_size=24_000)
     return root
 
 
@@ -35,133 +49,149 @@ def forwarded(addresses: str) -> dict[str, str]:
 
 
 def connect(stack: ExitStack, port: int) -> socket.socket:
-    return stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=20))
+    return stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=BOUND_S))
 
 
-def begin(stack: ExitStack, port: int, path: str, client: str = "127.0.0.1") -> socket.socket:
+def begin(stack: ExitStack, port: int, path: str) -> socket.socket:
     """A connection that has asked for `path`, with its answer on the way."""
     sock = connect(stack, port)
-    lines = f"Host: h\r\nX-Forwarded-For: {client}\r\nConnection: close"
-    sock.sendall(f"GET {path} HTTP/1.1\r\n{lines}\r\n\r\n".encode())
+    sock.sendall(f"GET {path} HTTP/1.1\r\nHost: h\r\nConnection: close\r\n\r\n".encode())
     return sock
 
 
-def test_one_address_has_so_many_connections(root: Path, tmp_path: Path) -> None:
-    options = "--max-address-connections", 3, "--trusted-proxies", "10.0.0.0/8"
-    with server_process(root, tmp_path, *options) as server, ExitStack() as stack:
-        time.sleep(0.2)
-        held = [connect(stack, server.port) for _ in range(3)]
-        wait_until(lambda: ask(server.port, "/healthz").status == 429)
-        assert ask(server.port, "/healthz").headers["retry-after"] == "5"
-        held.pop().close()
-        wait_until(lambda: ask(server.port, "/healthz").status == 200)
+def limited(**limits: Any) -> ServerConfig:
+    """A config that trusts no proxy on this machine. limits: of its AdmissionConfig."""
+    return replace(
+        quick_config(), admission=AdmissionConfig(**limits), trusted_proxies="10.0.0.0/8"
+    )
 
 
-def test_one_client_of_a_proxy_has_so_many_plays(root: Path, tmp_path: Path) -> None:
-    one, other = "198.51.100.7", "198.51.100.8"
-    options = "--max-address-plays", 2
-    with server_process(root, tmp_path, *options) as server, ExitStack() as stack:
-        for _ in range(2):
-            assert begin(stack, server.port, PLAY, one).recv(12) == b"HTTP/1.1 200"
-        refused = ask(server.port, PLAY, forwarded(one))
-        assert refused.status == 429
-        assert int(refused.headers["retry-after"]) > 0
-        # What stands left of the proxy's own word is the client's.
-        assert ask(server.port, PLAY, forwarded(f"1.2.3.4, {one}")).status == 429
-        assert begin(stack, server.port, PLAY, other).recv(12) == b"HTTP/1.1 200"
-        stack.close()
-        wait_until(lambda: ask(server.port, f"{PLAY}&until=3", forwarded(one)).status == 200)
+async def status_of(server: Running, path: str, **fields: str) -> int:
+    """Status of the answer over a connection of its own, which need not be read to its end."""
+    async with (
+        aiohttp.ClientSession(server.url) as client,
+        client.get(path, headers=fields) as response,
+    ):
+        if response.status == 429:
+            assert int(response.headers["Retry-After"]) > 0
+        return response.status
 
 
-def test_a_stranger_cannot_say_who_it_is(root: Path, tmp_path: Path) -> None:
-    options = "--max-address-plays", 1, "--trusted-proxies", "10.0.0.0/8"
-    with server_process(root, tmp_path, *options) as server, ExitStack() as stack:
-        begin(stack, server.port, PLAY, "198.51.100.7").recv(12)
-        assert ask(server.port, PLAY, forwarded("198.51.100.8")).status == 429
+def test_one_address_has_so_many_connections(root: Path) -> None:
+    async def check(server: Running, _: aiohttp.ClientSession) -> None:
+        with ExitStack() as stack:
+            held = [connect(stack, server.port) for _ in range(3)]
+            await eventually(lambda: len(server.server.connections) == 3)
+            assert await status_of(server, "/healthz") == 429
+            held.pop().close()
+            await eventually(lambda: len(server.server.connections) == 2)
+            assert await status_of(server, "/healthz") == 200
+
+    on_server(root, check, limited(max_address_connections=3))
 
 
-def test_connections_above_the_limit_wait_and_are_served(root: Path, tmp_path: Path) -> None:
-    with server_process(root, tmp_path, "--max-connections", 4) as server, ExitStack() as stack:
-        held = [connect(stack, server.port) for _ in range(4)]
-        time.sleep(0.5)
-        waiting = [begin(stack, server.port, "/healthz") for _ in range(8)]
-        time.sleep(0.5)
-        for sock in waiting:
-            sock.setblocking(False)
-            with pytest.raises(BlockingIOError):
-                sock.recv(1)
-            sock.settimeout(20)
-        for sock in held:
-            sock.close()
-        assert [sock.recv(12) for sock in waiting] == [b"HTTP/1.1 200"] * 8
+def test_one_client_of_a_proxy_has_so_many_plays(root: Path) -> None:
+    one, other = forwarded("198.51.100.7"), forwarded("198.51.100.8")
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get(PLAY, headers=one), client.get(PLAY, headers=one):
+            assert await status_of(server, PLAY, **one) == 429
+            # What stands left of the proxy's own word is the client's.
+            assert await status_of(server, PLAY, **forwarded("1.2.3.4, 198.51.100.7")) == 429
+            assert await status_of(server, PLAY, **other) == 200
+
+    trusting = replace(limited(max_address_plays=2), trusted_proxies="127.0.0.0/8")
+    on_server(root, check, trusting)
 
 
-@pytest.mark.realtime
+def test_a_stranger_cannot_say_who_it_is(root: Path) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get(PLAY, headers=forwarded("198.51.100.7")):
+            assert await status_of(server, PLAY, **forwarded("198.51.100.8")) == 429
+
+    on_server(root, check, limited(max_address_plays=1))
+
+
+def test_connections_above_the_limit_wait_and_are_served(root: Path) -> None:
+    async def check(server: Running, _: aiohttp.ClientSession) -> None:
+        with ExitStack() as stack:
+            held = [connect(stack, server.port) for _ in range(4)]
+            waiting = [begin(stack, server.port, "/healthz") for _ in range(8)]
+            await eventually(server.state.metrics.accept_pauses.value)
+            for sock in waiting:
+                sock.setblocking(False)
+                with pytest.raises(BlockingIOError):
+                    sock.recv(1)
+                sock.settimeout(BOUND_S)
+            for sock in held:
+                sock.close()
+            for sock in waiting:
+                assert await asyncio.to_thread(sock.recv, 12) == b"HTTP/1.1 200"
+
+    on_server(root, check, limited(max_connections=4))
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of open files as on Linux")
-def test_idle_clients_beyond_all_descriptors_are_waited_out_quietly(
-    root: Path, tmp_path: Path
-) -> None:
-    """Without room for 150 connections the log stays short, and later clients are served soon."""
+def test_clients_beyond_all_descriptors_are_waited_out_quietly(root: Path, tmp_path: Path) -> None:
+    """Without room for 150 connections the log stays short, and later clients are served."""
 
     def few_files() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (128, 128))
 
-    options = "--request-timeout-s", 3
+    options = "--request-timeout-s", 600
     with (
         server_process(root, tmp_path, *options, before=few_files) as server,
         ExitStack() as stack,
     ):
-        for _ in range(150):
-            connect(stack, server.port)
-        time.sleep(1)
-        began_s = time.monotonic()
+        held = [connect(stack, server.port) for _ in range(150)]
         last = begin(stack, server.port, "/healthz")
+        wait_until(lambda: figures_of(held[0])["swings_accept_pauses_total",] > 3)
+        for sock in held[1:]:
+            sock.close()
         assert last.recv(12) == b"HTTP/1.1 200"
-        assert time.monotonic() - began_s < 12
-        time.sleep(0.5)
-        assert len(server.log_lines()) <= 11, server.log.read_text()[:2000]
+    assert len(server.log_lines()) <= 11 + server.log.read_text().count("path=/metrics")
 
 
-def test_too_much_egress_sheds_layers_then_refuses_and_recovers(root: Path, tmp_path: Path) -> None:
-    options = "--max-egress-bps", 6e6, "--smooth-s", 0.3, "--recover-per-s", 0.5
-    with server_process(root, tmp_path, *options) as server, ExitStack() as stack:
-        # Clients request far more than that, and read it as fast as it arrives.
-        def shed() -> float:
-            return figures(server.port)["swings_shed_layers",]
-
-        assert shed() == 0
-        script = (
-            "import sys, urllib.request as u\n"
-            "with u.urlopen(sys.argv[1]) as r:\n"
-            "    while r.read(65536): pass\n"
-        )
-        url = f"http://127.0.0.1:{server.port}/v1/streams/wide/play"
-        for _ in range(3):
-            taker = subprocess.Popen([sys.executable, "-c", script, url])
-            stack.callback(taker.wait)
-            stack.callback(taker.kill)
-        wait_until(lambda: shed() >= 1)
-        refused: list[Answer] = []
-
-        def is_refused() -> bool:
-            refused.append(ask(server.port, f"{PLAY}&until=2"))
-            return refused[-1].status == 503
-
-        wait_until(is_refused)
-        assert int(refused[-1].headers["retry-after"]) > 0
-        stack.close()
-        wait_until(lambda: shed() == 0)
-        assert ask(server.port, f"{PLAY}&until=2").status == 200
+def figures_of(sock: socket.socket) -> dict[tuple[str, ...], float]:
+    """The samples of /metrics, asked for on a connection that is there."""
+    sock.sendall(b"GET /metrics HTTP/1.1\r\nHost: h\r\n\r\n")
+    data, size = b"", 1
+    while len(data) < size:
+        data += sock.recv(1 << 16)
+        found = re.search(rb"Content-Length: (\d+)", data)
+        if found and b"\r\n\r\n" in data:
+            size = data.index(b"\r\n\r\n") + 4 + int(found[1])
+    return samples(data.partition(b"\r\n\r\n")[2].decode())
 
 
-def test_settings_come_from_the_environment(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_too_much_egress_sheds_layers_then_refuses_and_recovers(root: Path) -> None:
+    """Objects of megabytes are far more than that; the refusals themselves are not."""
+    overload = OverloadConfig(max_egress_bps=1e6, smooth_s=0.01, recover_per_s=5.0)
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        shed = server.state.metrics.shed_layers._value
+
+        async def is_refused() -> bool:
+            await (await client.get("/v1/streams/wide/segments/0/2")).read()
+            async with client.get(f"{PLAY}&until=2") as response:
+                return response.status == 503 and int(response.headers["Retry-After"]) > 0
+
+        async with asyncio.timeout(BOUND_S):
+            while not (await is_refused() and shed.get()):
+                pass
+        await eventually(lambda: not shed.get())
+        assert await status_of(server, f"{PLAY}&until=2") == 200
+
+    on_server(root, check, replace(quick_config(), overload=overload))
+
+
+def test_settings_come_from_the_environment(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SWINGS_SERVE_MAX_PLAYS", "1")
     assert "SWINGS_SERVE_MAX_PLAYS=1\n" in run_ok("swings-serve", root, "--check-config")
-    with server_process(root, tmp_path) as server, ExitStack() as stack:
-        assert begin(stack, server.port, PLAY).recv(12) == b"HTTP/1.1 200"
-        assert ask(server.port, PLAY).status == 503
+    with serving(root) as url, urlopen(f"{url}/v1/streams/walk/play") as response:
+        assert response.status == 200
+        with pytest.raises(HTTPError, match="503"):
+            urlopen(f"{url}/v1/streams/walk/play")
     monkeypatch.setenv("SWINGS_SERVE_MAX_PLAY", "1")
     done = run("swings-serve", root, "--check-config")
     assert done.returncode == 2
@@ -176,7 +206,6 @@ def test_every_line_of_a_json_log_is_json(root: Path, tmp_path: Path) -> None:
         ask(server.port, f"{PLAY}&until=2")
         exchange(server.port, f"GET {escapes} HTTP/1.1\r\nHost: h\r\n\r\n".encode())
         ask(server.port, "/%1b%5b2J", {"User-Agent": "\t\xff"})
-        time.sleep(0.6)
     lines, told = server.log_lines(), server.events()
     assert len(told) == len(lines) - 1  # the first one is its URL
     assert all(line.isascii() and line.isprintable() for line in lines)

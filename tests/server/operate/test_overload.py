@@ -1,9 +1,8 @@
-"""The overload ladder in virtual time, and its meter on a real event loop."""
+"""The overload ladder and its meter in virtual time."""
 
 from __future__ import annotations
 
 import asyncio
-import time
 
 import pytest
 from hypothesis import given
@@ -12,6 +11,7 @@ from hypothesis import strategies as st
 from codec.errors import InvalidError
 from server.operate.loadmeter import measure_load
 from server.operate.overload import MAX_LOAD, LoadSample, Overload, OverloadConfig
+from tests.support.server.virtualtime import hold_up, in_virtual_time, passes
 
 CONFIG = OverloadConfig()
 STEP_S = 0.25
@@ -155,21 +155,20 @@ def test_limits_that_make_no_ladder_are_refused(wrong: dict[str, float]) -> None
         OverloadConfig(**wrong)
 
 
-@pytest.mark.anyio
-async def test_the_meter_sees_a_loop_that_is_held_up() -> None:
+@in_virtual_time
+async def test_the_meter_sees_a_loop_that_is_held_up(monkeypatch: pytest.MonkeyPatch) -> None:
     samples: list[LoadSample] = []
-    sent = 0
-    meter = asyncio.create_task(measure_load(samples.append, lambda: sent, 0.05))
-    await asyncio.sleep(0.12)
-    sent = 125_000
-    end_s = time.process_time() + 0.4
-    while time.process_time() < end_s:
-        pass
-    await asyncio.sleep(0.12)
+    cpu_s = sent = 0.0
+    monkeypatch.setattr("server.operate.loadmeter.time.process_time", lambda: cpu_s)
+    meter = asyncio.create_task(measure_load(samples.append, lambda: int(sent), 0.05))
+    await passes(0.12)
+    cpu_s, sent = 0.4, 125_000
+    hold_up(0.5)
+    await passes(0.12)
     meter.cancel()
     worst = max(samples, key=lambda sample: sample.late_s)
-    assert worst.late_s > 0.3
-    seconds = 0.05 + worst.late_s
-    assert 0.35 < worst.busy_share * seconds < 0.6
-    assert worst.egress_bps * seconds == pytest.approx(1e6)
+    assert worst.late_s == pytest.approx(0.47)
+    assert worst.busy_share == pytest.approx(0.4 / 0.52)
+    assert worst.egress_bps == pytest.approx(1e6 / 0.52)
     assert sum(sample.egress_bps > 0 for sample in samples) == 1
+    assert len(samples) == 5

@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import selectors
 from collections.abc import Callable, Coroutine
-from typing import Any, TypeVar
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 
@@ -28,11 +30,11 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     would run in a thread runs at once."""
 
     def __init__(self) -> None:
-        self._virtual = _Selector()
-        super().__init__(self._virtual)
+        self.selector = _Selector()
+        super().__init__(self.selector)
 
     def time(self) -> float:
-        return self._virtual.now_s
+        return self.selector.now_s
 
     def run_in_executor(  # type: ignore[override]
         self, executor: object, func: Callable[..., T], *arguments: Any
@@ -49,6 +51,23 @@ def virtually(task: Coroutine[Any, Any, T]) -> T:
     """Runs `task` on a loop of its own."""
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:
         return runner.run(task)
+
+
+def in_virtual_time(test: Callable[P, Coroutine[Any, Any, None]]) -> Callable[P, None]:
+    """A test that is a coroutine, for pytest."""
+
+    @wraps(test)
+    def run(*arguments: P.args, **named: P.kwargs) -> None:
+        virtually(test(*arguments, **named))
+
+    return run
+
+
+def hold_up(seconds: float) -> None:
+    """Lets the time of the running loop pass while nothing runs on it."""
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualLoop)
+    loop.selector.now_s += seconds
 
 
 def now_s() -> float:

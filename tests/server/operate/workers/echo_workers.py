@@ -1,10 +1,10 @@
 """A server with workers that names the worker which answers and then echoes, run as a module with
 WHAT CONFIG: its URL is on the first line of stdout, its log on stderr.
 
-WHAT: "echo", where "hang" blocks the event loop; "slow", which takes a while to end; "stubborn",
-which never ends; "late", which takes four seconds to start; "crash", whose workers die; "refuse",
-which cannot start; "relay", where "1 hello" asks worker 1 for its answer; "count", which counts
-connections and answers any line with all figures, in JSON.
+WHAT: "echo", where "hang" is echoed and blocks the event loop; "slow", which ends when its clients
+have gone; "stubborn", which never ends; "late", which takes four seconds to start; "crash", whose
+workers die; "refuse", which cannot start; "relay", where "1 hello" asks worker 1 for its answer;
+"count", which counts connections and answers any line with all figures, in JSON.
 
 A file "refuse" in the folder prevents further workers from starting.
 """
@@ -17,7 +17,7 @@ import os
 import signal
 import socket
 import sys
-import time
+import threading
 from functools import partial
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from server.operate.workers.arbiter import WorkerHooks, run_workers
 from server.operate.workers.peers import Peers
 from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.operate.workers.workerprocess import StreamWorker
+from tests.support.server.virtualtime import passes
 
 
 async def serve(what: str, worker: StreamWorker) -> None:
@@ -38,7 +39,7 @@ async def serve(what: str, worker: StreamWorker) -> None:
         worker.ready()
         os._exit(5)
     if what == "late":
-        time.sleep(4)  # noqa: ASYNC251 - nothing else shall run
+        threading.Event().wait(4)  # nothing else shall run
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     loop.add_signal_handler(signal.SIGTERM, stop.set)
@@ -47,15 +48,16 @@ async def serve(what: str, worker: StreamWorker) -> None:
     peers.start()
     metrics = Metrics(Path("metrics"), worker.number) if what == "count" else None
 
+    talks = set[asyncio.Task[None] | None]()
+
     async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        talks.add(asyncio.current_task())
         try:
             writer.write(f"{worker.number} {os.getpid()}\n".encode())
             if metrics is not None:
                 metrics.requests.add(1, "/", "200")
                 metrics.active_plays.set(1)
             while line := await reader.readline():
-                if line == b"hang\n":
-                    time.sleep(60)  # noqa: ASYNC251 - it shall hang
                 if metrics is not None:
                     line = json.dumps(metrics.text()).encode() + b"\n"
                 if what == "relay":
@@ -64,6 +66,8 @@ async def serve(what: str, worker: StreamWorker) -> None:
                     line = b"%s\n" % (b"nothing" if answer is None else answer)
                 writer.write(line)
                 await writer.drain()
+                if line == b"hang\n":
+                    threading.Event().wait()
         except (ConnectionError, asyncio.CancelledError):
             pass
         finally:
@@ -76,10 +80,10 @@ async def serve(what: str, worker: StreamWorker) -> None:
         await asyncio.Event().wait()
     # When its server closes, asyncio drops accepted connections that it does not serve yet.
     loop.remove_reader(worker.listener)
-    await asyncio.sleep(0)
+    await passes(0)
     server.close()
     if what == "slow":
-        await asyncio.sleep(1.0)
+        await asyncio.gather(*filter(None, talks))
     peers.close()
 
 

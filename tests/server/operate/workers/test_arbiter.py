@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
@@ -17,18 +16,18 @@ from pathlib import Path
 import pytest
 
 from codec.errors import InvalidError
-from server.operate.workers.arbiter import EARLY_S
+from server.operate.workers.arbiter import restart_delay_s
 from server.operate.workers.supervisorconfig import SupervisorConfig
 from tests.server.hostile.serverprocess import Comers, ServerProcess, logged_process
 from tests.support.commands import environment
-from tests.support.waiting import is_running, wait_until
+from tests.support.waiting import BOUND_S, is_running, wait_until
 
 
 class Talk:
     """A connection, and the number of its worker."""
 
     def __init__(self, port: int) -> None:
-        self._socket = socket.create_connection(("127.0.0.1", port), timeout=20)
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout=BOUND_S)
         self._file = self._socket.makefile("rb")
         try:
             self.number, self.pid = map(int, self._file.readline().split())
@@ -76,32 +75,35 @@ def is_refused(port: int) -> bool:
     return False
 
 
-@pytest.mark.realtime
-def test_killed_workers_cut_no_other_connection_and_none_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kills", [1, pytest.param(20, marks=pytest.mark.deep)])
+def test_killed_workers_cut_no_other_connection_and_none_is_refused(
+    tmp_path: Path, kills: int
+) -> None:
     def come() -> None:
         # A client of a killed worker may lose its connection.
         with (
             suppress(ConnectionResetError),
-            socket.create_connection(("127.0.0.1", served.port), timeout=10) as one,
+            socket.create_connection(("127.0.0.1", served.port), timeout=BOUND_S) as one,
         ):
             one.recv(100)
 
-    with serving(tmp_path, workers=4) as served, closing(Talk(served.port)) as safe:
+    def oldest(safe: Talk) -> int:
+        """A worker besides that of `safe`; one that dies young delays the next start."""
+        gone = {safe.pid, *(line["pid"] for line in served.events("worker_died"))}
+        return next(
+            int(line["pid"]) for line in served.events("worker_ready") if line["pid"] not in gone
+        )
+
+    with serving(tmp_path, workers=3) as served, closing(Talk(served.port)) as safe:
         with Comers(come) as comers:
-            time.sleep(EARLY_S)
-            for n in range(20):
-                time.sleep(EARLY_S / 2)  # of four workers, the oldest is past EARLY_S
-                died = {line["pid"] for line in served.events("worker_died")}
-                ready = [line["pid"] for line in served.events("worker_ready")]
-                os.kill(next(pid for pid in ready if pid not in {safe.pid, *died}), signal.SIGKILL)
+            for n in range(kills):
+                os.kill(oldest(safe), signal.SIGKILL)
                 wait_until(lambda n=n: len(served.events("worker_died")) == n + 1)
                 assert safe.echoes(b"%d" % n)
-                wait_until(lambda n=n: len(served.events("worker_ready")) == n + 5)
+                wait_until(lambda n=n: len(served.events("worker_ready")) == n + 4)
         assert comers.troubles == []
-        assert len(comers.took_s) > 100
-        assert max(comers.took_s) < 5
-        assert {line["restart_s"] for line in served.events("worker_died")} == {0.0}
-        assert len([line for line in served.events("record") if "SIGKILL" in line["message"]]) == 20
+        assert served.events("worker_died")[0]["restart_s"] == 0.0
+        assert any("SIGKILL" in line["message"] for line in served.events("record"))
         # Each number belongs to one worker at a time, and is released before it is reused.
         holders: dict[int, int] = {}
         for line in served.events():
@@ -110,16 +112,18 @@ def test_killed_workers_cut_no_other_connection_and_none_is_refused(tmp_path: Pa
                 holders[line["worker"]] = line["pid"]
             elif line["event"] == "forgotten":
                 del holders[line["worker"]]
-        assert set(holders) == {0, 1, 2, 3}
+        assert set(holders) == {0, 1, 2}
 
 
-@pytest.mark.realtime
 def test_a_worker_that_hangs_is_replaced(tmp_path: Path) -> None:
-    with serving(tmp_path, worker_timeout_s=2) as served, closing(Talk(served.port)) as talk:
-        began_s = time.monotonic()
-        talk.send(b"hang")
-        wait_until(lambda: len(served.events("worker_ready")) == 3)
-        assert 1.5 < time.monotonic() - began_s < 8
+    settings = {"workers": 1, "worker_timeout_s": 60}
+    with serving(tmp_path, "echo", **settings) as served, closing(Talk(served.port)) as talk:
+        assert talk.echoes(b"hang")
+        # As after 60 s without a heartbeat, which is the stamp of a file.
+        for descriptor in Path(f"/proc/{talk.pid}/fd").iterdir():
+            if "wgunicorn" in os.readlink(descriptor):
+                os.utime(descriptor, (-1e6, -1e6))
+        wait_until(lambda: len(served.events("worker_ready")) == 2)
         assert [line["pid"] for line in served.events("worker_died")] == [talk.pid]
         messages = [line["message"] for line in served.events("record")]
         assert f"WORKER TIMEOUT (pid:{talk.pid})" in messages
@@ -134,16 +138,19 @@ def test_a_worker_may_take_longer_to_start_than_to_beat(tmp_path: Path) -> None:
         assert [line["event"] for line in served.events()] == ["worker_ready"]
 
 
+def test_delays_of_restarts_double_up_to_a_bound() -> None:
+    assert [restart_delay_s(n) for n in range(7)] == [0, 0, 0.1, 0.2, 0.4, 0.8, 1.6]
+    assert restart_delay_s(20) == restart_delay_s(10_000) == 10
+
+
 @pytest.mark.realtime
 def test_a_crash_loop_waits_longer_each_time(tmp_path: Path) -> None:
     with serving(tmp_path, "crash", workers=1) as served:
         wait_until(lambda: len(served.events("worker_died")) == 5)
         died = served.events("worker_died")
         assert [line["restart_s"] for line in died] == [0, 0.1, 0.2, 0.4, 0.8]
-        began_s = time.monotonic()
         served.process.send_signal(signal.SIGTERM)  # between two restarts
-        assert served.process.wait(timeout=30) == 0
-        assert time.monotonic() - began_s < 2
+        assert served.process.wait(timeout=BOUND_S) == 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -156,29 +163,28 @@ def test_it_ends_its_workers_and_then_itself(tmp_path: Path, number: signal.Sign
         wait_until(lambda: served.events("stopping"))
         assert talk.echoes(b"still here")
         # Connections while they end are refused at once, and do not wait in vain.
-        wait_until(lambda: is_refused(served.port) and not served.events("worker_ended"), 0.8)
-        assert served.process.wait(timeout=30) == 0
+        wait_until(lambda: is_refused(served.port))
+        assert talk.pid not in [line["pid"] for line in served.events("worker_ended")]
+        talk.close()
+        assert served.process.wait(timeout=BOUND_S) == 0
         assert len(served.events("worker_ended")) == 2
         assert not served.events("worker_killed")
         assert len(served.log_lines()) == 1 + len(served.events())  # the first is its URL
 
 
-@pytest.mark.realtime
-def test_workers_that_do_not_end_are_killed_in_time(tmp_path: Path) -> None:
+def test_workers_that_do_not_end_are_killed(tmp_path: Path) -> None:
     with serving(tmp_path, "stubborn", shutdown_timeout_s=0.6) as served:
-        began_s = time.monotonic()
         served.process.send_signal(signal.SIGTERM)
-        assert served.process.wait(timeout=30) == 0
-        assert 0.5 < time.monotonic() - began_s < 3
+        assert served.process.wait(timeout=BOUND_S) == 0
         assert len(served.events("worker_killed")) == 2
 
 
 def test_a_second_signal_ends_it_at_once(tmp_path: Path) -> None:
-    with serving(tmp_path, "stubborn", shutdown_timeout_s=60) as served:
+    with serving(tmp_path, "stubborn", shutdown_timeout_s=600) as served:
         served.process.send_signal(signal.SIGTERM)
         wait_until(lambda: served.events("stopping"))
         served.process.send_signal(signal.SIGINT)
-        assert served.process.wait(timeout=30) == 0
+        assert served.process.wait(timeout=BOUND_S) == 0
 
 
 def test_workers_do_not_outlive_their_arbiter(tmp_path: Path) -> None:
@@ -208,7 +214,7 @@ def test_a_server_that_cannot_start_says_why_in_one_line(tmp_path: Path) -> None
         env=environment(),
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=BOUND_S,
     )
     assert (done.returncode, done.stdout) == (1, "")
     *lines, last = done.stderr.splitlines()
@@ -216,11 +222,10 @@ def test_a_server_that_cannot_start_says_why_in_one_line(tmp_path: Path) -> None
     assert {json.loads(line)["event"] for line in lines} == {"forgotten"}
 
 
-@pytest.mark.realtime
 def test_what_was_counted_outlives_the_workers_that_counted(tmp_path: Path) -> None:
     (tmp_path / "metrics").mkdir()
     with serving(tmp_path, "count") as served:
-        for n in range(1, 6):
+        for n in range(1, 4):
             with closing(Talk(served.port)) as talk:
                 talk.send(b"figures")
                 text = json.loads(talk.line())
