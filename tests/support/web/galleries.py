@@ -13,7 +13,7 @@ from player.render.cpu import render_splats
 from server.html.gallery import Card, card_html, front_page
 from tests.support.hosted_streams import ring_of_cameras, served, wait_for_stream, write_stream
 from tests.support.web.chromium import Page
-from tests.support.web.playerstates import PLAYER, Screen
+from tests.support.web.playerstates import Screen, open_on
 
 
 def write_gallery(folder: Path, count: int) -> Path:
@@ -32,11 +32,6 @@ def write_gallery(folder: Path, count: int) -> Path:
     path = folder / f"{count}.html"
     path.write_text(page, encoding="utf-8")
     return path
-
-
-def open_page(page: Page, url: str, screen: Screen) -> None:
-    options: dict[str, object] = {"deviceScaleFactor": screen.scale, "isMobile": screen.touch}
-    page.open(url, screen.width_px, screen.height_px, screen.touch, (), options)
 
 
 @contextlib.contextmanager
@@ -59,13 +54,13 @@ def serving(folder: Path, count: int) -> Iterator[str]:
 
 
 def _front(page: Page, url: str, screen: Screen) -> None:
-    open_page(page, url, screen)
-    page.wait("document.images[0]?.naturalWidth > 0", 60)
+    open_on(page, url, screen)
+    page.wait("document.images[0]?.naturalWidth > 0")
 
 
 def _watch(page: Page, url: str, screen: Screen) -> None:
-    open_page(page, f"{url}/watch/s0?autoplay=0", screen)
-    page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
+    open_on(page, f"{url}/watch/s0?autoplay=0", screen)
+    page.wait("player.shownFrame >= 0")
 
 
 def _embed(page: Page, url: str, screen: Screen) -> None:

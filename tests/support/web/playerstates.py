@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,13 +12,11 @@ from codec.stream.poster import POSTER_NAME, write_poster
 from codec.stream.storyboard import STORYBOARD_NAME, write_storyboard
 from codec.tools.static import export_static
 from player.render.cpu import render_splats
-from tests.support.commands import ROOT
-from tests.support.hosted_streams import ring_of_cameras, static_host, write_stream
+from tests.support.hosted_streams import ring_of_cameras, write_stream
 from tests.support.web.chromium import Page
 from tests.support.web.publisher import Publisher
+from tests.support.web.site import player_host
 
-ELEMENT = "document.querySelector('swings-player')"
-PLAYER = f"{ELEMENT}.player"
 NUM_FRAMES = 120
 NO_WEBGL = """
 const { getContext } = HTMLCanvasElement.prototype;
@@ -46,6 +44,18 @@ SCREENS = (
 )
 
 
+def open_on(
+    page: Page,
+    url: str,
+    screen: Screen,
+    scripts: Sequence[Path] = (),
+    options: Mapping[str, object] | None = None,
+) -> None:
+    """Opens a page on a screen; scripts and options as of `Page.open`."""
+    context = {"deviceScaleFactor": screen.scale, "isMobile": screen.touch, **(options or {})}
+    page.open(url, screen.width_px, screen.height_px, screen.touch, scripts, context)
+
+
 @dataclass(frozen=True, slots=True)
 class Hosts:
     """Hosts of the streams."""
@@ -56,26 +66,29 @@ class Hosts:
     folder: Path
 
 
-@contextlib.contextmanager
-def hosting(folder: Path) -> Iterator[Hosts]:
-    """Hosts the player, a clip with pictures in static/, and a live stream in live/ whose writer
-    has stopped after two segments."""
-    cameras = tuple(camera.scaled(10) for camera in ring_of_cameras())
+def write_hosted(folder: Path) -> None:
+    """Writes a clip with pictures to static/, and to live/ a live stream whose writer has stopped
+    after two segments."""
     stream = write_stream(
         folder / "stream",
         NUM_FRAMES,
-        cameras=cameras,
+        cameras=tuple(camera.scaled(10) for camera in ring_of_cameras()),
         poster=POSTER_NAME,
         storyboard=STORYBOARD_NAME,
     )
     write_poster(stream, render_splats)
     write_storyboard(stream, render_splats)
     export_static(stream, folder / "static")
-    bare = write_stream(folder / "bare", 30)
-    export_static(bare, folder / "exported")
+    export_static(write_stream(folder / "bare", 30), folder / "exported")
     Publisher(folder / "exported", folder / "live").publish(2)
-    (folder / "web").symlink_to(ROOT / "player" / "web")
-    with socket.create_server(("127.0.0.1", 0)) as silent, static_host(folder) as url:
+
+
+@contextlib.contextmanager
+def hosting(folder: Path) -> Iterator[Hosts]:
+    """Hosts the player and the streams of `write_hosted`, which it writes unless they are there."""
+    if not (folder / "static").exists():
+        write_hosted(folder)
+    with socket.create_server(("127.0.0.1", 0)) as silent, player_host(folder) as url:
         yield Hosts(url, f"http://127.0.0.1:{silent.getsockname()[1]}/stream", folder)
 
 
@@ -94,28 +107,21 @@ class Reached:
             path = self.hosts.folder / "before.js"
             path.write_text(script, encoding="utf-8")
             scripts.append(path)
-        size = (self.screen.width_px, self.screen.height_px)
-        context = {
-            "deviceScaleFactor": self.screen.scale,
-            "isMobile": self.screen.touch,
-            **options,
-        }
-        address = f"{self.hosts.url}/web/watch.html?{query}"
-        self.page.open(address, *size, self.screen.touch, scripts, context)
+        open_on(
+            self.page, f"{self.hosts.url}/player/watch.html?{query}", self.screen, scripts, options
+        )
 
     def wait(self, condition: str) -> None:
         """Waits until the player is in this condition."""
-        frame = f"{ELEMENT}?.shadowRoot.querySelector('.frame')"
-        self.page.wait(f"{frame}?.dataset.condition === '{condition}'", 60)
+        self.page.wait(f"part('.frame').dataset.condition === '{condition}'")
 
     def click(self, part: str) -> None:
-        self.page.wait(f"{ELEMENT}.shadowRoot.querySelector('{part}')", 60)
-        self.page.run(f"{ELEMENT}.shadowRoot.querySelector('{part}').click()")
+        self.page.wait(f"part('{part}')")
+        self.page.run(f"part('{part}').click()")
 
     def shows(self, part: str) -> None:
         """Waits for a part that is loaded when it is first used, or shows after a while."""
-        found = f"{ELEMENT}.shadowRoot.querySelector('{part}')"
-        self.page.wait(f"{found}?.checkVisibility({{ visibilityProperty: true }})", 60)
+        self.page.wait(f"part('{part}').checkVisibility({{ visibilityProperty: true }})")
 
 
 def _start(at: Reached) -> None:
@@ -126,8 +132,8 @@ def _start(at: Reached) -> None:
 def _loading(at: Reached, **options: object) -> None:
     at.watch("src=../static&autoplay=0", None, **options)
     poster = f"{at.hosts.url}/static/poster.jpg"
-    at.page.wait(f"{ELEMENT}?.player")
-    at.page.run(f"{ELEMENT}.poster = '{poster}'; {ELEMENT}.src = '{at.hosts.silent_url}'")
+    at.page.wait("player")
+    at.page.run(f"element.poster = '{poster}'; element.src = '{at.hosts.silent_url}'")
     at.wait("loading")
     at.shows(".spinner")
 
@@ -139,14 +145,13 @@ def _playing(at: Reached) -> None:
 
 def _idle(at: Reached) -> None:
     at.watch("src=../static")
-    bar = f"{ELEMENT}?.shadowRoot.querySelector('.bar')"
-    at.page.wait(f"{bar} && getComputedStyle({bar}).opacity === '0'", 60)
+    at.page.wait("getComputedStyle(part('.bar')).opacity === '0'")
 
 
 def _paused(at: Reached, **options: object) -> None:
     at.watch("src=../static&t=1", None, **options)
-    at.page.wait(f"{PLAYER}?.shownFrame > 35", 60)
-    at.page.run(f"{ELEMENT}.pause()")
+    at.page.wait("player.shownFrame > 35")
+    at.page.run("element.pause()")
     at.wait("paused")
 
 
@@ -163,8 +168,7 @@ def _waiting(at: Reached) -> None:
 
 def _stopped(at: Reached) -> None:
     at.watch("src=../live&t=0")
-    note = f"{ELEMENT}?.shadowRoot.querySelector('.note.soft')"
-    at.page.wait(f"{note}?.textContent.includes('has stopped')", 60)
+    at.page.wait("part('.note.soft').textContent.includes('has stopped')")
 
 
 def _failed(at: Reached) -> None:
@@ -184,7 +188,7 @@ def _no_webgl(at: Reached) -> None:
 
 def _context_lost(at: Reached) -> None:
     _paused(at)
-    at.page.run(f"{PLAYER}.dispatchEvent(new Event('contextlost'))")
+    at.page.run("player.dispatchEvent(new Event('contextlost'))")
 
 
 def _menu(at: Reached) -> None:
@@ -212,8 +216,7 @@ def _statistics(at: Reached) -> None:
 
 def _preview(at: Reached) -> None:
     _paused(at)
-    scrub = f"{ELEMENT}.shadowRoot.querySelector('.scrub')"
-    at.page.run(f"{scrub}.value = 90; {scrub}.dispatchEvent(new Event('input'))")
+    at.page.run("part('.scrub').value = 90; part('.scrub').dispatchEvent(new Event('input'))")
     at.shows(".tile")
 
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import shutil
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 from codec.files import append_durably, write_atomic
@@ -26,15 +23,6 @@ class Publisher:
         write_atomic(folder / INDEX_NAME, b"")
         write_atomic(folder / MANIFEST_NAME, self._source.manifest.with_live(True).to_json())
 
-    @property
-    def is_complete(self) -> bool:
-        return self.num_segments == len(self._source.records)
-
-    @property
-    def num_frames(self) -> int:
-        last = self._source.records[self.num_segments - 1]
-        return last.first_frame + last.num_frames if self.num_segments else 0
-
     def publish(self, count: int = 1) -> None:
         """Appends the next segments."""
         for record in self._source.records[self.num_segments : self.num_segments + count]:
@@ -49,20 +37,3 @@ class Publisher:
         """Appends the rest, and marks the stream as finished in the manifest."""
         self.publish(len(self._source.records))
         write_atomic(self._folder / MANIFEST_NAME, self._source.manifest_json)
-
-    @contextlib.contextmanager
-    def running(self, period_s: float) -> Iterator[None]:
-        """Publishes a segment every `period_s` during the block, as long as there is one."""
-        stop = threading.Event()
-
-        def run() -> None:
-            while not stop.wait(period_s) and not self.is_complete:
-                self.publish()
-
-        thread = threading.Thread(target=run)
-        thread.start()
-        try:
-            yield
-        finally:
-            stop.set()
-            thread.join()
