@@ -28,7 +28,7 @@ from codec.stream.index import pack_record
 from codec.tools.static import export_static
 from player import Scene
 from player.config import PlayConfig
-from player.network.fetch import FetchError
+from player.network.fetch import Fetcher, FetchError
 from player.network.retry import RetryConfig
 from player.render.cpu import CpuRenderer, render_splats
 from player.render.renderer import RendererKind
@@ -444,19 +444,22 @@ def test_a_broken_object_is_named(tmp_path: Path) -> None:
         assert len(scene.splats(SEGMENT_FRAMES - 1))
 
 
-def test_a_server_that_comes_back_is_asked_again(library: Path) -> None:
+def test_a_server_that_comes_back_is_asked_again(
+    library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    second: list[ServerProcess] = []
+
+    def pause(fetcher: Fetcher, seconds: float) -> None:
+        if not second:
+            second.append(ServerProcess(library, first.port))
+
     with (
         served(library) as first,
-        Scene.open(f"{first.url}/watch/whole", delivery=SourceConfig(RetryConfig(8.0))) as scene,
+        Scene.open(f"{first.url}/watch/whole", delivery=SourceConfig(RetryConfig(0.5))) as scene,
     ):
         first.kill()
-        second: list[ServerProcess] = []
-        timer = threading.Timer(0.3, lambda: second.append(ServerProcess(library, first.port)))
-        timer.start()
-        try:
-            assert len(scene.splats(20))
-        finally:
-            timer.join()
-            second[0].kill()
+        monkeypatch.setattr(Fetcher, "pause", pause)
+        assert len(scene.splats(20))
+        second[0].kill()
         with pytest.raises(FetchError, match="cannot connect"):
             scene.splats(3)

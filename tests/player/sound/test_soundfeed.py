@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from codec.framerange import FrameRange
 from player.network.retry import RetryConfig
@@ -16,6 +16,10 @@ from player.sound.decodedsound import DecodedSound
 from player.sound.segmentsound import segment_span
 from player.sound.soundfeed import (
     AHEAD_S,
+    GROWTH_SHARE,
+    REST_SHARE,
+    URGENT_S,
+    FetchPace,
     SoundFeed,
     Whereabouts,
     segment_before,
@@ -24,6 +28,7 @@ from player.sound.soundfeed import (
 from player.source.opener import Opener, SourceConfig
 from tests.support.hosted_streams import served, small_manifest, static_host, write_stream
 from tests.support.sounding import add_clicks, heard
+from tests.support.waiting import wait_until
 
 NUM_FRAMES = 23
 
@@ -36,13 +41,6 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def wait_for(is_so: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + 20
-    while not is_so():
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
-
-
 def fed(source: str, at: Whereabouts, patience_s: float = 1.0) -> tuple[DecodedSound, SoundFeed]:
     """The sound of `source` after everything needed at `at` has arrived."""
     opener = Opener(source, config=SourceConfig(RetryConfig(patience_s)))
@@ -53,7 +51,7 @@ def fed(source: str, at: Whereabouts, patience_s: float = 1.0) -> tuple[DecodedS
         decoded = DecodedSound(manifest)
         wanted = wanted_segments(manifest, at)
         with SoundFeed(manifest, opener.sound_files(), decoded, lambda: at) as feed:
-            wait_for(lambda: all(decoded.has(n) or n in feed.failed for n in wanted))
+            wait_until(lambda: all(decoded.has(n) or n in feed.failed for n in wanted))
     return decoded, feed
 
 
@@ -104,3 +102,26 @@ def test_what_was_just_heard_is_kept_also_where_a_loop_begins_anew() -> None:
     assert segment_before(manifest, Whereabouts(95, 40, 3000, True)) == 2
     assert segment_before(manifest, Whereabouts(40, 40, 3000, False)) == 0
     assert segment_before(manifest, Whereabouts(40, 40, 3000, True)) == 99
+
+
+@given(st.floats(0.001, 2), st.floats(0.5, 10), st.floats(0.02, 0.3))
+def test_sound_is_in_time_and_leaves_the_link_to_the_pictures(
+    length_s: float, ahead_s: float, share: float
+) -> None:
+    """Each segment of `length_s` takes `share` of it to fetch. Only the first ones are late, and
+    segments that are not heard soon take a small part of the time."""
+    pace, took_s = FetchPace(), share * length_s
+    now_s, fetched, begin_s = 0.0, 0, took_s
+    while now_s < 60 * length_s:
+        played_s = max(0.0, now_s - begin_s)
+        due_s = max(0.0, fetched * length_s - played_s)
+        if due_s < max(ahead_s, length_s) and pace.allows(due_s, now_s):
+            now_s += took_s
+            pace.fetched(now_s - took_s, now_s, length_s)
+            assert now_s - begin_s <= fetched * length_s + 1e-9
+            fetched += 1
+            soon_s = URGENT_S + 3 * took_s + length_s
+            most = max(1 / (1 + REST_SHARE), share / GROWTH_SHARE)
+            assert took_s * fetched <= share * (played_s + soon_s) + most * now_s
+        else:
+            now_s += 0.01 * length_s

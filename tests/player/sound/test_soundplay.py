@@ -1,12 +1,16 @@
-"""A playback with sound in real time: a real folder, real threads, and miniaudio's null device."""
+"""A playback with sound: real threads, and miniaudio's null device. test_soundplay_timeline.py
+has its laws in simulated time."""
 
 from __future__ import annotations
 
 import math
 import threading
-import time
+import wave
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import miniaudio
 import numpy as np
@@ -14,105 +18,65 @@ import numpy.typing as npt
 import pytest
 
 from codec.framerange import FrameRange
-from codec.stream.sound import SAMPLE_RATE
+from codec.stream.sound import SAMPLE_RATE, SoundSource
+from codec.tools.streamsound import add_sound
+from player.link.linkprocess import LinkProcess
 from player.playout.clock import Clock
 from player.playout.conductor import Conductor
 from player.playout.mediatime import DeviceTime
 from player.playout.queues import Events
 from player.playout.timeline import Playout
-from player.render.cpu import CpuRenderer
 from player.report.soundcounts import SoundCounts
+from player.run.playback import WINDOW_PLAYOUT
 from player.run.soundplay import sounding
 from player.sound.soundplayer import SoundPlayer
-from player.source.directory import DirectorySource
+from player.source.opener import Opener
 from player.source.soundfiles import FolderSound
 from player.source.source import Source
-from tests.support.hosted_streams import write_stream
+from server.abr.link.link import Link, LinkStep
+from tests.player.playout.conducted import Played, World, playing
+from tests.support.hosted_streams import served, write_stream
 from tests.support.sounding import add_clicks
 
 FRAMES = 90
 FLASHES = range(7, FRAMES, 15)
+NULL: list[Any] = [miniaudio.Backend.NULL]
+
+Block = npt.NDArray[np.int16]
 
 
-class NotedTime(DeviceTime):
-    """Records when the first sample of the newest block is heard."""
+def note_blocks(monkeypatch: pytest.MonkeyPatch, note: Callable[[Block], None]) -> None:
+    """Calls `note` with each block that the device takes."""
+    pull = SoundPlayer.pull
 
-    begin_s = 0.0
+    def noted(player: SoundPlayer, count: int, latency_s: float) -> Block:
+        block = pull(player, count, latency_s)
+        note(block)
+        return block
 
-    def pulled(self, duration_s: float, latency_s: float) -> float:
-        self.begin_s = super().pulled(duration_s, latency_s)
-        return self.begin_s
-
-
-class Clicks:
-    """Records the time of each click on the playback's clock."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, time: NotedTime, clock: Clock) -> None:
-        self.heard_s: list[float] = []
-        pull = SoundPlayer.pull
-
-        def noted(player: SoundPlayer, count: int, latency_s: float) -> npt.NDArray[np.int16]:
-            block = pull(player, count, latency_s)
-            for n in np.flatnonzero(np.abs(block[:, 0]) > 6000):
-                shown = clock.at(time.begin_s + n / SAMPLE_RATE)
-                assert shown is not None
-                if not self.heard_s or shown[0] > self.heard_s[-1] + 0.1:
-                    self.heard_s.append(shown[0])
-            return block
-
-        monkeypatch.setattr(SoundPlayer, "pull", noted)
+    monkeypatch.setattr(SoundPlayer, "pull", noted)
 
 
-def test_clicks_and_flashes_in_real_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def played(stream: Path, clock: Clock, plays: float = 1) -> Played:
+    found = Played(stream, clock, World())
+    found.conductor = Conductor(found.open_at, found.make_events, clock, plays=plays)
+    return found
+
+
+def test_a_device_hears_what_is_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stream = write_stream(tmp_path / "s", FRAMES, slice_size=8)
     add_clicks(stream, FLASHES)
-    device_time = NotedTime()
-    clock = Clock(True, device_time.time_s)
-    clicks = Clicks(monkeypatch, device_time, clock)
-
-    def open_at(frame: int) -> Source:
-        return DirectorySource(stream, FrameRange(frame), None)
-
-    def make_events(source: Source, play: int, not_before_s: float) -> Events:
-        frames = source.frames
-        playout = Playout(
-            source.manifest, frames.first, frames.end, not_before_s=not_before_s, play=play
-        )
-        return Events(playout, clock)
-
-    flashes_s: list[float] = []
-    unfair_s, counts = [0.0], SoundCounts()
-    with Conductor(open_at, make_events, clock, plays=math.inf) as conductor:
-        renderer = CpuRenderer(conductor.source.manifest)
-        conductor.attach(renderer)
-        camera = conductor.source.manifest.camera()
-        backends: list[Any] = [miniaudio.Backend.NULL]
-        files = FolderSound(stream)
-        with sounding(conductor, device_time, camera, lambda: files, counts, 1.0, backends):
-            seeks = 0
-            while len(flashes_s) < 24:
-                for record in conductor.poll():
-                    if record.frame in FLASHES:
-                        # Times of the time line, because a busy machine draws late.
-                        flashes_s.append(record.shown_s)
-                if len(flashes_s) > 8 + 3 * seeks and seeks < 4:
-                    conductor.seek((17 * seeks + 31) % FRAMES)
-                    unfair_s.append(clock.now_s())
-                    seeks += 1
-                time.sleep(0.005)
+    heard, counts, time = threading.Event(), SoundCounts(), DeviceTime()
+    note_blocks(monkeypatch, lambda block: heard.set() if np.abs(block).max() > 6000 else None)
+    found = played(stream, Clock(True, time.time_s), plays=math.inf)
+    with playing(found):
+        camera, files = found.conductor.source.manifest.camera(), FolderSound(stream)
+        with sounding(found.conductor, time, camera, lambda: files, counts, 1.0, NULL):
+            found.poll_until(heard.is_set)
     assert "sound" not in {thread.name for thread in threading.enumerate()}
-    heard_s = np.array(clicks.heard_s)
-    apart_s = [
-        float(np.abs(heard_s - at_s).min())
-        for at_s in flashes_s
-        if not any(-0.1 < at_s - moment_s < 0.4 for moment_s in unfair_s)
-    ]
-    assert len(apart_s) > 8
-    # A long delay of the device's thread loses samples, audibly.
-    assert float(np.median(apart_s)) < 0.005
-    assert sorted(apart_s)[-4] < 0.02
+    assert counts.segments > 0
     assert counts.failed_segments == 0
-    assert counts.segments >= FRAMES // 5
+    assert counts.received_bytes > 0
 
 
 @pytest.mark.parametrize("part", ["__init__", "start"])
@@ -128,19 +92,137 @@ def test_without_a_device_the_pictures_go_on(
     if part == "__init__":
         monkeypatch.setattr(miniaudio.PlaybackDevice, "close", lambda device: None)
     monkeypatch.setattr(miniaudio.PlaybackDevice, part, refuse)
-    backends: list[Any] = [miniaudio.Backend.NULL]
-    clock = Clock(True)
-    source = DirectorySource(stream, FrameRange(), None)
-
-    def make_events(source: Source, play: int, not_before_s: float) -> Events:
-        return Events(Playout(source.manifest, 0, source.frames.end), clock)
-
-    with Conductor(lambda _: source, make_events, clock) as conductor:
-        conductor.attach(CpuRenderer(source.manifest))
-        files, camera = FolderSound(stream), source.manifest.camera()
+    found = played(stream, Clock(True))
+    with playing(found):
+        manifest, files = found.conductor.source.manifest, FolderSound(stream)
         with sounding(
-            conductor, DeviceTime(), camera, lambda: files, SoundCounts(), 1.0, backends
+            found.conductor, DeviceTime(), manifest.camera(), lambda: files, SoundCounts(), 1, NULL
         ) as sound:
             assert sound is None
             assert "sound" not in {thread.name for thread in threading.enumerate()}
+        found.poll_until(lambda: found.conductor.transport.at_end)
     assert "playing without sound: failed to start audio device" in caplog.text
+
+
+class NotedTime(DeviceTime):
+    """Records when the first sample of the newest block is heard."""
+
+    begin_s = 0.0
+
+    def pulled(self, duration_s: float, latency_s: float) -> float:
+        self.begin_s = super().pulled(duration_s, latency_s)
+        return self.begin_s
+
+
+@pytest.mark.realtime
+def test_clicks_and_flashes_in_real_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = write_stream(tmp_path / "s", FRAMES, slice_size=8)
+    add_clicks(stream, FLASHES)
+    time, heard, flashes_s, unfair_s = NotedTime(), list[float](), list[float](), [0.0]
+    clock, counts = Clock(True, time.time_s), SoundCounts()
+
+    def note(block: Block) -> None:
+        for n in np.flatnonzero(np.abs(block[:, 0]) > 6000):
+            shown = clock.at(time.begin_s + n / SAMPLE_RATE)
+            assert shown is not None
+            if not heard or shown[0] > heard[-1] + 0.1:
+                heard.append(shown[0])
+
+    note_blocks(monkeypatch, note)
+    found = played(stream, clock, plays=math.inf)
+    with playing(found):
+        camera, files = found.conductor.source.manifest.camera(), FolderSound(stream)
+
+        def look() -> bool:
+            # Times of the time line, because a busy machine draws late.
+            flashes_s[:] = [one.shown_s for one in found.records if one.frame in FLASHES]
+            seeks = len(unfair_s) - 1
+            if len(flashes_s) > 8 + 3 * seeks and seeks < 4:
+                found.conductor.seek((17 * seeks + 31) % FRAMES)
+                unfair_s.append(clock.now_s())
+            return len(flashes_s) >= 24
+
+        with sounding(found.conductor, time, camera, lambda: files, counts, 1.0, NULL):
+            found.poll_until(look)
+    apart_s = [
+        float(np.abs(np.array(heard) - at_s).min())
+        for at_s in flashes_s
+        if not any(-0.1 < at_s - moment_s < 0.4 for moment_s in unfair_s)
+    ]
+    assert len(apart_s) > 8
+    # A long delay of the device's thread loses samples, audibly.
+    assert float(np.median(apart_s)) < 0.005
+    assert sorted(apart_s)[-4] < 0.02
+    assert counts.failed_segments == 0
+    assert counts.segments >= FRAMES // 5
+
+
+PLAYED_S = 21
+TIMES = 1.3
+"""Ratio of the link's rate to the rate of layer 0 and the sound."""
+
+
+def write_noisy_stream(folder: Path) -> float:
+    """Writes a stream with noise; returns the rate of its layer 0 and sound, bit/s."""
+    stream, frames, fps = folder / "s", 10 * (PLAYED_S + 5), 10.0
+    write_stream(stream, frames, slice_size=280, fps=fps, segment_frames=10)
+    samples = np.random.default_rng(1).normal(0, 3000, (frames * SAMPLE_RATE // 10, 1))
+    with wave.open(str(folder / "noise.wav"), "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(2)
+        file.setframerate(SAMPLE_RATE)
+        file.writeframes(samples.astype("<i2").tobytes())
+    add_sound(stream, folder / "noise.wav", SoundSource("main", 1), 48000)
+    names = ("0", "masks", "audio-main")
+    needed = [path for name in names for path in (stream / "segments").glob(f"*/{name}")]
+    return 8 * sum(path.stat().st_size for path in needed) * fps / frames
+
+
+@pytest.mark.realtime
+def test_such_a_link_carries_the_sound_without_a_gap(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The law is in test_soundfeed.py: the pace leaves the link to the pictures."""
+    need_bps = write_noisy_stream(tmp_path)
+    time, counts, playouts = DeviceTime(), SoundCounts(), list[Playout]()
+    clock, heard_s, silent_s = Clock(True, time.time_s), 0.0, 0.0
+
+    def note(block: Block) -> None:
+        nonlocal heard_s, silent_s
+        is_silent = ~np.abs(block).max(axis=1).reshape(-1, 10).any(axis=1)
+        if heard_s or not is_silent.all():
+            heard_s += len(block) / SAMPLE_RATE
+            silent_s += float(is_silent.mean()) * len(block) / SAMPLE_RATE
+
+    note_blocks(monkeypatch, note)
+
+    def make_events(source: Source, play: int, not_before_s: float) -> Events:
+        end = source.frames.end
+        playouts.append(Playout(source.manifest, 0, end, None, WINDOW_PLAYOUT, play=play))
+        return Events(playouts[-1], clock)
+
+    found = Played(tmp_path / "s", clock, World())
+    link = Link([LinkStep(1e6, TIMES * need_bps, 0.02)])
+    with served(tmp_path) as server:
+        address = urlsplit(server.url)
+        with (
+            LinkProcess(link, address.hostname or "", address.port or 0) as relay,
+            closing(Opener(f"{server.url}/v1/streams/s", relay.address)) as opener,
+        ):
+            found.conductor = Conductor(
+                lambda frame: opener.open(FrameRange(frame), None, adaptive=True),
+                make_events,
+                clock,
+                interrupt=opener.interrupt,
+            )
+            with playing(found):
+                camera, files = found.conductor.source.manifest.camera(), opener.sound_files
+                with sounding(found.conductor, time, camera, files, counts, 1.0, NULL):
+                    found.poll_until(lambda: len(found.records) >= 10 * PLAYED_S)
+            assert relay.down_bytes < 1.3 * TIMES * need_bps / 8 * PLAYED_S
+    totals = playouts[0].totals
+    assert totals.mean_layers < 2, "the link carries more than layer 0"
+    assert heard_s > PLAYED_S - 2
+    # Without a pace the sound of ten seconds stalls the pictures, and itself, for over a second.
+    assert totals.stalled_s + silent_s < 0.8
+    assert counts.failed_segments == 0

@@ -26,7 +26,7 @@ from server.abr.playout import PlayoutConfig
 from tests.support.hosted_streams import small_manifest
 from tests.support.sounding import BURST
 
-MINUTES = 10
+MINUTES = 5
 EVERY = 23
 """Frames from one flash with its click to the next."""
 
@@ -196,7 +196,7 @@ def test_clicks_and_flashes_stay_together(drift: float) -> None:
         world.run(4)
     world.run(MINUTES * 60 - 200)
     assert sum(playout.totals.stalls for playout in world.plays) <= 3
-    assert len(world.flashes) > 400
+    assert len(world.flashes) > 200
     assert world.worst_s(moments) < MOST_APART_S
 
 
@@ -214,8 +214,8 @@ def test_rates_stay_together(rate: float) -> None:
     world.run(5)
     world.clock.set_rate(rate)
     moments = [0.0, world.now_s]
-    world.run(60)
-    assert len(world.flashes) > 15
+    world.run(40)
+    assert len(world.flashes) > 10
     # At low rates a click itself is longer: 20 ms of the stream.
     assert world.worst_s(moments) < MOST_APART_S / min(rate, 1)
 
