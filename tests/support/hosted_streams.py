@@ -28,6 +28,7 @@ from codec.stream import StreamWriter
 from codec.stream.layers import split_counts
 from codec.stream.manifest import Manifest
 from tests.support.commands import ROOT
+from tests.support.waiting import BOUND_S, wait_until
 
 SWIN_SIZE = 5  # the paper's
 SEGMENT_FRAMES = 5
@@ -145,7 +146,7 @@ def static_host(
                 return
             while piece := source.read(256):
                 with link:
-                    time.sleep(8 * len(piece) / objects_bps)
+                    time.sleep(8 * len(piece) / objects_bps)  # sleeps: the pace of the link
                     outputfile.write(piece)
 
         def log_message(self, format: str, *args: object) -> None:
@@ -184,17 +185,17 @@ def served(root: Path) -> Iterator[ServerProcess]:
         server.kill()
 
 
-def wait_for_stream(server: ServerProcess, name: str, timeout_s: float = 5.0) -> None:
+def wait_for_stream(server: ServerProcess, name: str) -> None:
     """Waits until `server` serves the stream `name`."""
-    url = f"{server.url}/v1/streams/{name}/manifest.json"
-    until_s = time.monotonic() + timeout_s
-    while True:
+
+    def is_there() -> bool:
         try:
-            with urlopen(url, timeout=5):
-                return
+            with urlopen(f"{server.url}/v1/streams/{name}/manifest.json", timeout=BOUND_S):
+                return True
         except HTTPError:
-            assert time.monotonic() < until_s, f"{url} is not there"
-            time.sleep(0.05)
+            return False
+
+    wait_until(is_there)
 
 
 def folder_files(stream: Path) -> dict[str, str]:
