@@ -14,7 +14,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 WEB = ROOT / "player" / "web"
 TOOLS = ROOT / "tests" / "player" / "web" / "node_modules" / ".bin"
-LEFT_OUT = {"npm", "bundle"}
+LEFT_OUT = {"npm", "bundle", "test"}
 """Folders of player/web that are not modules of the player."""
 
 WORKER = re.compile(r'new URL\("(\.{1,2}/[\w./]*worker\.js)", import\.meta\.url\)')
