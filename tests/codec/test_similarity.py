@@ -11,18 +11,13 @@ from codec.errors import InvalidError
 from codec.pose import Doubles, rotation_about
 from codec.similarity import Similarity, half_turned, harmonics, turned_harmonics
 from codec.splats import SH_C0, Splats
+from tests.support.alike import shapes
 from tests.support.drawn import places, rotations, same_splats
-from tests.support.trained_like import covariances, trained_like_splats
+from tests.support.trained_like import trained_like_splats
 
 
-def matrix_of(linear: Doubles, offset: Doubles) -> Doubles:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = linear, offset
-    return matrix
-
-
-def shapes(splats: Splats) -> Doubles:
-    return covariances(splats.log_scales.astype(np.float64), splats.quats.astype(np.float64))
+def affine(linear: Doubles, offset: Doubles) -> Doubles:
+    return np.block([[linear, offset[:, None]], [np.zeros(3), 1.0]])
 
 
 @given(rotations, places, st.floats(0.1, 10), st.booleans())
@@ -30,7 +25,7 @@ def shapes(splats: Splats) -> Doubles:
 def test_a_moved_body(turn: Doubles, offset: Doubles, scale: float, mirrored: bool) -> None:
     splats = trained_like_splats(20, 3, 3)
     turn = turn @ np.diag([1.0, 1.0, -1.0 if mirrored else 1.0])
-    moved = Similarity.of(matrix_of(scale * turn, offset)).moved(splats)
+    moved = Similarity.of(affine(scale * turn, offset)).moved(splats)
     wanted = scale * splats.means.astype(np.float64) @ turn.T + offset
     assert moved.means == pytest.approx(wanted, rel=1e-5, abs=1e-4)
     linear = scale * turn
@@ -51,7 +46,7 @@ def test_half_a_turn_changes_signs_alone(axis: str) -> None:
     turned = half_turned(splats, axis)
     assert same_splats(half_turned(turned, axis), splats)
     vector = np.array([float(name == axis) for name in "xyz"])
-    full = Similarity.of(matrix_of(rotation_about(vector, np.pi), np.zeros(3))).moved(splats)
+    full = Similarity.of(affine(rotation_about(vector, np.pi), np.zeros(3))).moved(splats)
     assert turned.means == pytest.approx(full.means, abs=1e-5)
     assert turned.sh == pytest.approx(full.sh, abs=1e-6)
     assert np.abs(shapes(turned) - shapes(full)).max() < 1e-6 * shapes(full).max()
@@ -67,14 +62,11 @@ def test_the_harmonics_are_orthonormal() -> None:
     assert values[0, 0] == pytest.approx(SH_C0)
     product = 4 * np.pi * values.T @ values / count
     assert product == pytest.approx(np.eye(16), abs=1e-4)
+    sh = trained_like_splats(4, 1, 3).sh
+    assert turned_harmonics(sh, np.eye(3)) == pytest.approx(sh, abs=1e-7)
     # The signs of 3D Gaussian Splatting: degree 1 is -y, z, -x.
     at_axes = harmonics(np.eye(3))[:, 1:4]
     assert np.sign(at_axes).tolist() == [[0, 0, -1], [-1, 0, 0], [0, 1, 0]]
-
-
-def test_nothing_turned_is_nothing_changed() -> None:
-    sh = trained_like_splats(4, 1, 3).sh
-    assert turned_harmonics(sh, np.eye(3)) == pytest.approx(sh, abs=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +87,7 @@ def test_what_leaves_the_range_of_floats_is_refused() -> None:
     far = Similarity.of(np.diag([1e38, 1e38, 1e38, 1.0]))
     with pytest.raises(InvalidError, match="not finite"):
         far.moved(trained_like_splats(2000))
-    turn = Similarity.of(matrix_of(rotation_about(np.array([0.6, 0, 0.8]), 1), np.zeros(3)))
+    turn = Similarity.of(affine(rotation_about(np.array([0.6, 0, 0.8]), 1), np.zeros(3)))
     huge = np.full((1, 4), np.finfo(np.float32).max)
     small = trained_like_splats(1)
     long = Splats(small.means, small.log_scales, huge, small.logit_opacities, small.sh)

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from codec.errors import InvalidError
-from codec.slice import Slice
+from codec.slice import HIDDEN, MAX_SWIN_SIZE, Slice, active_splats, blank_splats
 from codec.splats import ARRAY_NAMES, Floats, Splats, array_shapes
+from tests.support.hosted_streams import random_slice, random_splats
 from tests.support.trained_like import trained_like_splats
 
 GOOD = trained_like_splats(4, sh_degree=1)
@@ -84,11 +85,52 @@ def test_a_zero_quaternion_turns_nothing() -> None:
     assert len(replace(GOOD, quats=quats)) == 4
 
 
-def test_start_offsets_are_a_byte_for_each_gaussian() -> None:
-    with pytest.raises(InvalidError, match=r"has shape \(3,\)"):
-        Slice(0, GOOD, np.zeros(3, np.uint8))
-    with pytest.raises(InvalidError, match="is int64, not uint8"):
-        Slice(0, GOOD, np.zeros(4, np.int64))
-    part = Slice(-3, GOOD, np.array([0, 1, 2, 2], np.uint8))
-    assert [int(part.active(frame, 3).sum()) for frame in range(-4, 1)] == [0, 1, 2, 4, 0]
-    assert part.lane(5) == 2
+def rows_of(*rows: int) -> np.ndarray[tuple[int], np.dtype[np.int32]]:
+    return np.array(rows, np.int32)
+
+
+def change(birth: int, *rows: int, offset: int = 0, sh_degree: int = 1) -> Slice:
+    """A slice that changes `rows`."""
+    offsets = np.full(len(rows), offset, np.uint8)
+    return Slice(birth, random_splats(len(rows), sh_degree, birth), offsets, rows_of(*rows))
+
+
+def test_rows_rise_and_offsets_are_bytes() -> None:
+    splats, offsets = random_splats(2, 0, 1), np.zeros(2, np.uint8)
+    for wrong, says in (
+        ((splats, np.zeros(3, np.uint8)), r"has shape \(3,\)"),
+        ((splats, np.zeros(2, np.int64)), "is int64, not uint8"),
+        ((splats, offsets, rows_of(0, 1, 2)), r"Slice.rows has shape \(3,\)"),
+        ((splats, offsets, np.array([0, 1])), r"Slice\.rows is int64, not int32"),
+        *(((splats, offsets, rows_of(*n)), "does not rise") for n in ((-1, 0), (1, 1), (1, 0))),
+    ):
+        with pytest.raises(InvalidError, match=says):
+            Slice(0, *wrong)  # type: ignore[arg-type]
+    whole, part = random_slice(0, 40), change(4, 3, 30)
+    assert whole.num_bytes == 40 * (4 * (11 + 12) + 1)
+    assert part.num_bytes == 2 * (4 * (11 + 12) + 1 + 4)
+    for sh_degree in (0, 1, 3):
+        assert len(blank_splats(3, sh_degree)) == 3
+        assert blank_splats(0, sh_degree).sh_degree == sh_degree
+
+
+@pytest.mark.parametrize("swin_size", [1, 2, MAX_SWIN_SIZE])
+def test_what_shows_when(swin_size: int) -> None:
+    """From its offset to the end of the window; a hidden one never."""
+    offsets = np.array([0, swin_size - 1, HIDDEN], np.uint8)
+    part = Slice(-7, random_splats(3, 0, 1), offsets)
+    for frame in range(-9, swin_size):
+        shown = [-7 <= frame < swin_size - 7, frame == swin_size - 8, False]
+        assert part.active(frame, swin_size).tolist() == shown
+    assert part.lane(swin_size) == -7 % swin_size
+
+
+def test_what_it_cannot_follow() -> None:
+    with pytest.raises(
+        InvalidError, match="changes the one born at 1; its lane holds the one born"
+    ):
+        change(5, 1).check_follows(0, 4)
+    with pytest.raises(InvalidError, match="its lane holds nothing"):
+        change(5, 1).check_follows(None, 4)
+    with pytest.raises(InvalidError, match="the slice born at 4 has rows"):
+        active_splats([random_slice(0, 6), change(4, 1)], 4, 4)

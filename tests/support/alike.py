@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from codec.pose import Doubles, rotation_of
 from codec.splats import SH_C0, Splats
 from tests.support.drawn import angles_rad
+from tests.support.trained_like import covariances
 
 KINDS = ("position, mm", "ln size", "rotation, rad", "opacity", "colour")
 FAINT = 4 / 255
@@ -31,6 +32,22 @@ def _features(splats: Splats) -> Doubles:
     looks = _shown_colours(splats), splats.opacities[:, None]
     parts = splats.means / 1e-3, sizes / 0.1, *(values / 0.02 for values in looks)
     return np.concatenate(parts, axis=1)
+
+
+def axis_turns() -> list[Doubles]:
+    """The 24 rotations that map axes to axes."""
+    found = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((-1, 1), repeat=3):
+            turn = np.eye(3)[list(order)] * np.array(signs)[:, None]
+            if np.linalg.det(turn) > 0:
+                found.append(turn)
+    return found
+
+
+def shapes(splats: Splats) -> Doubles:
+    """(N, 3, 3) covariances."""
+    return covariances(splats.log_scales.astype(np.float64), splats.quats.astype(np.float64))
 
 
 def _axis_turns() -> list[tuple[Doubles, list[int]]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import math
+import resource
 import tracemalloc
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -36,6 +37,17 @@ def within_bytes(limit_bytes: int) -> Iterator[None]:
         assert tracemalloc.get_traced_memory()[1] < limit_bytes
     finally:
         tracemalloc.stop()
+
+
+@contextlib.contextmanager
+def file_limit(limit_bytes: int) -> Iterator[None]:
+    """Like a disk without room for more: the kernel reports a short write, then EFBIG."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def truncations(data: bytes) -> Iterable[bytes]:

@@ -73,32 +73,20 @@ def test_a_gaussian_stays_if_enough_cameras_see_it_at_any_time(tmp_path: Path) -
     # The fourth one moves into view later, so that it stays from its first frame on.
     assert depths(tmp_path / "two") == [[0.0, 30.0]] * 4 + [[1.0]] * 2
     assert made.notes == ("floaters     3 of 5 Gaussians",)
+    assert objects_bytes(tmp_path / "two") < objects_bytes(source)
     edit_stream(source, tmp_path / "one", FloaterOptions(cameras=1))
     assert depths(tmp_path / "one") == [[-3.2, 0.0, 30.0]] * 4 + [[-3.2, 1.0]] * 2
-    assert objects_bytes(tmp_path / "two") < objects_bytes(source)
-
-
-def test_a_wide_margin_keeps_what_lies_beside_the_pictures(tmp_path: Path) -> None:
-    source = write(tmp_path / "s")
-    edit_stream(source, tmp_path / "t", FloaterOptions(cameras=2, margin=10))
-    assert all(-9.0 not in found for found in depths(tmp_path / "t"))
-    assert all(30.0 in found for found in depths(tmp_path / "t")[:4])
-
-
-def test_where_all_are_seen_nothing_changes(tmp_path: Path) -> None:
-    source = write(tmp_path / "s")
-    edit_stream(source, tmp_path / "t", FloaterOptions(cameras=2))
-    made = edit_stream(tmp_path / "t", tmp_path / "u", FloaterOptions(cameras=2))
-    assert segment_files(tmp_path / "u") == segment_files(tmp_path / "t")
+    # A wide margin keeps what lies beside the pictures.
+    edit_stream(source, tmp_path / "wide", FloaterOptions(cameras=2, margin=10))
+    assert all(-9.0 not in found for found in depths(tmp_path / "wide"))
+    assert all(30.0 in found for found in depths(tmp_path / "wide")[:4])
+    # Where all are seen nothing changes.
+    made = edit_stream(tmp_path / "two", tmp_path / "again", FloaterOptions(cameras=2))
+    assert segment_files(tmp_path / "again") == segment_files(tmp_path / "two")
     assert made.num_copied == made.num_segments == 2
-
-
-def test_more_cameras_than_there_are_is_refused(tmp_path: Path) -> None:
-    source = write(tmp_path / "s")
     assert len(StreamReader(source).manifest.cameras) == 2
     with pytest.raises(InvalidError, match="has only 2"):
         edit_stream(source, tmp_path / "t", FloaterOptions(cameras=3))
-    with pytest.raises(InvalidError, match="at least 1"):
-        FloaterOptions(cameras=0)
-    with pytest.raises(InvalidError, match="margin"):
-        FloaterOptions(margin=-1)
+    for wrong in ({"cameras": 0}, {"margin": -1}):
+        with pytest.raises(InvalidError, match=r"at least 1|margin"):
+            FloaterOptions(**wrong)

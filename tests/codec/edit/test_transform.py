@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ from codec.splats import Splats
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
 from player.render.cpu import render_splats
+from tests.support.alike import axis_turns, shapes
 from tests.support.slots.edited import (
     frames_of,
     least_psnr_db,
@@ -33,7 +33,6 @@ from tests.support.slots.slot_streams import (
     write_slot_stream,
 )
 from tests.support.slots.updates import patternless_states, small_layout
-from tests.support.trained_like import covariances
 
 OBLIQUE = TransformOptions(1.3, (10, 20, 30), (0.5, -0.25, 1.0), (0, 1, 0))
 
@@ -111,19 +110,8 @@ def test_four_quarter_turns_bring_everything_back(tmp_path: Path) -> None:
         np.testing.assert_allclose(b.means, a.means, atol=1e-4)
         np.testing.assert_allclose(b.sh, a.sh, atol=1e-4)
         np.testing.assert_array_equal(b.logit_opacities, a.logit_opacities)
-        shapes = [shapes_of(splats) for splats in (a, b)]
-        np.testing.assert_allclose(shapes[1], shapes[0], rtol=1e-3, atol=1e-4 * shapes[0].max())
-
-
-def axis_turns() -> list[Doubles]:
-    """The 24 rotations that map axes to axes."""
-    found = []
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((-1, 1), repeat=3):
-            turn = np.eye(3)[list(order)] * np.array(signs)[:, None]
-            if np.linalg.det(turn) > 0:
-                found.append(turn)
-    return found
+        both = [shapes(splats) for splats in (a, b)]
+        np.testing.assert_allclose(both[1], both[0], rtol=1e-3, atol=1e-4 * both[0].max())
 
 
 def seen_along(splats: Splats, directions: Doubles) -> Doubles:
@@ -152,18 +140,13 @@ def test_a_turn_of_axes_permutes_integers_and_turns_colours(degree: int) -> None
         assert fits.mean() > 0.8
         kept, found = splats.take(np.flatnonzero(fits)), dequantise(made.take(fits), lattice)
         np.testing.assert_allclose(found.means, kept.means @ turn.T, rtol=1e-6)
-        wanted = turn @ shapes_of(kept) @ turn.T
-        got = shapes_of(found)
+        wanted = turn @ shapes(kept) @ turn.T
+        got = shapes(found)
         np.testing.assert_allclose(got, wanted, rtol=1e-3, atol=1e-4 * np.abs(wanted).max())
         np.testing.assert_array_equal(found.logit_opacities, kept.logit_opacities)
         # Degrees 0 and 1 are exact; the coefficients of the others are rounded.
         error = seen_along(found, directions @ turn.T) - seen_along(kept, directions)
         assert np.abs(error).max() < (1e-4 if degree < 2 else 0.5)
-
-
-def shapes_of(splats: Splats) -> Doubles:
-    """(N, 3, 3) covariances."""
-    return covariances(splats.log_scales.astype(np.float64), splats.quats.astype(np.float64))
 
 
 def euler_of(turn: Doubles) -> tuple[float, float, float]:

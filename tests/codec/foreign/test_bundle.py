@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import io
-import tracemalloc
 import zipfile
 
 import pytest
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.foreign.bundle import MAX_DIRECTORY_BYTES, Bundle, encode_bundle
-from tests.support.hostile import flips, survives, truncations
+from tests.support.hostile import within_bytes
 
 STORED, LZMA = zipfile.ZIP_STORED, zipfile.ZIP_LZMA
 
@@ -40,17 +39,13 @@ def test_files_come_back_and_the_archive_is_always_the_same() -> None:
 def test_a_bomb_is_refused_by_what_it_claims() -> None:
     bomb = zipped({"zeros": bytes(64 << 20)})
     assert len(bomb) < 100_000
-    tracemalloc.start()
-    try:
+    with within_bytes(4 << 20):
         with pytest.raises(CorruptError, match="'zeros' claims 67108864 bytes"):
             Bundle(bomb, "it").read("zeros")
         # A file that lies about its size is truncated there.
         lying = bomb.replace((64 << 20).to_bytes(4, "little"), (9).to_bytes(4, "little"))
         with pytest.raises(CorruptError, match="is broken"):
             Bundle(lying, "it").read("zeros")
-        assert tracemalloc.get_traced_memory()[1] < 4 << 20
-    finally:
-        tracemalloc.stop()
 
 
 def encrypted() -> bytes:
@@ -89,14 +84,3 @@ def test_an_archive_of_more_than_4_gb_is_refused() -> None:
     with pytest.raises(UnsupportedError, match="4 GB"):
         Bundle(made.getvalue(), "it")
     assert len(made.getvalue()) > MAX_DIRECTORY_BYTES
-
-
-def test_any_bytes_give_a_file_or_one_clear_error() -> None:
-    data = zipped({"a": b"alpha" * 9, "b": b"beta"})
-
-    def read(part: bytes) -> bytes:
-        return Bundle(part, "it").read("a")
-
-    assert not any(survives(read, part) for part in truncations(data))
-    for part in flips(data):
-        survives(read, part)

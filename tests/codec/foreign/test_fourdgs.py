@@ -3,9 +3,7 @@ package of the format's authors."""
 
 from __future__ import annotations
 
-import random
 import struct
-import tracemalloc
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +16,7 @@ from codec.foreign.fourdgs import FourdgsReader
 from codec.splats import SH_C0, Splats
 from tests.support import handmade_sequences as made
 from tests.support.handmade_sequences import MAGIC, delta, fourdgs, grids, group, header, keyframe
-from tests.support.hostile import survives
+from tests.support.hostile import within_bytes
 
 FRONT = header(), grids(), made.windows((0, 10))
 AT = len(MAGIC) + sum(map(len, FRONT))
@@ -159,30 +157,5 @@ def test_what_a_few_bytes_claim_costs_no_memory(tmp_path: Path) -> None:
     huge = struct.pack("<2d2I", 0, 1, 0, 1) + made.text("deflate")
     huge += struct.pack("<Q", 1 << 29) + made.block(zlib.compress(bytes(1 << 20)))
     for state in (keyframe(0, 1, many, constant), made.record(5, huge)):
-        tracemalloc.start()
-        try:
-            with pytest.raises(CodecError, match="claims to decompress"):
-                read(tmp_path, fourdgs(*FRONT, state), many)
-            assert tracemalloc.get_traced_memory()[1] < 8 << 20
-        finally:
-            tracemalloc.stop()
-
-
-def test_any_bytes_give_gaussians_or_one_clear_error(tmp_path: Path) -> None:
-    data = fourdgs(*FRONT, KEY, SECOND)
-    rng = random.Random(4)
-    kept = 0
-    tracemalloc.start()
-    try:
-        for _ in range(600):
-            altered = bytearray(data)
-            for _ in range(rng.randint(1, 3)):
-                altered[rng.randrange(len(MAGIC), len(data))] = rng.choice(
-                    (0, 1, 57, 127, 128, 255)
-                )
-            end = rng.choice((len(data), rng.randrange(2000)))
-            kept += survives(lambda data: read(tmp_path, data), bytes(altered[:end]))
-        assert tracemalloc.get_traced_memory()[1] < 8 << 20
-    finally:
-        tracemalloc.stop()
-    assert 0 < kept < 500
+        with within_bytes(8 << 20), pytest.raises(CodecError, match="claims to decompress"):
+            read(tmp_path, fourdgs(*FRONT, state), many)

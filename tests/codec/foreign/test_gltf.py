@@ -6,7 +6,6 @@ import copy
 import json
 import logging
 import struct
-import tracemalloc
 from collections.abc import Callable
 from typing import Any
 
@@ -16,14 +15,14 @@ from hypothesis import given, settings
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.foreign.gltf import decode_gltf, encode_glb, encode_gltf
-from codec.foreign.gltfbuffers import join_glb, split_glb
 from codec.foreign.spz import SpzVersion, decode_spz, encode_spz
 from codec.interop.formats import decode_any
 from codec.splats import Splats
+from tests.support.alike import shapes
 from tests.support.drawn import angles_rad, drawn_splats, same_splats
 from tests.support.handmade_gltf import CHUNK, HALF, KHR, ROOT, TABLES, Json, made, primitive
-from tests.support.hostile import flips, survives, truncations
-from tests.support.trained_like import covariances, trained_like_splats
+from tests.support.hostile import within_bytes
+from tests.support.trained_like import trained_like_splats
 
 
 def test_gltf_by_hand() -> None:
@@ -64,10 +63,7 @@ def test_a_gltf_has_the_same_as_a_glb_in_one_file() -> None:
     root = json.loads(encode_gltf(splats))
     assert root["buffers"][0]["uri"].startswith("data:application/octet-stream;base64,")
     assert decode_any(b"\xef\xbb\xbf\n" + encode_gltf(splats)).sh_degree == 2
-
-
-def shapes(splats: Splats) -> np.ndarray[Any, Any]:
-    return covariances(splats.log_scales.astype(np.float64), splats.quats.astype(np.float64))
+    assert same_splats(decode_gltf(made() + b"more"), decode_any(made()))  # longer than it says
 
 
 def test_nodes_place_what_they_hold() -> None:
@@ -149,6 +145,10 @@ def setting(*path: Any, value: Any) -> Callable[[Json], None]:
     return change
 
 
+def attributes(root: Json) -> Json:
+    return primitive(root)["attributes"]
+
+
 def within(name: str, value: Any) -> Callable[[Json], None]:
     return setting("meshes", 0, "primitives", 0, "extensions", KHR, name, value=value)
 
@@ -168,21 +168,13 @@ def within(name: str, value: Any) -> Callable[[Json], None]:
         (setting("bufferViews", 0, "byteLength", value=1 << 30), CorruptError, "ends at"),
         (setting("bufferViews", 0, "byteStride", value=4), CorruptError, "outside of its buffer"),
         (setting("bufferViews", 0, "buffer", value=1), CorruptError, "buffers: has no item 1"),
-        (
-            setting("bufferViews", 0, "extensions", value={"EXT_meshopt_compression": {}}),
-            UnsupportedError,
-            "packed by 'EXT_meshopt_compression'",
-        ),
+        (setting("bufferViews", 0, "extensions", value={"X": {}}), UnsupportedError, "by 'X'"),
         (setting("buffers", 0, "byteLength", value=1 << 30), CorruptError, "bytes of 1073741824"),
         (setting("buffers", value=[{"byteLength": 4}] * 2), CorruptError, "ends at"),
         (setting("meshes", 0, "primitives", 0, "mode", value=4), CorruptError, "must be points"),
         (within("kernel", "cube"), UnsupportedError, "kernel 'cube'"),
         (within("extensions", {"X_packed": {}}), UnsupportedError, "extended by 'X_packed'"),
-        (
-            within("extensions", {f"{KHR}_compression_spz": {"bufferView": 0}}),
-            CorruptError,
-            "SPZ: ",
-        ),
+        (within("extensions", {f"{KHR}_compression_spz": {"bufferView": 0}}), CorruptError, "SPZ"),
         (setting("extensionsRequired", value=["X_y"]), UnsupportedError, "needs 'X_y'"),
         (setting("extensionsRequired", value=7), CorruptError, "extensionsRequired: is not a list"),
         (setting("nodes", 0, "scale", value=[1, 2, 1]), UnsupportedError, "stretches or shears"),
@@ -190,28 +182,16 @@ def within(name: str, value: Any) -> Callable[[Json], None]:
         (setting("nodes", 0, "translation", value=[1e39, 0, 0]), UnsupportedError, "not finite"),
         (setting("nodes", 0, "matrix", value=[0] * 15), CorruptError, "15 numbers, not 16"),
         (setting("nodes", 0, "rotation", value=[0, 0, 0, "1"]), CorruptError, "finite number"),
-        (
-            setting("nodes", 0, "children", value=[0]),
-            CorruptError,
-            "appears twice in the node tree",
-        ),
+        (setting("nodes", 0, "children", value=[0]), CorruptError, "appears twice in the node"),
         (setting("nodes", 0, "children", value=[7]), CorruptError, "nodes: has no item 7"),
         (setting("nodes", 0, "mesh", value=7), CorruptError, "meshes: has no item 7"),
         (setting("nodes", value={}), CorruptError, "nodes: is not a list"),
         (setting("nodes", value=[7]), CorruptError, "is not a JSON object"),
         (setting("scene", value=7), CorruptError, "scenes: has no item 7"),
+        (lambda r: attributes(r).pop(f"{KHR}:SH_DEGREE_1_COEF_1"), CorruptError, "DEGREE_1_COEF_1"),
+        (lambda r: attributes(r).pop(f"{KHR}:SH_DEGREE_0_COEF_0"), CorruptError, "DEGREE_0_COEF_0"),
         (
-            lambda r: primitive(r)["attributes"].pop(f"{KHR}:SH_DEGREE_1_COEF_1"),
-            CorruptError,
-            "SH_DEGREE_1_COEF_1",
-        ),
-        (
-            lambda r: primitive(r)["attributes"].pop(f"{KHR}:SH_DEGREE_0_COEF_0"),
-            CorruptError,
-            "SH_DEGREE_0_COEF_0",
-        ),
-        (
-            lambda r: primitive(r)["attributes"].update({f"{KHR}:SH_DEGREE_4_COEF_0": 0}),
+            lambda r: attributes(r).update({f"{KHR}:SH_DEGREE_4_COEF_0": 0}),
             UnsupportedError,
             "SH degree 4, at most 3",
         ),
@@ -235,11 +215,7 @@ def within(name: str, value: Any) -> Callable[[Json], None]:
             UnsupportedError,
             "more than 65536 primitives",
         ),
-        (
-            setting("scenes", 0, "nodes", value=[0] * 1_000_000),
-            CorruptError,
-            "appears twice in the node tree",
-        ),
+        (setting("scenes", 0, "nodes", value=[0] * 1_000_000), CorruptError, "twice in the node"),
     ],
 )
 def test_a_bad_gltf(change: Callable[[Json], object], kind: type[CodecError], says: str) -> None:
@@ -280,24 +256,5 @@ def test_a_small_file_does_not_become_large_by_repetition() -> None:
         root["buffers"] = [{"byteLength": 4 * count}]
 
     data = made(repeat, bytes(4 * count))
-    tracemalloc.start()
-    try:
-        with pytest.raises(CorruptError, match="claims"):
-            decode_any(data)
-        assert tracemalloc.get_traced_memory()[1] < 32 << 20
-    finally:
-        tracemalloc.stop()
-
-
-def test_any_bytes_give_gaussians_or_one_clear_error() -> None:
-    data = made()
-    assert not any(survives(decode_any, part) for part in list(truncations(data))[::9])
-    for part in flips(data, 7):
-        survives(decode_any, part)
-    text, _ = split_glb(data)
-    for part in flips(text, 3):
-        survives(decode_any, join_glb(part, CHUNK))
-
-
-def test_a_file_longer_than_it_says_is_read() -> None:
-    assert same_splats(decode_gltf(made() + b"more"), decode_any(made()))
+    with within_bytes(32 << 20), pytest.raises(CorruptError, match="claims"):
+        decode_any(data)

@@ -12,7 +12,6 @@ from codec.foreign.plyheader import (
     read_ply_elements,
     read_ply_header,
 )
-from tests.support.hostile import flips, survives, truncations
 
 MESH = (
     "ply",
@@ -35,6 +34,8 @@ MESH = (
 @pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
 def test_a_mesh_has_tables_up_to_its_first_list(newline: str) -> None:
     data = newline.join(MESH).encode()
+    bare = f"ply{newline}format {BINARY}{newline}end_header{newline}"  # without a version
+    assert read_ply_header(bare.encode()).layout == BINARY
     header = read_ply_header(data + b"1 2\n3\n")
     assert (header.layout, header.has_list) == (TEXT, True)
     assert list(header.tables) == ["vertex", "edge"]
@@ -42,10 +43,6 @@ def test_a_mesh_has_tables_up_to_its_first_list(newline: str) -> None:
     assert vertex.properties == ("x", "red")
     assert (vertex.count, vertex.dtype.itemsize, vertex.offset) == (70_000_000, 9, len(data))
     assert header.tables["edge"].offset == vertex.end == len(data) + 9 * vertex.count
-
-
-def test_a_format_may_come_without_a_version() -> None:
-    assert read_ply_header(f"ply\nformat {BINARY}\nend_header\n".encode()).layout == BINARY
 
 
 @pytest.mark.parametrize(
@@ -66,13 +63,6 @@ def test_a_format_may_come_without_a_version() -> None:
 )
 def test_a_bad_header_is_refused_with_the_reason(before: str, after: str, says: str) -> None:
     text = "\n".join(MESH).replace(before, after, 1)
-    with pytest.raises(CorruptError, match=says):
-        read_ply_header(text.encode("utf-8", "surrogateescape"))
-
-
-def test_any_bytes_give_a_header_or_one_clear_error() -> None:
-    data = "\n".join(MESH).encode()
-    assert not any(survives(read_ply_header, part) for part in truncations(data))
-    for part in flips(data):
-        survives(read_ply_header, part)
-        survives(read_ply_elements, part)
+    for read in (read_ply_header, read_ply_elements):
+        with pytest.raises(CorruptError, match=says):
+            read(text.encode("utf-8", "surrogateescape"))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import logging
-import tracemalloc
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from codec.foreign.sog import decode_sog, encode_sog
 from codec.interop.formats import decode_any, read_splats
 from codec.splats import Splats
 from tests.support.drawn import angles_rad, drawn_splats, same_splats
-from tests.support.hostile import flips, survives, truncations
+from tests.support.hostile import within_bytes
 from tests.support.trained_like import trained_like_splats
 
 HALF = np.sqrt(0.5)
@@ -239,20 +238,5 @@ def test_a_huge_picture_costs_little_memory() -> None:
     """16000 x 16000 pixels of one colour take a few hundred bytes."""
     flat = webp(np.zeros((4000, 4000, 3), np.uint8), method=0)
     assert len(flat) < 20_000
-    tracemalloc.start()
-    try:
-        with pytest.raises(CorruptError, match="4000 x 4000 pixels, at most"):
-            decode_any(replaced("ml", flat))
-        assert tracemalloc.get_traced_memory()[1] < 4 << 20
-    finally:
-        tracemalloc.stop()
-
-
-def test_any_bytes_give_gaussians_or_one_clear_error() -> None:
-    data = bundled(files_of(META), zipfile.ZIP_STORED)
-    assert not any(survives(decode_any, part) for part in list(truncations(data))[::7])
-    for part in flips(data, 5):
-        survives(decode_any, part)
-    for name, content in files_of(META).items():
-        for part in flips(content, 11 if name == "meta.json" else 1):
-            survives(decode_any, replaced(name, part))
+    with within_bytes(4 << 20), pytest.raises(CorruptError, match="4000 x 4000 pixels, at most"):
+        decode_any(replaced("ml", flat))

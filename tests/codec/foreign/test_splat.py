@@ -8,20 +8,22 @@ from functools import partial
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from codec.errors import CorruptError
 from codec.foreign.splat import decode_splat, encode_splat
 from codec.interop.formats import decode_any
 from codec.splats import SH_C0, Splats
 from tests.support.drawn import angles_rad, drawn_splats
-from tests.support.hostile import flips, survives
+from tests.support.hostile import survives
 from tests.support.trained_like import trained_like_splats
 
 RECORD = struct.Struct("<3f3f4B4B")
 BY_HAND = RECORD.pack(1, -2, 3, 0.5, 1, 2, 255, 0, 51, 102, 228, 128, 28, 128) + RECORD.pack(
     0, 0, 0, 0, 1e-3, 1e-3, 128, 128, 128, 0, 255, 128, 128, 128
 )
+
+
+decode_any_splat = partial(decode_any, suffix=".splat")
 
 
 def test_splat_by_hand() -> None:
@@ -74,17 +76,6 @@ def test_splat_is_written_most_important_first() -> None:
     assert (np.diff(importance) < 0.1).all()
 
 
-def test_extreme_gaussians_stay_readable() -> None:
-    splats = Splats(
-        np.zeros((2, 3), np.float32),
-        np.array([[200] * 3, [-200] * 3], np.float32),
-        np.array([[1e-30, 0, 0, 0], [3e38, 3e38, 0, 0]], np.float32),
-        np.array([-500, 500], np.float32),
-        np.full((2, 1, 3), 1e30, np.float32),
-    )
-    assert len(decode_splat(encode_splat(splats))) == 2
-
-
 @pytest.mark.parametrize(
     ("place", "value", "says"),
     [
@@ -100,15 +91,17 @@ def test_a_bad_splat_is_refused_with_the_reason(place: int, value: bytes, says: 
         decode_splat(data)
 
 
-def test_any_bytes_give_gaussians_or_one_clear_error() -> None:
-    decode = partial(decode_any, suffix=".splat")
+def test_only_whole_records_are_read() -> None:
     for length in range(len(BY_HAND)):
-        assert survives(decode, BY_HAND[:length]) == (length % 32 == 0)
-    for part in flips(BY_HAND):
-        survives(decode, part)
+        assert survives(decode_any_splat, BY_HAND[:length]) == (length % 32 == 0)
 
 
-@given(st.binary(min_size=32, max_size=96))
-@settings(max_examples=200, deadline=None)
-def test_random_records_give_gaussians_or_one_clear_error(data: bytes) -> None:
-    survives(decode_splat, data[: len(data) // 32 * 32])
+def test_extreme_gaussians_stay_readable() -> None:
+    splats = Splats(
+        np.zeros((2, 3), np.float32),
+        np.array([[200] * 3, [-200] * 3], np.float32),
+        np.array([[1e-30, 0, 0, 0], [3e38, 3e38, 0, 0]], np.float32),
+        np.array([-500, 500], np.float32),
+        np.full((2, 1, 3), 1e30, np.float32),
+    )
+    assert len(decode_splat(encode_splat(splats))) == 2

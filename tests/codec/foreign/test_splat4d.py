@@ -3,8 +3,6 @@ program of the format's authors."""
 
 from __future__ import annotations
 
-import random
-import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,7 @@ from codec.errors import CorruptError, UnsupportedError
 from codec.foreign.splat4d import Splat4dReader
 from codec.splats import SH_C0, Splats
 from tests.support.handmade_sequences import DIFFERENCES, KEYS, splat4d
-from tests.support.hostile import survives
+from tests.support.hostile import within_bytes
 
 
 def read(tmp_path: Path, data: bytes, max_gaussians: int = 1000) -> list[Splats]:
@@ -71,8 +69,12 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize("name", BAD)
 def test_a_bad_splat4d_is_refused_with_the_reason(name: str, tmp_path: Path) -> None:
     changes, says = BAD[name]
-    with pytest.raises((CorruptError, UnsupportedError), match=says) as caught:
-        read(tmp_path, splat4d(**changes))
+    data = splat4d(**changes)
+    with (
+        within_bytes(8 << 20),
+        pytest.raises((CorruptError, UnsupportedError), match=says) as caught,
+    ):
+        read(tmp_path, data)
     assert "\n" not in str(caught.value)
 
 
@@ -81,23 +83,3 @@ def test_another_version_and_a_short_file(tmp_path: Path) -> None:
         read(tmp_path, b"SP4D\2" + splat4d()[5:])
     with pytest.raises(CorruptError, match="ends inside its header"):
         read(tmp_path, splat4d()[:7])
-
-
-def test_any_bytes_give_gaussians_or_one_clear_error(tmp_path: Path) -> None:
-    data = splat4d()
-    rng = random.Random(4)
-    kept = 0
-    tracemalloc.start()
-    try:
-        for _ in range(600):
-            altered = bytearray(data)
-            for _ in range(rng.randint(1, 3)):
-                altered[rng.choice((rng.randrange(4, 400), rng.randrange(1000, len(data))))] = (
-                    rng.choice((0, 1, 57, 127, 128, 255))
-                )
-            end = rng.choice((len(data), rng.randrange(2000)))
-            kept += survives(lambda data: read(tmp_path, data), bytes(altered[:end]))
-        assert tracemalloc.get_traced_memory()[1] < 8 << 20
-    finally:
-        tracemalloc.stop()
-    assert 0 < kept < 500

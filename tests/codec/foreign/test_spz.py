@@ -5,13 +5,12 @@ from __future__ import annotations
 import gzip
 import logging
 import struct
-import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import zstandard
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.foreign.spz import SpzVersion, decode_spz, encode_spz
@@ -19,7 +18,7 @@ from codec.interop.formats import decode_any
 from codec.pose import Doubles
 from codec.splats import Splats
 from tests.support.drawn import angles_rad, drawn_splats, same_splats
-from tests.support.hostile import flips, survives, truncations
+from tests.support.hostile import within_bytes
 from tests.support.trained_like import trained_like_splats
 
 HALF = np.sqrt(0.5)
@@ -167,22 +166,13 @@ def test_versions_differ_in_rotations_alone(splats: Splats) -> None:
 
 def test_a_huge_scene_trades_precision_for_range() -> None:
     splats = trained_like_splats(3)
-    far = Splats(
-        splats.means * np.float32(1e5),
-        splats.log_scales,
-        splats.quats,
-        splats.logit_opacities,
-        splats.sh,
-    )
+    far = replace(splats, means=splats.means * np.float32(1e5))
     back = decode_spz(encode_spz(far))
     bits = encode_spz(far)[13]
     assert bits < 12
     assert np.abs(back.means - far.means).max() <= 0.51 / (1 << bits)
-    farther = Splats(
-        far.means * np.float32(1e5), far.log_scales, far.quats, far.logit_opacities, far.sh
-    )
     with pytest.raises(InvalidError, match="at most 8388607"):
-        encode_spz(farther)
+        encode_spz(replace(far, means=far.means * np.float32(1e5)))
 
 
 def test_opacity_compensation_is_not_lost_in_silence(caplog: pytest.LogCaptureFixture) -> None:
@@ -242,26 +232,5 @@ def bombs() -> list[bytes]:
 @pytest.mark.parametrize("number", range(5))
 def test_a_bomb_costs_little_memory(number: int) -> None:
     data = bombs()[number]
-    tracemalloc.start()
-    try:
-        with pytest.raises(CodecError):
-            decode_any(data)
-        peak_bytes = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert peak_bytes < 8 << 20
-
-
-@pytest.mark.parametrize("data", [legacy(3, SMALLEST_THREE), legacy(2, FIRST_THREE), version_4()])
-def test_any_bytes_give_gaussians_or_one_clear_error(data: bytes) -> None:
-    assert len(decode_any(data)) == 2
-    assert not any(survives(decode_any, part) for part in truncations(data))
-    for part in flips(data):
-        survives(decode_any, part)
-
-
-@given(st.binary(max_size=120), st.sampled_from([b"", b"NGSP", header(4), gzip.compress(b"")]))
-@settings(max_examples=300, deadline=None)
-def test_random_bytes_give_gaussians_or_one_clear_error(body: bytes, start: bytes) -> None:
-    survives(decode_any, start + body)
-    survives(decode_any, gzip.compress(header(3) + body))
+    with within_bytes(8 << 20), pytest.raises(CodecError):
+        decode_any(data)

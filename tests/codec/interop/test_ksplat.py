@@ -15,7 +15,7 @@ from codec.foreign.sog import decode_sog
 from codec.interop.formats import SplatFormat, read_splats, write_splats
 from codec.sequence.importing import ImportOptions, import_stream
 from codec.stream import StreamReader
-from tests.support.alike import KINDS, largest_errors
+from tests.support.alike import largest_errors
 from tests.support.drawn import same_splats
 from tests.support.trained_like import trained_like_splats
 
@@ -41,7 +41,7 @@ LARGEST = {
 
 def transformed(path: Path, out: Path) -> Path:
     words = [SPLAT_TRANSFORM, "-q", "-w", "-g", "cpu", path, out]
-    done = subprocess.run([str(w) for w in words], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([str(w) for w in words], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr or done.stdout
     return out
 
@@ -59,7 +59,7 @@ def test_splat_transform_reads_a_ksplat_alike(level: int, degree: int, tmp_path:
     # After records of 33 bytes, the library itself cannot read a second section.
     section_size = 0 if (level, degree) == (2, 1) else 250
     words = [NODE, HERE / "makeksplat.mjs", "a.ply", "a.ksplat", degree, level, section_size]
-    subprocess.run([str(w) for w in words], cwd=tmp_path, check=True, timeout=120)
+    subprocess.run([str(w) for w in words], cwd=tmp_path, check=True)
     ours = read_splats(tmp_path / "a.ksplat")
     theirs = read_splats(transformed(tmp_path / "a.ksplat", tmp_path / "b.ply"))
     # For an opacity of 0 or 1, the two readers use different finite logits.
@@ -68,20 +68,21 @@ def test_splat_transform_reads_a_ksplat_alike(level: int, degree: int, tmp_path:
     assert np.abs(ours.opacities - theirs.opacities).max() < 0.001
     assert np.abs(ours.sh - theirs.sh).max() < 1e-6
     errors = largest_errors(ours, source)
-    told = ", ".join(f"{kind} {error:.2g}" for kind, error in zip(KINDS, errors, strict=True))
-    print(f".ksplat level {level}, degree {degree}: {told}")  # noqa: T201
     assert len(ours) == len(source)
     assert (errors <= LARGEST[level]).all()
 
 
 @needs_splat_transform
-@pytest.mark.parametrize("degree", [0, 3])
+@pytest.mark.parametrize("degree", [0, pytest.param(3, marks=pytest.mark.deep)])
 def test_a_sog_folder_of_splat_transform_is_a_bundle(degree: int, tmp_path: Path) -> None:
     write_splats(tmp_path / "a.ply", trained_like_splats(300, 1, degree), SplatFormat.PLY)
     for number in range(2):
         folder = tmp_path / "frames" / f"frame_{number}"
         folder.mkdir(parents=True)
-        transformed(tmp_path / "a.ply", folder / "meta.json")
+        if not number:
+            transformed(tmp_path / "a.ply", folder / "meta.json")
+        else:
+            shutil.copytree(folder.with_name("frame_0"), folder, dirs_exist_ok=True)
     # It clusters harmonics at random, so that its bundle would differ.
     data = encode_bundle({path.name: path.read_bytes() for path in folder.iterdir()})
     bundle = decode_sog(data)

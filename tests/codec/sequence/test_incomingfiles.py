@@ -49,6 +49,8 @@ def test_frames_come_in_order_of_number_and_begin_anywhere(tmp_path: Path) -> No
     for number in (10, 9, 11):
         rig.write(number)
     assert [rig.number(), rig.number(), rig.number(), rig.number()] == [9, 10, 11, None]
+    with pytest.raises(InvalidError, match="is not a folder"):
+        Arrivals(tmp_path / "none", None, 1, 1.0, Troubles())
     rig.write(12)
     assert rig.number() == 12
     assert not rig.troubles.counts
@@ -61,22 +63,16 @@ def test_a_file_counts_only_once_it_is_whole(tmp_path: Path) -> None:
     for share in (0.0, 0.1, 0.5, 0.99):
         rig.file(0).write_bytes(data[: int(share * len(data))])
         assert rig.number(after_s=10) is None
+    # Its place may be reserved.
+    header = data.index(b"end_header\n") + len(b"end_header\n")
+    rig.file(0).write_bytes(data[:header] + bytes(len(data) - header))
+    assert rig.number(after_s=1) is None
     rig.file(0).write_bytes(data)
     arrival = rig.settled()
     assert arrival is not None
     assert arrival.splats is not None
     assert len(arrival.splats) == 50
     assert not rig.troubles.counts
-
-
-def test_a_file_whose_place_was_reserved_is_waited_for(tmp_path: Path) -> None:
-    rig = Rig(tmp_path)
-    data = encode_splats(trained_like_splats(50), SplatFormat.PLY)
-    header = data.index(b"end_header\n") + len(b"end_header\n")
-    rig.file(0).write_bytes(data[:header] + bytes(len(data) - header))
-    assert rig.number(after_s=1) is None
-    rig.file(0).write_bytes(data)
-    assert rig.number() == 0
 
 
 def test_a_gap_is_given_up_only_when_a_later_file_has_been_there(tmp_path: Path) -> None:
@@ -141,8 +137,3 @@ def test_trouble_that_goes_on_does_not_fill_the_log(caplog: pytest.LogCaptureFix
     assert len(caplog.records) == MAX_LOGGED
     assert "only counted" in caplog.records[-1].message
     assert str(troubles) == "1000 late files"
-
-
-def test_there_must_be_a_folder(tmp_path: Path) -> None:
-    with pytest.raises(InvalidError, match="is not a folder"):
-        Arrivals(tmp_path / "none", None, 1, 1.0, Troubles())

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.pose import rotation_about
 from codec.sequence.matching import match, row_keys
 from codec.splats import Splats
 from tests.support.deforming import Deforming
@@ -105,16 +104,3 @@ def test_two_files_that_have_nothing_to_do_with_each_other_have_few_pairs() -> N
     sizes_m = np.exp(np.sort(before.log_scales[continued[far]], axis=1)[:, 1:].mean(axis=1))
     assert far.mean() < 0.3
     assert (moves_m <= 4.01 * sizes_m + 1e-6).mean() > 0.9
-
-
-def test_a_turn_of_the_model_is_a_turn() -> None:
-    """`turned` gives the same figure: its covariances turn, too."""
-    splats = figure(50)
-    turn = rotation_about(np.array([0.0, 1.0, 0.0]), 0.7)
-    from tests.support.trained_like import covariances
-
-    before = covariances(splats.log_scales.astype(float), splats.quats.astype(float))
-    other = turned(splats, 0.7)
-    after = covariances(other.log_scales.astype(float), other.quats.astype(float))
-    assert np.allclose(turn @ before @ turn.T, after, rtol=1e-3, atol=1e-9)
-    assert np.allclose(splats.means @ turn.T, other.means, atol=1e-6)

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from codec.camera import Camera
+from codec.interop.exporting import export_stream
 from codec.interop.formats import read_splats
 from codec.sequence.importing import ImportOptions, facing_camera, import_stream
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.layers import Rank
 from player.render.cpu import render_splats
-from tests.support.commands import run_ok
 from tests.support.slots.slot_streams import gaussians, slot_manifest
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
 
-NUM_FRAMES, NUM_GS = 30, 3000
+NUM_FRAMES, NUM_GS = 16, 2000
 
 
 @pytest.mark.parametrize("swin_size", [1, 2, 5])
@@ -26,7 +26,7 @@ def test_an_exported_stream_comes_back_exactly(swin_size: int, tmp_path: Path) -
     with StreamWriter.create(tmp_path / "s", slot_manifest(layout)) as writer:
         for update in trained_like_updates(layout, NUM_FRAMES, 0.3):
             writer.append(update)
-    run_ok("swings-stream", "export", tmp_path / "s", tmp_path / "seq" / "f.ply", "--frames", "0:")
+    export_stream(tmp_path / "s", tmp_path / "seq" / "f.ply", None, "0:", None, None)
     made = import_stream(tmp_path / "seq", tmp_path / "t", ImportOptions(fps=30))
     assert made.num_frames == NUM_FRAMES
     assert 0.5 * writer.bytes_written < made.num_bytes < 1.15 * writer.bytes_written
@@ -48,7 +48,7 @@ def test_the_layers_of_the_source_come_back_by_the_order_of_its_files(tmp_path: 
     with StreamWriter.create(tmp_path / "s", slot_manifest(layout)) as writer:
         for update in trained_like_updates(layout, 1, 0.3):
             writer.append(update)
-    run_ok("swings-stream", "export", tmp_path / "s", tmp_path / "f.ply", "--frame", 0)
+    export_stream(tmp_path / "s", tmp_path / "f.ply", 0, None, None, None)
     import_stream(tmp_path / "f.ply", tmp_path / "t", ImportOptions(rank=Rank.GIVEN))
     reader, source = StreamReader(tmp_path / "t"), StreamReader(tmp_path / "s")
     for layers in range(1, 5):

@@ -24,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder after all commands of the page, in order."""
     root = tmp_path_factory.mktemp("page")
     (root / "my-splats").mkdir()
-    splats = figure(300)
+    splats = figure(100)
     for number in range(4):
         path = root / "my-splats" / f"frame_{number:04d}.ply"
         write_splats(path, turned(splats, 0.02 * number), SplatFormat.PLY)

@@ -52,7 +52,7 @@ def changes(draw: st.DrawFn) -> Case:
 
 
 @given(changes())
-@settings(max_examples=150)
+@settings(max_examples=100)
 def test_states_come_back(case: tuple[SlotLayout, States, States, Newcomers, np.ndarray]) -> None:
     layout, before, predicted, new, offsets = case
     chunk = encode_change(0, 4, before, predicted, new, offsets)
@@ -191,16 +191,12 @@ def test_a_sum_outside_the_lattice_is_refused() -> None:
         change.predict(bright, np.ones(1, np.bool_))
 
 
-def snapshot_of(seed: int = 3) -> tuple[SlotLayout, bytes]:
+def test_any_bytes_give_a_snapshot_or_an_error() -> None:
     layout = small_layout(3, (6, 5))
     encoder = SlotEncoder(layout)
-    for update in patternless_updates(layout, 5, seed):
+    for update in patternless_updates(layout, 5, 3):
         encoder.append(update)
-    return layout, encoder.snapshots()[1].data
-
-
-def test_any_bytes_give_a_snapshot_or_an_error() -> None:
-    layout, data = snapshot_of()
+    data = encoder.snapshots()[1].data
 
     def load(wrong: bytes) -> None:
         decoder = SlotDecoder(layout)
@@ -287,6 +283,9 @@ def test_only_a_new_gaussian_starts_late() -> None:
     assert change.start_offsets.tolist() == [2]
 
 
+PASSING = {"swin_size": 1, "temporal_period": 2, "slots": (4, 0), "lattices": (LATTICE,) * 2}
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -302,14 +301,15 @@ def test_only_a_new_gaussian_starts_late() -> None:
         ({"segment_frames": 4097}, "segment_frames 4097"),
         ({"segment_frames": 257, "slots": (1 << 20,)}, "use shorter segments"),
         ({"swin_size": 17, "slots": (1 << 20,)}, "in each of 17 lanes"),
+        ({"temporal_period": 2}, "swin_size of 1"),
+        (PASSING | {"segment_frames": 9}, "multiple of 2"),
+        (PASSING | {"segment_frames": 9, "temporal_period": 9}, "not in 1..8"),
+        (PASSING | {"slots": (0,), "lattices": (LATTICE,)}, "at least 1 each"),
     ],
 )
 def test_layouts_that_the_format_does_not_allow(change: dict[str, object], message: str) -> None:
     with pytest.raises(InvalidError, match=message):
         replace(SlotLayout(2, (4,), 0, (LATTICE,), 8), **change)  # type: ignore[arg-type]
-
-
-def test_bounds_stay_below_the_largest_chunk() -> None:
     layout = SlotLayout(16, (1 << 19, 1 << 19), 3, (LATTICE,) * 2, 256)
     assert layout.max_change_bytes(0) < layout.max_snapshot_bytes(1) == MAX_SLOT_CHUNK_BYTES
     assert layout.max_mask_bytes == 16 + (4 << 20)

@@ -29,7 +29,7 @@ def masks(draw: st.DrawFn) -> tuple[SlotLayout, Bytes, Bytes]:
 
 
 @given(masks())
-@settings(max_examples=150)
+@settings(max_examples=100)
 def test_any_statuses_come_back(case: tuple[SlotLayout, Bytes, Bytes]) -> None:
     layout, statuses, history = case
     chunk = encode_mask(layout, 5, statuses, history)
@@ -38,10 +38,8 @@ def test_any_statuses_come_back(case: tuple[SlotLayout, Bytes, Bytes]) -> None:
     if not statuses.any():
         assert chunk.data == b""
         return
-    layers = np.cumsum(layout.slots)[:-1]
-    before = [
-        [row.tolist() for row in np.split(bits, layers)] for bits in (history >> 1, history & 1)
-    ]
+    layers, bits = np.cumsum(layout.slots)[:-1], (history >> 1, history & 1)
+    before = [[row.tolist() for row in np.split(one, layers)] for one in bits]
     by_text = plain.decode_mask(chunk.data[HEADER_BYTES:], layout.slots, before)
     assert list(chain(*by_text)) == statuses.tolist()
 

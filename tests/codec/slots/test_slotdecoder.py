@@ -128,7 +128,7 @@ def test_what_late_changes_need_has_a_bound(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_the_bound_leaves_room_for_a_segment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(slotdecoder, "MIN_LOG_BYTES", 0)
-    layout = trained_like_layout(4000, 1, 30)
+    layout = trained_like_layout(2000, 1, 30)
     encoder, decoder = SlotEncoder(layout), SlotDecoder(layout)
     snapshots: list[bytes] = []
     for update in trained_like_updates(layout, 30, 0.3):

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import resource
 from collections.abc import Callable
-from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 from typing import IO, Any
@@ -16,6 +14,7 @@ from codec.errors import CorruptError
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.index import record_bytes
 from codec.tools.audit import verify_stream
+from tests.support.hostile import file_limit
 from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, tiny_slice, write_tiny
 
 NUM_FRAMES = 10
@@ -34,17 +33,6 @@ def written(path: Path, num_frames: int = 7) -> StreamWriter:
     writer = StreamWriter.create(path, tiny_manifest())
     append_tiny(writer, num_frames)
     return writer
-
-
-@contextmanager
-def file_limit(limit_bytes: int) -> Any:
-    """Like a disk without room: the kernel reports a short write, then EFBIG."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_a_record_that_fits_in_part_is_taken_back(tmp_path: Path) -> None:

@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from codec.camera import MAX_NAME_CHARS, Camera
 from codec.errors import CodecError, CorruptError, InvalidError
@@ -49,6 +47,12 @@ def test_round_trip() -> None:
     assert replace(found, cameras=MANIFEST.cameras) == MANIFEST
     assert (found.camera("rechts ü").w2c == np.eye(4)).all()
     assert found.camera().name == "left"
+    with pytest.raises(InvalidError, match="no camera is called 'x'; there are left, rechts"):
+        found.camera("x")
+    unknown = {"audio": [1], "layers": "shares", "profile": 7}
+    assert Manifest.from_json(json.dumps(VALUE | unknown).encode()).title == MANIFEST.title
+    for poster in (None, "", "https://cdn/poster.png", "ü" * 127 + "x"):
+        assert Manifest.from_json(replace(MANIFEST, poster=poster).to_json()).poster == poster
 
 
 def test_near_planes_of_cameras() -> None:
@@ -86,11 +90,6 @@ def test_what_follows_from_it() -> None:
     assert MANIFEST.births(2, 7) == range(60, 67)
 
 
-def test_its_size_does_not_depend_on_live_by_more_than_a_byte() -> None:
-    closed = replace(MANIFEST, live=False)
-    assert len(closed.to_json()) - len(MANIFEST.to_json()) == 1
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -122,16 +121,6 @@ def test_values_that_break_a_rule(change: dict[str, Any]) -> None:
         replace(MANIFEST, **change)
 
 
-def test_an_unknown_camera_is_named() -> None:
-    with pytest.raises(InvalidError, match="no camera is called 'x'; there are left, rechts"):
-        MANIFEST.camera("x")
-
-
-def test_unknown_keys_are_ignored() -> None:
-    unknown = {"audio": [1], "layers": "shares", "profile": 7}
-    assert Manifest.from_json(json.dumps(VALUE | unknown).encode()).title == MANIFEST.title
-
-
 JUNK: list[Any] = [None, True, 1, -1, 0.5, 1e400, 10**400, "", "x", [], [1, 2], [[]], {}, {"a": 1}]
 
 
@@ -142,18 +131,6 @@ def test_junk_under_any_key_and_a_missing_key(key: str) -> None:
     without = {k: v for k, v in VALUE.items() if k != key}
     with pytest.raises(CodecError, match=key):
         Manifest.from_json(json.dumps(without).encode())
-
-
-@pytest.mark.parametrize("poster", ["a\0b", "x" * 300, "\x7f", "ü" * 128])
-def test_a_poster_that_cannot_be_a_file_is_corrupt(poster: str) -> None:
-    with pytest.raises(CorruptError, match=r"manifest: poster .* is longer than 255 bytes or"):
-        Manifest.from_json(json.dumps(VALUE | {"poster": poster}).encode())
-
-
-def test_posters_that_are_none_or_as_long_as_may_be() -> None:
-    for poster in (None, "", "https://cdn/poster.png", "ü" * 127 + "x"):
-        found = Manifest.from_json(replace(MANIFEST, poster=poster).to_json())
-        assert found.poster == poster
 
 
 def test_a_name_of_a_camera_is_kept_whole_or_refused() -> None:
@@ -188,28 +165,41 @@ def test_a_live_manifest_can_still_be_finished(monkeypatch: pytest.MonkeyPatch) 
             manifest.to_json()
 
 
-@pytest.mark.parametrize("key", sorted(VALUE["cameras"][0]))
-def test_junk_in_a_camera(key: str) -> None:
-    for junk in JUNK:
-        cameras = [VALUE["cameras"][0] | {key: junk}]
-        survives(Manifest.from_json, json.dumps(VALUE | {"cameras": cameras}).encode())
-
-
-def test_a_manifest_that_is_too_long() -> None:
-    with pytest.raises(CodecError, match="manifest"):
-        Manifest.from_json(b" " * (MAX_MANIFEST_BYTES + 1))
-
-
 def test_every_truncation_is_refused() -> None:
     data = MANIFEST.to_json().rstrip()
-    for cut in list(truncations(data))[::7]:
-        with pytest.raises(CorruptError):
+    for cut in [*list(truncations(data))[::7], b" " * (MAX_MANIFEST_BYTES + 1)]:
+        with pytest.raises(CorruptError, match="manifest"):
             Manifest.from_json(cut)
 
 
-@given(st.integers(0, len(MANIFEST.to_json()) - 1), st.integers(0, 255))
-@settings(max_examples=300)
-def test_an_altered_byte(place: int, value: int) -> None:
-    data = bytearray(MANIFEST.to_json())
-    data[place] = value
-    survives(Manifest.from_json, bytes(data))
+HALF = "\ud800"
+WRONG_CAMERAS: list[dict[str, Any]] = [
+    *({"name": name} for name in (7, ["front"], HALF)),
+    *({"width_px": "64"}, {"width_px": 64.0}, {"height_px": True}, {"fx_px": "50"}),
+    *({"cx_px": None}, {"fy_px": 10**400}, {"w2c": ["1"] * 16}, {"w2c": [[1.0] * 4] * 4}),
+    *({"w2c": "1" * 16}, {"w2c": [10**400] * 16}),
+]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"cameras": [VALUE["cameras"][0] | change]} for change in WRONG_CAMERAS),
+        *({"poster": name} for name in ("a\0b", "x" * 300, "\x7f", "ü" * 128, HALF)),
+        *({"title": HALF}, {"object_url": HALF + "{segment}{layer}"}),
+    ],
+)
+def test_what_a_manifest_cannot_say(change: dict[str, Any]) -> None:
+    """A text that is not Unicode could not be written again."""
+    with pytest.raises(CorruptError, match=r"camera|poster .* is longer|surrogate"):
+        Manifest.from_json(json.dumps(VALUE | change).encode())
+
+
+@pytest.mark.parametrize("key", ["name", "w2c"])
+def test_lists_in_lists_as_deep_as_json_goes(key: str) -> None:
+    """The parser accepts this depth, but it exhausts the stack of code that prints the value."""
+    for depth in range(800, 1000):
+        deep = "[" * depth + "]" * depth
+        camera = json.dumps(VALUE["cameras"][0] | {key: 7}).replace('": 7', f'": {deep}')
+        data = json.dumps(VALUE | {"cameras": [1]}).replace("[1]", f"[{camera}]").encode()
+        assert not survives(Manifest.from_json, data)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.coders import gzip as gzip_coder
 from codec.coders.coder import Coder, compress, decompress
 from codec.errors import CorruptError, InvalidError
 from codec.slots.slotlayout import MAX_SLOT_CHUNK_BYTES
@@ -24,7 +22,7 @@ from codec.stream.object import (
     packet_content,
     read_object_table,
 )
-from tests.support.hostile import flips, survives, truncations
+from tests.support.hostile import flips, survives, truncations, within_bytes
 from tests.support.objects import BIRTHS, contents, new_chunk, new_chunks, object_of, object_packets
 
 coders = pytest.mark.parametrize("coder", list(Coder))
@@ -41,6 +39,7 @@ def test_all_chunks_come_back_in_order(coder: Coder) -> None:
     assert contents(data) == [chunk.data for chunk in chunks]
     assert [birth for birth, _ in object_packets(data)] == list(BIRTHS)
     assert [entry.birth for entry in read_object_table(data)] == list(BIRTHS)
+    assert read_object_table(data[: 20 + 12 * 5]) == read_object_table(data)
 
 
 @pytest.mark.parametrize("exact", [False, True])
@@ -80,11 +79,6 @@ def test_the_table_is_pinned(coder: Coder, magic: bytes) -> None:
     assert data[first[0] : first[0] + 4] == magic
 
 
-def test_a_table_is_read_from_the_front_alone() -> None:
-    data = object_of(new_chunks())
-    assert read_object_table(data[: 20 + 12 * 5]) == read_object_table(data)
-
-
 @coders
 def test_every_truncation_is_refused(coder: Coder) -> None:
     for cut in truncations(object_of(new_chunks(5), coder)):
@@ -103,17 +97,6 @@ def test_an_altered_byte_never_passes(coder: Coder) -> None:
     passed = [altered for altered in flips(packet) if survives(packet_of_any_stream, altered)]
     assert all(decompress(altered, len(chunk.data)) == chunk.data for altered in passed)
     assert len(passed) <= 3 * (6 + 1)
-
-
-@coders
-@given(noise=st.binary(max_size=200))
-@settings(max_examples=200)
-def test_noise(coder: Coder, noise: bytes) -> None:
-    for decode in (contents, packet_of_any_stream, read_object_table):
-        survives(decode, noise)
-        survives(decode, struct.pack("<I", 0xFD2FB528) + noise)
-        survives(decode, gzip_coder.HEAD + noise + struct.pack("<II", 0, 200))
-        survives(decode, HEAD.pack(0x184D2A50, 24, b"SWGO", 2, coder, 0, 1) + noise)
 
 
 def test_what_is_not_an_object_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,6 +126,9 @@ def claiming(size: int) -> bytes:
     "packet",
     [
         claiming(MAX_SLOT_CHUNK_BYTES + 1),
+        # More content than can come from its bytes, or than it has.
+        claiming(1 << 20),
+        claiming(1 << 18),
         # No content size.
         zstandard.ZstdCompressor(write_content_size=False, write_checksum=True).compress(b"x" * 99),
         # No checksum.
@@ -159,19 +145,8 @@ def claiming(size: int) -> bytes:
     ],
 )
 def test_packets_that_are_refused_before_they_grow(packet: bytes) -> None:
-    tracemalloc.start()
-    with pytest.raises(CorruptError):
+    with within_bytes(1 << 20), pytest.raises(CorruptError):
         packet_of_any_stream(packet)
-    peak_bytes = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak_bytes < 1 << 20
-
-
-def test_a_packet_that_holds_less_than_it_says_is_refused() -> None:
-    with pytest.raises(CorruptError, match="cannot come from"):
-        packet_of_any_stream(claiming(1 << 20))
-    with pytest.raises(CorruptError):
-        packet_of_any_stream(claiming(1 << 18))
 
 
 @coders

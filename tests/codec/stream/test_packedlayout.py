@@ -14,7 +14,7 @@ from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.stream.index import SegmentRecord, pack_record
 from codec.stream.packedlayout import PackedHead, PackedLayout, packed_parts, read_layout
 from fuzz.seed import made_manifest, packed
-from tests.support.hostile import flips, survives, truncations
+from tests.support.hostile import survives, truncations
 
 MANIFEST = made_manifest().with_live(False)
 MANIFEST_JSON = MANIFEST.to_json()
@@ -48,7 +48,6 @@ def layout_of(sizes: list[int], num_segments: int) -> PackedLayout:
         (1 << 30, 3),  # places beyond 4 GB
         (1, 65536 // (2 * LAYERS + 1) + 1),  # more entries than 16 bits can count
     ],
-    ids=["small", "far", "many"],
 )
 def test_zip_programs_find_the_files(tmp_path: Path, size_bytes: int, num_segments: int) -> None:
     layout = layout_of([size_bytes] * (2 * LAYERS + 1), num_segments)
@@ -94,16 +93,10 @@ def opened(data: bytes) -> PackedLayout:
     return read_layout(lambda at, most: (data[at : at + most], len(data)))
 
 
-def test_any_bytes_give_a_layout_or_an_error() -> None:
-    data = packed(2)
-    assert opened(data).size_bytes == len(data)
-    assert not any(survives(opened, cut) for cut in list(truncations(data))[::7])
-    for altered in flips(data, every=11):
-        survives(opened, altered)
-
-
 def test_sizes_that_lie_are_refused() -> None:
     data = packed(11, "art/still.png")
+    assert opened(data).size_bytes == len(data)
+    assert not any(survives(opened, cut) for cut in list(truncations(data))[::17])
     head_at = 43
 
     def put(at: int, value: int, width: int = 4) -> bytes:

@@ -25,7 +25,7 @@ from tests.support.drawn import same_splats
 from tests.support.slots.folder import slots_manifest
 from tests.support.slots.updates import patternless_updates, small_layout
 
-NUM_FRAMES = 35
+NUM_FRAMES = 19
 OPTIONS = ImportOptions(fps=30, layers=2)
 
 
@@ -44,7 +44,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_all_layers_show_the_same_frames(root: Path) -> None:
     plain, halved = StreamReader(root / "plain"), StreamReader(root / "halved")
     assert halved.manifest.num_layers == plain.manifest.num_layers + 1
-    for frame in [*range(NUM_FRAMES), 7, 20, 3]:
+    for frame in [*range(NUM_FRAMES), 7, 16, 3]:
         wanted = plain.active_splats(frame, 2)
         assert same_splats(halved.active_splats(frame, 3), wanted)
         if frame % 2 == 0:
@@ -82,31 +82,10 @@ def test_it_is_a_stream_like_others(root: Path, tmp_path: Path) -> None:
     verify_stream(tmp_path / "one.swings")
     halved = StreamReader(root / "halved")
     for path in (tmp_path / "static", tmp_path / "one.swings"):
-        for frame in (0, 1, 18, 33):
+        for frame in (0, 1, 10, 17):
             for layers in (1, 2, 3):
                 found = StreamReader(path).active_splats(frame, layers)
                 assert same_splats(found, halved.active_splats(frame, layers))
-
-
-def test_a_writer_that_was_stopped_goes_on(tmp_path: Path) -> None:
-    layout = small_layout(1, (5, 3), 0, 4, 2)
-    updates = patternless_updates(small_layout(1, (5, 3), 0, 4), 11)
-    manifest = slots_manifest(layout)
-    with StreamWriter.create(tmp_path / "whole", manifest) as writer:
-        for update in updates:
-            writer.append(update)
-    with StreamWriter.create(tmp_path / "stopped", manifest) as writer:
-        for update in updates[:7]:
-            writer.append(update)
-        writer.abort()
-    with StreamWriter.resume(tmp_path / "stopped") as writer:
-        for update in updates[writer.next_birth :]:
-            writer.append(update)
-    files = [path for path in (tmp_path / "whole").rglob("*") if path.is_file()]
-    assert len(files) == 2 + 3 * 7
-    for path in files:
-        other = tmp_path / "stopped" / path.relative_to(tmp_path / "whole")
-        assert path.read_bytes() == other.read_bytes()
 
 
 def test_the_index_knows_what_is_shown_without_it(tmp_path: Path) -> None:

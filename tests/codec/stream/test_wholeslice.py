@@ -51,7 +51,7 @@ def rows_of(update: Update, slice: Slice) -> list[int]:
 
 
 @given(cases(), st.booleans())
-@settings(max_examples=60)
+@settings(max_examples=40)
 def test_each_gaussian_takes_a_slot_of_the_layer_of_its_rank(case: Case, exact: bool) -> None:
     slice, layout = case
     update = whole_update(slice, layout, opacity_rank, exact)
@@ -63,20 +63,12 @@ def test_each_gaussian_takes_a_slot_of_the_layer_of_its_rank(case: Case, exact: 
     for (first, last), count in zip(pairwise(layout.row_edges), counts, strict=True):
         statuses = update.statuses[first:last].tolist()
         assert statuses == [NEW] * count + [ENDED] * (last - first - count)
+    if exact:
+        assert update.escaped.all()
+        assert same_splats(update.escapes, slice.splats.take(np.array(rows, np.int64)))
     ranks = opacity_rank(slice.splats)[rows]
     for end in accumulate(counts):
         assert ranks[:end].min(initial=np.inf) >= ranks[end:].max(initial=-np.inf)
-
-
-@given(cases())
-@settings(max_examples=40)
-def test_exact_ones_keep_every_bit(case: Case) -> None:
-    slice, layout = case
-    update = whole_update(slice, layout, opacity_rank, exact=True)
-    assert update.escaped.all()
-    assert same_splats(
-        update.escapes, slice.splats.take(np.array(rows_of(update, slice), np.int64))
-    )
 
 
 def assert_within_half_a_step(found: Splats, given_: Splats, lattice: Lattice) -> None:
@@ -96,7 +88,7 @@ def assert_within_half_a_step(found: Splats, given_: Splats, lattice: Lattice) -
 
 
 @given(cases())
-@settings(max_examples=60)
+@settings(max_examples=40)
 def test_others_are_within_half_a_step_of_their_layer_or_escape(case: Case) -> None:
     slice, layout = case
     update = whole_update(slice, layout, opacity_rank)
@@ -109,13 +101,6 @@ def test_others_are_within_half_a_step_of_their_layer_or_escape(case: Case) -> N
         inside = np.arange(first, end)[~escaped]
         found = dequantise(update.states.take(inside), lattice)
         assert_within_half_a_step(found, slice.splats.take(rows[inside]), lattice)
-
-
-def test_what_lies_on_the_lattice_does_not_escape() -> None:
-    splats = trained_like_splats(500, sh_degree=1)
-    layout = SlotLayout(1, (500,), 1, (Lattice.suiting(splats),), 1)
-    update = whole_update(Slice(0, splats, np.zeros(500, np.uint8)), layout, opacity_rank)
-    assert update.escaped.mean() < 0.02
 
 
 def size_bytes(update: Update, layout: SlotLayout) -> int:

@@ -14,19 +14,15 @@ from codec.storage.openstorage import open_storage
 from codec.stream import StreamReader, StreamWriter
 from tests.support.drawn import same_splats
 from tests.support.slots.folder import write_slots
-from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
+from tests.support.tiny_stream import append_tiny, tiny_manifest, write_tiny
 
 FRAMES = 7
 
 
-@pytest.fixture(params=["slices", "slots"])
+@pytest.fixture(params=[write_tiny, write_slots])
 def stream(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    path = tmp_path / "stream"
-    if request.param == "slices":
-        write_tiny(path, FRAMES)
-    else:
-        write_slots(path, FRAMES)
-    return path
+    request.param(tmp_path / "stream", FRAMES)
+    return tmp_path / "stream"
 
 
 def test_three_lines_give_a_frame(stream: Path) -> None:
@@ -47,16 +43,12 @@ def test_whatever_names_a_folder_opens_it(stream: Path, monkeypatch: pytest.Monk
             assert same_splats(opened.frame(0), expected)
 
 
-def test_fewer_layers_are_the_most_important_ones(stream: Path) -> None:
+def test_fewer_layers_and_frames_in_any_order(stream: Path) -> None:
     reader = StreamReader(stream)
     with codec.open_stream(stream) as opened:
         sizes = [len(opened.frame(4, layers=n)) for n in range(1, opened.num_layers + 1)]
         assert same_splats(opened.frame(4, 1), reader.active_splats(4, 1))
-    assert sizes == sorted(set(sizes))
-
-
-def test_frames_in_any_order_are_those_one_after_another(stream: Path) -> None:
-    with codec.open_stream(stream) as opened:
+        assert sizes == sorted(set(sizes))
         forward = list(opened)
         assert len(forward) == FRAMES
         for frame in (6, 0, 5, 1, 1, 4):
@@ -64,20 +56,11 @@ def test_frames_in_any_order_are_those_one_after_another(stream: Path) -> None:
 
 
 def test_a_live_stream_grows_when_one_asks(tmp_path: Path) -> None:
-    path = tmp_path / "stream"
-    manifest = tiny_manifest()
-    writer = StreamWriter.create(path, manifest)
-    births = iter(range(manifest.first_birth, 100))
-    for birth in births:
-        writer.append(tiny_slice(birth))
-        if birth == 3:
-            break
-    with codec.open_stream(path) as opened:
+    writer = StreamWriter.create(tmp_path / "stream", tiny_manifest())
+    append_tiny(writer, 4)
+    with codec.open_stream(tmp_path / "stream") as opened:
         assert (opened.num_frames, opened.refresh()) == (4, 0)
-        for birth in births:
-            writer.append(tiny_slice(birth))
-            if birth == 7:
-                break
+        append_tiny(writer, 8)
         assert (opened.refresh(), opened.num_frames) == (4, 8)
         assert len(opened.frame(7)) > 0
 

@@ -177,10 +177,7 @@ def test_what_cannot_be_packed_is_said_and_leaves_nothing(stream: Path, tmp_path
 
 def test_the_commands(stream: Path, tmp_path: Path) -> None:
     packed, again = tmp_path / "one.swings", tmp_path / "again"
-    assert run_ok("swings-stream", "pack", str(stream), str(packed)) == (
-        f"{packed}: 10 frames in one file, {packed.stat().st_size} bytes\n"
-    )
-    assert run_ok("swings-stream", "verify", str(packed)).endswith("are intact\n")
-    assert f"{again}: 10 frames in 19 files, " in run_ok(
-        "swings-stream", "unpack", str(packed), str(again)
-    )
+    told = run_ok("swings-stream", "pack", stream, packed)
+    assert told == f"{packed}: 10 frames in one file, {packed.stat().st_size} bytes\n"
+    told = run_ok("swings-stream", "unpack", packed, again)
+    assert f"{again}: 10 frames in 19 files, " in told

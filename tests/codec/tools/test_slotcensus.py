@@ -28,15 +28,19 @@ NUM_FRAMES = 10
 
 
 @pytest.fixture(scope="module")
-def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Update]]:
     path = tmp_path_factory.mktemp("census") / "stream"
-    write_slots(path, NUM_FRAMES, LAYOUT)
-    return path
+    return path, write_slots(path, NUM_FRAMES, LAYOUT)
 
 
-@pytest.fixture(scope="module")
-def updates(tmp_path_factory: pytest.TempPathFactory) -> list[Update]:
-    return write_slots(tmp_path_factory.mktemp("census") / "again", NUM_FRAMES, LAYOUT)
+@pytest.fixture
+def stream(written: tuple[Path, list[Update]]) -> Path:
+    return written[0]
+
+
+@pytest.fixture
+def updates(written: tuple[Path, list[Update]]) -> list[Update]:
+    return written[1]
 
 
 def size_of(stream: Path, pattern: str) -> int:

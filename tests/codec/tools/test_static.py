@@ -7,14 +7,12 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image
 
 from codec.coders.coder import Coder, coder_of
 from codec.errors import CorruptError, InvalidError
 from codec.files import write_atomic
-from codec.framerange import FrameRange
+from codec.interop.formats import SplatFormat
 from codec.slots.passing import passing_elsewhere
 from codec.slots.slotchange import encoded_elsewhere
 from codec.slots.slotchunk import Kind
@@ -24,19 +22,14 @@ from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
 from codec.stream.object import HEAD
 from codec.tools.audit import verify_stream
+from codec.tools.commands import Export, export_files
 from codec.tools.static import export_static
-from player.config import CameraPathName, PlayConfig
-from player.render.renderer import RendererKind
-from player.run.playback import play
-from player.source.opener import opened
-from tests.support.commands import run, run_ok
-from tests.support.delivery.assembled import assembled
-from tests.support.hosted_streams import served, static_host, write_stream
+from tests.support.commands import run_ok
+from tests.support.hosted_streams import write_stream
 from tests.support.objects import object_packets
 from tests.support.slots.folder import write_slots
-from tests.support.slots.slot_streams import Shown, gaussians
 from tests.support.slots.updates import patternless_updates, small_layout
-from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
+from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, write_tiny
 
 PARTS = ("manifest.json", "index.bin", "segments")
 LAYOUTS = [
@@ -49,7 +42,8 @@ LAYOUTS = [
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A stream `original` and its export `exported`."""
+    """A stream `original` and its export `exported`. That hosts of such files are played is tested
+    in tests/player/source."""
     root = tmp_path_factory.mktemp("static")
     write_stream(root / "original", 13)
     export_static(root / "original", root / "exported")
@@ -72,8 +66,7 @@ def test_every_chunk_is_that_of_the_original(tmp_path: Path, layout: SlotLayout)
                 assert new.content(birth) == old.content(birth)
     assert verify_stream(tmp_path / "b").num_frames == 11
     for name, told in (("a", made.source_bytes), ("b", made.size_bytes)):
-        files = [path for path in (tmp_path / name).rglob("*") if path.is_file()]
-        assert told == sum(path.stat().st_size for path in files)
+        assert told == sum(map(len, files_of(tmp_path / name).values()))
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -100,7 +93,7 @@ def test_an_entropy_coder_is_told_the_same_edges_as_at_first(layout: SlotLayout)
             assert list(again.edges) == list(chunk.edges)
 
 
-def test_only_what_a_plain_host_needs_is_there(folder: Path) -> None:
+def test_only_what_a_plain_host_needs_is_there(folder: Path, tmp_path: Path) -> None:
     out = folder / "exported"
     assert sorted(path.name for path in out.iterdir()) == sorted(PARTS)
     parts = StreamReader(out).manifest.parts
@@ -108,48 +101,17 @@ def test_only_what_a_plain_host_needs_is_there(folder: Path) -> None:
     assert objects == {f"{segment}/{part}" for segment in range(3) for part in parts}
     # A web server can read it if the permissions of the source allow that.
     assert out.stat().st_mode == (folder / "original").stat().st_mode
-
-
-def test_a_plain_web_server_plays_the_same_pictures(folder: Path, tmp_path: Path) -> None:
-    with static_host(folder) as host:
-        sources = [str(folder / "original"), f"{host}/exported", f"{host}/exported/manifest.json"]
-        for number, source in enumerate(sources):
-            config = PlayConfig(
-                source,
-                capture=tmp_path / str(number),
-                camera=CameraPathName("camera:c1"),
-                renderer=RendererKind.CPU,
-                frames=FrameRange(7, 9),
-            )
-            play(config)
-    for frame in (7, 8):
-        pictures = [
-            np.asarray(Image.open(tmp_path / str(number) / f"frame_{frame:05d}.png"))
-            for number in range(len(sources))
-        ]
-        assert pictures[0].max() > 60
-        for picture in pictures[1:]:
-            np.testing.assert_array_equal(picture, pictures[0])
-
-
-def test_a_swings_server_plays_it_too(folder: Path) -> None:
-    before = StreamReader(folder / "original")
-    with served(folder) as server, opened(f"{server.url}/watch/exported", layers=3) as source:
-        shown, frames = Shown(before.manifest), 0
-        for one in assembled(source):
-            found = shown.after(one.slices, one.frame)
-            assert gaussians(found) == gaussians(before.active_splats(one.frame, 3))
-            frames += 1
-    assert frames == before.num_frames
+    export_static(out, tmp_path / "again")
+    assert files_of(tmp_path / "again") == files_of(out)
 
 
 def test_the_quality_that_the_index_knows_stays(tmp_path: Path) -> None:
-    manifest = tiny_manifest()
     with StreamWriter.create(
-        tmp_path / "a", manifest, quality=lambda frame, slices: (20.5, 30.25) if frame else None
+        tmp_path / "a",
+        tiny_manifest(),
+        quality=lambda frame, slices: (20.5, 30.25) if frame else None,
     ) as writer:
-        for birth in range(manifest.first_birth, 6):
-            writer.append(tiny_slice(birth))
+        append_tiny(writer, 6)
     export_static(tmp_path / "a", tmp_path / "b")
     found = [record.psnr_db for record in StreamReader(tmp_path / "b").records]
     assert found == [record.psnr_db for record in StreamReader(tmp_path / "a").records]
@@ -163,49 +125,36 @@ def set_manifest(stream: Path, **changes: object) -> None:
 
 
 def test_a_live_stream_is_exported_as_far_as_it_has_come(tmp_path: Path) -> None:
-    manifest = tiny_manifest()
-    writer = StreamWriter.create(tmp_path / "a", manifest)
+    writer = StreamWriter.create(tmp_path / "a", tiny_manifest())
     with pytest.raises(InvalidError, match="has no frames yet"):
         export_static(tmp_path / "a", tmp_path / "b")
-    for birth in range(manifest.first_birth, 6):
-        writer.append(tiny_slice(birth))
+    append_tiny(writer, 6)
     writer.abort()
     export_static(tmp_path / "a", tmp_path / "b")
     after = StreamReader(tmp_path / "b")
     assert (after.num_frames, after.manifest.live) == (4, False)
 
 
-def test_objects_lie_where_the_new_manifest_says_and_the_poster_comes_along(tmp_path: Path) -> None:
+ELSEWHERE = ("../secret", "https://cdn/poster.png", "", ".", "none.png", "loop/poster.png")
+
+
+@pytest.mark.parametrize("poster", [*ELSEWHERE, *PARTS[:2], "segments/1/0", "art/poster.png"])
+def test_only_a_poster_in_the_folder_comes_along(poster: str, tmp_path: Path) -> None:
     write_tiny(tmp_path / "a", 6)
+    (tmp_path / "secret").write_bytes(b"not of the stream")
     (tmp_path / "a" / "art").mkdir()
     (tmp_path / "a" / "art" / "poster.png").write_bytes(b"picture")
-    set_manifest(
-        tmp_path / "a", object_url="https://cdn/{layer}/{segment}", poster="art/poster.png"
-    )
+    (tmp_path / "a" / "loop").symlink_to("loop")
+    set_manifest(tmp_path / "a", poster=poster, object_url="https://cdn/{layer}/{segment}")
     export_static(tmp_path / "a", tmp_path / "b")
     after = StreamReader(tmp_path / "b").manifest
     assert (tmp_path / "b" / after.object_path(1, 1)).is_file()
-    assert after.poster is not None
-    assert (tmp_path / "b" / after.poster).read_bytes() == b"picture"
-
-
-@pytest.mark.parametrize("poster", ["../secret", "https://cdn/poster.png", "", ".", "none.png"])
-def test_a_poster_elsewhere_is_left_there(poster: str, tmp_path: Path) -> None:
-    write_tiny(tmp_path / "a", 6)
-    (tmp_path / "secret").write_bytes(b"not of the stream")
-    set_manifest(tmp_path / "a", poster=poster)
-    export_static(tmp_path / "a", tmp_path / "b")
-    assert StreamReader(tmp_path / "b").manifest.poster == poster
-    assert sorted(path.name for path in (tmp_path / "b").iterdir()) == sorted(PARTS)
-    assert (tmp_path / "secret").read_bytes() == b"not of the stream"
-
-
-@pytest.mark.parametrize("poster", ["manifest.json", "index.bin", "segments/1/0"])
-def test_a_poster_that_is_a_part_of_the_stream_does_no_harm(poster: str, tmp_path: Path) -> None:
-    write_tiny(tmp_path / "a", 6)
-    set_manifest(tmp_path / "a", poster=poster)
-    export_static(tmp_path / "a", tmp_path / "b")
     assert verify_stream(tmp_path / "b").num_frames == 6
+    assert after.poster == poster
+    names = [*PARTS, "art"] if poster.startswith("art") else PARTS
+    assert sorted(path.name for path in (tmp_path / "b").iterdir()) == sorted(names)
+    if poster.startswith("art"):
+        assert (tmp_path / "b" / poster).read_bytes() == b"picture"
 
 
 def test_a_wrong_chunk_is_named_and_nothing_is_left(tmp_path: Path) -> None:
@@ -230,25 +179,14 @@ def test_what_a_killed_export_left_is_replaced_and_no_folder_in_use(tmp_path: Pa
             export_static(tmp_path / "a", taken)
 
 
-def test_an_export_exports_again_to_the_same_bytes(folder: Path, tmp_path: Path) -> None:
-    export_static(folder / "exported", tmp_path / "again")
-    for path in (folder / "exported").rglob("*"):
-        if path.is_file():
-            copy = tmp_path / "again" / path.relative_to(folder / "exported")
-            assert copy.read_bytes() == path.read_bytes()
-
-
 def test_the_command(folder: Path, tmp_path: Path) -> None:
     stream, out = tmp_path / "stream", tmp_path / "web"
     shutil.copytree(folder / "original", stream)
     told = run_ok("swings-stream", "export", stream, out, "--static")
     assert told.startswith(f"{out}: 13 frames in 3 segments for any web server, ")
-    source = sum(path.stat().st_size for path in stream.rglob("*") if path.is_file())
-    made = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
+    source, made = (sum(map(len, files_of(path).values())) for path in (stream, out))
     assert f"{made} bytes, {100 * made / source:.1f} % of the {source} of {stream}\n" in told
-    for arguments in (["--frame", 0], ["--frames", "0:2"], ["--format", "ply"], ["--layers", 1]):
-        done = run("swings-stream", "export", stream, tmp_path / "x", "--static", *arguments)
-        assert (done.returncode, done.stdout) == (1, "")
-        assert done.stderr.count("\n") == 1
-        assert "--static writes the whole stream" in done.stderr
+    for options in ({"frame": 0}, {"frames": "0:2"}, {"format": SplatFormat.PLY}, {"layers": 1}):
+        with pytest.raises(InvalidError, match="--static writes the whole stream"):
+            export_files(Export(str(stream), tmp_path / "x", static=True, **options))
     assert not (tmp_path / "x").exists()

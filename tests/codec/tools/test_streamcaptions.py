@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from codec.edit.editing import edit_stream
+from codec.edit.recolour import ColourOptions
 from codec.errors import CodecError, CorruptError
 from codec.stream import StreamReader
 from codec.stream.captions import MAX_CAPTIONS_BYTES, Captions, Cue, parse_webvtt
@@ -17,7 +19,7 @@ from codec.stream.packedstorage import open_place
 from codec.tools.audit import verify_stream
 from codec.tools.packing import pack_stream
 from codec.tools.static import export_static
-from codec.tools.streamcaptions import add_captions
+from codec.tools.streamcaptions import add_captions, remove_captions
 from tests.support.commands import run, run_ok
 from tests.support.server.running_server import Running, on_server
 from tests.support.tiny_stream import files_of, write_tiny
@@ -56,39 +58,26 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_add_replace_and_remove(stream: Path, file: Path) -> None:
-    before = files_of(stream)
-    said = run_ok("swings-stream", "captions", "add", stream, file)
+    before, captions = files_of(stream), ("swings-stream", "captions")
+    said = run_ok(*captions, "add", stream, file)
     assert said.strip() == f"{stream}: captions en, 2 cues"
-    run_ok("swings-stream", "verify", stream)
-    run_ok(
-        "swings-stream",
-        "captions",
-        "add",
-        stream,
-        file,
-        "--language",
-        "pt-BR",
-        "--label",
-        "Português",
-    )
-    run_ok("swings-stream", "captions", "add", stream, file, "--label", "English")
+    run_ok(*captions, "add", stream, file, "--language", "pt-BR", "--label", "Português")
+    add_captions(stream, file, Captions("en", "English"))
     found = StreamReader(stream).manifest.captions
     assert found == (Captions("pt-BR", "Português"), Captions("en", "English"))
     assert (stream / "captions-en.vtt").read_text() == VTT
-    run_ok("swings-stream", "captions", "add", stream, file, "--language", "PT-br", "--label", "P")
-    run_ok("swings-stream", "captions", "add", stream, file, "--label", "English")
-    assert StreamReader(stream).manifest.captions == (
-        Captions("PT-br", "P"),
-        Captions("en", "English"),
-    )
+    for one in (Captions("PT-br", "P"), Captions("en", "English")):
+        add_captions(stream, file, one)
+    found = StreamReader(stream).manifest.captions
+    assert found == (Captions("PT-br", "P"), Captions("en", "English"))
     files = {path.name for path in stream.glob("*.vtt")}
     assert files == {"captions-en.vtt", "captions-PT-br.vtt"}
     verify_stream(stream)
-    refused = run("swings-stream", "captions", "remove", stream, "--language", "fr")
+    refused = run(*captions, "remove", stream, "--language", "fr")
     assert refused.returncode == 1
     assert "no captions have the language 'fr'; there are: PT-br, en" in refused.stderr
     for language in ("pt-BR", "en"):
-        run_ok("swings-stream", "captions", "remove", stream, "--language", language)
+        remove_captions(stream, language)
     assert files_of(stream) == before
 
 
@@ -100,7 +89,7 @@ def test_captions_go_with_the_stream_but_for_cuts(stream: Path, file: Path, tmp_
     pack_stream(stream, tmp_path / "one.swings")
     verify_stream(tmp_path / "one.swings")
     assert open_place(tmp_path / "one.swings").read("captions-en.vtt", 1 << 20).decode() == VTT
-    run_ok("swings-stream", "edit", "colour", stream, tmp_path / "dark", "--exposure", "-1")
+    edit_stream(stream, tmp_path / "dark", ColourOptions(exposure=-1))
     verify_stream(tmp_path / "dark")
     assert (tmp_path / "dark" / "captions-en.vtt").read_text() == VTT
     said = run_ok("swings-stream", "edit", "trim", stream, tmp_path / "cut", "--frames", "2:8")
@@ -120,17 +109,15 @@ def test_captions_go_with_the_stream_but_for_cuts(stream: Path, file: Path, tmp_
 
 def test_damaged_files_are_found(stream: Path, file: Path) -> None:
     add_captions(stream, file, Captions("en", "English"))
-    (stream / "captions-en.vtt").write_text("1\n00:00.000 --> 00:01.000\nSRT\n")
-    with pytest.raises(
-        CorruptError, match=r"captions-en\.vtt: byte 0: captions: this is not WebVTT"
-    ):
+    path = stream / "captions-en.vtt"
+    path.write_text("1\n00:00.000 --> 00:01.000\nSRT\n")
+    with pytest.raises(CorruptError, match=r"en\.vtt: byte 0: captions: this is not WebVTT"):
         verify_stream(stream)
-    (stream / "captions-en.vtt").write_bytes(b"WEBVTT\n" + b" " * MAX_CAPTIONS_BYTES)
-    with pytest.raises(CodecError, match=r"captions-en\.vtt"):
-        verify_stream(stream)
-    (stream / "captions-en.vtt").unlink()
-    with pytest.raises(CodecError, match=r"captions-en\.vtt"):
-        verify_stream(stream)
+    path.write_bytes(b"WEBVTT\n" + b" " * MAX_CAPTIONS_BYTES)
+    for _ in range(2):
+        with pytest.raises(CodecError, match=r"captions-en\.vtt"):
+            verify_stream(stream)
+        path.unlink(missing_ok=True)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.draft import Quality
 from player.render.cpu import render_splats
-from tests.support.slots.slot_streams import slot_manifest
+from tests.support.slots.slot_streams import gaussians, slot_manifest
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
 from tests.support.trained_like import trained_like_splats
 
@@ -60,6 +60,12 @@ def frames_of(stream: Path) -> Iterator[Splats]:
     reader = StreamReader(stream)
     for frame in range(reader.num_frames):
         yield reader.active_splats(frame, reader.manifest.num_layers)
+
+
+def assert_same_frames(source: Path, other: Path) -> None:
+    """Asserts that two streams show the same Gaussians, bit by bit, in any order."""
+    for before, after in zip(frames_of(source), frames_of(other), strict=True):
+        assert gaussians(before) == gaussians(after)
 
 
 def overview(stream: Path) -> Camera:

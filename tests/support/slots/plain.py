@@ -8,22 +8,21 @@ import copy
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from itertools import chain
+from itertools import chain, count
 
 import numpy as np
 
 from codec.errors import CodecError
-from codec.lattice.lattice import Lattice, States, num_attributes
+from codec.lattice.lattice import Lattice
 from codec.slice import HIDDEN, Slice
 from codec.slots.mask import decode_mask
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.slotstate import EMPTY, ON_LATTICE, UNKNOWN
-from codec.slots.update import NEW, PREDICTED, Update
-from codec.splats import Splats, array_shapes
+from codec.slots.update import Update
+from codec.splats import Splats
 from tests.goldens import decoder as plain
-from tests.goldens.encoder import RandomStream, encode_snapshot
 from tests.goldens.reader import AppliedSlice, Reader
 from tests.support.drawn import same_splats
 
@@ -70,53 +69,26 @@ def encoded_chunks(layout: SlotLayout, updates: Sequence[Update]) -> Chunks:
     return made
 
 
-def plain_chunks(stream: RandomStream) -> Chunks:
-    """The chunks of the plain encoder."""
-    shape, snapshots = stream.shape, {}
-    for first in range(0, len(stream.masks), shape.segment_frames):
-        snapshots[first] = [
-            encode_snapshot(stream.truth[first], first, layer, shape)
-            for layer in range(len(shape.slots))
-        ]
-    return Chunks(stream.mask_chunks, stream.changes, snapshots)
-
-
-def updates_of(stream: RandomStream) -> list[Update]:
-    """The updates from which a trainer would have written `stream`."""
-    shape, updates = stream.shape, []
-    for birth in range(1 - shape.swin_size, len(stream.masks)):
-        lane = stream.truth[max(birth, 0)][birth % shape.swin_size]
-        slots = list(chain(*lane))
-        if birth > 0:
-            statuses = list(chain(*stream.masks[birth]))
-        else:
-            statuses = [NEW if isinstance(slot, plain.Gaussian) else 0 for slot in slots]
-        pairs = zip(statuses, slots, strict=True)
-        coded = [g for s, g in pairs if s in (PREDICTED, NEW) and isinstance(g, plain.Gaussian)]
-        updates.append(_update(layout_of(shape).sh_degree, birth, statuses, coded))
-    return updates
-
-
-def _update(sh_degree: int, birth: int, statuses: list[int], coded: list[plain.Gaussian]) -> Update:
-    positions = np.array([g.position for g in coded], np.int32).reshape(-1, 3)
-    attributes = np.array([[a & 255 for a in g.attributes] for g in coded], np.uint8)
-    escapes = [g.escaped for g in coded if g.escaped]
-    columns = [
-        [e.mean for e in escapes],
-        [e.log_scales for e in escapes],
-        [e.quat for e in escapes],
-        [e.logit_opacity for e in escapes],
-        [e.sh for e in escapes],
+def spelled_out(shape: plain.Shape, chunks: Chunks) -> Chunks:
+    """`chunks` with the packets of slices and layers without changes, which a writer may omit."""
+    reader, masks = Reader(shape), []
+    for birth, mask in enumerate(chunks.masks):
+        # Zeros code statuses of KEPT alone, if there are as many as the decoder reads.
+        head = _head(plain.MASK, birth)
+        tries = (AppliedSlice(birth, mask or head + bytes(n), {}, {}) for n in count(4))
+        slice_ = next(one for one in tries if reader.statuses(one) is not None)
+        slice_.statuses = reader.statuses(slice_)
+        reader.applied[birth] = slice_
+        masks.append(slice_.mask or b"")
+    changes = [
+        [data or _head(plain.CHANGE, birth, layer) + bytes(20) for layer, data in enumerate(row)]
+        for birth, row in enumerate(chunks.changes)
     ]
-    shapes = array_shapes(len(escapes), sh_degree)
-    return Update(
-        birth,
-        np.array(statuses, np.uint8),
-        States(positions, attributes.reshape(-1, num_attributes(sh_degree))),
-        np.array([g.start - birth for g in coded], np.uint8),
-        np.array([g.escaped is not None for g in coded], np.bool_),
-        Splats(*(np.array(c, np.float32).reshape(s) for c, s in zip(columns, shapes, strict=True))),
-    )
+    return Chunks(masks, changes, chunks.snapshots)
+
+
+def _head(kind: int, birth: int, layer: int = 0) -> bytes:
+    return struct.pack("<4sBBBBi", b"SWG2", kind, layer, 0, 0, birth)
 
 
 def onto(change: Slice, before: Slice) -> Slice:

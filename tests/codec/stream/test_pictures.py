@@ -1,8 +1,9 @@
-"""The poster: drawn as soon as there are frames, complete, bounded, and inside its folder."""
+"""Poster and storyboard: drawn as soon as there are frames, whole, bounded, in the folder."""
 
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 from PIL import Image
 
 from codec.camera import Camera
-from codec.errors import CorruptError
+from codec.errors import CorruptError, InvalidError
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
@@ -24,40 +25,55 @@ from codec.stream.pictures import (
     read_picture,
 )
 from codec.stream.poster import POSTER_NAME, write_poster
+from codec.stream.storyboard import (
+    AIM_BYTES,
+    MAX_TILES,
+    STORYBOARD_NAME,
+    StoryboardLayout,
+    write_storyboard,
+)
 from codec.tools.audit import verify_stream
 from player.render.cpu import render_splats
-from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
+from tests.support.tiny_stream import append_tiny, tiny_manifest, write_tiny
 
 Floats = npt.NDArray[np.float32]
 
 
-def manifest_of(width_px: int, height_px: int, poster: str | None = POSTER_NAME) -> Manifest:
+def manifest_of(
+    width_px: int, height_px: int, poster: str | None = POSTER_NAME, fps: float = 25.0
+) -> Manifest:
     w2c = np.eye(4)
     w2c[2, 3] = 6.0
-    camera = Camera(
-        "front", width_px, height_px, width_px, width_px, width_px / 2, height_px / 2, w2c
-    )
-    return replace(tiny_manifest(), cameras=(camera,), poster=poster)
+    size = (width_px, height_px, width_px, width_px, width_px / 2, height_px / 2)
+    cameras = (Camera("front", *size, w2c),)
+    storyboard = STORYBOARD_NAME
+    return replace(tiny_manifest(), cameras=cameras, poster=poster, fps=fps, storyboard=storyboard)
 
 
 def black_and_white(splats: Splats, camera: Camera, near_m: float) -> Floats:
-    """A picture of random black and white pixels, which JPEG compresses worst."""
+    """A picture of random black and white pixels, which is compressed worst."""
     shape = (camera.height_px, camera.width_px, 3)
-    return np.random.default_rng(0).integers(0, 2, shape).astype(np.float32)
+    rng = np.random.default_rng(int(1000 * abs(float(splats.means.sum()))))
+    return rng.integers(0, 2, shape).astype(np.float32)
+
+
+def drawn_frames(path: Path, num_frames: int) -> list[Floats]:
+    """What the default camera sees of each frame."""
+    reader = StreamReader(path)
+    camera, near_m = reader.manifest.camera(), reader.manifest.near_m
+    frames = [reader.active_splats(n, reader.manifest.num_layers) for n in range(num_frames)]
+    return [np.clip(render_splats(splats, camera, near_m), 0, 1) for splats in frames]
+
+
+def rms(a: Floats, b: npt.NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean((a - b) ** 2)))
 
 
 def test_it_shows_what_the_default_camera_sees_of_the_first_frame(tmp_path: Path) -> None:
     write_tiny(tmp_path / "s", 6, manifest_of(320, 200))
     write_poster(tmp_path / "s", render_splats)
     shown = np.asarray(Image.open(tmp_path / "s" / POSTER_NAME), np.float64) / 255
-    reader = StreamReader(tmp_path / "s")
-
-    def error(frame: int) -> float:
-        splats = reader.active_splats(frame, 2)
-        drawn = render_splats(splats, reader.manifest.camera(), reader.manifest.near_m)
-        return float(np.sqrt(np.mean((np.clip(drawn, 0, 1) - shown) ** 2)))
-
-    errors = [error(frame) for frame in range(6)]
+    errors = [rms(drawn, shown) for drawn in drawn_frames(tmp_path / "s", 6)]
     assert errors[0] < 0.03
     assert min(errors[1:]) > 2 * errors[0]
 
@@ -109,35 +125,16 @@ def test_no_poster_without_a_frame_or_a_name(tmp_path: Path) -> None:
 
 
 def test_a_live_stream_has_one_from_its_first_segment_on(tmp_path: Path) -> None:
-    manifest = manifest_of(64, 48)
-    writer = StreamWriter.create(tmp_path / "s", manifest)
-    for birth in range(manifest.first_birth, 5):
-        writer.append(tiny_slice(birth))
+    writer = StreamWriter.create(tmp_path / "s", manifest_of(64, 48))
+    append_tiny(writer, 5)
     write_poster(tmp_path / "s", render_splats)
     first = (tmp_path / "s" / POSTER_NAME).read_bytes()
-    for birth in range(5, 8):
-        writer.append(tiny_slice(birth))
+    append_tiny(writer, 8)
     writer.close()
     write_poster(tmp_path / "s", render_splats)
     assert (tmp_path / "s" / POSTER_NAME).read_bytes() != first
     names = sorted(path.name for path in (tmp_path / "s").iterdir())
     assert names == ["index.bin", "manifest.json", "poster.jpg", "segments"]
-
-
-def test_one_that_fails_leaves_the_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_tiny(tmp_path / "s", 2, manifest_of(64, 48))
-    (tmp_path / "s" / POSTER_NAME).write_bytes(b"before")
-
-    def write_bytes(path: Path, data: bytes) -> int:
-        with open(path, "wb") as file:
-            file.write(data[: len(data) // 2])
-        raise OSError(28, "no space")
-
-    monkeypatch.setattr(Path, "write_bytes", write_bytes)
-    with pytest.raises(OSError, match="no space"):
-        write_poster(tmp_path / "s", render_splats)
-    assert (tmp_path / "s" / POSTER_NAME).read_bytes() == b"before"
-    assert not list((tmp_path / "s").glob(".*"))
 
 
 def picture_bytes(kind: str) -> bytes:
@@ -167,11 +164,13 @@ def test_a_picture_must_be_what_its_name_says(name: str, kind: str, tmp_path: Pa
     assert read_picture(tmp_path, manifest.poster) is None
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["", ".", "manifest.json", "a.svg", "a.jpg.html", "jpg", ".jpg", "../a.jpg", "b/../a.jpg",
-     "link.jpg", "out/a.jpg", "folder.jpg", "https://cdn/a.jpg", "a.jpg/a.jpg", "{root}/s/a.jpg"],
-)  # fmt: skip
+NOT_IN_THE_FOLDER = (
+    *("", ".", "manifest.json", "a.svg", "a.jpg.html", "jpg", ".jpg", "../a.jpg", "b/../a.jpg"),
+    *("link.jpg", "out/a.jpg", "folder.jpg", "https://cdn/a.jpg", "a.jpg/a.jpg", "{root}/s/a.jpg"),
+)
+
+
+@pytest.mark.parametrize("name", NOT_IN_THE_FOLDER)
 def test_what_is_not_a_picture_in_the_folder_is_none(name: str, tmp_path: Path) -> None:
     root = tmp_path / "s"
     (root / "folder.jpg").mkdir(parents=True)
@@ -184,6 +183,8 @@ def test_what_is_not_a_picture_in_the_folder_is_none(name: str, tmp_path: Path) 
     assert find_picture(root, manifest.poster) is None
     assert read_picture(root, manifest.poster) is None
     check_pictures(root, manifest)
+    assert picture_type("a.JPG") == "image/jpeg"
+    assert picture_type("a.svg") is picture_type("poster") is picture_type("") is None
 
 
 def test_verify_names_a_poster_that_is_wrong(tmp_path: Path) -> None:
@@ -197,6 +198,52 @@ def test_verify_names_a_poster_that_is_wrong(tmp_path: Path) -> None:
         verify_stream(tmp_path / "s")
 
 
-def test_names_and_media_types() -> None:
-    assert picture_type("a.JPG") == "image/jpeg"
-    assert picture_type("a.svg") is picture_type("poster") is picture_type("") is None
+def test_each_tile_shows_the_frame_of_its_place(tmp_path: Path) -> None:
+    write_tiny(tmp_path / "s", 12, manifest_of(160, 90, fps=4.0))
+    write_storyboard(tmp_path / "s", render_splats)
+    sheet = Image.open(tmp_path / "s" / STORYBOARD_NAME)
+    assert (sheet.format, sheet.size) == ("WEBP", (1600, 180))  # 12 tiles in rows of 10
+    drawn = drawn_frames(tmp_path / "s", 12)
+    for tile in range(12):
+        left_px, top_px = 160 * (tile % 10), 90 * (tile // 10)
+        box = (left_px, top_px, left_px + 160, top_px + 90)
+        found = np.asarray(sheet.crop(box), np.float64) / 255
+        errors = [rms(picture, found) for picture in drawn]
+        assert int(np.argmin(errors)) == tile
+        assert errors[tile] < 0.04
+
+
+@pytest.mark.parametrize("fps", [0.001, 0.5, 24, 29.97, 60, 1000])
+def test_the_length_of_a_storyboard_is_bounded(fps: float) -> None:
+    for num_frames in (1, 2, 59, 60, 61, 601, 36_000_000):
+        layout = StoryboardLayout.of(num_frames, fps)
+        tiles, step, columns = layout.num_tiles, layout.step_frames, layout.columns
+        assert 1 <= tiles <= MAX_TILES
+        assert (tiles - 1) * step < num_frames <= tiles * step
+        assert columns * (layout.rows - 1) < tiles <= columns * layout.rows
+        assert step >= math.ceil(fps / 4)
+
+
+def test_noise_keeps_the_bound_and_a_plain_scene_the_aim(tmp_path: Path) -> None:
+    write_tiny(tmp_path / "s", 60, manifest_of(160, 160, fps=4.0))
+    write_storyboard(tmp_path / "s", black_and_white)
+    file = tmp_path / "s" / STORYBOARD_NAME
+    assert AIM_BYTES < file.stat().st_size <= MAX_PICTURE_BYTES
+    check_pictures(tmp_path / "s", StreamReader(tmp_path / "s").manifest)
+    write_storyboard(tmp_path / "s", render_splats)
+    assert file.stat().st_size <= AIM_BYTES
+    file.write_bytes(b"<html>")
+    with pytest.raises(CorruptError, match="does not begin as image/webp"):
+        check_pictures(tmp_path / "s", StreamReader(tmp_path / "s").manifest)
+
+
+def test_the_manifest_may_lack_a_storyboard() -> None:
+    with_one = manifest_of(64, 48)
+    without = replace(with_one, storyboard=None)
+    assert Manifest.from_json(with_one.to_json()).storyboard == STORYBOARD_NAME
+    assert b"storyboard" not in without.to_json()
+    assert Manifest.from_json(without.to_json()).storyboard is None
+    with pytest.raises(CorruptError, match="storyboard"):
+        Manifest.from_json(with_one.to_json().replace(b'"storyboard.webp"', b"7"))
+    with pytest.raises(InvalidError, match="storyboard"):
+        replace(with_one, storyboard="a\nb.webp")

@@ -1,0 +1,263 @@
+"""Streams cut, joined, and with a temporal layer: their frames are equal bit by bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.camera import Camera
+from codec.edit.editing import edit_stream
+from codec.edit.recolour import ColourOptions
+from codec.errors import CorruptError, InvalidError
+from codec.files import write_atomic
+from codec.framerange import FrameRange
+from codec.splats import Splats
+from codec.stream import StreamReader
+from codec.stream.manifest import MASKS, Manifest
+from codec.tools.audit import verify_stream
+from codec.tools.cutting import join, set_temporal_layer, trim_stream
+from tests.support.commands import run_ok
+from tests.support.slots.edited import (
+    NUM_FRAMES,
+    SEGMENT_FRAMES,
+    assert_same_frames,
+    frames_of,
+    objects_bytes,
+    segment_files,
+    write_trained_like,
+)
+from tests.support.slots.slot_streams import gaussians, write_slot_stream
+from tests.support.slots.updates import small_layout
+
+LANES = [(1, 1), (3, 1), (6, 1), (1, 2), (1, 4)]
+lanes = pytest.mark.parametrize(("swin_size", "period"), LANES)
+
+
+@lanes
+@pytest.mark.parametrize("frames", [(0, 4), (0, 14), (3, 4), (4, 14), (5, 11), (8, 11), (13, 14)])
+def test_trimmed_frames(
+    frames: tuple[int, int], swin_size: int, period: int, tmp_path: Path
+) -> None:
+    layout = small_layout(swin_size, (6, 4), 1, 4, period)
+    source = write_slot_stream(tmp_path / "s", 14, layout, 3)
+    trim_stream(source, tmp_path / "t", FrameRange(*frames))
+    summary = verify_stream(tmp_path / "t")
+    assert (summary.num_frames, summary.live) == (frames[1] - frames[0], False)
+    manifest = StreamReader(tmp_path / "t").manifest
+    assert (manifest.capture_frame, manifest.temporal_period) == (frames[0], period)
+    wanted = list(frames_of(source))[slice(*frames)]
+    for before, after in zip(wanted, frames_of(tmp_path / "t"), strict=True):
+        assert gaussians(before) == gaussians(after)
+
+
+def write_scored(path: Path) -> Path:
+    return write_trained_like(path, 5, 200, quality=lambda frame, slices: [20.0 + frame] * 4)
+
+
+def test_segments_that_keep_their_place_are_copied_byte_for_byte(tmp_path: Path) -> None:
+    source = write_scored(tmp_path / "s")
+    made = trim_stream(source, tmp_path / "t", FrameRange(0, 2 * SEGMENT_FRAMES))
+    assert (made.num_copied, made.num_renumbered, made.num_segments) == (2, 0, 2)
+    kept = {n: d for n, d in segment_files(source).items() if not n.startswith("segments/2/")}
+    assert segment_files(tmp_path / "t") == kept
+    assert StreamReader(tmp_path / "t").records == StreamReader(source).records[:2]
+
+
+def test_segments_that_move_keep_their_chunks_but_for_the_frame_number(tmp_path: Path) -> None:
+    source = write_scored(tmp_path / "s")
+    made = trim_stream(source, tmp_path / "t", FrameRange(SEGMENT_FRAMES))
+    assert (made.num_copied, made.num_renumbered, made.num_segments) == (0, 2, 2)
+    before, after = StreamReader(source), StreamReader(tmp_path / "t")
+    assert after.num_frames == NUM_FRAMES - SEGMENT_FRAMES
+    for segment in (0, 1):
+        assert after.records[segment].psnr_db == before.records[segment + 1].psnr_db
+        for part in before.manifest.parts:
+            old, new = before.read_object(segment + 1, part), after.read_object(segment, part)
+            moved = {entry.birth - SEGMENT_FRAMES for entry in old.entries}
+            if part == MASKS or type(part) is int:
+                moved -= {0}  # the content of that slice is in the snapshots
+            assert {entry.birth for entry in new.entries} == moved
+            for birth in moved:
+                was, now = old.content(birth + SEGMENT_FRAMES), new.content(birth)
+                assert (was[:8], was[12:]) == (now[:8], now[12:])
+                assert int.from_bytes(now[8:12], "little") == birth
+                assert len(new.packet(birth)) <= len(old.packet(birth + SEGMENT_FRAMES)) + 4
+
+
+def test_the_planes_of_segments_that_move_are_the_same_bytes(tmp_path: Path) -> None:
+    source = write_trained_like(tmp_path / "s", 1, 2000)
+    trim_stream(source, tmp_path / "t", FrameRange(SEGMENT_FRAMES))
+    verify_stream(tmp_path / "t")
+    before, after = StreamReader(source), StreamReader(tmp_path / "t")
+    num_bytes = num_same = 0
+    for segment in (0, 1):
+        for part in before.manifest.parts:
+            old, new = before.read_object(segment + 1, part), after.read_object(segment, part)
+            for entry in new.entries:
+                packet = bytes(new.packet(entry.birth))[:-4]  # without the checksum
+                was = bytes(old.packet(entry.birth + SEGMENT_FRAMES))[:-4]
+                num_bytes += len(packet)
+                pairs = zip(reversed(packet), reversed(was), strict=False)
+                num_same += len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
+    assert num_same > 0.8 * num_bytes
+
+
+@pytest.mark.parametrize("frames", [(14, 15), (0, 15), (20, None)])
+def test_frames_that_are_not_there(frames: tuple[int, int | None], tmp_path: Path) -> None:
+    source = write_slot_stream(tmp_path / "s", 14)
+    with pytest.raises(InvalidError, match="has frames 0:14"):
+        trim_stream(source, tmp_path / "t", FrameRange(*frames))
+    assert not (tmp_path / "t").exists()
+
+
+def test_a_wrong_object_is_named_and_nothing_is_left(tmp_path: Path) -> None:
+    source = write_slot_stream(tmp_path / "s", 14)
+    path = source / "segments" / "2" / "snapshot-1"
+    data = path.read_bytes()
+    path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    for frames in (FrameRange(0, 14), FrameRange(4, 14)):
+        with pytest.raises(CorruptError, match="segments/2/snapshot-1"):
+            trim_stream(source, tmp_path / "t", frames)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["s"]
+
+
+@lanes
+@pytest.mark.parametrize("cuts", [(4,), (3,), (8, 12), (2, 5), (7, 9), (1, 12)])
+def test_the_parts_joined(
+    cuts: tuple[int, ...], swin_size: int, period: int, tmp_path: Path
+) -> None:
+    layout = small_layout(swin_size, (6, 4), 0, 4, period)
+    source = write_slot_stream(tmp_path / "s", 14, layout, 5)
+    edges = (0, *cuts, 14)
+    parts = [tmp_path / str(n) for n in range(len(cuts) + 1)]
+    for n, part in enumerate(parts):
+        trim_stream(source, part, FrameRange(edges[n], edges[n + 1]))
+    join(parts, tmp_path / "t")
+    assert verify_stream(tmp_path / "t").num_frames == 14
+    assert_same_frames(source, tmp_path / "t")
+
+
+@pytest.mark.parametrize("swin_size", [1, 5])
+def test_what_was_cut_costs_no_more_once_joined(swin_size: int, tmp_path: Path) -> None:
+    source = write_trained_like(tmp_path / "s", swin_size)
+    parts = tmp_path / "a", tmp_path / "b"
+    trim_stream(source, parts[0], FrameRange(0, SEGMENT_FRAMES))
+    trim_stream(source, parts[1], FrameRange(SEGMENT_FRAMES))
+    join(parts, tmp_path / "t")
+    assert objects_bytes(tmp_path / "t") <= objects_bytes(source) * 1.01
+    assert_same_frames(source, tmp_path / "t")
+
+
+@pytest.mark.parametrize("lengths", [(8, 14, 9), (7, 9, 12), (2, 3, 4), (4, 12, 4)])
+@pytest.mark.parametrize("swin_size", [1, 3])
+def test_other_streams_follow(swin_size: int, lengths: tuple[int, ...], tmp_path: Path) -> None:
+    layout = small_layout(swin_size, (6, 4), 0, 4)
+    parts = [
+        write_slot_stream(tmp_path / str(n), length, layout, n) for n, length in enumerate(lengths)
+    ]
+    join(parts, tmp_path / "t")
+    assert verify_stream(tmp_path / "t").num_frames == sum(lengths)
+    found = list(frames_of(tmp_path / "t"))
+    first = 0
+    for n, part in enumerate(parts):
+        for frame, wanted in enumerate(frames_of(part)):
+            # A lane changes when its turn comes.
+            if n == 0 or frame >= swin_size - 1:
+                assert gaussians(found[first + frame]) == gaussians(wanted), (n, frame)
+        first += lengths[n]
+
+
+def test_whole_segments_are_copied(tmp_path: Path) -> None:
+    layout = small_layout(2, (6, 4), 0, 4)
+    parts = [write_slot_stream(tmp_path / str(n), 12, layout, n) for n in range(2)]
+    made = join(parts, tmp_path / "t")
+    # The first three are copied byte for byte, and the second stream's except its seam.
+    assert (made.num_copied, made.num_renumbered, made.num_segments) == (3, 2, 6)
+    files = segment_files(tmp_path / "t")
+    assert segment_files(parts[0]).items() <= files.items()
+    before, after = StreamReader(parts[1]), StreamReader(tmp_path / "t")
+    for segment in (1, 2):
+        for part in before.manifest.parts:
+            old, new = before.read_object(segment, part), after.read_object(3 + segment, part)
+            births = [entry.birth for entry in old.entries]
+            assert [entry.birth for entry in new.entries] == [birth + 12 for birth in births]
+            for birth in births:
+                assert old.content(birth)[12:] == new.content(birth + 12)[12:]
+
+
+def test_the_first_stream_gives_title_and_cameras_and_bounds_hold_both(tmp_path: Path) -> None:
+    a = write_slot_stream(tmp_path / "a", 3, title="first", bounds=((0, 0, 0), (1, 1, 1)))
+    b = write_slot_stream(tmp_path / "b", 3, title="other", bounds=((-1, 0, 0), (0.5, 2, 1)))
+    join([a, b], tmp_path / "t")
+    manifest = StreamReader(tmp_path / "t").manifest
+    assert (manifest.title, manifest.bounds) == ("first", ((-1, 0, 0), (1, 2, 1)))
+
+
+@pytest.mark.parametrize("changes", [{"fps": 12.0}, {"antialias": True}])
+def test_streams_that_differ_are_refused(changes: dict[str, object], tmp_path: Path) -> None:
+    a = write_slot_stream(tmp_path / "a", 3)
+    b = write_slot_stream(tmp_path / "b", 3)
+    manifest = Manifest.from_json((b / "manifest.json").read_bytes())
+    write_atomic(b / "manifest.json", replace(manifest, **changes).to_json())  # type: ignore[arg-type]
+    with pytest.raises(InvalidError, match=f"has another {next(iter(changes))} than"):
+        join([a, b], tmp_path / "t")
+    with pytest.raises(InvalidError, match="only one stream"):
+        join([a], tmp_path / "t")
+    assert not (tmp_path / "t").exists()
+
+
+@pytest.mark.parametrize("periods", [(2, 1), (4, 1), (4, 2), (1, 3), (8, 8)])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_temporal_layer_or_another_or_none(
+    periods: tuple[int, int], seed: int, tmp_path: Path
+) -> None:
+    before, after = periods
+    layout = small_layout(1, (20, 10), 1, 8, before)
+    source = write_slot_stream(tmp_path / "s", 21, layout, seed)
+    made = set_temporal_layer(source, tmp_path / "t", after)
+    assert (made.num_frames, verify_stream(tmp_path / "t").num_frames) == (21, 21)
+    manifest = StreamReader(tmp_path / "t").manifest
+    assert (manifest.temporal_period, manifest.segment_frames) == (after, 9 if after == 3 else 8)
+    assert_same_frames(source, tmp_path / "t")
+
+
+def test_a_temporal_layer_goes_through_edits_and_goes_away(tmp_path: Path) -> None:
+    source = write_trained_like(tmp_path / "s", 1)
+    said = run_ok("swings-stream", "edit", "temporal", source, tmp_path / "with")
+    assert f"with: {NUM_FRAMES} frames in 3 segments" in said
+    made = set_temporal_layer(tmp_path / "with", tmp_path / "again", 2)
+    assert made.num_copied == made.num_segments
+    assert segment_files(tmp_path / "again") == segment_files(tmp_path / "with")
+    edit_stream(tmp_path / "with", tmp_path / "grey", ColourOptions(exposure=-1.0))
+    assert StreamReader(tmp_path / "grey").manifest.temporal_period == 2
+    for before, after in zip(frames_of(source), frames_of(tmp_path / "grey"), strict=True):
+        np.testing.assert_array_equal(np.sort(after.means, axis=0), np.sort(before.means, axis=0))
+    set_temporal_layer(tmp_path / "with", tmp_path / "without", 1)
+    assert_same_frames(source, tmp_path / "without")
+    assert objects_bytes(tmp_path / "without") <= objects_bytes(source)
+    assert objects_bytes(tmp_path / "with") > objects_bytes(source)
+    with pytest.raises(InvalidError, match="temporal_period 9 is not in"):
+        set_temporal_layer(source, tmp_path / "t", 9)
+    lanes = write_slot_stream(tmp_path / "lanes", 9, small_layout(3, (6, 4), 0, 4))
+    with pytest.raises(InvalidError, match="a swin_size of 1, not 3"):
+        set_temporal_layer(lanes, tmp_path / "t", 2)
+    assert not (tmp_path / "t").exists()
+
+
+def test_pictures_are_drawn_and_old_scores_do_not_stay(tmp_path: Path) -> None:
+    source = write_trained_like(
+        tmp_path / "s", 1, 200, quality=lambda frame, slices: [20.0] * len(slices)
+    )
+
+    def draw(splats: Splats, camera: Camera, near_m: float) -> np.ndarray:
+        return np.zeros((camera.height_px, camera.width_px, 3), np.float32)
+
+    set_temporal_layer(source, tmp_path / "t", 2, draw)
+    reader = StreamReader(tmp_path / "t")
+    assert reader.num_frames == NUM_FRAMES
+    assert (tmp_path / "t" / "poster.jpg").is_file()
+    assert all(np.isnan(record.psnr_db).all() for record in reader.records)
