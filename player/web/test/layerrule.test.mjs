@@ -63,10 +63,8 @@ test("nine seconds of layer 0 come first, then other layers, and fifteen seconds
   const [asked] = chosen([at(0)]);
   assert.deepEqual(asked.slice(0, 3), ["0/snapshot-0", "0/masks", "0/0"]);
   const layers = asked.filter((name) => /\/\d$/.test(name));
-  assert.deepEqual(
-    layers.slice(0, 27),
-    ["0", "1", "2"].flatMap((part) => range(9, part)),
-  );
+  const wanted = ["0", "1", "2"].flatMap((part) => range(9, part));
+  assert.deepEqual(layers.slice(0, 27), wanted);
   assert.deepEqual(ofPart(asked, "0"), range(15, "0"));
 });
 
@@ -92,36 +90,31 @@ test("what would come more than half a segment late is not asked for, but in a p
     const first = Math.min(...ofPart(asked, "1").map((name) => parseInt(name, 10)));
     assert.equal(first, Math.max(0, Math.ceil(plannedS - 0.5)));
   }
-  const [playing, paused] = [false, true].map(
-    (isPaused) => chosen([at(25, { rateBps: 1.2 * NEED_BPS, paused: isPaused })], { first: 25 })[0],
-  );
+  const slow = { rateBps: 1.2 * NEED_BPS };
+  const [playing] = chosen([at(25, slow)], { first: 25 });
+  const [still] = chosen([at(25, { ...slow, paused: true })], { first: 25 });
   assert.ok(!playing.includes("0/2"));
+  const first = ["snapshot-0", "masks", "0", "snapshot-1", "1", "snapshot-2", "2"];
   assert.deepEqual(
-    paused.slice(0, 7),
-    ["snapshot-0", "masks", "0", "snapshot-1", "1", "snapshot-2", "2"].map((part) => `0/${part}`),
-    "a still picture gets all layers first",
+    still.slice(0, 7),
+    first.map((part) => `0/${part}`),
+    "all layers come first",
   );
 });
 
 test("at double speed no more layers than the link carries then, and never more than wanted", () => {
-  const upper = [1, 2].map(
-    (rate) =>
-      ofPart(chosen([at(25, { rateBps: 1.5 * NEED_BPS, rate })], { first: 25 })[0], "2").length,
-  );
-  assert.ok(upper[0] > 0);
-  assert.equal(upper[1], 0);
+  const states = [1, 2].map((rate) => at(25, { rateBps: 1.5 * NEED_BPS, rate }));
+  const upper = states.map((state) => ofPart(chosen([state], { first: 25 })[0], "2").length);
+  assert.ok(upper[0] > 0 && upper[1] === 0);
   const [asked] = chosen([at(0)], { most: 2 });
-  assert.deepEqual([ofPart(asked, "1").length > 0, ofPart(asked, "2")], [true, []]);
+  assert.ok(ofPart(asked, "1").length > 0 && ofPart(asked, "2").length === 0);
 });
 
 test("what has come is not asked for again, at no cost to the link", () => {
   const isHere = ({ segment }, part) => segment === 1 && part !== "masks";
   const rateBps = 8.5 * (LAYER_BYTES[0] + MASKS_BYTES);
   const [asked] = chosen([at(0, { rateBps })], { isHere });
-  assert.deepEqual(
-    asked.filter((name) => name.startsWith("1/")),
-    ["1/masks"],
-  );
+  assert.equal(String(asked.filter((name) => name.startsWith("1/"))), "1/masks");
 });
 
 test("the rate follows the link", () => {
@@ -175,10 +168,8 @@ test("a seek aborts what the last one asked for, and that is no failure", async 
   answering(context, (url, { signal }) => {
     const name = url.split("/host/")[1];
     if (!name.startsWith("segments/")) return new Response(FILES[name]);
-    asked.push({ name, signal: signal });
-    return new Promise((_, reject) =>
-      signal?.addEventListener("abort", () => reject(signal.reason)),
-    );
+    asked.push({ name, signal });
+    return new Promise((_, no) => signal.addEventListener("abort", () => no(signal.reason)));
   });
   const stream = await HostedStream.open("http://any/host/", new Fetcher());
   const [first, second] = [0, 1].map((segment) => {
@@ -189,10 +180,11 @@ test("a seek aborts what the last one asked for, and that is no failure", async 
   });
   first.close();
   await settled();
-  const abortedOf = (segment) =>
-    asked
-      .filter(({ name }) => name === `segments/${segment}/0`)
-      .map(({ signal }) => signal.aborted);
-  assert.deepEqual([abortedOf(0), abortedOf(1)], [[true], [true, false]]);
+  const layers = asked.filter(({ name }) => /[01]\/0$/.test(name));
+  const found = layers.map(({ name, signal }) => `${name}: ${signal.aborted}`);
+  assert.deepEqual(
+    found.sort(),
+    ["0/0: true", "1/0: false", "1/0: true"].map((n) => `segments/${n}`),
+  );
   assert.deepEqual([first.failure, second.failure], [null, null]);
 });

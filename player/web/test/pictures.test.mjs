@@ -34,12 +34,8 @@ function scrubbing() {
       asked.push({ segment, signal, answer, refuse: () => reject(new Error("gone")) });
     });
   };
-  const stream = {
-    manifest: MANIFEST,
-    cache,
-    numFrames: RECORDS.length * segmentFrames,
-    fetchSnapshot,
-  };
+  const numFrames = RECORDS.length * segmentFrames;
+  const stream = { manifest: MANIFEST, cache, numFrames, fetchSnapshot };
   const calls = { fetches: 0 };
   const scrubber = new Scrubber(
     stream,

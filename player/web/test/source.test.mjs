@@ -21,15 +21,9 @@ test("an object of another origin is refused unless it is allowed", () => {
     ),
   );
   assert.equal(objectUrl(BASE, away, true), away);
-  for (const path of [
-    "//host/0/0",
-    "http://host:8001/0/0",
-    "\\\\host:1/0/0",
-    "https://host:8000/0/0",
-    "//elsewhere.example/0/0",
-    "http://host0.example/0",
-  ])
-    assert.throws(() => objectUrl(BASE, path, false), /leads to another host/, path);
+  const here = ["http://host:8001/", "\\\\host:1/", "https://host:8000/", "//host/"];
+  for (const origin of [...here, "//elsewhere.example/", "http://host0.example/"])
+    assert.throws(() => objectUrl(BASE, `${origin}0/0`, false), /leads to another host/, origin);
   for (const path of ["http://host:8000/stream/0/0", "/stream/0/0", "../stream/0/0"])
     assert.equal(objectUrl(BASE, path, false), "http://host:8000/stream/0/0");
   for (const isAllowed of [false, true]) {
@@ -71,11 +65,8 @@ function startRecord(manifest) {
   return Buffer.concat([Buffer.from(Uint32Array.of(body.length).buffer), body]);
 }
 
-for (const [kind, url] of [
-  ["a static host", "http://host/many/"],
-  ["a server", "http://host/watch/many/"],
-]) {
-  test(`2^24 Gaussians on ${kind} are refused unless they are allowed, and cost nothing yet`, async (context) => {
+for (const url of ["http://host/many/", "http://host/watch/many/"]) {
+  test(`2^24 Gaussians at ${url} cost nothing before they are allowed`, async (context) => {
     const manifest = manifestBytes(MANY);
     answering(context, (asked) => {
       if (asked.endsWith("manifest.json")) return new Response(manifest);
@@ -106,9 +97,8 @@ for (const hasRanges of [true, false]) {
     answering(context, (_, { headers }) => {
       const first = /^bytes=(\d+)-$/.exec(headers?.Range ?? "")?.[1];
       const isRange = hasRanges && first !== undefined;
-      return new Response(isRange ? bytes.slice(Number(first)) : bytes, {
-        status: isRange ? 206 : 200,
-      });
+      const sent = isRange ? bytes.slice(Number(first)) : bytes;
+      return new Response(sent, { status: isRange ? 206 : 200 });
     });
     const index = new GrowingIndex("http://host/index.bin", new Fetcher(), MANIFEST);
     let known = 0;
@@ -119,9 +109,9 @@ for (const hasRanges of [true, false]) {
       const fresh = await index.refresh();
       const sent = hasRanges && known > 1 ? count + 1 : known + count;
       assert.equal(index.fetcher.receivedBytes - beforeBytes, sent * row(0).length);
-      assert.deepEqual(
-        fresh.map(({ segment }) => segment),
-        rows.map((_, n) => n).slice(known),
+      assert.equal(
+        String(fresh.map(({ segment }) => segment)),
+        String([...rows.keys()].slice(known)),
       );
       known += count;
       assert.equal(index.records.length, known);
@@ -139,12 +129,8 @@ for (const hasRanges of [true, false]) {
 }
 
 test("the edge is a segment behind what comes while one waits", () => {
-  for (const [fps, segmentFrames] of [
-    [30, 15],
-    [30, 1],
-    [25, 50],
-    [10, 200],
-  ]) {
+  for (const lengths of ["15 30", "1 30", "50 25", "200 10"]) {
+    const [segmentFrames, fps] = lengths.split(" ").map(Number);
     const shape = { fps, segmentFrames };
     const periodS = followPeriodS(shape);
     assert.equal(periodS, Math.min(5, Math.max(0.5, segmentFrames / fps)));
@@ -217,7 +203,7 @@ test("a host that answers other pages only is told from a network that is gone",
   });
   await assert.rejects(
     fetcher.get(URL_, 10),
-    /^SourceError: http:\/\/host answers, but does not let/,
+    /^SourceError: http:.*host answers, but does not let/,
   );
   const get = ["GET", undefined];
   assert.deepEqual(modes, [get, get, get, ["HEAD", "no-cors"]]);
@@ -227,10 +213,7 @@ test("a host that answers other pages only is told from a network that is gone",
   modes.length = 0;
   fetcher.receivedBytes = 1;
   await assert.rejects(fetcher.get(URL_, 10), /cannot be reached/);
-  assert.ok(
-    modes.every((one) => String(one) === String(get)),
-    "it has answered this page before",
-  );
+  assert.ok(!String(modes).includes("HEAD"), "it has answered this page before");
 });
 
 test("what is refused, too long or no address of the web is not asked for twice", async (context) => {

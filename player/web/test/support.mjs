@@ -56,51 +56,25 @@ export function law(name, count, holds) {
 }
 
 const LATTICE = {
-  position_m: 0.001,
-  log_scale: 0.05,
-  log_scale_base: -3,
-  rotation: 0.01,
-  colour: 0.02,
+  ...{ position_m: 0.001, log_scale: 0.05, log_scale_base: -3, rotation: 0.01, colour: 0.02 },
   opacity_levels: 256,
 };
 
 /** A camera of a manifest: in the origin, looking along z, unless `changes` says otherwise. */
 export const camera = (changes) => ({
-  name: "c0",
-  width_px: 64,
-  height_px: 48,
-  fx_px: 60,
-  fy_px: 60,
-  cx_px: 32,
-  cy_px: 24,
+  ...{ name: "c0", width_px: 64, height_px: 48, fx_px: 60, fy_px: 60, cx_px: 32, cy_px: 24 },
   w2c: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
   ...changes,
 });
 
 export function manifestBytes({ slots = [5, 3, 2], ...changes } = {}) {
   const cameras = changes.cameras ?? [camera()];
+  const bounds = [2, 6].map((z, upper) => (upper ? [2, 2, z] : [-2, -2, z]));
   const manifest = {
-    version: 2,
-    fps: 30,
-    swin_size: 1,
-    num_gs: slots.reduce((sum, one) => sum + one),
-    slots,
-    lattice: slots.map(() => LATTICE),
-    segment_frames: 30,
-    sh_degree: 0,
-    antialias: false,
-    near_m: 0.5,
-    bounds: [
-      [-2, -2, 2],
-      [2, 2, 6],
-    ],
-    cameras,
-    default_camera: cameras[0].name,
-    live: false,
-    poster: null,
-    object_url: "segments/{segment}/{layer}",
-    title: "",
-    capture_frame: 0,
+    ...{ version: 2, fps: 30, swin_size: 1, segment_frames: 30, sh_degree: 0, antialias: false },
+    ...{ near_m: 0.5, bounds, cameras, default_camera: cameras[0].name, live: false, slots },
+    ...{ num_gs: slots.reduce((sum, one) => sum + one), lattice: slots.map(() => LATTICE) },
+    ...{ poster: null, object_url: "segments/{segment}/{layer}", title: "", capture_frame: 0 },
     ...changes,
   };
   return new TextEncoder().encode(JSON.stringify(manifest));
@@ -155,10 +129,8 @@ export function answering(context, answer) {
 /** Fails unless all numbers are `wanted`, but for rounding. */
 export function near(found, wanted, off = 1e-9) {
   assert.equal(found.length, wanted.length);
-  const isNear = wanted.every(
-    (one, n) => Math.abs(found[n] - one) <= off * Math.max(1, Math.abs(one)),
-  );
-  assert.ok(isNear, `${found} is not near ${wanted}`);
+  const isNear = (one, n) => Math.abs(found[n] - one) <= off * Math.max(1, Math.abs(one));
+  assert.ok(wanted.every(isNear), `${found} is not near ${wanted}`);
 }
 
 /** The pose of a camera at a place that looks at another one, down as far as possible along `down`. */
