@@ -45,16 +45,6 @@ def png_16(path: Path, pixels: npt.NDArray[np.uint16], colour_type: int) -> None
     )  # fmt: skip
 
 
-def test_16_bit_grey_is_rounded_to_8(tmp_path: Path) -> None:
-    for kind in ("png", "tif"):
-        path = tmp_path / f"grey.{kind}"
-        deep = np.linspace(0, 65535, 48).astype(np.uint16).reshape(6, 8)
-        Image.fromarray(deep).save(path)
-        found = read_rgb(path, any_size)
-        assert (found == np.rint(deep / 257)[..., None]).all()
-        assert (read_grey(path, any_size) == found[..., 0]).all()
-
-
 def tiff_16(path: Path, pixels: npt.NDArray[np.uint16]) -> None:
     """Writes a 16-bit TIFF with FFmpeg's encoder, because Pillow writes only grey ones."""
     context = av.CodecContext.create("tiff", "w")
@@ -67,26 +57,6 @@ def tiff_16(path: Path, pixels: npt.NDArray[np.uint16]) -> None:
     path.write_bytes(b"".join(bytes(packet) for packet in packets))
 
 
-def test_16_bit_colour_is_that_of_8(tmp_path: Path) -> None:
-    wide = RGB.astype(np.uint16) * 257
-    png_16(tmp_path / "colour.png", wide, 2)
-    tiff_16(tmp_path / "colour.tif", wide)
-    for path in tmp_path.iterdir():
-        found = read_rgb(path, any_size)
-        assert (found == RGB).all()
-        assert found.dtype == np.uint8
-        assert found.flags.c_contiguous
-
-
-@pytest.mark.parametrize("suffix", ["png", "tif", "bmp"])
-def test_8_bits_are_as_they_are(suffix: str, tmp_path: Path) -> None:
-    path = tmp_path / f"picture.{suffix}"
-    Image.fromarray(RGB).save(path)
-    assert (read_rgb(path, any_size) == RGB).all()
-    Image.fromarray(GREY).save(path)
-    assert (read_rgb(path, any_size) == GREY[..., None]).all()
-
-
 def saving(pixels: npt.NDArray[np.generic], mode: str | None = None) -> Callable[[Path], None]:
     return lambda path: Image.fromarray(pixels, mode).save(path)
 
@@ -95,6 +65,27 @@ def saved_with_a_transparent_colour(path: Path) -> None:
     picture = Image.fromarray(GREY // 64, "P")
     picture.putpalette([9, 8, 7, 99, 98, 97, 200, 0, 0, 0, 0, 200])
     picture.save(path, transparency=1)
+
+
+def test_pictures_of_8_bits_are_as_they_are_and_16_are_rounded(tmp_path: Path) -> None:
+    deep = np.linspace(0, 65535, 48).astype(np.uint16).reshape(6, 8)
+    wide = RGB.astype(np.uint16) * 257
+    png_16(tmp_path / "wide.png", wide, 2)
+    tiff_16(tmp_path / "wide.tif", wide)
+    for suffix in ("png", "tif", "bmp"):
+        saving(RGB)(tmp_path / f"rgb.{suffix}")
+        saving(GREY)(tmp_path / f"grey.{suffix}")
+        if suffix != "bmp":
+            saving(deep)(tmp_path / f"deep.{suffix}")
+    expected = {"wide": RGB, "rgb": RGB, "grey": GREY[..., None] * np.ones(3, np.uint8)}
+    expected["deep"] = np.rint(deep / 257).astype(np.uint8)[..., None] * np.ones(3, np.uint8)
+    for path in tmp_path.iterdir():
+        found = read_rgb(path, any_size)
+        assert np.array_equal(found, expected[path.stem]), path
+        assert found.dtype == np.uint8
+        assert found.flags.c_contiguous
+        if path.stem == "deep":
+            assert (read_grey(path, any_size) == found[..., 0]).all()
 
 
 INDEXED = np.array([[9, 8, 7], [0, 0, 0], [200, 0, 0], [0, 0, 200]], np.uint8)[GREY // 64]

@@ -21,7 +21,7 @@ from trainer.synth.scene import UP, camera_rig
 
 Picture = npt.NDArray[np.uint8]
 
-WIDTH_PX, HEIGHT_PX = 128, 72
+WIDTH_PX, HEIGHT_PX = SIZE_PX = 128, 72
 NUM_FRAMES = 2
 FINER = 3
 """Scale at which distorted pictures are filmed before they are reduced."""

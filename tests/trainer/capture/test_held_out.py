@@ -35,12 +35,6 @@ def test_every_layout_reads_it_alike(tmp_path: Path, layout: str) -> None:
         assert f"held_out.txt: {said}" in refusal(root)
 
 
-def test_without_the_file_it_is_the_one_between(tmp_path: Path) -> None:
-    assert read_held_out(tmp_path, tiny_rig(5)) == {"cam02"}
-    assert read_held_out(tmp_path, tiny_rig(1)) == {"cam00"}
-    assert read_held_out(tmp_path, []) == set()
-
-
 def standing_at(places: Sequence[Sequence[float]]) -> list[Camera]:
     """Cameras at these places that look at one point."""
     return [
@@ -73,13 +67,16 @@ def test_never_the_corner_or_edge_of_a_grid_nor_what_is_far_above_a_ring() -> No
     assert 2 <= camera_between(standing_at(pairs)) <= 9
 
 
-def test_where_none_stands_between_it_is_the_nearest_to_it() -> None:
+def test_the_one_between_in_small_rigs_and_in_another_unit_or_frame_of_the_world(
+    tmp_path: Path,
+) -> None:
+    assert read_held_out(tmp_path, tiny_rig(5)) == {"cam02"}
+    assert read_held_out(tmp_path, tiny_rig(1)) == {"cam00"}
+    assert read_held_out(tmp_path, []) == set()
+    # Where none stands between, it is the nearest to it.
     triangle = [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (1.0, 0.8, 0.0)]
     assert camera_between(standing_at(triangle)) == 2
     assert camera_between(standing_at([(1.0, 0.0, 0.0)] * 3)) == 0
-
-
-def test_another_unit_or_frame_of_the_world_chooses_alike() -> None:
     rng = np.random.default_rng(5)
     places = rng.normal(size=(30, 3))
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]

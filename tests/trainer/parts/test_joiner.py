@@ -1,16 +1,21 @@
-"""Pieces of a stream, and the sound of the capture, are joined in order."""
+"""Pieces of a stream, and the capture's sound, are joined in order, with messages and records."""
 
 from __future__ import annotations
 
+import io
+import json
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from codec.errors import InvalidError
+from codec.progressline import ProgressLine
 from codec.storage.openstorage import open_growing
 from codec.stream import StreamReader
-from codec.stream.index import record_bytes
+from codec.stream.index import SegmentRecord, record_bytes
 from codec.stream.writer import SHAPE
 from codec.tools.audit import verify_stream
 from codec.tools.streamsound import add_sound
@@ -20,10 +25,12 @@ from tests.support.tiny_capture import write_dynamic3dgs
 from trainer.capture.layout import open_capture
 from trainer.parts.cut import cut
 from trainer.parts.joiner import Joiner
+from trainer.parts.joinmonitor import JoinMonitor
 from trainer.parts.part_state import MANIFEST_PATH, pack_arrays
 from trainer.parts.task import Run, Task
 from trainer.run.capturesound import SOURCE, CaptureSound, capture_sound
 from trainer.run.config import TrainConfig
+from trainer.run.runlog import RunLog
 
 FPS = 10.0
 FRAMES, PART_FRAMES, SEGMENT_FRAMES = 22, 7, 2
@@ -99,3 +106,53 @@ def test_a_run_goes_on_with_the_sound_that_it_began_with(
     assert len(resumed.begin(resumed=True)) == len(tasks[0].frames) // SEGMENT_FRAMES
     with pytest.raises(InvalidError, match="sound, unlike the capture now"):
         Joiner(run, other).begin(resumed=True)
+
+
+def record(segment: int, psnr_db: float, size: int) -> SegmentRecord:
+    """A record whose masks and snapshot have no bytes."""
+    hashes = (bytes(32),) * 2
+    return SegmentRecord(segment, 10 * segment, 10, (size,), hashes[:1], (psnr_db,), (0, 0), hashes)
+
+
+def test_the_log_has_a_line_for_each_segment_and_means_over_all(tmp_path: Path) -> None:
+    now_s, told = 100.0, io.StringIO()
+    path = tmp_path / "log.jsonl"
+    with ProgressLine(Console(file=told), lambda: now_s) as line, RunLog(path) as log:
+        monitor = JoinMonitor(line, log, 60, lambda: now_s)
+        monitor.begin(1_000)
+        monitor.found([record(0, 20.0, 500)])
+        now_s += 60
+        monitor.progressed(250)
+        monitor.joined([record(1, 30.0, 300), record(2, math.nan, 100)])
+        now_s += 60
+        monitor.progressed(2_000)  # more than expected does not exceed 100 %
+        monitor.joined([record(3, 40.0, 100)])
+    rows = [json.loads(row) for row in path.read_text().splitlines()]
+    assert [row["frame"] for row in rows] == [19, 29, 39]
+    assert [row["psnr_db"] for row in rows] == [25, 25, 30]
+    assert [row["bytes_per_frame"] for row in rows] == [40, 30, 25]
+    assert [(row["time_s"], row["left_s"]) for row in rows[:2]] == [(60, 180)] * 2
+    lines = told.getvalue().splitlines()
+    assert lines[0].startswith("frame 10 of 60  25% done  1:00 elapsed, 3:00 left  20.00 dB")
+    assert lines[-1].startswith("frame 40 of 60  100% done  2:00 elapsed")
+
+
+@pytest.mark.parametrize(
+    ("iterations", "done", "said"),
+    [
+        # Iterations of an earlier run took none of the time.
+        (1_000, (600, 500), "first of 60 frames  60% done  1:00 elapsed, 4:00 left"),
+        (0, (0, 0), "first of 60 frames  0% done"),  # everything existed already
+    ],
+)
+def test_a_resumed_run_says_what_is_known(
+    iterations: int, done: tuple[int, int], said: str, tmp_path: Path
+) -> None:
+    now_s, told = 0.0, io.StringIO()
+    with ProgressLine(Console(file=told), lambda: now_s) as line, RunLog(tmp_path / "log") as log:
+        monitor = JoinMonitor(line, log, 60, lambda: now_s)
+        monitor.begin(iterations)
+        now_s += 60
+        monitor.progressed(done[0], before=done[1])
+    assert told.getvalue().startswith(said)
+    assert not (tmp_path / "log").exists()

@@ -95,7 +95,7 @@ def test_two_captures_on_a_cluster_with_killed_workers_make_the_stream_of_one_pr
             for stream in streams
         ]
         for driver in runs:
-            said += driver.communicate(timeout=BOUND_S)[1]
+            said += driver.communicate()[1]
             assert driver.returncode == 0, said
     assert min(killed) > 0
     assert re.search(r"^worker process \d+ on node [\d.]+ was killed", said, re.MULTILINE)
@@ -172,7 +172,7 @@ with open_cluster("local", 1, Console()) as ray:
 """
     argv = [sys.executable, "-c", code]
     elsewhere = {**environment(), "RAY_ADDRESS": "127.0.0.1:1"}  # there is no cluster
-    done = subprocess.run(argv, env=elsewhere, capture_output=True, text=True, timeout=100)
+    done = subprocess.run(argv, env=elsewhere, capture_output=True, text=True, timeout=BOUND_S)
     assert done.stderr.splitlines() == ["0 False", "1 True", "1 True"]
 
 

@@ -1,17 +1,23 @@
-"""Parts cover a capture in whole segments, and tasks come in the order in which the stream grows
-soonest."""
+"""Parts cover a capture in whole segments; tasks come in the order in which the stream grows; and
+checks of a cluster before it gets work."""
 
 from __future__ import annotations
 
+import io
+import sys
 from collections import deque
+from contextlib import redirect_stdout
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
 from codec.errors import InvalidError
+from trainer.parts.cluster import RayOutput, look_for_room, num_workers
 from trainer.parts.cut import cut
 from trainer.parts.task import Kind, Run, Task
 from trainer.parts.taskqueue import TaskQueue
@@ -98,3 +104,53 @@ def test_iterations_are_those_of_the_windows() -> None:
     assert first.iterations == 5 * fit.window_iterations  # genesis has trained its first frame
     assert second.iterations == (4 + 5) * fit.window_iterations + 2 * run.seam_fit.window_iterations
     assert seam.iterations == 2 * run.seam_fit.window_iterations
+
+
+SMALL = {"Alive": True, "Resources": {"CPU": 3.0}}
+LARGE = {"Alive": True, "Resources": {"CPU": 8.0, "GPU": 1.0}}
+GONE = {"Alive": False, "Resources": {"CPU": 64.0, "GPU": 8.0}}
+
+
+def test_workers_find_room_node_by_node_and_where_there_is_none_it_is_said() -> None:
+    for nodes, claims, number, said in (
+        ([SMALL, LARGE, GONE], {"worker_cpus": 2}, 1 + 4, ""),
+        ([SMALL, LARGE, GONE], {"worker_cpus": 0.5}, 6 + 16, ""),
+        ([SMALL, LARGE, GONE], {"worker_cpus": 2, "worker_gpus": 0.5}, 2, ""),
+        ([SMALL, GONE], {"worker_cpus": 4}, 0, "4 cores and 0 GPUs"),
+        ([SMALL, LARGE], {"worker_cpus": 1, "worker_gpus": 2}, 0, "1 cores and 2 GPUs"),
+    ):
+        ray, words = SimpleNamespace(nodes=lambda nodes=nodes: nodes), io.StringIO()
+        config = TrainConfig("capture", "stream", **claims)  # type: ignore[arg-type]
+        assert num_workers(ray, config) == number
+        look_for_room(ray, config, Console(file=words))
+        assert said in words.getvalue()
+        assert bool(said) == bool(words.getvalue())
+
+
+def test_what_ray_says_of_a_dead_worker_becomes_one_line() -> None:
+    words = io.StringIO()
+    with redirect_stdout(RayOutput(Console(file=words))):
+        # The output of ray 2.60.
+        sys.stdout.write(
+            "\x1b[33m(raylet)\x1b[0m A worker died or was killed while executing a task by an "
+            "unexpected system error. To troubleshoot the problem, check the logs for the dead "
+            "worker. Lease ID: 00 Worker ID: a5 Node ID: 28 Worker IP address: 192.0.2.2 Worker "
+            "port: 42515 Worker PID: 6361 Worker exit type: SYSTEM_ERROR Worker exit detail: "
+            "Worker unexpectedly exits with a connection error code 2. Some common causes "
+            "include: (1) the process was killed by the OOM killer due to high memory usage"
+        )
+        sys.stdout.write("Task do_task failed. There are 2 retries remaining. Error: \n")
+        sys.stdout.write(
+            "(raylet) Task do_task failed. There are 2 retries remaining, so the task will be "
+            "retried. Error: User exception:\nray::do_task() (pid=6850, ip=192.0.2.2)\n"
+            '  File "worker.py", line 8, in do\n    raise OSError("full")\nOSError: disc is full\n'
+            "\nSystem error:\nIntentionalSystemExit: Worker exits with an exit code 0.\n"
+        )
+        sys.stdout.write("2 Workers (tasks / actors) killed due to memory pressure (OOM)\n")
+    told = words.getvalue().splitlines()
+    assert [line.partition(";")[0] for line in told] == [
+        "worker process 6361 on node 192.0.2.2 was killed or crashed (out of memory, a signal, or "
+        "native code)",
+        "a task failed (OSError: disc is full)",
+        "a node ran out of memory and ended a worker",
+    ]

@@ -13,10 +13,8 @@ from rich.console import Console
 
 from codec.errors import SwingsError
 from codec.interop.formats import SplatFormat, read_splats, write_splats
-from codec.slots.update import NEW
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
-from codec.tools.slotcensus import count_slots
 from tests.support.commands import run
 from tests.support.drawn import same_splats
 from tests.support.tiny_capture import WIDTH_PX
@@ -124,18 +122,6 @@ def test_a_stream_trained_by_torch_is_valid_and_as_good(tmp_path: Path) -> None:
         psnr_db[name] = evaluate_stream(EvaluateConfig(stream, capture)).layers[-1].psnr_db
     assert psnr_db["cpu"] > 15
     assert psnr_db["torch"] == pytest.approx(psnr_db["cpu"], abs=0.2)
-
-
-def test_preset_paper_writes_whole_slices(capture: Path, tmp_path: Path) -> None:
-    words = "--num-gs", 100, "--genesis-iterations", 5, "--window-iterations", 2, "--frames", "0:3"
-    train_here(capture, tmp_path / "stream", "--preset", "paper", *words)
-    reader = StreamReader(tmp_path / "stream")
-    assert reader.manifest.swin_size == 5
-    assert reader.manifest.slots == (7, 3, 4, 6)
-    # Nothing is leased: in every slice each slot is new.
-    census = count_slots(reader)
-    assert (census.statuses[1:, :, NEW] == reader.manifest.slots).all()
-    assert np.array_equal(census.first, 5 * np.array(reader.manifest.slots))
 
 
 def test_a_run_logs_every_frame_and_draws_snapshots(capture: Path, tmp_path: Path) -> None:

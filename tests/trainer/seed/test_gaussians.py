@@ -169,8 +169,8 @@ def test_spacings_are_exact_where_many_places_are_almost_equally_near() -> None:
     for _ in range(10):
         sphere = rng.normal(size=(500, 3))
         sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
-        points = np.concatenate([np.zeros((1, 3)), sphere]) + rng.normal(size=3)
-        points = points.astype(np.float32)
+        places = np.concatenate([np.zeros((1, 3)), sphere]) + rng.normal(size=3)
+        points: Floats = places.astype(np.float32)
         np.testing.assert_array_equal(spacings(points), spacings_by_all_pairs(points))
 
 

@@ -44,7 +44,7 @@ def stand_in(**given: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
     return picture[None], torch.ones(1), {}
 
 
-def scene(sh_degree: int) -> Parameters:
+def small_scene(sh_degree: int) -> Parameters:
     rng = np.random.default_rng(2)
     values = Parameters.zeros(COUNT, sh_degree)
     values.means[:] = rng.uniform((-1, -1, 2), (1, 1, 4), (COUNT, 3))
@@ -77,7 +77,7 @@ def backend(request: pytest.FixtureRequest) -> Backend:
 def check(backend: Backend, sh_degree: int, half: bool, masked: bool = False) -> None:
     shot = shot_of(CAMERA, 3, masked, half)
     rows = np.random.default_rng(4).permutation(COUNT)[: COUNT - 5].astype(np.int32)
-    given = scene(sh_degree), CAMERA, rows, TRAINABLE, shot
+    given = small_scene(sh_degree), CAMERA, rows, TRAINABLE, shot
     wanted, expected = stepped(CpuBackend(*WEIGHTS), *given)
     # It always computes the whole picture.
     found, got = stepped(backend, *given, whole=False)
