@@ -1,4 +1,5 @@
-"""Node tests the modules of player/web that need no page: `node --test player/web/test/`."""
+"""The modules of player/web that need no page, tested beside them by Node alone:
+`node --test player/web/test/*.test.mjs`."""
 
 from __future__ import annotations
 
