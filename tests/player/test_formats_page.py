@@ -127,19 +127,6 @@ def agrees(said: str, measured: float) -> bool:
     return measured <= float(said) <= max(1.5 * measured, 1e-6)
 
 
-@formats
-def test_the_errors_are_what_is_measured(name: str) -> None:
-    format, version = WRITTEN[name]
-    back = decode_any(encode_splats(generated(), format, version), f".{format}")
-    if format in (SplatFormat.SOG, SplatFormat.SPLAT):
-        back = in_order(back, generated())
-    measured = largest_errors(back, generated(), format)
-    said = table(ERRORS)[name]
-    assert all(map(agrees, said, measured)), f"| {name} | " + " | ".join(
-        f"{value:.2g}" for value in measured
-    )
-
-
 def assert_size_and_picture(said: list[str], found: Kept) -> None:
     told = f"{found.bytes_each:.1f} | {found.psnr_db:.1f}"
     assert float(said[0]) == pytest.approx(found.bytes_each, rel=0.03), told
@@ -152,10 +139,19 @@ def assert_size_and_picture(said: list[str], found: Kept) -> None:
 
 
 @formats
-def test_the_sizes_and_pictures_of_generated_gaussians(name: str) -> None:
-    assert_size_and_picture(table(SIZES)[name][:2], kept(generated(), name))
+def test_errors_sizes_and_pictures_are_what_is_measured(name: str) -> None:
+    format, found = WRITTEN[name][0], kept(generated(), name)
+    assert_size_and_picture(table(SIZES)[name][:2], found)
+    back = found.back
+    if format in (SplatFormat.SOG, SplatFormat.SPLAT):
+        back = in_order(back, generated())
+    measured = largest_errors(back, generated(), format)
+    assert all(map(agrees, table(ERRORS)[name], measured)), f"| {name} | " + " | ".join(
+        f"{value:.2g}" for value in measured
+    )
 
 
+@pytest.mark.deep
 @pytest.mark.skipif(
     not FIGURE.exists(), reason=f"no {FIGURE.name} in {FIGURE.parent} (set SWINGS_DATA)"
 )

@@ -188,11 +188,11 @@ def test_a_full_queue_stops_the_time_of_a_capture() -> None:
     clock = Clock(False, world)
     events = events_of(30.0, clock, QueueConfig(max_frames=3))
     with ThreadPoolExecutor(1) as pool:
-        coming = pool.submit(lambda: [events.append(one) for one in PACKETS[:6]])
+        coming = [pool.submit(events.append, one) for one in PACKETS[:6]]
         wait_until(lambda: not clock.running)
         world.now_s += 5
         shown = [events.wait_for_frame() for _ in range(6)]
-        coming.result(BOUND_S)
+        wait(coming, BOUND_S)
     assert clock.running
     assert clock.now_s() == 0
     assert shown[-1] is not None

@@ -12,6 +12,7 @@ from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamReader
+from player.render.cpu import CpuRenderer, render_splats
 from player.render.ring import Ring
 from tests.support.drawn import same_splats
 from tests.support.hosted_streams import (
@@ -19,6 +20,7 @@ from tests.support.hosted_streams import (
     SWIN_SIZE,
     random_slice,
     random_splats,
+    small_manifest,
     write_stream,
 )
 from tests.support.slots.leases import LeasedStream, leased_streams, replayed
@@ -88,3 +90,16 @@ def test_changes_that_do_not_fit_are_refused() -> None:
     ring.put(change(2, 2))
     with pytest.raises(InvalidError, match="its lane holds the one born at 2"):
         ring.put(change(6, 0))
+
+
+def test_the_cpu_renderer_shows_slices_from_their_birth_on() -> None:
+    manifest = small_manifest(slice_size=50)
+    cpu, ring = CpuRenderer(manifest), Ring(SWIN_SIZE, 50, 1)
+    for birth in range(1 - SWIN_SIZE, 4):
+        cpu.put(random_slice(birth, 50))
+    for birth in range(1 - SWIN_SIZE, 4):
+        ring.put(random_slice(birth, 50))
+        if birth >= 0:
+            expected = render_splats(ring.active(birth), manifest.camera(), manifest.near_m)
+            np.testing.assert_array_equal(cpu.render(birth, manifest.camera()), expected)
+    assert cpu.uploaded_bytes == (SWIN_SIZE + 3) * 50 * (4 * (3 + 3 + 4 + 1 + 12) + 1)

@@ -15,26 +15,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from PIL import Image
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from codec.camera import Camera
 from codec.errors import CorruptError, InvalidError, SwingsError
-from codec.framerange import FrameRange
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.index import pack_record
 from codec.tools.static import export_static
 from player import Scene
-from player.config import PlayConfig
 from player.network.fetch import Fetcher, FetchError
 from player.network.retry import RetryConfig
 from player.render.cpu import CpuRenderer, render_splats
-from player.render.renderer import RendererKind
-from player.run.playback import play
 from player.script.openscene import Floats
-from player.show.sink import to_bytes
 from player.source.opener import SourceConfig
 from tests.support.commands import ROOT
 from tests.support.drawn import same_splats
@@ -195,37 +189,18 @@ def test_every_place_gives_the_same(library: Path, server: ServerProcess, tmp_pa
 def test_objects_may_lie_where_the_manifest_says(tmp_path: Path) -> None:
     stream = write_stream(tmp_path / "s", 13)
     manifest = StreamReader(stream).manifest
-    elsewhere = replace(manifest, object_url="../blobs/l{layer}-s{segment}")
-    (tmp_path / "blobs").mkdir()
     splats = StreamReader(stream).active_splats(9, 3)
+    elsewhere = replace(manifest, object_url="https://cdn.example/{layer}/{segment}")
+    (stream / "manifest.json").write_bytes(elsewhere.to_json())
+    with served(tmp_path) as server, Scene.open(f"{server.url}/watch/s") as scene:
+        assert same_splats(scene.splats(9), splats)  # a server has the objects itself
+    (tmp_path / "blobs").mkdir()
     for path in sorted((stream / "segments").glob("*/*")):
         path.rename(tmp_path / "blobs" / f"l{path.name}-s{path.parent.name}")
+    elsewhere = replace(manifest, object_url="../blobs/l{layer}-s{segment}")
     (stream / "manifest.json").write_bytes(elsewhere.to_json())
     with static_host(tmp_path) as host, Scene.open(f"{host}/s") as scene:
         assert same_splats(scene.splats(9), splats)
-
-
-def test_a_server_has_the_objects_itself_wherever_the_manifest_says(tmp_path: Path) -> None:
-    stream = write_stream(tmp_path / "s", 13, object_url="https://cdn.example/{layer}/{segment}")
-    with served(tmp_path) as server, Scene.open(f"{server.url}/watch/s") as scene:
-        assert same_splats(scene.splats(9), StreamReader(stream).active_splats(9, 3))
-
-
-def test_pictures_are_those_that_swings_play_captures(library: Path, tmp_path: Path) -> None:
-    for name in STREAMS:
-        config = PlayConfig(
-            str(library / name),
-            capture=tmp_path / name,
-            renderer=RendererKind.CPU,
-            frames=FrameRange(4, 12),
-        )
-        play(config)
-        with Scene.open(library / name, renderer="cpu") as scene:
-            for frame in scene.frames(4, 12):
-                file = tmp_path / name / f"frame_{frame:05d}.png"
-                np.testing.assert_array_equal(
-                    to_bytes(scene.render(frame)), np.asarray(Image.open(file))
-                )
 
 
 def test_a_camera_by_name_by_value_and_in_another_size(library: Path) -> None:
@@ -287,30 +262,19 @@ def test_no_thread_is_left_behind(library: Path, server: ServerProcess) -> None:
         assert set(threading.enumerate()) == before
 
 
-def test_a_script_that_never_closes_a_scene_ends(server: ServerProcess) -> None:
+def test_the_package_loads_little_and_a_script_need_not_close_a_scene(
+    server: ServerProcess,
+) -> None:
     code = f"""
+import sys, player
+assert not {{"numpy", "numba", "moderngl", "aiohttp"}} & set(sys.modules)
 from player import Scene
+assert not {{"av", "glfw"}} & set(sys.modules)
 scene = Scene.open({server.url + "/watch/busy"!r}, renderer="cpu")
 print(scene.render(7).shape)
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60
-    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "(48, 64, 3)\n"), done.stderr
-
-
-def test_the_package_alone_loads_nothing() -> None:
-    code = (
-        "import sys, player\n"
-        "heavy = {'numpy', 'numba', 'moderngl', 'aiohttp'} & set(sys.modules)\n"
-        "assert not heavy, heavy\n"
-        "from player import Scene\n"
-        "assert 'av' not in sys.modules and 'glfw' not in sys.modules\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60
-    )
-    assert done.returncode == 0, done.stderr
 
 
 def test_what_is_not_there_gets_one_line(library: Path) -> None:

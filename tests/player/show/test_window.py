@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import glfw
+import numpy as np
 import pytest
 from PIL import Image
 
-from player.config import PlayConfig
+from codec.framerange import FrameRange
+from codec.stream.captions import Captions
+from codec.tools.streamcaptions import add_captions
+from player.config import CameraPathName, PlayConfig
 from player.playout.conductor import Conductor
 from player.playout.timeline import FrameRecord
 from player.render.renderer import GlVersion
+from player.show.overlay import BAR_PX
 from player.view.path import Size
-from tests.player.show.windowed import Acts, Person
+from tests.player.show.windowed import Acts, Person, Pixels
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.trained_updates import trained_like_layout
+from tests.support.sounding import add_clicks
 
 
 @pytest.mark.parametrize(
@@ -37,7 +44,9 @@ def test_a_window_plays_resizes_and_closes(
         glfw.set_window_size(person.window, 100, 90)
         yield from person.until(lambda: person.pictures[-1].shape == (90, 100, 3))
         seen = set[FrameRecord | None]()
-        yield from person.until(lambda: seen.add(person.conductor._newest) or len(seen) > 7)
+        while len(seen) <= 7:
+            seen.add(person.conductor._newest)
+            yield
 
     stream = write_stream(tmp_path / "s", num_frames)
     summary = person.watches(
@@ -106,3 +115,206 @@ def test_without_a_display_one_line_says_what_to_do(tmp_path: Path) -> None:
     assert done.stderr.startswith("swings-play: cannot open a window")
     assert "--capture" in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+FRAMES = 60
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_stream(tmp_path_factory.mktemp("keys") / "s", FRAMES)
+
+
+def config(stream: Path, **more: object) -> PlayConfig:
+    return PlayConfig(str(stream), size=Size(320, 240), mute=True, **more)  # type: ignore[arg-type]
+
+
+def test_time_stands_steps_and_is_sought(stream: Path, person: Person, tmp_path: Path) -> None:
+    def acts(person: Person) -> Acts:
+        moving = person.seen
+        yield from person.until(lambda: person.differs(moving) > 0.01)
+        person.presses(glfw.KEY_SPACE)
+        yield from person.rests()
+        still = person.seen
+        person.presses(glfw.KEY_PERIOD)
+        yield from person.until(lambda: person.differs(still) > 0.001)
+        person.presses(glfw.KEY_COMMA)
+        # The same picture, although it was requested again.
+        yield from person.until(lambda: person.differs(still) == 0)
+        person.presses(glfw.KEY_RIGHT)
+        yield from person.rests()
+        assert person.differs(still) > 0.01
+        person.presses(glfw.KEY_LEFT)
+        yield from person.until(lambda: person.differs(still) == 0)
+        person.presses(glfw.KEY_HOME)
+        yield from person.rests()
+        first = person.seen
+        person.presses(glfw.KEY_END)
+        yield from person.rests()
+        last = person.seen
+        assert person.differs(first) > 0.01
+        person.presses(glfw.KEY_SPACE)  # at the end: restarts
+        yield from person.until(lambda: person.differs(last) > 0.01)
+
+    report = tmp_path / "r.json"
+    person.watches(config(stream, report=report), acts)
+    frames = [shown["frame"] for shown in json.loads(report.read_text())["frames"]]
+    assert FRAMES - 1 in frames
+    assert frames.count(0) >= 3  # at the start, by Home, and after the end
+    # The shown frames: a step forward, one back, a second forward and back.
+    back = next(n for n in range(len(frames)) if frames[n + 1] < frames[n]) + 1
+    stood = frames[back]
+    assert frames[back - 2 : back + 3] == [stood, stood + 1, stood, stood + 30, stood]
+
+
+def test_captions_show_and_a_key_hides_them(person: Person, tmp_path: Path) -> None:
+    stream = write_stream(tmp_path / "s", FRAMES)
+    (tmp_path / "in.vtt").write_text("WEBVTT\n\n00:00.000 --> 01:00.000\nWWWW WWWW\n")
+    add_captions(stream, tmp_path / "in.vtt", Captions("en", "English"))
+
+    def acts(person: Person) -> Acts:
+        person.presses(glfw.KEY_SPACE)
+        person.presses(glfw.KEY_C)  # none
+        yield from person.rests()
+        hidden = person.seen
+        person.presses(glfw.KEY_C)
+        yield from person.until(lambda: person.differs(hidden) > 0.001)
+        yield from person.rests()
+        height_px, width_px = hidden.shape[:2]
+        rows, columns = np.nonzero((person.seen != hidden).any(axis=2))
+        assert rows.min() > (height_px + BAR_PX) / 2
+        assert abs(columns.min() + columns.max() - width_px) < 12, "in the middle"
+        person.presses(glfw.KEY_C)
+        yield from person.until(lambda: person.differs(hidden) == 0)
+
+    person.watches(config(stream, captions="en"), acts)
+
+
+def test_the_bar_seeks_to_where_it_is_dragged(stream: Path, person: Person) -> None:
+    def acts(person: Person) -> Acts:
+        person.presses(glfw.KEY_SPACE)
+        yield from person.rests()
+        y_px = 240 - BAR_PX // 2
+        person.drags(glfw.MOUSE_BUTTON_LEFT, (160, y_px), (80, y_px), (240, y_px))
+        yield from person.rests()
+        bar = person.pictures[-1][-BAR_PX:].astype(int)
+        blue = (bar[:, :, 2] - bar[:, :, 0] > 60).any(axis=0)  # the played part
+        assert blue[160]
+        assert not blue[280]
+        assert abs(person.conductor.state().frame - 3 * FRAMES // 4) < FRAMES // 20
+
+    person.watches(config(stream), acts)
+
+
+def test_mouse_and_keys_move_the_camera_and_the_path_plays_again(
+    stream: Path, person: Person, tmp_path: Path
+) -> None:
+    recorded, turned = tmp_path / "path.json", list[Pixels]()
+
+    def acts(person: Person) -> Acts:
+        person.presses(glfw.KEY_SPACE)
+        yield from person.rests()
+        before = person.seen
+        left, right = glfw.MOUSE_BUTTON_LEFT, glfw.MOUSE_BUTTON_RIGHT
+        for act in ("pan", "wheel", "fly", "turn"):
+            if act == "pan":
+                person.drags(right, (100, 100), (140, 100))
+            elif act == "wheel":
+                person.scrolls(1)
+            elif act == "fly":
+                yield from person.flies(glfw.KEY_W)
+            else:
+                person.drags(left, (100, 100), (140, 100), (160, 90))
+            yield from person.rests()
+            assert person.differs(before) > 0.05, act
+            if act != "turn":
+                person.presses(glfw.KEY_R)
+                yield from person.until(lambda: person.differs(before) == 0)
+        turned.append(person.seen)
+
+    def acts_again(person: Person) -> Acts:
+        person.presses(glfw.KEY_SPACE)
+        person.presses(glfw.KEY_HOME)
+        yield from person.rests()
+        turned.append(person.seen)
+
+    person.watches(config(stream, record=recorded), acts)
+    last = json.loads(recorded.read_text())[-1]["frame"]
+    again = config(stream, camera=CameraPathName(str(recorded)), frames=FrameRange(last, FRAMES))
+    person.pictures.clear()
+    person.watches(again, acts_again)
+    apart = np.abs(turned[0].astype(int) - turned[1].astype(int))
+    assert np.quantile(apart, 0.99) <= 2  # within half a pixel
+
+
+def test_the_overlays_say_how_it_stands_and_what_keys_do(stream: Path, person: Person) -> None:
+    def acts(person: Person) -> Acts:
+        person.presses(glfw.KEY_SPACE)
+        yield from person.rests()
+        before = person.seen
+        person.presses(glfw.KEY_I)
+        yield from person.until(lambda: person.differs(before) > 0.05)
+        info = person.seen
+        person.presses(glfw.KEY_H)
+        yield from person.until(lambda: person.differs(info) > 0.05)
+        person.presses(glfw.KEY_H)
+        person.presses(glfw.KEY_I)
+        yield from person.until(lambda: person.differs(before) == 0)
+
+    person.watches(config(stream), acts)
+
+
+def test_the_background_shows_where_nothing_is_in_front_of_it(stream: Path, person: Person) -> None:
+    def acts(person: Person) -> Acts:
+        person.presses(glfw.KEY_SPACE)
+        yield from person.rests()
+        corners = person.seen[[0, 0, -1, -1], [0, -1, 0, -1]].astype(int)
+        # The other corners may be behind the rim of a Gaussian.
+        assert np.abs(corners - [0x33, 0x66, 0xFF]).max(axis=1).min() <= 8
+        # A Gaussian that hides it.
+        assert (person.seen[:, :, 2] < 100).any()
+
+    person.watches(config(stream, background=(0.2, 0.4, 1.0)), acts)
+
+
+def test_rate_loop_and_full_screen_by_keys(stream: Path, person: Person, tmp_path: Path) -> None:
+    frames, report = FrameRange(50, 60), tmp_path / "r.json"
+
+    def acts(person: Person) -> Acts:
+        conductor = person.conductor
+        person.presses(glfw.KEY_L)
+        person.presses(glfw.KEY_RIGHT_BRACKET)
+        person.presses(glfw.KEY_RIGHT_BRACKET)
+        assert conductor.state().rate == 2.0
+        person.presses(glfw.KEY_BACKSPACE)
+        assert conductor.state().rate == 1.0
+        assert conductor.state().loops
+        person.presses(glfw.KEY_F)
+        yield from person.until(lambda: person.pictures[-1].shape[:2] == (480, 640))
+        person.presses(glfw.KEY_ESCAPE)
+        yield from person.until(lambda: person.pictures[-1].shape[:2] == (240, 320))
+        plays = conductor._number + 2
+        yield from person.until(lambda: conductor._number >= plays)
+        person.presses(glfw.KEY_ESCAPE)
+        yield from person.until(lambda: False)  # until the window closes
+
+    summary = person.watches(config(stream, frames=frames, report=report), acts)
+    assert summary.num_plays >= 3
+    assert {one.record.frame for one in summary.journal.frames.all()} == {*range(50, 60)}
+
+
+def test_sound_plays_in_the_window_and_is_muted(person: Person, tmp_path: Path) -> None:
+    stream = write_stream(tmp_path / "s", FRAMES)
+    add_clicks(stream, range(0, FRAMES, 10))
+
+    def acts(person: Person) -> Acts:
+        moving = person.seen
+        for key in (glfw.KEY_M, glfw.KEY_UP, glfw.KEY_DOWN, glfw.KEY_M):
+            person.presses(key)
+        yield from person.until(lambda: person.differs(moving) > 0.01)
+
+    summary = person.watches(PlayConfig(str(stream), volume=0.3), acts)
+    assert summary.sound is not None
+    assert summary.sound.failed_segments == 0
+    person.pictures.clear()
+    assert person.watches(PlayConfig(str(stream), mute=True), acts).sound is None

@@ -8,6 +8,7 @@ heard click is recorded.
 from __future__ import annotations
 
 import random
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from player.playout.timeline import Playout
 from player.sound.decodedsound import DecodedSound
 from player.sound.segmentsound import segment_span
 from player.sound.soundplayer import SoundPlayer
-from player.source.source import SlicePackets, SnapshotPackets
+from player.source.source import Packets, SlicePackets, SnapshotPackets
 from server.abr.playout import PlayoutConfig
 from tests.support.hosted_streams import small_manifest
 from tests.support.sounding import BURST
@@ -118,30 +119,25 @@ class World:
     def receive(self, loops: bool) -> None:
         if self.now_s < self.held_until_s:
             return
-        now_s = self.clock.now_s()
         for number, playout in enumerate(self.plays):
             for _ in range(3):
                 birth = self.sent[number]
                 if birth >= self.num_frames or playout.frames_waiting > 60:
                     break
-                packets: SlicePackets | SnapshotPackets = SlicePackets(
-                    birth, 0, (b"x",), None, lambda error, part: error
-                )
-                if birth == playout._clock.first_frame:
-                    begin = birth - birth % 30
-                    snapshot = SnapshotPackets(begin, 0, (b"x",), lambda error, part: error)
-                    playout.push(snapshot, now_s)
-                    for older in range(begin + 1, birth):
-                        playout.push(
-                            SlicePackets(older, 0, (b"x",), None, lambda error, part: error), now_s
-                        )
-                    if birth == begin:
-                        self.sent[number] += 1
-                        continue
-                playout.push(packets, now_s)
+                for one in self.packets(birth, birth == playout._clock.first_frame):
+                    playout.push(one, self.clock.now_s())
                 self.sent[number] += 1
         if loops and len(self.plays) == 1 and self.sent[0] >= self.num_frames:
             self.begin(0, self.plays[0].end_s or 0.0)
+
+    def packets(self, birth: int, is_first: bool) -> Iterator[Packets]:
+        """What comes for `birth`; first of all the snapshot of its segment."""
+        begin = birth - birth % 30 if is_first else birth
+        if is_first:
+            yield SnapshotPackets(begin, 0, (b"x",), lambda error, part: error)
+            begin += 1
+        for one in range(begin, birth + 1):
+            yield SlicePackets(one, 0, (b"x",), None, lambda error, part: error)
 
     def listen(self) -> None:
         """Takes a block for the device if it is due; its sample n is heard at (n / rate)."""

@@ -10,8 +10,10 @@ import pytest
 from codec.stream.sound import SAMPLE_RATE, SoundSource
 from player.playout.mediatime import DeviceTime
 from player.sound.decodedsound import DecodedSound
+from player.sound.mixing import Stereo
 from player.sound.segmentsound import segment_span
 from player.sound.soundplayer import SoundPlayer
+from player.sound.splicer import HOP, Splicer
 from tests.support.hosted_streams import small_manifest
 
 NUM_FRAMES = 20
@@ -40,3 +42,42 @@ def test_each_second_that_lacks_its_segment_counts_once(lacking: set[int], rate:
         now_s += block / SAMPLE_RATE
     expected_s = len(lacking) * manifest.segment_frames / manifest.fps / rate
     assert player.missing_s == pytest.approx(expected_s, abs=0.021)
+
+
+TONE_HZ = 440.0
+
+
+def tone(begin: int, stop: int) -> Stereo:
+    wave = np.sin(np.arange(begin, stop) * 2 * np.pi * TONE_HZ / 48000)
+    return np.repeat(wave.astype(np.float32)[:, None], 2, axis=1)
+
+
+def spliced(rate: float, hops: int, first: float = 1000.0) -> Stereo:
+    splicer = Splicer(tone)
+    pieces = [splicer.hop(first + n * HOP * rate, rate) for n in range(hops)]
+    return np.concatenate(pieces)[HOP:]  # without fading in
+
+
+def test_at_normal_speed_the_samples_pass_unchanged() -> None:
+    found = spliced(1.0, 50)
+    np.testing.assert_allclose(found, tone(1000 + HOP, 1000 + 50 * HOP), atol=1e-6)
+
+
+@pytest.mark.parametrize("rate", [0.1, 0.25, 0.5, 0.9, 1.1, 1.5, 2.0])
+def test_other_rates_keep_pitch_and_loudness(rate: float) -> None:
+    found = spliced(rate, 100)[:, 0].astype(np.float64)
+    spectrum = np.abs(np.fft.rfft(found * np.hanning(len(found))))
+    peak_hz = float(np.argmax(spectrum)) * 48000 / len(found)
+    assert peak_hz == pytest.approx(TONE_HZ, abs=4)
+    assert np.sqrt(np.mean(found**2)) == pytest.approx(np.sqrt(0.5), rel=0.1)
+    # No clicks: the step between samples is never larger than the tone's steepest step.
+    assert np.abs(np.diff(found)).max() < 2 * 2 * np.pi * TONE_HZ / 48000
+
+
+def test_jumps_and_ends_fade() -> None:
+    splicer = Splicer(tone)
+    places: list[float | None] = [None, 0, 480, 960, 90000, 90480, None, None]
+    found = np.concatenate([splicer.hop(place, 1.0) for place in places])[:, 0]
+    assert np.abs(np.diff(found)).max() < 0.1
+    assert not found[:HOP].any()
+    assert not found[-HOP:].any()

@@ -68,7 +68,7 @@ layouts = st.builds(
 
 
 @given(layouts, st.integers(0, 1 << 32))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 def test_a_folder_joined_at_any_frame(layout: SlotLayout, seed: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = write_slot_stream(Path(folder) / "s", NUM_FRAMES, layout, seed)
@@ -122,14 +122,12 @@ def test_a_model_that_stands_still_takes_nothing_after_its_first_frame(
             assert not any(one.wire_bytes for one in got[1:])
 
 
-@pytest.mark.parametrize("layers", [1, 2, 3])
-def test_a_host_and_a_server_joined_at_any_frame(
-    library: Path, server: ServerProcess, layers: int
-) -> None:
+def test_a_host_and_a_server_joined_at_any_frame(library: Path, server: ServerProcess) -> None:
     reader = StreamReader(library / "one")
     with static_host(library) as host:
         for first in range(NUM_FRAMES):
-            for end in (None, first + 1, min(first + 4, NUM_FRAMES)):
+            layers = 1 + first % 3
+            for end in (None, first + 1):
                 frames = FrameRange(first, end)
                 local = read_all(str(library / "one"), frames, layers)
                 check_play(reader, local, frames, layers)

@@ -1,8 +1,9 @@
-"""One stream opened repeatedly, as for seeks."""
+"""One stream opened repeatedly, as for seeks, also while its server is away."""
 
 from __future__ import annotations
 
 import shutil
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import closing
@@ -13,12 +14,12 @@ import pytest
 
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
-from player.network.fetch import StoppedError
-from player.source.opener import Opener
+from player.network.fetch import BrokenError, Fetcher, StoppedError
+from player.source.opener import Opener, opened
 from tests.player.network.webhosts import NO_ANSWER, script
 from tests.player.source.test_served import answer, start
 from tests.support.delivery.assembled import assembled
-from tests.support.hosted_streams import served, static_host, write_stream
+from tests.support.hosted_streams import ServerProcess, served, static_host, write_stream
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +94,30 @@ def test_where_a_server_is_is_asked_once() -> None:
             "/v1/streams/s/play",
             "/v1/streams/s/play",
         ]
+
+
+def test_a_seek_while_the_server_is_away_waits_for_it(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    restarted: list[ServerProcess] = []
+
+    def pause(fetcher: Fetcher, seconds: float) -> None:
+        assert seconds > 0
+        if not restarted:
+            restarted.append(ServerProcess(root, server.port))
+
+    with served(root) as server, closing(Opener(f"{server.url}/watch/s")) as opener:
+        opener.open(FrameRange(), 3).close()
+        server.kill()
+        monkeypatch.setattr(Fetcher, "pause", pause)
+        with closing(opener.open(FrameRange(35), 3)) as source:
+            assert next(assembled(source)).frame == 35
+        restarted[0].kill()
+
+
+def test_nobody_waits_for_a_server_that_was_never_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as unused:
+        url = f"http://127.0.0.1:{unused.getsockname()[1]}"
+    monkeypatch.delattr(Fetcher, "pause")
+    with pytest.raises(BrokenError, match="cannot connect"), opened(f"{url}/watch/s"):
+        pass

@@ -115,59 +115,6 @@ def of_use(receiver: PlayReceiver, *records: Sent) -> list[Packets]:
     return [packets for packets in taken if packets is not None]
 
 
-Make = Callable[[StreamReader], Sent]
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda r: SliceRecord(7, (b"",)), "the slice born at 7 has no mask"),
-        (lambda r: SliceRecord(7, (), b""), "the slice born at 7 has no layers"),
-        (
-            lambda r: slice_record(r, 8, 0, 1),
-            "the slice born at 8 arrived before the slice born at 7",
-        ),
-        (lambda r: slice_record(r, 7, 0, 3), "a slice has layer 2; this play has 2 layers"),
-        (lambda r: slice_record(r, 7, 2, 3), "a slice has layer 2; this play has 2 layers"),
-        (lambda r: snapshot_record(r, 10, 1, 3), "a snapshot has layer 2; this play has 2 layers"),
-        (
-            lambda r: SnapshotRecord(6, 0, (b"",)),
-            "a snapshot of frame 6 arrived, which does not begin a segment",
-        ),
-    ],
-)
-def test_what_breaks_a_rule_is_named(reader: StreamReader, make: Make, message: str) -> None:
-    receiver = PlayReceiver("S", reader.manifest, 2, FrameRange(6))
-    take(receiver, snapshot_record(reader, 5, 0, 1), slice_record(reader, 6, 0, 1))
-    with pytest.raises(CorruptError, match=f"^S: .*{message}") as caught:
-        take(receiver, make(reader))
-    assert "\n" not in str(caught.value)
-    # A refused record has changed nothing.
-    assert take(receiver, slice_record(reader, 7, 0, 1)) == [7]
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda r: slice_record(r, 6, 0, 1), "the slice born at 6 arrived before a snapshot"),
-        (
-            lambda r: snapshot_record(r, 10, 0, 1),
-            "begins with layer 0 of the snapshot of frame 10, not",
-        ),
-        (
-            lambda r: snapshot_record(r, 5, 1, 2),
-            "layer 1 of the snapshot of frame 5, not with layer 0 of the snapshot of frame 5",
-        ),
-    ],
-)
-def test_a_play_begins_with_the_snapshot_of_its_segment(
-    reader: StreamReader, make: Make, message: str
-) -> None:
-    receiver = PlayReceiver("S", reader.manifest, 2, FrameRange(6))
-    with pytest.raises(CorruptError, match=message):
-        take(receiver, make(reader))
-
-
 def assemble(reader: StreamReader, *records: Sent) -> list[int]:
     """Births of the slices that frames 6 and 7 use, from records after a valid start."""
     receiver = PlayReceiver("S", reader.manifest, LAYERS, FrameRange(6))
@@ -181,40 +128,55 @@ def assemble(reader: StreamReader, *records: Sent) -> list[int]:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda r: SliceRecord(7, (b"",), b"zz"), "the mask of the slice born at 7: packet"),
-        (
-            lambda r: SliceRecord(7, (b"zz",), slice_record(r, 7, 0, 1).mask),
-            "layer 0 of the slice born at 7: packet",
-        ),
-        (
-            lambda r: SliceRecord(7, (b"",), slice_record(r, 8, 0, 1).mask),
-            "the mask of the slice born at 7: byte 8: mask: birth 8",
-        ),
-        (
-            lambda r: SliceRecord(
-                7, slice_record(r, 8, 0, 1).packets, slice_record(r, 7, 0, 1).mask
-            ),
-            "layer 0 of the slice born at 7: byte 8: change: birth 8",
-        ),
-        # Late snapshots.
-        (lambda r: SnapshotRecord(5, 1, (b"zz",)), "layer 1 of the snapshot of frame 5: packet"),
-        (
-            lambda r: SnapshotRecord(5, 2, snapshot_record(r, 5, 1, 2).packets),
-            "layer 2 of the snapshot of frame 5: byte 5: snapshot: of layer 1",
-        ),
-        (
-            lambda r: SnapshotRecord(5, 1, snapshot_record(r, 10, 1, 2).packets),
-            "layer 1 of the snapshot of frame 5: byte 8: snapshot: of frame 10",
-        ),
+        (lambda r: SliceRecord(7, (b"",)), "born at 7 has no mask"),
+        (lambda r: SliceRecord(7, (), b""), "born at 7 has no layers"),
+        (lambda r: slice_record(r, 8, 0, 1), "born at 8 arrived before the slice born at 7"),
+        (lambda r: slice_record(r, 7, 0, 3), "a slice has layer 2; this play has 2 layers"),
+        (lambda r: slice_record(r, 7, 2, 3), "a slice has layer 2; this play has 2 layers"),
+        (lambda r: snapshot_record(r, 10, 1, 3), "a snapshot has layer 2; this play has 2 layers"),
+        (lambda r: SnapshotRecord(6, 0, (b"",)), "frame 6 arrived, which does not begin a segment"),
     ],
 )
-def test_what_is_wrong_inside_is_named_when_it_is_due(
-    reader: StreamReader, make: Make, message: str
+def test_what_breaks_a_rule_is_named(
+    reader: StreamReader, make: Callable[[StreamReader], Sent], message: str
 ) -> None:
-    wrong = make(reader)
-    good = [slice_record(reader, 7, 0, 1)] if isinstance(wrong, SnapshotRecord) else []
-    with pytest.raises(CorruptError, match=f"^S: .*{message}"):
-        assemble(reader, wrong, *good)
+    receiver = PlayReceiver("S", reader.manifest, 2, FrameRange(6))
+    take(receiver, snapshot_record(reader, 5, 0, 1), slice_record(reader, 6, 0, 1))
+    with pytest.raises(CorruptError, match=f"^S: .*{message}") as caught:
+        take(receiver, make(reader))
+    assert "\n" not in str(caught.value)
+    # A refused record has changed nothing.
+    assert take(receiver, slice_record(reader, 7, 0, 1)) == [7]
+
+
+def test_a_play_begins_with_the_snapshot_of_its_segment(reader: StreamReader) -> None:
+    first = "layer 0 of the snapshot of frame 5"
+    for record, message in (
+        (slice_record(reader, 6, 0, 1), "the slice born at 6 arrived before a snapshot"),
+        (snapshot_record(reader, 10, 0, 1), "begins with layer 0 of the snapshot of frame 10, not"),
+        (snapshot_record(reader, 5, 1, 2), f"layer 1 of the snapshot of frame 5, not with {first}"),
+    ):
+        with pytest.raises(CorruptError, match=message):
+            take(PlayReceiver("S", reader.manifest, 2, FrameRange(6)), record)
+
+
+def test_what_is_wrong_inside_is_named_when_it_is_due(reader: StreamReader) -> None:
+    good, other = slice_record(reader, 7, 0, 1), slice_record(reader, 8, 0, 1)
+    snapshot, late = snapshot_record(reader, 5, 1, 2), snapshot_record(reader, 10, 1, 2)
+    mask, layer = "the mask of the slice born at 7", "layer 0 of the slice born at 7"
+    of = "of the snapshot of frame 5"
+    for wrong, message in (
+        (SliceRecord(7, (b"",), b"zz"), f"{mask}: packet"),
+        (SliceRecord(7, (b"zz",), good.mask), f"{layer}: packet"),
+        (SliceRecord(7, (b"",), other.mask), f"{mask}: byte 8: mask: birth 8"),
+        (SliceRecord(7, other.packets, good.mask), f"{layer}: byte 8: change: birth 8"),
+        (SnapshotRecord(5, 1, (b"zz",)), f"layer 1 {of}: packet"),
+        (SnapshotRecord(5, 2, snapshot.packets), f"layer 2 {of}: byte 5: snapshot: of layer 1"),
+        (SnapshotRecord(5, 1, late.packets), f"layer 1 {of}: byte 8: snapshot: of frame 10"),
+    ):
+        records = [wrong, good] if isinstance(wrong, SnapshotRecord) else [wrong]
+        with pytest.raises(CorruptError, match=f"^S: .*{message}"):
+            assemble(reader, *records)
 
 
 def test_any_bytes_give_slices_or_a_codec_error(reader: StreamReader) -> None:

@@ -6,6 +6,7 @@ import re
 import shutil
 import urllib.request
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,13 +17,8 @@ from codec.stream import StreamReader
 from player.network.fetch import BrokenError, FetchError
 from player.source.opener import opened
 from tests.support.delivery.assembled import read_all, slices_of
-from tests.support.hosted_streams import (
-    SWIN_SIZE,
-    ServerProcess,
-    served,
-    static_host,
-    write_stream,
-)
+from tests.support.hosted_streams import SWIN_SIZE, ServerProcess, served, static_host, write_stream
+from tests.support.hostile import put_object
 
 
 @pytest.fixture(scope="module")
@@ -146,3 +142,45 @@ def test_a_damaged_object_is_named(library: Path, tmp_path: Path, part: str, dam
         for source in (str(tmp_path / "s"), f"{host}/s"):
             with pytest.raises(SwingsError, match=f"segments/1/{part}"):
                 read_all(source, FrameRange(5))
+
+
+@pytest.fixture
+def stream(tmp_path: Path) -> Path:
+    return write_stream(tmp_path / "s", 13)
+
+
+def told(stream: Path) -> tuple[str, int | None]:
+    """Message, from the folder on, and place of the error when playing `stream` from a host."""
+    with static_host(stream.parent) as host, pytest.raises(CorruptError) as caught:
+        read_all(f"{host}/s")
+    message = str(caught.value)
+    assert message.startswith(f"{host}/s/")
+    return message.removeprefix(f"{host}/s/"), caught.value.at
+
+
+def test_a_wrong_record_of_the_index(stream: Path) -> None:
+    index = bytearray((stream / "index.bin").read_bytes())
+    size = len(index) // 3
+    index[size + 20] ^= 1
+    (stream / "index.bin").write_bytes(index)
+    message, at = told(stream)
+    assert at == size
+    assert message.startswith(f"index.bin: byte {size}: index: the record of segment 1")
+
+
+def test_a_wrong_table_and_a_wrong_chunk(stream: Path) -> None:
+    # Another segment's table has other births; another layer's chunks are behind a right one.
+    manifest = StreamReader(stream).manifest
+    elsewhere = replace(manifest, object_url="https://cdn.example/{layer}/{segment}")
+    for other, place, what in (("0/0", 20, "object"), ("1/1", 20 + 5 * 12, "change")):
+        put_object(stream, 1, 0, (stream / "segments" / other).read_bytes())
+        message, at = told(stream)
+        assert at == place
+        assert message.startswith(f"segments/1/0: byte {place}: {what}: ")
+        # From the folder, whose objects have other URLs.
+        (stream / "manifest.json").write_bytes(elsewhere.to_json())
+        with pytest.raises(CorruptError) as caught:
+            read_all(str(stream))
+        assert str(caught.value) == f"{stream}/{message}"
+        assert caught.value.at == place
+        (stream / "manifest.json").write_bytes(manifest.to_json())

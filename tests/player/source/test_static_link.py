@@ -21,6 +21,7 @@ from server.abr.link.link import Link, LinkStep
 from tests.player.playout.conducted import Played, World, playing
 from tests.player.playout.test_conductor import picture
 from tests.player.source.test_hosted_play import need_bps
+from tests.support.delivery.assembled import assembled, checked
 from tests.support.delivery.rangehost import range_host
 from tests.support.delivery.watched import watched
 from tests.support.hosted_streams import served, static_host
@@ -132,3 +133,12 @@ def test_a_picture_that_stands_gets_the_layers_that_it_lacks(root: Path, host: H
             assert played.records[0].layers < LAYERS
             played.poll_until(lambda: np.array_equal(renderer.render_again(57, camera), expected))
             assert {one.frame for one in played.records} == {57}
+
+
+def test_a_network_that_dies_again_and_again_is_played_over(root: Path) -> None:
+    with (
+        over_link(root, swings_server, (0.5, 1.5), (0.5, 0.0)) as opener,
+        closing(opener.open(FrameRange(), LAYERS)) as source,
+    ):
+        got = list(checked(StreamReader(root / "s"), assembled(source), LAYERS))
+    assert len(got) == NUM_FRAMES

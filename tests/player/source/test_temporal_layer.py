@@ -1,5 +1,5 @@
-"""A stream with a temporal layer from every source: the layer arrives like any other, is the first
-to be left out, and without it Gaussians that go on are interpolated."""
+"""A stream with a temporal layer: it is the first to be left out, and without it Gaussians that go
+on are interpolated."""
 
 from __future__ import annotations
 
@@ -9,17 +9,13 @@ import pytest
 
 from codec.framerange import FrameRange
 from codec.stream import StreamReader, StreamWriter
-from codec.tools.packing import pack_stream
-from codec.tools.static import export_static
 from player.playout.assembler import Assembler
 from player.playout.timeline import Playout
 from player.source.hostedplay import HostedPlay
 from player.source.opener import opened
 from player.source.source import SlicePackets
 from tests.player.source.test_hosted_play import MadeLink, need_bps
-from tests.support.delivery.assembled import assembled, checked
 from tests.support.drawn import same_splats
-from tests.support.hosted_streams import served, static_host
 from tests.support.slots.slot_streams import Shown, busy_updates, slot_manifest
 from tests.support.slots.updates import small_layout
 
@@ -38,31 +34,12 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with StreamWriter.create(path / "s", manifest, quality=lambda *_: QUALITY_DB) as writer:
         for update in busy_updates(layout, NUM_FRAMES):
             writer.append(update)
-    export_static(path / "s", path / "static")
-    pack_stream(path / "s", path / "packed.swings")
     return path
 
 
 @pytest.fixture(scope="module")
 def reader(root: Path) -> StreamReader:
     return StreamReader(root / "s")
-
-
-@pytest.mark.parametrize("first", [0, 27])
-def test_every_source_brings_all_of_it(root: Path, reader: StreamReader, first: int) -> None:
-    frames = FrameRange(first, NUM_FRAMES)
-    with static_host(root) as static_url, served(root) as server:
-        for place in (
-            str(root / "s"),
-            f"{static_url}/static",
-            str(root / "packed.swings"),
-            f"{server.url}/v1/streams/s",
-            f"{server.url}/v1/streams/static",
-        ):
-            with opened(place, frames, TEMPORAL + 1) as source:
-                seen = list(checked(reader, assembled(source), TEMPORAL + 1))
-            assert [one.frame for one in seen] == list(range(first, NUM_FRAMES))
-            assert {one.layers for one in seen} == {TEMPORAL + 1}
 
 
 def played(playout: Playout, assembler: Assembler, reader: StreamReader, layers: int) -> int:

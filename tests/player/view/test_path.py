@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.pose import Doubles, look_at
+from player.view.keyframes import read_keyframes
+from player.view.moment import Moment
 from player.view.mouse import view_of
 from player.view.path import Size, camera_path, scene_centre, turned
 from tests.support.hosted_streams import ring_of_cameras, small_manifest
@@ -172,3 +178,109 @@ def test_turning_all_the_way_is_not_turning() -> None:
     camera = MANIFEST.camera()
     there = turned(camera, CENTRE, np.array([0.0, 1.0, 0.0]), 2 * math.pi)
     np.testing.assert_allclose(there.w2c, camera.w2c, atol=1e-9)
+
+
+UP = np.array([0.0, -1.0, 0.0])
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def camera_at(x: float, fov_deg: float) -> Camera:
+    w2c = look_at(np.array([x, 0.3, -2.0]), np.array([0.1, 0.0, 0.5]), UP)
+    focal_px = 24 / np.tan(np.radians(fov_deg) / 2)
+    return Camera("c", 64, 48, focal_px, focal_px, 32, 24, w2c)
+
+
+PATH = [camera_at(0.2 * x, 40 + x) for x in range(4)]
+START = camera_at(3.0, 60)
+
+
+def c2w(camera: Camera) -> np.ndarray:
+    pose: np.ndarray = np.linalg.inv(camera.w2c) @ OPENGL
+    return pose
+
+
+def read(folder: Path, value: Any) -> list[Camera]:
+    file = folder / "path.json"
+    file.write_text(json.dumps(value))
+    path = read_keyframes(file, START, UP)
+    return [path(frame) for frame in range(len(PATH))]
+
+
+def assert_same(found: list[Camera], expected: list[Camera]) -> None:
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one.w2c, other.w2c, atol=1e-9)
+        np.testing.assert_allclose(one.intrinsics, other.intrinsics, atol=1e-9)
+
+
+def test_nerfstudio_s_poses_are_one_a_frame(tmp_path: Path) -> None:
+    poses = [
+        {"camera_to_world": c2w(camera).ravel().tolist(), "fov": 40 + number, "aspect": 1}
+        for number, camera in enumerate(PATH)
+    ]
+    value = {"camera_type": "perspective", "render_height": 480, "fps": 24, "camera_path": poses}
+    assert_same(read(tmp_path, value), PATH)
+
+
+@pytest.mark.parametrize("size", [{}, {"w": 64, "h": 48}])
+def test_blender_s_angle_goes_across_the_picture(size: dict[str, int], tmp_path: Path) -> None:
+    path = [camera_at(0.2 * x, 50) for x in range(4)]
+    across_rad = 2 * np.arctan(np.tan(np.radians(50) / 2) * 64 / 48)
+    frames = [{"file_path": "./r", "transform_matrix": c2w(c).tolist()} for c in path]
+    found = read(tmp_path, {"camera_angle_x": across_rad, "frames": frames, **size})
+    assert_same(found, path)
+    kept = read(tmp_path, {"frames": frames})  # without an angle, the default camera's stays
+    assert [c.fy_px for c in kept] == pytest.approx([START.fy_px] * 4)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ({}, "neither camera_path"),
+        ({"frames": []}, "list of poses"),
+        ({"frames": [3]}, "pose 0 has no transform_matrix"),
+        ({"frames": [{"transform_matrix": [[1, 2]]}]}, "pose 0 has no transform_matrix"),
+        ({"frames": [{"transform_matrix": np.zeros((4, 4)).tolist()}]}, "pose 0 has no"),
+        ({"frames": [{"transform_matrix": (2 * np.eye(4)).tolist()}]}, "key frame 0"),
+        ({"camera_path": [{"camera_to_world": np.eye(4).tolist(), "fov": "x"}]}, "fov is not"),
+        ({"camera_path": [{"camera_to_world": np.eye(4).tolist(), "fov": 200}]}, "fov_deg"),
+        ({"camera_angle_x": -1, "frames": [{}]}, "camera_angle_x is not"),
+    ],
+)
+def test_what_is_not_a_path_is_one_line(value: Any, message: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidError, match=message) as found:
+        read(tmp_path, value)
+    assert "\n" not in str(found.value)
+
+
+@given(st.integers(0, 10**6), st.sampled_from([10.0, 12.5, 24.0, 25.0, 30.0, 29.97, 60.0]))
+def test_the_time_at_which_a_frame_begins_is_its_own(frame: int, fps: float) -> None:
+    assert Moment.parse(f"{frame / fps:.9f}s").of(fps) == frame
+    assert Moment.parse(f"{(frame + 0.5) / fps:.9f}s").of(fps) == frame
+
+
+@given(st.integers(0, 10**17), st.floats(1, 100))
+def test_a_frame_is_itself_whatever_the_rate(frame: int, fps: float) -> None:
+    moment = Moment.parse(str(frame))
+    assert moment.of(fps) == frame
+    assert Moment.parse(str(moment)) == moment
+
+
+@pytest.mark.parametrize(
+    ("text", "time_s"), [("2.5s", 2.5), ("0s", 0.0), (".25s", 0.25), ("3.s", 3)]
+)
+def test_times(text: str, time_s: float) -> None:
+    moment = Moment.parse(text)
+    assert moment == Moment(time_s=time_s)
+    assert Moment.parse(str(moment)) == moment
+
+
+@given(st.text(max_size=30))
+def test_any_text_is_a_moment_or_an_error(text: str) -> None:
+    with suppress(InvalidError):
+        assert Moment.parse(text).of(30.0) >= 0
+
+
+@pytest.mark.parametrize("text", ["", "-1", "1.5", "s", "-2s", "nan", "1e3s", "9" * 30, "\u0661"])
+def test_what_is_neither_is_refused(text: str) -> None:
+    with pytest.raises(InvalidError):
+        Moment.parse(text)
