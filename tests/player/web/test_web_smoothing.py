@@ -9,14 +9,12 @@ import pytest
 from codec.slots.slotdecoder import SlotDecoder
 from codec.tools.static import export_static
 from player.render.moves import ENTERS, MOVES
-from tests.support.commands import ROOT
-from tests.support.hosted_streams import static_host
 from tests.support.slots.moving_updates import moving_updates, write_moving_stream
 from tests.support.slots.plain import encoded_chunks
 from tests.support.slots.updates import patternless_updates, small_layout
 from tests.support.web.browsercode import BrowserCode, BrowserSlots
-from tests.support.web.canvas import ELEMENT, PIXELS, PLAYER
 from tests.support.web.chromium import Page
+from tests.support.web.site import player_host, watch
 
 NUM_FRAMES = 14
 LEFT = 4
@@ -51,23 +49,23 @@ def test_which_go_on(browser: BrowserCode, kind: str) -> None:
     assert {MOVES, ENTERS, LEFT, ENTERS | LEFT} <= seen
 
 
-SEEN = f"""
-const {{ view }} = {PLAYER};
+SEEN = """
+const { view } = player;
 const seen = [];
-await new Promise((resolve) => {{
-  const look = () => {{
+await new Promise((resolve) => {
+  const look = () => {
     const share = view.painter.renderer.inbetween?.share ?? 1;
-    seen.push([view.shownFrame, share, window.shownPixels({PLAYER}.canvas).pixels]);
+    seen.push([view.shownFrame, share, window.shownPixels(player.canvas).pixels]);
     if (seen.length < value) requestAnimationFrame(look);
     else resolve();
-  }};
+  };
   requestAnimationFrame(look);
-}});
+});
 const names = new Map();
-return seen.map(([frame, share, pixels]) => {{
+return seen.map(([frame, share, pixels]) => {
   if (!names.has(pixels)) names.set(pixels, names.size);
   return [frame, share, names.get(pixels)];
-}});
+});
 """
 """Frame, share and number of the picture that the canvas shows, refresh after refresh."""
 
@@ -75,19 +73,14 @@ return seen.map(([frame, share, pixels]) => {{
 def test_slow_motion_in_a_page(page: Page, tmp_path: Path) -> None:
     """At a tenth of the rate there are many pictures of each frame; the key B ends that, and a
     paused player shows an exact frame."""
-    layout = small_layout(1, (60, 40), 0, 5)
-    write_moving_stream(tmp_path / "stream", 60, layout)
+    write_moving_stream(tmp_path / "stream", 60, small_layout(1, (60, 40), 0, 5))
     export_static(tmp_path / "stream", tmp_path / "static")
-    (tmp_path / "player").symlink_to(ROOT / "player")
-    with static_host(tmp_path) as url:
-        source = f"{url}/player/web/watch.html?src=/static&autoplay=0"
-        page.open(source, 160, 120, scripts=[PIXELS])
-        page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
-        page.run(f"{ELEMENT}.playbackRate = 0.1; {ELEMENT}.play()")
-        page.wait(f"{PLAYER}.view.smoothing?.isMoving && {PLAYER}.shownFrame > 1", 60)
-        seen = page.run(SEEN, 60)
+    with player_host(tmp_path) as url:
+        watch(page, f"{url}/player/watch.html?src=/static&autoplay=0")
+        page.run("element.playbackRate = 0.1; element.play()")
+        page.wait("player.view.smoothing.isMoving && player.shownFrame > 1")
         by_frame: dict[int, list[tuple[float, int]]] = {}
-        for frame, share, number in seen:
+        for frame, share, number in page.run(SEEN, 60):
             by_frame.setdefault(frame, []).append((share, number))
         ways = list(by_frame.values())[1:-1]
         assert ways
@@ -96,16 +89,15 @@ def test_slow_motion_in_a_page(page: Page, tmp_path: Path) -> None:
             assert shares == sorted(shares)
             assert len({number for _, number in way}) > len(way) / 2
         page.press("b")
-        assert page.run(f"return {ELEMENT}.interpolate") is False
-        page.wait(f"!{PLAYER}.view.smoothing.isMoving")
+        assert page.value("element.interpolate") is False
+        page.wait("!player.view.smoothing.isMoving")
         numbers: dict[int, set[int]] = {}
         for frame, share, number in page.run(SEEN, 40):
             assert share == 1
             numbers.setdefault(frame, set()).add(number)
         assert all(len(found) <= 2 for found in numbers.values())
         page.press("b")
-        page.wait(f"{PLAYER}.view.smoothing.isMoving")
-        page.run(f"{ELEMENT}.pause()")
-        page.wait(f"!{PLAYER}.view.smoothing.isMoving && {PLAYER}.isSettled")
-        assert page.run(f"return {PLAYER}.renderer.inbetween.share") == 1
-        assert not page.complaints
+        page.wait("player.view.smoothing.isMoving")
+        page.run("element.pause()")
+        page.wait("!player.view.smoothing.isMoving && player.isSettled")
+        assert page.value("player.renderer.inbetween.share") == 1

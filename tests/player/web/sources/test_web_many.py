@@ -6,31 +6,21 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import quote
 
-import pytest
-
 from tests.support.slots.many import NUM_GAUSSIANS, write_many
 from tests.support.web.chromium import Page
 from tests.support.web.site import player_host
 
-REFUSAL = r"has 16,777,216 Gaussians; max-gaussians=16777216, .* \(about 4\.7 GB of memory\)"
 
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("library")
-    write_many(folder / "many")
-    return folder
-
-
-def test_the_page_says_so_and_its_address_allows_more(page: Page, library: Path) -> None:
-    with player_host(library) as host:
+def test_the_page_says_so_and_its_address_allows_more(page: Page, tmp_path: Path) -> None:
+    write_many(tmp_path / "many")
+    with player_host(tmp_path) as host:
         address = f"{host}/player/watch.html?src={quote(f'{host}/many')}"
-        page.open(address)
+        page.open(address, 160, 120)
         page.wait("element.error")
         told = page.value("element.error.message")
         assert "has 16,777,216 Gaussians; max-gaussians=16777216" in told
         # If allowed, it fails at the next step: the device's textures, or objects without gzip.
-        page.open(f"{address}&max-gaussians={NUM_GAUSSIANS}&autoplay=0")
+        page.open(f"{address}&max-gaussians={NUM_GAUSSIANS}&autoplay=0", 160, 120)
         page.wait("element.error")
         told = page.value("element.error.message")
         assert "need a texture" in told or "export --static" in told
