@@ -7,7 +7,6 @@ import json
 import socket
 import subprocess
 import sys
-import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from threading import Thread
@@ -26,8 +25,6 @@ CHANGES = (16.0, 4.0), (4.0, 16.0), (100.0, 25.0), (25.0, 100.0)
 """Rates before and after the change, Mbit/s."""
 SPELL_S = 2.2
 """Duration of each rate: a second to find it, and the rest to keep it."""
-ATTEMPTS = 4
-"""Attempts, because other work on the machine reduces the rate."""
 
 
 def knows(over: str, before: float, after: float) -> list[Told]:
@@ -80,7 +77,6 @@ def faults(told: list[Told], before: float, after: float) -> list[str]:
 
 
 @pytest.mark.realtime
-@pytest.mark.quiet
 @pytest.mark.parametrize(
     ("over", "rates"),
     [
@@ -90,11 +86,6 @@ def faults(told: list[Told], before: float, after: float) -> list[str]:
     ],
 )
 def test_a_fourfold_change_is_known_within_a_second(over: str, rates: tuple[float, float]) -> None:
-    for attempt in range(ATTEMPTS):
-        told = knows(over, *rates)
-        assert told[-1].time_s > 2 * SPELL_S - 0.5
-        found = faults(told, *rates)
-        if not found:
-            return
-        time.sleep(attempt)
-    pytest.fail(f"{len(found)} of {len(told)}: {found[0]}")
+    told = knows(over, *rates)
+    assert told[-1].time_s > 2 * SPELL_S - 0.5
+    assert not faults(told, *rates)

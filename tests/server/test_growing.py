@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import shutil
-import time
 from pathlib import Path
 
 import aiohttp
 import pytest
+from multidict import CIMultiDict
 
 from codec.stream import StreamReader
 from codec.stream.playrecord import ErrorRecord, RecordParser, StartRecord
+from server.answers.call import Call
+from server.exchange.request import Request
+from server.exchange.response import Response
+from server.library import Library
+from server.library.growth import LIVE_POLL_S
+from server.router import find_route
 from server.state.config import ServerConfig
+from server.state.serverstate import ServerState
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     Running,
@@ -21,63 +28,51 @@ from tests.support.server.running_server import (
     live_stream,
     make_stream,
     on_server,
-    running,
 )
-
-pytestmark = pytest.mark.realtime
+from tests.support.server.virtualtime import in_virtual_time, now_s, passes
 
 INDEX = "/v1/streams/live/index.bin"
 
 
-def test_who_waits_for_the_index_has_it_as_soon_as_it_grows(tmp_path: Path) -> None:
-    async def check() -> None:
-        writer = live_stream(tmp_path / "live", SEGMENT_FRAMES)
-        # The default config of an operator, with its interval between looks.
-        async with (
-            running(tmp_path, ServerConfig()) as server,
-            aiohttp.ClientSession(server.url) as client,
-        ):
-            data = await (await client.get(INDEX)).read()
+@in_virtual_time
+async def test_who_waits_for_the_index_has_it_as_soon_as_it_grows(tmp_path: Path) -> None:
+    writer = live_stream(tmp_path / "live", SEGMENT_FRAMES)
+    # The default config of an operator, with its interval between looks.
+    state = ServerState(Library(tmp_path, ServerConfig().refresh_s), ServerConfig())
 
-            async def wait(after: int, seconds: int) -> tuple[bytes, float]:
-                url = f"{INDEX}?after={after}&wait={seconds}"
-                async with client.get(url) as response:
-                    assert response.status == 200
-                    return await response.read(), time.monotonic()
+    async def wait(after: int, seconds: int) -> bytes:
+        route, names = find_route("GET", INDEX)
+        query = f"after={after}&wait={seconds}"
+        request = Request("GET", INDEX, query, "h", CIMultiDict())
+        answer = route.handler(Call(state, request, "192.0.2.1", False, names))
+        response = await answer if asyncio.iscoroutine(answer) else answer
+        assert isinstance(response, Response)
+        assert response.status == 200
+        return bytes(response.body)
 
-            # There is more data already.
-            began_s = time.monotonic()
-            assert (await wait(len(data) - 1, 20))[0] == data
-            assert time.monotonic() - began_s < 0.3
-            new = "/v1/streams/live/segments/1/0"
-            assert (await client.get(new)).status == 404
-            waiting = [asyncio.create_task(wait(len(data), 20)) for _ in range(30)]
-            await asyncio.sleep(0.7)
-            assert not any(task.done() for task in waiting)
-            append_frames(writer)
-            grown_s = time.monotonic()
-            for task in waiting:
-                found, at_s = await task
-                assert (found[: len(data)], len(found)) == (data, 2 * len(data))
-                assert at_s - grown_s < 0.3
-            assert (await client.get(new)).status == 200
-            # No data arrives.
-            began_s = time.monotonic()
-            found, at_s = await wait(2 * len(data), 1)
-            assert len(found) == 2 * len(data)
-            assert 0.9 < at_s - began_s < 2
-            # A finished stream is not waited for.
-            last = asyncio.create_task(wait(2 * len(data), 20))
-            await asyncio.sleep(0.2)
-            writer.close()
-            await asyncio.wait_for(last, 3)
-            async with client.get("/v1/streams/live/manifest.json") as response:
-                assert (await response.json())["live"] is False
-            began_s = time.monotonic()
-            await wait(2 * len(data), 20)
-            assert time.monotonic() - began_s < 0.3
-
-    asyncio.run(check())
+    data = await wait(0, 0)
+    assert await wait(len(data) - 1, 20) == data  # there is more already
+    assert now_s() == 0
+    waiting = [asyncio.create_task(wait(len(data), 20)) for _ in range(30)]
+    await passes(0.7)
+    assert not any(task.done() for task in waiting)
+    append_frames(writer)
+    grown_s = now_s()
+    for found in await asyncio.gather(*waiting):
+        assert (found[: len(data)], len(found)) == (data, 2 * len(data))
+    assert now_s() - grown_s <= LIVE_POLL_S
+    # No data arrives.
+    began_s = now_s()
+    assert len(await wait(2 * len(data), 1)) == 2 * len(data)
+    assert now_s() - began_s == pytest.approx(1)
+    # A finished stream is not waited for.
+    last = asyncio.create_task(wait(2 * len(data), 20))
+    await passes(0.2)
+    writer.close()
+    ended_s = now_s()
+    await last
+    await wait(2 * len(data), 20)
+    assert now_s() - ended_s <= LIVE_POLL_S
 
 
 @pytest.mark.parametrize(
@@ -120,8 +115,8 @@ def test_who_asks_for_what_is_live_begins_with_the_newest_segment(tmp_path: Path
 
 
 def test_a_replaced_stream_ends_its_plays_and_no_tag_has_two_contents(tmp_path: Path) -> None:
-    first = make_stream(tmp_path / "first", 600)
-    second = make_stream(tmp_path / "second", 600, slice_size=9)
+    first = make_stream(tmp_path / "first", 120, fps=1)
+    second = make_stream(tmp_path / "second", 120, slice_size=9, fps=1)
     root = tmp_path / "root"
     root.mkdir()
     shutil.copytree(first, root / "walk")
@@ -139,7 +134,6 @@ def test_a_replaced_stream_ends_its_plays_and_no_tag_has_two_contents(tmp_path: 
                         assert seen.setdefault(response.headers["ETag"], body) == body
                     else:
                         assert response.status in (404, 500, 503)
-                await asyncio.sleep(0.002)
 
         async def play() -> list[object]:
             parser = RecordParser()
@@ -150,11 +144,11 @@ def test_a_replaced_stream_ends_its_plays_and_no_tag_has_two_contents(tmp_path: 
             return records
 
         looking, playing = asyncio.create_task(look()), asyncio.create_task(play())
-        await asyncio.sleep(0.5)
+        await eventually(lambda: seen and server.state.metrics.packets.value("0"))
         (root / "walk").rename(tmp_path / "away")
         shutil.copytree(second, tmp_path / "new")
         (tmp_path / "new").rename(root / "walk")
-        records = await asyncio.wait_for(playing, 10)
+        records = await playing
         last = records[-1]
         assert isinstance(last, ErrorRecord)
         assert "replaced or removed; play again from frame" in last.message

@@ -15,7 +15,6 @@ from server.abr.session import PlaySession
 from server.exchange.exchange import Exchange
 from server.operate.overload import Overload, OverloadConfig
 from tests.support.server.running_server import (
-    SWIN_SIZE,
     Running,
     eventually,
     make_stream,
@@ -112,39 +111,6 @@ def test_a_body_that_does_not_come_is_not_waited_for(root: Path) -> None:
             reading.cancel()
 
     on_server(root, check, quick_config(write_timeout_s=0.5))
-
-
-def test_a_paused_client_is_sent_its_lead_and_no_more(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        sent = server.state.metrics.packets
-
-        def births() -> int:
-            """Number of sent slices without those of the first window."""
-            return round(sent.value("0")) - (SWIN_SIZE - 1)
-
-        async with client.get("/v1/streams/long/play?layers=1") as response:
-            reading = asyncio.create_task(read_on(response))
-            token = response.headers[PLAY_HEADER]
-            entry = server.state.plays.find(token, "long")
-            assert entry is not None
-
-            async def report(status: ClientStatus) -> None:
-                url = f"/v1/streams/long/play/{token}"
-                async with client.post(url, data=status.to_json()) as answer:
-                    assert answer.status == 204
-                await eventually(lambda: entry.status is None)
-
-            await eventually(lambda: births() > 10)
-            await report(ClientStatus(10, paused=True))
-            # The report may arrive late on a busy machine: slices sent before it stay sent.
-            most = max(births(), 10 + round(LEAD_S * FPS))
-            await asyncio.sleep(1.5)
-            assert births() <= most
-            await report(ClientStatus(10))
-            await eventually(lambda: births() > most + FPS)
-            reading.cancel()
-
-    on_server(root, check, quick_config(max_lead_s=LEAD_S))
 
 
 def test_a_client_that_comes_back_does_not_start_blind(

@@ -5,8 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
@@ -18,6 +17,7 @@ from server.exchange.tcpinfo import (
     read_tcp_info,
     unacked_bytes,
 )
+from tests.support.waiting import wait_until
 
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells this")
 
@@ -55,18 +55,6 @@ def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
         yield writer, reader
 
 
-def settled(value: Callable[[], int]) -> int:
-    """`value` once it has not changed for a while."""
-    last, since_s = value(), time.monotonic()
-    for _ in range(2000):
-        time.sleep(0.005)
-        if value() != last:
-            last, since_s = value(), time.monotonic()
-        elif time.monotonic() - since_s > 0.3:
-            return last
-    raise AssertionError("it never stands still")
-
-
 @linux_only
 def test_what_is_held_and_what_is_acknowledged_is_all_that_was_written(
     pair: tuple[socket.socket, socket.socket],
@@ -89,12 +77,12 @@ def test_what_is_held_and_what_is_acknowledged_is_all_that_was_written(
                 written += writer.send(bytes(100_000))
             except BlockingIOError:
                 break
-        held = settled(lambda: unacked_bytes(writer))
-        assert held > 0
-        assert acked_bytes() - before == written - held
+        total = before + written
+        wait_until(lambda n=total: acked_bytes() == n - unacked_bytes(writer))
+        assert unacked_bytes(writer) > 0
         while read < written:
             read += len(reader.recv(1 << 20))
-        assert settled(lambda: unacked_bytes(writer)) == 0
+        wait_until(lambda: unacked_bytes(writer) == 0)
     info = read_tcp_info(writer)
     assert info is not None
     assert info.min_rtt_s is None or 0 <= info.min_rtt_s < 10

@@ -39,7 +39,7 @@ def attack(kind: str, port: int, count: int, seconds: float, path: str) -> None:
     sys.stdout.write("connected\n")
     sys.stdout.flush()
     for step in range(round(seconds)):
-        time.sleep(1)
+        time.sleep(1)  # sleeps: the rate of slow clients
         for number, sock in enumerate(socks):
             # The server's descriptors show that the client was cut.
             with contextlib.suppress(OSError):

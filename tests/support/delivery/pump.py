@@ -57,7 +57,7 @@ def pump(connection: socket.socket, media: MadeMedia, lasts_s: float) -> None:
         told = Told(now_s, session.rate_bps, session.queued_bytes, session.clock.stalls)
         tell(json.dumps(told))
         if not isinstance(decision, SendSlices | SendSnapshots):
-            time.sleep(poll_s)
+            time.sleep(poll_s)  # sleeps: as a play does in real time
             continue
         num_bytes = round(send_bytes(media, decision))
         session.sent(decision, num_bytes, now_s)

@@ -28,6 +28,7 @@ from server.state.config import ServerConfig
 from tests.server.hostile.serverprocess import Comers, ServerProcess, ask, figures, server_process
 from tests.support.server.certificates import make_certificate
 from tests.support.server.running_server import births_with_layer_0, make_stream, parse_records
+from tests.support.suite.once import made_once
 from tests.support.waiting import BOUND_S, is_running, wait_until
 
 pytestmark = pytest.mark.skipif(
@@ -39,10 +40,12 @@ JSON = ("--log", "json")
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("root")
-    make_stream(folder / "long", 300, slice_size=500)
-    make_stream(folder / "big", 60, slice_size=4000)
-    return folder
+    def make(folder: Path) -> None:
+        # 200 s, of which 6 s are sent at once: no play of it ends by itself.
+        make_stream(folder / "long", 600, slice_size=200, fps=3)
+        make_stream(folder / "big", 5, slice_size=20_000)
+
+    return made_once(tmp_path_factory, "workers", make)
 
 
 @contextmanager
@@ -145,27 +148,23 @@ def test_a_status_report_may_reach_any_worker(root: Path, tmp_path: Path) -> Non
         assert figures(server.port)["swings_play_status_reports_total", "refused"] >= 1
 
 
-PAUSED = "?layers=2&paused=1"
-"""Of a play that is sent its lead, and does not end by itself."""
-
-
 def continued(server: ServerProcess, births: list[int], frame: int) -> None:
     """Asserts that a play that broke off after `births` goes on at `frame`, with no gap."""
-    query = f"?from={frame}&until={frame + 20}&layers=2"
+    query = f"?from={frame}&until={frame + 10}&layers=2"
     with closing(Play(server, query)) as rest:
         more = rest.records()
     assert isinstance(more[-1], EndRecord)
     new = [birth for birth in births_with_layer_0(more) if birth >= frame]
-    assert births + new == list(range(births[0], frame + 20))
+    assert births + new == list(range(births[0], frame + 10))
 
 
 def test_renewed_workers_say_where_to_go_on_and_nobody_is_refused(
     root: Path, tmp_path: Path
 ) -> None:
     with workers(root, tmp_path) as server, ExitStack() as stack:
-        plays = [stack.enter_context(closing(Play(server, PAUSED))) for _ in range(4)]
+        plays = [stack.enter_context(closing(Play(server, "?layers=2"))) for _ in range(4)]
         for play in plays:
-            wait_until(lambda p=play: sum(map(len, p.pieces)) > 50_000)
+            wait_until(lambda p=play: sum(map(len, p.pieces)) > 20_000)
 
         def come() -> None:
             assert ask(server.port, "/v1/streams/long/manifest.json").status == 200
@@ -198,11 +197,11 @@ def test_plays_of_a_worker_that_dies_or_hangs_go_on_at_another(
 ) -> None:
     with workers(root, tmp_path, "--worker-timeout-s", 5) as server, ExitStack() as stack:
         pids = {line["worker"]: line["pid"] for line in server.events("worker_ready")}
-        plays = [stack.enter_context(closing(Play(server, PAUSED)))]
+        plays = [stack.enter_context(closing(Play(server, "?layers=2")))]
         while len({play.place for play in plays}) < 2:
-            plays.append(stack.enter_context(closing(Play(server, PAUSED))))
+            plays.append(stack.enter_context(closing(Play(server, "?layers=2"))))
         play = plays[0]
-        wait_until(lambda: sum(map(len, play.pieces)) > 50_000)
+        wait_until(lambda: sum(map(len, play.pieces)) > 20_000)
         os.kill(pids[play.place], number)
         births = births_with_layer_0(play.records())
         wait_until(lambda: len(server.events("worker_ready")) == 3)
