@@ -1,7 +1,10 @@
-"""Handling of the command line that all commands share."""
+"""The command line that all commands share, their progress, and swings-stream as a process."""
 
 from __future__ import annotations
 
+import io
+import json
+import re
 import signal
 import subprocess
 import sys
@@ -12,10 +15,16 @@ from typing import Any
 
 import pytest
 import tyro
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
 
 from codec.console import Ended, ending_by_signals, run_command
 from codec.errors import InvalidError, SwingsError
-from tests.support.commands import ROOT
+from codec.progressline import ProgressLine, Stage, clock, counted, line_of
+from tests.support.commands import ROOT, run, run_ok
+from tests.support.hostile import refused
+from tests.support.tiny_stream import write_tiny
 from tests.support.waiting import BOUND_S
 
 
@@ -58,9 +67,7 @@ def test_what_is_wrong_is_one_line(command: Any, capsys: pytest.CaptureFixture[s
         (["7", "--verb"], 2, None),  # no abbreviations
         ([], 2, None),
     ):
-        with pytest.raises(SystemExit) as ended:
-            command(*arguments)
-        assert ended.value.code == status
+        assert refused(SystemExit, "", command, *arguments).code == status
         shown = capsys.readouterr()
         assert shown.out == ""
         assert message in (None, shown.err)
@@ -68,15 +75,12 @@ def test_what_is_wrong_is_one_line(command: Any, capsys: pytest.CaptureFixture[s
 
 @pytest.mark.parametrize("arguments", [["--verbose", "-3"], ["-3", "--verbose", "--twice"]])
 def test_verbose_anywhere_shows_the_traceback(command: Any, arguments: Sequence[str]) -> None:
-    with pytest.raises(SwingsError, match="-3 is below 0"):
-        command(*arguments)
+    refused(SwingsError, "-3 is below 0", command, *arguments)
 
 
 def test_help_and_completion(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments in (["--help"], ["--tyro-print-completion", "bash"]):
-        with pytest.raises(SystemExit) as ended:
-            command(*arguments)
-        assert not ended.value.code
+        assert not refused(SystemExit, "", command, *arguments).code
         assert "--twice" in capsys.readouterr().out
 
 
@@ -87,9 +91,7 @@ def test_a_parser_of_its_own(command: Any, capsys: pytest.CaptureFixture[str]) -
 
     command("7", "--verbose", parse=parse)
     assert capsys.readouterr().out == "Number(value=8, twice=False)\n"
-    with pytest.raises(SystemExit) as ended:
-        command("12", parse=parse)
-    assert ended.value.code == 2
+    assert refused(SystemExit, "", command, "12", parse=parse).code == 2
     assert capsys.readouterr().err == "think: value 13: choose another\n"
 
 
@@ -102,7 +104,7 @@ from tests.codec.test_console import Number
 if "ignoring" in sys.argv:
     signal(SIGHUP, SIG_IGN)
 
-def sleep(number):
+def rest(number):
     try:
         print("asleep", flush=True)
         pause()
@@ -112,7 +114,7 @@ def sleep(number):
         print("clean", flush=True)
 
 sys.argv = ["sleep", "7"]
-run_command(Number, sleep, "sleep", "Sleeps.")
+run_command(Number, rest, "sleep", "Sleeps.")
 """
 
 
@@ -191,3 +193,123 @@ def test_a_full_disk_under_the_output_is_one_line(count: int) -> None:
         said = done.communicate(timeout=BOUND_S)[1]
     assert done.returncode == 1
     assert said == "tell: standard output cannot be written: No space left on device\n"
+
+
+finite = st.floats(0, 1e7)
+words = st.text("abc ", min_size=1, max_size=30)
+stages = st.builds(
+    Stage,
+    what=words,
+    share=st.none() | st.floats(0, 1),
+    elapsed_s=finite,
+    left_s=st.none() | finite,
+    figures=st.lists(words, max_size=3).map(tuple),
+)
+
+
+@given(stages, st.integers(1, 200))
+def test_the_line_fits_and_leaves_out_whole_parts_only(stage: Stage, columns: int) -> None:
+    line = line_of(stage, columns)
+    assert 0 < len(line) <= columns
+    whole = line_of(stage, 10_000)
+    assert whole.startswith(line)
+    if len(line) < columns and line != whole:
+        assert whole[len(line) :].startswith("  ")
+
+
+@pytest.mark.parametrize(
+    ("time_s", "text"), [(0, "0:00"), (59.6, "1:00"), (245, "4:05"), (3845, "1:04:05")]
+)
+def test_times_are_read_at_a_glance(time_s: float, text: str) -> None:
+    assert clock(time_s) == text
+
+
+def test_without_a_terminal_a_line_comes_at_intervals_and_at_the_end() -> None:
+    now_s, file = 0.0, io.StringIO()
+    with ProgressLine(Console(file=file, width=20), lambda: now_s, every_s=30) as line:
+        for second in range(75):
+            now_s = second
+            line.show(Stage("5 frames", second / 100, second, 100 - second))
+            lines = file.getvalue().splitlines()
+            assert len(lines) == 1 + second // 30
+        assert lines[1] == "5 frames  30% done  0:30 elapsed, 1:10 left"
+    assert file.getvalue().splitlines()[3:] == ["5 frames  74% done  1:14 elapsed, 0:26 left"]
+
+
+def test_counted_steps_write_a_line_every_ten_seconds() -> None:
+    now_s, file = 100.0, io.StringIO()
+    with counted("importing x", Console(file=file), lambda: now_s) as show:
+        for done in range(1, 25):
+            now_s += 1
+            show(done, 40)
+    assert file.getvalue().splitlines() == [
+        "importing x  25% done  0:10 elapsed, 0:30 left  10 of 40",
+        "importing x  50% done  0:20 elapsed, 0:20 left  20 of 40",
+        "importing x  60% done  0:24 elapsed, 0:16 left  24 of 40",
+    ]
+
+
+def test_what_takes_less_than_ten_seconds_writes_nothing() -> None:
+    now_s, file = 100.0, io.StringIO()
+    with counted("importing x", Console(file=file), lambda: now_s) as show:
+        now_s += 9
+        show(40, 40)
+    assert file.getvalue() == ""
+
+
+def test_steps_without_an_end_are_counted() -> None:
+    now_s, file = 0.0, io.StringIO()
+    with counted("drawing", Console(file=file), lambda: now_s) as show:
+        now_s = 12
+        show(341, None)
+    assert file.getvalue() == "drawing  0:12 elapsed  341\n"
+
+
+@pytest.mark.parametrize(("columns", "bar"), [(120, 30), (70, 10), (58, 0)])
+def test_a_terminal_has_as_much_of_a_bar_as_there_is_room(columns: int, bar: int) -> None:
+    file = io.StringIO()
+    console = Console(file=file, width=columns, force_terminal=True, color_system=None)
+    with counted("importing x", console, lambda: 0.0) as show:
+        show(20, 40)
+    shown = re.sub(r"\x1b\[[?0-9]*[a-zA-Z]", "", file.getvalue()).split("\r")[-1].strip("\n")
+    before, line, after = shown.partition("importing x  50% done  0:00 elapsed, 0:00 left")
+    assert (line != "", after.rstrip()) == (True, "  20 of 40")
+    assert len(before) == (bar + 1 if bar else 0)
+    assert before.count("━") == bar // 2
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("main") / "stream"
+    write_tiny(path, 6)
+    return path
+
+
+def test_info_tells_the_same_to_people_and_programs(stream: Path) -> None:
+    told = json.loads(run_ok("swings-stream", "info", stream, "--json"))
+    assert (told["num_frames"], told["swin_size"], told["num_gs"]) == (6, 3, 120)
+    # A player from frame 0 on fetches all objects but the snapshots of later segments.
+    objects = [*stream.glob("segments/0/*"), *stream.glob("segments/1/[!s]*")]
+    objects_bytes = sum(path.stat().st_size for path in objects)
+    assert told["layers"][-1]["size_bytes"] == objects_bytes
+    assert told["size_bytes"] == sum(p.stat().st_size for p in stream.rglob("*") if p.is_file())
+    assert told["bytes_per_gaussian"] == pytest.approx(objects_bytes / (8 * 40))
+    assert told["layers"][0]["gaussians_share"] == 0.5
+    text = run_ok("swings-stream", "info", stream)
+    assert "6 frames, 0.2 s at 25 fps" in text
+    assert f"{told['played_bytes']} bytes" in text
+
+
+def test_verify_exits_with_0_and_with_1_and_bad_usage_with_2(stream: Path, tmp_path: Path) -> None:
+    assert "6 frames in 2 segments are intact" in run_ok("swings-stream", "verify", stream)
+    done = run("swings-stream", "verify", tmp_path)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert done.stderr.startswith("swings-stream: ")
+    assert "manifest.json" in done.stderr
+    assert run("swings-stream", "polish").returncode == 2
+
+
+def test_the_help_of_export_names_its_first_file(stream: Path, tmp_path: Path) -> None:
+    run_ok("swings-stream", "export", stream, tmp_path / "name.ply", "--frames", "0:2")
+    first = min(path.name for path in tmp_path.iterdir())
+    assert f"gives {first}" in " ".join(run_ok("swings-stream", "export", "--help").split())

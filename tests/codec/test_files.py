@@ -1,15 +1,26 @@
-"""Files are complete or absent, and reading one costs no more than allowed."""
+"""Files that are complete or absent, errors with a place, frame ranges, deferred signals."""
 
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from codec.errors import CorruptError, InvalidError
+from codec.errors import (
+    CodecError,
+    CorruptError,
+    InvalidError,
+    MissingFolderError,
+    UnsupportedError,
+)
 from codec.files import append_durably, read_bounded, replacing, temporary_beside, write_atomic
-from tests.support.hostile import file_limit
+from codec.framerange import FrameRange
+from codec.interrupts import postponed_interrupts
+from tests.support.hostile import file_limit, refused
 
 
 def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
@@ -40,16 +51,14 @@ def test_what_fails_leaves_the_old_file(
             if not name:
                 failing()
 
-    with pytest.raises(OSError, match="No space"):
-        replace()
+    refused(OSError, "No space", replace)
     assert path.read_bytes() == b"old"
     assert os.listdir(tmp_path) == ["file"]
 
 
 @pytest.mark.parametrize("path", [Path("/"), Path()])
 def test_what_has_no_name_cannot_be_written(path: Path) -> None:
-    with pytest.raises(InvalidError, match="names no file or folder"):
-        temporary_beside(path)
+    refused(InvalidError, "names no file or folder", temporary_beside, path)
 
 
 def test_appending_cuts_off_what_nobody_knows_of(tmp_path: Path) -> None:
@@ -57,8 +66,7 @@ def test_appending_cuts_off_what_nobody_knows_of(tmp_path: Path) -> None:
     path.write_bytes(b"known, torn")
     append_durably(path, 5, b" and more")
     assert path.read_bytes() == b"known and more"
-    with pytest.raises(CorruptError, match=r"file has 14 bytes, not the 15 written"):
-        append_durably(path, 15, b"x")
+    refused(CorruptError, r"file has 14 bytes, not the 15 written", append_durably, path, 15, b"x")
     assert path.read_bytes() == b"known and more"
 
 
@@ -74,10 +82,8 @@ def test_a_file_is_read_up_to_a_limit(tmp_path: Path) -> None:
         ("folder", r"folder cannot be read: Is a directory$"),
         ("x", r"x is missing; take another$"),
     ):
-        with pytest.raises(CorruptError, match=message):
-            read_bounded(tmp_path / name, 9, if_missing="take another")
-    with pytest.raises(CorruptError, match=r"x is missing$"):
-        read_bounded(tmp_path / "x", 9)
+        refused(CorruptError, message, read_bounded, tmp_path / name, 9, if_missing="take another")
+    refused(CorruptError, r"x is missing$", read_bounded, tmp_path / "x", 9)
 
 
 def test_a_full_disk_names_the_file(tmp_path: Path) -> None:
@@ -86,3 +92,95 @@ def test_a_full_disk_names_the_file(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"No such file or directory: '.*/absent/file'"):
         write_atomic(tmp_path / "absent" / "file", b"")
     assert os.listdir(tmp_path) == []
+
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("kind", [CorruptError, MissingFolderError, UnsupportedError])
+def test_an_error_within_a_file_names_it_and_the_byte(kind: type[CodecError]) -> None:
+    told = kind("chunk: version 9", 4).within("segments/0/1", 100)
+    assert (type(told), str(told), told.at) == (
+        kind,
+        "segments/0/1: byte 104: chunk: version 9",
+        104,
+    )
+    told = kind("it was altered").within("segments/0/1", 100)
+    assert (type(told), str(told), told.at) == (kind, "segments/0/1: it was altered", None)
+
+
+def test_an_error_of_a_part_is_moved_to_its_place_in_the_whole() -> None:
+    assert CorruptError("x", 3).moved(10).at == 13
+    assert CorruptError("x").moved(10).at is None
+
+
+def test_only_the_errors_themselves_make_an_error_of_another() -> None:
+    """`type(error)(...)` loses the place; `within`, `moved` and `reworded` keep it."""
+    folders = ("codec", "trainer", "server", "player", "bench", "fuzz")
+    files = [file for folder in folders for file in sorted((ROOT / folder).rglob("*.py"))]
+    assert len(files) > 100
+    for file in files:
+        if file != ROOT / "codec" / "errors.py":
+            assert "type(error)(" not in file.read_text(encoding="utf-8"), file
+
+
+@given(st.builds(FrameRange, st.integers(0, 99), st.none() | st.integers(100, 999)))
+def test_text_and_range_are_the_same(frames: FrameRange) -> None:
+    assert FrameRange.parse(str(frames)) == frames
+
+
+@pytest.mark.parametrize(
+    ("text", "frames"),
+    [("3:7", range(3, 7)), (":", range(10)), ("5:", range(5, 10)), (":2", range(2))],
+)
+def test_the_frames_of_a_capture(text: str, frames: range) -> None:
+    assert FrameRange.parse(text).of(10, "it") == frames
+    assert FrameRange.parse(":9").count == 9
+    assert FrameRange.parse("4:").count is None
+
+
+@pytest.mark.parametrize("text", ["0:11", "10:", "12:14"])
+def test_ranges_that_are_refused(text: str) -> None:
+    with pytest.raises(InvalidError, match=f"frames {text}: it has frames 0:10"):
+        FrameRange.parse(text).of(10, "it")
+    for frames, count in ((FrameRange(), 0), (FrameRange(-1, 0), 10)):
+        refused(InvalidError, f"has frames 0:{count}", frames.of, count, "it")
+    for wrong in ("", "5", "9:3", "3:3", "a:b", "-1:4", "1:2:3", "\u0663:", "5" * 5000 + ":"):
+        assert len(str(refused(InvalidError, "frames", FrameRange.parse, wrong))) < 200
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_the_first_signal_waits_and_the_second_does_not(times: int) -> None:
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    done: list[int] = []
+
+    def interrupted() -> None:
+        with postponed_interrupts():
+            for number in range(times):
+                signal.raise_signal(signal.SIGTERM)
+                done.append(number)
+
+    try:
+        refused(KeyboardInterrupt, "", interrupted)
+        assert done == [0]
+        assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_an_ignored_signal_stays_ignored() -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with postponed_interrupts():
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_a_signal_is_not_lost_to_an_error_of_the_block() -> None:
+    def failing() -> None:
+        with postponed_interrupts():
+            signal.raise_signal(signal.SIGINT)
+            raise OSError("no space")
+
+    refused(KeyboardInterrupt, "", failing)

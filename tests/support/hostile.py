@@ -11,6 +11,9 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 from codec.errors import CodecError
 from codec.stream.index import CHECKSUM, HEAD, LAYER, SIDE, SegmentRecord, pack_record
@@ -18,6 +21,14 @@ from codec.stream.manifest import Part, object_file
 from codec.stream.object import join_packets
 from codec.stream.reader import StreamReader
 from tests.support.objects import object_packets
+
+
+def refused(kind: Any, says: str, call: Callable[..., object], *arguments: Any, **more: Any) -> Any:
+    """The error of `kind`, an exception or several, that the call raises; `says` is in its message,
+    as a regular expression."""
+    with pytest.raises(kind, match=says or None) as caught:
+        call(*arguments, **more)
+    return caught.value
 
 
 def survives(decode: Callable[[bytes], object], data: bytes) -> bool:

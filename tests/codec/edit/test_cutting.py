@@ -1,4 +1,4 @@
-"""Streams cut, joined, and with a temporal layer: their frames are equal bit by bit."""
+"""Streams cut, joined, and with a temporal layer, bit by bit; and swings-stream edit."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from codec.stream import StreamReader
 from codec.stream.manifest import MASKS, Manifest
 from codec.tools.audit import verify_stream
 from codec.tools.cutting import join, set_temporal_layer, trim_stream
-from tests.support.commands import run_ok
+from tests.support.commands import run, run_ok
+from tests.support.hostile import refused
 from tests.support.slots.edited import (
     NUM_FRAMES,
     SEGMENT_FRAMES,
@@ -120,8 +121,7 @@ def test_a_wrong_object_is_named_and_nothing_is_left(tmp_path: Path) -> None:
     data = path.read_bytes()
     path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
     for frames in (FrameRange(0, 14), FrameRange(4, 14)):
-        with pytest.raises(CorruptError, match="segments/2/snapshot-1"):
-            trim_stream(source, tmp_path / "t", frames)
+        refused(CorruptError, "segments/2/snapshot-1", trim_stream, source, tmp_path / "t", frames)
     assert [entry.name for entry in tmp_path.iterdir()] == ["s"]
 
 
@@ -203,10 +203,8 @@ def test_streams_that_differ_are_refused(changes: dict[str, object], tmp_path: P
     b = write_slot_stream(tmp_path / "b", 3)
     manifest = Manifest.from_json((b / "manifest.json").read_bytes())
     write_atomic(b / "manifest.json", replace(manifest, **changes).to_json())  # type: ignore[arg-type]
-    with pytest.raises(InvalidError, match=f"has another {next(iter(changes))} than"):
-        join([a, b], tmp_path / "t")
-    with pytest.raises(InvalidError, match="only one stream"):
-        join([a], tmp_path / "t")
+    refused(InvalidError, f"has another {next(iter(changes))} than", join, [a, b], tmp_path / "t")
+    refused(InvalidError, "only one stream", join, [a], tmp_path / "t")
     assert not (tmp_path / "t").exists()
 
 
@@ -243,8 +241,7 @@ def test_a_temporal_layer_goes_through_edits_and_goes_away(tmp_path: Path) -> No
     with pytest.raises(InvalidError, match="temporal_period 9 is not in"):
         set_temporal_layer(source, tmp_path / "t", 9)
     lanes = write_slot_stream(tmp_path / "lanes", 9, small_layout(3, (6, 4), 0, 4))
-    with pytest.raises(InvalidError, match="a swin_size of 1, not 3"):
-        set_temporal_layer(lanes, tmp_path / "t", 2)
+    refused(InvalidError, "a swin_size of 1, not 3", set_temporal_layer, lanes, tmp_path / "t", 2)
     assert not (tmp_path / "t").exists()
 
 
@@ -261,3 +258,53 @@ def test_pictures_are_drawn_and_old_scores_do_not_stay(tmp_path: Path) -> None:
     assert reader.num_frames == NUM_FRAMES
     assert (tmp_path / "t" / "poster.jpg").is_file()
     assert all(np.isnan(record.psnr_db).all() for record in reader.records)
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_trained_like(tmp_path_factory.mktemp("edit") / "s", 1, 200)
+
+
+def test_one_edit_after_another(stream: Path, tmp_path: Path) -> None:
+    def edit(kind: str, source: Path, out: str, *options: object) -> list[str]:
+        return run_ok("swings-stream", "edit", kind, source, tmp_path / out, *options).splitlines()
+
+    box = ["--box", -0.6, 0, -0.6, 0.6, 1.4, 0.6]
+    told = edit("crop", stream, "crop", *box)
+    size, whole = objects_bytes(tmp_path / "crop"), objects_bytes(stream)
+    assert told == [
+        f"{tmp_path / 'crop'}: {NUM_FRAMES} frames in 3 segments, 0 copied byte for byte",
+        f"size         {size} bytes, {100 * size / whole:.1f} % of {whole}",
+    ]
+    told = edit("transform", tmp_path / "crop", "moved", "--scale", 2, "--move", 1, 0, 0.5)
+    assert told[2].startswith("moved        ")
+    assert told[2].endswith(" m beside what was asked: whole steps")
+    before, made = (StreamReader(path).manifest for path in (stream, tmp_path / "moved"))
+    apart = made.camera().position - 2 * before.camera().position
+    np.testing.assert_allclose(apart, (1, 0, 0.5), atol=2 * before.lattice[0].position_m)
+    told = edit("trim", tmp_path / "moved", "part", "--frames", f"{SEGMENT_FRAMES}:")
+    assert told[0].endswith("2 segments, 0 copied byte for byte, 2 with new frame numbers")
+    told = edit("join", tmp_path / "moved", "both", "--then", tmp_path / "part")
+    count = 2 * NUM_FRAMES - SEGMENT_FRAMES
+    assert told[0].endswith(f": {count} frames in 4 segments, 2 copied byte for byte")
+    assert verify_stream(tmp_path / "both").num_frames == count
+    for name, file in (("poster", "poster.jpg"), ("storyboard", "storyboard.webp")):
+        assert getattr(StreamReader(tmp_path / "both").manifest, name) == file
+        assert (tmp_path / "both" / file).is_file()
+
+
+def test_what_goes_wrong_is_one_line_and_leaves_nothing(stream: Path, tmp_path: Path) -> None:
+    before, out = segment_files(stream), tmp_path / "out"
+    for arguments, word in (
+        (["crop", stream, out, "--keyframes", tmp_path / "none.json"], "none.json is missing"),
+        (["trim", stream, out, "--frames", "90:"], "has frames 0:14"),
+        (["crop", stream, stream, "--sphere", 0, 0, 0, 1], "is not empty"),
+        (["join", stream, out, "--then", tmp_path], "manifest.json"),
+    ):
+        done = run("swings-stream", "edit", *arguments)
+        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+        assert word in done.stderr
+    for misused in (["polish"], ["floaters", stream, out, "--cameras", 0], ["trim", stream, out]):
+        assert run("swings-stream", "edit", *misused).returncode == 2
+    assert list(tmp_path.iterdir()) == []
+    assert segment_files(stream) == before

@@ -1,27 +1,35 @@
-"""A transformed stream shows the same as transformed frames, and is not larger."""
+"""Edits that round: they show the same as edited frames, and streams do not grow."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from codec.edit.editing import edit_stream
+from codec.edit.fitting import MOST, first_segment_bytes, fitted
+from codec.edit.recolour import ColourOptions
+from codec.edit.rewrite import coder_of_stream
 from codec.edit.transform import Transform, TransformOptions
 from codec.errors import InvalidError
+from codec.interop.formats import SplatFormat, write_splats
 from codec.lattice.lattice import COLOURS, dequantise
 from codec.pose import Doubles
+from codec.sequence.importing import ImportOptions, import_stream
 from codec.similarity import harmonics
-from codec.splats import Splats
+from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
 from player.render.cpu import render_splats
 from tests.support.alike import axis_turns, shapes
+from tests.support.hostile import refused
 from tests.support.slots.edited import (
     frames_of,
     least_psnr_db,
     objects_bytes,
+    overview,
     segment_files,
     write_still,
     write_trained_like,
@@ -33,6 +41,7 @@ from tests.support.slots.slot_streams import (
     write_slot_stream,
 )
 from tests.support.slots.updates import patternless_states, small_layout
+from tests.support.trained_like import trained_like_splats
 
 OBLIQUE = TransformOptions(1.3, (10, 20, 30), (0.5, -0.25, 1.0), (0, 1, 0))
 
@@ -190,8 +199,7 @@ def test_colours_turn_with_the_scene_at_any_angle(degree: int, tmp_path: Path) -
 )
 def test_what_no_lattice_holds_is_refused(options: TransformOptions, tmp_path: Path) -> None:
     source = write_slot_stream(tmp_path / "s", 3)
-    with pytest.raises(InvalidError, match=r"scale|finite"):
-        edit_stream(source, tmp_path / "t", options)
+    refused(InvalidError, r"scale|finite", edit_stream, source, tmp_path / "t", options)
     assert not (tmp_path / "t").exists()
 
 
@@ -207,3 +215,117 @@ def test_what_moves_off_the_lattice_is_sent_as_floats(tmp_path: Path) -> None:
             np.sort(after.means[:, 0]), np.sort(moved.means[:, 0]), atol=0.03
         )
     assert gaussians(before)
+
+
+def gained(splats: Splats, gains: tuple[float, ...]) -> Splats:
+    """`splats` with multiplied colours, coefficient by coefficient."""
+    sh = splats.sh * np.array(gains)
+    sh[:, 0] += (np.array(gains) - 1) / (2 * SH_C0)
+    return Splats(*splats.arrays[:4], sh.astype(np.float32))
+
+
+def write_moving(path: Path) -> Path:
+    return write_trained_like(path, 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "gains", "write"),
+    [
+        (ColourOptions(gain=(1.2, 1.0, 0.9)), (1.2, 1.0, 0.9), write_still),
+        (ColourOptions(exposure=1), (2 ** (1 / 2.2),) * 3, write_moving),
+        (ColourOptions(exposure=-2), (2 ** (-2 / 2.2),) * 3, write_moving),
+        (ColourOptions(gain=(1.0158, 1.0158, 1.0158)), (1.0158,) * 3, write_moving),
+        (ColourOptions(gain=(1.2, 1.0, 0.9)), (1.2, 1.0, 0.9), write_moving),
+        (ColourOptions(white=(0.8, 0.6, 0.4)), (0.6 / 0.8, 1.0, 0.6 / 0.4), write_moving),
+    ],
+)
+def test_recoloured_frames_give_the_same_pictures(
+    options: ColourOptions, gains: tuple[float, ...], write: Callable[[Path], Path], tmp_path: Path
+) -> None:
+    np.testing.assert_allclose(options.gains(), gains, rtol=1e-12)
+    source = write(tmp_path / "s")
+    edit_stream(source, tmp_path / "t", options)
+    verify_stream(tmp_path / "t")
+    assert least_psnr_db(source, tmp_path / "t", lambda splats, _: gained(splats, gains)) >= 45
+    assert objects_bytes(tmp_path / "t") <= objects_bytes(source)
+
+
+def test_each_pixel_is_multiplied(tmp_path: Path) -> None:
+    source = write_trained_like(tmp_path / "s", 5)
+    edit_stream(source, tmp_path / "t", ColourOptions(gain=(0.5, 0.9, 1.1)))
+    camera = overview(source)
+    before, after = (
+        render_splats(next(frames_of(path)), camera, 0.01) for path in (source, tmp_path / "t")
+    )
+    error = after - before * np.array([0.5, 0.9, 1.1])
+    assert -10 * np.log10(np.mean(error**2)) >= 45
+
+
+@pytest.mark.parametrize("degree", [1, 3])
+def test_harmonics_and_escaped_gaussians_are_multiplied_too(degree: int, tmp_path: Path) -> None:
+    layout = small_layout(2, (20, 10), degree)
+    source = write_slot_stream(tmp_path / "s", 6, layout)
+    edit_stream(source, tmp_path / "t", ColourOptions(exposure=-1.1))
+    verify_stream(tmp_path / "t")
+    gain = float(2 ** (-0.5))
+    step = max(lattice.colour for lattice in StreamReader(tmp_path / "t").manifest.lattice)
+    for before, after in zip(frames_of(source), frames_of(tmp_path / "t"), strict=True):
+        np.testing.assert_array_equal(after.means, before.means)
+        wanted = gained(before, (gain,) * 3)
+        # Half a step each of Y, Co and Cg.
+        assert np.abs(after.sh - wanted.sh).max() <= 1.51 * step
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ColourOptions(gain=(0, 1, 1)),
+        ColourOptions(gain=(1, float("inf"), 1)),
+        ColourOptions(white=(0, 1, 1)),
+        ColourOptions(exposure=float("nan")),
+        ColourOptions(exposure=-100),
+    ],
+)
+def test_gains_that_no_stream_has_are_refused(options: ColourOptions, tmp_path: Path) -> None:
+    source = write_slot_stream(tmp_path / "s", 2)
+    refused(InvalidError, "", edit_stream, source, tmp_path / "t", options)
+    assert not (tmp_path / "t").exists()
+
+
+TURN = TransformOptions(turn=(10, 20, 30))
+
+
+def write_few_harmonics(path: Path, num_gs: int) -> Path:
+    """Writes a stream of one frame of degree 3 to `path`. One coefficient of degree 2 and one of
+    degree 3 are not 0; after an oblique turn, all of them are not 0."""
+    splats, rng = trained_like_splats(num_gs), np.random.default_rng(1)
+    sh = np.zeros((num_gs, 16, 3), np.float32)
+    sh[:, :1] = splats.sh
+    sh[:, [5, 11]] = 0.1 * rng.normal(size=(num_gs, 2, 3))
+    path.mkdir()
+    write_splats(path / "m.ply", Splats(*splats.arrays[:4], sh), SplatFormat.PLY)
+    import_stream(path / "m.ply", path / "s", ImportOptions(fps=30))
+    return path / "s"
+
+
+def test_steps_that_would_not_save_enough_stay_as_they_were(tmp_path: Path) -> None:
+    source = write_few_harmonics(tmp_path / "m", 1000)
+    reader = StreamReader(source)
+    coder, limit_bytes = coder_of_stream(reader), sum(reader.records[0].part_bytes)
+    edit = Transform(TURN, reader.manifest)
+    assert first_segment_bytes(reader, edit.coarser(MOST), coder) > limit_bytes
+    assert fitted(reader, edit, coder) is edit
+    made = edit_stream(source, tmp_path / "t", TURN)
+    assert made.size_bytes > made.source_bytes
+    assert StreamReader(tmp_path / "t").manifest.lattice == reader.manifest.lattice
+
+
+def test_steps_grow_until_the_first_segment_does_not(tmp_path: Path) -> None:
+    reader = StreamReader(write_trained_like(tmp_path / "s", 5))
+    coder, limit_bytes = coder_of_stream(reader), sum(reader.records[0].part_bytes)
+    # With steps half as large the turned stream is larger, so there is something to fit.
+    edit = Transform(TURN, reader.manifest, 0.5)
+    assert first_segment_bytes(reader, edit, coder) > limit_bytes
+    made = fitted(reader, edit, coder)
+    assert made is not edit
+    assert first_segment_bytes(reader, made, coder) <= limit_bytes

@@ -1,10 +1,11 @@
-"""SOG: a handmade file, axes, round trips, bombs and other hostile bytes."""
+"""SOG and its parts: archives, pictures, codebooks; axes, round trips and bombs."""
 
 from __future__ import annotations
 
 import io
 import json
 import logging
+import struct
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,19 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 from PIL import Image
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.foreign.bundle import MAX_DIRECTORY_BYTES, Bundle, encode_bundle
+from codec.foreign.codebook import CODES, codebook, codes_of, palette
+from codec.foreign.levels import Bytes
 from codec.foreign.sog import decode_sog, encode_sog
+from codec.foreign.webp import decode_webp, encode_webp, webp_size
 from codec.interop.formats import decode_any, read_splats
-from codec.splats import Splats
+from codec.splats import Floats, Splats
 from tests.support.drawn import angles_rad, drawn_splats, same_splats
-from tests.support.hostile import within_bytes
+from tests.support.hostile import refused, within_bytes
 from tests.support.trained_like import trained_like_splats
 
 HALF = np.sqrt(0.5)
@@ -100,11 +106,9 @@ def test_a_folder_of_these_files_is_the_same_model(tmp_path: Path) -> None:
     bundle = decode_any(bundled(files_of(META)))
     assert same_splats(read_splats(tmp_path), bundle)
     assert same_splats(read_splats(tmp_path / "meta.json"), bundle)
-    with pytest.raises(UnsupportedError, match="2 Gaussians in a frame, at most 1"):
-        read_splats(tmp_path, 1)
+    refused(UnsupportedError, "2 Gaussians in a frame, at most 1", read_splats, tmp_path, 1)
     (tmp_path / "q").unlink()
-    with pytest.raises(CorruptError, match="q is missing"):
-        read_splats(tmp_path)
+    refused(CorruptError, "q is missing", read_splats, tmp_path)
 
 
 @pytest.mark.parametrize("name", ["../q", "/etc/passwd", "a/b", "..", "", "C:\\q", "a\0b"])
@@ -113,14 +117,12 @@ def test_a_folder_gives_no_file_from_elsewhere(name: str, tmp_path: Path) -> Non
     for other, data in files_of(META).items():
         (tmp_path / other).write_bytes(data)
     (tmp_path / "meta.json").write_text(meta)
-    with pytest.raises(UnsupportedError, match="is not the name of a file beside"):
-        read_splats(tmp_path)
+    refused(UnsupportedError, "is not the name of a file beside", read_splats, tmp_path)
 
 
 def test_a_folder_cannot_claim_more_than_its_files_hold(tmp_path: Path) -> None:
     (tmp_path / "meta.json").write_text(json.dumps(META | {"count": 1 << 24}))
-    with pytest.raises(CorruptError, match="claims to decompress"):
-        read_splats(tmp_path)
+    refused(CorruptError, "claims to decompress", read_splats, tmp_path)
 
 
 @given(drawn_splats(max_count=40))
@@ -225,8 +227,7 @@ WRONG_TAG = two_rows([[0, 0, 0, 252], [0, 0, 0, 251]])
     ],
 )
 def test_a_bad_sog_is_refused(data: bytes, kind: type[CodecError], says: str) -> None:
-    with pytest.raises(kind, match=says):
-        decode_any(data)
+    refused(kind, says, decode_any, data)
 
 
 def test_more_than_the_caller_takes_is_refused_before_a_picture_is_decoded() -> None:
@@ -240,3 +241,197 @@ def test_a_huge_picture_costs_little_memory() -> None:
     assert len(flat) < 20_000
     with within_bytes(4 << 20), pytest.raises(CorruptError, match="4000 x 4000 pixels, at most"):
         decode_any(replaced("ml", flat))
+
+
+STORED, LZMA = zipfile.ZIP_STORED, zipfile.ZIP_LZMA
+
+
+def zipped(
+    files: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED, comment: bytes = b""
+) -> bytes:
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w", method) as archive:
+        archive.comment = comment
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return made.getvalue()
+
+
+def test_files_come_back_and_the_archive_is_always_the_same() -> None:
+    files = {"a.txt": b"alpha", "empty": b""}
+    data = encode_bundle(files)
+    assert data == encode_bundle(files)
+    for made in (data, zipped(files), zipped(files, STORED, b"a comment")):
+        bundle = Bundle(made, "it")
+        assert {name: bundle.read(name) for name in files} == files
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        assert archive.testzip() is None
+
+
+def test_a_bomb_is_refused_by_what_it_claims() -> None:
+    bomb = zipped({"zeros": bytes(64 << 20)})
+    assert len(bomb) < 100_000
+    with within_bytes(4 << 20):
+        with pytest.raises(CorruptError, match="'zeros' claims 67108864 bytes"):
+            Bundle(bomb, "it").read("zeros")
+        # A file that lies about its size is truncated there.
+        lying = bomb.replace((64 << 20).to_bytes(4, "little"), (9).to_bytes(4, "little"))
+        refused(CorruptError, "is broken", lambda: Bundle(lying, "it").read("zeros"))
+
+
+def encrypted() -> bytes:
+    data = bytearray(zipped({"a": b"alpha"}))
+    directory = data.index(b"PK\1\2")
+    data[6] |= 1
+    data[directory + 8] |= 1
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("data", "kind", "says"),
+    [
+        (b"PK\3\4", CorruptError, "ends inside the ZIP"),
+        (zipped({"b": b""}), CorruptError, "'a' is not in the archive"),
+        (encrypted(), UnsupportedError, "encrypted"),
+        (zipped({"a": b"alpha"}, LZMA), UnsupportedError, "not read here"),
+        (zipped({"a" * 60_000: b"", "b" * 60_000: b""}), CorruptError, "bytes of names"),
+        (
+            zipped({"a": b"alpha"}, zipfile.ZIP_STORED).replace(b"alpha", b"omega"),
+            CorruptError,
+            "broken",
+        ),
+    ],
+)
+def test_a_bad_archive_is_refused(data: bytes, kind: type[CodecError], says: str) -> None:
+    refused(kind, says, lambda: Bundle(data, "it").read("a"))
+
+
+def test_an_archive_of_more_than_4_gb_is_refused() -> None:
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w") as archive:
+        for number in range(0x10000):
+            archive.writestr(f"{number}", b"")
+    refused(UnsupportedError, "4 GB", Bundle, made.getvalue(), "it")
+    assert len(made.getvalue()) > MAX_DIRECTORY_BYTES
+
+
+def noise(*shape: int) -> Bytes:
+    return np.random.default_rng(7).integers(0, 256, shape).astype(np.uint8)
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_every_byte_comes_back_also_of_what_is_transparent(channels: int) -> None:
+    pixels = noise(5, 7, channels)
+    if channels == 4:
+        pixels[:3, :, 3] = 0
+    data = encode_webp(pixels)
+    assert webp_size(data, "it") == (7, 5)
+    back = decode_webp(data, "it", 35)
+    assert (back[..., :channels] == pixels).all()
+    assert back.shape == (5, 7, 4)
+
+
+def test_the_extended_layout_is_read() -> None:
+    file = io.BytesIO()
+    Image.fromarray(noise(4, 6, 3)).save(file, "WEBP", lossless=True, exif=b"Exif\0\0MM\0*")
+    data = file.getvalue()
+    assert data[12:16] == b"VP8X"
+    assert webp_size(data, "it") == (6, 4)
+    assert (decode_webp(data, "it", 24)[..., :3] == noise(4, 6, 3)).all()
+
+
+def saved(format: str, **options: object) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(noise(4, 4, 3)).save(file, format, **options)
+    return file.getvalue()
+
+
+MOVING = saved(
+    "WEBP", save_all=True, lossless=True, append_images=[Image.fromarray(noise(4, 4, 4)[..., :3])]
+)
+
+
+@pytest.mark.parametrize(
+    ("data", "kind", "says"),
+    [
+        (b"", UnsupportedError, "it: is not a WebP"),
+        (saved("PNG"), UnsupportedError, "is not a WebP"),
+        (saved("WEBP"), UnsupportedError, "without loss"),
+        (MOVING, UnsupportedError, "moving"),
+        (encode_webp(noise(4, 4, 3))[:30], CorruptError, "broken"),
+        (encode_webp(noise(3, 6, 3)), CorruptError, "6 x 3 pixels, at most 16"),
+    ],
+)
+def test_another_picture_is_refused(data: bytes, kind: type[CodecError], says: str) -> None:
+    refused(kind, says, decode_webp, data, "it", 16)
+
+
+def test_a_side_that_no_decoder_takes_is_refused() -> None:
+    head = b"RIFF" + struct.pack("<I", 100) + b"WEBPVP8X" + struct.pack("<I4x", 10)
+    wide = head + b"\xff\xff\xff" + b"\0\0\0" + bytes(60)
+    refused(CorruptError, "16777216 x 1 pixels", decode_webp, wide, "it", 1 << 40)
+
+
+def drawn(seed: int, count: int, dims: int) -> Floats:
+    return np.random.default_rng(seed).normal(size=(count, dims)).astype(np.float32)
+
+
+@given(st.lists(st.floats(-1e6, 1e6, width=32), max_size=CODES))
+def test_what_has_few_values_is_kept_exactly(values: list[float]) -> None:
+    given = np.array(values, np.float32)
+    book = codebook(given)
+    assert book.shape == (CODES,)
+    assert (np.diff(book) >= 0).all()
+    assert (book[codes_of(given, book)] == given).all()
+
+
+@pytest.mark.parametrize("shape", ["even", "bell", "far"])
+def test_many_values_are_near_theirs(shape: str) -> None:
+    rng = np.random.default_rng(5)
+    values = rng.normal(size=30_000).astype(np.float32)
+    if shape == "even":
+        values = rng.uniform(-1, 1, 30_000).astype(np.float32)
+    if shape == "far":
+        values[:5] = [90, 91, 95, -80, -80]
+    book = codebook(values)
+    assert (book == codebook(values)).all()
+    codes = codes_of(values, book)
+    away = np.abs(book[codes] - values)
+    # Each value has the nearest entry.
+    assert (away <= np.abs(values[:, None] - book).min(axis=1) + 1e-6).all()
+    even = np.ptp(values) / CODES
+    assert away.max() < 1.2 * even  # half of the initial book is in even steps
+    if shape == "bell":
+        # The least that any book of a normal distribution can reach (Panter and Dite, 1951).
+        least = np.sqrt(np.sqrt(3) * np.pi / 2) / CODES
+        assert np.sqrt((away**2).mean()) < 1.1 * least
+
+
+def test_a_palette_of_all_rows_is_exact_and_alike_rows_share() -> None:
+    rows = drawn(3, 50, 9)[np.arange(200) % 50]
+    entries, labels = palette(rows, 64)
+    assert entries.shape == (50, 9)
+    assert (entries[labels] == rows).all()
+    # Labels are numbered by their first row.
+    assert (labels[:50] == np.arange(50)).all()
+
+
+@given(st.integers(0, 300), st.integers(1, 12), st.integers(1, 64))
+@settings(max_examples=40, deadline=None)
+def test_a_palette_is_the_means_of_its_groups(count: int, dims: int, size: int) -> None:
+    rows = drawn(count, count, dims)
+    entries, labels = palette(rows, size)
+    assert len(entries) <= size
+    assert sorted(set(labels.tolist())) == list(range(len(entries)))
+    for number, entry in enumerate(entries):
+        assert entry == pytest.approx(
+            rows[labels == number].astype(np.float64).mean(axis=0), abs=1e-6
+        )
+
+
+def test_a_palette_finds_groups_that_there_are() -> None:
+    centres = 10 * drawn(8, 30, 9)
+    group = np.random.default_rng(1).integers(0, 30, 3000)
+    rows = centres[group] + 0.01 * drawn(9, 3000, 9)
+    entries, labels = palette(rows, 64)
+    assert np.abs(entries[labels] - rows).max() < 0.1

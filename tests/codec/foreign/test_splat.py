@@ -1,20 +1,23 @@
-""".splat: handmade bytes, round trips, hostile bytes."""
+""".splat and .ksplat by hand; interop/test_others.py uses the library of .ksplat."""
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from codec.errors import CorruptError
+from codec.errors import CorruptError, UnsupportedError
+from codec.foreign.ksplat import decode_ksplat
 from codec.foreign.splat import decode_splat, encode_splat
 from codec.interop.formats import decode_any
 from codec.splats import SH_C0, Splats
 from tests.support.drawn import angles_rad, drawn_splats
-from tests.support.hostile import survives
+from tests.support.hostile import refused, survives
 from tests.support.trained_like import trained_like_splats
 
 RECORD = struct.Struct("<3f3f4B4B")
@@ -87,8 +90,7 @@ def test_splat_is_written_most_important_first() -> None:
 )
 def test_a_bad_splat_is_refused_with_the_reason(place: int, value: bytes, says: str) -> None:
     data = BY_HAND[:place] + value + BY_HAND[place + len(value) :]
-    with pytest.raises(CorruptError, match=says):
-        decode_splat(data)
+    refused(CorruptError, says, decode_splat, data)
 
 
 def test_only_whole_records_are_read() -> None:
@@ -105,3 +107,111 @@ def test_extreme_gaussians_stay_readable() -> None:
         np.full((2, 1, 3), 1e30, np.float32),
     )
     assert len(decode_splat(encode_splat(splats))) == 2
+
+
+FORMATS = {0: "<3f3f4f4B", 1: "<3H3e4e4B", 2: "<3H3e4e4B"}
+HARMONICS = {0: "f", 1: "e", 2: "B"}
+RGBA = (255, 0, 51, 102)
+
+
+def section(
+    level: int,
+    records: list[tuple[Any, ...]],
+    centres: Sequence[tuple[float, ...]] = (),
+    lengths: tuple[int, ...] = (),
+    **changes: Any,
+) -> tuple[bytes, bytes]:
+    """Header and content of a section: two Gaussians in a full bucket, one in a partial one."""
+    said = {
+        **{"count": len(records), "room": len(records), "size": 2, "buckets": len(centres)},
+        **{"block": 5.0, "bucket_bytes": 12 if level else 0, "reach": 0},
+        **{"full": len(centres) - len(lengths), "partial": len(lengths), "degree": 0},
+    } | changes
+    degree = said["degree"]
+    extra = 3 * ((degree + 1) ** 2 - 1)
+    head = struct.pack("<IIIIfHxxI4xIIH", *said.values()).ljust(1024, b"\0")
+    layout = FORMATS[level] + f"{extra}{HARMONICS[level]}" * bool(extra)
+    content = struct.pack(f"<{len(lengths)}I", *lengths)
+    content += b"".join(struct.pack("<3f", *centre) for centre in centres)
+    return head, content + b"".join(struct.pack(layout, *values) for values in records)
+
+
+def ksplat(
+    level: int,
+    *sections: tuple[bytes, bytes],
+    count: int,
+    version: tuple[int, int] = (0, 1),
+    reach: tuple[float, float] = (0, 0),
+) -> bytes:
+    number = len(sections)
+    head = struct.pack("<BBxxIIIIHxx12xff", *version, number, number, count, count, level, *reach)
+    heads, contents = zip(*sections, strict=True)
+    return head.ljust(4096, b"\0") + b"".join(heads) + b"".join(contents)
+
+
+FLOATS = (1.0, -2.0, 3.0, 1.0, 0.5, 0.0, 0.5, 0.5, -0.5, 0.5, *RGBA)
+PLAIN = ksplat(0, section(0, [FLOATS]), count=1)
+CODES = [
+    (32767, 32767, 32767, 1, 0.5, 0.25, 1, 0, 0, 0, *RGBA),
+    (0, 32767, 65534, 1, 0.5, 0.25, 1, 0, 0, 0, *RGBA),
+    (32767, 32767, 32767, 1, 0.5, 0.25, 1, 0, 0, 0, *RGBA),
+]
+CENTRES = [(1.0, 2.0, 3.0), (-10.0, 0.0, 10.0)]
+BUCKETS = ksplat(1, section(1, CODES, CENTRES, (1,)), count=3)
+
+
+def test_floats() -> None:
+    splats = decode_any(PLAIN, ".ksplat")
+    assert splats.means.tolist() == [[1, -2, 3]]
+    assert splats.log_scales[0, :2] == pytest.approx([0, np.log(0.5)])
+    assert splats.log_scales[0, 2] < -80  # flat
+    assert splats.quats.tolist() == [[0.5, 0.5, -0.5, 0.5]]
+    assert splats.opacities == pytest.approx([0.4])
+    assert 0.5 + SH_C0 * splats.sh[0, 0] == pytest.approx([1, 0, 0.2], abs=1e-6)
+
+
+def test_buckets() -> None:
+    splats = decode_ksplat(BUCKETS)
+    assert splats.means == pytest.approx(np.array([[1, 2, 3], [-1.5, 2, 5.5], [-10, 0, 10]]))
+
+
+def test_harmonics_of_two_sections() -> None:
+    """Harmonics of degree 2 and of degree 0, in bytes between -1 and 2.825."""
+    codes = tuple(range(24))
+    sections = (
+        section(2, [(*CODES[0], *codes)], CENTRES[:1], (1,), degree=2),
+        section(2, [CODES[0]], CENTRES[:1], (1,)),
+    )
+    splats = decode_ksplat(ksplat(2, *sections, count=2, reach=(-1, 2.825)))
+    first = np.array(codes[:9]).reshape(3, 3).T
+    second = np.array(codes[9:]).reshape(3, 5).T
+    wanted = np.concatenate([first, second]) * 0.015 - 1
+    assert splats.sh[0, 1:] == pytest.approx(wanted, abs=1e-6)
+    assert not splats.sh[1, 1:].any()
+
+
+BAD = {
+    "short": (PLAIN[:4000], "ends inside its header"),
+    "cut off": (PLAIN[:-1], "ends after 5163 bytes of 5164"),
+    "version": (ksplat(0, section(0, [FLOATS]), count=1, version=(1, 0)), "version 1.0"),
+    "level": (PLAIN[:20] + b"\3" + PLAIN[21:], "level 3"),
+    "sections": (PLAIN[:4] + b"\xff" * 4 + PLAIN[8:], "claims 4294967295 sections"),
+    "too many": (PLAIN[:16] + b"\xff" * 4 + PLAIN[20:], "claims 4294967295 Gaussians"),
+    "another count": (ksplat(0, section(0, [FLOATS]), count=2), "not 2 Gaussians"),
+    "degree 3": (ksplat(0, section(0, [(*FLOATS, *[0.0] * 45)], degree=3), count=1), "degree 3"),
+    "no room": (ksplat(0, section(0, [FLOATS], room=0), count=1), "more Gaussians than room"),
+    "no bucket": (ksplat(1, section(1, CODES, CENTRES, (0,)), count=3), "is in no bucket"),
+    "odd buckets": (ksplat(1, section(1, CODES, CENTRES, size=1, full=9), count=3), "in no bucket"),
+    "negative": (ksplat(0, section(0, [(*FLOATS[:3], -1.0, *FLOATS[4:])]), count=1), "negative"),
+    "NaN": (ksplat(0, section(0, [(np.nan, *FLOATS[1:])]), count=1), "not finite"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_ksplat_is_refused_with_the_reason(name: str) -> None:
+    data, says = BAD[name]
+    assert "\n" not in str(refused((CorruptError, UnsupportedError), says, decode_ksplat, data))
+
+
+def test_more_than_the_caller_takes_is_refused() -> None:
+    refused(UnsupportedError, "at most 2", decode_ksplat, BUCKETS, 2)

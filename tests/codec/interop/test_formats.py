@@ -1,18 +1,21 @@
-"""Files of Gaussians by name and first bytes, and one real model in two formats."""
+"""Files of Gaussians by name and first bytes, and frames of streams as files."""
 
 from __future__ import annotations
 
 import gzip
 import os
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
+from codec.files import write_atomic
 from codec.foreign.limits import MAX_GAUSSIANS
 from codec.foreign.spz import SpzVersion
+from codec.interop.exporting import export_stream, numbered
 from codec.interop.formats import (
     MAX_FILE_BYTES,
     SplatFormat,
@@ -21,10 +24,19 @@ from codec.interop.formats import (
     read_splats,
     write_splats,
 )
-from codec.splats import SH_C0
+from codec.sequence.numberedfiles import find_files
+from codec.splats import SH_C0, Splats
+from codec.stream import StreamReader
+from codec.tools.plot import draw_stream
+from codec.tools.static import export_static
+from tests.goldens.decoder import Gaussian, to_floats
+from tests.goldens.folder import StreamFolder, state_at
 from tests.support.commands import ROOT
 from tests.support.drawn import angles_rad, same_splats
-from tests.support.hostile import survives, truncations, within_bytes
+from tests.support.hostile import refused, survives, truncations, within_bytes
+from tests.support.slots.folder import write_slots
+from tests.support.slots.updates import small_layout
+from tests.support.tiny_stream import write_tiny
 from tests.support.trained_like import trained_like_splats
 
 MODELS = Path(os.environ.get("SWINGS_DATA", ROOT / ".." / "shared" / "data")) / "splats"
@@ -43,21 +55,17 @@ def test_what_is_written_is_read_by_its_name(format: SplatFormat, tmp_path: Path
 
 def test_an_unreadable_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "model.ply"
-    with pytest.raises(CorruptError, match=r"model\.ply is missing$"):
-        read_splats(path)
-    with pytest.raises(CorruptError, match="cannot be read: Is a directory"):
-        read_splats(tmp_path)
+    refused(CorruptError, r"model\.ply is missing$", read_splats, path)
+    refused(CorruptError, "cannot be read: Is a directory", read_splats, tmp_path)
     path.write_bytes(b"GIF89a and so on")
-    with pytest.raises(UnsupportedError, match=r"model\.ply: starts with b'GIF8'; this program"):
-        read_splats(path)
+    refused(UnsupportedError, r"model\.ply: starts with b'GIF8'; this program", read_splats, path)
     for format in SplatFormat:
         path = tmp_path / f"empty.{format}"
         path.touch()
         if format is SplatFormat.SPLAT:  # without a header, an empty file has no Gaussians
             assert len(read_splats(path)) == 0
             continue
-        with pytest.raises(CorruptError, match=rf"empty\.{format}: is empty; this program reads"):
-            read_splats(path)
+        refused(CorruptError, rf"empty\.{format}: is empty; this program reads", read_splats, path)
     # The first bytes count more than a wrong name.
     splats = trained_like_splats(5)
     write_splats(tmp_path / "model.spz", splats, SplatFormat.PLY)
@@ -86,8 +94,7 @@ def test_a_failed_write_leaves_the_old_file(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space"):
-        write_splats(path, trained_like_splats(6), SplatFormat.PLY)
+    refused(OSError, "No space", write_splats, path, trained_like_splats(6), SplatFormat.PLY)
     assert path.read_bytes() == before
 
 
@@ -156,3 +163,120 @@ def test_a_huge_file(name: str, head: bytes, file_bytes: int, says: str, tmp_pat
     os.truncate(path, file_bytes)
     with within_bytes(1 << 20), pytest.raises(CodecError, match=rf"a\.\w+:? .*{says}"):
         read_splats(path, 999)
+
+
+LAYOUT = small_layout(3, (9, 6), 1, 4)
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six frames, three slices of forty Gaussians in each, two layers."""
+    path = tmp_path_factory.mktemp("export") / "stream"
+    write_tiny(path, 6)
+    return path
+
+
+def by_position(splats: Splats) -> Splats:
+    return splats.take(np.lexsort(splats.means.T))
+
+
+@pytest.mark.parametrize("layers", [1, 2])
+def test_what_shows_is_exported_and_nothing_else(layers: int, tmp_path: Path) -> None:
+    """Compared with the plain decoder: Gaussians that have started, and no empty slot."""
+    write_slots(tmp_path / "s", 10, LAYOUT)
+    hidden = 0
+    for frame in range(10):
+        shape = StreamFolder(tmp_path / "s").shape
+        held = [
+            (slot, lattice)
+            for lane in state_at(tmp_path / "s", frame, layers)
+            for row, lattice in zip(lane[:layers], shape.lattice[:layers], strict=True)
+            for slot in row
+        ]
+        shown = [
+            to_floats(slot, lattice)
+            for slot, lattice in held
+            if isinstance(slot, Gaussian) and slot.start <= frame
+        ]
+        hidden += len(held) - len(shown)
+        means = np.array([floats.mean for floats in shown], np.float32).reshape(-1, 3)
+        for format in SplatFormat if frame % 5 == 0 else (SplatFormat.PLY,):
+            out = tmp_path / f"o.{format}"
+            export_stream(tmp_path / "s", out, frame, None, None, layers)
+            found = read_splats(out)
+            assert len(found) == len(shown)
+            if format is SplatFormat.PLY:
+                assert (by_position(found).means == means[np.lexsort(means.T)]).all()
+                assert np.isfinite(found.logit_opacities).all()
+    assert hidden > 20
+
+
+def test_a_range_becomes_a_numbered_sequence(stream: Path, tmp_path: Path) -> None:
+    written = export_stream(stream, tmp_path / "seq" / "tiny.ply", None, "2:5", None, None)
+    assert [path.name for path in written] == ["tiny_0002.ply", "tiny_0003.ply", "tiny_0004.ply"]
+    for frame, path in zip(range(2, 5), written, strict=True):
+        assert same_splats(read_splats(path), StreamReader(stream).active_splats(frame, 2))
+    assert find_files(tmp_path / "seq") == written  # import accepts exactly these files
+    assert numbered(Path("a/b.v1"), 7, SplatFormat.SPZ) == Path("a/b.v1_0007.spz")
+    assert numbered(Path("a/b.SPZ"), 12345, SplatFormat.SPZ) == Path("a/b_12345.spz")
+
+
+def test_a_format_may_be_given_and_layers_left_out(stream: Path, tmp_path: Path) -> None:
+    for format in SplatFormat:
+        assert export_stream(stream, tmp_path / "f", 5, None, format, 1) == [tmp_path / "f"]
+        (tmp_path / f"f.{format}").write_bytes((tmp_path / "f").read_bytes())
+        shown = StreamReader(stream).active_splats(5, 1)
+        assert len(read_splats(tmp_path / f"f.{format}")) == len(shown)
+        assert len(shown) < len(StreamReader(stream).active_splats(5, 2))
+
+
+@pytest.mark.parametrize(
+    ("frame", "frames", "name", "layers", "says"),
+    [
+        (None, None, "a.ply", None, "either --frame F or --frames A:B"),
+        (1, "1:2", "a.ply", None, "either --frame F or --frames A:B"),
+        (6, None, "a.ply", None, "no frame 6; it has 6 frames"),
+        (-1, None, "a.ply", None, "no frame -1"),
+        (None, "4:7", "a.ply", None, "has frames 0:6"),
+        (None, "4:4", "a.ply", None, "hold no frame"),
+        (None, "6:", "a.ply", None, "has frames 0:6"),
+        (None, "4", "a.ply", None, "not FIRST:END"),
+        (0, None, "a.obj", None, "no known suffix; give --format, one of ply, splat, spz, sog"),
+        (0, None, "a.ply", 3, "3 layers of 2"),
+        (0, None, "a.ply", 0, "0 layers of 2"),
+        (0, None, "file/a.ply", None, r"file/a\.ply cannot be written: "),
+    ],
+)
+def test_a_bad_export_is_refused_with_the_reason(
+    stream: Path,
+    tmp_path: Path,
+    frame: int | None,
+    frames: str | None,
+    name: str,
+    layers: int | None,
+    says: str,
+) -> None:
+    (tmp_path / "file").write_text("no folder")
+    refused(InvalidError, says, export_stream, stream, tmp_path / name, frame, frames, None, layers)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+NAMELESS: dict[str, Callable[[Path, Path], object]] = {
+    "static": export_static,
+    "frame": lambda stream, out: export_stream(stream, out, 0, None, SplatFormat.PLY, None),
+    "frames": lambda stream, out: export_stream(stream, out, None, ":2", SplatFormat.PLY, None),
+    "numbered": lambda stream, out: numbered(out, 1, SplatFormat.PLY),
+    "splats": lambda stream, out: write_splats(out, trained_like_splats(2), SplatFormat.PLY),
+    "atomic": lambda stream, out: write_atomic(out, b"data"),
+    "plot": draw_stream,
+}
+
+
+@pytest.mark.parametrize("call", NAMELESS)
+def test_a_place_without_a_name(
+    call: str, stream: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    error = refused(InvalidError, r"^\. names no file", lambda: NAMELESS[call](stream, Path(".")))
+    assert "\n" not in str(error)
+    assert not list(tmp_path.iterdir())

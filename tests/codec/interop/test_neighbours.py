@@ -18,6 +18,7 @@ import pytest
 
 from codec.errors import InvalidError
 from codec.foreign.splat import RECORD, splat_rows
+from codec.foreign.spz import SpzVersion
 from codec.interop import splat4dexport
 from codec.interop.containers import contained_frames
 from codec.interop.exporting import export_stream
@@ -30,8 +31,10 @@ from codec.pose import Doubles
 from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader
+from codec.tools.audit import verify_stream
+from codec.tools.commands import Export, export_files
 from tests.support.alike import KINDS, largest_errors
-from tests.support.commands import run, run_ok
+from tests.support.commands import run_ok
 from tests.support.slots.rotating import figure, turned
 from tests.support.tiny_stream import write_tiny
 
@@ -184,27 +187,24 @@ def test_what_fourdgs_makes_is_read(mode: int, codec: int, tmp_path: Path) -> No
     writer = importlib.import_module("fourdgs.keyframe_delta_writer")
     model = importlib.import_module("fourdgs.model")
     rng = np.random.default_rng(mode)
-    samples = []
-    for number in range(NUM_FRAMES):
+
+    def sample(number: int) -> Any:
         ids = np.arange(number, 60 + number)
-        samples.append(
-            writer.Sample(
-                number / FPS,
-                ids,
-                model.GaussianSet(
-                    positions=rng.normal(size=(60, 3)),
-                    scales=np.exp(rng.normal(-4, 1, (60, 3))),
-                    rotations=rng.normal(size=(60, 4)),
-                    colors=rng.uniform(0.05, 0.95, (60, 4)),
-                    motions=rng.normal(size=(60, 3)),
-                    mu_t=np.full(60, number / FPS),
-                    sigma_t=0.02 * (1 + ids % 3),
-                    win_lo=0.03 * (ids % 4),
-                    win_hi=np.full(60, NUM_FRAMES / FPS),
-                ),
-            )
+        gaussians = model.GaussianSet(
+            positions=rng.normal(size=(60, 3)),
+            scales=np.exp(rng.normal(-4, 1, (60, 3))),
+            rotations=rng.normal(size=(60, 4)),
+            colors=rng.uniform(0.05, 0.95, (60, 4)),
+            motions=rng.normal(size=(60, 3)),
+            mu_t=np.full(60, number / FPS),
+            sigma_t=0.02 * (1 + ids % 3),
+            win_lo=0.03 * (ids % 4),
+            win_hi=np.full(60, NUM_FRAMES / FPS),
         )
+        return writer.Sample(number / FPS, ids, gaussians)
+
     options = writer.KeyframeDeltaOptions(keyframe_every=3, delta_mode=mode)
+    samples = [sample(number) for number in range(NUM_FRAMES)]
     data = fourdgs.write_sequence(samples, NUM_FRAMES / FPS, kd=options, codec=codec)
     (tmp_path / "a.4dgs").write_bytes(data)
     theirs, ours = of_fourdgs(data), read_here(tmp_path / "a.4dgs")
@@ -217,16 +217,16 @@ def test_what_fourdgs_makes_is_read(mode: int, codec: int, tmp_path: Path) -> No
 @needs_fourdgs
 @needs_splat4d
 @pytest.mark.parametrize("format", list(SequenceFormat))
-def test_a_stream_there_and_back_by_the_commands(format: SequenceFormat, tmp_path: Path) -> None:
+def test_a_stream_there_and_back(format: SequenceFormat, tmp_path: Path) -> None:
     (tmp_path / "files").mkdir()
     for number, splats in enumerate(FRAMES):
         write_splats(tmp_path / "files" / f"{number}.ply", splats, SplatFormat.PLY)
     import_stream(tmp_path / "files", tmp_path / "stream", ImportOptions(fps=FPS))
     run_ok("swings-stream", "export", tmp_path / "stream", tmp_path / f"all.{format}")
-    run_ok("swings-stream", "import", tmp_path / f"all.{format}", tmp_path / "back")
-    run_ok("swings-stream", "verify", tmp_path / "back")
+    import_stream(tmp_path / f"all.{format}", tmp_path / "back", ImportOptions())
+    assert verify_stream(tmp_path / "back").num_frames == NUM_FRAMES
     before, after = (StreamReader(tmp_path / name) for name in ("stream", "back"))
-    assert (after.num_frames, after.manifest.fps) == (NUM_FRAMES, FPS)
+    assert after.manifest.fps == FPS
     for frame in range(NUM_FRAMES):
         a, b = (reader.active_splats(frame, 4) for reader in (before, after))
         assert (largest_errors(b, a) < (1.5, 0.2, 0.15, 0.03, 0.06)).all()
@@ -245,15 +245,14 @@ def test_a_stream_there_and_back_by_the_commands(format: SequenceFormat, tmp_pat
 
 def test_what_cannot_be_exported_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_tiny(tmp_path / "tiny", 3)
-    for words, says in (
-        (["a.4dgs", "--frame", "1"], "4dgs holds a sequence; choose its frames by --frames"),
-        (["a.splat4d", "--spz-version", "2"], "splat4d holds a sequence"),
-        (["a.ply", "--frame", "1", "--precision", "fine"], "--precision is for 4dgs and splat4d"),
-        (["a.4dgs", "--frames", "2:9"], "has frames 0:3"),
+    for name, options, says in (
+        ("a.4dgs", {"frame": 1}, "4dgs holds a sequence; choose its frames by --frames"),
+        ("a.splat4d", {"spz_version": SpzVersion.V2}, "splat4d holds a sequence"),
+        ("a.ply", {"frame": 1, "precision": Precision.FINE}, "--precision is for 4dgs and splat4d"),
+        ("a.4dgs", {"frames": "2:9"}, "has frames 0:3"),
     ):
-        done = run("swings-stream", "export", tmp_path / "tiny", tmp_path / words[0], *words[1:])
-        assert (done.returncode, done.stderr.count("\n")) == (1, 1)
-        assert says in done.stderr
+        with pytest.raises(InvalidError, match=says):
+            export_files(Export(str(tmp_path / "tiny"), tmp_path / name, **options))
     monkeypatch.setitem(sys.modules, "fourdgs", None)
     monkeypatch.setattr(shutil, "which", lambda name: None)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))

@@ -1,19 +1,34 @@
-"""The lattice: its bounds, and the guarantees of a quantiser (codec/FORMAT.md, section 8.1)."""
+"""The lattice and the mathematics under it (codec/FORMAT.md, section 8.1)."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from codec.errors import InvalidError
 from codec.lattice.lattice import MAX_HOLD, MIN_STEP, POSITION_LIMIT, Lattice, dequantise, quantise
-from codec.lattice.orientation import canonical
-from codec.lattice.quantise import to_luma
-from codec.splats import SH_C0
+from codec.lattice.morton import BITS_PER_AXIS, interleave
+from codec.lattice.orientation import canonical, multiply
+from codec.lattice.quantise import (
+    MAX_COARSENESS,
+    MAX_LOGIT,
+    MIN_COARSENESS,
+    from_luma,
+    layer_coarseness,
+    opacity_logits,
+    position_step_m,
+    to_luma,
+)
+from codec.splats import SH_C0, Splats
+from tests.support.hostile import refused
 from tests.support.slots.rotating import figure, turned
 from tests.support.slots.updates import LATTICE, patternless_splats
+from tests.support.trained_like import covariances, trained_like_splats
 
 MINE = replace(LATTICE, log_scale_base=-4.0)
 
@@ -25,8 +40,7 @@ def with_step(name: str, step: float) -> Lattice:
 @pytest.mark.parametrize("name", ["position_m", "log_scale", "rotation", "colour"])
 def test_steps_have_bounds(name: str) -> None:
     for step in (0.0, 9e-7, 1.1e6, -1.0, float("inf"), float("nan")):
-        with pytest.raises(InvalidError, match=name):
-            with_step(name, step)
+        refused(InvalidError, name, with_step, name, step)
     least = with_step(name, MIN_STEP)
     # The nearest f32 is below the minimum step, but it is valid.
     assert getattr(least, name) == np.float32(MIN_STEP)
@@ -36,13 +50,11 @@ def test_steps_have_bounds(name: str) -> None:
 
 def test_the_base_and_the_opacity_levels_have_bounds() -> None:
     for base in (1000.1, -1000.1, float("inf"), float("nan")):
-        with pytest.raises(InvalidError, match="log_scale_base"):
-            replace(LATTICE, log_scale_base=base)
+        refused(InvalidError, "log_scale_base", replace, LATTICE, log_scale_base=base)
     for base in (-1e3, 0.1, 1e3):
         assert replace(LATTICE, log_scale_base=base).log_scale_base == np.float32(base)
     for levels in (1, 257):
-        with pytest.raises(InvalidError, match="opacity_levels"):
-            replace(LATTICE, opacity_levels=levels)
+        refused(InvalidError, "opacity_levels", replace, LATTICE, opacity_levels=levels)
 
 
 def test_what_comes_back_is_within_half_a_step() -> None:
@@ -87,8 +99,7 @@ def test_what_is_near_enough_is_held() -> None:
     followed, _ = quantise(moved, MINE, before)
     assert (followed.positions > before.positions).all()
     for hold in (-0.1, MAX_HOLD + 0.1, float("nan")):
-        with pytest.raises(InvalidError, match="hold"):
-            quantise(moved, MINE, before, hold)
+        refused(InvalidError, "hold", quantise, moved, MINE, before, hold)
 
 
 def test_the_form_of_what_goes_on_does_not_jump() -> None:
@@ -108,3 +119,88 @@ def test_the_form_of_what_goes_on_does_not_jump() -> None:
             jumps += int((abs(old.log_scales - alone.log_scales) > 0.2).any(axis=1).sum())
         states = after
     assert jumps > 100
+
+
+numbers = st.floats(-1, 1, width=32)
+scales = st.tuples(*[st.floats(-8, 3, width=32)] * 3)
+
+
+@given(
+    st.tuples(*[numbers] * 4).filter(lambda q: max(map(abs, q)) > 1e-3),
+    scales,
+    st.sampled_from([1e-36, 1.0, 1e36]),
+)
+@settings(max_examples=300)
+def test_canonical_forms(
+    quat: tuple[float, ...], log_scale: tuple[float, ...], norm: float
+) -> None:
+    quats = np.array([quat], np.float32)
+    log_scales = np.array([log_scale], np.float32)
+    found_scales, found_quats = canonical(log_scales, quats * np.float32(norm))
+    assert (np.diff(found_scales) <= 0).all()
+    assert np.linalg.norm(found_quats) == pytest.approx(1, abs=1e-12)
+    assert (np.abs(found_quats[:, 1:]) <= found_quats[:, :1] + 1e-12).all()
+    expected = covariances(log_scales.astype(float), quats.astype(float))
+    actual = covariances(found_scales, found_quats)
+    assert np.abs(actual - expected).max() <= 1e-5 * np.exp(2 * log_scales.max())
+
+
+def test_multiply_is_the_product_of_quaternions() -> None:
+    i, j, k = (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+    assert multiply(i, j) == k
+    assert multiply(j, k) == i
+    assert multiply(k, i) == j
+    assert multiply(i, i) == (-1, 0, 0, 0)
+
+
+@given(st.tuples(numbers, numbers, numbers))
+def test_luma_has_an_inverse(rgb: tuple[float, ...]) -> None:
+    y, co, cg = to_luma(np.array(rgb)).astype(np.float32)
+    assert from_luma(y, co, cg) == pytest.approx(rgb, abs=1e-6)
+
+
+@pytest.mark.parametrize("levels", [2, 3, 225, 256])
+def test_opacity_logits_invert_the_opacity(levels: int) -> None:
+    logits = opacity_logits(levels).astype(float)
+    opacities = 1 / (1 + np.exp(-logits))
+    assert opacities == pytest.approx(np.arange(levels) / (levels - 1), abs=2e-7)
+    assert (logits[0], logits[-1]) == (-MAX_LOGIT, MAX_LOGIT)
+    assert (np.diff(logits) > 0).all()
+
+
+def test_position_steps_follow_the_scale_of_the_scene() -> None:
+    splats = trained_like_splats(1000)
+    grown = Splats(
+        splats.means * np.float32(math.e**2),
+        splats.log_scales + np.float32(2),
+        splats.quats,
+        splats.logit_opacities,
+        splats.sh,
+    )
+    assert position_step_m(grown) == pytest.approx(math.e**2 * position_step_m(splats), rel=1e-4)
+    assert position_step_m(Splats.empty()) > 0
+
+
+def test_less_important_layers_are_coarser() -> None:
+    splats = trained_like_splats(4000)
+    order = np.argsort(-splats.logit_opacities)
+    factors = layer_coarseness([splats.take(rows) for rows in np.array_split(order, 4)])
+    assert factors == sorted(factors)
+    assert factors[0] < 1 < factors[-1]
+    assert all(MIN_COARSENESS <= factor <= MAX_COARSENESS for factor in factors)
+    assert layer_coarseness([splats]) == pytest.approx([1])
+    assert layer_coarseness([Splats.empty(), Splats.empty()]) == [1, 1]
+
+
+coordinate = st.integers(0, (1 << BITS_PER_AXIS) - 1)
+
+
+def plain_code(place: tuple[int, ...]) -> int:
+    bits = range(BITS_PER_AXIS)
+    return sum(((place[axis] >> b) & 1) << (3 * b + axis) for axis in range(3) for b in bits)
+
+
+@given(st.lists(st.tuples(coordinate, coordinate, coordinate), max_size=20))
+def test_interleave_is_the_plain_one(places: list[tuple[int, ...]]) -> None:
+    codes = interleave(np.array(places, np.int64).reshape(-1, 3))
+    assert codes.tolist() == [plain_code(place) for place in places]

@@ -1,4 +1,4 @@
-"""Live streams of sequences that are still being written."""
+"""Live streams of sequences that are still being written, with a clock that the test sets."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ import pytest
 
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
-from codec.interop.formats import SplatFormat, write_splats
+from codec.interop.formats import SplatFormat, encode_splats, write_splats
 from codec.sequence.following import Followed, FollowOptions, follow_folder
 from codec.sequence.importing import ImportOptions
+from codec.sequence.incomingfiles import MAX_LOGGED, SETTLE_S, Arrival, Arrivals, Troubles
 from codec.splats import Splats
 from codec.stream.reader import StreamReader
 from tests.support.commands import run, started
+from tests.support.hostile import refused
 from tests.support.slots.rotating import figure, turned
+from tests.support.trained_like import trained_like_splats
 from tests.support.waiting import BOUND_S, wait_until
 
 FPS = 10.0
@@ -35,6 +38,11 @@ def frame_of(number: int, count: int = 150) -> Splats:
 def write_frame(folder: Path, number: int, splats: Splats | None = None) -> None:
     folder.mkdir(exist_ok=True)
     write_splats(folder / f"f{number:03d}.ply", splats or frame_of(number), SplatFormat.PLY)
+
+
+def write_frames(folder: Path, *numbers: int) -> None:
+    for number in numbers:
+        write_frame(folder, number)
 
 
 class Unwaiting(threading.Event):
@@ -70,8 +78,7 @@ def assert_shows(stream: Path, frame: int, wanted: Splats) -> None:
 
 def test_every_file_is_a_frame(tmp_path: Path) -> None:
     folder, stream = tmp_path / "files", tmp_path / "stream"
-    for number in range(5, 12):
-        write_frame(folder, number)
+    write_frames(folder, *range(5, 12))
     made = followed(folder, stream)
     assert (made.num_frames, made.troubles) == (7, "")
     manifest = StreamReader(stream).manifest
@@ -84,8 +91,7 @@ def test_every_file_is_a_frame(tmp_path: Path) -> None:
 
 def test_the_frame_before_stands_for_what_is_missing_or_broken(tmp_path: Path) -> None:
     folder, stream = tmp_path / "files", tmp_path / "stream"
-    for number in (0, 1, 4, 5):
-        write_frame(folder, number)
+    write_frames(folder, 0, 1, 4, 5)
     (folder / "f002.ply").write_bytes(b"ply\nrubbish")
     made = followed(folder, stream)
     assert made.num_frames == 6
@@ -96,10 +102,8 @@ def test_the_frame_before_stands_for_what_is_missing_or_broken(tmp_path: Path) -
 
 def test_a_sequence_that_goes_on_elsewhere_is_refused_and_can_be_resumed(tmp_path: Path) -> None:
     folder, stream = tmp_path / "files", tmp_path / "stream"
-    for number in (0, 1, 2, 5000):
-        write_frame(folder, number)
-    with pytest.raises(InvalidError, match="frames 3 to 4999 are missing"):
-        followed(folder, stream)
+    write_frames(folder, 0, 1, 2, 5000)
+    refused(InvalidError, "frames 3 to 4999 are missing", followed, folder, stream)
     assert StreamReader(stream).manifest.live
     (folder / "f5000.ply").rename(folder / "f003.ply")
     assert followed(folder, stream, resume=True).num_frames == 4
@@ -132,20 +136,17 @@ def test_files_of_another_degree_are_fitted(tmp_path: Path) -> None:
 
 def test_resumed_it_goes_on_after_its_last_segment(tmp_path: Path) -> None:
     folder, stream = tmp_path / "files", tmp_path / "stream"
-    for number in range(8):
-        write_frame(folder, number)
+    write_frames(folder, *range(8))
 
     def interrupted(done: int, total: int | None, what: str | None = None) -> None:
         if done == 5:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        followed(folder, stream, progress=interrupted)
+    refused(KeyboardInterrupt, "", followed, folder, stream, progress=interrupted)
     reader = StreamReader(stream)
     assert reader.manifest.live
     assert reader.num_frames == 4
-    with pytest.raises(InvalidError, match="is not empty"):
-        followed(folder, stream)
+    refused(InvalidError, "is not empty", followed, folder, stream)
     before = (stream / "segments" / "0" / "0").read_bytes()
     made = followed(folder, stream, resume=True)
     assert made.num_frames == 8
@@ -155,8 +156,7 @@ def test_resumed_it_goes_on_after_its_last_segment(tmp_path: Path) -> None:
     # Gaussians that go on are predicted, not sent again.
     changes = [(stream / "segments" / str(n) / "0").stat().st_size for n in (0, 1)]
     assert changes[1] < 3 * changes[0]
-    with pytest.raises(InvalidError, match="is finished"):
-        followed(folder, stream, resume=True)
+    refused(InvalidError, "is finished", followed, folder, stream, resume=True)
 
 
 def test_options_that_do_not_go_together(tmp_path: Path) -> None:
@@ -166,11 +166,9 @@ def test_options_that_do_not_go_together(tmp_path: Path) -> None:
         replace(OPTIONS, frames=FrameRange(1)),
         ImportOptions(),  # no rate
     ):
-        with pytest.raises(InvalidError):
-            followed(tmp_path / "files", tmp_path / "stream", options)
+        refused(InvalidError, "", followed, tmp_path / "files", tmp_path / "stream", options)
     for wrong in ({"room": 0.5}, {"step": 0}, {"segment_s": 0.0}, {"end_after_s": float("nan")}):
-        with pytest.raises(InvalidError):
-            FollowOptions(**wrong)
+        refused(InvalidError, "", FollowOptions, **wrong)
     said = run("swings-stream", "import", "a", "b", "--resume")
     assert (said.returncode, "need --follow" in said.stderr) == (2, True)
 
@@ -195,3 +193,130 @@ def test_ctrl_c_finishes_and_others_leave_it_live(tmp_path: Path, number: signal
     assert reader.manifest.live is not finishes
     assert reader.num_frames >= 2
     assert finishes or "--resume" in said
+
+
+PATIENCE_S = 1.0
+
+
+class Rig:
+    """A folder, its follower, and their clock."""
+
+    def __init__(self, folder: Path, next_number: int | None = None, step: int = 1) -> None:
+        self.folder, self.time_s, self.troubles = folder, 100.0, Troubles()
+        folder.mkdir(exist_ok=True)
+        self.arrivals = Arrivals(
+            folder, next_number, step, PATIENCE_S, self.troubles, lambda: self.time_s
+        )
+
+    def file(self, number: int, suffix: str = "ply") -> Path:
+        return self.folder / f"frame_{number:04d}.{suffix}"
+
+    def write(self, number: int, count: int = 5) -> None:
+        write_splats(self.file(number), trained_like_splats(count, number), SplatFormat.PLY)
+
+    def poll(self, after_s: float = 0.0) -> Arrival | None:
+        self.time_s += after_s
+        return self.arrivals.poll()
+
+    def settled(self, after_s: float = 0.0) -> Arrival | None:
+        """The next arrival once the files no longer change."""
+        return self.poll(after_s) or self.poll(2 * SETTLE_S)
+
+    def number(self, after_s: float = 0.0) -> int | None:
+        arrival = self.settled(after_s)
+        return None if arrival is None or arrival.splats is None else arrival.number
+
+
+def test_frames_come_in_order_of_number_and_begin_anywhere(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    assert rig.settled() is None
+    for number in (10, 9, 11):
+        rig.write(number)
+    assert [rig.number(), rig.number(), rig.number(), rig.number()] == [9, 10, 11, None]
+    refused(InvalidError, "is not a folder", Arrivals, tmp_path / "none", None, 1, 1.0, Troubles())
+    rig.write(12)
+    assert rig.number() == 12
+    assert not rig.troubles.counts
+
+
+def test_a_file_counts_only_once_it_is_whole(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    splats = trained_like_splats(50)
+    data = encode_splats(splats, SplatFormat.PLY)
+    for share in (0.0, 0.1, 0.5, 0.99):
+        rig.file(0).write_bytes(data[: int(share * len(data))])
+        assert rig.number(after_s=10) is None
+    # Its place may be reserved.
+    header = data.index(b"end_header\n") + len(b"end_header\n")
+    rig.file(0).write_bytes(data[:header] + bytes(len(data) - header))
+    assert rig.number(after_s=1) is None
+    rig.file(0).write_bytes(data)
+    arrival = rig.settled()
+    assert arrival is not None
+    assert arrival.splats is not None
+    assert len(arrival.splats) == 50
+    assert not rig.troubles.counts
+
+
+def test_a_gap_is_given_up_only_when_a_later_file_has_been_there(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.write(0)
+    assert rig.number() == 0
+    assert rig.settled(after_s=100) is None  # the writer may be slow
+    rig.write(3)
+    assert rig.settled() is None
+    rig.time_s += PATIENCE_S
+    held = [rig.settled(), rig.settled()]
+    assert [one and (one.number, one.splats) for one in held] == [(1, None), (2, None)]
+    assert rig.number() == 3
+    rig.write(1)
+    assert rig.settled() is None
+    assert rig.troubles.counts == {"missing files": 2, "late files": 1}
+
+
+def test_a_missing_file_that_comes_in_time_is_not_missed(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, next_number=0)
+    rig.write(1)
+    assert rig.settled(after_s=0.8 * PATIENCE_S) is None
+    rig.write(0)
+    assert [rig.number(), rig.number()] == [0, 1]
+    assert not rig.troubles.counts
+
+
+def test_a_broken_file_is_stood_for(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig(tmp_path, next_number=0)
+    rig.file(0).write_bytes(b"ply\nrubbish")
+    assert rig.settled(after_s=100) is None
+    rig.write(1)
+    assert rig.settled() is None
+    arrival = rig.poll(after_s=PATIENCE_S)
+    assert arrival is not None
+    assert (arrival.number, arrival.splats) == (0, None)
+    assert "frame_0000.ply" in caplog.text
+    assert rig.number() == 1
+    assert rig.troubles.counts == {"odd files": 1}
+
+
+def test_what_is_no_frame_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig(tmp_path, next_number=0, step=2)
+    (tmp_path / "final.ply").write_bytes(b"ply")
+    (tmp_path / "notes.txt").write_text("nothing")
+    (tmp_path / ".frame_0000.ply").write_bytes(b"ply")
+    (tmp_path / "pipe_4.ply").mkdir()
+    rig.write(1)
+    rig.write(0)
+    (tmp_path / "other_0000.ply").write_bytes(b"ply")
+    assert rig.number() == 0
+    assert rig.troubles.counts == {"odd names": 4}
+    for name in ("final.ply", "pipe_4.ply", "frame_0001.ply", "other_0000.ply"):
+        assert name in caplog.text
+    assert "notes.txt" not in caplog.text
+
+
+def test_trouble_that_goes_on_does_not_fill_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    troubles = Troubles()
+    for number in range(1000):
+        troubles.note("late files", f"file {number}")
+    assert len(caplog.records) == MAX_LOGGED
+    assert "only counted" in caplog.records[-1].message
+    assert str(troubles) == "1000 late files"

@@ -16,17 +16,25 @@ from PIL import Image
 
 from codec.errors import CodecError, InvalidError, UnsupportedError
 from codec.framerange import FrameRange
-from codec.interop.formats import SplatFormat, read_splats, write_splats
+from codec.interop.formats import SplatFormat, encode_splats, read_splats, write_splats
 from codec.lattice.lattice import Lattice
-from codec.sequence.errorbound import ErrorBound
-from codec.sequence.importing import WRITE_STEPS, ImportOptions, import_stream, make_manifest
+from codec.sequence.errorbound import HOLD, KINDS, ErrorBound, steps_of
+from codec.sequence.importing import (
+    WRITE_STEPS,
+    Imported,
+    ImportOptions,
+    import_stream,
+    make_manifest,
+)
 from codec.sequence.survey import Survey
 from codec.splats import Splats
 from codec.stream import StreamReader
 from codec.stream.layers import Rank
-from codec.tools.audit import verify_stream
+from codec.tools.audit import describe, summarise, verify_stream
+from player.streamcommand import draw_poster
 from tests.support.commands import run, run_ok, started
-from tests.support.hostile import file_limit
+from tests.support.deforming import Deforming
+from tests.support.hostile import file_limit, refused
 from tests.support.slots.rotating import turned
 from tests.support.trained_like import trained_like_splats
 from tests.support.waiting import BOUND_S, wait_until
@@ -60,40 +68,29 @@ def test_a_still_model(tmp_path: Path) -> None:
     steps = [lattice.colour for lattice in manifest.lattice]
     assert steps == sorted(steps)
     assert steps[0] < steps[-1]
-
-
-def test_what_is_large_fits_every_layer_beside_what_is_very_thin(tmp_path: Path) -> None:
-    splats = trained_like_splats(500)
-    splats = splats.take(np.flatnonzero(np.abs(splats.means).max(axis=1) < 4))
-    splats.log_scales[7, 2] = -15.8  # below 128 steps: the log-scales get a base
-    write_splats(tmp_path / "m.ply", splats, SplatFormat.PLY)
-    import_stream(tmp_path / "m.ply", tmp_path / "s", ImportOptions(fps=30))
-    reader = StreamReader(tmp_path / "s")
+    # What is large fits every layer beside what is very thin: the log-scales get a base.
+    splats = splats.take(np.flatnonzero(np.abs(splats.means).max(axis=1) < 4)).with_degree(0)
+    splats.log_scales[7, 2] = -15.8  # below 128 steps
+    save(tmp_path / "thin.ply", splats)
+    import_stream(tmp_path / "thin.ply", tmp_path / "thin", OPTIONS)
+    reader = StreamReader(tmp_path / "thin")
     assert any(lattice.log_scale_base for lattice in reader.manifest.lattice)
     decoder = reader.decoder_at(0, reader.manifest.num_layers)
     assert not any(len(slots.escapes) for slots in decoder.lanes[0])
 
 
 def test_the_default_camera_sees_the_whole_model_from_outside() -> None:
-    splats = trained_like_splats(2000, 4)
-    survey = Survey()
+    splats, survey = trained_like_splats(2000, 4), Survey()
     survey.take(Path("model.ply"), splats)
-    lattice = Lattice.suiting(splats)
-    manifest = make_manifest(survey, ImportOptions(), "", (2000,), (lattice,))
+    manifest = make_manifest(survey, ImportOptions(), "", (2000,), (Lattice.suiting(splats),))
     camera = manifest.camera()
     lower, upper = np.array(manifest.bounds)
     corners = np.stack(np.meshgrid(*zip(lower, upper, strict=True)), -1).reshape(-1, 3)
-    seen = corners @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]
-    assert (seen[:, 2] > manifest.near_m).all()
-    for axis, (focal, centre, size) in enumerate(
-        [
-            (camera.fx_px, camera.cx_px, camera.width_px),
-            (camera.fy_px, camera.cy_px, camera.height_px),
-        ]
-    ):
-        pixels = focal * seen[:, axis] / seen[:, 2] + centre
+    u_px, v_px, depths = camera.project(corners)
+    assert (depths > manifest.near_m).all()
+    for pixels, size_px in ((u_px, camera.width_px), (v_px, camera.height_px)):
         assert (pixels >= 0).all()
-        assert (pixels <= size).all()
+        assert (pixels <= size_px).all()
     middle = (lower + upper) / 2 - camera.position
     assert middle / np.linalg.norm(middle) == pytest.approx(camera.forward)
     inside = ((splats.means >= lower) & (splats.means <= upper)).all(axis=1)
@@ -138,52 +135,47 @@ def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) ->
     folder.mkdir()
     stream = tmp_path / "stream"
 
-    def refused(says: str, options: ImportOptions = OPTIONS) -> None:
-        with pytest.raises((InvalidError, CodecError), match=says):
-            import_stream(folder, stream, options)
+    def is_refused(says: str, options: ImportOptions = OPTIONS) -> None:
+        refused((InvalidError, CodecError), says, import_stream, folder, stream, options)
         assert not [path for path in tmp_path.iterdir() if path != folder]
 
-    refused(r"take: no file of Gaussians in this folder .*\.ksplat, \.sog, ")
+    is_refused(r"take: no file of Gaussians in this folder .*\.ksplat, \.sog, ")
     save(folder / "frame_1.ply", trained_like_splats(3))
     save(folder / "frame_01.ply", trained_like_splats(3))
-    refused(r"frame_01\.ply and frame_1\.ply have the same number")
+    is_refused(r"frame_01\.ply and frame_1\.ply have the same number")
     (folder / "frame_01.ply").rename(folder / "last.ply")
-    refused(r"last\.ply: its name has no number")
+    is_refused(r"last\.ply: its name has no number")
     (folder / "last.ply").rename(folder / "frame_2.ply")
-    refused(r"take: no file gives the frame rate; .* --fps 30", ImportOptions())
+    is_refused(r"take: no file gives the frame rate; .* --fps 30", ImportOptions())
     (folder / "fps.txt").write_text("fast")
-    refused(r"fps\.txt: does not hold exactly one number", ImportOptions())
+    is_refused(r"fps\.txt: does not hold exactly one number", ImportOptions())
     data = (folder / "frame_2.ply").read_bytes()
     (folder / "frame_2.ply").write_bytes(data[:-1])
-    refused(r"frame_2\.ply: PLY: ends after")
+    is_refused(r"frame_2\.ply: PLY: ends after")
     save(folder / "frame_2.ply", trained_like_splats(3, sh_degree=1))
-    refused(r"frame_2\.ply: SH degree 1, but the files before have 0")
+    is_refused(r"frame_2\.ply: SH degree 1, but the files before have 0")
     (folder / "frame_2.ply").write_bytes(data)
     save(folder / "frame_4.ply", trained_like_splats(3))
-    refused(r"take: number 3 is missing between frame_2\.ply and frame_4\.ply")
+    is_refused(r"take: number 3 is missing between frame_2\.ply and frame_4\.ply")
     save(folder / "frame_9.ply", trained_like_splats(3))
-    refused(r"2 gaps; numbers 3, 5 to 8 are missing; the first is between frame_2\.ply and")
+    is_refused(r"2 gaps; numbers 3, 5 to 8 are missing; the first is between frame_2\.ply and")
     (folder / "frame_9.ply").unlink()
     (folder / "frame_3.ply").symlink_to("nowhere.ply")
-    refused(r"take/frame_3\.ply is a broken link; replace or remove it")
+    is_refused(r"take/frame_3\.ply is a broken link; replace or remove it")
     (folder / "frame_3.ply").unlink()
     os.mkfifo(folder / "frame_3.ply")
-    refused(r"take/frame_3\.ply is not a regular file; replace or remove it")
+    is_refused(r"take/frame_3\.ply is not a regular file; replace or remove it")
     (folder / "frame_3.ply").unlink()
     (folder / "frame_4.ply").unlink()
-    refused("fps 0", ImportOptions(fps=0))
-    refused("frames 1:3: .*take has frames 0:2", replace(OPTIONS, frames=FrameRange(1, 3)))
-    refused("no rank is called", replace(OPTIONS, rank="beauty"))  # type: ignore[arg-type]
+    is_refused("fps 0", ImportOptions(fps=0))
+    is_refused("frames 1:3: .*take has frames 0:2", replace(OPTIONS, frames=FrameRange(1, 3)))
+    is_refused("no rank is called", replace(OPTIONS, rank="beauty"))  # type: ignore[arg-type]
     for values in ({"opacity": 0.001}, {"finer": 1e9}):
-        with pytest.raises(InvalidError, match=r"error opacity .*choose 0\.0029 or more"):
-            ErrorBound(**values)
-    with pytest.raises(InvalidError, match="error size 0: choose more than 0"):
-        ErrorBound(size=0)
-    with pytest.raises(InvalidError, match="layers 17: choose 1 to 16"):
-        ImportOptions(layers=17)
+        refused(InvalidError, r"error opacity .*choose 0\.0029 or more", ErrorBound, **values)
+    refused(InvalidError, "error size 0: choose more than 0", ErrorBound, size=0)
+    refused(InvalidError, "layers 17: choose 1 to 16", ImportOptions, layers=17)
     save(stream, trained_like_splats(1))
-    with pytest.raises(InvalidError, match="stream is not empty"):
-        import_stream(folder, stream, OPTIONS)
+    refused(InvalidError, "stream is not empty", import_stream, folder, stream, OPTIONS)
     (folder / "fps.txt").write_text("12.5\n")
     assert import_stream(folder, tmp_path / "s", ImportOptions()).manifest.fps == 12.5
 
@@ -233,34 +225,23 @@ def test_every_format_makes_a_sequence(format: SplatFormat, tmp_path: Path) -> N
             assert abs(a - b).max() < 0.003
 
 
-def test_more_than_a_frame_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("codec.sequence.survey.MAX_SLOTS", 9)
-    model = save(tmp_path / "model.ply", trained_like_splats(10))
-    with pytest.raises(
-        UnsupportedError, match=r"model\.ply: PLY: 10 Gaussians in a frame, at most 9"
-    ):
-        import_stream(model, tmp_path / "stream", OPTIONS)
-    assert not (tmp_path / "stream").exists()
-
-
-SPLAT_RECORD_BYTES = 32
-
-
 @pytest.mark.parametrize(
     ("name", "head"),
     [
+        ("a.ply", encode_splats(trained_like_splats(10), SplatFormat.PLY)),
         ("a.spz", gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 3, 10, 0, 12, 0, 0))),
         ("b.spz", struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 10, 0, 12, 0, 5, 32)),
-        ("c.splat", bytes(10 * SPLAT_RECORD_BYTES)),
+        ("c.splat", bytes(10 * 32)),
     ],
-    ids=["v3", "v4", "splat"],
+    ids=["ply", "v3", "v4", "splat"],
 )
 def test_too_many(tmp_path: Path, name: str, head: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing follows the header: a reader that continued would report that instead."""
     monkeypatch.setattr("codec.sequence.survey.MAX_SLOTS", 9)
     (tmp_path / name).write_bytes(head)
-    with pytest.raises(UnsupportedError, match=r"10 Gaussians in a frame, at most 9"):
-        import_stream(tmp_path / name, tmp_path / "stream", OPTIONS)
+    says = rf"{name}: [A-Za-z.]+: 10 Gaussians in a frame, at most 9"
+    refused(UnsupportedError, says, import_stream, tmp_path / name, tmp_path / "stream", OPTIONS)
+    assert not (tmp_path / "stream").exists()
 
 
 def moving(folder: Path, num_files: int, count: int = 300) -> Path:
@@ -343,3 +324,82 @@ def test_a_killed_import_leaves_no_stream(tmp_path: Path, number: signal.Signals
     import_stream(folder, out, OPTIONS)
     assert verify_stream(out).num_frames == 40
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s", "seq"]
+
+
+COUNT = 400
+
+
+def imported(source: Path, stream: Path, **options: object) -> Imported:
+    return import_stream(source, stream, ImportOptions(fps=30, **options), draw_poster)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    """A file with strong harmonics of degree 3."""
+    splats = trained_like_splats(COUNT, sh_degree=3)
+    splats.sh[:, 9:] *= 5
+    return save(tmp_path / "model.ply", splats)
+
+
+def test_every_degree_counts(model: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    exact = imported(model, tmp_path / "exact", exact=True)
+    assert exact.source_sh_degree == exact.manifest.sh_degree == 3
+    assert exact.scores_db[0][-1] == 100
+    less = imported(model, tmp_path / "less", exact=True, sh_degree=1)
+    assert (less.manifest.sh_degree, less.source_sh_degree) == (1, 3)
+    # The file is drawn with all its harmonics.
+    assert less.scores_db[0][-1] < 45
+    assert StreamReader(tmp_path / "less").records[0].psnr_db[-1] < 45
+    assert less.num_bytes < 0.6 * exact.num_bytes
+    assert caplog.messages == []
+
+
+def test_a_degree_is_a_most_and_makes_files_of_several_degrees_one_sequence(tmp_path: Path) -> None:
+    folder = tmp_path / "seq"
+    for number, sh_degree in enumerate((3, 1, 2)):
+        save(folder / f"{number}.ply", trained_like_splats(50, sh_degree=sh_degree))
+    with pytest.raises(InvalidError, match=r"1\.ply: SH degree 1, but .* 3; .*--sh-degree 1 "):
+        imported(folder, tmp_path / "s")
+    made = imported(folder, tmp_path / "s", sh_degree=1)
+    assert (made.manifest.sh_degree, made.source_sh_degree) == (1, 3)
+    plain = save(tmp_path / "plain.ply", trained_like_splats(50))
+    assert imported(plain, tmp_path / "p", sh_degree=3).manifest.sh_degree == 0
+    refused(InvalidError, "sh-degree 4: choose 0 to 3", ImportOptions, sh_degree=4)
+
+
+def test_the_command_says_so(model: Path, tmp_path: Path) -> None:
+    done = run("swings-stream", "import", model, tmp_path / "l", "--sh-degree", 1)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "the files at SH degree 3, the stream at 1\n" in done.stdout
+    assert "colour       SH degree 1\n" in describe(summarise(tmp_path / "l"))
+    done = run("swings-stream", "import", model, tmp_path / "t", "--sh-degree", 4)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "swings-stream: sh-degree 4: choose 0 to 3\n"
+
+
+def test_errors_go_by_what_is_seen_of_them(tmp_path: Path) -> None:
+    """With harmonics of degree 3, pictures get better, and moving frames do not get larger."""
+    deforming = Deforming(3000, 3)
+    for number in range(3):
+        save(tmp_path / "seq" / f"{number}.ply", deforming.next())
+    evenly = imported(tmp_path / "seq", tmp_path / "evenly", by_paint=False)
+    made = imported(tmp_path / "seq", tmp_path / "made")
+    assert len(set(evenly.manifest.lattice)) == 1
+    position_m = [lattice.position_m for lattice in made.manifest.lattice]
+    assert position_m == sorted(position_m)
+    assert position_m[-1] > 2 * position_m[0]
+    assert made.scores_db[0][-1] > evenly.scores_db[0][-1] + 3
+    moved = [one.played_bytes - one.first_bytes for one in (made, evenly)]
+    assert moved[0] < 1.05 * moved[1]
+    for number, kind in enumerate(KINDS):
+        steps = [steps_of(lattice)[number] for lattice in made.manifest.lattice]
+        assert made.errors[kind] <= HOLD * max(steps) * (1 + 1e-4)
+
+
+def test_few_harmonics_keep_the_errors_of_each_gaussian(tmp_path: Path) -> None:
+    deforming = Deforming(200, 1)
+    for number in range(2):
+        save(tmp_path / "seq" / f"{number}.ply", deforming.next())
+    made = imported(tmp_path / "seq", tmp_path / "made")
+    assert len(set(made.manifest.lattice)) == 1
+    assert made.manifest.lattice[0].colour == pytest.approx(ErrorBound().colour / HOLD)

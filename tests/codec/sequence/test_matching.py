@@ -1,14 +1,23 @@
-"""Matching: which Gaussian continues as which one of the next file."""
+"""Files become slots: what goes on, in which layer, on which lattice."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from codec.lattice.lattice import Lattice, dequantise, quantise
+from codec.sequence import slotfiller
+from codec.sequence.errorbound import KINDS, ErrorBound
+from codec.sequence.findlattice import as_given, find_lattice
 from codec.sequence.matching import match, row_keys
+from codec.sequence.slotfiller import SlotFiller, SlotPlan
+from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
+from codec.stream.layers import coverage_rank, opacity_rank
 from tests.support.deforming import Deforming
 from tests.support.drawn import drawn_splats
 from tests.support.slots.rotating import figure, turned
@@ -104,3 +113,159 @@ def test_two_files_that_have_nothing_to_do_with_each_other_have_few_pairs() -> N
     sizes_m = np.exp(np.sort(before.log_scales[continued[far]], axis=1)[:, 1:].mean(axis=1))
     assert far.mean() < 0.3
     assert (moves_m <= 4.01 * sizes_m + 1e-6).mean() > 0.9
+
+
+def planned(splats: Splats, slots: tuple[int, ...]) -> SlotPlan:
+    """A plan whose shares are those of the slots."""
+    error, size_m = ErrorBound(), 0.01
+    bounds = np.array([[error.of(kind) for kind in KINDS]] * len(slots))
+    bounds[:, 0] *= size_m
+    lattice = error.lattice(size_m, -12, 0)
+    shares = tuple(count / sum(slots) for count in slots)
+    return SlotPlan(slots, shares, 0, (lattice,) * len(slots), bounds, -np.ones(3), np.ones(3))
+
+
+def counted(update: Update) -> list[int]:
+    return [int(count) for count in np.bincount(update.statuses, minlength=4)]
+
+
+def test_the_most_important_are_in_the_first_layer() -> None:
+    splats = figure(100)
+    update = SlotFiller(planned(splats, (20, 30, 50)), opacity_rank).update(0, splats)
+    assert (update.statuses == NEW).all()
+    logits = [
+        states.attributes[:, -1].astype(int)
+        for states in (update.states.take(slice(0, 20)), update.states.take(slice(20, 50)))
+    ]
+    assert logits[0].min() >= logits[1].max()
+
+
+def test_a_file_with_fewer_fills_every_layer_by_its_share() -> None:
+    splats = figure(100)
+    plan = planned(splats, (20, 30, 50))
+    update = SlotFiller(plan, coverage_rank).update(0, splats.take(slice(0, 50)))
+    full = update.statuses == NEW
+    assert [int(full[a:b].sum()) for a, b in ((0, 20), (20, 50), (50, 100))] == [10, 15, 25]
+
+
+def test_slots_end_and_are_used_again() -> None:
+    splats = figure(60)
+    filler = SlotFiller(planned(splats, (30, 30)), coverage_rank)
+    filler.update(0, splats)
+    assert counted(filler.update(1, splats)) == [60, 0, 0, 0]
+    assert counted(filler.update(2, splats.take(slice(0, 40)))) == [40, 20, 0, 0]
+    assert counted(filler.update(3, splats.take(slice(0, 40)))) == [60, 0, 0, 0]
+    # Ten of the removed Gaussians, far away, and the rest turned slightly.
+    late = figure(70, 1).take(slice(60, 70))
+    late = replace(late, means=late.means + np.float32(7))
+    both = Splats.concatenate([turned(splats.take(slice(0, 40)), 0.05), late])
+    _, ended, predicted, new = counted(filler.update(4, both))
+    assert (ended, predicted, new) == (0, 40, 10)
+    assert counted(filler.update(5, both.take(slice(0, 0)))) == [10, 50, 0, 0]
+    assert filler.statuses.sum() == 5 * 60
+
+
+def test_what_a_lattice_cannot_hold_is_sent_as_it_is_and_kept_while_it_stays() -> None:
+    splats = figure(30)
+    means = splats.means.copy()
+    means[:3] = 1e6
+    splats = replace(splats, means=means)
+    filler = SlotFiller(planned(splats, (30,)), coverage_rank)
+    update = filler.update(0, splats)
+    assert update.escaped.sum() == 3
+    assert sorted(map(bytes, update.escapes.means)) == sorted(map(bytes, means[:3]))
+    assert counted(filler.update(1, splats)) == [30, 0, 0, 0]
+    back = means.copy()
+    back[0] = 0.5
+    changed = filler.update(2, replace(splats, means=back))
+    assert counted(changed)[KEPT] == 29
+    assert counted(changed)[NEW] == 1
+    assert not changed.escaped.any()
+    moved = filler.update(3, replace(splats, means=means + np.float32(0.1)))
+    assert counted(moved)[PREDICTED] == 27
+    assert counted(moved)[ENDED] == 0
+
+
+def test_a_frame_may_be_taken_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    splats = figure(50)
+    whole = SlotFiller(planned(splats, (20, 30)), coverage_rank)
+    wanted = [whole.update(n, turned(splats, 0.03 * n)) for n in range(3)]
+    monkeypatch.setattr(slotfiller, "BLOCK", 7)
+    blocks = SlotFiller(planned(splats, (20, 30)), coverage_rank)
+    for number, update in enumerate(wanted):
+        found = blocks.update(number, turned(splats, 0.03 * number))
+        assert (found.statuses == update.statuses).all()
+        assert (found.states.positions == update.states.positions).all()
+        assert (found.states.attributes == update.states.attributes).all()
+    assert (blocks.errors == whole.errors).all()
+
+
+def test_noise_about_the_middle_between_two_steps_is_held() -> None:
+    splats = figure(200)
+    plan = planned(splats, (200,))
+    filler = SlotFiller(plan, coverage_rank)
+    step_m = plan.lattices[0].position_m
+    middle = np.floor(splats.means / step_m) * step_m + 0.5 * step_m
+    rng = np.random.default_rng(0)
+    first = filler.update(0, replace(splats, means=middle.astype(np.float32)))
+    decoded = dequantise(first.states, plan.lattices[0])
+    assert abs(np.sort(decoded.means, 0) - np.sort(middle, 0)).max() < 0.51 * step_m
+    for number in range(1, 4):
+        noisy = middle + rng.uniform(-0.2, 0.2, middle.shape) * step_m
+        update = filler.update(number, replace(splats, means=noisy.astype(np.float32)))
+        assert counted(update)[KEPT] == 200
+    assert 0.6 * step_m < filler.errors[0] <= 0.75 * step_m * (1 + 1e-6)
+
+
+def test_a_lattice_holds_what_is_large() -> None:
+    """Too thin Gaussians count as the thinnest possible, so that the base moves with fine steps."""
+    for finer, lowest, highest in ((1, -12.0, 0.0), (3, -12.0, 1.5), (1, -40.0, 3.0)):
+        lattice: Lattice = ErrorBound(finer=finer).lattice(0.01, lowest, highest)
+        top = lattice.log_scale_base + 127 * lattice.log_scale
+        assert top >= highest - 1e-4
+        if lattice.log_scale_base:
+            assert top < highest + 1.1 * lattice.log_scale
+        else:
+            assert -128 * lattice.log_scale <= lowest
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 1 << 20),
+    grown=st.floats(0.3, 4),
+    degree=st.integers(0, 2),
+    log_scale=st.sampled_from([0.125, 0.1, 0.06]),
+    levels=st.integers(16, 256),
+    escapes=st.sampled_from([0, 0.05]),
+)
+def test_the_lattice_is_found_bit_by_bit(
+    seed: int, grown: float, degree: int, log_scale: float, levels: int, escapes: float
+) -> None:
+    splats = trained_like_splats(1000, seed, degree)
+    usual = Lattice.suiting(splats, grown)
+    lattice = Lattice(usual.position_m, log_scale, usual.rotation, usual.colour, levels)
+    states, fits = quantise(splats, lattice)
+    inside = np.flatnonzero(fits)
+    exact = dequantise(states.take(inside), lattice)
+    exact = Splats.concatenate([exact, splats.take(slice(0, int(escapes * len(exact))))])
+    found = find_lattice(exact)
+    assert found is not None
+    assert found.position_m == lattice.position_m
+    assert (found.rotation, found.colour) == (lattice.rotation, lattice.colour)
+    again, same = as_given(exact, found)
+    assert same[: len(inside)].all()
+    assert (again.positions[: len(inside)] == states.positions[inside]).all()
+    assert abs(same.mean() - len(inside) / len(exact)) < 0.01
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 30, 3000])
+def test_other_gaussians_have_none(count: int) -> None:
+    assert find_lattice(trained_like_splats(count)) is None
+
+
+def test_gaussians_that_are_all_the_same_do_no_harm() -> None:
+    splats = trained_like_splats(1).take(np.zeros(100, np.int64))
+    assert find_lattice(splats) is None
+    arrays = splats.arrays
+    flat = Splats(np.zeros_like(arrays[0]), np.zeros_like(arrays[1]), *arrays[2:])
+    assert find_lattice(flat) is None

@@ -1,9 +1,13 @@
-"""The decoder's rules: a refused chunk leaves it unchanged, and its memory is bounded."""
+"""Slots from update to Gaussian; a refused chunk changes nothing, and memory is bounded."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from codec.errors import CorruptError, InvalidError
 from codec.lattice.lattice import POSITION_LIMIT, States
@@ -14,14 +18,14 @@ from codec.slots.slotchange import Newcomers, encode_change
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
-from codec.slots.slotstate import EMPTY, ON_LATTICE, UNKNOWN, Slots
+from codec.slots.slotstate import EMPTY, ESCAPED, ON_LATTICE, UNKNOWN, Slots
 from codec.slots.snapshot import encode_snapshot
-from codec.slots.update import ENDED, KEPT, NEW, PREDICTED
+from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
-from tests.support.hostile import flips, survives
+from tests.support.hostile import flips, refused, survives
 from tests.support.slots.plain import Chunks, encoded_chunks
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
-from tests.support.slots.updates import patternless_updates, small_layout
+from tests.support.slots.updates import Model, patternless_updates, small_layout
 
 
 def made(layout: SlotLayout, num_frames: int) -> Chunks:
@@ -55,31 +59,23 @@ def test_what_is_out_of_turn_is_refused() -> None:
     layout = small_layout(2, (5, 3))
     chunks = made(layout, 6)
     decoder = SlotDecoder(layout)
-    with pytest.raises(InvalidError, match="does not follow nothing"):
-        decoder.apply(1, *chunks.slice(1))
-    with pytest.raises(InvalidError, match="not one of the window"):
-        decoder.whole(0)
+    refused(InvalidError, "does not follow nothing", decoder.apply, 1, *chunks.slice(1))
+    refused(InvalidError, "not one of the window", decoder.whole, 0)
     for data in chunks.snapshots[0]:
         decoder.load(data)
-    with pytest.raises(InvalidError, match="does not follow the slice born at 0"):
-        decoder.apply(2, *chunks.slice(2))
+    refused(InvalidError, "does not follow the slice born at 0", decoder.apply, 2, *chunks.slice(2))
     decoder.apply(1, *chunks.slice(1))
     with pytest.raises(CorruptError, match="of frame 0 where that of 1 belongs"):
         decoder.load(chunks.snapshots[0][0], frame=1)
     before = state_bytes(decoder)
     assert not decoder.load(chunks.snapshots[0][0])
     assert state_bytes(decoder) == before
-    with pytest.raises(InvalidError, match="3 changes for 2"):
-        decoder.apply(2, chunks.masks[2], [None] * 3)
+    refused(InvalidError, "3 changes for 2", decoder.apply, 2, chunks.masks[2], [None] * 3)
     for birth in (-1, 2):
-        with pytest.raises(InvalidError, match="not one of the window"):
-            decoder.whole(birth)
-    with pytest.raises(InvalidError, match="come to 1, not 0"):
-        decoder.window(0)
-    with pytest.raises(InvalidError, match="3 layers of 2"):
-        decoder.window(1, 3)
-    with pytest.raises(InvalidError, match="3 layers of 2"):
-        SlotDecoder(layout, 3)
+        refused(InvalidError, "not one of the window", decoder.whole, birth)
+    refused(InvalidError, "come to 1, not 0", decoder.window, 0)
+    refused(InvalidError, "3 layers of 2", decoder.window, 1, 3)
+    refused(InvalidError, "3 layers of 2", SlotDecoder, layout, 3)
     with pytest.raises(InvalidError, match="of layer 1, held are 1"):
         SlotDecoder(layout, 1).load(chunks.snapshots[0][1])
 
@@ -168,8 +164,7 @@ def test_a_late_change_that_does_not_fit_alters_nothing() -> None:
     decoder.apply(1, mask, [None])
     decoder.apply(2, *chunks.slice(2))
     before = state_bytes(decoder)
-    with pytest.raises(CorruptError, match="birth 3 where birth 1 belongs"):
-        decoder.late(1, 0, chunks.changes[3][0])
+    refused(CorruptError, "birth 3 where birth 1 belongs", decoder.late, 1, 0, chunks.changes[3][0])
     assert state_bytes(decoder) == before
     assert decoder.late(1, 0, changes[0])
     other = loaded(layout, chunks)
@@ -260,3 +255,83 @@ def test_a_change_that_a_late_one_shows_to_be_wrong_counts_as_missing() -> None:
     shown = decoder.apply(3, mask(3, KEPT, KEPT), [None])
     assert shown.rows is not None
     assert shown.rows.tolist() == [0, 1]
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """A stream of slots in memory."""
+
+    layout: SlotLayout
+    updates: list[Update]
+    chunks: Chunks
+
+
+def encoded(layout: SlotLayout, num_frames: int, seed: int, wild: bool = False) -> Encoded:
+    updates = patternless_updates(layout, num_frames, seed, wild)
+    return Encoded(layout, updates, encoded_chunks(layout, updates))
+
+
+layouts = st.builds(
+    small_layout,
+    swin_size=st.sampled_from([1, 2, 5]),
+    slots=st.sampled_from([(1,), (7,), (5, 3), (2, 9, 4)]),
+    sh_degree=st.sampled_from([0, 1]),
+    segment_frames=st.sampled_from([1, 3, 4, 7]),
+)
+streams = st.builds(
+    encoded,
+    layout=layouts,
+    num_frames=st.just(16),
+    seed=st.integers(0, 1 << 32),
+    wild=st.booleans(),
+)
+
+
+def value(slots: Slots, row: int) -> tuple[str, bytes] | None:
+    """State of a slot in the form of `Model`."""
+    condition = slots.conditions[row]
+    assert condition != UNKNOWN
+    if condition == EMPTY:
+        return None
+    if condition == ESCAPED:
+        at = slots.escape_rows.tolist().index(row)
+        one = slots.escapes.take(np.array([at]))
+        return "escape", b"".join(array.tobytes() for array in one.arrays)
+    state = slots.states.take(np.array([row]))
+    return "lattice", state.positions.tobytes() + state.attributes.tobytes()
+
+
+@given(streams)
+@settings(max_examples=25)
+def test_a_reader_that_has_all_has_what_was_given(stream: Encoded) -> None:
+    """What it holds when something is missing is compared with another reader in
+    test_agreement.py."""
+    layout = stream.layout
+    model, decoder = Model(layout), SlotDecoder(layout)
+    for update in stream.updates:
+        model.take(update)
+        if update.birth == 0:
+            for data in stream.chunks.snapshots[0]:
+                decoder.load(data)
+            decoder.hand_out(0)
+        elif update.birth > 0:
+            change = decoder.apply(update.birth, *stream.chunks.slice(update.birth))
+            assert change.rows is not None
+            assert change.rows.tolist() == np.flatnonzero(update.statuses).tolist()
+            lane = layout.lane(update.birth)
+            held = [value(s, row) for s in decoder.lanes[lane] for row in range(len(s.conditions))]
+            assert held == [model.held[lane, row] for row in range(layout.num_slots)]
+    assert decoder.frame == len(stream.chunks.masks) - 1
+
+
+@given(streams)
+@settings(max_examples=20)
+def test_a_snapshot_of_what_was_read_is_the_one_that_was_written(stream: Encoded) -> None:
+    decoder = SlotDecoder(stream.layout)
+    encoder = SlotEncoder(stream.layout)
+    for first, snapshots in stream.chunks.snapshots.items():
+        decoder.clear()
+        for data in snapshots:
+            decoder.load(data)
+        encoder.lanes, encoder.next_birth = decoder.lanes, first + 1
+        assert [chunk.data for chunk in encoder.snapshots()] == snapshots

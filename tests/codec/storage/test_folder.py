@@ -13,6 +13,7 @@ from codec.errors import CodecError, CorruptError, UnreadableError
 from codec.interop.formats import read_splats
 from codec.storage.folder import FolderStorage
 from codec.tools.audit import summarise, verify_stream
+from tests.support.hostile import refused
 from tests.support.tiny_stream import write_tiny
 
 
@@ -40,8 +41,7 @@ def test_links_may_lead_anywhere_inside_and_nowhere_else(tmp_path: Path) -> None
         *("out", "out-absolute", "out-chain", "parent/secret", "zero", "../secret", "proc"),
         "../folder-2/file",
     ):
-        with pytest.raises(CorruptError, match="a link points outside its folder"):
-            storage.read(path, 10)
+        refused(CorruptError, "a link points outside its folder", storage.read, path, 10)
         assert not storage.holds(path)
 
 
@@ -79,8 +79,7 @@ ODD: dict[str, Callable[[Path], object]] = {
 def test_what_is_not_a_regular_file_is_refused_at_once(tmp_path: Path, name: str) -> None:
     ODD[name](tmp_path / name)
     storage = FolderStorage(tmp_path)
-    with pytest.raises(CorruptError, match="cannot be read: "):
-        storage.read(name, 10)
+    refused(CorruptError, "cannot be read: ", storage.read, name, 10)
     assert not storage.holds(name)
     # It exists, or cannot be inspected; reading it raises the reason.
     assert storage.stamp(name) is not None
@@ -105,8 +104,7 @@ def test_a_link_after_the_look(
         return found
 
     monkeypatch.setattr(FolderStorage, "_resolved", look_and_swap)
-    with pytest.raises(CorruptError):
-        FolderStorage(tmp_path / "folder").read("deep/file", 10)
+    refused(CorruptError, "", lambda: FolderStorage(tmp_path / "folder").read("deep/file", 10))
 
 
 @pytest.mark.deep
@@ -141,29 +139,25 @@ def test_a_name_that_is_swapped_all_the_time_never_shows_what_it_leads_to(tmp_pa
 
 def test_a_folder_that_is_gone_says_so(tmp_path: Path) -> None:
     storage = FolderStorage(tmp_path / "absent")
-    with pytest.raises(CorruptError, match="is not a folder"):
-        storage.check()
+    refused(CorruptError, "is not a folder", storage.check)
     with pytest.raises(FileNotFoundError):  # the error that a Python caller expects
         storage.check()
     (tmp_path / "file").touch()
     with pytest.raises(CorruptError, match="is not a folder") as told:
         FolderStorage(tmp_path / "file").check()
     assert not isinstance(told.value, OSError)
-    with pytest.raises(UnreadableError, match=r"absent cannot be listed: No such file"):
-        storage.folders(("m",))
+    refused(UnreadableError, r"absent cannot be listed: No such file", storage.folders, ("m",))
     assert storage.stamp("m") is None
 
 
 def test_nothing_waits_for_a_pipe(tmp_path: Path) -> None:
     write_tiny(tmp_path / "s", 8)
-    refused = "cannot be read: it is not a regular file"
+    reason = "cannot be read: it is not a regular file"
     for name in ("segments/1/0", "index.bin", "manifest.json"):
         (tmp_path / "s" / name).unlink()
         os.mkfifo(tmp_path / "s" / name)
         for command in (verify_stream, summarise):
             if command is verify_stream or "segments" not in name:  # info reads no object
-                with pytest.raises(CorruptError, match=f"{name} {refused}"):
-                    command(tmp_path / "s")
+                refused(CorruptError, f"{name} {reason}", command, tmp_path / "s")
     os.mkfifo(tmp_path / "x.ply")
-    with pytest.raises(CorruptError, match=rf"x\.ply {refused}"):
-        read_splats(tmp_path / "x.ply")
+    refused(CorruptError, rf"x\.ply {reason}", read_splats, tmp_path / "x.ply")

@@ -11,6 +11,7 @@ import pytest
 from codec.storage import growingfolder
 from codec.storage.growingfolder import GrowingFolder
 from codec.storage.growingplace import Shape
+from tests.support.hostile import refused
 
 
 @pytest.mark.parametrize("last", [1, 2, 3])
@@ -41,8 +42,7 @@ def test_no_thread_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last
     start = threading.Thread.start
     monkeypatch.setattr(growingfolder, "write_atomic", write_slowly)
     monkeypatch.setattr(threading.Thread, "start", start_interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        place.add(0, {str(number): b"" for number in range(4)})
+    refused(KeyboardInterrupt, "", place.add, 0, {str(number): b"" for number in range(4)})
     assert len(begun) == len(ended) == 4
     assert not any(thread.is_alive() for thread in started)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

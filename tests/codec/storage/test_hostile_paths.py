@@ -18,14 +18,14 @@ from codec.errors import CodecError, SwingsError
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
 from codec.storage.folder import FolderStorage
-from codec.stream import StreamWriter
-from codec.stream.reader import StreamReader
+from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import verify_stream
 from player.network.fetch import Fetcher, FetchError
 from player.source.opener import opened
 from server.library import Library, ServedStream
 from server.library.streamview import view_of
 from tests.support.delivery.assembled import assembled
+from tests.support.hostile import refused
 from tests.support.tiny_stream import tiny_slice, write_tiny
 
 
@@ -66,8 +66,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 def test_nobody_follows_the_manifest_out_of_its_folder(astray: Path) -> None:
     for read in READERS.values():
-        with pytest.raises(CodecError, match=r"segments/0/(0|snapshot-0) is missing"):
-            read(astray)
+        refused(CodecError, r"segments/0/(0|snapshot-0) is missing", read, astray)
     path = astray.parent / "written"
     before = sorted(astray.parent.iterdir())
     hostile = StreamReader(astray).manifest
@@ -94,8 +93,7 @@ def test_a_player_fetches_no_files(tmp_path: Path, via: tuple[str, int] | None) 
     (tmp_path / "secret").write_text("secret", encoding="utf-8")
     fetcher = Fetcher(via)
     try:
-        with pytest.raises(FetchError):
-            fetcher.get(f"file://{tmp_path}/secret", 100)
+        refused(FetchError, "", fetcher.get, f"file://{tmp_path}/secret", 100)
     finally:
         fetcher.close()
     with pytest.raises(SwingsError, match="only http"), opened(f"file://{tmp_path}/secret"):

@@ -15,6 +15,7 @@ from codec.storage import objectstore
 from codec.storage.objectstore import RetryPolicy
 from codec.storage.openstorage import open_storage
 from tests.support.commands import run, run_ok
+from tests.support.hostile import refused
 from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
 from tests.support.tiny_stream import write_tiny
 
@@ -43,18 +44,16 @@ def test_what_a_store_refuses_is_one_line(
 ) -> None:
     monkeypatch.setattr(objectstore, "BRIEF", RetryPolicy(10.0, 0.001, 0.001, max_retries=1))
     storage = open_storage("s3://no-such-bucket/x")
-    with pytest.raises(UnreadableError) as caught:
-        storage.check()
-    assert str(caught.value).startswith("s3://no-such-bucket/x/ cannot be read: ")
-    assert "NoSuchBucket" in str(caught.value)
+    error = refused(UnreadableError, "", storage.check)
+    assert str(error).startswith("s3://no-such-bucket/x/ cannot be read: ")
+    assert "NoSuchBucket" in str(error)
     held = open_storage(f"s3://{BUCKET}/x")
     server.stop()
     try:
         for ask in (held.check, lambda: held.read("m", 10), lambda: held.stamp("m")):
-            with pytest.raises(UnreadableError) as caught:
-                ask()
-            assert "\n" not in str(caught.value)
-            assert len(str(caught.value)) < 400
+            error = refused(UnreadableError, "", ask)
+            assert "\n" not in str(error)
+            assert len(str(error)) < 400
     finally:
         server.start()
     assert held.stamp("m") is None
@@ -77,10 +76,9 @@ def test_the_variable_to_set_is_named(
             monkeypatch.setenv(name, value)
     storage = open_storage(f"s3://{BUCKET}/x")
     for ask in (storage.check, lambda: storage.read("m", 10)):
-        with pytest.raises(UnreadableError, match=advice) as caught:
-            ask()
-        assert "169.254" not in str(caught.value)
-        assert "builder" not in str(caught.value)
+        error = refused(UnreadableError, advice, ask)
+        assert "169.254" not in str(error)
+        assert "builder" not in str(error)
 
 
 @pytest.mark.parametrize("name", ["AWS_ENDPOINT_URL", "AWS_ENDPOINT", "AWS_ENDPOINT_URL_S3"])
@@ -95,8 +93,7 @@ def test_an_endpoint_needs_no_other_variable_and_must_be_a_url(
     assert open_storage(f"s3://{BUCKET}/x").read("m", 10) == b"data"
     for wrong in ("localhost:9000", "127.0.0.1", "", "minio"):
         monkeypatch.setenv(name, wrong)
-        with pytest.raises(InvalidError, match=rf"^{name} is '{wrong}'; set it to a URL"):
-            open_storage("s3://b/x")
+        refused(InvalidError, rf"^{name} is '{wrong}'; set it to a URL", open_storage, "s3://b/x")
 
 
 def test_a_path_that_no_store_takes_is_an_error_of_ours(server: S3Server) -> None:
@@ -109,22 +106,18 @@ def test_a_read_is_bounded(server: S3Server) -> None:
     server.put("x/big", bytes(3 << 20))
     storage = open_storage(f"s3://{BUCKET}/x")
     assert len(storage.read("big", 3 << 20)) == 3 << 20
-    with pytest.raises(CodecError, match=f"s3://{BUCKET}/x/big is longer than 1000 bytes"):
-        storage.read("big", 1000)
-    with pytest.raises(CodecError, match="is longer than 1000 bytes"):
-        storage.read("big", 1000, (3 << 20) - 1001)
+    refused(CodecError, f"s3://{BUCKET}/x/big is longer than 1000 bytes", storage.read, "big", 1000)
+    refused(CodecError, "is longer than 1000 bytes", storage.read, "big", 1000, (3 << 20) - 1001)
     assert storage.read("big", 1000, (3 << 20) - 1000) == bytes(1000)
 
 
 @pytest.mark.parametrize("url", ["s3://", "S3:///x", "s3://[", "file:///etc", "ftp://x/y", "x://"])
 def test_a_url_that_names_no_store_is_refused(url: str) -> None:
-    with pytest.raises(InvalidError, match=r"does not name an object store|choose a folder"):
-        open_storage(url)
+    refused(InvalidError, r"does not name an object store|choose a folder", open_storage, url)
 
 
 def test_without_obstore_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "obstore", None)
     monkeypatch.setitem(sys.modules, "obstore.exceptions", None)
     expected = r"^s3://b/x: .* pip install '\.\[s3\]' in the folder of swings$"
-    with pytest.raises(InvalidError, match=expected):
-        open_storage("s3://name:password@b/x")
+    refused(InvalidError, expected, open_storage, "s3://name:password@b/x")

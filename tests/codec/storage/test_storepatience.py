@@ -12,6 +12,7 @@ import pytest
 from codec.errors import ConflictError, SwingsError, UnwritableError
 from codec.storage import objectstore
 from codec.storage.objectstore import BRIEF, PATIENT, RetryPolicy, StorePrefix, open_store
+from tests.support.hostile import refused
 from tests.support.stores.failing_store import FailingStore, Failure, failing_store, tag
 from tests.support.waiting import BOUND_S, wait_until
 
@@ -63,9 +64,8 @@ def test_a_store_that_stays_away_is_one_line(
 ) -> None:
     store = patient(monkeypatch, SHORT)
     server.fail(failure)
-    with pytest.raises(SwingsError, match=reason) as caught:
-        ASK[ask](store)
-    line = str(caught.value)
+    error = refused(SwingsError, reason, lambda: ASK[ask](store))
+    line = str(error)
     assert line.startswith("s3://b/x/")
     assert "\n" not in line
     assert "http://" not in line
@@ -78,16 +78,14 @@ def test_a_silent_store_is_one_line(server: FailingStore, monkeypatch: pytest.Mo
     store = patient(monkeypatch, SHORT)
     server.fail("silent")
     for over in ("any", None):
-        with pytest.raises(UnwritableError, match=r"no response in time$"):
-            store.put("new", b"1", over)
+        refused(UnwritableError, r"no response in time$", store.put, "new", b"1", over)
 
 
 def test_a_put_without_a_response(server: FailingStore, monkeypatch: pytest.MonkeyPatch) -> None:
     """The callers check whether the object is their own."""
     store = patient(monkeypatch, LONG)
     server.fail("reset_after", count=1)
-    with pytest.raises(ConflictError):
-        store.put("new", b"1", None)
+    refused(ConflictError, "", store.put, "new", b"1", None)
     assert server.objects["/b/x/new"] == b"1"
 
 
@@ -96,8 +94,7 @@ def test_what_the_store_forbids_is_asked_once(server: FailingStore) -> None:
     server.fail("403")
     for ask in (lambda: store.read("there", 10), lambda: store.put("new", b"1")):
         server.requests = 0
-        with pytest.raises(SwingsError, match=r"HTTP 403|Forbidden"):
-            ask()
+        refused(SwingsError, r"HTTP 403|Forbidden", ask)
         assert server.requests == 1
 
 
@@ -115,8 +112,7 @@ def test_missing_credentials(server: FailingStore, monkeypatch: pytest.MonkeyPat
 def test_a_server_does_not_wait_for_its_store(server: FailingStore) -> None:
     store = open_store("s3://b/x")
     server.fail("500")
-    with pytest.raises(SwingsError, match="3 attempts in"):
-        store.read("there", 10)
+    refused(SwingsError, "3 attempts in", store.read, "there", 10)
     assert server.requests == 1 + BRIEF.max_retries
 
 

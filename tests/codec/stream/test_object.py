@@ -1,8 +1,16 @@
-"""Objects and packets: they are valid zstd, and no bomb is inflated."""
+"""Objects and packets: valid zstd, or gzip for browsers; and no bomb is inflated."""
 
 from __future__ import annotations
 
+import gzip
+import json
+import random
+import shutil
 import struct
+import subprocess
+import tracemalloc
+import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +18,8 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.coders.coder import Coder, compress, decompress
+from codec.coders import gzip as gzip_coder
+from codec.coders.coder import Coder, coder_of, compress, decompress
 from codec.errors import CorruptError, InvalidError
 from codec.slots.slotlayout import MAX_SLOT_CHUNK_BYTES
 from codec.stream.object import (
@@ -22,7 +31,7 @@ from codec.stream.object import (
     packet_content,
     read_object_table,
 )
-from tests.support.hostile import flips, survives, truncations, within_bytes
+from tests.support.hostile import flips, refused, survives, truncations, within_bytes
 from tests.support.objects import BIRTHS, contents, new_chunk, new_chunks, object_of, object_packets
 
 coders = pytest.mark.parametrize("coder", list(Coder))
@@ -60,8 +69,7 @@ def test_an_object_may_be_empty_and_leaves_out_packets_of_no_bytes() -> None:
     data = join_packets([(1, b""), (3, encode_packet(chunk)), (4, b"")])
     assert data == object_of([chunk])
     assert packet_content(b"", 9) == b""
-    with pytest.raises(CorruptError, match="its content is empty"):
-        packet_content(compress(b""), 9)
+    refused(CorruptError, "its content is empty", packet_content, compress(b""), 9)
 
 
 @pytest.mark.parametrize(
@@ -102,12 +110,10 @@ def test_an_altered_byte_never_passes(coder: Coder) -> None:
 def test_what_is_not_an_object_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
     chunks = new_chunks()
     for wrong in ([chunks[0], chunks[0]], [chunks[1], chunks[0]]):
-        with pytest.raises(InvalidError, match="do not rise"):
-            object_of(wrong)
+        refused(InvalidError, "do not rise", object_of, wrong)
     size = len(object_of(chunks))
     monkeypatch.setattr("codec.stream.object.MAX_OBJECT_BYTES", size - 1)
-    with pytest.raises(InvalidError, match="use shorter segments"):
-        object_of(chunks)
+    refused(InvalidError, "use shorter segments", object_of, chunks)
     with pytest.raises(InvalidError, match="16385 chunks, at most 16384"):
         join_packets([(birth, b"x") for birth in range(MAX_CHUNKS_PER_OBJECT + 1)])
 
@@ -174,3 +180,125 @@ def test_ending_blocks_between_planes_pays() -> None:
     chunk = new_chunk(0, 4000)
     plain = zstandard.ZstdCompressor(level=19, write_checksum=True).compress(chunk.data)
     assert len(encode_packet(chunk)) < 0.97 * len(plain)
+
+
+NODE = shutil.which("node")
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_a_packet_is_one_gzip_member_for_anyone(exact: bool) -> None:
+    chunks = new_chunks(3000, exact)
+    for (birth, packet), chunk, wanted in zip(
+        object_packets(object_of(chunks, Coder.GZIP)), chunks, BIRTHS, strict=True
+    ):
+        assert birth == wanted
+        content = chunk.data
+        assert gzip.decompress(packet) == content == decompress(packet, len(content))
+        assert packet[:10] == b"\x1f\x8b\x08\0\0\0\0\0\x02\xff"
+        assert packet[-8:] == struct.pack("<II", zlib.crc32(content), len(content))
+        assert coder_of(packet) is Coder.GZIP
+
+
+@pytest.mark.parametrize("coder", list(Coder))
+def test_packets_of_another_coder_than_the_table_s_are_refused(coder: Coder) -> None:
+    other = next(c for c in Coder if c is not coder)
+    packets = [(chunk.birth, encode_packet(chunk, other)) for chunk in new_chunks()]
+    refused(CorruptError, "not of the object's coder", contents, join_packets(packets, coder))
+
+
+def gzip_bomb(size: int) -> bytes:
+    return compress(bytes(size), (), Coder.GZIP)
+
+
+BOMB = gzip_bomb(1 << 24)
+
+
+def gzip_claiming(size: int, packet: bytes) -> bytes:
+    """`packet` with another content size in its trailer."""
+    return packet[:-4] + struct.pack("<I", size)
+
+
+def with_name(packet: bytes) -> bytes:
+    """A valid gzip member with a file name in its head."""
+    return packet[:3] + b"\x08" + packet[4:10] + b"name\0" + packet[10:]
+
+
+@pytest.mark.parametrize(
+    ("packet", "says"),
+    [
+        # Claims more than a chunk may have, and is long enough for it: refused unread.
+        (gzip_claiming(MAX_SLOT_CHUNK_BYTES + 1, gzip_coder.HEAD + bytes(300_000)), "at most"),
+        # Claims more than deflate can produce.
+        (gzip_claiming(1 << 20, gzip_bomb(1000)), "cannot come from"),
+        # Has more content than it claims: 16 MiB of zeros.
+        (gzip_claiming(0, BOMB), "more content than the 0 bytes"),
+        (gzip_claiming(1000, BOMB), "more content than the 1000 bytes"),
+        # Has less content than it claims.
+        (gzip_claiming(1001, gzip_bomb(1000)), "packet: "),
+        # More than one member, or data after it.
+        (gzip_bomb(100) + gzip_bomb(100), "follows"),
+        (gzip_bomb(100) + b"x" + gzip_bomb(100)[-8:], "follows"),
+        (gzip_bomb(100) + bytes(1 << 19) + gzip_bomb(100)[-8:], "follows"),
+        # Wrong checksum.
+        (gzip_bomb(100)[:-8] + bytes(4) + gzip_bomb(100)[-4:], "incorrect data check"),
+        # Truncated, with a trailer where deflate data would continue.
+        (gzip_bomb(1 << 16)[:30] + struct.pack("<II", 0, 1 << 14), "packet: "),
+        (with_name(gzip_bomb(100)), "neither a zstd frame nor a gzip member"),
+        # The container of zlib, and none at all.
+        (zlib.compress(bytes(100)), "neither"),
+        (b"\x1f\x8b\x08\0", "is not a gzip member"),
+        (gzip_coder.HEAD + struct.pack("<II", 0, 0), "packet: "),
+    ],
+)
+def test_gzip_that_is_refused_before_it_grows(packet: bytes, says: str) -> None:
+    with within_bytes(3 << 20), pytest.raises(CorruptError, match=says):
+        packet_content(packet, MAX_SLOT_CHUNK_BYTES)
+
+
+def test_a_large_packet_is_held_once() -> None:
+    content = random.Random(1).randbytes(1 << 22)
+    packet = compress(content, (), Coder.GZIP)
+    tracemalloc.start()
+    found = decompress(packet, len(content))
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found == content
+    assert peak_bytes < 1.5 * len(content)
+
+
+def test_ending_blocks_between_planes_makes_gzip_as_small_as_zstd() -> None:
+    chunk = new_chunk(0, 4000)
+    packet = encode_packet(chunk, Coder.GZIP)
+    assert len(packet) < 0.95 * len(gzip.compress(chunk.data, 9))
+    assert len(packet) < 1.02 * len(encode_packet(chunk))
+
+
+# Only features of browsers, none of our code: fetch, DataView, DecompressionStream.
+SCRIPT = """
+const data = require("fs").readFileSync(process.argv[1]);
+const view = new DataView(data.buffer, data.byteOffset, data.length);
+async function main() {
+  const chunks = [];
+  for (let n = 0; n < view.getUint32(16, true); n++) {
+    const offset = view.getUint32(24 + 12 * n, true), size = view.getUint32(28 + 12 * n, true);
+    const packet = new Blob([data.subarray(offset, offset + size)]);
+    const inflated = packet.stream().pipeThrough(new DecompressionStream("gzip"));
+    const chunk = Buffer.from(await new Response(inflated).arrayBuffer());
+    chunks.push(chunk.toString("hex"));
+  }
+  console.log(JSON.stringify(chunks));
+}
+main();
+"""
+
+
+@pytest.mark.skipif(NODE is None, reason="node is not installed")
+def test_a_browser_s_decompression_stream_gives_the_chunks(tmp_path: Path) -> None:
+    assert NODE is not None
+    chunks = new_chunks(200)
+    (tmp_path / "object").write_bytes(object_of(chunks, Coder.GZIP))
+    done = subprocess.run(
+        [NODE, "-e", SCRIPT, str(tmp_path / "object")], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == [chunk.data.hex() for chunk in chunks]

@@ -30,7 +30,7 @@ from codec.stream.playrecord import (
     decode_record,
     encode_record,
 )
-from tests.support.hostile import flips, survives, truncations, within_bytes
+from tests.support.hostile import flips, refused, survives, truncations, within_bytes
 
 frames = st.integers(0, 2**31 - 1)
 births = st.integers(-(2**31), 2**31 - 1)
@@ -132,15 +132,12 @@ def test_only_a_slice_that_begins_with_layer_0_has_a_mask() -> None:
     ],
 )
 def test_what_no_reader_takes_is_not_written(record: Record) -> None:
-    with pytest.raises(InvalidError):
-        encode_record(record)
+    refused(InvalidError, "", encode_record, record)
 
 
 def test_a_record_that_is_too_long_is_refused_at_its_length() -> None:
-    with pytest.raises(CorruptError, match="at most"):
-        parse(struct.pack("<I", MAX_RECORD_BYTES + 1))
-    with pytest.raises(InvalidError):
-        encode_record(StartRecord(0, 1, bytes(MAX_RECORD_BYTES)))
+    refused(CorruptError, "at most", parse, struct.pack("<I", MAX_RECORD_BYTES + 1))
+    refused(InvalidError, "", encode_record, StartRecord(0, 1, bytes(MAX_RECORD_BYTES)))
 
 
 def test_texts_of_errors_have_a_length_and_may_be_no_unicode() -> None:

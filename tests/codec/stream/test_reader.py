@@ -27,6 +27,7 @@ from tests.goldens.decoder import Gaussian, to_floats
 from tests.goldens.folder import StreamFolder, state_at
 from tests.support.drawn import same_splats
 from tests.support.hosted_streams import random_slice, small_manifest
+from tests.support.hostile import refused
 from tests.support.objects import object_packets
 from tests.support.slots.folder import write_slots
 from tests.support.slots.slot_streams import gaussians
@@ -174,8 +175,7 @@ def test_a_reader_of_one_layer_needs_no_other(stream: Path) -> None:
     reader = StreamReader(stream)
     assert len(reader.window(9, 1)) == 3
     assert len(list(reader.slices(-2, 1))) == 12
-    with pytest.raises(CodecError, match="snapshot-1 is missing"):
-        reader.window(9, 2)
+    refused(CodecError, "snapshot-1 is missing", reader.window, 9, 2)
 
 
 @pytest.mark.parametrize(("swin_size", "segment_frames"), [(1, 1), (9, 2), (3, 4096), (255, 5)])
@@ -235,8 +235,7 @@ def test_arguments_out_of_range(finished: Path) -> None:
         lambda: reader.read_object(0, "snapshot-2"),
     ]
     for call in wrong:
-        with pytest.raises(InvalidError):
-            call()
+        refused(InvalidError, "", call)
 
 
 def test_empty_and_partial_slices_are_fine(tmp_path: Path) -> None:
@@ -274,9 +273,6 @@ def test_a_growing_stream_is_followed(tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", ["absent", "a-file"])
 def test_what_is_not_a_stream(tmp_path: Path, path: str) -> None:
     (tmp_path / "a-file").write_text("hello", encoding="utf-8")
-    with pytest.raises(CodecError, match=path):
-        StreamReader(tmp_path / path)
-    with pytest.raises(CodecError, match=r"manifest\.json"):
-        StreamReader(tmp_path)
-    with pytest.raises(CodecError, match="missing; this is not a whole swings stream"):
-        StreamWriter.resume(tmp_path)
+    refused(CodecError, path, StreamReader, tmp_path / path)
+    refused(CodecError, r"manifest\.json", StreamReader, tmp_path)
+    refused(CodecError, "missing; this is not a whole swings stream", StreamWriter.resume, tmp_path)

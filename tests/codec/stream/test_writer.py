@@ -1,25 +1,46 @@
-"""Slices that a writer refuses, and its resumption after a stop."""
+"""A writer: what it refuses, its resumption, failing disks, and the quality that it is told."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 import pytest
 
-from codec.errors import InvalidError
+from codec.errors import CorruptError, InvalidError
 from codec.slice import Slice
 from codec.slots.update import Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.index import record_bytes
 from codec.tools.audit import verify_stream
+from tests.support.drawn import same_splats
+from tests.support.hostile import file_limit, refused
 from tests.support.slots.folder import slots_manifest, write_slots
 from tests.support.slots.updates import patternless_updates, small_layout
-from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, tiny_slice, write_tiny
+from tests.support.tiny_stream import (
+    SLICE_SIZE,
+    append_tiny,
+    files_of,
+    tiny_manifest,
+    tiny_slice,
+    write_tiny,
+)
 
 NUM_FRAMES = 10
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    path = tmp_path_factory.mktemp("writer") / "whole"
+    write_tiny(path, NUM_FRAMES)
+    return files_of(path)
 
 
 def test_what_the_writer_refuses(tmp_path: Path) -> None:
@@ -27,8 +48,7 @@ def test_what_the_writer_refuses(tmp_path: Path) -> None:
     with pytest.raises(InvalidError, match="no rank is called 'size'"):
         StreamWriter.create(tmp_path / "s", manifest, rank="size")  # type: ignore[arg-type]
     writer = StreamWriter.create(tmp_path / "s", manifest)
-    with pytest.raises(InvalidError, match="not empty"):
-        StreamWriter.create(tmp_path / "s", manifest)
+    refused(InvalidError, "not empty", StreamWriter.create, tmp_path / "s", manifest)
     slice = tiny_slice(-2)
     double = Splats.concatenate([slice.splats, slice.splats])
     for wrong, message in (
@@ -36,16 +56,13 @@ def test_what_the_writer_refuses(tmp_path: Path) -> None:
         (Slice(-2, double, np.zeros(80, np.uint8)), "80 Gaussians, at most 40"),
         (Slice(-2, Splats.empty(1), np.zeros(0, np.uint8)), "SH degree 1, not 0"),
     ):
-        with pytest.raises(InvalidError, match=message):
-            writer.append(wrong)
+        refused(InvalidError, message, writer.append, wrong)
     writer.append(slice)
     writer.close()
     writer.close()
-    with pytest.raises(InvalidError, match="closed"):
-        writer.append(tiny_slice(-1))
+    refused(InvalidError, "closed", writer.append, tiny_slice(-1))
     assert StreamReader(tmp_path / "s").num_frames == 0
-    with pytest.raises(InvalidError, match="finished"):
-        StreamWriter.resume(tmp_path / "s")
+    refused(InvalidError, "finished", StreamWriter.resume, tmp_path / "s")
 
 
 def test_after_a_short_segment_nothing_follows(tmp_path: Path) -> None:
@@ -56,8 +73,7 @@ def test_after_a_short_segment_nothing_follows(tmp_path: Path) -> None:
     (path / "manifest.json").write_bytes(live.to_json())
     with StreamWriter.resume(path) as writer:
         assert (writer.next_birth, writer.complete) == (6, True)
-        with pytest.raises(InvalidError, match="nothing can follow"):
-            writer.append(tiny_slice(6))
+        refused(InvalidError, "nothing can follow", writer.append, tiny_slice(6))
     assert not StreamReader(path).manifest.live
 
 
@@ -112,8 +128,7 @@ def test_an_exception_leaves_a_shorter_live_stream(tmp_path: Path) -> None:
             append_tiny(writer, 6)
             raise ZeroDivisionError
 
-    with pytest.raises(ZeroDivisionError):
-        write_and_fail()
+    refused(ZeroDivisionError, "", write_and_fail)
     summary = verify_stream(tmp_path / "s")
     assert (summary.num_frames, summary.live) == (4, True)
 
@@ -147,3 +162,257 @@ def test_a_stopped_writer_goes_on(tmp_path: Path, period: int, kept: int) -> Non
     records = StreamReader(path).records
     assert writer.bytes_written == sum(sum(record.part_bytes) for record in records)
     assert writer.played_bytes == sum(record.played_bytes for record in records)
+
+
+RECORD_BYTES = record_bytes(2)
+
+
+def written(path: Path, num_frames: int = 7) -> StreamWriter:
+    """A writer that has written the first frames of the stream."""
+    writer = StreamWriter.create(path, tiny_manifest())
+    append_tiny(writer, num_frames)
+    return writer
+
+
+def test_a_record_that_fits_in_part_is_taken_back(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    # Records of such short segments soon take more than the largest object.
+    with StreamWriter.create(path, tiny_manifest(segment_frames=1)) as writer:
+        append_tiny(writer, 51)
+        index_bytes = os.stat(path / "index.bin").st_size
+        assert index_bytes == 51 * RECORD_BYTES
+        assert max(p.stat().st_size for p in path.glob("segments/*/*")) < index_bytes
+        for room_bytes in (0, 1, RECORD_BYTES - 1):
+            with (
+                file_limit(index_bytes + room_bytes),
+                pytest.raises(OSError, match="File too large"),
+            ):
+                writer.append(tiny_slice(51))
+            assert os.stat(path / "index.bin").st_size == index_bytes
+            assert writer.next_birth == verify_stream(path).num_frames == 51
+        writer.append(tiny_slice(51))
+    assert verify_stream(path).num_frames == 52
+
+
+class Grudging:
+    """A file that accepts only a few bytes per write."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+
+    def write(self, data: memoryview) -> int:
+        return self._file.write(data[:7])
+
+    def __enter__(self) -> Grudging:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._file, name)
+
+
+def test_short_writes_that_go_on_are_not_a_failure(
+    tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(path: Path, mode: str, **options: Any) -> object:
+        return Grudging(open(path, mode, **options)) if "a" in mode else open(path, mode, **options)
+
+    monkeypatch.setattr("codec.files.open", opened, raising=False)
+    write_tiny(tmp_path / "s", NUM_FRAMES)
+    assert files_of(tmp_path / "s") == whole
+
+
+def test_a_torn_end_goes_before_the_next_record(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    with written(tmp_path / "s") as writer:
+        with open(tmp_path / "s" / "index.bin", "ab") as index:
+            index.write(b"torn")
+        append_tiny(writer, NUM_FRAMES)
+    assert files_of(tmp_path / "s") == whole
+
+
+def test_an_index_that_somebody_cut_is_not_filled_up(tmp_path: Path) -> None:
+    writer = written(tmp_path / "s")
+    os.truncate(tmp_path / "s" / "index.bin", 9)
+    with pytest.raises(CorruptError, match=r"index\.bin has 9 bytes, not the 228 written"):
+        writer.append(tiny_slice(7))
+
+
+STEPS = ("fsync", "replace")
+
+
+def fails(
+    patch: pytest.MonkeyPatch,
+    at: int,
+    call: Callable[..., object],
+    *arguments: object,
+    names: tuple[str, ...] = STEPS,
+) -> bool:
+    """Whether `call` fails if step number `at` of those of the disk does, as in a power failure."""
+    steps = 0
+
+    def failing(real: Callable[..., object]) -> Callable[..., object]:
+        def step(*arguments: object) -> object:
+            nonlocal steps
+            steps += 1
+            if steps == at:
+                raise OSError(28, "No space left on device")
+            return real(*arguments)
+
+        return step
+
+    with patch.context() as context:
+        for name in names:
+            context.setattr(os, name, failing(getattr(os, name)))
+        try:
+            call(*arguments)
+        except OSError:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("name", STEPS)
+@pytest.mark.parametrize("again", [True, False])
+def test_a_segment_whose_writing_fails_anywhere(
+    tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch, name: str, again: bool
+) -> None:
+    for at in count(1):
+        path = tmp_path / str(at)
+        writer = written(path)
+        if not fails(monkeypatch, at, writer.append, tiny_slice(7), names=(name,)):
+            break
+        assert (writer.next_birth, writer.durable_birth) == (7, 4)
+        if again:
+            append_tiny(writer, NUM_FRAMES)
+        writer.close()
+        assert verify_stream(path).num_frames == (NUM_FRAMES if again else 7)
+        assert not again or files_of(path) == whole
+    assert at > 2
+
+
+def test_a_close_that_failed_can_be_tried_again(
+    tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for at in count(1):
+        writer = written(tmp_path / str(at), NUM_FRAMES)
+        if not fails(monkeypatch, at, writer.close):
+            break
+        writer.close()
+        assert files_of(tmp_path / str(at)) == whole
+    assert at > 5
+
+
+def test_a_failure_at_any_step_of_any_write(
+    tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for at in count(1):
+        path = tmp_path / str(at)
+        if not fails(monkeypatch, at, write_tiny, path, NUM_FRAMES):
+            break
+        if not (path / "manifest.json").exists():
+            continue
+        assert verify_stream(path).num_frames in (0, 4, 8, 10)
+        reader = StreamReader(path)
+        for record in reader.records:
+            for part in reader.manifest.parts:
+                name = f"segments/{record.segment}/{part}"
+                assert (path / name).read_bytes() == whole[name]
+        if reader.manifest.live:
+            with StreamWriter.resume(path) as writer:
+                append_tiny(writer, NUM_FRAMES)
+        assert files_of(path) == whole
+    assert at > 20
+
+
+def test_a_torn_index_is_read_and_resumed_at_any_byte(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    written(path, 8)
+    index = (path / "index.bin").read_bytes()
+    for torn in range(0, RECORD_BYTES, 7):
+        (path / "index.bin").write_bytes(index[: RECORD_BYTES + torn])
+        assert StreamReader(path).num_frames == 4
+        assert StreamWriter.resume(path).next_birth == 4
+        assert (path / "index.bin").read_bytes() == index[:RECORD_BYTES]
+
+
+MANIFEST = tiny_manifest()  # windows of 3, segments of 4, two layers
+
+
+def test_the_index_holds_the_mean_of_every_segment(tmp_path: Path) -> None:
+    births = range(MANIFEST.first_birth, 6)
+    seen: list[tuple[int, list[int]]] = []
+
+    def quality(frame: int, slices: Sequence[Slice]) -> list[float] | None:
+        seen.append((frame, [len(s.splats) for s in slices]))
+        assert [s.birth for s in slices] == [frame, frame]
+        return None if frame < 0 else [float(frame), 10.0 + frame]
+
+    path = tmp_path / "stream"
+    with StreamWriter.create(path, MANIFEST, quality=quality) as writer:
+        for birth in births:
+            writer.append(tiny_slice(birth))
+    assert seen == [(birth, [SLICE_SIZE // 2, SLICE_SIZE]) for birth in births]
+    write_tiny(tmp_path / "plain", 2)
+    (record,) = StreamReader(tmp_path / "plain").records
+    assert all(math.isnan(value) for value in record.psnr_db)
+    first, last = StreamReader(path).records
+    assert first.psnr_db == pytest.approx([1.5, 11.5])
+    assert last.psnr_db == pytest.approx([4.5, 14.5])
+
+
+def test_it_is_asked_once_for_every_slice_as_a_reader_has_it(tmp_path: Path) -> None:
+    told: list[tuple[int, list[Slice]]] = []
+
+    def quality(birth: int, slices: Sequence[Slice]) -> None:
+        told.append((birth, list(slices)))
+
+    path, updates = tmp_path / "s", patternless_updates(slots_manifest().slot_layout, 10)
+    with StreamWriter.create(path, slots_manifest(), quality=quality) as writer:
+        for update in updates[:9]:
+            writer.append(update)
+        writer.abort()
+    with StreamWriter.resume(path, quality=quality) as writer:
+        for update in updates[writer.next_birth + 2 :]:
+            writer.append(update)
+    assert [birth for birth, _ in told] == [*range(-2, 7), *range(4, 10)]
+    reader = StreamReader(path)
+    for birth, slices in told:
+        for layers, found in enumerate(slices, start=1):
+            wanted = reader.slice(birth, layers)
+            assert found.birth == wanted.birth
+            assert (found.start_offsets == wanted.start_offsets).all()
+            assert same_splats(found.splats, wanted.splats)
+
+
+@pytest.mark.parametrize("birth", [1, 3, 9])
+def test_a_quality_that_raises_leaves_nothing(tmp_path: Path, birth: int) -> None:
+    fail = True
+
+    def quality(frame: int, slices: Sequence[Slice]) -> list[float] | None:
+        if fail and frame == birth:
+            raise ZeroDivisionError
+        return [20.0 + frame, 30.0] if frame >= 0 else None
+
+    path = tmp_path / "s"
+    with StreamWriter.create(path, tiny_manifest(), quality=quality) as writer:
+        append_tiny(writer, birth)
+        refused(ZeroDivisionError, "", writer.append, tiny_slice(birth))
+        fail = False
+        append_tiny(writer, 10)
+    scores_db = [record.psnr_db for record in StreamReader(path).records]
+    assert scores_db == [(21.5, 30.0), (25.5, 30.0), (28.5, 30.0)]
+    write_tiny(tmp_path / "whole", 10)
+    for name in ("manifest.json", *(str(p.relative_to(path)) for p in path.glob("segments/*/*"))):
+        assert (path / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+@pytest.mark.parametrize("scores", [(30.0, math.inf), (30.0,), (30.0, 31.0, 32.0)])
+def test_a_quality_that_the_index_cannot_hold(tmp_path: Path, scores: tuple[float, ...]) -> None:
+    with StreamWriter.create(
+        tmp_path / "s", tiny_manifest(), quality=lambda frame, slices: scores
+    ) as writer:
+        for birth in (-2, -1):  # nothing is scored before the first frame
+            writer.append(tiny_slice(birth))
+        refused(InvalidError, "is not 2 numbers, each finite", writer.append, tiny_slice(0))
+        assert writer.next_birth == 0

@@ -1,27 +1,40 @@
-"""swings-stream info for a stream whose slots last: counts, bytes, and their plot."""
+"""swings-stream info: counts and bytes of slots, their plot, and updates read back."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import math
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from codec.coders.coder import compress
-from codec.errors import CodecError
-from codec.slots.update import Update
+from codec.errors import CodecError, CorruptError, InvalidError
+from codec.slots.slotstate import holds
+from codec.slots.update import KEPT, NEW, PREDICTED, Update
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.manifest import MASKS, is_snapshot, snapshot_part
-from codec.tools.audit import describe, summarise, verify_stream
-from codec.tools.plot import JOIN_COLOUR, STATUS_COLOURS, draw_stream, played_bands, slot_bands
+from codec.stream.manifest import Manifest
+from codec.tools.audit import describe, summarise
+from codec.tools.plot import (
+    JOIN_COLOUR,
+    LAYER_COLOURS,
+    STATUS_COLOURS,
+    bitrates_bps,
+    draw_stream,
+    played_bands,
+    slot_bands,
+)
+from codec.tools.recordedupdates import recorded_slices, recorded_update
 from codec.tools.slotcensus import count_slots
-from tests.support.commands import run_ok
-from tests.support.hostile import put_packets
+from tests.support.commands import run, run_ok
+from tests.support.drawn import same_splats
+from tests.support.hostile import refused
 from tests.support.slots.folder import slots_manifest, write_slots
 from tests.support.slots.updates import Model, small_layout
+from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
 
 LAYOUT = small_layout(3, (9, 6), 0, 4)
 NUM_FRAMES = 10
@@ -130,26 +143,7 @@ def test_what_is_altered_is_named(name: str, tmp_path: Path) -> None:
     write_slots(tmp_path / "s", NUM_FRAMES, LAYOUT)
     path = tmp_path / "s" / "segments" / name
     path.write_bytes(path.read_bytes()[:-1] + b"\0")
-    with pytest.raises(CodecError, match=f"segments/{name}: "):
-        summarise(tmp_path / "s")
-
-
-@pytest.mark.parametrize("part", [MASKS, snapshot_part(0)])
-def test_a_packet_beyond_its_slots_is_named_once(part: str, tmp_path: Path) -> None:
-    write_slots(tmp_path / "s", 4, LAYOUT)
-    births = range(1 if is_snapshot(part) else 4)
-    packet = compress(bytes(9999), (0, 9999))
-    put_packets(tmp_path / "s", 0, part, [(birth, packet) for birth in births])
-    reads: list[Callable[[Path], object]] = [
-        summarise,
-        verify_stream,
-        lambda path: StreamReader(path).window(3, 2),
-    ]
-    for read in reads:
-        with pytest.raises(CodecError, match="9999 bytes of content, at most") as caught:
-            read(tmp_path / "s")
-        assert str(caught.value).count(f"segments/0/{part}: byte") == 1
-        assert str(caught.value).count("(chunk of birth") == 1
+    refused(CodecError, f"segments/{name}: ", summarise, tmp_path / "s")
 
 
 def test_what_is_drawn(stream: Path, updates: list[Update], tmp_path: Path) -> None:
@@ -171,3 +165,140 @@ def test_what_is_drawn(stream: Path, updates: list[Update], tmp_path: Path) -> N
     for colour in (*STATUS_COLOURS.values(), JOIN_COLOUR):
         rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
         assert (drawn == rgb).all(axis=2).sum() > 20, colour
+
+
+FRAMES = 10
+
+
+@pytest.mark.parametrize("swin_size", [1, 3])
+def test_updates_come_back(swin_size: int, tmp_path: Path) -> None:
+    layout = small_layout(swin_size, (20, 10), 0, 4)
+    written = write_slots(tmp_path, FRAMES, layout)
+    assert any((update.statuses == PREDICTED).any() for update in written)
+    assert any(len(update.escapes) for update in written)
+    assert any(update.start_offsets.any() for update in written) == (swin_size > 1)
+    births = []
+    reader = StreamReader(tmp_path)
+    for birth, decoder, statuses in recorded_slices(reader):
+        assert decoder.frame == max(birth, 0)
+        found = recorded_update(decoder, birth, statuses)
+        found.check(layout)
+        births.append(birth)
+        if birth <= 0:
+            lane = decoder.lanes[layout.lane(birth)]
+            held = np.concatenate([holds(slots.conditions) for slots in lane])
+            assert (statuses == np.where(held, NEW, KEPT)).all()
+            continue
+        update = written[len(births) - 1]
+        inside = ~update.escaped
+        assert (found.statuses == update.statuses).all()
+        assert (found.start_offsets == update.start_offsets).all()
+        assert (found.escaped == update.escaped).all()
+        assert (found.states.positions[inside] == update.states.positions[inside]).all()
+        assert (found.states.attributes[inside] == update.states.attributes[inside]).all()
+        assert same_splats(found.escapes, update.escapes)
+    assert births == list(reader.births)
+
+
+WHITE = (255, 255, 255)
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A stream of six frames in two segments of unknown quality."""
+    path = tmp_path_factory.mktemp("plot") / "stream"
+    write_tiny(path, 6)
+    return path
+
+
+def write_scored(path: Path, manifest: Manifest, scores_db: Sequence[tuple[float, ...]]) -> Path:
+    """Writes a stream whose frame n has the quality `scores_db[n]`."""
+
+    def quality(frame: int, slices: object) -> tuple[float, ...] | None:
+        return scores_db[frame] if frame >= 0 else None
+
+    with StreamWriter.create(path, manifest, quality=quality) as writer:
+        for birth in range(manifest.first_birth, len(scores_db)):
+            writer.append(tiny_slice(birth))
+    return path
+
+
+def pixels(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    with Image.open(path) as picture:
+        assert picture.format == "PNG"
+        return np.asarray(picture.convert("RGB"))
+
+
+def columns_of(drawn: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], colour: str) -> list[int]:
+    """Columns of the picture that contain `colour`."""
+    rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+    return list(np.flatnonzero((drawn == rgb).all(axis=2).any(axis=0)))
+
+
+def test_the_bitrate_is_that_of_the_files(tiny: Path) -> None:
+    reader = StreamReader(tiny)
+    rates_bps = bitrates_bps(reader.records, reader.manifest.fps)
+    assert rates_bps.shape == (2, 2)
+    for segment, seconds in ((0, 4 / 25), (1, 2 / 25)):  # the last segment is short
+        for layer in range(2):
+            size = (tiny / "segments" / str(segment) / str(layer)).stat().st_size
+            assert rates_bps[segment, layer] == pytest.approx(8 * size / seconds)
+
+
+def test_quality_is_drawn_where_it_is_known(tiny: Path, tmp_path: Path) -> None:
+    draw_stream(tiny, tmp_path / "deep" / "plain.png")
+    plain = pixels(tmp_path / "deep" / "plain.png")
+    # Two layers: the first and the last colour, over most of the width.
+    for colour in (LAYER_COLOURS[0], LAYER_COLOURS[-1]):
+        assert len(columns_of(plain, colour)) > 0.3 * plain.shape[1], colour
+    assert tuple(plain[2, 2]) == WHITE
+    scored = write_scored(tmp_path / "scored", tiny_manifest(), [(20.0, 30.0)] * 6)
+    draw_stream(scored, tmp_path / "scored.png")
+    assert pixels(tmp_path / "scored.png").shape[0] > 1.3 * plain.shape[0]
+    assert sorted(path.name for path in (tmp_path / "deep").iterdir()) == ["plain.png"]
+
+
+def test_a_segment_without_quality_is_a_gap(tmp_path: Path) -> None:
+    nan = (math.nan, math.nan)
+    known = [(20.0, 30.0)] * 4
+    whole = write_scored(tmp_path / "whole", tiny_manifest(), known * 3)
+    gap = write_scored(tmp_path / "gap", tiny_manifest(), known + [nan] * 4 + known)
+    counts = []
+    for path in (whole, gap):
+        draw_stream(path, tmp_path / "drawn.png")
+        drawn = pixels(tmp_path / "drawn.png")
+        panel = drawn[drawn.shape[0] // 2 :, : drawn.shape[1] * 3 // 4]
+        counts.append(len(columns_of(panel, LAYER_COLOURS[0])))
+    assert counts[1] == pytest.approx(counts[0] * 2 / 3, rel=0.1)
+
+
+@pytest.mark.parametrize("num_layers", [1, 3, 16])
+def test_any_number_of_layers_and_any_title(num_layers: int, tmp_path: Path) -> None:
+    manifest = tiny_manifest()
+    slots, lattices = (40,) * num_layers, manifest.lattice[:1] * num_layers
+    title = "$\\frac{1}$ _a_ \n" * 20
+    made = replace(manifest, slots=slots, lattice=lattices, title=title)
+    scored = write_scored(tmp_path / "s", made, [tuple(20.0 + n for n in range(num_layers))] * 2)
+    draw_stream(scored, tmp_path / "drawn.png")
+    assert len(columns_of(pixels(tmp_path / "drawn.png"), LAYER_COLOURS[0])) > 200
+
+
+def test_nothing_to_draw_and_nothing_half_drawn(tmp_path: Path) -> None:
+    StreamWriter.create(tmp_path / "empty", tiny_manifest()).abort()
+    with pytest.raises(InvalidError, match="has no frames yet; there is nothing to draw"):
+        draw_stream(tmp_path / "empty", tmp_path / "drawn.png")
+    refused(CorruptError, "is not a folder", draw_stream, tmp_path / "none", tmp_path / "drawn.png")
+    assert [path.name for path in tmp_path.iterdir()] == ["empty"]
+
+
+def test_the_command(tiny: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "rate.png"
+    told = json.loads(run_ok("swings-stream", "info", tiny, "--json", "--plot", picture))
+    drawn = picture.read_bytes()
+    assert told["num_frames"] == 6
+    text = run_ok("swings-stream", "info", tiny, "--plot", picture)
+    assert text.endswith(f"picture      {picture}\n")
+    assert picture.read_bytes() == drawn
+    done = run("swings-stream", "info", tiny, "--plot", tiny / "index.bin" / "x.png")
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert done.stderr.startswith("swings-stream: ")

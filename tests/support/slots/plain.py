@@ -237,7 +237,8 @@ class BothReaders:
     def try_slice(self, birth: int, mask: bytes, changes: Sequence[bytes | None]) -> bool:
         """Whether both accept the slice as the next; their states must then be equal. Both are left
         unchanged."""
-        other = copy.deepcopy(self)
+        other = copy.copy(self)
+        other.decoder, other.reader = copy.deepcopy((self.decoder, self.reader))
         fits = other._fits_plainly(birth, mask, changes)
         try:
             other.decoder.apply(birth, mask, changes)

@@ -1,10 +1,11 @@
-"""Changes and snapshots: any states round-trip, in few bytes; breaches of a rule are refused."""
+"""Masks, changes and snapshots: any round-trip, in few bytes; breaches of a rule are refused."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -13,14 +14,16 @@ from hypothesis import strategies as st
 
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.lattice.lattice import POSITION_LIMIT, Bytes, Lattice, States
+from codec.slots.mask import MaskHistory, decode_mask, encode_mask
 from codec.slots.slotchange import Change, Newcomers, decode_change, encode_change
 from codec.slots.slotchunk import SLOT_HEADER
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import MAX_SLOT_CHUNK_BYTES, SlotLayout
+from codec.slots.slotlayout import HEADER_BYTES, MAX_SLOT_CHUNK_BYTES, SlotLayout
 from codec.slots.update import NEW, PREDICTED, Update
 from codec.splats import Splats
-from tests.support.hostile import flips, survives, truncations
+from tests.goldens import decoder as plain
+from tests.support.hostile import flips, refused, survives, truncations
 from tests.support.slots.updates import (
     LATTICE,
     patternless_splats,
@@ -153,22 +156,16 @@ def test_what_is_refused() -> None:
         (len(data) - 1, 3, "start offset 3 of 3"),
     ):
         wrong_data = data[:at] + bytes([value]) + data[at + 1 :]
-        with pytest.raises(CorruptError, match=message):
-            decode(wrong_data)
+        refused(CorruptError, message, decode, wrong_data)
     endless = data[: escapes + 8] + struct.pack("<f", np.inf) + data[escapes + 12 :]
-    with pytest.raises(CorruptError, match="not finite"):
-        decode(endless)
+    refused(CorruptError, "not finite", decode, endless)
     zero = data[: escapes + 8 + 12 * 4] + bytes(32) + data[escapes + 8 + 12 * 4 + 32 :]
-    with pytest.raises(CorruptError, match="zero quaternion"):
-        decode(zero)
+    refused(CorruptError, "zero quaternion", decode, zero)
     for place, value in ((6, 2), (7, 1)):
-        with pytest.raises(UnsupportedError):
-            decode(data[:place] + bytes([value]) + data[place + 1 :])
+        refused(UnsupportedError, "", decode, data[:place] + bytes([value]) + data[place + 1 :])
     for place, message in ((5, "layer 1"), (8, "birth")):
-        with pytest.raises(CorruptError, match=message):
-            decode(data[:place] + b"\1" + data[place + 1 :])
-    with pytest.raises(CorruptError, match="the mask declares 7"):
-        decode_change(layout, 0, 7, data, 7, 5)
+        refused(CorruptError, message, decode, data[:place] + b"\1" + data[place + 1 :])
+    refused(CorruptError, "the mask declares 7", decode_change, layout, 0, 7, data, 7, 5)
 
 
 def test_a_sum_outside_the_lattice_is_refused() -> None:
@@ -180,15 +177,13 @@ def test_a_sum_outside_the_lattice_is_refused() -> None:
     data = encode_change(0, 1, moved, state, none, np.zeros(0, np.uint8)).data
     change: Change = decode_change(layout, 0, 1, data, 1, 0)
     assert (change.predict(moved, np.ones(1, np.bool_)).positions == state.positions).all()
-    with pytest.raises(CorruptError, match="leaves the lattice"):
-        change.predict(state, np.ones(1, np.bool_))
+    refused(CorruptError, "leaves the lattice", change.predict, state, np.ones(1, np.bool_))
     assert not change.predict(state, np.zeros(1, np.bool_)).positions.any()
     bright = replace(state, attributes=np.full((1, 10), 160, np.uint8))
     dim = replace(state, attributes=np.full((1, 10), 150, np.uint8))
     data = encode_change(0, 1, dim, bright, none, np.zeros(0, np.uint8)).data
     change = decode_change(layout, 0, 1, data, 1, 0)
-    with pytest.raises(CorruptError, match="leaves the lattice"):
-        change.predict(bright, np.ones(1, np.bool_))
+    refused(CorruptError, "leaves the lattice", change.predict, bright, np.ones(1, np.bool_))
 
 
 def test_any_bytes_give_a_snapshot_or_an_error() -> None:
@@ -218,15 +213,13 @@ def test_any_bytes_give_a_snapshot_or_an_error() -> None:
         (data[:13] + bytes([data[13] | 0x80]) + data[14:], "after the last flag"),
         (data[:12] + bytes([data[12] ^ 1]) + data[13:], "new, the mask declares"),
     ):
-        with pytest.raises(CorruptError, match=message):
-            load(wrong)
+        refused(CorruptError, message, load, wrong)
 
 
 def test_what_an_encoder_refuses_leaves_it_as_it_was() -> None:
     layout = small_layout(1, (3,), segment_frames=2)
     encoder = SlotEncoder(layout)
-    with pytest.raises(InvalidError, match="not the first of a segment"):
-        encoder.snapshots()
+    refused(InvalidError, "not the first of a segment", encoder.snapshots)
     good = Update(
         0,
         np.array([NEW, NEW, 0], np.uint8),
@@ -250,8 +243,7 @@ def test_what_an_encoder_refuses_leaves_it_as_it_was() -> None:
         (replace(good, statuses=np.array([2, 3, 0], np.uint8)), "slot 0 of layer 0.*is empty"),
         (replace(good, statuses=np.array([3, 2, 0], np.uint8)), "a predicted Gaussian escapes"),
     ):
-        with pytest.raises(InvalidError, match=message):
-            encoder.append(wrong)
+        refused(InvalidError, message, encoder.append, wrong)
     assert encoder.append(good) is not None
     predicted = replace(
         good, birth=1, statuses=np.array([2, 2, 0], np.uint8), escaped=np.zeros(2, np.bool_)
@@ -273,8 +265,7 @@ def test_only_a_new_gaussian_starts_late() -> None:
         encoder.append(Update(birth, statuses, both, offsets, none, Splats.empty()))
     statuses = np.array([PREDICTED, NEW], np.uint8)
     late = Update(1, statuses, both, offsets[::-1].copy(), none, Splats.empty())
-    with pytest.raises(InvalidError, match="a predicted Gaussian starts late"):
-        encoder.append(late)
+    refused(InvalidError, "a predicted Gaussian starts late", encoder.append, late)
     made = encoder.append(replace(late, start_offsets=offsets))
     assert made is not None
     # 13 bytes for each, and one more for the start of the new one.
@@ -301,15 +292,14 @@ PASSING = {"swin_size": 1, "temporal_period": 2, "slots": (4, 0), "lattices": (L
         ({"segment_frames": 4097}, "segment_frames 4097"),
         ({"segment_frames": 257, "slots": (1 << 20,)}, "use shorter segments"),
         ({"swin_size": 17, "slots": (1 << 20,)}, "in each of 17 lanes"),
-        ({"temporal_period": 2}, "swin_size of 1"),
+        (PASSING | {"swin_size": 2}, "swin_size of 1"),
         (PASSING | {"segment_frames": 9}, "multiple of 2"),
         (PASSING | {"segment_frames": 9, "temporal_period": 9}, "not in 1..8"),
         (PASSING | {"slots": (0,), "lattices": (LATTICE,)}, "at least 1 each"),
     ],
 )
 def test_layouts_that_the_format_does_not_allow(change: dict[str, object], message: str) -> None:
-    with pytest.raises(InvalidError, match=message):
-        replace(SlotLayout(2, (4,), 0, (LATTICE,), 8), **change)  # type: ignore[arg-type]
+    refused(InvalidError, message, replace, SlotLayout(2, (4,), 0, (LATTICE,), 8), **change)
     layout = SlotLayout(16, (1 << 19, 1 << 19), 3, (LATTICE,) * 2, 256)
     assert layout.max_change_bytes(0) < layout.max_snapshot_bytes(1) == MAX_SLOT_CHUNK_BYTES
     assert layout.max_mask_bytes == 16 + (4 << 20)
@@ -327,3 +317,112 @@ def test_prediction_is_small() -> None:
     planes = np.frombuffer(chunk.data, np.uint8, offset=BODY + 20).reshape(13, 2000)
     assert set(np.flatnonzero(planes.any(axis=1)).tolist()) == {1}
     assert PREDICTED < NEW
+
+
+@st.composite
+def masks(draw: st.DrawFn) -> tuple[SlotLayout, Bytes, Bytes]:
+    """A layout, statuses, and the history of each slot."""
+    slots = tuple(draw(st.lists(st.integers(1, 60), min_size=1, max_size=4)))
+    rng = np.random.default_rng(draw(st.integers(0, 1 << 32)))
+    weights = rng.dirichlet(np.full(4, 0.5))
+    statuses = rng.choice(4, sum(slots), p=weights).astype(np.uint8)
+    return small_layout(slots=slots), statuses, rng.integers(0, 4, sum(slots)).astype(np.uint8)
+
+
+@given(masks())
+@settings(max_examples=100)
+def test_any_statuses_come_back(case: tuple[SlotLayout, Bytes, Bytes]) -> None:
+    layout, statuses, history = case
+    chunk = encode_mask(layout, 5, statuses, history)
+    assert len(chunk.data) <= layout.max_mask_bytes
+    assert (decode_mask(layout, 5, chunk.data, history) == statuses).all()
+    if not statuses.any():
+        assert chunk.data == b""
+        return
+    layers, bits = np.cumsum(layout.slots)[:-1], (history >> 1, history & 1)
+    before = [[row.tolist() for row in np.split(one, layers)] for one in bits]
+    by_text = plain.decode_mask(chunk.data[HEADER_BYTES:], layout.slots, before)
+    assert list(chain(*by_text)) == statuses.tolist()
+
+
+@pytest.mark.parametrize("status", range(4))
+def test_the_longest_and_the_dullest_masks_fit(status: int) -> None:
+    layout = small_layout(slots=(3000,))
+    history = np.zeros(3000, np.uint8)
+    dull = np.full(3000, status, np.uint8)
+    assert len(encode_mask(layout, 0, dull, history).data) < 60
+    # Equal statuses for long enough to be predicted, then different ones repeatedly.
+    worst = np.resize(np.repeat(np.array([status, 3 - status], np.uint8), (120, 3)), 3000)
+    chunk = encode_mask(layout, 0, worst, history)
+    assert len(chunk.data) <= layout.max_mask_bytes
+    assert (decode_mask(layout, 0, chunk.data, history) == worst).all()
+
+
+def test_what_lasts_costs_little() -> None:
+    """A spell of changes in the same slots is cheaper with its history than without."""
+    rng = np.random.default_rng(1)
+    layout = small_layout(swin_size=1, slots=(2000,), segment_frames=100)
+    busy, history = rng.random(2000) < 0.1, MaskHistory(layout)
+    with_history = without = 0
+    for birth in range(1, 20):
+        statuses = np.where(busy & (rng.random(2000) < 0.9), 2, 0).astype(np.uint8)
+        with_history += len(encode_mask(layout, birth, statuses, history.of(birth)).data)
+        without += len(encode_mask(layout, birth, statuses, np.zeros(2000, np.uint8)).data)
+        history.note(birth, statuses)
+    assert with_history < 0.7 * without
+
+
+def test_history_is_of_the_lane_and_begins_anew_with_a_segment() -> None:
+    layout = small_layout(swin_size=2, slots=(4,), segment_frames=6)
+    history = MaskHistory(layout)
+    history.note(6, np.array([1, 1, 1, 1], np.uint8))  # the segment's first frame
+    assert history.of(8).tolist() == [0, 0, 0, 0]
+    history.note(7, np.array([3, 3, 3, 3], np.uint8))  # the other lane
+    history.note(8, np.array([0, 1, 0, 3], np.uint8))
+    assert history.of(10).tolist() == [0, 2, 0, 2]
+    history.note(9, np.array([0, 0, 0, 0], np.uint8))
+    history.note(10, np.array([0, 0, 2, 2], np.uint8))
+    assert history.of(12).tolist() == [0, 0, 0, 0]
+    assert history.of(11).tolist() == [1, 1, 1, 1]
+    history.note(11, np.zeros(4, np.uint8))
+    history.note(12, np.zeros(4, np.uint8))
+    assert history.of(14).tolist() == [0, 0, 0, 0]
+    history.note(13, np.ones(4, np.uint8))
+    assert history.of(14).tolist() == [0, 0, 0, 0]
+    assert history.of(15).tolist() == [2, 2, 2, 2]
+
+
+def test_what_a_mask_refuses() -> None:
+    layout = small_layout(slots=(40, 20))
+    history = np.zeros(60, np.uint8)
+    statuses = (np.arange(60) % 4).astype(np.uint8)
+    data = encode_mask(layout, 9, statuses, history).data
+    for wrong, message in (
+        (data + b"\0", "are read"),
+        (data[:-1], "are read"),
+        (b"SWGC" + data[4:], "starts with"),
+        (data[:4] + b"\1" + data[5:], "a change where a mask belongs"),
+        (data[:5] + b"\1" + data[6:], "layer 1 where 0 belongs"),
+        (data[:12] + b"\xff" * 4 + data[16:], "not below its range"),
+        (data[:11], "too few"),
+    ):
+        refused(CorruptError, message, decode_mask, layout, 9, wrong, history)
+    refused(CorruptError, "birth 9 where birth 10 belongs", decode_mask, layout, 10, data, history)
+    for place, value in ((4, 4), (6, 1), (6, 128), (7, 1)):
+        wrong = data[:place] + bytes([value]) + data[place + 1 :]
+        refused(UnsupportedError, "", decode_mask, layout, 9, wrong, history)
+
+
+def test_any_bytes_give_statuses_or_an_error() -> None:
+    layout = small_layout(slots=(40, 20))
+    history = np.zeros(60, np.uint8)
+    statuses = (np.arange(60) * 7 % 11 % 4).astype(np.uint8)
+    data = encode_mask(layout, 9, statuses, history).data
+
+    def decode(wrong: bytes) -> None:
+        found = decode_mask(layout, 9, wrong, history)
+        assert found.max() <= 3
+        assert encode_mask(layout, 9, found, history).data[:9] == wrong[:9]
+
+    assert not any(survives(decode, wrong) for wrong in truncations(data) if wrong)
+    assert any(survives(decode, wrong) for wrong in flips(data))
