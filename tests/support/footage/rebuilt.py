@@ -72,7 +72,7 @@ def straight_place(bent: Doubles, lens: Lens) -> Doubles:
     return np.moveaxis(straight, 0, -1)
 
 
-def bent_picture(camera: Camera, lens: Lens) -> Picture:
+def distorted(camera: Camera, lens: Lens) -> Picture:
     """The camera's picture through the lens: that of a finer and wider pinhole, distorted."""
     wide = replace(
         camera,
@@ -91,7 +91,9 @@ def bent_picture(camera: Camera, lens: Lens) -> Picture:
     rows = np.clip((places[..., 1] * wide.fy_px + wide.cy_px).astype(int), 0, wide.height_px - 1)
     shape = camera.height_px, FINER, camera.width_px, FINER, 3
     (picture,) = filmed(wide)
-    return np.rint(picture[rows, columns].reshape(shape).mean(axis=(1, 3))).astype(np.uint8)
+    mean = picture[rows, columns].reshape(shape).mean(axis=(1, 3))
+    bent_picture: Picture = np.rint(mean).astype(np.uint8)
+    return bent_picture
 
 
 def write_portrait(root: Path, num_cameras: int = 10) -> Footage:
@@ -145,7 +147,7 @@ def write_radial(root: Path, num_cameras: int = 9) -> Footage:
     optics, poses = ["# Camera list"], ["# Image list"]
     for number, (camera, at) in enumerate(zip(cameras, placed, strict=True), 1):
         (root / "images" / camera.name).mkdir(parents=True)
-        picture = bent_picture(camera, lens)
+        picture = distorted(camera, lens)
         Image.fromarray(picture).save(root / "images" / camera.name / "0000.png")
         numbers = " ".join(map(repr, parameters_of(camera, "SIMPLE_RADIAL", (lens.k1,))))
         optics.append(f"{number} SIMPLE_RADIAL {camera.width_px} {camera.height_px} {numbers}")
@@ -167,7 +169,7 @@ def write_distant(root: Path) -> Footage:
     for camera in cameras:
         (root / "images" / camera.name).mkdir(parents=True)
         paths.append([f"images/{camera.name}/0000.png"])
-        picture = bent_picture(camera, lens)
+        picture = distorted(camera, lens)
         Image.fromarray(picture).save(root / "images" / camera.name / "0000.png")
     terms = {"k1": lens.k1, "k2": lens.k2, "p1": lens.p1, "p2": lens.p2}
     write_transforms(root, transforms_of(cameras, paths) | terms | {"fps": 30})

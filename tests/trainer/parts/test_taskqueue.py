@@ -120,7 +120,7 @@ def test_workers_find_room_node_by_node_and_where_there_is_none_it_is_said() -> 
         ([SMALL, LARGE], {"worker_cpus": 1, "worker_gpus": 2}, 0, "1 cores and 2 GPUs"),
     ):
         ray, words = SimpleNamespace(nodes=lambda nodes=nodes: nodes), io.StringIO()
-        config = TrainConfig("capture", "stream", **claims)  # type: ignore[arg-type]
+        config = TrainConfig("capture", "stream", **claims)
         assert num_workers(ray, config) == number
         look_for_room(ray, config, Console(file=words))
         assert said in words.getvalue()

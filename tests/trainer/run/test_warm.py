@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from tests.support import commands
+from tests.support.commands import environment
 from tests.support.tiny_capture import write_dynerf
 from tests.support.trainings import train_here
 from trainer.run.warm import compile_kernels
@@ -32,7 +33,7 @@ def known() -> set[tuple[str, str, object]]:
 
 
 def main() -> None:
-    """In a process of its own, because other tests compile kernels, too."""
+    """In an interpreter of its own, because other processes have loaded kernels."""
     capture, stream, sh_degree = sys.argv[1:]
     compile_kernels(int(sh_degree))
     before = known()
@@ -47,6 +48,8 @@ def test_training_compiles_nothing_that_was_not_compiled_ahead(
     sh_degree: int, tmp_path: Path
 ) -> None:
     write_dynerf(tmp_path / "capture", num_cameras=9, num_frames=3)  # no warning
-    commands.ENTRY["warm"] = "tests.trainer.run.test_warm:main"
-    done = commands.run("warm", tmp_path / "capture", tmp_path / "out", sh_degree)
+    code = "from tests.trainer.run.test_warm import main; main()"
+    words = tmp_path / "capture", tmp_path / "out", sh_degree
+    argv = [sys.executable, "-c", code, *map(str, words)]
+    done = subprocess.run(argv, env=environment(), capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
