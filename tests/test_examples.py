@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-import subprocess
+import runpy
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import av
 import pytest
 
 import codec
-from tests.support.commands import ROOT, environment, run_ok
+from tests.support.commands import ROOT, run_ok
 from tests.support.slots.slot_streams import write_slot_stream
 from tests.support.slots.updates import small_layout
 from tests.support.tiny_capture import write_dynerf
@@ -34,23 +35,27 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def run_example(name: str, folder: Path) -> str:
-    """Runs an example with the command line of its docstring; returns its output."""
-    script = ROOT / "examples" / name
-    (line,) = re.findall(rf"^python examples/{name} (.+)$", script.read_text(), re.MULTILINE)
-    done = subprocess.run(
-        [sys.executable, "-W", "error::ResourceWarning", script, *line.split()],
-        cwd=folder,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    return done.stdout
+Runner = Callable[[str, Path], str]
 
 
-def test_frames(folder: Path) -> None:
+@pytest.fixture
+def run_example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Runner:
+    """Runs an example with the command line of its docstring in a folder; returns its output."""
+
+    def run(name: str, folder: Path) -> str:
+        script = ROOT / "examples" / name
+        (line,) = re.findall(rf"^python examples/{name} (.+)$", script.read_text(), re.MULTILINE)
+        monkeypatch.chdir(folder)
+        monkeypatch.setattr(sys, "argv", [name, *line.split()])
+        runpy.run_path(str(script), run_name="__main__")
+        said, complained = capsys.readouterr()
+        assert complained == ""
+        return said
+
+    return run
+
+
+def test_frames(run_example: Runner, folder: Path) -> None:
     lines = run_example("frames.py", folder).splitlines()
     assert lines[0] == f"{NUM_FRAMES} frames at 25 per second, 2 layers"
     assert len(lines) == 1 + NUM_FRAMES
@@ -59,7 +64,7 @@ def test_frames(folder: Path) -> None:
     assert lines[30].startswith(f"frame 29: {count} Gaussians, ")
 
 
-def test_turntable(folder: Path) -> None:
+def test_turntable(run_example: Runner, folder: Path) -> None:
     run_example("turntable.py", folder)
     with av.open(str(folder / "turntable.mp4")) as video:
         pictures = [picture.to_ndarray(format="rgb24") for picture in video.decode(video=0)]
@@ -68,14 +73,14 @@ def test_turntable(folder: Path) -> None:
     assert abs(pictures[0].astype(int) - pictures[12]).max() > 50
 
 
-def test_importplys(folder: Path) -> None:
+def test_importplys(run_example: Runner, folder: Path) -> None:
     printed = run_example("importplys.py", folder)
     assert printed.startswith("3 frames, ")
     stream = codec.open_stream(folder / "my-stream")
     assert (stream.num_frames, stream.num_layers, stream.fps) == (3, 3, 30)
 
 
-def test_layerbytes(folder: Path, tmp_path: Path) -> None:
+def test_layerbytes(run_example: Runner, folder: Path, tmp_path: Path) -> None:
     """The numbers match the files."""
     layout = small_layout(1, (40, 30, 30), 0, 5)
     write_slot_stream(tmp_path / "demo" / "stream", 10, layout, seed=1)
@@ -87,7 +92,7 @@ def test_layerbytes(folder: Path, tmp_path: Path) -> None:
     assert sum(printed_kb) == pytest.approx(on_disk_bytes / 10 / 1e3, abs=0.05)
 
 
-def test_policy(folder: Path) -> None:
+def test_policy(run_example: Runner, folder: Path) -> None:
     own, ours = run_example("policy.py", folder).splitlines()
     assert own.startswith("cautious: ")
     assert ours.startswith("the server's: ")

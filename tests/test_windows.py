@@ -19,6 +19,7 @@ from server.operate.workers.supervisorconfig import SupervisorConfig
 from tests.importlaw import PACKAGES
 from tests.support.commands import ENTRY, ROOT, environment
 from tests.support.tiny_stream import tiny_manifest, write_tiny
+from tests.support.waiting import BOUND_S
 
 NEEDS_GUNICORN = ("arbiter", "workerprocess")
 """Modules that only `--workers` above 1 imports, because Windows cannot install gunicorn."""
@@ -57,7 +58,10 @@ import_all()
 """
 
 
-def test_every_module_is_imported_and_every_command_explains_itself() -> None:
+def test_every_module_is_imported_every_command_explains_itself_and_one_process_serves(
+    tmp_path: Path,
+) -> None:
+    write_tiny(tmp_path / "stream", 4, tiny_manifest())
     code = f"""{AS_ON_WINDOWS}
 for command, entry in {ENTRY!r}.items():
     module, function = entry.split(":")
@@ -67,22 +71,6 @@ for command, entry in {ENTRY!r}.items():
     except SystemExit as end:
         assert not end.code, command
     print("explained", command)
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=ROOT,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=240,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert len(re.findall(r"^explained ", done.stdout, re.MULTILINE)) == len(ENTRY)
-
-
-def test_one_process_serves(tmp_path: Path) -> None:
-    write_tiny(tmp_path / "stream", 4, tiny_manifest())
-    code = f"""{AS_ON_WINDOWS}
 sys.argv = ["swings-serve", {str(tmp_path)!r}, "--port", "0"]
 sys.modules["server.__main__"].main()
 """
@@ -96,15 +84,19 @@ sys.modules["server.__main__"].main()
     ) as process:
         assert process.stdout is not None
         assert process.stderr is not None
-        url = process.stdout.readline().removeprefix("serving ").strip()
+        said = ""
+        while not (url := re.search(r"^serving (\S+)", said, re.MULTILINE)):
+            line = process.stdout.readline()
+            assert line, process.stderr.read()[-2000:]
+            said += line
         try:
-            assert url, process.stderr.read()[-2000:]
+            assert len(re.findall(r"^explained ", said, re.MULTILINE)) == len(ENTRY)
             for path in ("/readyz", "/v1/streams/stream/manifest.json", "/watch/stream"):
-                with urllib.request.urlopen(url + path, timeout=20) as found:
+                with urllib.request.urlopen(url[1] + path, timeout=BOUND_S) as found:
                     assert found.read()
         finally:
             process.terminate()
-            process.wait(timeout=20)
+            process.wait(timeout=BOUND_S)
 
 
 def test_several_workers_are_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,21 +18,10 @@ from codec.sequence.numberedfiles import find_files
 from codec.sequence.survey import read_frame
 
 
-class VirtualTime:
-    """Stands for the module `time`; only who sleeps lets it pass."""
-
-    def __init__(self) -> None:
-        self.now_s = 1e9
-
-    def time(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:  # sleeps: not at all
-        self.now_s += seconds
-
-
 def test_the_writer_keeps_its_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bench.follow.time", VirtualTime())
+    now_s = [1e9]
+    clock = SimpleNamespace(time=lambda: now_s[-1], sleep=lambda s: now_s.append(now_s[-1] + s))
+    monkeypatch.setattr("bench.follow.time", clock)
     config = FollowConfig(gaussians=50, fps=20, seconds=0.5, join_s=0.1)
     write(config, tmp_path)
     written_s = json.loads((tmp_path / WRITTEN_NAME).read_text())

@@ -10,10 +10,11 @@ import shutil
 import socket
 import ssl
 import subprocess
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+from tests.support.waiting import BOUND_S, wait_until
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 
@@ -47,7 +48,7 @@ class Proxy:
     port: int
     tls: bool
 
-    def connect(self, timeout_s: float = 10.0) -> http.client.HTTPConnection:
+    def connect(self, timeout_s: float = BOUND_S) -> http.client.HTTPConnection:
         if not self.tls:
             return http.client.HTTPConnection("127.0.0.1", self.port, timeout=timeout_s)
         context = ssl._create_unverified_context()  # a certificate of the test
@@ -74,22 +75,25 @@ class Proxy:
 
 @contextlib.contextmanager
 def started(command: list[str], proxy: Proxy, log: Path, **more: str) -> Iterator[Proxy]:
-    """Runs `command` until the block ends; it must listen within 10 s."""
+    """Runs `command` until the block ends; it must listen at the proxy's port."""
+
+    def listens_or_has_ended() -> bool:
+        with contextlib.suppress(OSError):
+            socket.create_connection(("127.0.0.1", proxy.port)).close()
+            return True
+        return process.poll() is not None
+
     with open(log, "w") as out:
         process = subprocess.Popen(
             command, stdout=out, stderr=subprocess.STDOUT, env={**os.environ, **more}
         )
     try:
-        for _ in range(1000):
-            with contextlib.suppress(OSError):
-                socket.create_connection(("127.0.0.1", proxy.port)).close()
-                break
-            assert process.poll() is None, log.read_text()
-            time.sleep(0.01)
+        wait_until(listens_or_has_ended)
+        assert process.poll() is None, log.read_text()
         yield proxy
     finally:
         process.terminate()
-        process.wait(timeout=20)
+        process.wait(timeout=BOUND_S)
 
 
 @contextlib.contextmanager

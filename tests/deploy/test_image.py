@@ -22,7 +22,7 @@ from tests.deploy.proxied import DEPLOY
 from tests.support.commands import serving
 from tests.support.hosted_streams import write_stream
 from tests.support.stores.s3_server import BUCKET, s3_server
-from tests.support.waiting import wait_until
+from tests.support.waiting import BOUND_S, wait_until
 
 BUILD = DEPLOY / "requirements-build.txt"
 STALE = "stale: run scripts/requirements"
@@ -50,8 +50,8 @@ def needed(names: set[str]) -> set[str]:
 
 
 def test_the_image_gets_our_dependencies_at_our_versions() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    lines = [*project["dependencies"], *project["optional-dependencies"]["s3"]]
+    given = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    lines = [*given["project"]["dependencies"], *given["project"]["optional-dependencies"]["s3"]]
     ours = {requirement.name: requirement for requirement in map(Requirement, lines)}
     assert direct() <= set(ours)
     served, all_pins = pins(SERVED), pins(ROOT / "constraints.txt")
@@ -59,13 +59,9 @@ def test_the_image_gets_our_dependencies_at_our_versions() -> None:
     assert served == {name: all_pins[name] for name in served}, STALE
     for name in direct():
         assert ours[name].specifier.contains(served[name]), STALE
-
-
-def test_what_builds_the_wheel_is_pinned() -> None:
-    requires = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
-    found = pins(BUILD)
-    for requirement in map(Requirement, requires):
-        assert requirement.specifier.contains(found[canonicalize_name(requirement.name)]), STALE
+    building = pins(BUILD)
+    for requirement in map(Requirement, given["build-system"]["requires"]):
+        assert requirement.specifier.contains(building[canonicalize_name(requirement.name)]), STALE
 
 
 @pytest.mark.parametrize("file", [SERVED, BUILD], ids=lambda file: str(file.name))
@@ -114,7 +110,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read(url: str) -> bytes:
-    with urllib.request.urlopen(url, timeout=20) as response:
+    with urllib.request.urlopen(url, timeout=BOUND_S) as response:
         body: bytes = response.read()
     return body
 
@@ -136,23 +132,25 @@ def python_with(packages: Path, code: str) -> list[str]:
     return [sys.executable, "-I", "-S", "-c", f"import sys; sys.path += {paths}\n{code}"]
 
 
+SERVE = "from server.__main__ import main; main()"
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_stream(tmp_path_factory.mktemp("root") / "walk", 20, fps=10.0).parent
+
+
 @pytest.mark.parametrize("workers", ["1", "2"])
-def test_the_server_needs_no_other_package(packages: Path, tmp_path: Path, workers: str) -> None:
-    write_stream(tmp_path / "walk", 20, fps=10.0)
-    command = python_with(packages, "from server.__main__ import main; main()")
-    with serving(tmp_path, "--workers", workers, program=command) as url:
-        check_serves(url, tmp_path / "walk")
+def test_the_server_needs_no_other_package(packages: Path, root: Path, workers: str) -> None:
+    with serving(root, "--workers", workers, program=python_with(packages, SERVE)) as url:
+        check_serves(url, root / "walk")
 
 
-def test_the_server_of_an_object_store_needs_no_other_package(
-    packages: Path, tmp_path: Path
-) -> None:
-    write_stream(tmp_path / "walk", 20, fps=10.0)
-    command = python_with(packages, "from server.__main__ import main; main()")
+def test_the_server_of_an_object_store_needs_no_other_package(packages: Path, root: Path) -> None:
     with s3_server() as store:
-        store.upload(tmp_path / "walk", "streams/walk")
-        with serving(f"s3://{BUCKET}/streams", program=command) as url:
-            check_serves(url, tmp_path / "walk")
+        store.upload(root / "walk", "streams/walk")
+        with serving(f"s3://{BUCKET}/streams", program=python_with(packages, SERVE)) as url:
+            check_serves(url, root / "walk")
 
 
 def test_urls_are_signed_without_another_package(packages: Path, tmp_path: Path) -> None:
@@ -171,8 +169,8 @@ def test_other_packages_cannot_be_imported_there(packages: Path) -> None:
         assert done.returncode == found, name
 
 
-@pytest.mark.slow
-def test_the_image_is_built_and_serves(tmp_path: Path) -> None:
+@pytest.mark.deep
+def test_the_image_is_built_and_serves(root: Path, tmp_path: Path) -> None:
     """Runs the first stage's commands, in other folders and with pip's cache; then the server."""
     source, opt = tmp_path / "source", tmp_path / "opt"
     for name in copied():
@@ -199,7 +197,32 @@ def test_the_image_is_built_and_serves(tmp_path: Path) -> None:
         assert (site / wanted).exists(), wanted
     for left_out in ("pip", "numba", "scipy", "matplotlib", "moderngl", "torch"):
         assert not (site / left_out).exists(), left_out
-    write_stream(tmp_path / "streams" / "walk", 20, fps=10.0)
-    program = [str(opt / "swings/bin/swings-serve")]
-    with serving(tmp_path / "streams", program=program) as url:
-        check_serves(url, tmp_path / "streams" / "walk")
+    with serving(root, program=[str(opt / "swings/bin/swings-serve")]) as url:
+        check_serves(url, root / "walk")
+
+
+def test_the_bill_of_materials_has_the_versions_and_hashes_of_the_image(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("cyclonedx_py", reason="cyclonedx-bom is not installed")
+    script = (ROOT / "scripts" / "sbom").read_text()
+    arguments = "requirements deploy/requirements.txt --mc-type application --output-file"
+    common = "--pyproject pyproject.toml --output-reproducible --of JSON"
+    assert arguments in script
+    assert common in script
+    out = tmp_path / "bill.json"
+    words = ["-W", "ignore::UserWarning:cyclonedx.model.bom", "-m", "cyclonedx_py"]
+    words += [*arguments.split(), str(out), *common.split()]
+    subprocess.run([sys.executable, *words], cwd=ROOT, check=True)
+    bill = json.loads(out.read_text())
+    assert bill["bomFormat"] == "CycloneDX"
+    assert bill["metadata"]["component"]["name"] == "swings"
+    found = {canonicalize_name(part["name"]): part for part in bill["components"]}
+    assert {name: part["version"] for name, part in found.items()} == pins(SERVED)
+    for name, part in found.items():
+        assert part["purl"] == f"pkg:pypi/{name}@{part['version']}"
+        hashes = [entry for link in part["externalReferences"] for entry in link["hashes"]]
+        assert hashes
+        for entry in hashes:
+            assert entry["alg"] == "SHA-256"
+            assert entry["content"] in SERVED.read_text()

@@ -14,21 +14,23 @@ from functools import cache
 from pathlib import Path
 
 from tests.support.forked.commandserver import Request
+from tests.support.waiting import BOUND_S
 
 ROOT = Path(__file__).parents[3]
 
+PRELOAD = "tests.support.forked.commandserver:preload"
 READ_AT_IMPORT = ("PYTHON", "NUMBA", "OMP", "OPENBLAS", "MPL", "LD_")
 """Prefixes of variables that libraries read when they are imported, so that a fork has the values
 of its server."""
 
 
 class CommandServer:
-    """The process; it forks one command at a time."""
+    """The process; it forks one command at a time. preload: a function that it calls first."""
 
-    def __init__(self, environment: dict[str, str]) -> None:
+    def __init__(self, environment: dict[str, str], preload: str = PRELOAD) -> None:
         self._fixed = _fixed(environment)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.forked.commandserver"],
+            [sys.executable, "-m", "tests.support.forked.commandserver", preload],
             cwd=ROOT,
             env={**environment, "PYTHONPATH": str(ROOT)},
             stdin=subprocess.PIPE,
@@ -53,7 +55,6 @@ class CommandServer:
     ) -> subprocess.CompletedProcess[str]:
         """Like subprocess.run with text output. After `timeout_s` it kills the command and raises
         TimeoutExpired. limits: see Request; the output of a command with limits fits in a pipe."""
-        assert self._process.stdin is not None
         with tempfile.TemporaryDirectory() as made, contextlib.ExitStack() as stack:
             out, err = Path(made) / "out", Path(made) / "err"
             for path in (out, err) if limits else ():
@@ -64,19 +65,11 @@ class CommandServer:
                 for path in (out, err)
             ]
             where = str(folder or os.getcwd())
-            request = Request(
-                entry, argv, arguments, environment, where, str(out), str(err), limits or {}
-            )
-            self._process.stdin.write(request.to_line().encode())
-            self._process.stdin.flush()
+            words = (where, str(out), str(err), limits or {})
             pid = None
             try:
-                pid = self._answer(timeout_s)
-                assert pid is not None
-                status = self._answer(timeout_s)
-                if status is None:
-                    assert timeout_s is not None
-                    raise subprocess.TimeoutExpired(argv, timeout_s)
+                pid = self.start(Request(entry, argv, arguments, environment, *words), timeout_s)
+                status = self.ended(timeout_s)
                 said = [(file.read() or b"").decode() for file in outputs]
                 return subprocess.CompletedProcess(argv, status, *said)
             except BaseException:
@@ -87,11 +80,21 @@ class CommandServer:
                 command_server.cache_clear()
                 raise
 
-    def _answer(self, timeout_s: float | None) -> int | None:
-        """The next number that the server prints; None if it does not arrive in time."""
+    def start(self, request: Request, timeout_s: float | None = BOUND_S) -> int:
+        """Starts the command; returns its pid, which no other process has until it has `ended`."""
+        return self._answer(request.to_line(), timeout_s)
+
+    def ended(self, timeout_s: float | None = BOUND_S) -> int:
+        """Waits for the end of the command that was started; returns its exit status."""
+        return self._answer("\n", timeout_s)
+
+    def _answer(self, line: str, timeout_s: float | None) -> int:
+        """The number that the server prints next. Raises TimeoutExpired."""
+        assert self._process.stdin is not None
         assert self._process.stdout is not None
+        self._process.stdin.write(line.encode())
         if not select.select([self._process.stdout], [], [], timeout_s)[0]:
-            return None
+            raise subprocess.TimeoutExpired(line, timeout_s or 0.0)
         return int(self._process.stdout.readline())
 
     def close(self) -> None:

@@ -1,8 +1,10 @@
 """A process that has imported the commands, and forks a command for each request.
 
-`python -m tests.support.forked.commandserver`. A line on its standard input is a request as JSON
-(`Request`). The answer is the pid of the command and, once it has ended, its exit status. A fork
-takes milliseconds, a new interpreter a second.
+`python -m tests.support.forked.commandserver MODULE:FUNCTION` first calls that function, which
+loads what the commands need. A line on its standard input is a request as JSON (`Request`). The
+answer is the pid of the command, which no other process has until the next line, an empty one, asks
+for its end; the answer to that is its exit status. A fork takes milliseconds, a new interpreter a
+second.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import resource
 import sys
 import threading
 import traceback
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -88,9 +91,8 @@ def run(request: Request) -> int:
     os.environ.update(request.environment)
     os.chdir(request.folder)
     sys.orig_argv, sys.argv = request.argv, ["-c", *request.arguments]
-    module, _, function = request.entry.partition(":")
     try:
-        code: object = getattr(importlib.import_module(module), function)()
+        code = function_of(request.entry)()
     except SystemExit as ended:
         code = ended.code
     except BaseException:
@@ -104,10 +106,26 @@ def run(request: Request) -> int:
     return status
 
 
-def main() -> None:
+def function_of(entry: str) -> Callable[[], object]:
+    module, _, function = entry.partition(":")
+    found: Callable[[], object] = getattr(importlib.import_module(module), function)
+    return found
+
+
+def preload() -> None:
+    """Imports the commands, and loads the kernels that read a stream. Those that draw start
+    threads, which no fork has."""
     for name in PRELOADED:
         importlib.import_module(name)
-    for line in sys.stdin:
+    from codec.stream import StreamReader
+    from player.rehearsal import STREAM
+
+    StreamReader(STREAM).active_splats(1, 1)
+
+
+def main() -> None:
+    function_of(sys.argv[1])()
+    for line in iter(sys.stdin.readline, ""):
         request = Request(**json.loads(line))
         pid = os.fork()
         if not pid:
@@ -118,6 +136,7 @@ def main() -> None:
                 os._exit(status)
         sys.stdout.write(f"{pid}\n")
         sys.stdout.flush()
+        sys.stdin.readline()
         status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         sys.stdout.write(f"{status}\n")
         sys.stdout.flush()

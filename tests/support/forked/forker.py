@@ -1,42 +1,33 @@
-"""Client of the warm process of forked_writer.py, for tests."""
+"""A warm process that forks stream writers for tests to kill."""
 
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 
 from codec.storage.openstorage import Target
-from tests.support.commands import ROOT
+from tests.support.forked.commands import CommandServer
+from tests.support.forked.commandserver import Request
+
+WRITER = "tests.support.forked.forked_writer"
 
 
 class Forker:
     """The warm process, and at most one writer forked from it."""
 
     def __init__(self) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.forked.forked_writer"],
-            cwd=ROOT,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            bufsize=1,
-        )
-
-    def _ask(self, line: str) -> int:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(line + "\n")
-        return int(self._process.stdout.readline())
+        self._environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+        self._server = CommandServer(self._environment, f"{WRITER}:warm_up")
 
     def start(self, target: Target) -> int:
         """Starts a writer and returns its pid; no other process can have that pid until `ended`."""
-        return self._ask(str(target))
+        entry, words, output = f"{WRITER}:main", [str(target)], os.devnull
+        return self._server.start(
+            Request(entry, words, words, self._environment, os.getcwd(), output, output, {})
+        )
 
     def ended(self) -> int:
-        """Waits for the end of the writer; returns its exit code."""
-        return self._ask("")
+        """Waits for the end of the writer; returns its exit code, -9 for SIGKILL."""
+        return self._server.ended()
 
     def close(self) -> None:
-        self._process.communicate(timeout=60)
+        self._server.close()
