@@ -17,7 +17,7 @@ from PIL import Image
 from codec.console import run_command
 from codec.errors import InvalidError
 from tests.support.commands import serving
-from tests.support.web.canvas import ELEMENT, PIXELS, PLAYER, STATE
+from tests.support.web.canvas import PIXELS
 from tests.support.web.chromium import Page, running_chromium, why_not
 
 WIDTH_PX, HEIGHT_PX = 640, 360
@@ -44,23 +44,21 @@ class MovingConfig:
 
 def film(page: Page, config: MovingConfig, folder: Path) -> list[Path]:
     """The pictures, as PNGs in `folder`."""
-    page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
-    count = page.run(f"return {PLAYER}.manifest.numLayers")
-    num_frames, fps = page.run(
-        f"const {{ duration, player }} = {ELEMENT}; "
-        "return [Math.round(duration * player.manifest.fps), player.manifest.fps]"
-    )
+    page.wait("player.shownFrame >= 0", 60)
+    count = page.value("player.manifest.numLayers")
+    fps = page.value("player.manifest.fps")
+    num_frames = page.value("Math.round(element.duration * player.manifest.fps)")
     paths = []
     for number in range(config.pictures):
         phase_rad = 2 * math.pi * number / config.pictures
         turn, tilt = TURN_RAD * math.sin(phase_rad), TILT_RAD * math.sin(2 * phase_rad)
         frame = number * config.frames_per_picture % num_frames
         time_s = (frame + 0.01) / fps
-        page.run(f"{ELEMENT}.view = '{turn},{tilt},{ZOOM},0,0'; {ELEMENT}.currentTime = {time_s};")
-        page.wait(f"{PLAYER}.shownFrame === {frame} && {STATE}.layers >= {count}", 30)
-        page.run(f"await window.readCanvas({PLAYER});")
+        page.run(f"element.view = '{turn},{tilt},{ZOOM},0,0'; element.currentTime = {time_s};")
+        page.wait(f"player.shownFrame === {frame} && state.layers >= {count}", 30)
+        page.run("await window.readCanvas(player);")
         # Keeps the controls visible.
-        page.run(f"{ELEMENT}.dispatchEvent(new PointerEvent('pointermove', {{ bubbles: true }}));")
+        page.run("element.dispatchEvent(new PointerEvent('pointermove', { bubbles: true }));")
         paths.append(folder / f"{number:04d}.png")
         page.screenshot(paths[-1])
     return paths

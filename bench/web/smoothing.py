@@ -28,7 +28,6 @@ from tests.support.hosted_streams import static_host
 from tests.support.slots.moving_updates import moving_updates
 from tests.support.slots.slot_streams import slot_manifest
 from tests.support.slots.trained_updates import trained_like_layout
-from tests.support.web.canvas import PLAYER
 from tests.support.web.chromium import Page, running_chromium, why_not
 
 NUM_FRAMES, SEGMENT_FRAMES = 90, 30
@@ -58,7 +57,7 @@ class Turn:
 
 def play(page: Page, url: str, rate: float, interpolates: bool) -> Turn:
     page.open(f"{url}&interpolate={str(interpolates).lower()}", WIDTH_PX, HEIGHT_PX)
-    page.wait(f"{PLAYER}?.shownFrame >= 0", 120)
+    page.wait("player.shownFrame >= 0", 120)
     how = {"rate": rate, "isMoving": False, "uploadsAll": False}
     found = page.run("return window.measure(value)", how)
     frames = found["pictures"]

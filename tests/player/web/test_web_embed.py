@@ -28,14 +28,14 @@ def open_host(site: Site) -> Iterator[str]:
 def test_the_example_plays_from_a_file(page: Page, open_host: str, tmp_path: Path) -> None:
     text = EXAMPLE.read_text(encoding="utf-8")
     assert text.count(EXAMPLE_HOST) >= 3
-    text = text.replace(f"{EXAMPLE_HOST}/stream", f"{open_host}/clip")
+    text = text.replace(f"{EXAMPLE_HOST}/stream", f"{open_host}/long")
     text = text.replace(EXAMPLE_HOST, open_host)
     (tmp_path / "embed.html").write_text(text, encoding="utf-8")
     page.open((tmp_path / "embed.html").as_uri(), 480, 400)
     page.wait("player.shownFrame >= 0")
     page.click("#toggle")
     page.wait("element.currentTime > 0.2")
-    page.wait("document.querySelector('#time').textContent.endsWith(' of 1.5 s')")
+    page.wait("document.querySelector('#time').textContent.endsWith(' of 20.0 s')")
     assert page.value("document.querySelector('#toggle').textContent") == "Pause"
     page.click("#toggle")
     page.wait("element.paused")

@@ -12,8 +12,7 @@ from codec.camera import Camera
 from codec.splats import SH_C0
 from codec.stream import StreamReader
 from player.render.cpu import render_splats
-from tests.support.web.browsercamera import from_browser
-from tests.support.web.canvas import check_picture
+from tests.support.web.canvas import camera_of, check_picture
 from tests.support.web.chromium import Page
 from tests.support.web.site import Site
 
@@ -36,7 +35,7 @@ def wait_until_still(page: Page) -> None:
 
 def check_seen(page: Page, site: Site) -> None:
     """Asserts that the canvas shows the CPU renderer's picture from the page's camera."""
-    check_picture(page, site.reader("whole"), camera=from_browser(page.value("player.camera")))
+    check_picture(page, site.reader("whole"), camera=camera_of(page.value("player.camera")))
 
 
 def test_a_mouse_turns_moves_and_comes_closer(page: Page, site: Site) -> None:
@@ -59,7 +58,7 @@ def test_a_mouse_turns_moves_and_comes_closer(page: Page, site: Site) -> None:
     page.press("r")
     wait_until_still(page)
     assert view_of(page) == (0, 0, 1, 0, 0)
-    for width_px, height_px in ((800, 300), (390, 700), (WIDTH_PX, HEIGHT_PX)):
+    for width_px, height_px in ((400, 150), (195, 350)):
         page.resize(width_px, height_px)
         page.wait(f"player.canvas.width === {width_px} && player.canvas.height === {height_px}")
         check_seen(page, site)
@@ -149,7 +148,7 @@ def test_the_wheel_is_the_pages_until_a_click(page: Page, site: Site) -> None:
 def test_a_double_click_with_alt_flies_to_what_shows_there(page: Page, site: Site) -> None:
     places_px = [(20 * x, 20 * y) for x in range(1, 24) for y in range(1, 16)]
     opened(page, site)
-    camera = from_browser(page.value("player.camera"))
+    camera = camera_of(page.value("player.camera"))
     depths_m, alphas = depths_of(site.reader("whole"), camera)
     code = "return value.map((at) => player.renderer.depthAt(player.camera, ...at))"
     errors = []

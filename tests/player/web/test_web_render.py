@@ -21,7 +21,6 @@ from tests.support.reference_render import cameras_all_round, drawn_psnr_db
 from tests.support.slots.moving_updates import write_jumps, write_moving_stream
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
-from tests.support.web.browsercamera import for_browser
 from tests.support.web.canvas import LEAST_PSNR_DB, psnr_db
 from tests.support.web.chromium import Page
 
@@ -147,3 +146,16 @@ def drawn(
     shape = (cameras[0].height_px, cameras[0].width_px, 4)
     pixels = [np.frombuffer(base64.b64decode(text), np.uint8) for text in found["pictures"]]
     return [one.reshape(shape)[..., :3] / 255 for one in pixels]
+
+
+def for_browser(camera: Camera) -> dict[str, object]:
+    return {
+        "name": camera.name,
+        "widthPx": camera.width_px,
+        "heightPx": camera.height_px,
+        "fxPx": camera.fx_px,
+        "fyPx": camera.fy_px,
+        "cxPx": camera.cx_px,
+        "cyPx": camera.cy_px,
+        "w2c": camera.w2c.ravel().tolist(),
+    }

@@ -19,10 +19,6 @@ Doubles = npt.NDArray[np.float64]
 PIXELS = SCRIPTS / "pixels.js"
 """A script that runs in the page before the page's own scripts, and reads pixels."""
 
-ELEMENT = "document.querySelector('swings-player')"
-PLAYER = f"{ELEMENT}.player"
-STATE = f"{PLAYER}.state"
-
 LEAST_PSNR_DB = 55.0
 """Minimum PSNR of the drawn picture against that of the CPU renderer."""
 
@@ -79,3 +75,10 @@ def wait_for_picture(page: Page, reader: StreamReader, frame: int, layers: int) 
     size = page.value("[player.canvas.width, player.canvas.height]")
     expected = expected_of(reader, reader.manifest.camera().fitted(*size), frame, layers)
     wait_until(lambda: psnr_db(canvas_of(page), expected) >= LEAST_PSNR_DB)
+
+
+def camera_of(found: Json) -> Camera:
+    """The camera from the form of the browser's."""
+    size = (found["widthPx"], found["heightPx"])
+    lens = (found["fxPx"], found["fyPx"], found["cxPx"], found["cyPx"])
+    return Camera("found", *size, *lens, np.array(found["w2c"], np.float64).reshape(4, 4))

@@ -100,7 +100,7 @@ def test_hosts_and_files_that_will_not_do_are_said(browser: BrowserCode, root: P
 def first_picture(page: Page, host: RangeHost, name: str) -> int:
     """Opens the page; returns the number of requests for the stream until its first picture."""
     host.asked.clear()
-    watch(page, f"{host.url}/player/watch.html?src=../{name}&autoplay=0")
+    watch(page, f"{host.url}/player/watch.html?src=../{name}&autoplay=0&loop=0")
     return sum(1 for path, _ in host.asked if path.startswith(f"/{name}"))
 
 

@@ -10,10 +10,10 @@ import pytest
 
 from codec.camera import Camera
 from codec.pose import rotation_about, world_to_camera
-from tests.support.web.browsercamera import from_browser
 from tests.support.web.canvas import (
     LEAST_PSNR_DB,
     Doubles,
+    camera_of,
     canvas_of,
     check_picture,
     expected_of,
@@ -58,7 +58,7 @@ def test_side_by_side(page: Page, site: Site) -> None:
     page.click("swings-player .side-by-side")
     assert page.value("part('.side-by-side').ariaPressed") == "true"
     both = canvas_of(page)
-    half = from_browser(page.value("player.camera"))
+    half = camera_of(page.value("player.camera"))
     page.press("e")
     np.testing.assert_array_equal(canvas_of(page), alone)
     assert (half.width_px, half.height_px) == (WIDTH_PX // 2, HEIGHT_PX)
