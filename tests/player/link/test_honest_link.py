@@ -2,44 +2,21 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import select
 import socket
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from statistics import median
 
 import pytest
 
-import server.answers.play
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
-from server.abr.session import Decision, PlaySession
 from server.exchange.tcpinfo import unacked_bytes
 from tests.player.link.pouring import drain, pouring
-from tests.support.server.running_server import make_stream, quick_config, running
 
 pytestmark = pytest.mark.realtime
-
-SETTLED_S = 0.4
-"""Seconds after which a play is measured: the first bytes only determine the rate of the link."""
-
-NUM_FRAMES = 130
-SLICE_SIZE = 1600
-"""Gaussians of 56 bytes, 30 slices a second: 21 Mbit/s, sent up to six seconds ahead."""
-
-Noted = list[tuple[float, float, float]]
-"""(time, estimate in bit/s, unacknowledged bytes)"""
-
-
-@pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("served")
-    make_stream(root / "wide", NUM_FRAMES, SLICE_SIZE)
-    return root
 
 
 def times_s(text: str, num_bytes: int, connections: int = 1) -> tuple[float, float]:
@@ -137,53 +114,3 @@ def test_small_answers_on_another_connection_take_no_time_of_the_link() -> None:
     assert answers >= 10
     # Each extra round trip would have cost a latency.
     assert took_s == pytest.approx(latency_s + 8 * num_bytes / rate_bps, abs=0.15)
-
-
-class Play:
-    """A play of a real server over an emulated link, cut after `lasts_s`."""
-
-    def __init__(self, root: Path, link: str, lasts_s: float, patch: pytest.MonkeyPatch) -> None:
-        noted: Noted = []
-
-        class NotingSession(PlaySession):
-            """Records its state at every decision."""
-
-            def decide(self, now_s: float) -> Decision:
-                noted.append((time.monotonic(), self.rate_bps or 0.0, self.queued_bytes))
-                return super().decide(now_s)
-
-        patch.setattr(server.answers.play, "PlaySession", NotingSession)
-        self._came: list[tuple[float, int]] = []
-        asyncio.run(self._run(root, link, lasts_s))
-        since_s, last_s = self._came[0][0] + SETTLED_S, self._came[-1][0]
-        num_bytes = sum(num_bytes for time_s, num_bytes in self._came if time_s > since_s)
-        self.goodput_bps = 8 * num_bytes / max(1e-6, last_s - since_s)
-        settled = [one for one in noted if one[0] > since_s]
-        self.estimate_bps = median([rate_bps for _, rate_bps, _ in settled] or [0.0])
-        self.most_queued_bytes = max((queued for _, _, queued in settled), default=0.0)
-
-    async def _run(self, root: Path, link: str, lasts_s: float) -> None:
-        async with running(root, quick_config(max_lead_s=6.0)) as server:
-            with LinkProcess(read_link(link), "127.0.0.1", server.port) as relay:
-                await asyncio.to_thread(self._read, relay.address, lasts_s)
-
-    def _read(self, address: tuple[str, int], lasts_s: float) -> None:
-        with socket.create_connection(address, timeout=30) as client:
-            client.sendall(b"GET /v1/streams/wide/play HTTP/1.0\r\nHost: x\r\n\r\n")
-            until_s = time.monotonic() + lasts_s
-            while time.monotonic() < until_s and (piece := client.recv(65536)):
-                self._came.append((time.monotonic(), len(piece)))
-
-
-def test_twelve_megabits_read_as_twelve(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    play = Play(root, "12M,20ms", SETTLED_S + 2, monkeypatch)
-    assert play.goodput_bps == pytest.approx(12e6, rel=0.05)
-    assert play.estimate_bps == pytest.approx(12e6, rel=0.05)
-
-
-@pytest.mark.parametrize("megabits", [4, 12, 40, 100])
-def test_no_more_than_a_quarter_second_is_unacknowledged(
-    root: Path, monkeypatch: pytest.MonkeyPatch, megabits: int
-) -> None:
-    play = Play(root, f"{megabits}M,20ms", SETTLED_S + 0.4, monkeypatch)
-    assert 0 < play.most_queued_bytes <= 0.25 * megabits * 1e6 / 8

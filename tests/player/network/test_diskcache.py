@@ -6,11 +6,9 @@ import hashlib
 import os
 from pathlib import Path
 
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from codec.errors import InvalidError
 from player.network.diskcache import FILL_AFTER, DiskCache
 
 
@@ -104,8 +102,3 @@ def test_what_cannot_be_written_is_counted(tmp_path: Path) -> None:
     put(cache, thing(1))
     assert cache.counts.failed == 1
     assert cache.get(sha256(thing(1))) is None
-
-
-def test_a_cache_holds_something() -> None:
-    with pytest.raises(InvalidError, match="is too small"):
-        DiskCache(Path("x"), 0)

@@ -23,7 +23,7 @@ from player.playout.outputtimes import OutputTimes
 from player.playout.queues import EmptyStreamError, Events, Handoff
 from player.playout.threads import Threads, render_thread
 from player.playout.timeline import DueFrame, FrameRecord, Playout, QueueConfig
-from player.render.steptimes import StepTimes
+from player.render.cpu import CpuRenderer
 from player.source.directory import DirectorySource
 from player.source.source import NO_PLAY, Packets
 from server.abr.clientstatus import ClientStatus
@@ -92,45 +92,29 @@ class ListSource:
         pass
 
 
-class NotingRenderer:
+class NotingRenderer(CpuRenderer):
     """Records the slices that were put before each drawn frame. draws: is called before it."""
-
-    name = "notes"
-    uploaded_bytes = 0
-    times: StepTimes | None = None
-    alpha = False
 
     def __init__(
         self, failure: Exception | None = None, draws: Callable[[int], None] = lambda frame: None
     ) -> None:
+        super().__init__(ListSource.manifest)
         self.births: list[int] = []
         self.drawn: list[tuple[int, int]] = []
         self._failure, self._draws = failure, draws
-
-    def glide(self, share: float) -> bool:
-        return False
 
     def put(self, slice: Slice) -> None:
         if self._failure is not None:
             raise self._failure
         self.births.append(slice.birth)
 
-    def forget_waiting(self) -> None:
-        pass
-
     def upload(self, frame: int) -> None:
         pass
-
-    def render(self, frame: int, camera: Camera) -> npt.NDArray[np.float32]:
-        return self.render_again(frame, camera)
 
     def render_again(self, frame: int, camera: Camera) -> npt.NDArray[np.float32]:
         self._draws(frame)
         self.drawn.append((frame, max(self.births)))
         return np.zeros((2, 2, 3), np.float32)
-
-    def close(self) -> None:
-        pass
 
 
 def run(source: ListSource, renderer: NotingRenderer, events: Events) -> list[FrameRecord]:

@@ -104,59 +104,6 @@ def test_without_a_device_the_pictures_go_on(
     assert "playing without sound: failed to start audio device" in caplog.text
 
 
-class NotedTime(DeviceTime):
-    """Records when the first sample of the newest block is heard."""
-
-    begin_s = 0.0
-
-    def pulled(self, duration_s: float, latency_s: float) -> float:
-        self.begin_s = super().pulled(duration_s, latency_s)
-        return self.begin_s
-
-
-@pytest.mark.realtime
-def test_clicks_and_flashes_in_real_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stream = write_stream(tmp_path / "s", FRAMES, slice_size=8)
-    add_clicks(stream, FLASHES)
-    time, heard, flashes_s, unfair_s = NotedTime(), list[float](), list[float](), [0.0]
-    clock, counts = Clock(True, time.time_s), SoundCounts()
-
-    def note(block: Block) -> None:
-        for n in np.flatnonzero(np.abs(block[:, 0]) > 6000):
-            shown = clock.at(time.begin_s + n / SAMPLE_RATE)
-            assert shown is not None
-            if not heard or shown[0] > heard[-1] + 0.1:
-                heard.append(shown[0])
-
-    note_blocks(monkeypatch, note)
-    found = played(stream, clock, plays=math.inf)
-    with playing(found):
-        camera, files = found.conductor.source.manifest.camera(), FolderSound(stream)
-
-        def look() -> bool:
-            # Times of the time line, because a busy machine draws late.
-            flashes_s[:] = [one.shown_s for one in found.records if one.frame in FLASHES]
-            seeks = len(unfair_s) - 1
-            if len(flashes_s) > 8 + 3 * seeks and seeks < 4:
-                found.conductor.seek((17 * seeks + 31) % FRAMES)
-                unfair_s.append(clock.now_s())
-            return len(flashes_s) >= 24
-
-        with sounding(found.conductor, time, camera, lambda: files, counts, 1.0, NULL):
-            found.poll_until(look)
-    apart_s = [
-        float(np.abs(np.array(heard) - at_s).min())
-        for at_s in flashes_s
-        if not any(-0.1 < at_s - moment_s < 0.4 for moment_s in unfair_s)
-    ]
-    assert len(apart_s) > 8
-    # A long delay of the device's thread loses samples, audibly.
-    assert float(np.median(apart_s)) < 0.005
-    assert sorted(apart_s)[-4] < 0.02
-    assert counts.failed_segments == 0
-    assert counts.segments >= FRAMES // 5
-
-
 PLAYED_S = 21
 TIMES = 1.3
 """Ratio of the link's rate to the rate of layer 0 and the sound."""

@@ -8,18 +8,13 @@ from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
 
-import numpy as np
 import pytest
 
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from player.link.linkprocess import LinkProcess
-from player.playout.clock import Clock
-from player.playout.conductor import Conductor
 from player.source.opener import Opener
 from server.abr.link.link import Link, LinkStep
-from tests.player.playout.conducted import Played, World, playing
-from tests.player.playout.test_conductor import picture
 from tests.player.source.test_hosted_play import need_bps
 from tests.support.delivery.assembled import assembled, checked
 from tests.support.delivery.rangehost import range_host
@@ -98,41 +93,6 @@ def test_layers_follow_the_link_without_a_stall(
     assert got.totals.stalls == 0
     for begin_s, end_s, least, most in laws:
         assert least <= got.layers(begin_s, end_s) <= most
-
-
-def test_a_seek_goes_on_with_the_rate_of_the_link(root: Path) -> None:
-    with over_link(root, with_ranges, (60.0, 2.0)) as opener:
-        before = opener.open(FrameRange(), None, adaptive=True)
-        watched(before, until_frame=10)
-        source = opener.open(FrameRange(75), None, adaptive=True)
-        assert source.play.rate_bps == before.play.rate_bps
-        got = watched(source, until_frame=100)
-    assert got.frames[0].frame == 75
-    assert got.startup_s < 0.3
-    assert got.layers(0.7) > LAYERS - 0.1
-
-
-@pytest.mark.parametrize("host", [swings_server, with_ranges])
-def test_a_picture_that_stands_gets_the_layers_that_it_lacks(root: Path, host: Host) -> None:
-    expected = picture(root / "s", 57)
-    with over_link(root, host, (60.0, 1.0)) as opener:
-        played = Played(root / "s", Clock(real=True), World())
-        conductor = played.conductor = Conductor(
-            lambda frame: opener.open(FrameRange(frame), None, adaptive=True),
-            played.make_events,
-            played.clock,
-            57,
-            1,
-            opener.interrupt,
-            lambda frame: opener.open(FrameRange(frame), LAYERS),
-        )
-        with playing(played) as renderer:
-            conductor.toggle_pause()
-            played.shows(57)
-            camera = conductor.source.manifest.camera()
-            assert played.records[0].layers < LAYERS
-            played.poll_until(lambda: np.array_equal(renderer.render_again(57, camera), expected))
-            assert {one.frame for one in played.records} == {57}
 
 
 def test_a_network_that_dies_again_and_again_is_played_over(root: Path) -> None:
