@@ -37,7 +37,7 @@ from trainer.run.runlog import LOG_NAME
 
 pytest.importorskip("ray", reason="ray is not installed")
 # Ray starts a dozen processes for each cluster, and gives up if they need more than 30 s.
-on_a_cluster = pytest.mark.deep
+on_a_cluster = pytest.mark.realtime
 
 CONFIG = TrainConfig("capture", "stream")
 KILLS = 5
