@@ -12,7 +12,7 @@ import pytest
 from codec.stream.captions import Captions
 from codec.tools.static import export_static
 from codec.tools.streamcaptions import add_captions
-from tests.codec.tools.test_streamcaptions import VTT
+from tests.codec.tools.test_streamsound import VTT
 from tests.support.hosted_streams import write_stream
 from tests.support.web.chromium import Page
 from tests.support.web.site import player_host, watch

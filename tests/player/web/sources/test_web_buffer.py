@@ -126,10 +126,11 @@ def test_while_there_is_no_network_it_plays_what_it_has(
 def test_a_loop_never_waits(page: Page, site: Site, server: ServerProcess, kind: str) -> None:
     watch(page, address(site, server, kind, "clip", "loop=1"))
     page.run(LOOP, 1)
+    stalls = page.value("state.stalls")
     page.run("window.waits = 0; element.addEventListener('waiting', () => waits++)")
     page.run("player.setRate(3)")
     page.run(LOOP, 17)
-    assert page.value("[waits, state.stalls]") == [0, 0]
+    assert page.value("[waits, state.stalls]") == [0, stalls]
 
 
 @pytest.mark.parametrize("kind", HOSTS)
