@@ -14,6 +14,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
 from tests.support.waiting import BOUND_S, wait_until
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
@@ -25,6 +27,13 @@ MAKE_CERTIFICATE += ["-subj", "/CN=swings.test"]
 def find_program(name: str) -> str | None:
     """Path of the program; Debian installs nginx in a folder that only root's PATH has."""
     return shutil.which(name) or shutil.which(name, path="/usr/sbin:/sbin")
+
+
+def need(proxy: str) -> None:
+    """Skips the test unless the proxy, and what makes its certificate, are installed."""
+    for program in (proxy, *(["openssl"] if proxy == "nginx" else [])):
+        if find_program(program) is None:
+            pytest.skip(f"{program} is not installed")
 
 
 def free_port() -> int:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.deploy.proxied import Proxy, caddy, find_program, nginx
+from tests.deploy.proxied import Proxy, caddy, need, nginx
 from tests.server.hostile.requestcases import smuggling
 from tests.server.hostile.serverprocess import server_process
 from tests.support.hosted_streams import write_stream
@@ -55,10 +55,7 @@ def send(proxy: Proxy, sent: bytes) -> None:
 @pytest.mark.parametrize("name", sorted(PROXIES))
 def test_a_proxy_and_the_server_read_the_same_requests(name: str, tmp_path: Path) -> None:
     """The proxy has read every request that the server reads."""
-    needed = (name, "openssl") if name == "nginx" else (name,)
-    for program in needed:
-        if find_program(program) is None:
-            pytest.skip(f"{program} is not installed")
+    need(name)
     start, targets_of = PROXIES[name]
     folder, root = tmp_path / name, tmp_path / "root"
     folder.mkdir()

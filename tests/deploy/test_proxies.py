@@ -27,7 +27,7 @@ from codec.stream.playrecord import (
 from server.operate.sign.keyfile import add_key, read_keys
 from server.operate.sign.nginxlink import sign_for_nginx
 from server.operate.sign.signing import Signer
-from tests.deploy.proxied import Proxy, caddy, find_program, free_port, nginx
+from tests.deploy.proxied import Proxy, caddy, free_port, need, nginx
 from tests.support.commands import run_ok, serving
 from tests.support.hosted_streams import (
     SEGMENT_FRAMES,
@@ -45,10 +45,7 @@ OBJECT = "/v1/streams/walk/segments/1/2"
 @pytest.fixture(scope="module", params=sorted(PROXIES))
 def name(request: pytest.FixtureRequest) -> str:
     name: str = request.param
-    if find_program(name) is None:
-        pytest.skip(f"{name} is not installed")
-    if name == "nginx" and find_program("openssl") is None:
-        pytest.skip("openssl, which makes a certificate for nginx, is not installed")
+    need(name)
     return name
 
 
@@ -115,8 +112,7 @@ def test_nginx_keeps_objects_and_nothing_else(proxy: Proxy, name: str) -> None:
 
 
 def test_caddy_sends_objects_of_open_streams_from_disk(root: Path, tmp_path: Path) -> None:
-    if find_program("caddy") is None:
-        pytest.skip("needs caddy")
+    need("caddy")
     data = (root / "walk" / "segments" / "1" / "2").read_bytes()
     (root / "walk" / "segments" / "1" / "secret").write_bytes(b"not an object")
     # No server is behind it: everything that it does not send itself is a 502.
@@ -216,8 +212,7 @@ def test_behind_a_signed_url_a_play_comes_so_too_and_nothing_is_kept(
 def test_objects_of_open_streams_stay_in_the_cache_until_it_is_emptied(
     root: Path, tmp_path: Path
 ) -> None:
-    if find_program("nginx") is None or find_program("openssl") is None:
-        pytest.skip("needs nginx and openssl")
+    need("nginx")
     port = free_port()
     keys = tmp_path / "keys"
     add_key(keys)
@@ -232,8 +227,7 @@ def test_objects_of_open_streams_stay_in_the_cache_until_it_is_emptied(
 
 
 def test_nginx_sends_signed_objects_from_disk(root: Path, tmp_path: Path) -> None:
-    if find_program("nginx") is None or find_program("openssl") is None:
-        pytest.skip("needs nginx and openssl")
+    need("nginx")
     streams = tmp_path / "streams"
     shutil.copytree(root / "walk", streams / "walk")
     shutil.copytree(root / "walk", streams / "other")
