@@ -124,9 +124,9 @@ ELSEWHERE = {
     "swings-stream audio extract my-stream heard.wav": "codec/tools/test_streamsound.py",
     "swings-stream audio remove my-stream": "codec/tools/test_streamsound.py",
     "swings-stream captions add my-stream english.vtt --language en --label English": (
-        "codec/tools/test_streamcaptions.py"
+        "codec/tools/test_streamsound.py"
     ),
-    "swings-stream captions remove my-stream --language en": "codec/tools/test_streamcaptions.py",
+    "swings-stream captions remove my-stream --language en": "codec/tools/test_streamsound.py",
     "swings-stream edit temporal my-stream my-halved": "codec/edit/test_cutting.py",
     "swings-serve s3://BUCKET/STREAMS": "server/library/test_storelibrary.py",
     "swings-stream verify s3://BUCKET/STREAMS/NAME": "codec/storage/test_objectstore.py",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import Any
 
 import msgpack
@@ -65,24 +66,45 @@ def figures(packets: list[tuple[int, int, int, int, float]], **more: float) -> P
     return figures_of(seen(packets, ended_s=more.pop("ended_s", 13.05)), SHAPE, 1000)
 
 
-def test_a_good_play_is_never_late_and_has_no_gap_beyond_its_rest() -> None:
-    found = figures(paced(60))
-    assert (found.failed, found.missing, found.double) == (0, 0, 0)
-    assert found.late_ms.max == 0
-    assert found.beyond_ms.max == pytest.approx(0, abs=1e-6)
-    assert found.rest_ms.p50 == pytest.approx(300)
-    assert found.layers == 2
-    assert found.head_ms.p50 == pytest.approx(10)
-    assert found.record_ms.max == pytest.approx(20)
-    assert found.picture_ms.p50 == pytest.approx(50)
-    assert found.bytes_per_s == pytest.approx(60 * 1000 / 3.05)
+PLAYS: dict[str, tuple[list[tuple[int, int, int, int, float]], float, dict[str, float]]] = {
+    "a good one is never late and has no gap beyond its rest": (
+        paced(60), 13.05,
+        {"failed": 0, "missing": 0, "double": 0, "late_ms.max": 0, "beyond_ms.max": 0,
+         "rest_ms.p50": 300, "layers": 2, "head_ms.p50": 10, "record_ms.max": 20,
+         "picture_ms.p50": 50, "bytes_per_s": 60 * 1000 / 3.05},
+    ),
+    "a late burst is a gap, and no slice is late while the lead lasts": (
+        [(*p[:4], p[4] + 0.1 * (12 <= p[1] < 15)) for p in paced(60)], 13.05,
+        {"beyond_ms.max": 100, "late_ms.max": 0},
+    ),
+    "one that stops is late until the end": (
+        paced(12), 13.05,
+        {"late_ms.max": 1000 * (13.05 - 11.25), "beyond_ms.max": 1000 * (13.05 - 10.65) - 300},
+    ),
+    "a server that is always late cannot call it pacing": (
+        [(*p[:4], 10.05 + 0.9 * max(0, (p[1] - 3) // 3)) for p in paced(60)], 30.0,
+        {"rest_ms.p50": 500, "beyond_ms.p50": 400},  # max_rest_s and a frame
+    ),
+    "what lacks and what comes twice is counted": (
+        # Layer 0 of 7 again; 9 without layer 0.
+        [*(p for p in paced(60) if p[1] != 9), (0, 7, 0, 1, 12.0), (0, 9, 1, 1, 12.0)], 13.05,
+        {"missing": 1, "double": 1},
+    ),
+    "a layer alone": ([(*p[:3], 1, p[4]) for p in paced(60)], 13.05, {"layers": 1}),
+    "layers that come apart are added up": (
+        [(*p[:2], layer, 1, p[4] + 0.01 * layer) for layer in (0, 1) for p in paced(60)], 13.05,
+        {"layers": 2, "double": 0},
+    ),
+}  # fmt: skip
+"""The packets of a play, its end in seconds, and its figures."""
 
 
-def test_a_burst_that_comes_late_is_a_gap_and_no_slice_is_late_while_the_lead_lasts() -> None:
-    packets = [(*p[:4], p[4] + 0.1 * (12 <= p[1] < 15)) for p in paced(60)]
-    found = figures(packets)
-    assert found.beyond_ms.max == pytest.approx(100)
-    assert found.late_ms.max == 0
+@pytest.mark.parametrize("what", PLAYS)
+def test_a_play_has_its_figures(what: str) -> None:
+    packets, ended_s, expected = PLAYS[what]
+    found = figures(packets, ended_s=ended_s)
+    values = {name: attrgetter(name)(found) for name in expected}
+    assert values == pytest.approx(expected, abs=1e-6)
 
 
 @given(st.floats(0.7, 2.0))
@@ -94,34 +116,6 @@ def test_a_slice_is_late_by_what_exceeds_its_lead(delay_s: float) -> None:
     assert figures(packets, ended_s=15.0).late_ms.max == pytest.approx(
         max(0, 1000 * (came_s - due_s)), abs=1e-6
     )
-
-
-def test_a_play_that_stops_is_late_until_the_end() -> None:
-    found = figures(paced(12), ended_s=13.05)
-    assert found.late_ms.max == pytest.approx(1000 * (13.05 - (10.05 + 1.2)))
-    assert found.beyond_ms.max == pytest.approx(1000 * (13.05 - (10.05 + 0.6)) - 300)
-
-
-def test_a_server_that_is_always_late_cannot_call_it_pacing() -> None:
-    slow = [(*p[:4], 10.05 + 0.9 * max(0, (p[1] - 3) // 3)) for p in paced(60)]
-    found = figures(slow, ended_s=30.0)
-    assert found.rest_ms.p50 == pytest.approx(500)  # max_rest_s and a frame
-    assert found.beyond_ms.p50 == pytest.approx(400)
-
-
-def test_what_lacks_and_what_comes_twice_is_counted() -> None:
-    packets = [p for p in paced(60) if p[1] != 9]
-    packets += [(0, 7, 0, 1, 12.0), (0, 9, 1, 1, 12.0)]  # layer 0 of 7 again; 9 without layer 0
-    found = figures(packets)
-    assert (found.missing, found.double) == (1, 1)
-
-
-def test_layers_that_come_apart_are_added_up() -> None:
-    packets = [(c, b, 0, 1, s) for c, b, _, _, s in paced(60)]
-    assert figures(packets).layers == 1
-    packets += [(c, b, 1, 1, s + 0.01) for c, b, _, _, s in paced(60)]
-    found = figures(packets)
-    assert (found.layers, found.double) == (2, 0)
 
 
 @pytest.mark.parametrize("how", ["refused", "cut", "silent"])
