@@ -40,12 +40,17 @@ _SCRIPTS = """\
 _HEAD_END = "  </head>\n"
 
 
-def bundle() -> dict[str, str]:
-    """The files of player/web/bundle by name. Raises CalledProcessError if a source is wrong."""
-    files = {name: _bundled(source, "esm") for name, source in MODULES.items()}
-    files[PAGE_SCRIPT] = _bundled(PAGE_SOURCE, "iife")
-    files[PAGE] = _page((WEB / PAGE).read_text(encoding="utf-8"), files[PAGE_SCRIPT])
-    return files
+NAMES = (*MODULES, PAGE_SCRIPT, PAGE)
+"""The files of the bundle."""
+
+
+def built(name: str) -> str:
+    """One of the files. Raises CalledProcessError if a source is wrong."""
+    if name == PAGE:
+        return _page((WEB / PAGE).read_text(encoding="utf-8"), built(PAGE_SCRIPT))
+    if name == PAGE_SCRIPT:
+        return _bundled(PAGE_SOURCE, "iife")
+    return _bundled(MODULES[name], "esm")
 
 
 def _bundled(source: str, form: str) -> str:
@@ -68,7 +73,7 @@ def _page(source: str, script: str) -> str:
 def main() -> None:
     folder = WEB / "bundle"
     folder.mkdir(exist_ok=True)
-    files = bundle()
+    files = {name: built(name) for name in NAMES}
     for path in folder.iterdir():
         if path.name not in files:
             path.unlink()
