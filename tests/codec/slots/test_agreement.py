@@ -80,7 +80,7 @@ def test_who_lacks_something_holds_the_same(stream: tuple[Shape, Chunks], seed: 
     """Packets that arrive late or never; masks that never arrive; snapshots of some layers, some of
     them late."""
     (shape, chunks), rng = stream, np.random.default_rng(seed)
-    missing_mask, missing_change = rng.choice([0, 0.05, 0.3]), rng.choice([0, 0.1, 0.4])
+    missing_mask, missing_change = rng.choice([0, 0, 0.2]), rng.choice([0.1, 0.4, 0.6])
     both = BothReaders(shape)
     waiting: list[tuple[int, int]] = []
     absent = {layer for layer in range(1, len(shape.slots)) if rng.random() < 0.3}

@@ -22,8 +22,9 @@ from codec.slots.slotstate import EMPTY, ESCAPED, ON_LATTICE, UNKNOWN, Slots
 from codec.slots.snapshot import encode_snapshot
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
+from tests.support.drawn import same_splats
 from tests.support.hostile import flips, refused, survives
-from tests.support.slots.plain import Chunks, encoded_chunks
+from tests.support.slots.plain import Chunks, encoded_chunks, onto
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
 from tests.support.slots.updates import Model, patternless_updates, small_layout
 
@@ -172,6 +173,20 @@ def test_a_late_change_that_does_not_fit_alters_nothing() -> None:
         other.apply(birth, *chunks.slice(birth))
     assert state_bytes(other) == state_bytes(decoder)
     assert np.count_nonzero(decoder.lanes[0][0].conditions) == 40
+
+
+def test_what_came_late_is_handed_out_with_the_next_slice() -> None:
+    layout = small_layout(1, (40,), segment_frames=50)
+    chunks = made(layout, 6)
+    decoder = loaded(layout, chunks)
+    (shown,) = decoder.hand_out(0)
+    for birth in (1, 2, 3):
+        shown = onto(decoder.apply(birth, chunks.masks[birth], [None]), shown)
+    for birth in (1, 3):
+        assert decoder.late(birth, 0, chunks.changes[birth][0])
+    shown = onto(decoder.apply(4, *chunks.slice(4)), shown)
+    assert same_splats(shown.splats, decoder.whole(4).splats)
+    assert (shown.start_offsets == decoder.whole(4).start_offsets).all()
 
 
 def conditions(decoder: SlotDecoder, lane: int) -> list[int]:
