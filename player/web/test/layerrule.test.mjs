@@ -68,6 +68,12 @@ test("nine seconds of layer 0 come first, then other layers, and fifteen seconds
   assert.deepEqual(ofPart(asked, "0"), range(15, "0"));
 });
 
+test("the next round of a loop is asked for before it begins", () => {
+  const [asked] = chosen([at(-60)]);
+  assert.deepEqual(asked.slice(0, 3), ["0/snapshot-0", "0/masks", "0/0"]);
+  assert.deepEqual(ofPart(asked, "0"), range(13, "0"), "two seconds less, which pass until then");
+});
+
 test("a link that carries layer 0 alone brings no other", () => {
   const [asked] = chosen([at(0, { rateBps: 8.5 * (LAYER_BYTES[0] + MASKS_BYTES) })]);
   assert.deepEqual(asked.sort(), ["0/snapshot-0", ...range(15, "0"), ...range(15, "masks")].sort());
@@ -136,7 +142,7 @@ const STREAM = readManifest(FILES["manifest.json"]);
 const INDEX = readIndex(FILES["index.bin"], STREAM);
 
 for (const rateBps of [1e6, 1e9]) {
-  test(`a play asks a host with ${rateBps} bits a second for every object once`, () => {
+  test(`a play asks a host with ${rateBps} bits a second for every object once`, async () => {
     const asked = [];
     const stream = {
       manifest: STREAM,
@@ -155,7 +161,11 @@ for (const rateBps of [1e6, 1e9]) {
       nowS = frame / STREAM.fps;
       play.reportPosition(frame, false, 1);
       play.step();
+      assert.ok(frame > 0 || !play.isDone);
     }
+    await settled();
+    play.step();
+    assert.equal(play.isDone, true);
     const layers = STREAM.parts.filter((part) => !part.startsWith("snapshot-"));
     const wanted = INDEX.flatMap(({ segment }) => layers.map((part) => `${segment}/${part}`));
     const first = STREAM.parts.filter((part) => part.startsWith("snapshot-"));
