@@ -72,8 +72,9 @@ def test_the_server_ends_with_a_run_that_is_killed(capture: Path, tmp_path: Path
 def test_a_port_in_use_is_an_error(show: Path, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(SwingsError, match=f"--serve: the server does not start.*{port}"):
-            LiveView(show, port, tmp_path, print).window_begun(0, 0)
+        told = f"--serve: the server does not start.*{port}"
+        with LiveView(show, port, tmp_path, print) as view, pytest.raises(SwingsError, match=told):
+            view.window_begun(0, 0)
 
 
 def test_a_name_that_no_url_can_have_is_refused(capture: Path, tmp_path: Path) -> None:
