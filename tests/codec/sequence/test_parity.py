@@ -1,26 +1,39 @@
-"""Streams exported and imported again, and the commands of docs/SEQUENCES.md as written."""
+"""Files imported within the stated errors, streams exported and imported again, and the page."""
 
 from __future__ import annotations
 
 import re
+import tempfile
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import maximum_bipartite_matching
+from scipy.spatial import cKDTree
 
 from codec.camera import Camera
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat, read_splats, write_splats
+from codec.pose import Doubles
 from codec.sequence.errorbound import ErrorBound
 from codec.sequence.importing import ImportOptions, facing_camera, import_stream
+from codec.splats import SH_C0, Splats, sh_count
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.layers import Rank
+from codec.tools.audit import verify_stream
 from player.render.cpu import render_splats
+from tests.support.alike import axis_turns
 from tests.support.commands import ENTRY, ROOT, run_ok
+from tests.support.drawn import same_splats
 from tests.support.slots.rotating import figure, turned
 from tests.support.slots.slot_streams import gaussians, slot_manifest
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
+from tests.support.trained_like import trained_like_splats
 
 NUM_FRAMES, NUM_GS = 16, 2000
 
@@ -111,3 +124,238 @@ def test_the_page_has_the_defaults() -> None:
     assert told.keys() == {field.name for field in fields(bound)}
     for name, value in told.items():
         assert float(value) == pytest.approx(getattr(bound, name), rel=0.01)
+
+
+LATTICE = ImportOptions(fps=30)
+
+SLACK = 1e-5
+"""Tolerance for the rounding of f32, as a share."""
+
+
+def matrices(quats: Doubles) -> Doubles:
+    """(N, 3, 3) rotations of quaternions wxyz."""
+    w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
+    rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
+    rows += [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
+    rows += [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+    return np.stack(rows, axis=1).reshape(-1, 3, 3)
+
+
+def vectors(turns: Doubles) -> Doubles:
+    """(..., 3) x, y, z of the rotations' quaternions, with w >= 0 where w is not tiny."""
+    w = np.sqrt(np.maximum(1 + np.trace(turns, axis1=-2, axis2=-1), 0)) / 2
+    pairs = ((2, 1), (0, 2), (1, 0))
+    skew = np.stack([turns[..., a, b] - turns[..., b, a] for a, b in pairs], axis=-1)
+    return np.asarray(skew / (4 * np.maximum(w, 1e-3))[..., None])
+
+
+def lowest_of(reader: StreamReader, frame: int) -> Doubles:
+    """(M,) minimum log-scale on the lattice of the layer of each Gaussian in a frame."""
+    lowest = np.zeros(0)
+    before = reader.active_splats(frame, 1).take(slice(0))
+    for layer, lattice in enumerate(reader.manifest.lattice):
+        splats = reader.active_splats(frame, layer + 1)
+        assert same_splats(splats.take(slice(len(before))), before)  # lower layers first
+        least = lattice.log_scale_base - 128 * lattice.log_scale
+        lowest = np.append(lowest, np.full(len(splats) - len(before), least))
+        before = splats
+    return lowest
+
+
+def usual_size_m(splats: Splats) -> float:
+    scales = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, 1:].mean(axis=1)
+    opacities = 1 / (1 + np.exp(-splats.logit_opacities.astype(np.float64)))
+    weights = opacities + 1e-6
+    return float(np.exp((weights * scales).sum() / weights.sum()))
+
+
+def within(
+    source: Splats, found: Splats, error: ErrorBound, size_m: float, lowest: Doubles
+) -> npt.NDArray[np.bool_]:
+    """(N, M) whether Gaussian j of `found` is within the errors of i of `source`. lowest: see
+    `lowest_of`."""
+
+    def apart(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> Doubles:
+        return np.asarray(abs(a[:, None].astype(np.float64) - b[None]))
+
+    slack = SLACK * (1 + abs(source.means[:, None].astype(np.float64)))
+    fits = (apart(source.means, found.means) <= error.of("position") * size_m + slack).all(2)
+    opacities = apart(source.opacities, found.opacities)
+    fits &= opacities <= error.of("opacity") + SLACK
+
+    def luma(splats: Splats, darkest: float = -np.inf) -> Doubles:
+        rgb = np.maximum(splats.sh.astype(np.float64), darkest)
+        red, green, blue = np.moveaxis(rgb, 2, 0)
+        y, co = (red + 2 * green + blue) / 4, (red - blue) / 2
+        return np.stack([y, co, (2 * green - red - blue) / 4], axis=2).reshape(len(rgb), -1)
+
+    # Without harmonics, colours below black are drawn black.
+    darkest = -0.5 / SH_C0 if source.sh_degree == 0 else -np.inf
+    colours = abs(luma(source, darkest)[:, None] - luma(found)[None])
+    fits &= (colours <= error.of("colour") + SLACK).all(axis=2)
+    form = np.zeros_like(fits)
+    have = vectors(matrices(found.quats.astype(np.float64)))
+    wanted_turns = matrices(source.quats.astype(np.float64))
+    scales = source.log_scales.astype(np.float64)
+    for turn in axis_turns():
+        wanted = np.maximum((scales @ abs(turn))[:, None], lowest[:, None])
+        sizes = abs(wanted - found.log_scales[None].astype(np.float64))
+        turns = abs(vectors(wanted_turns @ turn)[:, None] - have[None])
+        form |= (sizes <= error.of("size") + SLACK).all(2) & (
+            turns <= error.of("turn") + 10 * SLACK
+        ).all(2)
+    return fits & form
+
+
+def exact(source: Splats, found: Splats) -> npt.NDArray[np.bool_]:
+    """(N, M) whether the Gaussians have the same bits."""
+    fits = np.ones((len(source), len(found)), np.bool_)
+    for a, b in zip(source.arrays, found.arrays, strict=True):
+        a, b = a.reshape(len(a), -1), b.reshape(len(b), -1)
+        fits &= (a[:, None] == b[None]).all(axis=2)
+    return fits
+
+
+def drawn(rng: np.random.Generator, count: int, degree: int, wide: float) -> Splats:
+    quats = rng.normal(size=(count, 4)) * 10 ** rng.uniform(-2, 2, (count, 1))
+    return Splats(
+        (wide * rng.uniform(-1, 1, (count, 3))).astype(np.float32),
+        rng.uniform(-7, 1, (count, 3)).astype(np.float32),
+        quats.astype(np.float32),
+        rng.uniform(-9, 9, count).astype(np.float32),
+        rng.uniform(-3, 3, (count, sh_count(degree), 3)).astype(np.float32),
+    )
+
+
+def later(rng: np.random.Generator, splats: Splats, moves: float) -> Splats:
+    """`splats` a frame later: some moved, some gone, some born, perhaps in another order."""
+    alters = rng.random(len(splats)) < rng.choice([0, 0.5, 1])
+    arrays = []
+    for array in splats.arrays:
+        noise = moves * rng.normal(size=array.shape) * abs(array)
+        shaped = alters.reshape(-1, *[1] * (array.ndim - 1))
+        arrays.append(np.where(shaped, array + noise, array).astype(np.float32))
+    stays = rng.random(len(splats)) < rng.choice([0.7, 1, 1])
+    born = drawn(rng, int(rng.choice([0, 0, 3])), splats.sh_degree, 3)
+    parts = [Splats(*arrays).take(np.flatnonzero(stays)), born]
+    together = Splats.concatenate(parts)
+    orders = np.arange(len(together)), rng.permutation(len(together))
+    return together.take(orders[int(rng.random() < 0.4)])
+
+
+ERRORS = [ErrorBound(**a) for a in ({}, {"finer": 3}, {"position": 0.5, "turn": 0.1})]
+ERRORS.append(ErrorBound(size=0.009))
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 1 << 32),
+    count=st.integers(0, 16),
+    degree=st.integers(0, 1),
+    moves=st.sampled_from([0.001, 0.02, 0.3]),
+    wide=st.sampled_from([1.0, 1e5]),
+    error=st.sampled_from(ERRORS),
+    layers=st.integers(1, 4),
+    num_files=st.sampled_from([1, 6, 6]),
+)
+def test_every_frame_is_within_the_stated_errors(
+    seed: int,
+    count: int,
+    degree: int,
+    moves: float,
+    wide: float,
+    error: ErrorBound,
+    layers: int,
+    num_files: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    frames = [drawn(rng, count, degree, wide)]
+    while len(frames) < num_files:
+        frames.append(later(rng, frames[-1], moves))
+    with tempfile.TemporaryDirectory() as name:
+        root = Path(name)
+        (root / "seq").mkdir()
+        for number, splats in enumerate(frames):
+            write_splats(root / "seq" / f"{number}.ply", splats, SplatFormat.PLY)
+        options = ImportOptions(fps=30, error=error, layers=layers)
+        made = import_stream(root / "seq", root / "s", options)
+        assert verify_stream(root / "s").num_frames == len(frames)
+        reader = StreamReader(root / "s")
+        sizes_m = [usual_size_m(splats) for splats in frames if len(splats)]
+        size_m = min(sizes_m, default=1.0)
+        for number, splats in enumerate(frames):
+            found = reader.active_splats(number, reader.manifest.num_layers)
+            assert len(found) == len(splats)
+            if not len(splats):
+                continue
+            lowest = lowest_of(reader, number)
+            fits = within(splats, found, error, size_m, lowest) | exact(splats, found)
+            pairs = maximum_bipartite_matching(csr_matrix(fits), perm_type="column")
+            assert (pairs >= 0).all()
+        for kind, value in made.errors.items():
+            most = error.of(kind) * (size_m if kind == "position" else 1)
+            assert value <= most * (1 + SLACK)
+        # The less exact form is not much larger, for any files.
+        whole = sum(4 * (11 + 3 * sh_count(degree)) * len(splats) for splats in frames)
+        assert made.num_bytes <= 1.5 * whole + 3000
+
+
+@pytest.mark.parametrize(
+    ("degree", "finer", "log_factor"), [(3, 1, 0), (3, 2, 0), (0, 4, 0), (0, 1, -7), (0, 10, 0)]
+)
+def test_sizes_that_show_fit(degree: int, finer: float, log_factor: float, tmp_path: Path) -> None:
+    splats = trained_like_splats(1500, 0, degree)
+    splats = splats.take(np.flatnonzero(np.abs(splats.means).max(axis=1) < 4))
+    splats.means[:] *= np.exp(log_factor)
+    splats.log_scales[:] = np.maximum(splats.log_scales + log_factor, -15)
+    write_splats(tmp_path / "m.ply", splats, SplatFormat.PLY)
+    error = ErrorBound(finer=finer, opacity=max(0.02, 0.003 * finer))
+    options = ImportOptions(fps=30, error=error)
+    made = import_stream(tmp_path / "m.ply", tmp_path / "s", options)
+    found = StreamReader(tmp_path / "s").active_splats(0, made.manifest.num_layers)
+    wanted = splats.take(cKDTree(splats.means).query(found.means)[1])
+    sizes, given = np.sort(found.log_scales), np.sort(wanted.log_scales)
+    usual = np.median(given[:, 1:].mean(axis=1))
+    # Half the steps of the last layer, which alone keep the bound below degree 2.
+    most = 0.25 if degree == 3 else error.of("size") * (1 + SLACK)
+    assert np.abs(sizes - given)[given > usual - 2].max() < most
+
+
+def test_a_sequence_of_the_same_file_costs_nothing_after_the_first_frame(tmp_path: Path) -> None:
+    splats = drawn(np.random.default_rng(0), 500, 0, 1)
+    (tmp_path / "seq").mkdir()
+    made = {}
+    for num_files in (2, 100):
+        for number in range(num_files):
+            write_splats(tmp_path / "seq" / f"{number}.ply", splats, SplatFormat.PLY)
+        out = tmp_path / str(num_files)
+        made[num_files] = import_stream(tmp_path / "seq", out, LATTICE)
+    assert made[100].num_bytes == made[2].num_bytes
+    assert made[100].manifest.segment_frames == 300
+    reader = StreamReader(tmp_path / "100")
+    assert same_splats(reader.active_splats(99, 4), reader.active_splats(0, 4))
+
+
+def test_noise_below_the_error_is_not_sent_and_does_not_add_up(tmp_path: Path) -> None:
+    """With a slow drift far below the error in each file, no frame exceeds the stated error."""
+    rng = np.random.default_rng(1)
+    first = drawn(rng, 200, 0, 1)
+    (tmp_path / "seq").mkdir()
+    step_m = 0.005 * usual_size_m(first)
+    frames = []
+    for number in range(40):
+        means = first.means + np.float32(step_m * number)
+        means += rng.normal(0, 0.1 * step_m, means.shape).astype(np.float32)
+        arrays = (means, *first.arrays[1:])
+        frames.append(Splats(*arrays))
+        write_splats(tmp_path / "seq" / f"{number}.ply", frames[-1], SplatFormat.PLY)
+    made = import_stream(tmp_path / "seq", tmp_path / "s", ImportOptions(fps=30))
+    kept, ended, predicted, new = made.statuses
+    assert (ended, new) == (0, 0)
+    assert kept > predicted > 0
+    assert made.errors["position"] <= ErrorBound().position * usual_size_m(first) * (1 + SLACK)
+    reader = StreamReader(tmp_path / "s")
+    for number in (0, 20, 39):
+        found = np.sort(reader.active_splats(number, 4).means, axis=0)
+        apart = abs(found - np.sort(frames[number].means, axis=0))
+        assert apart.max() <= ErrorBound().position * usual_size_m(first) * (1 + SLACK)

@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import gzip
-import json
 import random
-import shutil
 import struct
-import subprocess
-import tracemalloc
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,16 +34,6 @@ coders = pytest.mark.parametrize("coder", list(Coder))
 
 def packet_of_any_stream(packet: bytes) -> bytes:
     return packet_content(packet, MAX_SLOT_CHUNK_BYTES)
-
-
-@coders
-def test_all_chunks_come_back_in_order(coder: Coder) -> None:
-    chunks = new_chunks()
-    data = object_of(chunks, coder)
-    assert contents(data) == [chunk.data for chunk in chunks]
-    assert [birth for birth, _ in object_packets(data)] == list(BIRTHS)
-    assert [entry.birth for entry in read_object_table(data)] == list(BIRTHS)
-    assert read_object_table(data[: 20 + 12 * 5]) == read_object_table(data)
 
 
 @pytest.mark.parametrize("exact", [False, True])
@@ -179,10 +164,10 @@ def test_the_coder_keeps_content_wherever_blocks_end(coder: Coder, planes: list[
 def test_ending_blocks_between_planes_pays() -> None:
     chunk = new_chunk(0, 4000)
     plain = zstandard.ZstdCompressor(level=19, write_checksum=True).compress(chunk.data)
-    assert len(encode_packet(chunk)) < 0.97 * len(plain)
-
-
-NODE = shutil.which("node")
+    packets = {coder: encode_packet(chunk, coder) for coder in Coder}
+    assert len(packets[Coder.ZSTD]) < 0.97 * len(plain)
+    assert len(packets[Coder.GZIP]) < 0.95 * len(gzip.compress(chunk.data, 9))
+    assert len(packets[Coder.GZIP]) < 1.02 * len(packets[Coder.ZSTD])
 
 
 @pytest.mark.parametrize("exact", [False, True])
@@ -199,10 +184,16 @@ def test_a_packet_is_one_gzip_member_for_anyone(exact: bool) -> None:
         assert coder_of(packet) is Coder.GZIP
 
 
-@pytest.mark.parametrize("coder", list(Coder))
-def test_packets_of_another_coder_than_the_table_s_are_refused(coder: Coder) -> None:
+@coders
+def test_all_chunks_come_back_in_order_from_packets_of_the_coder_of_the_table(coder: Coder) -> None:
+    chunks = new_chunks()
+    data = object_of(chunks, coder)
+    assert contents(data) == [chunk.data for chunk in chunks]
+    assert [birth for birth, _ in object_packets(data)] == list(BIRTHS)
+    assert [entry.birth for entry in read_object_table(data)] == list(BIRTHS)
+    assert read_object_table(data[: 20 + 12 * 5]) == read_object_table(data)
     other = next(c for c in Coder if c is not coder)
-    packets = [(chunk.birth, encode_packet(chunk, other)) for chunk in new_chunks()]
+    packets = [(chunk.birth, encode_packet(chunk, other)) for chunk in chunks]
     refused(CorruptError, "not of the object's coder", contents, join_packets(packets, coder))
 
 
@@ -258,47 +249,5 @@ def test_gzip_that_is_refused_before_it_grows(packet: bytes, says: str) -> None:
 def test_a_large_packet_is_held_once() -> None:
     content = random.Random(1).randbytes(1 << 22)
     packet = compress(content, (), Coder.GZIP)
-    tracemalloc.start()
-    found = decompress(packet, len(content))
-    peak_bytes = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert found == content
-    assert peak_bytes < 1.5 * len(content)
-
-
-def test_ending_blocks_between_planes_makes_gzip_as_small_as_zstd() -> None:
-    chunk = new_chunk(0, 4000)
-    packet = encode_packet(chunk, Coder.GZIP)
-    assert len(packet) < 0.95 * len(gzip.compress(chunk.data, 9))
-    assert len(packet) < 1.02 * len(encode_packet(chunk))
-
-
-# Only features of browsers, none of our code: fetch, DataView, DecompressionStream.
-SCRIPT = """
-const data = require("fs").readFileSync(process.argv[1]);
-const view = new DataView(data.buffer, data.byteOffset, data.length);
-async function main() {
-  const chunks = [];
-  for (let n = 0; n < view.getUint32(16, true); n++) {
-    const offset = view.getUint32(24 + 12 * n, true), size = view.getUint32(28 + 12 * n, true);
-    const packet = new Blob([data.subarray(offset, offset + size)]);
-    const inflated = packet.stream().pipeThrough(new DecompressionStream("gzip"));
-    const chunk = Buffer.from(await new Response(inflated).arrayBuffer());
-    chunks.push(chunk.toString("hex"));
-  }
-  console.log(JSON.stringify(chunks));
-}
-main();
-"""
-
-
-@pytest.mark.skipif(NODE is None, reason="node is not installed")
-def test_a_browser_s_decompression_stream_gives_the_chunks(tmp_path: Path) -> None:
-    assert NODE is not None
-    chunks = new_chunks(200)
-    (tmp_path / "object").write_bytes(object_of(chunks, Coder.GZIP))
-    done = subprocess.run(
-        [NODE, "-e", SCRIPT, str(tmp_path / "object")], capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == [chunk.data.hex() for chunk in chunks]
+    with within_bytes(len(content) * 3 // 2):
+        assert decompress(packet, len(content)) == content

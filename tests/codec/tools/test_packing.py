@@ -192,7 +192,6 @@ def test_the_commands(stream: Path, tmp_path: Path) -> None:
     assert f"{again}: 10 frames in 19 files, " in told
 
 
-PICTURE = b"\x89PICTURE\r\n\x1a\n and more"
 PARTS = ("manifest.json", "index.bin", "segments")
 LAYOUTS = [
     small_layout(3, (9, 6), 0, 4),
@@ -304,7 +303,7 @@ def test_only_a_poster_in_the_folder_comes_along(poster: str, tmp_path: Path) ->
     write_tiny(tmp_path / "a", 6)
     (tmp_path / "secret").write_bytes(b"not of the stream")
     (tmp_path / "a" / "art").mkdir()
-    (tmp_path / "a" / "art" / "poster.png").write_bytes(PICTURE)
+    (tmp_path / "a" / "art" / "poster.png").write_bytes(PNG)
     (tmp_path / "a" / "loop").symlink_to("loop")
     set_manifest(tmp_path / "a", poster=poster, object_url="https://cdn/{layer}/{segment}")
     export_static(tmp_path / "a", tmp_path / "b")
@@ -315,7 +314,7 @@ def test_only_a_poster_in_the_folder_comes_along(poster: str, tmp_path: Path) ->
     names = [*PARTS, "art"] if poster.startswith("art") else PARTS
     assert sorted(path.name for path in (tmp_path / "b").iterdir()) == sorted(names)
     if poster.startswith("art"):
-        assert (tmp_path / "b" / poster).read_bytes() == PICTURE
+        assert (tmp_path / "b" / poster).read_bytes() == PNG
 
 
 def test_a_wrong_chunk_is_named_and_nothing_is_left(tmp_path: Path) -> None:

@@ -116,6 +116,8 @@ def test_people_and_programs_are_told_the_same(stream: Path) -> None:
     told = json.loads(run_ok("swings-stream", "info", stream, "--json"))
     assert told["slots"]["slots"] == [9, 6]
     text = run_ok("swings-stream", "info", stream)
+    assert "10 frames, 0.4 s at 25 fps" in text
+    assert told["layers"][0]["gaussians_share"] == 0.6
     assert "45 active, in leases of 3 frames" in text
     joins = sum(told["slots"]["join_snapshot_bytes"])
     assert f"{told['played_bytes']} bytes, " in text
@@ -167,13 +169,10 @@ def test_what_is_drawn(stream: Path, updates: list[Update], tmp_path: Path) -> N
         assert (drawn == rgb).all(axis=2).sum() > 20, colour
 
 
-FRAMES = 10
-
-
 @pytest.mark.parametrize("swin_size", [1, 3])
 def test_updates_come_back(swin_size: int, tmp_path: Path) -> None:
     layout = small_layout(swin_size, (20, 10), 0, 4)
-    written = write_slots(tmp_path, FRAMES, layout)
+    written = write_slots(tmp_path, NUM_FRAMES, layout)
     assert any((update.statuses == PREDICTED).any() for update in written)
     assert any(len(update.escapes) for update in written)
     assert any(update.start_offsets.any() for update in written) == (swin_size > 1)
