@@ -133,7 +133,7 @@ def test_a_run_that_is_stopped_goes_on_with_what_is_there(
     arguments = [capture, stream, *SETTINGS, "--ray", "--worker-cpus", 1]
     stop_at("genesis.state", signal.SIGTERM, stream, arguments)
     stop_at("part-0.records", signal.SIGINT, stream, [*arguments, "--resume"])
-    stop_at("seam-1.records", signal.SIGKILL, stream, [*arguments, "--resume"])
+    stop_at("part-1.records", signal.SIGKILL, stream, [*arguments, "--resume"])
     other = run("swings-train", *arguments, "--resume", "--num-gs", 300)
     assert (other.returncode, other.stderr.count("\n")) == (1, 1)
     assert "needs the options" in other.stderr
