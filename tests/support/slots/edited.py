@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from codec.camera import Camera
+from codec.edit.editing import Options, edit_stream
 from codec.interop.formats import SplatFormat, write_splats
 from codec.sequence.importing import ImportOptions, facing_camera, import_stream
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.draft import Quality
+from codec.tools.audit import verify_stream
 from player.render.cpu import render_splats
 from tests.support.slots.slot_streams import gaussians, slot_manifest
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
@@ -66,6 +68,13 @@ def assert_same_frames(source: Path, other: Path) -> None:
     """Asserts that two streams show the same Gaussians, bit by bit, in any order."""
     for before, after in zip(frames_of(source), frames_of(other), strict=True):
         assert gaussians(before) == gaussians(after)
+
+
+def edited_frames(source: Path, out: Path, options: Options) -> Iterator[tuple[Splats, Splats]]:
+    """Edits the stream at `source`; gives the Gaussians of each frame before and after."""
+    edit_stream(source, out, options)
+    verify_stream(out)
+    return zip(frames_of(source), frames_of(out), strict=True)
 
 
 def overview(stream: Path) -> Camera:
