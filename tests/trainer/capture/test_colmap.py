@@ -51,20 +51,15 @@ def test_capture_as_written(tmp_path: Path, binary: bool, by_frame: bool) -> Non
             assert np.array_equal(picture, picture_of(index, frame))
 
 
-def test_model_without_a_numbered_folder_or_points(tmp_path: Path) -> None:
+def test_a_model_without_a_numbered_folder_or_points_and_a_rate_in_a_file(tmp_path: Path) -> None:
     write_colmap(tmp_path)
     (tmp_path / "sparse/0").rename(tmp_path / "aside")
     (tmp_path / "sparse").rmdir()
     (tmp_path / "aside").rename(tmp_path / "sparse")
     (tmp_path / "sparse/points3D.bin").unlink()
-    assert open_capture(tmp_path).points is None
-
-
-def test_the_rate_of_a_file(tmp_path: Path) -> None:
-    write_colmap(tmp_path)
     (tmp_path / "fps.txt").write_text("59.94\n")
     capture = open_capture(tmp_path)
-    assert capture.fps == 59.94
+    assert (capture.points, capture.fps) == (None, 59.94)
     for text in ("fast", "0", "nan"):
         (tmp_path / "fps.txt").write_text(text)
         assert "fps.txt" in refusal(tmp_path)
