@@ -13,18 +13,21 @@ from hypothesis import strategies as st
 
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
-from codec.stream import StreamReader
+from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import MASKS, Part, snapshot_part
 from player.network.diskcache import DiskCache
+from player.playout.assembler import Assembler
 from player.playout.timeline import FrameRecord, Playout
 from player.source.hostedplay import Ask, HostedPlay
+from player.source.opener import opened
 from player.source.partialobject import PartialObject
 from player.source.source import Packets, SlicePackets
 from server.abr.clientstatus import ClientStatus
 from server.abr.playout import PlayoutConfig
 from server.abr.session import Finished
 from tests.support.delivery.assembled import check_packets
-from tests.support.slots.slot_streams import write_busy_stream
+from tests.support.drawn import same_splats
+from tests.support.slots.slot_streams import Shown, busy_updates, slot_manifest, write_busy_stream
 from tests.support.slots.updates import small_layout
 
 NUM_FRAMES, FPS, STEP_S = 120, 30.0, 0.005
@@ -72,8 +75,8 @@ class MadeLink:
         return [*found, *play.packets()]
 
 
-def need_bps(reader: StreamReader) -> float:
-    return 8 * FPS * sum(record.played_bytes for record in reader.records) / NUM_FRAMES
+def need_bps(reader: StreamReader, num_frames: int = NUM_FRAMES) -> float:
+    return 8 * FPS * sum(record.played_bytes for record in reader.records) / num_frames
 
 
 @pytest.mark.parametrize("knows_ranges", [True, False])
@@ -244,3 +247,71 @@ def test_a_whole_object_that_was_altered_is_found_out(reader: StreamReader) -> N
     pieces.add(0, bytes(data))
     with pytest.raises(CorruptError, match=r"^there: .*was altered"):
         pieces.whole()
+
+
+# --- a stream with a temporal layer
+
+TEMPORAL, TEMPORAL_FRAMES = 2, 80
+"""Number of the temporal layer, and of the frames."""
+
+QUALITY_DB = 30.0, 33.0, 33.5
+"""Quality in the index; the temporal layer adds half a decibel, as in the demo."""
+
+
+@pytest.fixture(scope="module")
+def temporal_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("temporal") / "s"
+    layout = small_layout(1, (60, 60), 0, 20, TEMPORAL)
+    manifest = slot_manifest(layout, fps=FPS)
+    with StreamWriter.create(path, manifest, quality=lambda *_: QUALITY_DB) as writer:
+        for update in busy_updates(layout, TEMPORAL_FRAMES):
+            writer.append(update)
+    return path
+
+
+@pytest.fixture
+def temporal(temporal_path: Path) -> StreamReader:
+    return StreamReader(temporal_path)
+
+
+@pytest.mark.parametrize(("layers", "first"), [(1, 0), (2, 0), (2, 27), (3, 0)])
+def test_a_play_without_it_shows_what_a_reader_does(
+    temporal_path: Path, temporal: StreamReader, layers: int, first: int
+) -> None:
+    """Without it Gaussians that go on are interpolated."""
+    playout = Playout(temporal.manifest, first, TEMPORAL_FRAMES, needed=layers)
+    with opened(str(temporal_path), FrameRange(first, TEMPORAL_FRAMES), layers) as source:
+        for packets in source.packets():
+            playout.push(packets, 0.0)
+    playout.finish(0.0)
+    assembler, shown = Assembler(temporal.manifest, layers, first), Shown(temporal.manifest)
+    frames = []
+    while (due := playout.pop_due()) is not None:
+        frames.append(due.record.frame)
+        slices = assembler.assemble(frames[-1], due.packets, ahead=due.ahead)
+        expected = temporal.active_splats(frames[-1], layers)
+        assert same_splats(shown.after(slices, frames[-1]), expected)
+    assert frames == list(range(first, TEMPORAL_FRAMES))
+
+
+def shares_of(reader: StreamReader, rate_share: float) -> list[float]:
+    """Share of each layer's bytes that arrives in time, without a stall, over a link with this
+    share of the stream's rate."""
+    play = HostedPlay(reader.manifest, reader.records, FrameRange(0, TEMPORAL_FRAMES), 0.0)
+    link, come, clock = MadeLink(reader, play), [0.0] * (TEMPORAL + 1), play.session.clock
+    while True:
+        for one in link.packets(rate_share * need_bps(reader, TEMPORAL_FRAMES)):
+            in_time = clock.started_s is None or link.now_s <= clock.due_s(one.first_frame)
+            if isinstance(one, SlicePackets) and in_time:
+                come[one.first_layer] += sum(map(len, one.packets))
+        if link.over:
+            break
+    assert clock.stalls == 0
+    sizes = [sum(record.object_bytes[n] for record in reader.records) for n in range(TEMPORAL + 1)]
+    return [num_bytes / size for num_bytes, size in zip(come, sizes, strict=True)]
+
+
+def test_on_a_thin_link_it_stays_behind_first(temporal: StreamReader) -> None:
+    base, upper, last = shares_of(temporal, 0.7)
+    assert last < 0.1 < 0.4 < upper < base
+    assert min(shares_of(temporal, 3.0)) > 0.75  # it starts after the others
