@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests.support.hosted_streams import ServerProcess, served, wait_for_stream
 from tests.support.suite.once import made_once
 from tests.support.web.browsercode import BrowserCode, running_code
 from tests.support.web.chromium import Page, running_chromium, why_not
@@ -45,3 +46,12 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
         (folder / path.name).symlink_to(path)
     with player_host(folder) as url:
         yield Site(url, folder)
+
+
+@pytest.fixture(scope="session")
+def server(site: Site) -> Iterator[ServerProcess]:
+    """A swings server of the site's streams."""
+    with served(site.folder / "trained") as running:
+        for name in ("clip", "long", "whole"):
+            wait_for_stream(running, name)
+        yield running

@@ -99,9 +99,6 @@ const ACTIONS = {
   async tap({ atPx }) {
     await page.touchscreen.tap(atPx[0], atPx[1]);
   },
-  async hover({ atPx }) {
-    await page.mouse.move(atPx[0], atPx[1]);
-  },
   async drag({ fromPx, toPx, button }) {
     await page.mouse.move(fromPx[0], fromPx[1]);
     await page.mouse.down({ button });
@@ -200,9 +197,6 @@ const ACTIONS = {
     }
     await session.detach();
     return found;
-  },
-  complaints() {
-    return complaints;
   },
   takeComplaints() {
     return complaints.splice(0);

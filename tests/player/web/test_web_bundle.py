@@ -4,36 +4,37 @@ from __future__ import annotations
 
 import gzip
 import re
+import shutil
 from pathlib import Path
 from urllib.request import urlopen
 
 import pytest
 
-from codec.tools.static import export_static
 from scripts import webbundle
 from server.html.watchpage import WatchedStream, frame_html
 from server.html.webplayer import WebPlayer
 from tests.server.hostile.serverprocess import ServerProcess, server_process
-from tests.support.hosted_streams import static_host, write_stream
+from tests.support.hosted_streams import write_stream
 from tests.support.web.chromium import Page
+from tests.support.web.site import Site
 
-ELEMENT = "document.querySelector('swings-player')"
-PLAYER = f"{ELEMENT}?.player"
 MOST_REQUESTS = 8
 MOST_SCRIPT_BYTES = 58_000
 MOST_GZIPPED_BYTES = 61_000
 """Maximum bytes from a host without TLS, from which browsers request at best gzip."""
 
 
-def test_it_is_what_the_sources_give() -> None:
+@pytest.mark.parametrize("name", webbundle.NAMES)
+def test_it_is_what_the_sources_give(name: str) -> None:
     if not webbundle.NODE_MODULES.exists():
         pytest.skip("needs npm: apt-get install npm, then scripts/setup dev")
-    folder = webbundle.WEB / "bundle"
-    committed = {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir()}
-    fresh = webbundle.bundle()
-    assert committed.keys() == fresh.keys()
-    changed = [name for name in fresh if fresh[name] != committed[name]]
-    assert not changed, "the sources have changed; run scripts/webbundle"
+    committed = (webbundle.WEB / "bundle" / name).read_text(encoding="utf-8")
+    assert committed == webbundle.built(name), "the sources have changed; run scripts/webbundle"
+
+
+def test_it_has_no_other_files() -> None:
+    names = {path.name for path in (webbundle.WEB / "bundle").iterdir()}
+    assert names == set(webbundle.NAMES)
 
 
 def test_what_a_page_begins_with_is_small_with_gzip() -> None:
@@ -46,21 +47,11 @@ def test_what_a_page_begins_with_is_small_with_gzip() -> None:
     assert sum(map(len, coded)) <= MOST_GZIPPED_BYTES
 
 
-def test_it_plays_from_a_plain_file_server(page: Page, tmp_path: Path) -> None:
-    write_stream(tmp_path / "stream", 20)
-    export_static(tmp_path / "stream", tmp_path / "static")
-    (tmp_path / "player").symlink_to(webbundle.WEB / "bundle")
-    with static_host(tmp_path) as url:
-        page.open(f"{url}/player/watch.html?src=../static&t=0.5&autoplay=0", 320, 240)
-        page.wait(f"{PLAYER}?.shownFrame === 15", 60)
-        assert not page.complaints
-
-
-COPIED = f"""
-const clipboard = {{ writeText: (text) => (window.copied = text) }};
-Object.defineProperty(navigator, "clipboard", {{ value: clipboard, configurable: true }});
-{ELEMENT}.removeAttribute("link");
-await {ELEMENT}.copyLink();
+COPIED = """
+const clipboard = { writeText: (text) => (window.copied = text) };
+Object.defineProperty(navigator, "clipboard", { value: clipboard, configurable: true });
+element.removeAttribute("link");
+await element.copyLink();
 return window.copied;
 """
 """Copies the link of a player whose page has no own address for it."""
@@ -73,28 +64,18 @@ def check_link(page: Page, watch_url: str) -> None:
         assert response.status == 200
 
 
-def test_links_and_embed_code_lead_to_the_page_beside_it(page: Page, tmp_path: Path) -> None:
+def test_links_and_embed_code_lead_to_the_page_beside_it(page: Page, site: Site) -> None:
     """The frame has the permissions of the server's page and docs/EMBED.md."""
-    write_stream(tmp_path / "stream", 20)
-    export_static(tmp_path / "stream", tmp_path / "static")
-    (tmp_path / "player").symlink_to(webbundle.WEB / "bundle")
-    (tmp_path / "mine.html").write_text(
-        '<!doctype html><link rel="icon" href="data:," />'
-        '<script type="module" src="player/player.js"></script>'
-        '<swings-player src="static"></swings-player>'
-    )
-    with static_host(tmp_path) as url:
-        page.open(f"{url}/mine.html", 640, 480)
-        page.wait(f"{PLAYER}?.shownFrame >= 0")
-        check_link(page, f"{url}/player/watch.html")
-        page.run(f"{ELEMENT}.shadowRoot.querySelector('.more').click()")
-        entry = f"{ELEMENT}.shadowRoot.querySelector('[data-name=embed]')"
-        page.wait(entry)
-        page.run(f"{entry}.click()")
-        page.wait("copied.startsWith('<iframe')")
-        code = page.run("return copied")
-        assert f'src="{url}/player/watch.html?src=' in code
-        assert not page.complaints
+    mine = '<script type="module" src="player/player.js"></script><swings-player src="clip">'
+    page.open(site.write_page("mine.html", mine), 640, 480)
+    page.wait("player.shownFrame >= 0")
+    check_link(page, f"{site.url}/player/watch.html")
+    page.run("part('.more').click()")
+    page.wait("part('[data-name=embed]')")
+    page.run("part('[data-name=embed]').click()")
+    page.wait("copied.startsWith('<iframe')")
+    code = page.value("copied")
+    assert f'src="{site.url}/player/watch.html?src=' in code
     served = frame_html(WatchedStream("walk", "", "", "http://127.0.0.1", 1.5))
     documented = (webbundle.ROOT / "docs" / "EMBED.md").read_text(encoding="utf-8")
     texts = code, served, documented
@@ -114,17 +95,14 @@ def requests_of(server: ServerProcess) -> dict[str, list[tuple[int, int]]]:
 def test_a_page_of_the_server_starts_with_few_requests(page: Page, tmp_path: Path) -> None:
     root = tmp_path / "root"
     write_stream(root / "walk", 20, poster="poster.jpg")
-    (root / "walk" / "poster.jpg").write_bytes(
-        (Path(__file__).parents[3] / "docs/watch.jpg").read_bytes()
-    )
+    shutil.copy(webbundle.ROOT / "docs" / "watch.jpg", root / "walk" / "poster.jpg")
     with server_process(root, tmp_path) as server:
-        page.open(f"http://127.0.0.1:{server.port}/watch/walk?autoplay=0", 320, 240)
-        page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
+        page.open(f"http://127.0.0.1:{server.port}/watch/walk?autoplay=0", 160, 120)
+        page.wait("player.shownFrame >= 0")
         cold = requests_of(server)
         page.reopen()
-        page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
+        page.wait("player.shownFrame >= 0")
         both = requests_of(server)
-        assert not page.complaints
         check_link(page, f"http://127.0.0.1:{server.port}/web/bundle/watch.html")
         page.close()
     assert sum(map(len, cold.values())) <= MOST_REQUESTS

@@ -14,8 +14,7 @@ from tests.support.web.site import Site
 
 @pytest.fixture
 def phone(page: Page, site: Site) -> Page:
-    options = {"isMobile": True}
-    site.watch(page, "whole", width_px=195, height_px=300, touch=True, options=options)
+    site.watch(page, "whole", touch=True, options={"isMobile": True})
     return page
 
 

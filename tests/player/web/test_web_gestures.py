@@ -17,6 +17,7 @@ from tests.support.web.chromium import Page
 from tests.support.web.site import Site
 
 WIDTH_PX, HEIGHT_PX = 480, 320
+STILL = "!player.motion.isMoving"
 
 
 def opened(page: Page, site: Site, touch: bool = False) -> None:
@@ -27,10 +28,6 @@ def view_of(page: Page) -> tuple[float, float, float, float, float]:
     """Turn, tilt and zoom of the camera, and its movement to the right and down."""
     turn, tilt, zoom, right, down = map(float, page.value("player.orbit.text").split(","))
     return turn, tilt, zoom, right, down
-
-
-def wait_until_still(page: Page) -> None:
-    page.wait("!player.motion.isMoving")
 
 
 def check_seen(page: Page, site: Site) -> None:
@@ -45,7 +42,7 @@ def test_a_mouse_turns_moves_and_comes_closer(page: Page, site: Site) -> None:
     assert turn != 0
     assert tilt != 0
     assert others == [1, 0, 0]
-    wait_until_still(page)
+    page.wait(STILL)
     assert view_of(page)[0] <= turn < 0  # it may have moved further
     turn, tilt, *_ = view_of(page)
     page.drag((240, 120), (200, 150), button="right")
@@ -53,10 +50,10 @@ def test_a_mouse_turns_moves_and_comes_closer(page: Page, site: Site) -> None:
     assert view_of(page)[3:] != (0, 0)
     page.press("+")
     assert view_of(page)[2] < 1
-    wait_until_still(page)
+    page.wait(STILL)
     check_seen(page, site)
     page.press("r")
-    wait_until_still(page)
+    page.wait(STILL)
     assert view_of(page) == (0, 0, 1, 0, 0)
     for width_px, height_px in ((400, 150), (195, 350)):
         page.resize(width_px, height_px)
@@ -71,10 +68,10 @@ def test_a_finger_turns_and_two_come_closer(page: Page, site: Site) -> None:
     assert turn != 0
     assert tilt != 0
     assert zoom == 1
-    wait_until_still(page)
+    page.wait(STILL)
     turn, tilt, *_ = view_of(page)
     page.touch(*([(240 - apart, 120), (240 + apart, 120)] for apart in (30, 45, 60)))
-    wait_until_still(page)
+    page.wait(STILL)
     found = view_of(page)
     assert found[:2] == (turn, tilt)
     assert found[2] == pytest.approx(0.5, rel=0.1)
@@ -163,7 +160,7 @@ def test_a_double_click_with_alt_flies_to_what_shows_there(page: Page, site: Sit
     click = """const at = { clientX: value[0], clientY: value[1], altKey: true };
     player.canvas.dispatchEvent(new MouseEvent("dblclick", at));"""
     page.run(click, (x, y))
-    wait_until_still(page)
+    page.wait(STILL)
     ray = np.array([(x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px, 1])
     point = camera.position + depths_m[y, x] * ray @ camera.w2c[:3, :3]
     centre = page.value("player.orbit.centre")

@@ -91,10 +91,6 @@ class Page:
         """Taps the page with a finger."""
         self._do("tap", atPx=at_px)
 
-    def hover(self, at_px: tuple[float, float]) -> None:
-        """Moves the mouse to this place."""
-        self._do("hover", atPx=at_px)
-
     def drag(
         self, from_px: tuple[float, float], to_px: tuple[float, float], button: str = "left"
     ) -> None:
@@ -126,12 +122,6 @@ class Page:
     def heaps_bytes(self) -> list[int]:
         """Bytes in the heaps of the page and each of its workers, after garbage collection."""
         found: list[int] = self._do("heaps")
-        return found
-
-    @property
-    def complaints(self) -> list[str]:
-        """Errors and warnings of the pages that were opened since they were last taken."""
-        found: list[str] = self._do("complaints")
         return found
 
     def expect(self, *texts: str) -> None:

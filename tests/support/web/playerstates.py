@@ -6,6 +6,7 @@ import contextlib
 import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from codec.stream.poster import POSTER_NAME, write_poster
@@ -220,12 +221,8 @@ def _preview(at: Reached) -> None:
     at.shows(".tile")
 
 
-def _forced_colours(at: Reached) -> None:
-    _paused(at, forcedColors="active")
-
-
 def _forced_menu(at: Reached) -> None:
-    _forced_colours(at)
+    _paused(at, forcedColors="active")
     at.click(".more")
     at.shows(".menu")
 
@@ -233,10 +230,6 @@ def _forced_menu(at: Reached) -> None:
 def _still(at: Reached) -> None:
     at.watch("src=../static&autoplay=1", reducedMotion="reduce")
     at.wait("start")
-
-
-def _still_loading(at: Reached) -> None:
-    _loading(at, reducedMotion="reduce")
 
 
 STATES: dict[str, Callable[[Reached], None]] = {
@@ -257,9 +250,9 @@ STATES: dict[str, Callable[[Reached], None]] = {
     "keys": _keys,
     "statistics": _statistics,
     "preview": _preview,
-    "forced-colours": _forced_colours,
+    "forced-colours": partial(_paused, forcedColors="active"),
     "forced-menu": _forced_menu,
     "reduced-motion": _still,
-    "reduced-motion-loading": _still_loading,
+    "reduced-motion-loading": partial(_loading, reducedMotion="reduce"),
 }
 """Functions that reach the states, by name."""

@@ -28,6 +28,8 @@ reach inside of one; and packages of others."""
 CLIP_FRAMES, LONG_FRAMES, WHOLE_FRAMES = 45, 600, 60
 SEGMENT_FRAMES = 15
 NUM_LAYERS = 3
+SLOW_DOWN = "(element.playbackRate = 0.25)"
+"""Part of a wait: what the player has lasts, however late the test takes its next step."""
 
 
 def write_streams(folder: Path) -> None:
@@ -74,9 +76,8 @@ class Site:
     url: str
     folder: Path
 
-    def address(self, stream: str, query: str = "autoplay=0", player: str = "player") -> str:
-        """The page of a stream; player: a folder of LINKS."""
-        return f"{self.url}/{player}/watch.html?src=../{stream}&{query}"
+    def address(self, stream: str, query: str = "autoplay=0") -> str:
+        return f"{self.url}/player/watch.html?src=../{stream}&{query}"
 
     def watch(self, page: Page, stream: str, query: str = "autoplay=0", **more: object) -> None:
         watch(page, self.address(stream, query), **more)  # type: ignore[arg-type]

@@ -18,6 +18,7 @@ from tests.support.web.site import (
     CLIP_FRAMES,
     LONG_FRAMES,
     NUM_LAYERS,
+    SLOW_DOWN,
     Site,
     player_host,
     watch,
@@ -93,7 +94,6 @@ def test_a_loop_is_received_once_and_goes_on_without_its_host(
 
 PLAY_ON = """
 const { stalls, frame } = state;
-element.playbackRate = 0.25;
 await new Promise((resolve) => {
   player.addEventListener("state", () => player.state.frame >= frame + value && resolve());
 });
@@ -108,10 +108,9 @@ def test_while_there_is_no_network_it_plays_what_it_has(
 ) -> None:
     page.expect("ERR_INTERNET_DISCONNECTED")
     watch(page, address(site, server, kind, "long", ""))
-    page.wait("state.endFrame - state.frame > 150")
+    page.wait(f"state.endFrame - state.frame > 150 && {SLOW_DOWN}")
     page.set_offline(True)
     end = page.value("state.endFrame")
-    # At a quarter of its rate, so that what it has lasts on a slow machine.
     assert page.run(PLAY_ON, 30) == 0
     note = "part('.note.soft').textContent"
     if kind == "static":  # the body of a play that has begun may still come

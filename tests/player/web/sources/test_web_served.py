@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from email.message import Message
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,7 @@ from tests.support.web.site import (
     LINKS,
     LONG_FRAMES,
     NUM_LAYERS,
+    SLOW_DOWN,
     WHOLE_FRAMES,
     Site,
     player_host,
@@ -93,8 +95,8 @@ def test_another_number_of_layers_does_not_begin_anew(page: Page, server: Server
     page.wait(f"player.renderer.numDrawn < {many} / 1.5 && state.layers === 1")
     page.run(choose, "0")
     page.wait(f"player.renderer.numDrawn > {many} / 1.5 && state.layers === {NUM_LAYERS}")
-    shown = page.value("shown")
-    assert shown == sorted(set(shown))
+    for frame, after in pairwise(page.value("shown")):
+        assert frame < after or (frame > LONG_FRAMES - 90 and after < 90), "a loop, if anything"
 
 
 def test_a_server_that_is_killed_and_comes_back(page: Page, site: Site) -> None:
@@ -104,7 +106,7 @@ def test_a_server_that_is_killed_and_comes_back(page: Page, site: Site) -> None:
     note = "part('.note.soft').textContent"
     with served(root) as first:
         watch(page, f"{first.url}/watch/long")
-        page.wait("state.endFrame - state.frame > 100")
+        page.wait(f"state.endFrame - state.frame > 100 && {SLOW_DOWN}")
         first.kill()
         end = page.value("state.endFrame")
         page.wait(f"{note}.includes('trying again')")
