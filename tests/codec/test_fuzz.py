@@ -34,7 +34,7 @@ def test_a_file_of_the_corpus(path: Path) -> None:
     assert accepts(path.read_bytes()) or path.name.startswith("found-")
 
 
-@pytest.mark.parametrize("rounds", [20, pytest.param(2000, marks=pytest.mark.deep)])
+@pytest.mark.parametrize("rounds", [20, pytest.param(500, marks=pytest.mark.deep)])
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_what_is_near_a_file_of_the_corpus(path: Path, rounds: int) -> None:
     """A short version of the fuzzer's work, with the same mutations in each run."""

@@ -26,7 +26,7 @@ from server.library import Library, ServedStream
 from server.library.streamview import view_of
 from tests.support.delivery.assembled import assembled
 from tests.support.hostile import refused
-from tests.support.tiny_stream import tiny_slice, write_tiny
+from tests.support.tiny_stream import append_tiny, write_tiny
 
 
 @pytest.fixture(params=["../secret", "{root}/secret", "file://{root}/secret", "x/../../secret"])
@@ -71,8 +71,7 @@ def test_nobody_follows_the_manifest_out_of_its_folder(astray: Path) -> None:
     before = sorted(astray.parent.iterdir())
     hostile = StreamReader(astray).manifest
     with StreamWriter.create(path, hostile) as writer:
-        for birth in range(hostile.first_birth, 4):
-            writer.append(tiny_slice(birth))
+        append_tiny(writer, 4)
     assert verify_stream(path).num_frames == 4
     assert sorted(astray.parent.iterdir()) == sorted([*before, path])
     assert sorted(p.name for p in path.iterdir()) == ["index.bin", "manifest.json", "segments"]

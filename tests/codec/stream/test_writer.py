@@ -350,8 +350,7 @@ def test_the_index_holds_the_mean_of_every_segment(tmp_path: Path) -> None:
 
     path = tmp_path / "stream"
     with StreamWriter.create(path, MANIFEST, quality=quality) as writer:
-        for birth in births:
-            writer.append(tiny_slice(birth))
+        append_tiny(writer, 6)
     assert seen == [(birth, [SLICE_SIZE // 2, SLICE_SIZE]) for birth in births]
     write_tiny(tmp_path / "plain", 2)
     (record,) = StreamReader(tmp_path / "plain").records
@@ -412,7 +411,6 @@ def test_a_quality_that_the_index_cannot_hold(tmp_path: Path, scores: tuple[floa
     with StreamWriter.create(
         tmp_path / "s", tiny_manifest(), quality=lambda frame, slices: scores
     ) as writer:
-        for birth in (-2, -1):  # nothing is scored before the first frame
-            writer.append(tiny_slice(birth))
+        append_tiny(writer, 0)  # nothing is scored before the first frame
         refused(InvalidError, "is not 2 numbers, each finite", writer.append, tiny_slice(0))
         assert writer.next_birth == 0

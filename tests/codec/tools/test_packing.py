@@ -41,7 +41,7 @@ from tests.support.slots.folder import write_slots
 from tests.support.slots.updates import patternless_updates, small_layout
 from tests.support.sounding import add_clicks
 from tests.support.stores.s3_server import BUCKET, s3_server
-from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, tiny_slice, write_tiny
+from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, write_tiny
 
 VTT = b"WEBVTT\n\n00:00.000 --> 00:01.000\nHere\n"
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(range(200))
@@ -170,8 +170,7 @@ def test_what_cannot_be_packed_is_said_and_leaves_nothing(stream: Path, tmp_path
     out = tmp_path / "out" / "one.swings"
     out.parent.mkdir()
     with StreamWriter.create(tmp_path / "live", tiny_manifest()) as writer:
-        for birth in range(tiny_manifest().first_birth, 5):
-            writer.append(tiny_slice(birth))
+        append_tiny(writer, 5)
         with pytest.raises(InvalidError, match="live is live; pack it when it is finished"):
             pack_stream(tmp_path / "live", out)
     for name in ("one.zip", "one"):

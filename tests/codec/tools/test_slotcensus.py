@@ -34,7 +34,7 @@ from tests.support.drawn import same_splats
 from tests.support.hostile import refused
 from tests.support.slots.folder import slots_manifest, write_slots
 from tests.support.slots.updates import Model, small_layout
-from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
+from tests.support.tiny_stream import append_tiny, tiny_manifest, write_tiny
 
 LAYOUT = small_layout(3, (9, 6), 0, 4)
 NUM_FRAMES = 10
@@ -217,8 +217,7 @@ def write_scored(path: Path, manifest: Manifest, scores_db: Sequence[tuple[float
         return scores_db[frame] if frame >= 0 else None
 
     with StreamWriter.create(path, manifest, quality=quality) as writer:
-        for birth in range(manifest.first_birth, len(scores_db)):
-            writer.append(tiny_slice(birth))
+        append_tiny(writer, len(scores_db))
     return path
 
 

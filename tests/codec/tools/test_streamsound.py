@@ -37,7 +37,7 @@ from tests.support.commands import run, run_ok
 from tests.support.hostile import refused
 from tests.support.server.running_server import Running, on_server
 from tests.support.sounding import add_clicks, best_shift, heard, write_clicks
-from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, tiny_slice, write_tiny
+from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, write_tiny
 
 CLICKS = (0, 4000, 9600, 14400)
 PLACE = ((0.0, 0.0, 1.0, 2.0),)
@@ -228,8 +228,7 @@ def test_a_live_stream_has_sound_as_far_as_it_goes(tmp_path: Path) -> None:
             verify_stream(path)
             writer = StreamWriter.resume(path)
         writer.sound = objects_of(whole, fps)
-        for missing in range(writer.next_birth, birth + 1):
-            writer.append(tiny_slice(missing))
+        append_tiny(writer, birth + 1)
     writer.close()
     verify_stream(path)
     write_tiny(tmp_path / "plain", 10)
