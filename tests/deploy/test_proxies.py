@@ -167,7 +167,9 @@ def check_play(proxy: Proxy, writer: StreamWriter, name: str, prefix: str = "") 
         assert response.status == 200
         # They come before there are others: no proxy keeps them back.
         while len(births()) < SEGMENT_FRAMES - 1:
-            records += parser.feed(response.read1(1 << 16))
+            piece = response.read1(1 << 16)
+            assert piece, records
+            records += parser.feed(piece)
         report = json.dumps({"frame": 0}).encode()
         path = f"{prefix}/v1/streams/{name}/play/{response.headers['Swings-Play']}"
         assert proxy.ask(path, None, "POST", report)[0] == 204
