@@ -66,30 +66,40 @@ def planes_of(capture: Capture) -> dict[str, float]:
     return dict(zip([c.camera.name for c in capture.cameras], planes, strict=True))
 
 
-def test_a_rig_that_sees_nothing_near_keeps_what_the_rig_suggests(tmp_path: Path) -> None:
-    cameras = camera_rig(12, *SIZE_PX, float(np.radians(200)))
-    depths = rig_depths(cameras)
+RING = camera_rig(12, *SIZE_PX, float(np.radians(200)))
+
+
+@pytest.fixture(scope="module")
+def ring(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    return write(tmp_path_factory.mktemp("ring"), RING, 3000)
+
+
+def test_a_rig_that_sees_nothing_near_keeps_what_the_rig_suggests(ring: Capture) -> None:
+    depths = rig_depths(RING)
     assert depths is not None
-    for name, points in (("with", 2000), ("without", 0)):
-        capture = write(tmp_path / name, cameras, points)
+    for capture in (ring, replace(ring, points=None)):
         assert near_of(capture) == capture.near_m == pytest.approx(depths[0])
         assert set(planes_of(capture).values()) == {capture.near_m}
-    lines = checked(tmp_path / "with")
+    lines = checked(ring.root)
     assert said(lines, "near").endswith(", from the rig")
     assert not all_said(lines, "near of")
     assert said(lines, "near cuts").startswith("at most 0.5%")
 
 
-def test_points_that_a_camera_sees_bring_it_in(tmp_path: Path) -> None:
-    cameras = close_rig()
-    capture = write(tmp_path, cameras, 6000)
+@pytest.fixture(scope="module")
+def close(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    return write(tmp_path_factory.mktemp("close"), close_rig(), 6000)
+
+
+def test_points_that_a_camera_sees_bring_it_in(close: Capture) -> None:
+    capture, cameras = close, [entry.camera for entry in close.cameras]
     nearest = min(map(least_depth, cameras))
     suggested = capture.near_m
     assert suggested is not None
     assert nearest < 0.6 * suggested
     near = near_of(capture)
     assert near == pytest.approx(LEAST_SHARE * suggested)  # but not nearer automatically
-    lines = checked(tmp_path)
+    lines = checked(close.root)
     told = f"{near:.3g} units, from what the cameras see; the rig alone would give {suggested:.3g}"
     assert said(lines, "near") == told
     assert said(lines, "near cuts").startswith("at most 0.5%")  # cameras have their own planes
@@ -99,8 +109,8 @@ def test_points_that_a_camera_sees_bring_it_in(tmp_path: Path) -> None:
         assert planes[camera.name] == pytest.approx(min(own, near), rel=0.1)
         assert planes[camera.name] <= near
     assert f"cam10 {planes['cam10']:.3g}" in said(lines, "near of")
-    assert said(checked(tmp_path, near_m=0.8 * nearest), "near cuts").startswith("at most 0.5%")
-    lines = checked(tmp_path, near_m=suggested)
+    assert said(checked(close.root, near_m=0.8 * nearest), "near cuts").startswith("at most 0.5%")
+    lines = checked(close.root, near_m=suggested)
     assert said(lines, "near").endswith("units, as given")
     cut = [line for line in all_said(lines, "warning") if "near plane" in line]
     assert len(cut) == 3
@@ -122,19 +132,17 @@ def test_so_do_cameras_that_agree_where_there_are_no_points_in_a_world_of_any_un
     assert near_of(open_capture(tmp_path)) / 40 == pytest.approx(near, rel=1e-3)
 
 
-def test_stray_points_do_not(tmp_path: Path) -> None:
-    cameras = camera_rig(12, *SIZE_PX, float(np.radians(200)))
-    capture = write(tmp_path, cameras, 3000)
-    points = capture.points
-    assert points is not None
-    xyz = points.xyz.copy()
-    for i in range(5):
-        xyz[i] = cameras[6].position + 0.8 * cameras[6].forward
-    strayed = replace(capture, points=replace(points, xyz=xyz))
-    assert near_of(strayed) == capture.near_m
-    for i in range(5, 60):
-        xyz[i] = cameras[6].position + 0.9 * cameras[6].forward
-    there = replace(capture, points=replace(points, xyz=xyz))
+def with_points(capture: Capture, count: int, depth_m: float) -> Capture:
+    """The capture whose first `count` points are at that depth in the middle of cam06."""
+    assert capture.points is not None
+    xyz, camera = capture.points.xyz.copy(), capture.cameras[6].camera
+    xyz[:count] = camera.position + depth_m * camera.forward
+    return replace(capture, points=replace(capture.points, xyz=xyz))
+
+
+def test_stray_points_do_not(ring: Capture) -> None:
+    assert near_of(with_points(ring, 5, 0.8)) == ring.near_m
+    there = with_points(with_points(ring, 60, 0.9), 5, 0.8)
     assert near_of(there) == pytest.approx(MARGIN * 0.9)
     assert planes_of(there)["cam06"] == pytest.approx(MARGIN * 0.9)
     seen = look(there, range(1))
@@ -142,19 +150,13 @@ def test_stray_points_do_not(tmp_path: Path) -> None:
     assert nearplane.cut_by(there, seen, 0.91)[0][0] == "cam06"
 
 
-def test_what_is_too_near_is_cut_and_named(tmp_path: Path) -> None:
+def test_what_is_too_near_is_cut_and_named(ring: Capture) -> None:
     """A camera's own plane has a bound, also for a held-out camera."""
-    cameras = camera_rig(12, *SIZE_PX, float(np.radians(200)))
-    write(tmp_path, cameras, 3000)
-    (tmp_path / "held_out.txt").write_text("cam06\n")
-    capture = open_capture(tmp_path)
-    points, suggested = capture.points, capture.near_m
-    assert points is not None
+    cameras = tuple(replace(c, held_out=i == 6) for i, c in enumerate(ring.cameras))
+    capture, suggested = replace(ring, cameras=cameras), ring.near_m
     assert suggested is not None
     for depth, own in ((0.5, MARGIN * 0.5), (0.1, LEAST_OWN_SHARE)):
-        xyz = points.xyz.copy()
-        xyz[:60] = cameras[6].position + depth * suggested * cameras[6].forward
-        near_by = replace(capture, points=replace(points, xyz=xyz))
+        near_by = with_points(capture, 60, depth * suggested)
         seen = look(near_by, range(1))
         planes = nearplane.near_planes(near_by, seen)
         assert planes[6] == pytest.approx(own * suggested, rel=0.01)
@@ -187,16 +189,17 @@ def test_a_rig_that_looks_one_way_keeps_what_it_declares(tmp_path: Path) -> None
     assert said(checked(tmp_path / "without"), "near").startswith("0.2 units, by default")
 
 
-def test_new_places_are_looked_for_from_where_the_rig_suggests(tmp_path: Path) -> None:
-    capture = write(tmp_path / "c", close_rig(), 6000)
-    found = prepare(TrainConfig(tmp_path / "c", tmp_path / "s"))
+def test_new_places_are_looked_for_from_where_the_rig_suggests(
+    close: Capture, tmp_path: Path
+) -> None:
+    found = prepare(TrainConfig(close.root, tmp_path / "s"))
     assert not found.near_doubts
-    assert capture.near_m is not None
-    assert found.near_m < 0.9 * capture.near_m
-    assert found.search_from_m == capture.near_m
-    assert found.camera_near_m == tuple(planes_of(capture).values())
+    assert close.near_m is not None
+    assert found.near_m < 0.9 * close.near_m
+    assert found.search_from_m == close.near_m
+    assert found.camera_near_m == tuple(planes_of(close).values())
     assert found.training_planes == list(found.camera_near_m)
-    given = prepare(TrainConfig(tmp_path / "c", tmp_path / "s", near_m=0.3))
+    given = prepare(TrainConfig(close.root, tmp_path / "s", near_m=0.3))
     assert given.near_m == given.search_from_m == 0.3
     assert set(given.training_planes) == {0.3}
 
