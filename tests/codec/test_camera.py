@@ -127,7 +127,7 @@ def test_a_halved_camera(camera: Camera, share: tuple[float, float, float]) -> N
 
 
 @given(posed_cameras(), sides_px, sides_px, st.integers(1, 4))
-def test_a_fitted_camera_loses_nothing(
+def test_a_fitted_camera_is_whole(
     camera: Camera, width_px: int, height_px: int, times: int
 ) -> None:
     other = camera.fitted(width_px, height_px)

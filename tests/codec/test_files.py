@@ -34,9 +34,7 @@ def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["fsync", "replace", ""])
-def test_what_fails_leaves_the_old_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_what_fails_is_not_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     def failing(*_: object) -> None:
         raise OSError(28, "No space left on device")
 

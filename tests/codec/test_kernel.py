@@ -140,9 +140,7 @@ def run_outer(tmp_path: Path) -> Callable[..., list[int]]:
 
 
 @pytest.mark.parametrize("before", [NO_PLACE, NO_ROOM], ids=["no place", "full disk"])
-def test_a_kernel_runs_where_nothing_can_be_kept(
-    run_outer: Callable[..., list[int]], tmp_path: Path, before: str
-) -> None:
+def test_nothing_is_kept(run_outer: Callable[..., list[int]], tmp_path: Path, before: str) -> None:
     assert run_outer(10, 1, before) == [40, 0]
     assert not [*tmp_path.rglob("*.nbc"), *tmp_path.rglob("*.nbi")]
 

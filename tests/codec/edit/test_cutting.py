@@ -40,9 +40,7 @@ lanes = pytest.mark.parametrize(("swin_size", "period"), LANES)
 
 @lanes
 @pytest.mark.parametrize("frames", [(0, 4), (0, 14), (3, 4), (4, 14), (5, 11), (8, 11), (13, 14)])
-def test_trimmed_frames(
-    frames: tuple[int, int], swin_size: int, period: int, tmp_path: Path
-) -> None:
+def test_trimmed(frames: tuple[int, int], swin_size: int, period: int, tmp_path: Path) -> None:
     layout = small_layout(swin_size, (6, 4), 1, 4, period)
     source = write_slot_stream(tmp_path / "s", 14, layout, 3)
     trim_stream(source, tmp_path / "t", FrameRange(*frames))
@@ -127,9 +125,7 @@ def test_a_wrong_object_is_named_and_nothing_is_left(tmp_path: Path) -> None:
 
 @lanes
 @pytest.mark.parametrize("cuts", [(4,), (3,), (8, 12), (2, 5), (7, 9), (1, 12)])
-def test_the_parts_joined(
-    cuts: tuple[int, ...], swin_size: int, period: int, tmp_path: Path
-) -> None:
+def test_parts_joined(cuts: tuple[int, ...], swin_size: int, period: int, tmp_path: Path) -> None:
     layout = small_layout(swin_size, (6, 4), 0, 4, period)
     source = write_slot_stream(tmp_path / "s", 14, layout, 5)
     edges = (0, *cuts, 14)
@@ -210,9 +206,7 @@ def test_streams_that_differ_are_refused(changes: dict[str, object], tmp_path: P
 
 @pytest.mark.parametrize("periods", [(2, 1), (4, 1), (4, 2), (1, 3), (8, 8)])
 @pytest.mark.parametrize("seed", range(2))
-def test_a_temporal_layer_or_another_or_none(
-    periods: tuple[int, int], seed: int, tmp_path: Path
-) -> None:
+def test_a_temporal_layer_or_none(periods: tuple[int, int], seed: int, tmp_path: Path) -> None:
     before, after = periods
     layout = small_layout(1, (20, 10), 1, 8, before)
     source = write_slot_stream(tmp_path / "s", 21, layout, seed)

@@ -37,11 +37,7 @@ from tests.support.slots.edited import (
     write_still,
     write_trained_like,
 )
-from tests.support.slots.slot_streams import (
-    slot_manifest,
-    write_busy_stream,
-    write_slot_stream,
-)
+from tests.support.slots.slot_streams import slot_manifest, write_busy_stream, write_slot_stream
 from tests.support.slots.updates import patternless_states, small_layout
 from tests.support.trained_like import trained_like_splats
 

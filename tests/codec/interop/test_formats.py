@@ -83,9 +83,7 @@ def test_no_part_of_a_file_is_a_file(format: SplatFormat, version: SpzVersion | 
     assert not [len(part) for part in parts if survives(decode_any, part)]
 
 
-def test_a_failed_write_leaves_the_old_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "model.ply"
     write_splats(path, trained_like_splats(5), SplatFormat.PLY)
     before = path.read_bytes()
@@ -273,9 +271,7 @@ NAMELESS: dict[str, Callable[[Path, Path], object]] = {
 
 
 @pytest.mark.parametrize("call", NAMELESS)
-def test_a_place_without_a_name(
-    call: str, stream: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nameless(call: str, stream: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     error = refused(InvalidError, r"^\. names no file", lambda: NAMELESS[call](stream, Path(".")))
     assert "\n" not in str(error)

@@ -131,9 +131,7 @@ scales = st.tuples(*[st.floats(-8, 3, width=32)] * 3)
     st.sampled_from([1e-36, 1.0, 1e36]),
 )
 @settings(max_examples=300)
-def test_canonical_forms(
-    quat: tuple[float, ...], log_scale: tuple[float, ...], norm: float
-) -> None:
+def test_canonical_form(quat: tuple[float, ...], log_scale: tuple[float, ...], norm: float) -> None:
     quats = np.array([quat], np.float32)
     log_scales = np.array([log_scale], np.float32)
     found_scales, found_quats = canonical(log_scales, quats * np.float32(norm))

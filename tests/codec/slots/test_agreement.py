@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 
 from tests.goldens.decoder import Shape
 from tests.goldens.folder import largest_content
-from tests.goldens.shapes import make_shape
 from tests.support.slots.plain import (
     BothReaders,
     Chunks,
     encoded_chunks,
     layout_of,
+    make_shape,
     spelled_out,
     try_snapshot,
 )

@@ -23,8 +23,13 @@ from codec.storage.openstorage import Target, open_storage, parse_target
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.index import record_bytes
 from codec.tools.audit import verify_stream
-from tests.support.forked.forked_writer import NUM_FRAMES, forked_manifest, forked_updates, write
-from tests.support.forked.forker import Forker
+from tests.support.forked.forked_writer import (
+    NUM_FRAMES,
+    Forker,
+    forked_manifest,
+    forked_updates,
+    write,
+)
 from tests.support.hostile import refused
 from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
 from tests.support.tiny_stream import files_of, tiny_manifest
@@ -131,7 +136,7 @@ def test_a_writer_goes_on_when_a_store_that_was_gone_is_back(
     assert server.files(key) == files_of(tmp_path / "s")
 
 
-def test_what_a_store_refuses_is_one_line(server: S3Server) -> None:
+def test_what_a_store_refuses_is_a_line(server: S3Server) -> None:
     with pytest.raises(CodecError, match=r"^s3://no-such-bucket/s/") as caught:
         StreamWriter.create("s3://no-such-bucket/s", forked_manifest())
     assert "NoSuchBucket" in str(caught.value)

@@ -50,9 +50,7 @@ def test_the_commands_take_urls(server: S3Server, tmp_path: Path) -> None:
     assert f"s3://{BUCKET}/nothing/manifest.json is missing" in done.stderr
 
 
-def test_what_a_store_refuses_is_one_line(
-    server: S3Server, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_store_refuses_is_a_line(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(objectstore, "BRIEF", RetryPolicy(10.0, 0.001, 0.001, max_retries=1))
     storage = open_storage("s3://no-such-bucket/x")
     error = refused(UnreadableError, "", storage.check)
@@ -93,9 +91,7 @@ def test_the_variable_to_set_is_named(
 
 
 @pytest.mark.parametrize("name", ["AWS_ENDPOINT_URL", "AWS_ENDPOINT", "AWS_ENDPOINT_URL_S3"])
-def test_an_endpoint_needs_no_other_variable_and_must_be_a_url(
-    server: S3Server, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_endpoint_is_a_url(server: S3Server, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     endpoint = os.environ["AWS_ENDPOINT_URL"]
     monkeypatch.delenv("AWS_ENDPOINT_URL")
     monkeypatch.setenv(name, endpoint)

@@ -216,9 +216,7 @@ def test_what_is_not_a_regular_file_is_refused_at_once(tmp_path: Path, name: str
 
 
 @pytest.mark.parametrize("swapped", ["deep", "deep/file"])
-def test_a_link_after_the_look(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, swapped: str
-) -> None:
+def test_a_link_after_a_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, swapped: str) -> None:
     (tmp_path / "away").mkdir()
     (tmp_path / "away" / "file").write_bytes(b"secret")
     (tmp_path / "folder" / "deep").mkdir(parents=True)

@@ -91,7 +91,7 @@ def test_it_shows_what_the_default_camera_sees_of_the_first_frame(tmp_path: Path
         ((16384, 1), (640, 1)),
     ],
 )
-def test_its_size_is_bounded_in_pixels(
+def test_its_size_px(
     size_px: tuple[int, int], expected_px: tuple[int, int], tmp_path: Path
 ) -> None:
     write_tiny(tmp_path / "s", 2, manifest_of(*size_px))

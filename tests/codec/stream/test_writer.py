@@ -303,9 +303,7 @@ def test_a_close_that_failed_can_be_tried_again(
     assert at > 5
 
 
-def test_a_failure_at_any_step_of_any_write(
-    tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_any_step(tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch) -> None:
     for at in count(1):
         path = tmp_path / str(at)
         if not fails(monkeypatch, at, write_tiny, path, NUM_FRAMES):
