@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.goldens.decoder import Shape
-from tests.goldens.shapes import make_shape
 from tests.support.slots.arrivals import make_arrivals
+from tests.support.slots.plain import make_shape
 from tests.support.slots.played import played
 
 

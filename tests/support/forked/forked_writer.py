@@ -1,7 +1,8 @@
-"""The writers that `Forker` forks: each creates or resumes a stream, and finishes it."""
+"""A warm process that forks stream writers for tests to kill."""
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
 from pathlib import Path
@@ -10,6 +11,8 @@ from codec.slots.update import Update
 from codec.storage.openstorage import Target, open_storage, parse_target
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
+from tests.support.forked.commands import CommandServer
+from tests.support.forked.commandserver import Request
 from tests.support.slots.folder import slots_manifest
 from tests.support.slots.updates import patternless_updates, small_layout
 
@@ -53,3 +56,25 @@ def warm_up() -> None:
 
 def main() -> None:
     write(parse_target(sys.argv[1]), UPDATES)
+
+
+class Forker:
+    """The warm process, and at most one writer forked from it."""
+
+    def __init__(self) -> None:
+        self._environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+        self._server = CommandServer(self._environment, f"{__name__}:warm_up")
+
+    def start(self, target: Target) -> int:
+        """Starts a writer and returns its pid; no other process can have that pid until `ended`."""
+        entry, words, output = f"{__name__}:main", [str(target)], os.devnull
+        return self._server.start(
+            Request(entry, words, words, self._environment, os.getcwd(), output, output, {})
+        )
+
+    def ended(self) -> int:
+        """Waits for the end of the writer; returns its exit code, -9 for SIGKILL."""
+        return self._server.ended()
+
+    def close(self) -> None:
+        self._server.close()

@@ -23,8 +23,18 @@ from codec.slots.slotstate import EMPTY, ON_LATTICE, UNKNOWN
 from codec.slots.update import Update
 from codec.splats import Splats
 from tests.goldens import decoder as plain
+from tests.goldens.decoder import f32
 from tests.goldens.reader import AppliedSlice, Reader
 from tests.support.drawn import same_splats
+
+FINE = plain.Lattice(f32(0.001), f32(0.05), -3.0, f32(1 / 127), f32(0.02), 256)
+COARSE = plain.Lattice(f32(0.01), f32(0.1), 0.5, f32(0.01), f32(0.03), 16)
+
+
+def make_shape(
+    swin_size: int = 3, segment_frames: int = 7, k: int = 1, slots: tuple[int, ...] = (9, 5)
+) -> plain.Shape:
+    return plain.Shape(swin_size, segment_frames, k, slots, (FINE, COARSE, FINE)[: len(slots)])
 
 
 def layout_of(shape: plain.Shape) -> SlotLayout:
