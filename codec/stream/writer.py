@@ -24,7 +24,7 @@ from codec.storage.openstorage import Target, open_growing
 from .draft import Draft, Quality, Scores
 from .index import INDEX_NAME, SegmentRecord, pack_record, record_bytes
 from .layers import RANKS, Rank
-from .manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest
+from .manifest import MANIFEST_NAME, MASKS, SEGMENTS_NAME, Manifest
 from .reader import StreamReader
 from .wholeslice import whole_update
 
@@ -121,10 +121,16 @@ class StreamWriter:
         place = open_growing(target, SHAPE)
         record_size = record_bytes(manifest.num_layers)
         place.take_over(reader.index_bytes, record_size, len(records))
-        read = None
+        read, slice_bytes = None, 0
         if records:
-            read = reader.decoder_at(reader.num_frames - 1, manifest.num_layers)
-        return cls(target, place, manifest, records, rank, quality, read, exact, effort)
+            last = reader.num_frames - 1
+            read = reader.decoder_at(last, manifest.num_layers)
+            parts = (MASKS, *range(manifest.num_layers))
+            objects = [reader.read_object(len(records) - 1, part) for part in parts]
+            slice_bytes = sum(len(object.packet(last)) for object in objects)
+        writer = cls(target, place, manifest, records, rank, quality, read, exact, effort)
+        writer.slice_bytes = slice_bytes
+        return writer
 
     @classmethod
     def piece(

@@ -94,14 +94,12 @@ def goes_on_at(number: int, is_old: bool) -> tuple[int, int]:
 
 QUICK = {
     ("two frames", 6, True), ("two frames", 8, False), ("one frame", 2, False),
-    ("budget", 6, True), ("whole slices", 2, False), ("whole slices", 8, True),
+    ("budget", 7, True), ("whole slices", 2, False), ("whole slices", 8, True),
 }  # fmt: skip
-FAILS = pytest.mark.xfail(reason="the size of a frame that is in the stream already is forgotten")
 
 
 def marks_of(case: tuple[str, int, bool]) -> tuple[pytest.MarkDecorator, ...]:
-    quick = () if case in QUICK else (pytest.mark.deep,)
-    return (*quick, FAILS) if case == ("budget", 7, True) else quick
+    return () if case in QUICK else (pytest.mark.deep,)
 
 
 @pytest.mark.parametrize(
