@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from codec.pose import Doubles, rotation_of
+from codec.pose import Doubles, quat_of
 from codec.splats import SH_C0, Splats
 from tests.support.drawn import angles_rad
 from tests.support.trained_like import covariances
@@ -51,15 +51,8 @@ def shapes(splats: Splats) -> Doubles:
 
 
 def _axis_turns() -> list[tuple[Doubles, list[int]]]:
-    """The 24 rotations that map axes to axes: quaternions wxyz, and the axis that each maps to."""
-    half = math.sqrt(0.5)
-    found: dict[bytes, tuple[Doubles, list[int]]] = {}
-    for quat in itertools.product((-1, -half, -0.5, 0, 0.5, half, 1), repeat=4):
-        matrix = rotation_of(np.array(quat)) if np.isclose(np.linalg.norm(quat), 1) else None
-        if matrix is not None and np.allclose(np.abs(matrix).max(axis=0), 1):
-            signs = np.rint(matrix).astype(np.int8)
-            found[signs.tobytes()] = np.array(quat), np.abs(signs).argmax(axis=0).tolist()
-    return list(found.values())
+    """The same as quaternions wxyz, and the axis that each axis comes from."""
+    return [(quat_of(turn), np.abs(turn).argmax(axis=0).tolist()) for turn in axis_turns()]
 
 
 def _multiplied(p: Doubles, q: Doubles) -> Doubles:

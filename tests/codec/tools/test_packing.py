@@ -40,7 +40,6 @@ from tests.support.objects import object_packets
 from tests.support.slots.folder import write_slots
 from tests.support.slots.updates import patternless_updates, small_layout
 from tests.support.sounding import add_clicks
-from tests.support.stores.s3_server import BUCKET, s3_server
 from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, write_tiny
 
 VTT = b"WEBVTT\n\n00:00.000 --> 00:01.000\nHere\n"
@@ -128,16 +127,6 @@ def test_all_that_reads_a_folder_reads_the_file(stream: Path, tmp_path: Path) ->
     link.parent.mkdir()
     link.symlink_to(packed)
     assert StreamReader(link).num_frames == 10
-
-
-def test_a_packed_stream_in_an_object_store(stream: Path, tmp_path: Path) -> None:
-    with s3_server() as server:
-        pack_stream(stream, tmp_path / "one.swings")
-        server.put("place/one.swings", (tmp_path / "one.swings").read_bytes())
-        url = f"s3://{BUCKET}/place/one.swings"
-        assert verify_stream(url) == verify_stream(stream)
-        unpack_stream(url, tmp_path / "again")
-        assert files_of(tmp_path / "again") == files_of(stream)
 
 
 def verify_whole(packed: Path) -> None:
