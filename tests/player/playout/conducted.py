@@ -63,10 +63,11 @@ class Played:
         return self.events[-1]
 
     def pass_s(self, seconds: float) -> None:
-        """Lets time pass, for the current play and the next one of a loop."""
+        """Lets time pass, for the conductor, the current play and the next one of a loop."""
         self.world.now_s += seconds
         for events in self.events[-2:]:
             events.time_changed()
+        self.conductor._notify()
 
     def poll_until(self, is_enough: Callable[[], object], step_s: float = 0.0) -> None:
         """step_s: time that passes from one look to the next."""

@@ -156,6 +156,7 @@ def test_a_loop_neither_drifts_nor_skips_and_ends_when_told(stream: Path) -> Non
 
 def test_a_loop_that_is_left_ends_at_the_end(stream: Path) -> None:
     with conducted(stream, plays=math.inf, first=20) as (played, _):
+        played.shows(20)
         # The whole stream has arrived, so the next play is requested.
         played.poll_until(lambda: played.opened == [20, 20])
         played.conductor.toggle_loop()
@@ -214,9 +215,12 @@ def blocks_after(path: Path, num_frames: int) -> int:
                 shown += 1
             played.records.clear()
             del played.opened[:], played.events[:-2]
+    conductor = played.conductor
+    conductor._current = conductor._following = None  # what waits in their queues is chance
+    played.events.clear()
     gc.collect()
     blocks = sys.getallocatedblocks()
-    assert played.conductor.transport.loops  # the conductor is still here
+    assert conductor.transport.loops  # the conductor is still here
     return blocks
 
 
