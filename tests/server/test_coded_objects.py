@@ -15,12 +15,13 @@ from codec.stream.manifest import Part
 from codec.stream.object import ChunkEntry, packet_content
 from codec.stream.plainrecord import inflates_whole
 from tests.support.server.running_server import (
-    Running,
     make_stream,
-    on_server,
+    running,
 )
 from tests.support.slots.slot_streams import write_slot_stream
 from tests.support.slots.updates import small_layout
+
+pytestmark = pytest.mark.anyio
 
 URL = "/v1/streams/walk/segments/0/1"
 ZSTD = {"Accept-Encoding": "gzip, deflate, br, zstd"}
@@ -65,8 +66,8 @@ async def each_way(port: int, url: str, method: str = "GET", **fields: str) -> t
         return plain, await fetch(client, url, method, **{**ZSTD, **fields})
 
 
-def test_its_frames_hold_the_contents_of_its_packets(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+async def test_its_frames_hold_the_contents_of_its_packets(root: Path) -> None:
+    async with running(root) as server:
         urls = [
             (f"/v1/streams/{name}/segments/{segment}/{part}", root / name, segment, part)
             for name in ("walk", "slots")
@@ -88,11 +89,9 @@ def test_its_frames_hold_the_contents_of_its_packets(root: Path) -> None:
                 assert plain[1]["ETag"] != coded[1]["ETag"]
                 assert plain[1]["Vary"] == coded[1]["Vary"] == "Accept-Encoding"
 
-    on_server(root, check)
 
-
-def test_each_form_is_revalidated_with_its_own_tag(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+async def test_each_form_is_revalidated_with_its_own_tag(root: Path) -> None:
+    async with running(root) as server:
         for method in ("HEAD", "GET", "HEAD"):  # HEAD before it was read, and after
             plain, coded = await each_way(server.port, URL, method)
             tags = plain[1]["ETag"], coded[1]["ETag"]
@@ -103,13 +102,11 @@ def test_each_form_is_revalidated_with_its_own_tag(root: Path) -> None:
                 got = await each_way(server.port, URL, method, If_Match=tag)
                 assert [one[0] for one in got] == [200 if m == n else 412 for m in (0, 1)]
 
-    on_server(root, check)
 
-
-def test_a_range_is_never_coded(root: Path) -> None:
+async def test_a_range_is_never_coded(root: Path) -> None:
     whole = (root / "walk" / "segments" / "0" / "1").read_bytes()
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with running(root) as server:
         for text, status, body in (
             ("bytes=5-99", 206, whole[5:100]),
             ("bytes=0-", 206, whole),
@@ -121,18 +118,14 @@ def test_a_range_is_never_coded(root: Path) -> None:
             assert "Content-Encoding" not in coded[1]
             assert plain[1]["ETag"] == coded[1]["ETag"]
 
-    on_server(root, check)
 
-
-def test_what_is_not_an_object_is_never_coded(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+async def test_what_is_not_an_object_is_never_coded(root: Path) -> None:
+    async with running(root) as server:
         for url in ("/v1/streams/walk/manifest.json", "/v1/streams/walk/index.bin"):
             plain, coded = await each_way(server.port, url)
             assert "Content-Encoding" not in coded[1]
             assert plain[1]["ETag"] == coded[1]["ETag"]
             assert plain[2] == coded[2]
-
-    on_server(root, check)
 
 
 def test_an_object_is_one_zstd_stream_or_not() -> None:

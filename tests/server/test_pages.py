@@ -10,7 +10,6 @@ from html import unescape
 from pathlib import Path
 from urllib.parse import urljoin
 
-import aiohttp
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,17 +23,19 @@ from server.html.gallery import Card, card_html, clock_text
 from server.html.webplayer import WebPlayer
 from server.library import ServedStream
 from tests.support.server.running_server import (
-    Running,
     append_frames,
     births_of,
     eventually,
     live_stream,
     make_stream,
-    on_server,
     random_slice,
     raw_get,
+    running,
+    served,
     small_manifest,
 )
+
+pytestmark = pytest.mark.anyio
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +46,8 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_list_and_the_front_page_name_every_stream(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+async def test_the_list_and_the_front_page_name_every_stream(root: Path) -> None:
+    async with served(root) as (server, client):
         async with client.get("/v1/streams") as response:
             listed = (await response.json())["streams"]
         assert [one["name"] for one in listed] == ["dance.2", "walk"]
@@ -67,10 +68,8 @@ def test_the_list_and_the_front_page_name_every_stream(root: Path) -> None:
         assert "<walk>" not in page
         assert server.url in page
 
-    on_server(root, check)
 
-
-def test_a_poster_of_any_name_shows_on_the_front_page(tmp_path: Path) -> None:
+async def test_a_poster_of_any_name_shows_on_the_front_page(tmp_path: Path) -> None:
     name = 'a "b" & <c>?.png'
     manifest = replace(small_manifest(), poster=name)
     with StreamWriter.create(tmp_path / "walk", manifest) as writer:
@@ -78,17 +77,15 @@ def test_a_poster_of_any_name_shows_on_the_front_page(tmp_path: Path) -> None:
             writer.append(random_slice(birth, 8))
     (tmp_path / "walk" / name).write_bytes(b"\x89PNG\r\n\x1a\n and so on")
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(tmp_path) as (server, client):
         async with client.get("/") as response:
             (picture,) = re.findall('<img src="([^"]*)"', await response.text())
         async with client.get(URL(f"{server.url}/{unescape(picture)}", encoded=True)) as response:
             assert (response.status, response.content_type) == (200, "image/png")
 
-    on_server(tmp_path, check)
-
 
 @pytest.mark.parametrize("fps", [1e-320, 1e-300])
-def test_a_stream_of_hardly_any_frames_a_second_leaves_the_front_page_alone(
+async def test_a_stream_of_hardly_any_frames_a_second_leaves_the_front_page_alone(
     tmp_path: Path, fps: float
 ) -> None:
     make_stream(tmp_path / "slow", 3)
@@ -98,7 +95,7 @@ def test_a_stream_of_hardly_any_frames_a_second_leaves_the_front_page_alone(
     assert '"fps": 30' in text
     manifest.write_text(re.sub('"fps": [0-9.]+', f'"fps": {fps}', text))
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(tmp_path) as (_, client):
         async with client.get("/") as response:
             assert response.status == 200
             assert re.findall('href="watch/([^"]*)"', await response.text()) == ["walk"]
@@ -109,10 +106,8 @@ def test_a_stream_of_hardly_any_frames_a_second_leaves_the_front_page_alone(
         assert broken["name"] == "slow"
         assert "fps" in broken["reason"]
 
-    on_server(tmp_path, check)
 
-
-def test_a_card_that_cannot_be_made_shows_its_name_among_the_others(
+async def test_a_card_that_cannot_be_made_shows_its_name_among_the_others(
     root: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def about(stream: ServedStream) -> str:
@@ -122,15 +117,13 @@ def test_a_card_that_cannot_be_made_shows_its_name_among_the_others(
 
     monkeypatch.setattr(pages, "_about", about)
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(root) as (_, client):
         async with client.get("/") as response:
             page = await response.text()
         assert response.status == 200
         assert re.findall('href="watch/([^"]*)"', page) == ["walk", "dance.2"]
         assert page.count("what it has") == 1
         assert '<span class="title">walk</span>' in page
-
-    on_server(root, check)
     assert "only the name of walk" in caplog.text
 
 
@@ -139,8 +132,8 @@ def test_a_length_that_is_not_known_is_not_shown() -> None:
     assert "tag" not in card_html(Card("walk", "Walk"))
 
 
-def test_every_stream_has_a_page_that_plays_it(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+async def test_every_stream_has_a_page_that_plays_it(root: Path) -> None:
+    async with served(root) as (server, client):
         async with client.get("/watch/walk") as response:
             page = await response.text()
             assert (response.status, response.content_type) == (200, "text/html")
@@ -178,11 +171,9 @@ def test_every_stream_has_a_page_that_plays_it(root: Path) -> None:
             async with client.get(asset, headers=accepted) as response:
                 assert response.status == 304
 
-    on_server(root, check)
 
-
-def test_a_page_describes_itself_to_those_that_link_to_it(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+async def test_a_page_describes_itself_to_those_that_link_to_it(root: Path) -> None:
+    async with served(root) as (server, client):
         async with client.get("/watch/walk") as response:
             page = await response.text()
         graph = dict(re.findall('<meta property="og:([^"]*)" content="([^"]*)">', page))
@@ -207,18 +198,19 @@ def test_a_page_describes_itself_to_those_that_link_to_it(root: Path) -> None:
                 assert response.status == status
                 assert "error" in await response.json()
 
-    on_server(root, check)
-
 
 @pytest.mark.parametrize(("name", "kind"), [("poster.jpg", "JPEG"), ("a & b.png", "PNG")])
-def test_the_thumbnail_for_other_sites_is_the_poster(tmp_path: Path, name: str, kind: str) -> None:
+async def test_the_thumbnail_for_other_sites_is_the_poster(
+    tmp_path: Path, name: str, kind: str
+) -> None:
     """It has its size, or is omitted."""
     stream = tmp_path / "walk"
     with StreamWriter.create(stream, replace(small_manifest(), poster=name)) as writer:
         for birth in births_of(1):
             writer.append(random_slice(birth, 8))
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(tmp_path) as (_, client):
+
         async def thumbnail(**query: str) -> dict[str, object]:
             async with client.get("/v1/streams/walk/oembed.json", params=query) as response:
                 found = await response.json()
@@ -235,8 +227,6 @@ def test_the_thumbnail_for_other_sites_is_the_poster(tmp_path: Path, name: str, 
         assert await thumbnail(maxwidth="160", maxheight="90") == found
         assert await thumbnail(maxwidth="159") == {}
         assert await thumbnail(maxheight="89") == {}
-
-    on_server(tmp_path, check)
 
 
 def test_where_the_player_is_not_whole_no_server_starts(tmp_path: Path) -> None:
@@ -255,10 +245,10 @@ def test_lengths_as_players_show_them(seconds: float) -> None:
     assert re.fullmatch(r"0:0\d\.\d|(\d+:\d\d|[0-5]?\d):\d\d", text)
 
 
-def test_a_live_stream_says_so_on_the_front_page(tmp_path: Path) -> None:
+async def test_a_live_stream_says_so_on_the_front_page(tmp_path: Path) -> None:
     writer = live_stream(tmp_path / "live", fps=1)
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(tmp_path) as (server, client):
         async with client.get("/") as response:
             page = await response.text()
         assert ">LIVE<" in page
@@ -269,12 +259,10 @@ def test_a_live_stream_says_so_on_the_front_page(tmp_path: Path) -> None:
             assert ">0:05.0<" in await response.text()
         writer.close()
 
-    on_server(tmp_path, check)
-
 
 @pytest.mark.parametrize("name", ["nobody", "..", "%2e%2e", "walk%2f..", "<script>", "a" * 3000])
-def test_a_stream_that_is_not_there_has_a_page_that_says_so(root: Path, name: str) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+async def test_a_stream_that_is_not_there_has_a_page_that_says_so(root: Path, name: str) -> None:
+    async with running(root) as server:
         head, body = await raw_get(server.port, f"/watch/{name}")
         assert head.startswith(b"HTTP/1.1 404 "), head
         assert b"Content-Type: text/html" in head
@@ -283,5 +271,3 @@ def test_a_stream_that_is_not_there_has_a_page_that_says_so(root: Path, name: st
         assert b"Referrer-Policy: no-referrer" in head
         assert b'<a href="../">' in body
         assert name == ".." or name.encode() not in body
-
-    on_server(root, check)

@@ -15,9 +15,17 @@ from codec.coders.coder import decompress
 from codec.stream.playrecord import Record, RecordParser, SliceRecord, SnapshotRecord
 from codec.tools.static import export_static
 from server.abr.clientstatus import PLAY_HEADER, RATE_HEADER, ClientStatus
-from tests.support.server.running_server import Running, make_stream, on_server, play
+from tests.support.server.running_server import (
+    Running,
+    make_stream,
+    on_server,
+    play,
+    served,
+)
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
+
+pytestmark = pytest.mark.anyio
 
 MOST_BYTES = 1 << 20
 QUERY = "?from=7&layers=2"
@@ -71,8 +79,10 @@ def inflated(record: Record) -> Record:
         ("gzip;q=0, *", ""),
     ],
 )
-def test_the_body_is_what_others_get(root: Path, stream: str, accepts: str, encoding: str) -> None:
-    async def check(_: Running, client: aiohttp.ClientSession) -> None:
+async def test_the_body_is_what_others_get(
+    root: Path, stream: str, accepts: str, encoding: str
+) -> None:
+    async with served(root) as (_, client):
         expected = [inflated(record) for record in await play(client, stream, QUERY)]
         found, body = await plain_body(client, stream, accepts)
         assert found == encoding
@@ -84,8 +94,6 @@ def test_the_body_is_what_others_get(root: Path, stream: str, accepts: str, enco
             )
             body = frames.read()
         assert RecordParser().feed(body) == expected
-
-    on_server(root, check)
 
 
 def test_the_answer_to_a_status_report_has_the_rate_of_the_link(root: Path) -> None:

@@ -6,38 +6,36 @@ import asyncio
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-import aiohttp
 import pytest
 
-from codec.errors import CorruptError
 from codec.stream import StreamReader
 from codec.stream.manifest import MASKS, Part, snapshot_part
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
     Record,
-    RecordParser,
     SliceRecord,
     SnapshotRecord,
     StartRecord,
 )
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
-    Running,
     births_of,
     births_with_layer_0,
     eventually,
     live_stream,
     make_stream,
-    on_server,
     play,
     quick_config,
     random_slice,
+    served,
     slices_of,
 )
 from tests.support.slots.slot_streams import write_slot_stream
 from tests.support.slots.updates import small_layout
 from tests.support.waiting import BOUND_S
+
+pytestmark = pytest.mark.anyio
 
 NUM_FRAMES = {"walk": 23, "slots": 13}
 
@@ -102,13 +100,13 @@ def packets_of(records: Iterable[Record]) -> Iterator[tuple[tuple[int, Part], by
         ("slots", "?from=12&layers=2", 12, 13, 2),
     ],
 )
-def test_a_play_is_the_folder_slice_by_slice(
+async def test_a_play_is_the_folder_slice_by_slice(
     root: Path, stream: str, query: str, first: int, until: int, layers: int | None
 ) -> None:
     disk = packets_on_disk(root / stream)
     frame = first - first % SEGMENT_FRAMES
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(root) as (server, client):
         start, *records, end = await play(client, stream, query)
         num_frames = NUM_FRAMES[stream]
         assert start == StartRecord(
@@ -131,28 +129,24 @@ def test_a_play_is_the_folder_slice_by_slice(
             assert metrics.layer_bytes.value("play", str(part)) == sum(sent)
         assert metrics.plays.value("complete") == 1
 
-    on_server(root, check)
 
-
-def test_long_snapshots_come_in_several_records(
+async def test_long_snapshots_come_in_several_records(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk = packets_on_disk(root / "slots")
     packets = tuple(disk[5, snapshot_part(n)] for n in range(3))
     monkeypatch.setattr("server.answers.play.SNAPSHOTS_BYTES", len(packets[0]) + 1)
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(root) as (_, client):
         records = await play(client, "slots", "?from=5&until=6")
         assert records[1] == SnapshotRecord(5, 0, packets[:1])  # layer 0 is first
         records = await play(client, "slots", "?from=5&until=6&layers=3")
         assert records[1] == SnapshotRecord(5, 0, packets[:2])
         assert records[2] == SnapshotRecord(5, 2, packets[2:])
 
-    on_server(root, check)
 
-
-def test_one_play_more_is_asked_to_come_back(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+async def test_one_play_more_is_asked_to_come_back(root: Path) -> None:
+    async with served(root, quick_config(max_plays=2)) as (server, client):
         url = "/v1/streams/long/play?layers=1"
         async with client.get(url) as one, client.get(url) as two:
             assert (one.status, two.status) == (200, 200)
@@ -167,11 +161,11 @@ def test_one_play_more_is_asked_to_come_back(root: Path) -> None:
                 assert three.status == 200
                 three.close()
 
-    on_server(root, check, quick_config(max_plays=2))
 
-
-def test_a_client_that_leaves_is_not_an_error(root: Path, caplog: pytest.LogCaptureFixture) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+async def test_a_client_that_leaves_is_not_an_error(
+    root: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with served(root) as (server, client):
         for path in (
             "/v1/streams/wide/play?layers=4",
             "/v1/streams/long/play",
@@ -182,15 +176,13 @@ def test_a_client_that_leaves_is_not_an_error(root: Path, caplog: pytest.LogCapt
             response.close()
         gone = server.state.metrics.plays
         await eventually(lambda: gone.value("gone") == 2 and not len(server.state.plays))
-
-    on_server(root, check)
     assert not caplog.records
 
 
-def test_many_clients_play_at_once(root: Path) -> None:
+async def test_many_clients_play_at_once(root: Path) -> None:
     disk = packets_on_disk(root / "walk")
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(root, quick_config(max_plays=40)) as (server, client):
         async with asyncio.TaskGroup() as group:
             tasks = [
                 group.create_task(play(client, "walk", f"?from={n % 20}&layers={n % 4 + 1}"))
@@ -202,13 +194,11 @@ def test_many_clients_play_at_once(root: Path) -> None:
                 assert one.mask == disk[one.birth, MASKS]
         assert server.state.metrics.plays.value("complete") == 40
 
-    on_server(root, check, quick_config(max_plays=40))
 
-
-def test_a_live_stream_is_followed_to_its_end(tmp_path: Path) -> None:
+async def test_a_live_stream_is_followed_to_its_end(tmp_path: Path) -> None:
     writer = live_stream(tmp_path / "live")
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(tmp_path) as (server, client):
         playing = asyncio.ensure_future(play(client, "live"))
         await eventually(lambda: len(server.state.plays))
         stream = server.state.library.streams["live"]
@@ -224,30 +214,26 @@ def test_a_live_stream_is_followed_to_its_end(tmp_path: Path) -> None:
         assert births_with_layer_0(records) == births
         assert records[-1] == EndRecord(3 * SEGMENT_FRAMES + 2)
 
-    on_server(tmp_path, check)
 
-
-def test_a_client_that_leaves_a_silent_live_stream_frees_its_place(tmp_path: Path) -> None:
+async def test_a_client_that_leaves_a_silent_live_stream_frees_its_place(tmp_path: Path) -> None:
     live_stream(tmp_path / "live")
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(tmp_path, quick_config(live_idle_s=60)) as (server, client):
         async with client.get("/v1/streams/live/play") as response:
             assert response.status == 200
             assert len(server.state.plays) == 1
             response.close()
         await eventually(lambda: not len(server.state.plays))
 
-    on_server(tmp_path, check, quick_config(live_idle_s=60))
-
 
 @pytest.mark.parametrize(("part", "end"), [("masks", 5), ("1", 5), ("snapshot-0", 15)])
-def test_a_damaged_object_ends_the_play_with_a_reason(
+async def test_a_damaged_object_ends_the_play_with_a_reason(
     tmp_path: Path, part: str, end: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = make_stream(tmp_path / "s", 15) / "segments" / "1" / part
     path.write_bytes(path.read_bytes()[:-1] + b"x")
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(tmp_path) as (server, client):
         records = await play(client, "s", "?layers=2")
         assert births_with_layer_0(records) == list(range(end))
         assert isinstance(records[-1], EndRecord if end == 15 else ErrorRecord)
@@ -258,19 +244,4 @@ def test_a_damaged_object_ends_the_play_with_a_reason(
         assert server.state.metrics.plays.value("damaged") == 1 + (end < 15)
         if part == "1":
             assert isinstance((await play(client, "s", "?layers=1"))[-1], EndRecord)
-
-    on_server(tmp_path, check)
     assert str(path) in caplog.text
-
-
-def test_a_truncated_play_is_noticed(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        async with client.get("/v1/streams/walk/play?layers=1") as response:
-            data = await response.read()
-        parser = RecordParser()
-        parser.feed(data[:-1])
-        assert parser.pending_bytes > 0
-        with pytest.raises(CorruptError):
-            RecordParser().feed(b"\xff\xff\xff\xff" + data)
-
-    on_server(root, check)

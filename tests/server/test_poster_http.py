@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import json
 import os
@@ -10,16 +9,20 @@ from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
 
-import aiohttp
 import pytest
 import yarl
 
 from codec.files import write_atomic
 from codec.stream import StreamReader
 from codec.stream.pictures import MAX_PICTURE_BYTES
-from codec.stream.poster import write_poster
-from player.render.cpu import render_splats
-from tests.support.server.running_server import Running, make_stream, on_server, raw_get
+from tests.support.server.running_server import (
+    make_stream,
+    raw_get,
+    running,
+    served,
+)
+
+pytestmark = pytest.mark.anyio
 
 JPEG = b"\xff\xd8\xff" + bytes(range(256)) * 40
 
@@ -44,10 +47,10 @@ def root(tmp_path: Path) -> Path:
 URL = "/v1/streams/walk/poster.jpg"
 
 
-def test_it_is_served_like_the_other_files(root: Path) -> None:
+async def test_it_is_served_like_the_other_files(root: Path) -> None:
     tag = f'"{hashlib.sha256(JPEG).hexdigest()}"'
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(root) as (_, client):
         async with client.get(URL) as response:
             assert (response.status, await response.read()) == (200, JPEG)
             headers = {
@@ -62,13 +65,11 @@ def test_it_is_served_like_the_other_files(root: Path) -> None:
         async with client.post(URL) as response:
             assert response.status == 405
 
-    on_server(root, check)
 
-
-def test_one_that_is_replaced_or_comes_later_is_served_as_it_is(root: Path) -> None:
+async def test_one_that_is_replaced_or_comes_later_is_served_as_it_is(root: Path) -> None:
     path = root / "walk" / "poster.jpg"
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(root) as (_, client):
         async with client.get(URL) as response:
             tag = response.headers["ETag"]
         write_atomic(path, JPEG + b"more")
@@ -79,19 +80,14 @@ def test_one_that_is_replaced_or_comes_later_is_served_as_it_is(root: Path) -> N
         write_atomic(path, JPEG)
         assert (await client.get(URL)).status == 200
 
-    on_server(root, check)
-
 
 @pytest.mark.parametrize(
     ("name", "what"), [("none.jpg", "picture"), ("captions-en.vtt", "captions")]
 )
-def test_what_is_missing_is_called_by_its_kind(root: Path, name: str, what: str) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        async with client.get(f"/v1/streams/walk/{name}") as response:
-            assert response.status == 404
-            assert f"walk has no {what} '{name}'" in await response.text()
-
-    on_server(root, check)
+async def test_what_is_missing_is_called_by_its_kind(root: Path, name: str, what: str) -> None:
+    async with served(root) as (_, client), client.get(f"/v1/streams/walk/{name}") as response:
+        assert response.status == 404
+        assert f"walk has no {what} '{name}'" in await response.text()
 
 
 @pytest.mark.parametrize(
@@ -102,43 +98,29 @@ def test_what_is_missing_is_called_by_its_kind(root: Path, name: str, what: str)
         ("segments/0/0.jpeg", "image/jpeg"),
     ],
 )
-def test_its_path_and_its_name_give_its_url_and_its_type(
+async def test_its_path_and_its_name_give_its_url_and_its_type(
     name: str, content_type: str, tmp_path: Path
 ) -> None:
     path = stream_with_poster(tmp_path, "walk", name) / name
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(JPEG)
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(tmp_path) as (server, client):
         url = f"{server.url}/v1/streams/walk/"
         async with client.get(yarl.URL(url + quote(name), encoded=True)) as response:
             assert (response.status, await response.read()) == (200, JPEG)
             assert response.headers["Content-Type"] == content_type
 
-    on_server(tmp_path, check)
 
-
-@pytest.mark.parametrize(
-    "path",
-    [
-        "walk/other.jpg",
-        "walk/poster.jpeg",
-        "walk/POSTER.JPG",
-        "walk/poster.jpg/",
-        "walk/x/../poster.jpg",
-        "walk/../secret.jpg",
-        "walk/poster.jpg%00",
-        "walk/" + "a" * 3000 + ".jpg",
-        "nobody/poster.jpg",
-    ],
-)
-def test_no_other_picture_is_served(path: str, root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        head, body = await raw_get(server.port, f"/v1/streams/{path}")
-        assert head.startswith(b"HTTP/1.1 404 "), head
-        assert len(json.loads(body)["error"]) < 200
-
-    on_server(root, check)
+async def test_no_other_picture_is_served(root: Path) -> None:
+    others = (
+        "other.jpg poster.jpeg POSTER.JPG poster.jpg/ x/../poster.jpg ../secret.jpg poster.jpg%00"
+    )
+    async with running(root) as server:
+        for path in (*(f"walk/{name}" for name in others.split()), "nobody/poster.jpg"):
+            head, body = await raw_get(server.port, f"/v1/streams/{path}")
+            assert head.startswith(b"HTTP/1.1 404 "), path
+            assert len(json.loads(body)["error"]) < 200
 
 
 @pytest.mark.parametrize(
@@ -146,7 +128,7 @@ def test_no_other_picture_is_served(path: str, root: Path) -> None:
     [None, "", "manifest.json", "index.bin", "segments/0/0", "page.html", "page.svg",
      "../secret.jpg", "x/../poster.jpg", "link.jpg", "out/secret.jpg", "folder.jpg", "pipe.jpg"],
 )  # fmt: skip
-def test_what_a_manifest_should_not_name_is_not_a_poster(
+async def test_what_a_manifest_should_not_name_is_not_a_poster(
     poster: str | None, tmp_path: Path
 ) -> None:
     path = stream_with_poster(tmp_path, "walk", poster)
@@ -158,7 +140,7 @@ def test_what_a_manifest_should_not_name_is_not_a_poster(
     (path / "out").symlink_to(tmp_path)
     os.mkfifo(path / "pipe.jpg")
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with running(tmp_path) as server:
         for name in {poster or "poster.jpg", "poster.jpg"}:
             head, body = await raw_get(server.port, f"/v1/streams/walk/{name}")
             assert b"not for you" not in body
@@ -167,40 +149,14 @@ def test_what_a_manifest_should_not_name_is_not_a_poster(
                 assert head.startswith(b"HTTP/1.1 404 "), head
             assert b"image/" not in head
 
-    on_server(tmp_path, check)
 
-
-def test_one_that_is_too_large_is_not_served(root: Path) -> None:
+async def test_one_that_is_too_large_is_not_served(root: Path) -> None:
     path = root / "walk" / "poster.jpg"
     path.write_bytes(bytes(MAX_PICTURE_BYTES + 1))
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(root) as (_, client):
         async with client.get(URL) as response:
             assert response.status == 404
         path.write_bytes(bytes(MAX_PICTURE_BYTES))
         async with client.get(URL) as response:
             assert len(await response.read()) == MAX_PICTURE_BYTES
-
-    on_server(root, check)
-
-
-def test_many_ask_while_it_is_replaced_and_each_gets_a_whole_one(root: Path) -> None:
-    path = root / "walk"
-    write_poster(path, render_splats)
-    one = (path / "poster.jpg").read_bytes()
-
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        async def get() -> bytes:
-            async with client.get(URL) as response:
-                return await response.read()
-
-        def replace_it() -> None:
-            for n in range(60):
-                write_atomic(path / "poster.jpg", (JPEG, one)[n % 2])
-
-        replacing = asyncio.create_task(asyncio.to_thread(replace_it))
-        while not replacing.done():
-            assert set(await asyncio.gather(*(get() for _ in range(5)))) <= {JPEG, one}
-        await replacing
-
-    on_server(root, check)

@@ -12,7 +12,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
-import aiohttp
 import pytest
 
 from fuzz.http import MemoryTransport
@@ -22,16 +21,19 @@ from server.exchange.exchange import Exchange
 from server.operate.prometheus import Metrics
 from server.state.config import ServerConfig
 from tests.support.server.running_server import (
-    Running,
     eventually,
     make_stream,
-    on_server,
     play,
     quick_config,
+    running,
+    served,
     slices_of,
 )
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has the limit")
+pytestmark = [
+    pytest.mark.anyio,
+    pytest.mark.skipif(sys.platform != "linux", reason="only Linux has the limit"),
+]
 
 OBJECT = "/v1/streams/wide/segments/0/0"
 PLAY = "/v1/streams/wide/play?layers=4"
@@ -57,16 +59,13 @@ def asking(port: int, path: str, *lines: str) -> Iterator[socket.socket]:
         yield sock
 
 
-def test_connections_inherit_the_limit_of_the_kernel(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        async with client.get(PLAY) as response:
-            for connection in server.server.connections:
-                sock = connection.transport.get_extra_info("socket")
-                limit_ms = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
-                assert limit_ms == 60_000
-            response.close()
-
-    on_server(root, check, ServerConfig(log_requests=False))
+async def test_connections_inherit_the_limit_of_the_kernel(root: Path) -> None:
+    config = ServerConfig(log_requests=False)
+    async with served(root, config) as (server, client), client.get(PLAY) as response:
+        (connection,) = server.server.connections
+        sock = connection.transport.get_extra_info("socket")
+        assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 60_000
+        response.close()
 
 
 class Unread(MemoryTransport):
@@ -104,7 +103,7 @@ async def test_nothing_else_cuts_whoever_makes_room_64_kb_at_a_time(rate: int) -
 
 @pytest.mark.parametrize("lines", [(), ("Connection: close",), ("Range: bytes=0-599999",)], ids=str)
 @pytest.mark.parametrize("path", [PLAY, OBJECT])
-def test_a_reader_that_stops_is_cut_and_logged_as_cut(
+async def test_a_reader_that_stops_is_cut_and_logged_as_cut(
     root: Path,
     path: str,
     lines: tuple[str, ...],
@@ -112,8 +111,8 @@ def test_a_reader_that_stops_is_cut_and_logged_as_cut(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Also where the kernel and the client's buffer hold all that is left of the response."""
-
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    config = quick_config(write_timeout_s=0.3, keepalive_timeout_s=0.2)
+    async with served(root, config) as (server, client):
         app, finished = server.server.app, list[Exchange]()
         finish = app.finished
 
@@ -132,8 +131,6 @@ def test_a_reader_that_stops_is_cut_and_logged_as_cut(
             assert (cut.status, cut.facts["outcome"]) == (499, "stalled")
             assert metrics.plays.value("stalled") == ("play" in path)
             assert not len(server.state.plays)
-
-    on_server(root, check, quick_config(write_timeout_s=0.3, keepalive_timeout_s=0.2))
     assert not caplog.records
 
 
@@ -155,21 +152,19 @@ def read(port: int, rate: int, ended: threading.Event) -> tuple[int, float]:
 
 
 @pytest.mark.realtime
-def test_readers_of_5_kb_a_second_get_everything_and_those_of_2_end(root: Path) -> None:
+async def test_readers_of_5_kb_a_second_get_everything_and_those_of_2_end(root: Path) -> None:
     fast, slow = (5_000, 10_000, 20_000, 50_000), (16, 100, 500, 1_000, 2_000)
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with running(root, ServerConfig(log_requests=False)) as server:
         metrics, ended = server.state.metrics, threading.Event()
         with ThreadPoolExecutor(len(fast + slow)) as pool:
-            running = [pool.submit(read, server.port, rate, ended) for rate in fast + slow]
+            readers = [pool.submit(read, server.port, rate, ended) for rate in fast + slow]
             stuck = asking(server.port, OBJECT)
             with stuck:
                 async with asyncio.timeout(70):
                     await eventually(lambda: metrics.timeouts.value("write") == len(slow) + 1)
-            for reader in running[: len(fast)]:
+            for reader in readers[: len(fast)]:
                 num_bytes, _ = await asyncio.wrap_future(reader)
                 assert num_bytes > OBJECT_BYTES  # and its head
             assert metrics.timeouts.value("write") == len(slow) + 1
             ended.set()
-
-    on_server(root, check, ServerConfig(log_requests=False))

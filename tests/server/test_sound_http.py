@@ -7,7 +7,6 @@ import wave
 from pathlib import Path
 from typing import cast
 
-import aiohttp
 import numpy as np
 import pytest
 
@@ -17,10 +16,12 @@ from codec.stream.sound import SAMPLE_RATE, SoundSource
 from codec.tools.streamsound import add_sound
 from server.library.servedstream import ServedStream
 from server.state.soundcache import SoundCache
-from tests.support.server.running_server import Running, make_stream, on_server
+from tests.support.server.running_server import make_stream, served
+
+pytestmark = pytest.mark.anyio
 
 
-def test_they_are_served_like_the_other_files(
+async def test_they_are_served_like_the_other_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = make_stream(tmp_path / "root" / "walk", 3)
@@ -37,7 +38,7 @@ def test_they_are_served_like_the_other_files(
     add_sound(broken, tmp_path / "in.wav", SoundSource("main", 2))
     (broken / "segments" / "0" / "audio-main").write_bytes(objects[0][:-1])
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(tmp_path / "root") as (server, client):
         url = "/v1/streams/walk/segments/"
         for n, data in objects.items():
             async with client.get(f"{url}{n}/audio-main") as response:
@@ -64,8 +65,6 @@ def test_they_are_served_like_the_other_files(
         async with client.get(url) as response:
             assert (response.status, await response.read()) == (200, other)
         assert server.state.sounds.size_bytes == len(other)
-
-    on_server(tmp_path / "root", check)
 
 
 def test_the_cache_drops_the_least_recently_used() -> None:

@@ -12,18 +12,17 @@ import pytest
 from codec.stream.playrecord import RecordParser
 from server.abr.clientstatus import PLAY_HEADER, ClientStatus
 from server.abr.session import PlaySession
-from server.exchange.exchange import Exchange
-from server.operate.overload import Overload, OverloadConfig
 from tests.support.server.running_server import (
-    Running,
     eventually,
     make_stream,
-    on_server,
     quick_config,
-    running,
+    served,
 )
 
 FPS, LEAD_S = 20, 0.6
+
+
+pytestmark = pytest.mark.anyio
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +43,10 @@ async def read_on(response: aiohttp.ClientResponse) -> None:
 NONSENSE = (b"", b"[]", b"{}", b'{"frame": -1}', b'{"frame": 1, "busy": 2}', b"\xff")
 
 
-def test_a_status_report_is_accepted_or_refused_in_one_line(
+async def test_a_status_report_is_accepted_or_refused_in_one_line(
     root: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(root) as (server, client):
         reports = server.state.metrics.status_reports
 
         async def post(url: str, body: bytes, **headers: str) -> tuple[int, str]:
@@ -88,32 +87,31 @@ def test_a_status_report_is_accepted_or_refused_in_one_line(
             response.close()
         await eventually(lambda: not len(server.state.plays))
         assert (await post(url, b'{"frame": 1}'))[0] == 404
-
-    on_server(root, check)
     assert not caplog.records
 
 
-def test_a_body_that_does_not_come_is_not_waited_for(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        async with client.get("/v1/streams/long/play?layers=1") as response:
-            path = f"/v1/streams/long/play/{response.headers[PLAY_HEADER]}"
-            reading = asyncio.create_task(read_on(response))
-            for length, body, status in (
-                ("Content-Length: 9", "{", b"408"),
-                ("Transfer-Encoding: chunked", "9\r\n{", b"411"),
-            ):
-                head = f"POST {path} HTTP/1.1\r\nHost: x\r\n{length}\r\n\r\n"
-                reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
-                writer.write((head + body).encode())
-                assert (await reader.readline()).split()[1] == status
-                writer.close()
-                await writer.wait_closed()
-            reading.cancel()
+async def test_a_body_that_does_not_come_is_not_waited_for(root: Path) -> None:
+    config = quick_config(request_timeout_s=0.5)
+    async with (
+        served(root, config) as (server, client),
+        client.get("/v1/streams/long/play?layers=1") as response,
+    ):
+        path = f"/v1/streams/long/play/{response.headers[PLAY_HEADER]}"
+        reading = asyncio.create_task(read_on(response))
+        for length, body, status in (
+            ("Content-Length: 9", "{", b"408"),
+            ("Transfer-Encoding: chunked", "9\r\n{", b"411"),
+        ):
+            head = f"POST {path} HTTP/1.1\r\nHost: x\r\n{length}\r\n\r\n"
+            reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+            writer.write((head + body).encode())
+            assert (await reader.readline()).split()[1] == status
+            writer.close()
+            await writer.wait_closed()
+        reading.cancel()
 
-    on_server(root, check, quick_config(write_timeout_s=0.5))
 
-
-def test_a_client_that_comes_back_does_not_start_blind(
+async def test_a_client_that_comes_back_does_not_start_blind(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     known: list[float | None] = []
@@ -125,7 +123,8 @@ def test_a_client_that_comes_back_does_not_start_blind(
 
     monkeypatch.setattr("server.answers.play.PlaySession", Noting)
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(root) as (server, client):
+
         async def play(last: str) -> str:
             url = "/v1/streams/walk/play?layers=4"
             async with client.get(url, headers={PLAY_HEADER: last}) as response:
@@ -146,55 +145,3 @@ def test_a_client_that_comes_back_does_not_start_blind(
         await play(second)  # a seek: the old play keeps running
         assert known[-1] == 6e6
         plays.end(second, 0.0)
-
-    on_server(root, check)
-
-
-def test_the_log_says_how_a_play_went(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    finished: list[Exchange] = []
-
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        app = server.server.app
-        finish = app.finished
-
-        def note(exchange: Exchange, now_s: float) -> None:
-            finished.append(exchange)
-            finish(exchange, now_s)
-
-        monkeypatch.setattr(app, "finished", note)
-        async with client.get("/v1/streams/walk/play?layers=3") as response:
-            await response.read()
-        async with client.get("/v1/streams/long/play?layers=1") as response:
-            response.close()
-        await eventually(lambda: len(finished) == 2)
-
-    on_server(root, check)
-    whole, left = finished
-    assert (whole.status, whole.facts["outcome"], whole.facts["layers"]) == (200, "complete", 3.0)
-    assert (left.status, left.facts["outcome"]) == (499, "gone")
-
-
-MADE_UP = "0-made_up_by_a_client_0000", "0-" + "A" * 42, "", "nonsense"
-
-
-def test_under_load_only_a_play_of_this_server_goes_on(root: Path) -> None:
-    url = "/v1/streams/walk/play?until=1&layers=1"
-
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        async def status(token: str) -> int:
-            async with client.get(url, headers={PLAY_HEADER: token}) as response:
-                await response.read()
-                return response.status
-
-        async with client.get(url) as response:
-            issued = response.headers[PLAY_HEADER]
-        async with running(root) as other, client.get(other.url + url) as response:
-            of_other = response.headers[PLAY_HEADER]
-        server.state.overload = Overload(OverloadConfig(recover_per_s=1e-6), max_plays=512)
-        server.state.overload.load = 1.0
-        altered = issued[:-1] + ("A" if issued[-1] != "A" else "B")
-        for token in (*MADE_UP, of_other, altered):
-            assert await status(token) == 503, token
-        assert await status(issued) == 200
-
-    on_server(root, check)

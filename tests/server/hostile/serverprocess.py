@@ -23,6 +23,8 @@ from tests.support.waiting import BOUND_S, wait_until
 LAST = "the-last-request"
 """A stream that does not exist, requested at the end of an exchange: the answer shows that the
 connection was kept."""
+PATIENT = {"--smooth-s": 1e6, "--request-timeout-s": 600, "--keepalive-timeout-s": 600}
+"""Options with which a slow machine is no load, and no client is too slow."""
 _MARKS = itertools.count()
 SECRET = b"not for you: 4f1d8a"
 """Content of the files around the streams; no response may contain it."""
@@ -61,6 +63,8 @@ def server_process(
     root: Path, folder: Path, *options: object, before: Callable[[], None] | None = None
 ) -> contextlib.AbstractContextManager[ServerProcess]:
     """A swings-serve of `root` that writes into `folder`. before: runs in its process first."""
+    patient = [(name, value) for name, value in PATIENT.items() if name not in options]
+    options = *options, *itertools.chain(*patient)
     words = command("swings-serve", root, "--port", 0, *options)
     return logged_process(words, folder, preexec_fn=before)
 

@@ -45,7 +45,9 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def server(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    with server_process(root, tmp_path_factory.mktemp("log"), "--write-timeout-s", 8) as running:
+    with server_process(
+        root, tmp_path_factory.mktemp("log"), "--write-timeout-s", 8, "--request-timeout-s", 8
+    ) as running:
         yield running
 
 

@@ -28,8 +28,12 @@ from tests.support.server.running_server import (
     make_stream,
     on_server,
     quick_config,
+    running,
+    served,
 )
 from tests.support.waiting import BOUND_S, wait_until
+
+pytestmark = pytest.mark.anyio
 
 OBJECT = "/v1/streams/walk/segments/0/0"
 PLAY = "/v1/streams/walk/play?layers=1"
@@ -77,8 +81,8 @@ async def status_of(server: Running, path: str, **fields: str) -> int:
         return response.status
 
 
-def test_one_address_has_so_many_connections(root: Path) -> None:
-    async def check(server: Running, _: aiohttp.ClientSession) -> None:
+async def test_one_address_has_so_many_connections(root: Path) -> None:
+    async with running(root, limited(max_address_connections=3)) as server:
         with ExitStack() as stack:
             held = [connect(stack, server.port) for _ in range(3)]
             await eventually(lambda: len(server.server.connections) == 3)
@@ -86,8 +90,6 @@ def test_one_address_has_so_many_connections(root: Path) -> None:
             held.pop().close()
             await eventually(lambda: len(server.server.connections) == 2)
             assert await status_of(server, "/healthz") == 200
-
-    on_server(root, check, limited(max_address_connections=3))
 
 
 def test_one_client_of_a_proxy_has_so_many_plays(root: Path) -> None:
@@ -104,16 +106,16 @@ def test_one_client_of_a_proxy_has_so_many_plays(root: Path) -> None:
     on_server(root, check, trusting)
 
 
-def test_a_stranger_cannot_say_who_it_is(root: Path) -> None:
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        async with client.get(PLAY, headers=forwarded("198.51.100.7")):
-            assert await status_of(server, PLAY, **forwarded("198.51.100.8")) == 429
+async def test_a_stranger_cannot_say_who_it_is(root: Path) -> None:
+    async with (
+        served(root, limited(max_address_plays=1)) as (server, client),
+        client.get(PLAY, headers=forwarded("198.51.100.7")),
+    ):
+        assert await status_of(server, PLAY, **forwarded("198.51.100.8")) == 429
 
-    on_server(root, check, limited(max_address_plays=1))
 
-
-def test_connections_above_the_limit_wait_and_are_served(root: Path) -> None:
-    async def check(server: Running, _: aiohttp.ClientSession) -> None:
+async def test_connections_above_the_limit_wait_and_are_served(root: Path) -> None:
+    async with running(root, limited(max_connections=4)) as server:
         with ExitStack() as stack:
             held = [connect(stack, server.port) for _ in range(4)]
             waiting = [begin(stack, server.port, "/healthz") for _ in range(8)]
@@ -127,8 +129,6 @@ def test_connections_above_the_limit_wait_and_are_served(root: Path) -> None:
                 sock.close()
             for sock in waiting:
                 assert await asyncio.to_thread(sock.recv, 12) == b"HTTP/1.1 200"
-
-    on_server(root, check, limited(max_connections=4))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of open files as on Linux")
@@ -164,11 +164,11 @@ def figures_of(sock: socket.socket) -> dict[tuple[str, ...], float]:
     return samples(data.partition(b"\r\n\r\n")[2].decode())
 
 
-def test_too_much_egress_sheds_layers_then_refuses_and_recovers(root: Path) -> None:
+async def test_too_much_egress_sheds_layers_then_refuses_and_recovers(root: Path) -> None:
     """Objects of megabytes are far more than that; the refusals themselves are not."""
-    overload = OverloadConfig(max_egress_bps=1e6, smooth_s=0.01, recover_per_s=5.0)
+    overload = OverloadConfig(max_egress_bps=1e6, smooth_s=1.0, max_late_s=1e6, recover_per_s=5.0)
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(root, replace(quick_config(), overload=overload)) as (server, client):
         shed = server.state.metrics.shed_layers._value
 
         async def is_refused() -> bool:
@@ -182,16 +182,14 @@ def test_too_much_egress_sheds_layers_then_refuses_and_recovers(root: Path) -> N
         await eventually(lambda: not shed.get())
         assert await status_of(server, f"{PLAY}&until=2") == 200
 
-    on_server(root, check, replace(quick_config(), overload=overload))
-
 
 def test_settings_come_from_the_environment(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SWINGS_SERVE_MAX_PLAYS", "1")
     assert "SWINGS_SERVE_MAX_PLAYS=1\n" in run_ok("swings-serve", root, "--check-config")
-    with serving(root) as url, urlopen(f"{url}/v1/streams/walk/play") as response:
+    with serving(root, "--smooth-s", 1e6) as url, urlopen(url + PLAY) as response:
         assert response.status == 200
         with pytest.raises(HTTPError, match="503"):
-            urlopen(f"{url}/v1/streams/walk/play")
+            urlopen(url + PLAY)
     monkeypatch.setenv("SWINGS_SERVE_MAX_PLAY", "1")
     done = run("swings-serve", root, "--check-config")
     assert done.returncode == 2
@@ -211,7 +209,7 @@ def test_every_line_of_a_json_log_is_json(root: Path, tmp_path: Path) -> None:
     assert all(line.isascii() and line.isprintable() for line in lines)
     assert OBJECT in [one.get("path") for one in told]
     play = next(one for one in told if str(one.get("path", "")).endswith("/play"))
-    assert play["outcome"] == "complete"
+    assert (play["outcome"], play["layers"]) == ("complete", 1)
 
 
 def test_any_worker_tells_what_both_have_counted(root: Path, tmp_path: Path) -> None:

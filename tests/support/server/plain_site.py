@@ -22,8 +22,7 @@ from server.listener import bind
 from server.operate.admission import Admission
 from server.state.config import ServerConfig
 from server.state.serverstate import ServerState
-
-PATIENCE_S = 20.0
+from tests.support.waiting import BOUND_S
 
 Answer = AnyResponse | Coroutine[Any, Any, AnyResponse]
 Answers = Mapping[str, Callable[[Exchange], Answer]]
@@ -101,7 +100,7 @@ class Client:
 
     async def answer(self, head_only: bool = False) -> tuple[int, dict[str, str], bytes]:
         """Status, fields by lower-case names, and body of the next response."""
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(BOUND_S):
             head = (await self.reader.readuntil(b"\r\n\r\n")).decode("latin-1")
             first, *lines = head[:-4].split("\r\n")
             status = int(first.split(" ")[1])
@@ -123,7 +122,7 @@ class Client:
 
     async def rest(self) -> bytes:
         """All data until the server closes the connection."""
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(BOUND_S):
             return await self.reader.read()
 
 

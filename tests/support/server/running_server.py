@@ -23,6 +23,7 @@ from server.abr.session import SessionConfig
 from server.clients.timeouts import TimeoutConfig
 from server.library import Library
 from server.listener import bind
+from server.operate.overload import OverloadConfig
 from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.runningserver import RunningServer
 from server.state.config import ServerConfig
@@ -97,21 +98,23 @@ def quick_config(
     *,
     max_lead_s: float = 2.0,
     max_plays: int = 8,
-    write_timeout_s: float = 5.0,
-    keepalive_timeout_s: float = 5.0,
+    request_timeout_s: float = BOUND_S,
+    write_timeout_s: float = BOUND_S,
+    keepalive_timeout_s: float = BOUND_S,
     send_queue_bytes: int = 65536,
-    live_idle_s: float = 5.0,
+    live_idle_s: float = BOUND_S,
     cors_origin: str = "*",
 ) -> ServerConfig:
-    """A config for tests, with short timeouts."""
+    """A config for tests, in which a slow machine ends nothing and is no load."""
     return ServerConfig(
         session=SessionConfig(max_lead_s=max_lead_s),
         max_plays=max_plays,
         timeouts=TimeoutConfig(
-            request_timeout_s=keepalive_timeout_s,
+            request_timeout_s=request_timeout_s,
             keepalive_timeout_s=keepalive_timeout_s,
             write_timeout_s=write_timeout_s,
         ),
+        overload=OverloadConfig(smooth_s=1e6),
         supervisor=SupervisorConfig(shutdown_timeout_s=2.0),
         send_queue_bytes=send_queue_bytes,
         refresh_s=0.02,
@@ -204,6 +207,15 @@ async def eventually(condition: Callable[[], object]) -> None:
             await asyncio.sleep(0.005)  # sleeps: between two looks at a server in this process
 
 
+@asynccontextmanager
+async def served(
+    root: Path, config: ServerConfig | None = None
+) -> AsyncIterator[tuple[Running, aiohttp.ClientSession]]:
+    """A server for `root`, and a client of it."""
+    async with running(root, config) as server, aiohttp.ClientSession(server.url) as client:
+        yield server, client
+
+
 Check = Callable[[Running, aiohttp.ClientSession], Awaitable[None]]
 
 
@@ -211,7 +223,7 @@ def on_server(root: Path, check: Check, config: ServerConfig | None = None) -> N
     """Runs `check` against a server for `root`."""
 
     async def run() -> None:
-        async with running(root, config) as server, aiohttp.ClientSession(server.url) as client:
+        async with served(root, config) as (server, client):
             await check(server, client)
 
     asyncio.run(run())

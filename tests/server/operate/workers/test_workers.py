@@ -272,7 +272,7 @@ def test_under_load_all_workers_know_the_tokens_of_all_and_no_others(
     root: Path, tmp_path: Path
 ) -> None:
     # A few objects overload a worker, which then needs days to recover.
-    options = ("--max-egress-bps", 1e6, "--smooth-s", 0.01, "--recover-per-s", 1e-6)
+    options = "--max-egress-bps", 1e6, "--smooth-s", 1, "--max-late-s", 1e6, "--recover-per-s", 1e-6
     query = "?until=1&layers=1"
     with workers(root, tmp_path, *options) as server, ExitStack() as stack:
         with closing(Play(server, query)) as play:
@@ -282,15 +282,16 @@ def test_under_load_all_workers_know_the_tokens_of_all_and_no_others(
         with closing(Play(server, query)) as play:
             after = play.token
         for one in connections_to_both(server, stack).values():
-            made_up = "0-made_up_by_a_client_0000"
 
-            def is_full(one: HTTPConnection = one, token: str = made_up) -> bool:
+            def is_full(one: HTTPConnection = one) -> bool:
                 for _ in range(20):
                     answer_of(one, "big/segments/0/0")
-                return answer_of(one, f"long/play{query}", token).status == 503
+                return answer_of(one, f"long/play{query}").status == 503
 
             wait_until(is_full)
-            assert answer_of(one, f"long/play{query}").status == 503
+            altered = before[:-1] + ("B" if before[-1] == "A" else "A")
+            for token in ("0-made_up_by_a_client_0000", altered, "nonsense"):
+                assert answer_of(one, f"long/play{query}", token).status == 503
             for token in (before, after):
                 assert answer_of(one, f"long/play{query}", token).status == 200
 
