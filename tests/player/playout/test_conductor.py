@@ -135,7 +135,12 @@ def test_the_rate_is_that_of_the_frames(stream: Path) -> None:
 def test_space_at_the_end_begins_anew(stream: Path) -> None:
     with conducted(stream, first=30, real=False) as (played, _):
         played.shows(39)
+        played.may_open.clear()
         played.conductor.seek(35)
+        played.conductor.toggle_pause()
+        assert played.conductor.state().frame == 35  # a seek on its way stays
+        played.may_open.set()
+        played.poll_until(lambda: played.records[-1].play == 1)
         played.shows(39)
         played.conductor.toggle_pause()
         played.poll_until(lambda: played.records[-1].play == 2)
