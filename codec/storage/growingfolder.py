@@ -87,7 +87,9 @@ class GrowingFolder(FolderStorage):
         sync_folder(folder)
 
     def append(self, log_bytes: int, records: bytes) -> None:
-        append_durably(self._folder / self._shape.log, log_bytes, records)
+        # A reader may have seen the records already: no signal takes them back.
+        with postponed_interrupts():
+            append_durably(self._folder / self._shape.log, log_bytes, records)
 
     def finish(self, head: bytes) -> None:
         write_atomic(self._folder / self._shape.head, head)

@@ -322,3 +322,19 @@ def test_no_thread_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last
     assert len(begun) == len(ended) == 4
     assert not any(thread.is_alive() for thread in started)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_ctrl_c_takes_back_no_record_that_may_have_been_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = GrowingFolder(tmp_path / "s", Shape(log="log", head="head", folder="objects"))
+    place.begin(b"{}")
+    fsync = os.fsync
+
+    def interrupted(descriptor: int) -> None:
+        signal.raise_signal(signal.SIGINT)
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", interrupted)
+    refused(KeyboardInterrupt, "", place.append, 0, b"record")
+    assert (tmp_path / "s" / "log").read_bytes() == b"record"
