@@ -27,7 +27,7 @@ def chromium() -> Iterator[Page]:
     reason = why_not()
     if reason is not None:
         pytest.skip(reason)
-    with running_chromium() as running:
+    with running_chromium(keeps_page=True) as running:
         yield running
 
 
@@ -35,7 +35,7 @@ def chromium() -> Iterator[Page]:
 def page(chromium: Page) -> Iterator[Page]:
     """A page in Chromium. A test whose page complains fails, unless it expects that."""
     yield chromium
-    chromium.close()  # a page that keeps playing would slow down all other tests
+    chromium.rest()  # a page that keeps playing would slow down all other tests
     assert chromium.take_complaints() == []
 
 

@@ -17,7 +17,7 @@ async function launch(/** @type {"chromium"} */ kind, /** @type {string} */ exec
   return playwright[kind].launch({ executablePath, args });
 }
 
-const [kind, executablePath, boundS] = process.argv.slice(2);
+const [kind, executablePath, boundS, keeps] = process.argv.slice(2);
 const BOUND_MS = 1000 * Number(boundS);
 const browser = await launch(/** @type {"chromium"} */ (kind), executablePath);
 /** Names that the code of `run` and `wait` may use. */
@@ -31,30 +31,67 @@ const NAMES = `
 let page;
 /** @type {import("playwright-core").Page | import("playwright-core").Frame} the page, or a frame in it */
 let scene;
+/** What the context of the page was made with, if the next page may be opened in the same one. */
+let kept = "";
+/** @type {import("playwright-core").CDPSession} */
+let session;
+/** @type {string[]} the scripts that run in the page before its own */
+let identifiers = [];
 /** @type {string[]} errors and warnings of all pages since they were last asked for */
 const complaints = [];
 
 /** @type {Record<string, (question: any) => unknown>} */
 const ACTIONS = {
-  /** `scripts` (paths) run in the page before its own; `options` are those of Playwright's context. */
+  /**
+   * `scripts` (paths) run in the page before its own; `options` are those of Playwright's context. With
+   * "keep", a page of the same options is opened in the same process, with an empty cache: to start
+   * another costs more than all that a small page does.
+   */
   async open({ url, widthPx, heightPx, touch, scripts, options }) {
     const viewport = { width: widthPx, height: heightPx };
-    await ACTIONS.close({});
-    const context = await browser.newContext({ viewport, hasTouch: touch, ...options });
-    for (const path of scripts) await context.addInitScript({ path });
-    page = await context.newPage();
-    page.on("pageerror", (error) => complaints.push(`${error.stack}`));
-    page.on("console", (message) => {
-      if (!["error", "warning"].includes(message.type())) return;
-      // What a slow device says of a test that reads the picture.
-      if (message.text().includes("GPU stall due to ReadPixels")) return;
-      complaints.push(message.text());
-    });
+    const wanted = JSON.stringify([touch, options]);
+    if (kept === wanted) {
+      await page.setViewportSize(viewport);
+      await session.send("Network.clearBrowserCache");
+    } else {
+      await ACTIONS.close({});
+      const context = await browser.newContext({ viewport, hasTouch: touch, ...options });
+      if (!keeps) for (const path of scripts) await context.addInitScript({ path });
+      page = await context.newPage();
+      page.on("pageerror", (error) => complaints.push(`${error.stack}`));
+      page.on("console", (message) => {
+        if (!["error", "warning"].includes(message.type())) return;
+        // What a slow device says of a test that reads the picture.
+        if (message.text().includes("GPU stall due to ReadPixels")) return;
+        complaints.push(message.text());
+      });
+      session = await context.newCDPSession(page);
+      identifiers = [];
+    }
+    if (keeps) {
+      kept = wanted;
+      await session.send("Page.enable");
+      for (const identifier of identifiers.splice(0)) {
+        await session.send("Page.removeScriptToEvaluateOnNewDocument", { identifier });
+      }
+      for (const path of scripts) {
+        const source = `(() => {${await readFile(path, "utf8")}\n})();`;
+        const added = await session.send("Page.addScriptToEvaluateOnNewDocument", { source });
+        identifiers.push(added.identifier);
+      }
+    }
     await page.goto(url);
     scene = page;
   },
+  /** Ends what the page does. */
+  async rest() {
+    if (kept === "") return ACTIONS.close({});
+    await page.mouse.move(0, 0);
+    await page.goto("about:blank");
+  },
   /** Opens the same address in a new page of the same browser, whose cache is warm. */
   async reopen({ restS }) {
+    kept = "";
     const url = page.url();
     const next = await page.context().newPage();
     await page.close();
@@ -63,6 +100,7 @@ const ACTIONS = {
     await page.goto(url);
   },
   async close() {
+    kept = "";
     await page?.context().close();
   },
   /** Goes into the frame whose URL holds `part`. */
@@ -152,17 +190,18 @@ const ACTIONS = {
   },
   /** As a window that is moved to a screen of another resolution; its size has to change too. */
   async screen({ widthPx, heightPx, ratio }) {
-    // The session stays: without it the ratio is as before.
-    const session = await page.context().newCDPSession(page);
+    kept = "";
     const size = { width: widthPx, height: heightPx };
     const metrics = { ...size, deviceScaleFactor: ratio, mobile: false };
     await session.send("Emulation.setDeviceMetricsOverride", metrics);
   },
   async offline({ offline }) {
+    kept = "";
     await page.context().setOffline(offline);
   },
   /** Bytes that the page and each of its workers hold, without what nobody refers to any more. */
   async heaps() {
+    kept = "";
     const session = await page.context().newCDPSession(page);
     /** @type {string[]} */
     const workers = [];

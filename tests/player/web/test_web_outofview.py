@@ -132,6 +132,7 @@ def test_twenty_players_take_the_memory_of_those_that_stay_open(page: Page, site
     """One player is in view and a few wait; each of the others has been in view and is parked."""
     found_bytes: list[int] = []
     for count in (MOST_WAITING + 1, 20):
+        page.close()
         page.open(site.write_page("hidden.html", HIDDEN_PAGE), 400, 150)
         page.run(MANY, count)
         page.run(SHOW)

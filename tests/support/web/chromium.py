@@ -55,7 +55,12 @@ class Page:
         self._do("reopen", restS=rest_s)
 
     def close(self) -> None:
+        """Ends the page and its process; the next one is opened in another."""
         self._do("close")
+
+    def rest(self) -> None:
+        """Leaves the page."""
+        self._do("rest")
 
     def enter(self, part: str) -> None:
         """Enters the frame whose URL contains `part`; later runs, waits and clicks act on it."""
@@ -136,7 +141,9 @@ class Page:
 
 
 @contextmanager
-def running_chromium() -> Iterator[Page]:
+def running_chromium(keeps_page: bool = False) -> Iterator[Page]:
+    """keeps_page: pages with the same options are opened one after another in one process."""
     assert CHROMIUM is not None
-    with running_script("drive.mjs", "chromium", CHROMIUM, f"{BOUND_S}") as node:
+    how = ("chromium", CHROMIUM, f"{BOUND_S}", "keep" if keeps_page else "")
+    with running_script("drive.mjs", *how) as node:
         yield Page(node)

@@ -36,6 +36,7 @@ def opened(page: Page, folder: Path, rate: float, buffer_mb: float) -> Iterator[
     """Opens the page, paused at the first frame of the stream in `folder`."""
     export_static(folder / "stream", folder / "static")
     with player_host(folder) as url:
+        page.close()  # a process of its own
         query = f"src=../static&autoplay=0&buffer-mb={buffer_mb}"
         watch(page, f"{url}/player/watch.html?{query}")
         page.run("player.setRate(value)", rate)

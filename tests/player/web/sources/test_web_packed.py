@@ -97,17 +97,19 @@ def test_hosts_and_files_that_will_not_do_are_said(browser: BrowserCode, root: P
     bad.unlink()
 
 
-def first_picture(page: Page, host: RangeHost, name: str) -> int:
-    """Opens the page; returns the number of requests for the stream until its first picture."""
+def requests_of(page: Page, host: RangeHost, name: str) -> int:
+    """Opens the page; returns the number of requests for the stream until all of it is there."""
     host.asked.clear()
     watch(page, f"{host.url}/player/watch.html?src=../{name}&autoplay=0&loop=0")
+    page.wait(f"state.endFrame === {NUM_FRAMES}")
+    page.wait_until_still("state.receivedBytes")
     return sum(1 for path, _ in host.asked if path.startswith(f"/{name}"))
 
 
 def test_a_page_plays_it_and_seeks_in_it_like_in_a_folder(page: Page, root: Path) -> None:
     with range_host(root) as host:
-        folder = first_picture(page, host, "folder")
-        packed = first_picture(page, host, "packed.swings")
+        folder = requests_of(page, host, "folder")
+        packed = requests_of(page, host, "packed.swings")
         assert packed <= folder + 2, (packed, folder)
         page.wait("part('.poster').naturalWidth === 64")
         page.run(f"element.currentTime = {NUM_FRAMES // 2} / 30")
