@@ -29,6 +29,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from bench.network.shaped import TCP_SHARE, shaped_link, why_not
 from bench.network.shown import shown_scores
 from bench.serve.processes import serving
 from codec.console import run_command
@@ -40,7 +41,6 @@ from server.study.looped import LoopedMedia, open_media
 from server.study.plays import Rules, run_play
 from server.study.report.summary import OWN
 from server.study.tracefolder import read_traces
-from tests.support.delivery.shaped import TCP_SHARE, shaped_link, why_not
 from trainer.score.truth import open_held_out
 
 REQUEST_BYTES = 500

@@ -13,10 +13,10 @@ from threading import Thread
 
 import pytest
 
+from bench.network.shaped import TCP_SHARE, shaped_link, why_not
 from player.link.linkprocess import LinkProcess
 from server.abr.link.link import Link, LinkStep
 from tests.support.delivery.pump import Told
-from tests.support.delivery.shaped import TCP_SHARE, shaped_link, why_not
 
 ROOT = Path(__file__).parents[2]
 
