@@ -73,22 +73,3 @@ def test_a_whole_playback_over_a_link(library: Path, tmp_path: Path) -> None:
     assert len(pictures(tmp_path / "out")) == 87
     assert summary.link_bytes is not None
     assert summary.link_bytes >= summary.totals.wire_bytes > 0
-
-
-def test_files_get_all_layers_from_a_static_host_and_the_cache_is_counted(
-    library: Path, tmp_path: Path
-) -> None:
-    with static_host(library) as host:
-        for hits in (False, True):
-            config = PlayConfig(
-                f"{host}/long",
-                capture=tmp_path / str(hits),
-                renderer=RendererKind.CPU,
-                frames=FrameRange(16, 20),
-                cache=tmp_path / "cache",
-            )
-            summary = play(config)
-            assert summary.totals.mean_layers == LAYERS
-            counted = summary.to_json()["cache"]
-            assert bool(counted["hits"]) is hits
-            assert bool(counted["misses"]) is not hits
