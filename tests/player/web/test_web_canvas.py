@@ -21,7 +21,7 @@ SETTLED = "player.isSettled && !player.view.needsDrawing && player.view.loop.wai
 
 
 def test_it_follows_the_pixel_ratio(page: Page, site: Site) -> None:
-    site.watch(page, "whole", width_px=WIDTH_PX, height_px=HEIGHT_PX)
+    site.watch(page, "whole")
     for ratio, drawn, less_px in ((1, 1, 0), (2, 2, 2), (1.5, 1.5, 4), (3, 2, 6), (1, 1, 0)):
         css_px = WIDTH_PX, HEIGHT_PX - less_px
         page.set_screen(*css_px, ratio)

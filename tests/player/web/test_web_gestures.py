@@ -16,12 +16,8 @@ from tests.support.web.canvas import camera_of, check_picture
 from tests.support.web.chromium import Page
 from tests.support.web.site import Site
 
-WIDTH_PX, HEIGHT_PX = 480, 320
+SIZE_PX = 480, 320
 STILL = "!player.motion.isMoving"
-
-
-def opened(page: Page, site: Site, touch: bool = False) -> None:
-    site.watch(page, "whole", width_px=WIDTH_PX, height_px=HEIGHT_PX, touch=touch)
 
 
 def view_of(page: Page) -> tuple[float, float, float, float, float]:
@@ -36,7 +32,7 @@ def check_seen(page: Page, site: Site) -> None:
 
 
 def test_a_mouse_turns_moves_and_comes_closer(page: Page, site: Site) -> None:
-    opened(page, site)
+    site.watch(page, "whole", size_px=SIZE_PX)
     page.drag((240, 120), (300, 140))
     turn, tilt, *others = view_of(page)
     assert turn != 0
@@ -62,7 +58,7 @@ def test_a_mouse_turns_moves_and_comes_closer(page: Page, site: Site) -> None:
 
 
 def test_a_finger_turns_and_two_come_closer(page: Page, site: Site) -> None:
-    opened(page, site, touch=True)
+    site.watch(page, "whole", touch=True, size_px=SIZE_PX)
     page.touch([(200, 100)], [(220, 110)], [(260, 120)])
     turn, tilt, zoom, *_ = view_of(page)
     assert turn != 0
@@ -105,7 +101,7 @@ its top."""
 
 
 def test_a_page_scrolls_over_a_player(page: Page, site: Site) -> None:
-    opened(page, site, touch=True)
+    site.watch(page, "whole", touch=True, size_px=SIZE_PX)
     assert page.value("player.canvas.style.touchAction") == "none"
     page.run(SCROLLING)
     page.wait("player.canvas.style.touchAction === 'pan-y'")
@@ -129,7 +125,7 @@ def test_the_wheel_is_the_pages_until_a_click(page: Page, site: Site) -> None:
     player.canvas.dispatchEvent(event);
     return event.defaultPrevented;
     """
-    opened(page, site)
+    site.watch(page, "whole", size_px=SIZE_PX)
     assert page.run(wheel, False)
     page.run(SCROLLING)
     before = view_of(page)
@@ -144,7 +140,7 @@ def test_the_wheel_is_the_pages_until_a_click(page: Page, site: Site) -> None:
 
 def test_a_double_click_with_alt_flies_to_what_shows_there(page: Page, site: Site) -> None:
     places_px = [(20 * x, 20 * y) for x in range(1, 24) for y in range(1, 16)]
-    opened(page, site)
+    site.watch(page, "whole", size_px=SIZE_PX)
     camera = camera_of(page.value("player.camera"))
     depths_m, alphas = depths_of(site.reader("whole"), camera)
     code = "return value.map((at) => player.renderer.depthAt(player.camera, ...at))"

@@ -18,7 +18,7 @@ SOFT_NOTE = "part('.note.soft').textContent"
 
 
 def test_it_plays_pauses_seeks_and_ends(page: Page, site: Site) -> None:
-    site.watch(page, "clip", width_px=480, height_px=320)
+    site.watch(page, "clip", size_px=(480, 320))
     assert page.value("state.playing") is False
     # Keys work before anything is clicked.
     page.press("i")

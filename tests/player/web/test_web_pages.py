@@ -69,25 +69,23 @@ def shown(page: Page) -> list[str]:
     return titles
 
 
+CHOOSE = """
+const [box, select] = document.querySelectorAll("input, select");
+[box.value, select.value] = value;
+box.dispatchEvent(new Event("input"));
+select.dispatchEvent(new Event("change"));
+"""
+
+
 def test_cards_are_found_and_sorted(page: Page, server: ServerProcess) -> None:
     page.open(server.url, 900, 700)
     titles = [f"Take {n} of the walk" for n in range(NUM_STREAMS)]
     assert shown(page) == titles
     assert page.axe() == []
-    page.run(
-        """const box = document.querySelector("input");
-        box.value = "walk 7";
-        box.dispatchEvent(new Event("input"));"""
-    )
+    page.run(CHOOSE, ["walk 7", "title"])
     assert shown(page) == [titles[7]]
     assert page.value("document.querySelector('output').textContent") == "1 of 12 streams"
-    page.run(
-        """const [box, select] = document.querySelectorAll("input, select");
-        box.value = "";
-        box.dispatchEvent(new Event("input"));
-        select.value = "longest";
-        select.dispatchEvent(new Event("change"));"""
-    )
+    page.run(CHOOSE, ["", "longest"])
     assert shown(page) == titles[::-1]
     page.click("summary")
     assert page.axe() == []

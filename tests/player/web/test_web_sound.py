@@ -185,9 +185,7 @@ def test_a_browser_that_waits_for_a_person(
 
 
 @pytest.mark.realtime
-def test_a_link_that_carries_layer_0_and_no_more_carries_the_sound(
-    page: Page, tmp_path: Path
-) -> None:
+def test_a_link_that_carries_layer_0_carries_the_sound(page: Page, tmp_path: Path) -> None:
     (tmp_path / "player").symlink_to(LINKS["player"])
     frames = 240
     source = SoundSource("main", 2)

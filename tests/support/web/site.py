@@ -79,8 +79,15 @@ class Site:
     def address(self, stream: str, query: str = "autoplay=0") -> str:
         return f"{self.url}/player/watch.html?src=../{stream}&{query}"
 
-    def watch(self, page: Page, stream: str, query: str = "autoplay=0", **more: object) -> None:
-        watch(page, self.address(stream, query), **more)  # type: ignore[arg-type]
+    def watch(
+        self,
+        page: Page,
+        stream: str,
+        query: str = "autoplay=0",
+        size_px: tuple[int, int] = (160, 120),
+        **more: object,
+    ) -> None:
+        watch(page, self.address(stream, query), *size_px, **more)  # type: ignore[arg-type]
 
     def reader(self, stream: str) -> StreamReader:
         return StreamReader(self.folder / "trained" / stream)

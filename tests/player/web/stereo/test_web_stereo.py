@@ -27,12 +27,8 @@ from tests.support.web.site import Site
 EMULATOR = SCRIPTS / "node_modules" / "iwer" / "build" / "iwer.min.js"
 HEADSET = Path(__file__).with_name("headset.js")
 EMULATED_EYES_M = 1.6
-WIDTH_PX, HEIGHT_PX = 640, 320
+SIZE_PX = WIDTH_PX, HEIGHT_PX = 640, 320
 IN_HEADSET = "player.headset?.last"
-
-
-def opened(page: Page, site: Site, *scripts: Path) -> None:
-    site.watch(page, "whole", width_px=WIDTH_PX, height_px=HEIGHT_PX, scripts=scripts)
 
 
 @pytest.fixture
@@ -40,7 +36,7 @@ def worn(page: Page, site: Site) -> Page:
     """The page with a headset."""
     if not EMULATOR.is_file():
         pytest.skip("needs the emulator of headsets: scripts/setup dev")
-    opened(page, site, EMULATOR, HEADSET)
+    site.watch(page, "whole", scripts=(EMULATOR, HEADSET), size_px=SIZE_PX)
     return page
 
 
@@ -52,7 +48,7 @@ def aside(camera: Camera, aside_m: float) -> Camera:
 
 
 def test_side_by_side(page: Page, site: Site) -> None:
-    opened(page, site)
+    site.watch(page, "whole", size_px=SIZE_PX)
     check_picture(page, site.reader("whole"))
     alone = canvas_of(page)
     page.click("swings-player .side-by-side")
@@ -190,7 +186,7 @@ def test_a_headset_that_does_not_start(worn: Page, breakage: str, says: str) -> 
 
 
 def test_without_a_headset(page: Page, site: Site) -> None:
-    opened(page, site)
+    site.watch(page, "whole", size_px=SIZE_PX)
     assert page.value("part('.headset').hidden")
     page.run("element.focus()")
     page.press("v")
