@@ -140,7 +140,7 @@ def write_stream(path: Path, capture_path: Path) -> tuple[float, ...]:
         meter = QualityMeter(cache, manifest)
         with StreamWriter.create(path, manifest, quality=meter) as writer:
             for birth in range(1 - SWIN, FRAMES):
-                writer.append(coarse_slice(birth, centre, 0))
+                writer.append(coarse_slice(birth, centre))
     return StreamReader(path).records[0].psnr_db
 
 
