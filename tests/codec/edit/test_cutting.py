@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from codec.camera import Camera
-from codec.edit.editing import edit_stream
-from codec.edit.recolour import ColourOptions
 from codec.errors import CorruptError, InvalidError
 from codec.files import write_atomic
 from codec.framerange import FrameRange
-from codec.splats import Splats
 from codec.stream import StreamReader
 from codec.stream.manifest import MASKS, Manifest
 from codec.tools.audit import verify_stream
@@ -85,32 +80,6 @@ def test_segments_that_move_keep_their_chunks_but_for_the_frame_number(tmp_path:
                 assert (was[:8], was[12:]) == (now[:8], now[12:])
                 assert int.from_bytes(now[8:12], "little") == birth
                 assert len(new.packet(birth)) <= len(old.packet(birth + SEGMENT_FRAMES)) + 4
-
-
-def test_the_planes_of_segments_that_move_are_the_same_bytes(tmp_path: Path) -> None:
-    source = write_trained_like(tmp_path / "s", 1, 2000)
-    trim_stream(source, tmp_path / "t", FrameRange(SEGMENT_FRAMES))
-    verify_stream(tmp_path / "t")
-    before, after = StreamReader(source), StreamReader(tmp_path / "t")
-    num_bytes = num_same = 0
-    for segment in (0, 1):
-        for part in before.manifest.parts:
-            old, new = before.read_object(segment + 1, part), after.read_object(segment, part)
-            for entry in new.entries:
-                packet = bytes(new.packet(entry.birth))[:-4]  # without the checksum
-                was = bytes(old.packet(entry.birth + SEGMENT_FRAMES))[:-4]
-                num_bytes += len(packet)
-                pairs = zip(reversed(packet), reversed(was), strict=False)
-                num_same += len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
-    assert num_same > 0.8 * num_bytes
-
-
-@pytest.mark.parametrize("frames", [(14, 15), (0, 15), (20, None)])
-def test_frames_that_are_not_there(frames: tuple[int, int | None], tmp_path: Path) -> None:
-    source = write_slot_stream(tmp_path / "s", 14)
-    with pytest.raises(InvalidError, match="has frames 0:14"):
-        trim_stream(source, tmp_path / "t", FrameRange(*frames))
-    assert not (tmp_path / "t").exists()
 
 
 def test_a_wrong_object_is_named_and_nothing_is_left(tmp_path: Path) -> None:
@@ -215,43 +184,6 @@ def test_a_temporal_layer_or_none(periods: tuple[int, int], seed: int, tmp_path:
     manifest = StreamReader(tmp_path / "t").manifest
     assert (manifest.temporal_period, manifest.segment_frames) == (after, 9 if after == 3 else 8)
     assert_same_frames(source, tmp_path / "t")
-
-
-def test_a_temporal_layer_goes_through_edits_and_goes_away(tmp_path: Path) -> None:
-    source = write_trained_like(tmp_path / "s", 1)
-    said = run_ok("swings-stream", "edit", "temporal", source, tmp_path / "with")
-    assert f"with: {NUM_FRAMES} frames in 3 segments" in said
-    made = set_temporal_layer(tmp_path / "with", tmp_path / "again", 2)
-    assert made.num_copied == made.num_segments
-    assert segment_files(tmp_path / "again") == segment_files(tmp_path / "with")
-    edit_stream(tmp_path / "with", tmp_path / "grey", ColourOptions(exposure=-1.0))
-    assert StreamReader(tmp_path / "grey").manifest.temporal_period == 2
-    for before, after in zip(frames_of(source), frames_of(tmp_path / "grey"), strict=True):
-        np.testing.assert_array_equal(np.sort(after.means, axis=0), np.sort(before.means, axis=0))
-    set_temporal_layer(tmp_path / "with", tmp_path / "without", 1)
-    assert_same_frames(source, tmp_path / "without")
-    assert objects_bytes(tmp_path / "without") <= objects_bytes(source)
-    assert objects_bytes(tmp_path / "with") > objects_bytes(source)
-    with pytest.raises(InvalidError, match="temporal_period 9 is not in"):
-        set_temporal_layer(source, tmp_path / "t", 9)
-    lanes = write_slot_stream(tmp_path / "lanes", 9, small_layout(3, (6, 4), 0, 4))
-    refused(InvalidError, "a swin_size of 1, not 3", set_temporal_layer, lanes, tmp_path / "t", 2)
-    assert not (tmp_path / "t").exists()
-
-
-def test_pictures_are_drawn_and_old_scores_do_not_stay(tmp_path: Path) -> None:
-    source = write_trained_like(
-        tmp_path / "s", 1, 200, quality=lambda frame, slices: [20.0] * len(slices)
-    )
-
-    def draw(splats: Splats, camera: Camera, near_m: float) -> np.ndarray:
-        return np.zeros((camera.height_px, camera.width_px, 3), np.float32)
-
-    set_temporal_layer(source, tmp_path / "t", 2, draw)
-    reader = StreamReader(tmp_path / "t")
-    assert reader.num_frames == NUM_FRAMES
-    assert (tmp_path / "t" / "poster.jpg").is_file()
-    assert all(np.isnan(record.psnr_db).all() for record in reader.records)
 
 
 @pytest.fixture(scope="module")

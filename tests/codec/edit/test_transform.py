@@ -11,15 +11,13 @@ import pytest
 
 from codec.edit.crop import CropOptions
 from codec.edit.editing import Options, edit_stream
-from codec.edit.fitting import MOST, first_segment_bytes, fitted
+from codec.edit.fitting import first_segment_bytes, fitted
 from codec.edit.recolour import ColourOptions
 from codec.edit.rewrite import coder_of_stream
 from codec.edit.transform import Transform, TransformOptions
 from codec.errors import SwingsError
-from codec.interop.formats import SplatFormat, write_splats
 from codec.lattice.lattice import COLOURS, dequantise
 from codec.pose import Doubles
-from codec.sequence.importing import ImportOptions, import_stream
 from codec.similarity import harmonics
 from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader
@@ -32,14 +30,12 @@ from tests.support.slots.edited import (
     frames_of,
     least_psnr_db,
     objects_bytes,
-    overview,
     segment_files,
     write_still,
     write_trained_like,
 )
 from tests.support.slots.slot_streams import slot_manifest, write_busy_stream, write_slot_stream
 from tests.support.slots.updates import patternless_states, small_layout
-from tests.support.trained_like import trained_like_splats
 
 OBLIQUE = TransformOptions(1.3, (10, 20, 30), (0.5, -0.25, 1.0), (0, 1, 0))
 
@@ -246,56 +242,7 @@ def test_recoloured_frames_give_the_same_pictures(
     assert objects_bytes(tmp_path / "t") <= objects_bytes(source)
 
 
-def test_each_pixel_is_multiplied(tmp_path: Path) -> None:
-    source = write_trained_like(tmp_path / "s", 5)
-    edit_stream(source, tmp_path / "t", ColourOptions(gain=(0.5, 0.9, 1.1)))
-    camera = overview(source)
-    before, after = (
-        render_splats(next(frames_of(path)), camera, 0.01) for path in (source, tmp_path / "t")
-    )
-    error = after - before * np.array([0.5, 0.9, 1.1])
-    assert -10 * np.log10(np.mean(error**2)) >= 45
-
-
-@pytest.mark.parametrize("degree", [1, 3])
-def test_harmonics_and_escaped_gaussians_are_multiplied_too(degree: int, tmp_path: Path) -> None:
-    layout = small_layout(2, (20, 10), degree)
-    source = write_slot_stream(tmp_path / "s", 6, layout)
-    pairs = edited_frames(source, tmp_path / "t", ColourOptions(exposure=-1.1))
-    step = max(lattice.colour for lattice in StreamReader(tmp_path / "t").manifest.lattice)
-    for before, after in pairs:
-        np.testing.assert_array_equal(after.means, before.means)
-        wanted = gained(before, (2**-0.5,) * 3)
-        # Half a step each of Y, Co and Cg.
-        assert np.abs(after.sh - wanted.sh).max() <= 1.51 * step
-
-
 TURN = TransformOptions(turn=(10, 20, 30))
-
-
-def write_few_harmonics(path: Path, num_gs: int) -> Path:
-    """Writes a stream of one frame of degree 3 to `path`. One coefficient of degree 2 and one of
-    degree 3 are not 0; after an oblique turn, all of them are not 0."""
-    splats, rng = trained_like_splats(num_gs), np.random.default_rng(1)
-    sh = np.zeros((num_gs, 16, 3), np.float32)
-    sh[:, :1] = splats.sh
-    sh[:, [5, 11]] = 0.1 * rng.normal(size=(num_gs, 2, 3))
-    path.mkdir()
-    write_splats(path / "m.ply", Splats(*splats.arrays[:4], sh), SplatFormat.PLY)
-    import_stream(path / "m.ply", path / "s", ImportOptions(fps=30))
-    return path / "s"
-
-
-def test_steps_that_would_not_save_enough_stay_as_they_were(tmp_path: Path) -> None:
-    source = write_few_harmonics(tmp_path / "m", 1000)
-    reader = StreamReader(source)
-    coder, limit_bytes = coder_of_stream(reader), sum(reader.records[0].part_bytes)
-    edit = Transform(TURN, reader.manifest)
-    assert first_segment_bytes(reader, edit.coarser(MOST), coder) > limit_bytes
-    assert fitted(reader, edit, coder) is edit
-    made = edit_stream(source, tmp_path / "t", TURN)
-    assert made.size_bytes > made.source_bytes
-    assert StreamReader(tmp_path / "t").manifest.lattice == reader.manifest.lattice
 
 
 def test_steps_grow_until_the_first_segment_does_not(tmp_path: Path) -> None:

@@ -8,12 +8,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.errors import CodecError, InvalidError, UnsupportedError
+from codec.errors import CodecError, InvalidError
 from codec.interop.formats import SplatFormat, write_splats
 from codec.sequence.importing import ImportOptions, import_stream
 from codec.slice import Slice, active_splats, window_births
@@ -23,21 +22,16 @@ from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.index import parse_index, record_bytes
-from codec.stream.manifest import Manifest, is_snapshot
-from codec.tools.audit import describe, summarise, verify_stream
-from codec.tools.packing import pack_stream
-from codec.tools.static import export_static
+from codec.tools.audit import verify_stream
 from tests.goldens.decoder import Gaussian, to_floats
 from tests.goldens.folder import StreamFolder, state_at
 from tests.support.deforming import Deforming
 from tests.support.drawn import same_splats
 from tests.support.hosted_streams import random_slice, small_manifest
 from tests.support.hostile import refused
-from tests.support.objects import object_packets
-from tests.support.slots.folder import slots_manifest, write_slots
+from tests.support.slots.folder import write_slots
 from tests.support.slots.slot_streams import gaussians
-from tests.support.slots.updates import patternless_updates, small_layout
+from tests.support.slots.updates import small_layout
 from tests.support.tiny_stream import SLICE_SIZE, append_tiny, tiny_manifest, tiny_slice, write_tiny
 
 NUM_FRAMES = 10
@@ -150,29 +144,6 @@ def test_slices_that_were_sent_whole_show_at_any_frame(tmp_path: Path) -> None:
             assert sorted(means) == sorted(expected.means.tolist())
 
 
-def test_what_lies_in_the_folder(finished: Path) -> None:
-    manifest = Manifest.from_json((finished / "manifest.json").read_bytes())
-    assert (manifest.slots, manifest.layers) == ((9, 6), (0.6, 0.4))
-    names = {"manifest.json", "index.bin"}
-    parts = ("0", "1", "masks", "snapshot-0", "snapshot-1")
-    names |= {f"segments/{segment}/{part}" for segment in range(3) for part in parts}
-    files = [path for path in finished.rglob("*") if path.is_file()]
-    assert {str(path.relative_to(finished)) for path in files} == names
-    assert summarise(finished).size_bytes == sum(path.stat().st_size for path in files)
-    assert record_bytes(2) == 60 + 84 * 2
-    records = parse_index((finished / "index.bin").read_bytes(), 2)
-    assert [record.num_frames for record in records] == [4, 4, 2]
-    for record in records:
-        for part, size in zip(manifest.parts, record.part_bytes, strict=True):
-            data = (finished / "segments" / str(record.segment) / str(part)).read_bytes()
-            assert len(data) == size
-            births = [birth for birth, _ in object_packets(data)]
-            first = record.first_frame
-            # The slice born at 0 keeps all slots, and needs no packet.
-            told = list(range(max(first, 1), first + record.num_frames))
-            assert births == ([first] if is_snapshot(part) else told)
-
-
 def test_a_reader_of_one_layer_needs_no_other(stream: Path) -> None:
     for path in stream.glob("segments/*/1"):
         path.write_bytes(b"lost")
@@ -244,16 +215,6 @@ def test_arguments_out_of_range(finished: Path) -> None:
         refused(InvalidError, "", call)
 
 
-def test_empty_and_partial_slices_are_fine(tmp_path: Path) -> None:
-    with StreamWriter.create(tmp_path / "s", tiny_manifest(), exact=True) as writer:
-        for birth in range(-2, 4):
-            part = tiny_slice(birth).splats.take(np.arange(10 * (birth % 2)))
-            writer.append(Slice(birth, part, np.zeros(len(part), np.uint8)))
-    reader = StreamReader(tmp_path / "s")
-    assert [len(reader.active_splats(frame, 2)) for frame in range(4)] == [10, 20, 10, 20]
-    assert len(reader.active_splats(3, 1)) == 10
-
-
 def test_a_growing_stream_is_followed(tmp_path: Path) -> None:
     path = tmp_path / "s"
     with StreamWriter.create(path, tiny_manifest()) as writer:
@@ -310,84 +271,3 @@ def test_all_layers_show_the_same_frames(root: Path) -> None:
             for layers in (1, 2):
                 wanted = plain.active_splats(frame, layers)
                 assert same_splats(halved.active_splats(frame, layers), wanted)
-
-
-def test_what_is_left_out_lies_between_its_neighbours(root: Path) -> None:
-    plain, halved = StreamReader(root / "plain"), StreamReader(root / "halved")
-    for frame in range(1, FRAMES - 1, 2):
-        before, wanted, after = (
-            plain.window(frame + step, 2)[0].splats.means for step in (-1, 0, 1)
-        )
-        found = halved.window(frame, 2)[0].splats.means
-        held_m, between_m = (
-            np.median(np.linalg.norm(means - wanted, axis=1)) for means in (before, found)
-        )
-        assert between_m < 0.7 * held_m
-        motion = np.linalg.norm(after - before, axis=1)
-        moves = (motion > 0.005) & (motion < 0.1)
-        middle = (before + after)[moves] / 2
-        step_m = max(lattice.position_m for lattice in plain.manifest.lattice)
-        near = (abs(found[moves] - middle) <= step_m).all(axis=1)
-        assert near.mean() > 0.95  # the others are new, or so small that they jump
-
-
-def test_it_is_a_stream_like_others(root: Path, tmp_path: Path) -> None:
-    summary = verify_stream(root / "halved")
-    assert (summary.num_frames, summary.temporal_period) == (FRAMES, 2)
-    assert "the last layer: all but 1 of 2 frames" in describe(summary)
-    export_static(root / "halved", tmp_path / "static")
-    verify_stream(tmp_path / "static")
-    pack_stream(root / "halved", tmp_path / "one.swings")
-    verify_stream(tmp_path / "one.swings")
-    halved = StreamReader(root / "halved")
-    for path in (tmp_path / "static", tmp_path / "one.swings"):
-        for frame in (0, 1, 10, 17):
-            for layers in (1, 2, 3):
-                found = StreamReader(path).active_splats(frame, layers)
-                assert same_splats(found, halved.active_splats(frame, layers))
-
-
-def test_the_index_knows_what_is_shown_without_it(tmp_path: Path) -> None:
-    """Each frame is scored once, in order; without the layer, as such a reader shows it."""
-    told: dict[int, list[Splats]] = {}
-
-    def quality(birth: int, slices: Sequence[Slice]) -> list[float]:
-        told[birth] = [part.splats for part in slices]
-        return [float(birth)] * len(slices)
-
-    layout = small_layout(1, (5, 3), 0, 8, 4)
-    updates = patternless_updates(small_layout(1, (5, 3), 0, 8), 19, calm=3)
-    path, manifest = tmp_path / "s", slots_manifest(layout)
-    with StreamWriter.create(path, manifest, quality=quality) as writer:
-        for update in updates[:12]:
-            writer.append(update)
-        writer.abort()
-    with StreamWriter.resume(path, quality=quality) as writer:
-        for update in updates[writer.next_birth :]:
-            writer.append(update)
-    assert sorted(told) == list(range(19))
-    reader = StreamReader(path)
-    assert [record.psnr_db[0] for record in reader.records] == [3.5, 11.5, 17]
-    for frame, slices in told.items():
-        # Nothing after a segment is known when its record is written.
-        if frame // 4 % 2 == 1 or frame >= 16:
-            continue
-        for layers, found in enumerate(slices, start=1):
-            assert same_splats(found, reader.slice(frame, layers).splats)
-
-
-def test_the_manifest(root: Path) -> None:
-    data = (root / "halved/manifest.json").read_bytes()
-    assert b'"version": 3' in data
-    assert b'"version": 2' in (root / "plain/manifest.json").read_bytes()
-    manifest = Manifest.from_json(data)
-    assert manifest.slots[-1] == 0
-    assert Manifest.from_json(manifest.to_json()).to_json() == manifest.to_json()
-    with pytest.raises(UnsupportedError, match="version 4"):
-        Manifest.from_json(data.replace(b'"version": 3', b'"version": 4'))
-    for wrong in (b"1", b"9", b"7", b"2.0", b"true"):
-        with pytest.raises(Exception, match=r"manifest: (slots: )?(a temporal|temporal_period)"):
-            Manifest.from_json(
-                data.replace(b'"temporal_period": 2', b'"temporal_period": %s' % wrong)
-            )
-    refused(InvalidError, "swin_size of 1", lambda: slots_manifest().with_temporal_layer(2))
