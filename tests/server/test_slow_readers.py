@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ from server.clients.connection import ClientConnection, Clients
 from server.clients.timeouts import TimeoutConfig
 from server.exchange.exchange import Exchange
 from server.operate.prometheus import Metrics
+from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.state.config import ServerConfig
 from tests.support.server.running_server import (
     eventually,
@@ -132,6 +134,18 @@ async def test_a_reader_that_stops_is_cut_and_logged_as_cut(
             assert metrics.plays.value("stalled") == ("play" in path)
             assert not len(server.state.plays)
     assert not caplog.records
+
+
+async def test_the_server_ends_though_clients_read_nothing(root: Path) -> None:
+    config = replace(quick_config(), supervisor=SupervisorConfig(shutdown_timeout_s=0.2))
+    async with running(root, config) as server:
+        with asking(server.port, PLAY), asking(server.port, OBJECT):
+            await eventually(
+                lambda: len(server.state.plays) and len(server.server.connections) == 2
+            )
+            await server.server.stop()
+        assert server.state.metrics.plays.value("stopped") == 1
+        assert not connections
 
 
 def read(port: int, rate: int, ended: threading.Event) -> tuple[int, float]:
