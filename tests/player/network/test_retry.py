@@ -53,9 +53,6 @@ def test_a_server_that_asks_for_time_gets_it() -> None:
     assert retry.delay_s(BrokenError("x", 5.0), 0.0, 0.5) == 5.0
     # But no more than the time that is left.
     assert retry.delay_s(BrokenError("x", 3600.0), 20.0, 0.5) == 40.0
-
-
-def test_patience_is_a_number_of_seconds() -> None:
     for wrong in (-1, float("nan"), float("inf")):
         with pytest.raises(InvalidError, match="patience"):
             RetryConfig(wrong)

@@ -205,14 +205,6 @@ def test_waiting_for_a_slice_can_be_stopped() -> None:
         source.close()
 
 
-def test_a_body_longer_than_allowed_is_not_read() -> None:
-    with script(b"HTTP/1.1 200 OK\r\nConnection: close\r\n\r\n" + bytes(5000)) as host:
-        fetcher = Fetcher()
-        with pytest.raises(FetchError, match="longer than 100 bytes"):
-            fetcher.get(host.url, 100)
-        fetcher.close()
-
-
 NAMED = HEAD.replace(b"\r\n\r\n", f"\r\n{PLAY_HEADER}: abc-_1\r\n\r\n".encode())
 
 
