@@ -139,10 +139,9 @@ async def test_a_reader_that_stops_is_cut_and_logged_as_cut(
 async def test_the_server_ends_though_clients_read_nothing(root: Path) -> None:
     config = replace(quick_config(), supervisor=SupervisorConfig(shutdown_timeout_s=0.2))
     async with running(root, config) as server:
+        connections = server.server.connections
         with asking(server.port, PLAY), asking(server.port, OBJECT):
-            await eventually(
-                lambda: len(server.state.plays) and len(server.server.connections) == 2
-            )
+            await eventually(lambda: len(server.state.plays) and len(connections) == 2)
             await server.server.stop()
         assert server.state.metrics.plays.value("stopped") == 1
         assert not connections
