@@ -39,10 +39,10 @@ with contextlib.suppress(InvalidError):
 needs_fourdgs = pytest.mark.skipif(fourdgs is None, reason="fourdgs is missing: scripts/setup dev")
 needs_splat4d = pytest.mark.skipif(PROGRAM is None, reason="splats4d is missing: scripts/setup dev")
 
-FPS = 25.0
+FPS, FIGURE = 25.0, figure(436)
 
 
-FRAMES = [turned(figure(430).take(np.arange(6 * n, 6 * n + 400)), 0.03 * n) for n in range(7)]
+FRAMES = [turned(FIGURE.take(np.arange(6 * n, 6 * n + 400)), 0.03 * n) for n in range(7)]
 """A turning figure, in which Gaussians are replaced."""
 
 
