@@ -27,28 +27,30 @@ from trainer.pictures.prefetch import Prefetcher
 from trainer.pictures.scale import half_mask, scaled_picture
 from trainer.pictures.shot import Shot
 
-HALF_BYTES = 3 * 32 * 18
+FRAMES = 8
+PICTURE_BYTES = 3 * 64 * 36
+HALF_BYTES = PICTURE_BYTES // 4
 
 
 @pytest.fixture(scope="module")
-def six_frames(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
     root = tmp_path_factory.mktemp("frames") / "c"
-    write_dynamic3dgs(root, num_cameras=4, num_frames=6)
+    write_dynamic3dgs(root, num_cameras=4, num_frames=FRAMES)
     return open_capture(root)
 
 
-@pytest.fixture
-def cache(six_frames: Capture) -> Iterator[FrameCache]:
-    with FrameCache(six_frames, range(1, 6), 0.5, 4 * HALF_BYTES) as cache:
-        yield cache
+def assert_shows(cache: FrameCache, camera: int, frame: int) -> None:
+    """Asserts that a picture is the right one, except for rounding to a video's colours."""
+    difference = cache.image(camera, frame).astype(int) - picture_of(camera, frame)
+    assert np.abs(difference).max() <= 2
 
 
 @pytest.mark.parametrize("scale", [0.3, 0.5, 0.77, 1.0])
-def test_camera_and_picture_agree_in_size(six_frames: Capture, scale: float) -> None:
-    with FrameCache(six_frames, range(6), scale) as cache:
+def test_camera_and_picture_agree_in_size(capture: Capture, scale: float) -> None:
+    with FrameCache(capture, range(FRAMES), scale) as cache:
         camera, picture = cache.camera(1), cache.image(1, 3)
     assert picture.shape == (camera.height_px, camera.width_px, 3)
-    full = six_frames.cameras[1].camera
+    full = capture.cameras[1].camera
     assert camera.fx_px == pytest.approx(full.fx_px * camera.width_px / full.width_px)
     assert camera.cy_px == pytest.approx(camera.height_px / 2)
     if scale == 0.5:
@@ -56,25 +58,14 @@ def test_camera_and_picture_agree_in_size(six_frames: Capture, scale: float) -> 
         assert np.abs(picture - mean).max() <= 0.5
 
 
-def test_area_mean_keeps_a_ramp_in_place(six_frames: Capture) -> None:
+def test_area_mean_keeps_a_ramp_in_place(capture: Capture) -> None:
     # Along a ramp over x, every new pixel must show the value at its middle.
-    camera = six_frames.cameras[0].camera.scaled(0.37)
+    camera = capture.cameras[0].camera.scaled(0.37)
     ramp = np.empty((36, 64, 3), np.uint8)
     ramp[:] = 4 * np.arange(64)[:, None]
     middles = (np.arange(camera.width_px) + 0.5) * 64 / camera.width_px - 0.5
     got = scaled_picture(ramp, camera)[5, 1:-1, 0]
     assert np.abs(got - 4 * middles[1:-1]).max() < 1.5
-
-
-def test_hits_and_misses(cache: FrameCache) -> None:
-    first = cache.image(0, 1)
-    assert cache.image(0, 1) is first
-    cache.image(1, 1)
-    seen = cache.statistics
-    assert (seen.hits, seen.misses, seen.evictions) == (1, 2, 0)
-    assert seen.held_bytes == 2 * HALF_BYTES
-    with pytest.raises(ValueError, match="read-only"):
-        first[0, 0, 0] = 1
 
 
 @settings(max_examples=25)
@@ -84,14 +75,15 @@ def test_hits_and_misses(cache: FrameCache) -> None:
     spare=st.integers(0, HALF_BYTES - 1),
 )
 def test_the_bound_holds(
-    six_frames: Capture, asked: list[tuple[int, int]], room: int, spare: int
+    capture: Capture, asked: list[tuple[int, int]], room: int, spare: int
 ) -> None:
     bound = room * HALF_BYTES + spare
-    with FrameCache(six_frames, range(6), 0.5, bound) as cache:
+    with FrameCache(capture, range(FRAMES), 0.5, bound) as cache:
         recent: list[tuple[int, int]] = []
         for camera, frame in asked:
             hits = cache.statistics.hits
             got = cache.image(camera, frame)
+            assert not got.flags.writeable
             assert abs(int(got[0, 0, 0]) - (20 + 25 * camera)) <= 1
             assert abs(int(got[0, 0, 1]) - (20 + 4 * frame)) <= 1
             assert cache.statistics.held_bytes <= bound
@@ -99,20 +91,8 @@ def test_the_bound_holds(
             recent = [(camera, frame), *[k for k in recent if k != (camera, frame)]][:room]
         seen = cache.statistics
         assert seen.hits + seen.misses == len(asked)
-
-
-def test_a_window_over_videos_decodes_forward(tmp_path: Path) -> None:
-    write_dynerf(tmp_path / "c", num_cameras=2, num_frames=12)
-    with FrameCache(open_capture(tmp_path / "c"), range(12)) as cache:
-        for start in range(8):
-            for frame in range(start, start + 5):
-                for camera in range(2):
-                    difference = cache.image(camera, frame).astype(int) - picture_of(camera, frame)
-                    assert np.abs(difference).max() <= 2
-        assert cache.statistics.misses == 24
-        cache.close()
-        assert cache.statistics.held_bytes == 0
-        assert cache.image(1, 11).shape == (36, 64, 3)
+        assert seen.held_bytes == len(recent) * HALF_BYTES
+        assert seen.evictions == seen.misses - len(recent)
 
 
 def test_many_threads_read_each_picture_once(tmp_path: Path) -> None:
@@ -123,24 +103,26 @@ def test_many_threads_read_each_picture_once(tmp_path: Path) -> None:
             rng = np.random.default_rng(seed)
             for _ in range(30):
                 camera, frame = int(rng.integers(2)), int(rng.integers(6))
-                difference = cache.image(camera, frame).astype(int) - picture_of(camera, frame)
-                assert np.abs(difference).max() <= 2
+                assert_shows(cache, camera, frame)
 
         list(pool.map(ask, range(4)))
         assert cache.statistics.misses <= 12
 
 
-def test_bad_arguments_are_refused(six_frames: Capture, cache: FrameCache) -> None:
+def test_bad_arguments_are_refused(capture: Capture) -> None:
     for scale in (0.0, -1.0, 1.5, float("nan")):
         with pytest.raises(InvalidError, match="scale"):
-            FrameCache(six_frames, range(6), scale)
-    for frames in (range(0), range(7), range(-1, 3), range(0, 6, 2)):
+            FrameCache(capture, range(FRAMES), scale)
+    for frames in (range(0), range(9), range(-1, 3), range(0, 8, 2)):
         with pytest.raises(InvalidError, match="frames"):
-            FrameCache(six_frames, frames)
+            FrameCache(capture, frames)
     with pytest.raises(InvalidError, match="one picture takes"):
-        FrameCache(six_frames, range(6), 1.0, 100)
-    with pytest.raises(InvalidError, match="outside 1:6"):
-        cache.image(0, 0)
+        FrameCache(capture, range(FRAMES), 1.0, 100)
+    with FrameCache(capture, range(1, 6)) as cache:
+        with pytest.raises(InvalidError, match="outside 1:6"):
+            cache.image(0, 0)
+        with pytest.raises(InvalidError, match="outside 1:6"):
+            cache.prefetch(range(4), 6, 1)
 
 
 @pytest.mark.parametrize("size", [(12, 18), (13, 18), (12, 19), (13, 19)])
@@ -166,19 +148,15 @@ def test_half_a_shot_is_the_unrounded_means_of_2x2_pixels(size: tuple[int, int])
     )
 
 
-def test_training_sees_the_training_cameras_from_frame_0_on(six_frames: Capture) -> None:
-    assert six_frames.training == (0, 2, 3)
-    with FrameCache(six_frames, range(2, 5)) as cache:
-        pictures = CapturePictures(cache, six_frames.training)
+def test_training_sees_the_training_cameras_from_frame_0_on(capture: Capture) -> None:
+    assert capture.training == (0, 2, 3)
+    with FrameCache(capture, range(2, 5)) as cache:
+        pictures = CapturePictures(cache, capture.training)
         assert pictures.num_frames == 3
         assert [c.name for c in pictures.cameras] == ["cam00", "cam02", "cam03"]
         shot = pictures.shot(1, 2)
         assert shot.picture is cache.image(2, 4)
         assert shot.mask is None is pictures.mask(1, 2)
-
-
-FRAMES = 8
-PICTURE_BYTES = 3 * 64 * 36
 
 
 class Gate:
@@ -200,13 +178,6 @@ class Gated:
         self._gate.reading.set()
         assert self._gate.open.wait(BOUND_S)
         return self._inner.read(frame)
-
-
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
-    root = tmp_path_factory.mktemp("prefetch") / "c"
-    write_dynamic3dgs(root, num_cameras=4, num_frames=FRAMES)
-    return open_capture(root)
 
 
 @pytest.fixture
@@ -237,8 +208,6 @@ def test_pictures_read_ahead_are_the_pictures(capture: Capture) -> None:
         seen = cache.statistics
         assert (seen.hits, seen.misses, seen.evictions) == (count, 0, 0)
         assert (seen.prefetch_dropped, seen.prefetch_skipped, seen.prefetch_failed) == (0, 0, 0)
-        with pytest.raises(InvalidError, match="outside 1:8"):
-            cache.prefetch(range(4), FRAMES, 1)
 
 
 def test_what_finds_too_many_waiting_is_dropped_and_counted(gate: Gate) -> None:
@@ -254,13 +223,13 @@ def test_what_finds_too_many_waiting_is_dropped_and_counted(gate: Gate) -> None:
         assert np.array_equal(cache.image(3, 1), picture_of(3, 1))
 
 
-def test_jobs_are_done_in_order_by_one_thread_until_it_is_closed() -> None:
-    opened, working, done = threading.Event(), threading.Event(), list[tuple[int, int]]()
+def test_a_closed_queue_ends_its_thread_drops_what_waits_and_may_be_used_again() -> None:
+    opened, working, done = threading.Event(), threading.Event(), list[int]()
 
     def do(job: int) -> None:
         working.set()
         assert opened.wait(BOUND_S)
-        done.append((job, threading.get_ident()))
+        done.append(job)
 
     def threads() -> list[threading.Thread]:
         return [t for t in threading.enumerate() if t.name == "prefetch"]
@@ -271,23 +240,15 @@ def test_jobs_are_done_in_order_by_one_thread_until_it_is_closed() -> None:
     assert working.wait(BOUND_S)
     assert [line.ask(job) for job in range(1, 5)] == [True, True, True, False]
     (thread,) = threads()
-    assert thread.daemon
     closer = threading.Thread(target=line.close)
     closer.start()
     wait_until(lambda: line.ask(99))  # once those that wait are dropped; a new thread does it
     opened.set()
     closer.join(BOUND_S)
     assert not thread.is_alive()
-    wait_until(lambda: len(done) == 2)
-    assert all(line.ask(job) for job in (5, 6, 7))
-    wait_until(lambda: len(done) == 5)
-    line.close()
+    wait_until(lambda: sorted(done) == [0, 99])
     line.close()
     assert not threads()
-    assert sorted(job for job, _ in done[:2]) == [0, 99]
-    assert [job for job, _ in done[2:]] == [5, 6, 7]
-    assert len({ident for _, ident in done}) == 2
-    assert threading.get_ident() not in {ident for _, ident in done}
 
 
 def test_nothing_that_is_needed_goes(capture: Capture) -> None:
@@ -366,8 +327,7 @@ def test_videos_are_read_forward_once(tmp_path: Path) -> None:
                 cache.prefetch(range(2), first + window, first)
             for _ in range(20):
                 camera, frame = int(rng.integers(2)), int(rng.integers(first, first + window))
-                difference = cache.image(camera, frame).astype(int) - picture_of(camera, frame)
-                assert np.abs(difference).max() <= 2
+                assert_shows(cache, camera, frame)
         assert (cache.statistics.misses, cache.statistics.prefetch_skipped) == (0, 0)
         for source in sources.values():
             assert isinstance(source, VideoSource)

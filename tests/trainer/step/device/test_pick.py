@@ -67,16 +67,13 @@ def not_installed(_: Weights) -> CudaBackend:
     raise ImportError("gsplat was built for another torch")
 
 
-def test_a_named_backend_is_taken() -> None:
-    assert isinstance(pick_backend("cpu", WEIGHTS).backend, CpuBackend)
-    picked = pick_backend("torch", WEIGHTS, "cpu")
-    assert isinstance(picked.backend, TorchBackend)
-    assert picked.why == "torch on cpu"
-
-
 @pytest.mark.skipif(HAS_GPU or torch.backends.mps.is_available(), reason="torch has a GPU here")
 def test_without_a_gpu_torch_runs_on_the_cpu_and_auto_takes_numba() -> None:
-    assert pick_backend("torch", WEIGHTS).why == "torch on cpu"
+    for device in (None, "cpu"):
+        named = pick_backend("torch", WEIGHTS, device)
+        assert isinstance(named.backend, TorchBackend)
+        assert named.why == "torch on cpu"
+    assert isinstance(pick_backend("cpu", WEIGHTS).backend, CpuBackend)
     picked = pick_backend("auto", WEIGHTS)
     assert isinstance(picked.backend, CpuBackend)
     assert picked.why == (
