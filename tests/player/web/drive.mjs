@@ -63,6 +63,8 @@ const ACTIONS = {
         if (!["error", "warning"].includes(message.type())) return;
         // What a slow device says of a test that reads the picture.
         if (message.text().includes("GPU stall due to ReadPixels")) return;
+        // An interface of the machine came or went, as containers of other tests make them.
+        if (message.text().includes("ERR_NETWORK_CHANGED")) return;
         complaints.push(message.text());
       });
       session = await context.newCDPSession(page);
