@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from codec.errors import InvalidError
 from codec.lattice.lattice import Lattice, States, quantise
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import ENDED, NEW, PREDICTED, Update
@@ -98,10 +97,3 @@ def test_no_slot_that_is_used_again_shows_on_the_way(tmp_path: Path, status: int
             shares.append((psnr_db(between, here), psnr_db(between, next_one)))
         assert [a for a, _ in shares] == sorted((a for a, _ in shares), reverse=True)
         assert [b for _, b in shares] == sorted(b for _, b in shares)
-
-
-def test_a_rate_belongs_to_a_film(tmp_path: Path) -> None:
-    with pytest.raises(InvalidError, match="--fps is the rate of a film"):
-        PlayConfig("stream", fps=60.0)
-    with pytest.raises(InvalidError, match="fps 0"):
-        PlayConfig("stream", tmp_path / "out.mp4", fps=0.0)
