@@ -76,14 +76,19 @@ def started(name: str, *arguments: object) -> subprocess.Popen[str]:
     )
 
 
+IDLE = ("--smooth-s", "1e6")
+"""Options of a server to which a busy machine is no load of its own: it refuses nobody."""
+
+
 @contextlib.contextmanager
 def serving(
     root: Path | str, *arguments: object, program: Sequence[str] | None = None
 ) -> Iterator[str]:
     """Runs a server process for `root`, a folder or a URL; gives its URL and terminates it at the
     end. program: the command line to run instead of swings-serve."""
+    words = map(str, arguments)
     process = subprocess.Popen(
-        [*(program or command("swings-serve")), str(root), "--port", "0", *map(str, arguments)],
+        [*(program or command("swings-serve")), str(root), "--port", "0", *IDLE, *words],
         env=environment() if program is None else None,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

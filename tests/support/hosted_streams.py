@@ -27,7 +27,7 @@ from codec.splats import Splats, sh_count
 from codec.stream import StreamWriter
 from codec.stream.layers import split_counts
 from codec.stream.manifest import Manifest
-from tests.support.commands import ROOT
+from tests.support.commands import IDLE, ROOT
 from tests.support.waiting import BOUND_S, wait_until
 
 SWIN_SIZE = 5  # the paper's
@@ -161,7 +161,7 @@ class ServerProcess:
     """swings-serve as a process that can be killed and restarted at the same port."""
 
     def __init__(self, root: Path, port: int = 0) -> None:
-        command = [sys.executable, "-m", "server", str(root), "--port", str(port)]
+        command = [sys.executable, "-m", "server", str(root), "--port", str(port), *IDLE]
         self.process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         ready = self.process.stdout.readline()

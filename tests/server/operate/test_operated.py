@@ -186,7 +186,7 @@ async def test_too_much_egress_sheds_layers_then_refuses_and_recovers(root: Path
 def test_settings_come_from_the_environment(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SWINGS_SERVE_MAX_PLAYS", "1")
     assert "SWINGS_SERVE_MAX_PLAYS=1\n" in run_ok("swings-serve", root, "--check-config")
-    with serving(root, "--smooth-s", 1e6) as url, urlopen(url + PLAY) as response:
+    with serving(root) as url, urlopen(url + PLAY) as response:
         assert response.status == 200
         with pytest.raises(HTTPError, match="503"):
             urlopen(url + PLAY)
