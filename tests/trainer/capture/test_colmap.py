@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from PIL import Image
 
 from codec.camera import Camera
 from tests.support.footage.rebuilt import straight_place
@@ -17,7 +18,6 @@ from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, refusal,
 from tests.support.tiny_models import COLOURS, POINTS, write_model, write_pictures
 from trainer.capture.layout import open_capture
 from trainer.capture.lens import Lens, straightened
-from trainer.errors import CaptureError
 
 NUM_FRAMES = 3
 
@@ -121,22 +121,18 @@ def test_a_straight_lens_changes_nothing_and_pincushion_repeats_the_edge(tmp_pat
     assert np.array_equal(wide[0, 0], picture[0, 0])
 
 
-def test_lenses_that_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("binary", [True, False])
+def test_lenses_that_are_refused(tmp_path: Path, binary: bool) -> None:
     camera = tiny_rig(1)
-    for number, (model, distortion, said) in enumerate(
-        [
-            ("OPENCV_FISHEYE", (0.1, 0, 0, 0), "camera cam00 has the lens model OPENCV_FISHEYE"),
-            ("SIMPLE_RADIAL", (-0.9,), "camera cam00: the distortion folds"),
-            ("SIMPLE_RADIAL", (float("nan"),), "cam00: a distortion term is not a number"),
-        ]
+    write_pictures(tmp_path, camera, 1, True)
+    for model, distortion, said in (
+        ("OPENCV_FISHEYE", (0.1, 0, 0, 0), "camera cam00 has the lens model OPENCV_FISHEYE"),
+        ("SIMPLE_RADIAL", (-0.9,), "camera cam00: the distortion folds"),
+        ("SIMPLE_RADIAL", (float("nan"),), "cam00: a distortion term is not a number"),
     ):
-        for binary in (True, False):
-            root = tmp_path / f"{number}{binary}"
-            write_model(root / "sparse", camera, ["cam00.png"], binary, model, distortion)
-            write_pictures(root, camera, 1, True)
-            message = refusal(root)
-            assert said in message
-            assert "cameras." in message
+        shutil.rmtree(tmp_path / "sparse", ignore_errors=True)
+        write_model(tmp_path / "sparse", camera, ["cam00.png"], binary, model, distortion)
+        assert re.search(rf"cameras\..*{said}", refusal(tmp_path))
 
 
 @pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
@@ -169,20 +165,6 @@ def test_text_files_with_another_count_or_words(tmp_path: Path, name: str) -> No
 
 
 @pytest.mark.parametrize(
-    ("row", "said"),
-    [
-        ("# nothing", "has no images"),
-        ("10 0 0 0 0 1 2 3 1 cam00.png", "image cam00.png: its quaternion"),
-        ("10 1e200 0 0 0 1 2 3 1 cam00.png", "image cam00.png: its quaternion"),
-    ],
-)
-def test_images_without_a_pose(tmp_path: Path, row: str, said: str) -> None:
-    write_colmap(tmp_path, binary=False)
-    (tmp_path / "sparse/0/images.txt").write_text(f"{row}\n\n")
-    assert f"images.txt: {said}" in refusal(tmp_path)
-
-
-@pytest.mark.parametrize(
     ("name", "before", "after", "said"),
     [
         ("cameras", "PINHOLE", "RADIAL", "RADIAL has 5 parameters, not 4"),
@@ -193,6 +175,14 @@ def test_images_without_a_pose(tmp_path: Path, row: str, said: str) -> None:
         ("images", "cam01.png", "../cam01.png", "images.txt: '../cam01.png' is not a path inside"),
         ("images", "cam01.png", "cam00.jpg", "cam00.jpg and cam00.png are both camera cam00"),
         ("images", "cam01.png", "cam\x0001.png", "is not a path inside"),
+        ("images", "(?s).+", "# nothing", "images.txt: has no images"),
+        (
+            "images",
+            "(?s).+",
+            "9 0 0 0 0 1 2 3 1 a.png\n\n",
+            "images.txt: image a.png: its quaternion",
+        ),
+        ("images", "(?s).+", "9 1e200 0 0 0 1 2 3 1 a.png\n\n", "image a.png: its quaternion"),
     ],
 )
 def test_rows_that_contradict_each_other(
@@ -200,9 +190,9 @@ def test_rows_that_contradict_each_other(
 ) -> None:
     write_colmap(tmp_path, binary=False)
     path = tmp_path / "sparse/0" / f"{name}.txt"
-    text = path.read_text()
-    assert before in text
-    path.write_text(text.replace(before, after))
+    changed, count = re.subn(before, after, path.read_text())
+    assert count
+    path.write_text(changed)
     assert said in refusal(tmp_path)
 
 
@@ -210,18 +200,17 @@ def test_numbers_that_no_camera_has(tmp_path: Path) -> None:
     whole = tiny_rig(1)[0]
     far = whole.w2c.copy()
     far[0, 3] = 1e200
-    for number, (change, said) in enumerate(
-        [
-            ({"fx_px": 1e-300}, "cameras.bin: camera cam00: focal length"),
-            ({"fy_px": 1e300}, "cameras.bin: camera cam00: focal length"),
-            ({"cx_px": -1e5}, "cameras.bin: camera cam00: focal length"),
-            ({"w2c": far}, "camera cam00: is over 1e+09 m away"),
-        ]
+    write_pictures(tmp_path, [whole], 1, True)
+    for change, said in (
+        ({"fx_px": 1e-300}, "cameras.bin: camera cam00: focal length"),
+        ({"fy_px": 1e300}, "cameras.bin: camera cam00: focal length"),
+        ({"cx_px": -1e5}, "cameras.bin: camera cam00: focal length"),
+        ({"w2c": far}, "camera cam00: is over 1e+09 m away"),
     ):
-        root, cameras = tmp_path / f"{number}", [replace(whole, **change)]  # type: ignore[arg-type]
-        write_model(root / "sparse", cameras, ["cam00.png"], True)
-        write_pictures(root, cameras, 1, True)
-        assert said in refusal(root)
+        cameras = [replace(whole, **change)]  # type: ignore[arg-type]
+        shutil.rmtree(tmp_path / "sparse", ignore_errors=True)
+        write_model(tmp_path / "sparse", cameras, ["cam00.png"], True)
+        assert said in refusal(tmp_path)
 
 
 def test_bytes_of_a_model_that_are_none(tmp_path: Path) -> None:
@@ -271,21 +260,6 @@ def test_missing_pictures_of_camera_folders(tmp_path: Path) -> None:
     assert "cam01: holds no numbered frames" in refusal(tmp_path)
     path.rmdir()
     assert "cam01: is missing" in refusal(tmp_path)
-
-
-def test_pictures_that_are_none_or_of_another_size(tmp_path: Path) -> None:
-    write_colmap(tmp_path)
-    (tmp_path / "frames/frame_08/cam01.png").write_bytes(b"nothing")
-    Image.fromarray(picture_of(1, 2)[:, :60]).save(tmp_path / "frames/frame_09/cam01.png")
-    source = open_capture(tmp_path).open_images(1)
-    with pytest.raises(CaptureError, match=r"frame_08/cam01\.png: not a picture"):
-        source.read(1)
-    with pytest.raises(
-        CaptureError, match=r"cam01\.png: is 60x36 px; cameras\.bin declares 64x36 px"
-    ):
-        source.read(2)
-    (tmp_path / "frames/frame_07/cam01.png").write_bytes(b"")
-    assert "frame_07/cam01.png: not a picture" in refusal(tmp_path)
 
 
 def test_names_sort_by_their_numbers(tmp_path: Path) -> None:

@@ -16,26 +16,20 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.pose import rotation_of, world_to_camera
-from tests.support.tiny_capture import (
-    HEIGHT_PX,
-    WIDTH_PX,
-    picture_of,
-    refusal,
-    tiny_rig,
-    write_dynerf,
-    write_video,
-)
+from tests.support import tiny_capture
+from tests.support.tiny_capture import picture_of, refusal, tiny_rig, write_dynerf, write_video
 from tests.support.tiny_models import transforms_of, write_transforms
 from trainer.capture.dynerf import decode_pose, encode_pose
 from trainer.capture.layout import open_capture
 from trainer.capture.video import MAX_SKIP_FRAMES, VideoSource, probe_video
 from trainer.errors import CaptureError
 
-NUM_FRAMES = 50
+NUM_FRAMES, WIDTH_PX, HEIGHT_PX = 50, tiny_capture.WIDTH_PX, tiny_capture.HEIGHT_PX
 
 
 @pytest.fixture(scope="module")
@@ -103,11 +97,8 @@ def test_poses_come_back(
     assert np.allclose(back.w2c, w2c, atol=1e-9)
     assert (back.fx_px, back.fy_px, back.cx_px, back.cy_px) == (focal_px, focal_px, 32, 18)
     assert row[15:].tolist() == [0.5, 7.0]
-
-
-def test_poses_that_llff_cannot_hold() -> None:
     with pytest.raises(InvalidError, match="one focal length"):
-        encode_pose(Camera("a", 64, 36, 50.0, 51.0, 32.0, 18.0, np.eye(4)), 1, 2)
+        encode_pose(replace(camera, fy_px=focal_px + 1), 1, 2)
 
 
 def test_what_is_no_video_or_none_of_the_others_is_refused(capture_path: Path) -> None:
@@ -117,11 +108,7 @@ def test_what_is_no_video_or_none_of_the_others_is_refused(capture_path: Path) -
     for data in (b"hello " * 100, b""):
         video.write_bytes(data)
         assert "cam01.mp4: not a video that can be read" in refusal(capture_path)
-    with av.open(str(video), "w", format="mjpeg") as output:  # a picture
-        stream = output.add_stream("mjpeg", rate=30)
-        stream.width, stream.height, stream.pix_fmt = WIDTH_PX, HEIGHT_PX, "yuvj420p"
-        output.mux(stream.encode(av.VideoFrame.from_ndarray(picture_of(0, 0), format="rgb24")))
-        output.mux(stream.encode())
+    Image.fromarray(picture_of(0, 0)).save(video, "JPEG")
     assert "cam01.mp4" in refusal(capture_path)
     with av.open(str(video), "w", format="wav") as output:
         track = output.add_stream("pcm_s16le", rate=8000, layout="mono")
@@ -260,23 +247,17 @@ def declare(root: Path, cameras: list[Camera]) -> None:
     write_transforms(root, transforms_of(cameras, [[f"{c.name}.mp4"] for c in cameras]))
 
 
-@pytest.mark.parametrize(("transfer", "name"), [(PQ, "PQ"), (HLG, "HLG")])
 def test_hdr_is_refused_with_the_command_that_converts_it(
-    transfer: int, name: str, rig: list[Camera], tmp_path: Path
+    rig: list[Camera], tmp_path: Path
 ) -> None:
-    film(tmp_path / "cam03.mp4", transfer)
-    told = refusal(tmp_path)
-    assert told.startswith(f"{tmp_path}/cam03.mp4: is HDR ({name})")
-    assert "ffmpeg -i cam03.mp4 -vf zscale=t=linear" in told
+    for transfer, name in ((PQ, "PQ"), (HLG, "HLG")):
+        film(tmp_path / "cam03.mp4", transfer)
+        told = refusal(tmp_path)
+        assert told.startswith(f"{tmp_path}/cam03.mp4: is HDR ({name})")
+        assert "ffmpeg -i cam03.mp4 -vf zscale=t=linear" in told
     for camera in rig:  # and if all cameras have the same fault
-        film(tmp_path / f"{camera.name}.mp4", transfer)
-    assert f"is HDR ({name})" in refusal(tmp_path)
-
-
-def upright(camera: Camera) -> Camera:
-    return replace(
-        camera, width_px=HEIGHT_PX, height_px=WIDTH_PX, cx_px=HEIGHT_PX / 2, cy_px=WIDTH_PX / 2
-    )
+        film(tmp_path / f"{camera.name}.mp4", HLG)
+    assert "is HDR (HLG)" in refusal(tmp_path)
 
 
 @pytest.mark.parametrize("turned_deg", [90, 180, -90])
@@ -285,7 +266,8 @@ def test_a_video_is_turned_counterclockwise_as_its_file_says(
 ) -> None:
     film(tmp_path / "cam02.mp4", turned_deg=turned_deg)
     if turned_deg != 180:
-        declare(tmp_path, [upright(c) if c.name == "cam02" else c for c in rig])
+        upright = {"width_px": 36, "height_px": 64, "cx_px": 18, "cy_px": 32}
+        declare(tmp_path, [replace(c, **upright) if c.name == "cam02" else c for c in rig])  # type: ignore[arg-type]
     capture = open_capture(tmp_path)
     with closing(capture.open_images(1)) as still, closing(capture.open_images(2)) as source:
         for frame in (3, 0):  # forward, and after a seek

