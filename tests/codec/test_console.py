@@ -20,7 +20,7 @@ from rich.console import Console
 
 from codec.console import Ended, ending_by_signals, run_command
 from codec.errors import InvalidError, SwingsError
-from codec.progressline import ProgressLine, Stage, clock, counted, line_of
+from codec.progressline import Stage, counted, line_of
 from tests.support.commands import ROOT, run, run_ok
 from tests.support.hostile import refused
 from tests.support.tiny_stream import write_tiny
@@ -217,48 +217,28 @@ def test_the_line_fits_and_leaves_out_whole_parts_only(stage: Stage, columns: in
 
 
 @pytest.mark.parametrize(
-    ("time_s", "text"), [(0, "0:00"), (59.6, "1:00"), (245, "4:05"), (3845, "1:04:05")]
+    ("steps", "step_s", "total", "lines"),
+    [
+        (
+            *(24, 1, 40),
+            [
+                "importing x  25% done  0:10 elapsed, 0:30 left  10 of 40",
+                "importing x  50% done  0:20 elapsed, 0:20 left  20 of 40",
+                "importing x  60% done  0:24 elapsed, 0:16 left  24 of 40",
+            ],
+        ),
+        (1, 3845, None, ["importing x  1:04:05 elapsed  1"]),
+        (9, 1, 9, []),
+    ],
 )
-def test_times_are_read_at_a_glance(time_s: float, text: str) -> None:
-    assert clock(time_s) == text
-
-
-def test_without_a_terminal_a_line_comes_at_intervals_and_at_the_end() -> None:
-    now_s, file = 0.0, io.StringIO()
-    with ProgressLine(Console(file=file, width=20), lambda: now_s, every_s=30) as line:
-        for second in range(75):
-            now_s = second
-            line.show(Stage("5 frames", second / 100, second, 100 - second))
-            lines = file.getvalue().splitlines()
-            assert len(lines) == 1 + second // 30
-        assert lines[1] == "5 frames  30% done  0:30 elapsed, 1:10 left"
-    assert file.getvalue().splitlines()[3:] == ["5 frames  74% done  1:14 elapsed, 0:26 left"]
-
-
-def test_counted_steps_write_a_line_every_ten_seconds() -> None:
+def test_counted_steps(steps: int, step_s: float, total: int | None, lines: list[str]) -> None:
+    """A line every ten seconds and at the end; what takes less time writes nothing."""
     now_s, file = 100.0, io.StringIO()
     with counted("importing x", Console(file=file), lambda: now_s) as show:
-        for done in range(1, 25):
-            now_s += 1
-            show(done, 40)
-    assert file.getvalue().splitlines() == [
-        "importing x  25% done  0:10 elapsed, 0:30 left  10 of 40",
-        "importing x  50% done  0:20 elapsed, 0:20 left  20 of 40",
-        "importing x  60% done  0:24 elapsed, 0:16 left  24 of 40",
-    ]
-
-
-def told(total: int | None, took_s: float) -> str:
-    now_s, file = 100.0, io.StringIO()
-    with counted("importing x", Console(file=file), lambda: now_s) as show:
-        now_s += took_s
-        show(341, total)
-    return file.getvalue()
-
-
-def test_steps_without_an_end_are_counted_and_what_takes_less_time_writes_nothing() -> None:
-    assert told(None, 12) == "importing x  0:12 elapsed  341\n"
-    assert told(341, 9) == ""
+        for done in range(1, steps + 1):
+            now_s += step_s
+            show(done, total)
+    assert file.getvalue().splitlines() == lines
 
 
 @pytest.mark.parametrize(("columns", "bar"), [(120, 30), (70, 10), (58, 0)])
@@ -288,9 +268,3 @@ def test_verify_exits_with_0_and_with_1_and_bad_usage_with_2(stream: Path, tmp_p
     assert done.stderr.startswith("swings-stream: ")
     assert "manifest.json" in done.stderr
     assert run("swings-stream", "polish").returncode == 2
-
-
-def test_the_help_of_export_names_its_first_file(stream: Path, tmp_path: Path) -> None:
-    run_ok("swings-stream", "export", stream, tmp_path / "name.ply", "--frames", "0:2")
-    first = min(path.name for path in tmp_path.iterdir())
-    assert f"gives {first}" in " ".join(run_ok("swings-stream", "export", "--help").split())

@@ -126,8 +126,6 @@ def test_the_page_has_the_defaults() -> None:
         assert float(value) == pytest.approx(getattr(bound, name), rel=0.01)
 
 
-LATTICE = ImportOptions(fps=30)
-
 SLACK = 1e-5
 """Tolerance for the rounding of f32, as a share."""
 
@@ -319,43 +317,3 @@ def test_sizes_that_show_fit(degree: int, finer: float, log_factor: float, tmp_p
     # Half the steps of the last layer, which alone keep the bound below degree 2.
     most = 0.25 if degree == 3 else error.of("size") * (1 + SLACK)
     assert np.abs(sizes - given)[given > usual - 2].max() < most
-
-
-def test_a_sequence_of_the_same_file_costs_nothing_after_the_first_frame(tmp_path: Path) -> None:
-    splats = drawn(np.random.default_rng(0), 500, 0, 1)
-    (tmp_path / "seq").mkdir()
-    made = {}
-    for num_files in (2, 100):
-        for number in range(num_files):
-            write_splats(tmp_path / "seq" / f"{number}.ply", splats, SplatFormat.PLY)
-        out = tmp_path / str(num_files)
-        made[num_files] = import_stream(tmp_path / "seq", out, LATTICE)
-    assert made[100].num_bytes == made[2].num_bytes
-    assert made[100].manifest.segment_frames == 300
-    reader = StreamReader(tmp_path / "100")
-    assert same_splats(reader.active_splats(99, 4), reader.active_splats(0, 4))
-
-
-def test_noise_below_the_error_is_not_sent_and_does_not_add_up(tmp_path: Path) -> None:
-    """With a slow drift far below the error in each file, no frame exceeds the stated error."""
-    rng = np.random.default_rng(1)
-    first = drawn(rng, 200, 0, 1)
-    (tmp_path / "seq").mkdir()
-    step_m = 0.005 * usual_size_m(first)
-    frames = []
-    for number in range(40):
-        means = first.means + np.float32(step_m * number)
-        means += rng.normal(0, 0.1 * step_m, means.shape).astype(np.float32)
-        arrays = (means, *first.arrays[1:])
-        frames.append(Splats(*arrays))
-        write_splats(tmp_path / "seq" / f"{number}.ply", frames[-1], SplatFormat.PLY)
-    made = import_stream(tmp_path / "seq", tmp_path / "s", ImportOptions(fps=30))
-    kept, ended, predicted, new = made.statuses
-    assert (ended, new) == (0, 0)
-    assert kept > predicted > 0
-    assert made.errors["position"] <= ErrorBound().position * usual_size_m(first) * (1 + SLACK)
-    reader = StreamReader(tmp_path / "s")
-    for number in (0, 20, 39):
-        found = np.sort(reader.active_splats(number, 4).means, axis=0)
-        apart = abs(found - np.sort(frames[number].means, axis=0))
-        assert apart.max() <= ErrorBound().position * usual_size_m(first) * (1 + SLACK)

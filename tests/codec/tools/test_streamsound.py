@@ -98,21 +98,6 @@ def test_a_segment_decodes_by_itself(stream: Path) -> None:
     assert np.sqrt(np.mean(error**2)) < 0.05 * np.sqrt(np.mean(whole**2)) + 1
 
 
-def test_several_sources_of_other_formats(stream: Path, tmp_path: Path) -> None:
-    with av.open(str(tmp_path / "voice.flac"), "w") as out:
-        track = out.add_stream("flac", rate=44100)
-        frame = av.AudioFrame.from_ndarray(np.full((1, 2 * 8192), 900, np.int16), "s16", "stereo")
-        frame.sample_rate = 44100
-        out.mux([*track.encode(frame), *track.encode(None)])
-    add(stream)
-    add_sound(stream, tmp_path / "voice.flac", SoundSource("voice", 1, PLACE))
-    verify_stream(stream)
-    assert [source.name for source in StreamReader(stream).manifest.sound] == ["main", "voice"]
-    assert abs(len(heard(stream, "voice")) - 8192 * SAMPLE_RATE / 44100) <= 2
-    remove_sound(stream, "main")
-    assert [source.name for source in StreamReader(stream).manifest.sound] == ["voice"]
-
-
 def test_static_export_and_one_file_carry_it(stream: Path, tmp_path: Path) -> None:
     add(stream)
     export_static(stream, tmp_path / "static")
@@ -428,20 +413,10 @@ def test_cues_are_read() -> None:
 
 def test_numbers_of_thousands_of_digits_are_no_crash() -> None:
     long = "9" * 5000
-    for hours in (long, "9" * 400, "9" * 7):
-        assert parse_webvtt(f"WEBVTT\n\n{hours}:00:00.000 --> {hours}:00:01.000\na".encode()) == ()
-    (cue,) = parse_webvtt(b"WEBVTT\n\n999999:00:00.000 --> 999999:00:01.000\na")
-    assert cue == Cue(3600.0 * 999999, 3600.0 * 999999 + 1, "a")
-    for reference, text in (
-        (f"&#{long};", "\ufffd"),
-        (f"&#{long}", "\ufffd"),
-        (f"&#x{'f' * 5000};", "\ufffd"),
-        (f"&#{'0' * 5000}65;", "A"),
-        (f"&#{'0' * 5000};", "\ufffd"),
-        ("&#00000128512;", "\U0001f600"),
-    ):
-        (cue,) = parse_webvtt(f"WEBVTT\n\n00:00.000 --> 00:01.000\n({reference})".encode())
-        assert cue.text == f"({text})"
+    assert parse_webvtt(f"WEBVTT\n\n{long}:00:00.000 --> {long}:00:01.000\na".encode()) == ()
+    text = f"(&#{long};) (&#x{'f' * 5000};) (&#{'0' * 5000}65;)"
+    (cue,) = parse_webvtt(f"WEBVTT\n\n00:00.000 --> 00:01.000\n{text}".encode())
+    assert cue.text == "(\ufffd) (\ufffd) (A)"
 
 
 @given(st.binary(max_size=300))
@@ -452,3 +427,18 @@ def test_any_bytes_are_cues_or_an_error(data: bytes) -> None:
         except CorruptError:
             continue
         assert all(cue.start_s < cue.end_s and cue.text for cue in cues)
+
+
+def test_several_sources_of_other_formats(stream: Path, tmp_path: Path) -> None:
+    with av.open(str(tmp_path / "voice.flac"), "w") as out:
+        track = out.add_stream("flac", rate=44100)
+        frame = av.AudioFrame.from_ndarray(np.full((1, 2 * 8192), 900, np.int16), "s16", "stereo")
+        frame.sample_rate = 44100
+        out.mux([*track.encode(frame), *track.encode(None)])
+    add(stream)
+    add_sound(stream, tmp_path / "voice.flac", SoundSource("voice", 1, PLACE))
+    verify_stream(stream)
+    assert [source.name for source in StreamReader(stream).manifest.sound] == ["main", "voice"]
+    assert abs(len(heard(stream, "voice")) - 8192 * SAMPLE_RATE / 44100) <= 2
+    remove_sound(stream, "main")
+    assert [source.name for source in StreamReader(stream).manifest.sound] == ["voice"]
