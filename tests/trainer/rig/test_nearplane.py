@@ -83,7 +83,6 @@ def test_a_rig_that_sees_nothing_near_keeps_what_the_rig_suggests(ring: Capture)
     lines = checked(ring.root)
     assert said(lines, "near").endswith(", from the rig")
     assert not all_said(lines, "near of")
-    assert said(lines, "near cuts").startswith("at most 0.5%")
 
 
 @pytest.fixture(scope="module")
@@ -204,29 +203,17 @@ def test_new_places_are_looked_for_from_where_the_rig_suggests(
     assert set(given.training_planes) == {0.3}
 
 
-def rig_of(root: Path, num_cameras: int, arc_deg: float) -> list[str]:
-    cameras = tiny_rig(num_cameras, arc_deg)
-    paths = write_pictures(root, cameras, 1, True, lambda *_: picture_of(0, 0))
-    write_transforms(root, transforms_of(cameras, paths))
-    (root / "held_out.txt").write_text("")
-    return [doubt.split(":")[0] for doubt in rig_doubts(open_capture(root))]
-
-
-@pytest.mark.parametrize(
-    ("num_cameras", "arc_deg", "doubts"),
-    [
-        (16, 200, []),
-        (6, 20, []),
-        (5, 20, ["few cameras"]),
-        (4, 70, ["few cameras"]),
-        (6, 200, ["distant cameras"]),
-        (4, 160, ["few cameras", "distant cameras"]),
-    ],
-)
-def test_few_and_distant_cameras(
-    tmp_path: Path, num_cameras: int, arc_deg: float, doubts: list[str]
-) -> None:
-    assert rig_of(tmp_path, num_cameras, arc_deg) == doubts
+def test_few_and_distant_cameras(tmp_path: Path) -> None:
+    few, distant = "few cameras", "distant cameras"
+    for num_cameras, arc_deg, doubts in (
+        (16, 200, []), (6, 20, []), (5, 20, [few]), (4, 70, [few]), (6, 200, [distant]),
+        (4, 160, [few, distant]),
+    ):  # fmt: skip
+        root, cameras = tmp_path / f"{num_cameras} {arc_deg}", tiny_rig(num_cameras, arc_deg)
+        paths = write_pictures(root, cameras, 1, True, lambda *_: picture_of(0, 0))
+        write_transforms(root, transforms_of(cameras, paths))
+        (root / "held_out.txt").write_text("")
+        assert [doubt.split(":")[0] for doubt in rig_doubts(open_capture(root))] == doubts
 
 
 def test_the_camera_that_is_alone_is_named(capture: Capture) -> None:
@@ -251,22 +238,16 @@ def test_pictures_that_are_clipped_or_dark() -> None:
     assert picture_doubt(clipped, np.zeros_like(mask)) is None
 
 
-def test_pictures_of_another_depth_are_named(tmp_path: Path) -> None:
-    """Pictures of 12 bits stored in 16, and of 8 bits."""
-    cameras = tiny_rig(9)
-    write_transforms(
-        tmp_path, transforms_of(cameras, write_pictures(tmp_path, cameras, 2, False)) | {"fps": 5}
-    )
-    rng = np.random.default_rng(4)
-    for number, most in ((1, 4095), (6, 255)):
+def test_dark_pictures_of_more_bits_are_named(tmp_path: Path) -> None:
+    cameras, rng = tiny_rig(9), np.random.default_rng(4)
+    paths = write_pictures(tmp_path, cameras, 2, False)
+    write_transforms(tmp_path, transforms_of(cameras, paths) | {"fps": 5})
+    for number, most in ((1, 4095), (6, 255)):  # 12 bits stored in 16, and 8
         for path in (tmp_path / f"images/cam{number:02d}").iterdir():
             grey = rng.integers(0, most + 1, (HEIGHT_PX, WIDTH_PX), dtype=np.uint16)
             Image.fromarray(grey).save(path)
-    dark = [line for line in all_said(checked(tmp_path), "warning") if "dark" in line]
-    assert dark == [
-        "pictures of cam01, cam06 are dark: hardly a pixel is above 64 of 255, like 10 or 12 bits "
-        "stored in 16"
-    ]
+    (dark,) = (line for line in all_said(checked(tmp_path), "warning") if "dark" in line)
+    assert dark.startswith("pictures of cam01, cam06 are dark: hardly a pixel is above 64 of 255")
 
 
 @pytest.fixture
@@ -298,34 +279,24 @@ def test_the_more_a_held_out_camera_looks_aside_the_more_is_unseen(capture: Capt
     assert shares[3] > 0.99
 
 
-def test_the_warning_names_the_camera_and_the_share(
+def test_each_held_out_camera_is_listed_the_least_covered_first_with_a_warning(
     capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    (index,) = capture.held_out
     away = tilted(capture, 85)
-    name = away.cameras[away.held_out[0]].camera.name
-    (doubt,) = coverage_doubts(unseen_shares(away))
+    cameras = tuple(replace(c, held_out=i in (1, index)) for i, c in enumerate(away.cameras))
+    both, name = replace(away, cameras=cameras), cameras[index].camera.name
+    (doubt,) = coverage_doubts(unseen_shares(both))
     assert f"no training camera sees 100% of {name}'s picture" in doubt
-    monkeypatch.setattr("trainer.run.check.open_capture", lambda root: away)
+    monkeypatch.setattr("trainer.run.check.open_capture", lambda root: both)
     lines = checked(tmp_path / "c")
     assert doubt in all_said(lines, "warning")
-    assert said(lines, "covered").startswith(f"0% of {name}: ")
+    least, other, *_ = said(lines, "covered").split(", ")
+    assert least == f"0% of {name}"
+    assert int(other.split("%")[0]) > 50
+    assert f"% of {cameras[1].camera.name}" in other
     nobody = replace(away, cameras=tuple(replace(c, held_out=False) for c in away.cameras))
     assert coverage_doubts(unseen_shares(nobody)) == []
     assert describe_coverage(nobody, unseen_shares(nobody)) == []
-
-
-def test_each_held_out_camera_is_listed_the_least_covered_first(capture: Capture) -> None:
-    (index,) = capture.held_out
-    away = tilted(capture, 30)
-    cameras = tuple(replace(c, held_out=i in (1, index)) for i, c in enumerate(away.cameras))
-    both = replace(away, cameras=cameras)
-    shares = unseen_shares(both)
-    assert set(shares) == {cameras[1].camera.name, cameras[index].camera.name}
-    (line,) = describe_coverage(both, shares)
-    percents = [int(part.split("%")[0].split()[-1]) for part in line.split(",")]
-    assert percents == sorted(percents)
-    worst = cameras[index].camera
-    assert percents[0] == int(100 - 100 * unseen_share(both, worst))
-    assert f"{percents[0]}% of {worst.name}, " in line
     many = {f"cam{i:02d}": 0.5 - i / 100 for i in range(12)}
     assert "at least 58% of 4 more" in describe_coverage(capture, many)[0]

@@ -3,10 +3,8 @@ numbers between host and device."""
 
 from __future__ import annotations
 
-import ast
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,6 @@ import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-import trainer.step.device
 from codec.camera import Camera
 from tests.support.reference_render import turned_camera
 from trainer.capture.capture import Mask
@@ -308,10 +305,6 @@ def test_the_plain_rasteriser_reads_lengths_of_lists_and_nothing_else() -> None:
     assert not {"_local_scalar_dense", "item", "equal", "is_nonzero"} & set(counts)
     assert 0 < counts["nonzero"] <= 6 * 25
     assert counts["repeat_interleave"] == 6 * 2
-
-
-
-
 
 
 @pytest.mark.parametrize("seed", [0, 5, 2**63 + 11, 2**64 - 1])
