@@ -12,7 +12,7 @@ from codec.camera import Camera
 from player.render.recipe import ALPHA_MAX
 from trainer.fit.cameradraws import CameraDraws
 from trainer.fit.lifespans import Lifespans
-from trainer.fit.mcmc import MAX_COPIES, relocate, split_opacity_and_scale
+from trainer.fit.mcmc import relocate, split_opacity_and_scale
 from trainer.step.raster import Parameters, View, render
 from trainer.step.scalebound import CameraSpread, bound_scales
 
@@ -30,23 +30,13 @@ def after_genesis(swin_size: int, slice_size: int, seed: int = 0) -> Lifespans:
     return lifespans
 
 
-@given(sizes)
-def test_genesis_shows_everything_and_matures_one_slice_for_each_expiry(
-    size: tuple[int, int],
-) -> None:
-    swin_size, slice_size = size
-    fresh = Lifespans(swin_size * slice_size, swin_size)
-    for frame in range(swin_size):
-        assert len(fresh.active_rows(frame)) == fresh.num_gs
-    lifespans = after_genesis(swin_size, slice_size)
-    assert lifespans.due(1) == list(range(1 - swin_size, 1))
-
-
 @given(sizes, st.integers(1, 12))
 def test_one_slice_matures_per_frame_and_every_frame_has_num_gs(
     size: tuple[int, int], total: int
 ) -> None:
     swin_size, slice_size = size
+    fresh = Lifespans(swin_size * slice_size, swin_size)
+    assert all(len(fresh.active_rows(frame)) == fresh.num_gs for frame in range(swin_size))
     lifespans = after_genesis(swin_size, slice_size)
     written: list[int] = []
     for first_frame in range(1, total + 1):
@@ -144,23 +134,15 @@ def test_it_goes_on_from_its_state() -> None:
     assert drawn(second, 30, 1) == drawn(first, 30, 1)
 
 
-@given(st.floats(0.01, 0.99), st.integers(1, MAX_COPIES))
-def test_copies_together_are_as_opaque_as_the_one_they_replace(opacity: float, copies: int) -> None:
-    new, factor = split_opacity_and_scale(np.array([opacity]), np.array([copies]), 1e-9)
-    assert 1 - (1 - new[0]) ** copies == pytest.approx(opacity, rel=1e-6)
-    if copies == 1:
-        assert factor[0] == pytest.approx(1)
-    else:
-        assert 0 < factor[0] <= 1
-
-
-@given(st.floats(0.05, 0.95), st.integers(2, 12))
+@given(st.floats(0.05, 0.95), st.integers(1, MAX_COPIES))
 def test_the_scale_keeps_the_integral_of_a_line_through_the_gaussian(
     opacity: float, copies: int
 ) -> None:
-    """The property of the formula, checked by quadrature: the blended opacity of the copies,
-    integrated along a line through their common centre, is that of the old Gaussian."""
+    """By quadrature: the blended opacity of the copies, integrated along a line through their
+    common centre, is that of the old Gaussian."""
     new, factor = split_opacity_and_scale(np.array([opacity]), np.array([copies]), 1e-9)
+    assert 1 - (1 - new[0]) ** copies == pytest.approx(opacity, rel=1e-6)
+    assert 0 < factor[0] <= 1 + 1e-6
     x = np.linspace(-12, 12, 20001)
     before = opacity * np.exp(-0.5 * x**2)
     after = 1 - (1 - new[0] * np.exp(-0.5 * (x / factor[0]) ** 2)) ** copies
