@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import subprocess
-import textwrap
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -21,9 +19,8 @@ from codec.sequence.importing import facing_camera
 from codec.sequence.survey import Survey
 from codec.splats import SH_C0, Splats
 from player.render.cpu import render_splats
-from tests.support.commands import ROOT, command, environment, run, run_ok
+from tests.support.commands import ROOT, run_ok
 from tests.support.drawn import angles_rad
-from tests.support.tiny_stream import write_tiny
 from tests.support.trained_like import trained_like_splats
 
 PAGE = (ROOT / "docs" / "FORMATS.md").read_text(encoding="utf-8")
@@ -128,14 +125,11 @@ def agrees(said: str, measured: float) -> bool:
 
 
 def assert_size_and_picture(said: list[str], found: Kept) -> None:
-    told = f"{found.bytes_each:.1f} | {found.psnr_db:.1f}"
-    assert float(said[0]) == pytest.approx(found.bytes_each, rel=0.03), told
-    if said[1] == "exact":
-        assert math.isinf(found.psnr_db)
-    elif said[1].startswith("over "):
-        assert found.psnr_db > float(said[1].removeprefix("over ")), told
-    else:
-        assert float(said[1]) == pytest.approx(found.psnr_db, abs=1), told
+    least, most = (found.psnr_db - 1, found.psnr_db + 1)
+    assert float(said[0]) == pytest.approx(found.bytes_each, rel=0.03), found
+    if said[1].startswith("over "):
+        least = 0
+    assert least <= (math.inf if said[1] == "exact" else float(said[1].split()[-1])) <= most, found
 
 
 @formats
@@ -172,12 +166,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_the_page_is_understood() -> None:
+def test_the_commands_run_in_their_order(folder: Path) -> None:
     assert len(COMMANDS) == 6
     assert set(table(ERRORS)) == set(table(SIZES)) == set(WRITTEN)
-
-
-def test_the_commands_run_in_their_order(folder: Path) -> None:
     for line in COMMANDS:
         name, *words = line.split()
         run_ok(name, *words, folder=folder)
@@ -186,33 +177,3 @@ def test_the_commands_run_in_their_order(folder: Path) -> None:
     names = sorted(path.name for path in (folder / "out").iterdir())
     assert names[:3] == [f"name_000{frame}.glb" for frame in range(3)]
     assert names[3:] == [f"old_000{frame}.spz" for frame in range(1, len(SplatFormat))]
-
-
-def test_the_help_numbers_files_as_they_are_numbered(tmp_path: Path) -> None:
-    write_tiny(tmp_path / "stream", 3)
-    told = subprocess.run(
-        command("swings-stream", "export", "--help"),
-        env=environment() | {"COLUMNS": "200"},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    ).stdout
-    [[pattern, first]] = re.findall(r"`(name\.\w+)` gives (\S+)", told)
-    for format in SplatFormat:
-        assert format in told
-    words = ["export", str(tmp_path / "stream"), str(tmp_path / "out" / pattern), "--frames", ":"]
-    run_ok("swings-stream", *words)
-    assert sorted(path.name for path in (tmp_path / "out").iterdir())[0] == first
-
-
-def test_the_version_of_spz_is_for_spz(tmp_path: Path) -> None:
-    write_tiny(tmp_path / "stream", 3)
-    words = ["export", str(tmp_path / "stream"), str(tmp_path / "a.ply"), "--frame", "0"]
-    done = run("swings-stream", *words, "--spz-version", "3")
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr == textwrap.dedent(
-        """\
-        swings-stream: --spz-version is for spz; the files would be ply
-        """
-    )
-    assert not (tmp_path / "a.ply").exists()

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.framerange import FrameRange
+from codec.tools.packing import pack_stream
 from player.network.retry import RetryConfig
 from player.sound.decodedsound import DecodedSound
 from player.sound.segmentsound import segment_span
@@ -26,6 +27,7 @@ from player.sound.soundfeed import (
     wanted_segments,
 )
 from player.source.opener import Opener, SourceConfig
+from tests.support.delivery.rangehost import range_host
 from tests.support.hosted_streams import served, small_manifest, static_host, write_stream
 from tests.support.sounding import add_clicks, heard
 from tests.support.waiting import wait_until
@@ -57,8 +59,10 @@ def fed(source: str, at: Whereabouts, patience_s: float = 1.0) -> tuple[DecodedS
 
 def test_every_kind_of_source_gives_the_same_samples(root: Path) -> None:
     whole, at = heard(root / "s"), Whereabouts(0, 0, NUM_FRAMES, False)
-    with served(root) as server, static_host(root) as host:
-        for source in (str(root / "s"), f"{server.url}/watch/s", f"{host}/s"):
+    pack_stream(root / "s", root / "p.swings")
+    with served(root) as server, range_host(root) as host:
+        folders = [f"{place}/{name}" for place in (root, host.url) for name in ("s", "p.swings")]
+        for source in (*folders, f"{server.url}/watch/s"):
             decoded, feed = fed(source, at)
             camera = small_manifest().camera()
             mixed = decoded.mix(0, len(whole), camera)
