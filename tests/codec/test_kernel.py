@@ -55,16 +55,6 @@ import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, resource.RLIM_INFINITY))
 """
 
-SYNTH = """
-import sys
-from pathlib import Path
-import trainer.__main__
-from trainer.synth.film import SynthConfig, synthesise
-out = Path(sys.argv[1])
-synthesise(SynthConfig(out, frames=1, cameras=2, held_out=0, width_px=16, height_px=16, points=8))
-print(len(list(out.glob("*.mp4"))))
-"""
-
 
 def output_of(program: str, *arguments: str, **environment: str) -> list[int]:
     """The numbers that `program` prints; warnings are errors, progress output is allowed. -B:
@@ -150,17 +140,6 @@ def test_a_change_in_another_file_is_noticed(run_outer: Callable[..., list[int]]
         *([40, 0], [40, 1]),
         *([50, 0], [100, 0]),
     ]
-
-
-@pytest.mark.deep
-def test_all_kernels_work_where_nothing_can_be_kept(tmp_path: Path) -> None:
-    """On a full disk, where there is no place, and in the commands of the trainer."""
-    _, compiled, _ = output_of(NO_ROOM + KERNELS, NUMBA_CACHE_DIR=str(tmp_path))
-    assert compiled > 0
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
-    assert output_of(NO_PLACE + KERNELS)[1:] == [compiled, 0]
-    assert output_of(KERNELS, NUMBA_CACHE_DIR=str(tmp_path))[1:] == [compiled, 0]
-    assert output_of(NO_PLACE + SYNTH, str(tmp_path / "made")) == [2]
 
 
 def names(file: Path) -> set[str]:

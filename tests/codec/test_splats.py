@@ -9,7 +9,7 @@ import pytest
 
 from codec.errors import InvalidError
 from codec.slice import HIDDEN, MAX_SWIN_SIZE, Slice, active_splats, blank_splats
-from codec.splats import ARRAY_NAMES, Floats, Splats, array_shapes
+from codec.splats import ARRAY_NAMES, Floats, array_shapes
 from tests.support.hosted_streams import random_slice, random_splats
 from tests.support.hostile import refused
 from tests.support.trained_like import trained_like_splats
@@ -30,15 +30,6 @@ def test_arrays_have_the_shapes_that_are_promised(sh_degree: int) -> None:
     assert tuple(array.shape for array in splats.arrays) == array_shapes(3, sh_degree)
     assert (len(splats), splats.sh_degree) == (3, sh_degree)
     assert splats.num_bytes == 3 * 4 * (11 + 3 * (sh_degree + 1) ** 2)
-
-
-def test_printed_it_is_one_short_line() -> None:
-    splats = trained_like_splats(90_854, sh_degree=3)
-    splats.means[:] = 0
-    splats.means[7] = 1.5, -2000.25, 0
-    expected = "Splats(90854 Gaussians, SH degree 3, x 0..1.5, y -2000..0, z 0..0)"
-    assert str(splats) == repr(splats) == expected
-    assert repr(Splats.empty(1)) == "Splats(0 Gaussians, SH degree 1)"
 
 
 def test_rows_are_taken_by_numbers_a_mask_or_a_slice() -> None:

@@ -13,17 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from PIL import Image
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.foreign.bundle import MAX_DIRECTORY_BYTES, Bundle, encode_bundle
-from codec.foreign.codebook import CODES, codebook, codes_of, palette
 from codec.foreign.levels import Bytes
 from codec.foreign.sog import decode_sog, encode_sog
 from codec.foreign.webp import decode_webp, encode_webp, webp_size
 from codec.interop.formats import decode_any, read_splats
-from codec.splats import Floats, Splats
+from codec.splats import Splats
 from tests.support.drawn import angles_rad, drawn_splats, same_splats
 from tests.support.hostile import refused, within_bytes
 from tests.support.trained_like import trained_like_splats
@@ -71,9 +69,12 @@ def files_of(meta: object) -> dict[str, bytes]:
     return {"meta.json": json.dumps(meta).encode(), "p": webp(palette)} | pictures
 
 
-def bundled(files: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
+def bundled(
+    files: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED, comment: bytes = b""
+) -> bytes:
     made = io.BytesIO()
     with zipfile.ZipFile(made, "w", method) as archive:
+        archive.comment = comment
         for name, data in files.items():
             archive.writestr(name, data)
     return made.getvalue()
@@ -243,25 +244,11 @@ def test_a_huge_picture_costs_little_memory() -> None:
         decode_any(replaced("ml", flat))
 
 
-STORED, LZMA = zipfile.ZIP_STORED, zipfile.ZIP_LZMA
-
-
-def zipped(
-    files: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED, comment: bytes = b""
-) -> bytes:
-    made = io.BytesIO()
-    with zipfile.ZipFile(made, "w", method) as archive:
-        archive.comment = comment
-        for name, data in files.items():
-            archive.writestr(name, data)
-    return made.getvalue()
-
-
 def test_files_come_back_and_the_archive_is_always_the_same() -> None:
     files = {"a.txt": b"alpha", "empty": b""}
     data = encode_bundle(files)
     assert data == encode_bundle(files)
-    for made in (data, zipped(files), zipped(files, STORED, b"a comment")):
+    for made in (data, bundled(files), bundled(files, zipfile.ZIP_STORED, b"a comment")):
         bundle = Bundle(made, "it")
         assert {name: bundle.read(name) for name in files} == files
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -269,7 +256,7 @@ def test_files_come_back_and_the_archive_is_always_the_same() -> None:
 
 
 def test_a_bomb_is_refused_by_what_it_claims() -> None:
-    bomb = zipped({"zeros": bytes(64 << 20)})
+    bomb = bundled({"zeros": bytes(64 << 20)})
     assert len(bomb) < 100_000
     with within_bytes(4 << 20):
         with pytest.raises(CorruptError, match="'zeros' claims 67108864 bytes"):
@@ -280,7 +267,7 @@ def test_a_bomb_is_refused_by_what_it_claims() -> None:
 
 
 def encrypted() -> bytes:
-    data = bytearray(zipped({"a": b"alpha"}))
+    data = bytearray(bundled({"a": b"alpha"}))
     directory = data.index(b"PK\1\2")
     data[6] |= 1
     data[directory + 8] |= 1
@@ -291,12 +278,12 @@ def encrypted() -> bytes:
     ("data", "kind", "says"),
     [
         (b"PK\3\4", CorruptError, "ends inside the ZIP"),
-        (zipped({"b": b""}), CorruptError, "'a' is not in the archive"),
+        (bundled({"b": b""}), CorruptError, "'a' is not in the archive"),
         (encrypted(), UnsupportedError, "encrypted"),
-        (zipped({"a": b"alpha"}, LZMA), UnsupportedError, "not read here"),
-        (zipped({"a" * 60_000: b"", "b" * 60_000: b""}), CorruptError, "bytes of names"),
+        (bundled({"a": b"alpha"}, zipfile.ZIP_LZMA), UnsupportedError, "not read here"),
+        (bundled({"a" * 60_000: b"", "b" * 60_000: b""}), CorruptError, "bytes of names"),
         (
-            zipped({"a": b"alpha"}, zipfile.ZIP_STORED).replace(b"alpha", b"omega"),
+            bundled({"a": b"alpha"}, zipfile.ZIP_STORED).replace(b"alpha", b"omega"),
             CorruptError,
             "broken",
         ),
@@ -370,68 +357,3 @@ def test_a_side_that_no_decoder_takes_is_refused() -> None:
     head = b"RIFF" + struct.pack("<I", 100) + b"WEBPVP8X" + struct.pack("<I4x", 10)
     wide = head + b"\xff\xff\xff" + b"\0\0\0" + bytes(60)
     refused(CorruptError, "16777216 x 1 pixels", decode_webp, wide, "it", 1 << 40)
-
-
-def drawn(seed: int, count: int, dims: int) -> Floats:
-    return np.random.default_rng(seed).normal(size=(count, dims)).astype(np.float32)
-
-
-@given(st.lists(st.floats(-1e6, 1e6, width=32), max_size=CODES))
-def test_what_has_few_values_is_kept_exactly(values: list[float]) -> None:
-    given = np.array(values, np.float32)
-    book = codebook(given)
-    assert book.shape == (CODES,)
-    assert (np.diff(book) >= 0).all()
-    assert (book[codes_of(given, book)] == given).all()
-
-
-@pytest.mark.parametrize("shape", ["even", "bell", "far"])
-def test_many_values_are_near_theirs(shape: str) -> None:
-    rng = np.random.default_rng(5)
-    values = rng.normal(size=30_000).astype(np.float32)
-    if shape == "even":
-        values = rng.uniform(-1, 1, 30_000).astype(np.float32)
-    if shape == "far":
-        values[:5] = [90, 91, 95, -80, -80]
-    book = codebook(values)
-    assert (book == codebook(values)).all()
-    codes = codes_of(values, book)
-    away = np.abs(book[codes] - values)
-    # Each value has the nearest entry.
-    assert (away <= np.abs(values[:, None] - book).min(axis=1) + 1e-6).all()
-    even = np.ptp(values) / CODES
-    assert away.max() < 1.2 * even  # half of the initial book is in even steps
-    if shape == "bell":
-        # The least that any book of a normal distribution can reach (Panter and Dite, 1951).
-        least = np.sqrt(np.sqrt(3) * np.pi / 2) / CODES
-        assert np.sqrt((away**2).mean()) < 1.1 * least
-
-
-def test_a_palette_of_all_rows_is_exact_and_alike_rows_share() -> None:
-    rows = drawn(3, 50, 9)[np.arange(200) % 50]
-    entries, labels = palette(rows, 64)
-    assert entries.shape == (50, 9)
-    assert (entries[labels] == rows).all()
-    # Labels are numbered by their first row.
-    assert (labels[:50] == np.arange(50)).all()
-
-
-@given(st.integers(0, 300), st.integers(1, 12), st.integers(1, 64))
-@settings(max_examples=40, deadline=None)
-def test_a_palette_is_the_means_of_its_groups(count: int, dims: int, size: int) -> None:
-    rows = drawn(count, count, dims)
-    entries, labels = palette(rows, size)
-    assert len(entries) <= size
-    assert sorted(set(labels.tolist())) == list(range(len(entries)))
-    for number, entry in enumerate(entries):
-        assert entry == pytest.approx(
-            rows[labels == number].astype(np.float64).mean(axis=0), abs=1e-6
-        )
-
-
-def test_a_palette_finds_groups_that_there_are() -> None:
-    centres = 10 * drawn(8, 30, 9)
-    group = np.random.default_rng(1).integers(0, 30, 3000)
-    rows = centres[group] + 0.01 * drawn(9, 3000, 9)
-    entries, labels = palette(rows, 64)
-    assert np.abs(entries[labels] - rows).max() < 0.1

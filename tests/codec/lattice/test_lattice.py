@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from codec.errors import InvalidError
 from codec.lattice.lattice import MAX_HOLD, MIN_STEP, POSITION_LIMIT, Lattice, dequantise, quantise
-from codec.lattice.morton import BITS_PER_AXIS, interleave
-from codec.lattice.orientation import canonical, multiply
+from codec.lattice.orientation import canonical
 from codec.lattice.quantise import (
     MAX_COARSENESS,
     MAX_LOGIT,
@@ -143,14 +142,6 @@ def test_canonical_form(quat: tuple[float, ...], log_scale: tuple[float, ...], n
     assert np.abs(actual - expected).max() <= 1e-5 * np.exp(2 * log_scales.max())
 
 
-def test_multiply_is_the_product_of_quaternions() -> None:
-    i, j, k = (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)
-    assert multiply(i, j) == k
-    assert multiply(j, k) == i
-    assert multiply(k, i) == j
-    assert multiply(i, i) == (-1, 0, 0, 0)
-
-
 @given(st.tuples(numbers, numbers, numbers))
 def test_luma_has_an_inverse(rgb: tuple[float, ...]) -> None:
     y, co, cg = to_luma(np.array(rgb)).astype(np.float32)
@@ -188,17 +179,3 @@ def test_less_important_layers_are_coarser() -> None:
     assert all(MIN_COARSENESS <= factor <= MAX_COARSENESS for factor in factors)
     assert layer_coarseness([splats]) == pytest.approx([1])
     assert layer_coarseness([Splats.empty(), Splats.empty()]) == [1, 1]
-
-
-coordinate = st.integers(0, (1 << BITS_PER_AXIS) - 1)
-
-
-def plain_code(place: tuple[int, ...]) -> int:
-    bits = range(BITS_PER_AXIS)
-    return sum(((place[axis] >> b) & 1) << (3 * b + axis) for axis in range(3) for b in bits)
-
-
-@given(st.lists(st.tuples(coordinate, coordinate, coordinate), max_size=20))
-def test_interleave_is_the_plain_one(places: list[tuple[int, ...]]) -> None:
-    codes = interleave(np.array(places, np.int64).reshape(-1, 3))
-    assert codes.tolist() == [plain_code(place) for place in places]

@@ -145,25 +145,6 @@ def test_what_comes_late_ends_in_the_same_frames(stream: Twins, seed: int) -> No
         assert same_splats(decoder.whole(birth).splats, stream.frames[birth])
 
 
-@given(twins)
-@settings(max_examples=20)
-def test_a_writer_goes_on_after_a_passing_slice(stream: Twins) -> None:
-    layout = stream.layout
-    updates = patternless_updates(
-        small_layout(1, layout.slots[:-1], 0, layout.segment_frames), 2 * layout.segment_frames, 3
-    )
-    whole, decoder = encoded_chunks(layout, updates), SlotDecoder(layout)
-    for data in whole.snapshots[0]:
-        decoder.load(data)
-    for birth in range(1, layout.segment_frames):
-        decoder.apply(birth, *whole.slice(birth))
-    encoder = SlotEncoder.resumed(decoder)
-    for update in updates[layout.segment_frames :]:
-        made = encoder.append(update)
-        assert made is not None
-        assert (made.mask.data, [c.data for c in made.changes]) == whole.slice(update.birth)
-
-
 def test_hostile_bytes_are_refused_and_leave_all_as_it_was() -> None:
     stream = Twins.of(2, (5, 3), 2, 7, False, 1)
     decoder = stream.joined()

@@ -19,7 +19,6 @@ from codec.slots.mask import encode_mask
 from codec.slots.update import ENDED, KEPT
 from codec.storage.openstorage import open_storage
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.index import record_bytes
 from codec.stream.manifest import MASKS, Part, is_snapshot, snapshot_part
 from codec.stream.object import encode_packet, read_object_table
 from codec.tools.audit import verify_stream
@@ -29,7 +28,6 @@ from tests.support.slots.folder import write_slots
 from tests.support.tiny_stream import append_tiny, tiny_manifest, write_tiny
 
 NUM_FRAMES = 6
-RECORD_BYTES = record_bytes(2)
 
 
 @pytest.fixture(scope="module")
@@ -118,14 +116,6 @@ def test_the_first_of_several_damaged_files_is_named(stream: Path) -> None:
     found(stream, "segments/0/1")
     (stream / "segments/0/0").unlink()
     refused(CodecError, r"segments/0/0 is missing", verify_stream, stream)
-
-
-def test_an_altered_byte_of_the_index_is_found_in_its_record(stream: Path) -> None:
-    path = stream / "index.bin"
-    data = path.read_bytes()
-    for n, altered in enumerate(flips(data, every=3)):
-        path.write_bytes(altered)
-        assert found(stream, "index.bin").at == n // RECORD_BYTES * RECORD_BYTES
 
 
 @pytest.mark.parametrize(
@@ -239,20 +229,6 @@ def test_an_altered_file(stream: Path, name: str, old: bytes, new: bytes | None)
     assert name.split("/")[0] in message or name == "manifest.json"
     assert "\n" not in message
     assert new != b'"fps": "x"' or "fps is missing or of the wrong type" in message
-
-
-def test_an_index_that_was_cut_is_a_shorter_stream(stream: Path) -> None:
-    path = stream / "index.bin"
-    data = path.read_bytes()
-    for length in range(0, len(data), 13):
-        path.write_bytes(data[:length])
-        frames = (0, 4)[length // RECORD_BYTES]
-        assert StreamReader(stream).num_frames == frames
-        if length % RECORD_BYTES:
-            with pytest.raises(CodecError, match=r"index\.bin: byte \d+: .* of a finished stream"):
-                verify_stream(stream)
-        else:
-            assert verify_stream(stream).num_frames == frames
 
 
 FRAMES = 7
