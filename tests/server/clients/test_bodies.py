@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import random
-import socket
 import ssl
 from pathlib import Path
 
 import pytest
 
 from server.exchange.exchange import Exchange
-from server.exchange.response import BodyWriter, Response, StreamedResponse
+from server.exchange.response import Response
 from tests.support.server.certificates import make_certificate
 from tests.support.server.plain_site import on_site, text
 from tests.support.server.running_server import eventually
@@ -95,56 +93,6 @@ async def test_a_slow_reader_gets_every_byte_and_little_waits_in_the_process(tls
         # A piece of 512 KiB; TLS keeps it twice, as it came and coded.
         assert most <= (600_000 if tls[1] is None else 1_200_000)
     assert not site.cuts
-
-
-async def test_a_streamed_body_waits_for_its_reader(tls: Tls) -> None:
-    written = 0
-
-    def streamed(exchange: Exchange) -> StreamedResponse:
-        async def produce(writer: BodyWriter) -> None:
-            nonlocal written
-            writer.hold_at_most(65_536)
-            for start in range(0, len(BODY), 10_000):
-                await writer.write(BODY[start : start + 10_000])
-                written += 10_000
-
-        return StreamedResponse({}, produce)
-
-    async with on_site({"/streamed": streamed, "/body": body}, tls=tls[0]) as site:
-        async with site.connect(tls[1], limit_bytes=2048) as client:
-            client.writer.get_extra_info("socket").setsockopt(
-                socket.SOL_SOCKET, socket.SO_RCVBUF, 65_536
-            )
-            client.get("/streamed")
-            await client.reader.readexactly(1000)
-            (connection,) = site.acceptor.connections
-            await eventually(connection.transport.get_write_buffer_size)
-            assert written < len(BODY)
-        async with site.connect(tls[1]) as client:
-            client.get("/streamed")
-            client.get("/body?300000")
-            assert (await client.answer())[2] == BODY
-            assert (await client.answer())[2] == BODY[:300_000]
-
-
-async def test_large_bodies_give_others_their_turn(tls: Tls) -> None:
-    """Whoever takes as fast as it can does not hold up a short response."""
-    async with on_site({"/body": body, "/ok": text()}, tls=tls[0]) as site:
-
-        async def take() -> None:
-            async with site.connect(tls[1], limit_bytes=1 << 20) as client:
-                for _ in range(2):
-                    client.get(f"/body?{len(BODY)}")
-                    assert len((await client.answer())[2]) == len(BODY)
-
-        async with site.connect(tls[1]) as other:
-            greedy, count = asyncio.gather(*(take() for _ in range(3))), 0
-            while not greedy.done():
-                other.get("/ok")
-                assert (await other.answer())[0] == 200
-                count += 1
-            await greedy
-        assert count > 5
 
 
 async def test_strangers_at_the_tls_port_leave_nothing_behind(

@@ -128,8 +128,3 @@ def test_bytes_on_their_way_are_counted() -> None:
 )
 def test_codings_that_are_accepted(text: str, codings: set[str]) -> None:
     assert accepted_codings(text) == codings
-
-
-@given(st.text(max_size=60))
-def test_any_text_names_codings(text: str) -> None:
-    assert all(name == name.strip() for name in accepted_codings(text))

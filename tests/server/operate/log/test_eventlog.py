@@ -5,16 +5,13 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from codec.errors import CorruptError
-from server.operate.log.eventlog import MAX_REPEATS, EventLog, RepeatFilter, take_over_logging
+from server.operate.log.eventlog import MAX_REPEATS, EventLog, RepeatFilter
 from server.operate.log.logline import LogStyle
 
 
@@ -68,23 +65,6 @@ def test_the_same_warning_is_logged_once_a_minute_with_its_count(told: Told) -> 
     ]
 
 
-@given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(0, 30)), max_size=100))
-def test_every_warning_is_logged_or_counted(events: list[tuple[str, float]]) -> None:
-    repeats, now_s = RepeatFilter(), 0.0
-    logged: dict[str, list[float]] = {}
-    counted: dict[str, int] = {}
-    for message, seconds in events:
-        now_s += seconds
-        record = warning(message, now_s)
-        counted[message] = counted.get(message, 0) + 1
-        if repeats.filter(record):
-            assert (record.__dict__["held_back"] or 0) == counted[message] - 1
-            counted[message] = 0
-            logged.setdefault(message, []).append(now_s)
-    for times in logged.values():
-        assert all(b - a >= 60 for a, b in pairwise(times))
-
-
 def test_many_warnings_are_not_remembered_for_ever() -> None:
     repeats = RepeatFilter()
     assert all(repeats.filter(warning(f"{n}")) for n in range(MAX_REPEATS + 1))
@@ -118,14 +98,6 @@ def test_a_traceback_comes_with_bugs_only(told: Told, logger: logging.Logger) ->
     assert "test_eventlog.py" in bug["traceback"]
 
 
-def test_a_record_that_cannot_be_formatted_is_logged_all_the_same(
-    told: Told, logger: logging.Logger, capsys: pytest.CaptureFixture[str]
-) -> None:
-    logger.warning("%d frames", "three")
-    assert told.lines()[0]["message"].startswith("%d frames")
-    assert capsys.readouterr().err == ""
-
-
 def test_an_event_that_is_no_line_is_counted_as_dropped(
     told: Told, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -136,17 +108,4 @@ def test_an_event_that_is_no_line_is_counted_as_dropped(
         ("request", None),
         ("log_dropped", 1),
     ]
-    assert capsys.readouterr().err == ""
-
-
-def test_it_takes_the_place_of_other_handlers(
-    told: Told, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    root = logging.RootLogger(logging.WARNING)
-    root.addHandler(logging.StreamHandler())
-    monkeypatch.setattr(logging, "getLogger", lambda: root)
-    take_over_logging(told.log)
-    root.info("once")
-    root.debug("not at all")
-    assert [line["message"] for line in told.lines()] == ["once"]
     assert capsys.readouterr().err == ""

@@ -40,16 +40,6 @@ def numbers(lines: list[dict[str, Any]]) -> list[int]:
     return [line["n"] for line in lines if line["event"] == "x"]
 
 
-def test_lines_come_in_order_and_without_an_end(tmp_path: Path) -> None:
-    path = tmp_path / "log"
-    with path.open("ab") as file, json_log(file.fileno()) as log:
-        for n in range(1000):
-            log.event("x", n=n)
-        wait_until(lambda: path.read_bytes().count(b"\n") == 1000)
-    with path.open("rb") as read:
-        assert numbers([json.loads(line) for line in read]) == list(range(1000))
-
-
 def test_a_sink_that_is_stuck_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(eventlog, "CLOSE_S", BOUND_S)
     reader, descriptor = os.pipe()
@@ -120,30 +110,3 @@ def test_a_sink_that_is_stuck_at_the_end_does_not_keep_the_process() -> None:
     os.close(descriptor)
     assert process.wait(timeout=BOUND_S) == 0
     os.close(reader)
-
-
-def test_lines_that_wait_are_written_when_the_process_ends_by_an_exception() -> None:
-    code = START + "log.__enter__()\nlog.event('waits')\nraise ValueError\n"
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True)
-    assert done.returncode == 1
-    assert json.loads(done.stdout)["event"] == "waits"
-
-
-def test_processes_that_share_a_pipe_do_not_tear_each_others_lines() -> None:
-    code = START + (
-        f"eventlog.CLOSE_S = {BOUND_S}\n"
-        "with log:\n"
-        "    for n in range(1000): log.event('x', n=n, traceback=sys.argv[1] * (4 * n))\n"
-    )
-    reader, descriptor = os.pipe()
-    processes = [
-        subprocess.Popen([sys.executable, "-c", code, word], cwd=ROOT, stdout=descriptor)
-        for word in "abc"
-    ]
-    os.close(descriptor)
-    lines = [line for line in read_until_closed(reader) if line["event"] == "x"]
-    assert [process.wait(timeout=BOUND_S) for process in processes] == [0, 0, 0]
-    for word in "abc":
-        texts = [line["traceback"] for line in lines if line["traceback"].endswith(word)]
-        assert len(texts) == 999  # the first is empty
-        assert all(set(text.removeprefix("...")) == {word} for text in texts)

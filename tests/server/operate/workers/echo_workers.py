@@ -2,9 +2,8 @@
 WHAT CONFIG: its URL is on the first line of stdout, its log on stderr.
 
 WHAT: "echo", where "hang" is echoed and blocks the event loop; "slow", which ends when its clients
-have gone; "stubborn", which never ends; "late", which takes four seconds to start; "crash", whose
-workers die; "refuse", which cannot start; "relay", where "1 hello" asks worker 1 for its answer;
-"count", which counts connections and answers any line with all figures, in JSON.
+have gone; "stubborn", which never ends; "refuse", which cannot start; "count", which counts
+connections and answers any line with all figures, in JSON.
 
 A file "refuse" in the folder prevents further workers from starting.
 """
@@ -26,7 +25,6 @@ from server.operate.log.eventlog import EventLog, take_over_logging
 from server.operate.log.logline import LogStyle
 from server.operate.prometheus import Metrics, forget_worker
 from server.operate.workers.arbiter import WorkerHooks, run_workers
-from server.operate.workers.peers import Peers
 from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.operate.workers.workerprocess import StreamWorker
 from tests.support.server.virtualtime import passes
@@ -35,17 +33,9 @@ from tests.support.server.virtualtime import passes
 async def serve(what: str, worker: StreamWorker) -> None:
     if what == "refuse" or os.path.exists("refuse"):  # noqa: ASYNC240 - the server has not begun
         raise SwingsError("there is nothing\nto serve")
-    if what == "crash":
-        worker.ready()
-        os._exit(5)
-    if what == "late":
-        threading.Event().wait(4)  # nothing else shall run
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     loop.add_signal_handler(signal.SIGTERM, stop.set)
-    peers = Peers(worker.number, worker.mailboxes)
-    peers.on_request = lambda message: b"%d of %d: " % (worker.number, os.getpid()) + message
-    peers.start()
     metrics = Metrics(Path("metrics"), worker.number) if what == "count" else None
 
     talks = set[asyncio.Task[None] | None]()
@@ -60,10 +50,6 @@ async def serve(what: str, worker: StreamWorker) -> None:
             while line := await reader.readline():
                 if metrics is not None:
                     line = json.dumps(metrics.text()).encode() + b"\n"
-                if what == "relay":
-                    number, _, message = line.rstrip(b"\n").partition(b" ")
-                    answer = await peers.ask(int(number), message)
-                    line = b"%s\n" % (b"nothing" if answer is None else answer)
                 writer.write(line)
                 await writer.drain()
                 if line == b"hang\n":
@@ -84,7 +70,6 @@ async def serve(what: str, worker: StreamWorker) -> None:
     server.close()
     if what == "slow":
         await asyncio.gather(*filter(None, talks))
-    peers.close()
 
 
 def main() -> None:

@@ -131,26 +131,9 @@ def test_a_worker_that_hangs_is_replaced(tmp_path: Path) -> None:
         assert [" talk" in message for message in hangs] == [True]
 
 
-@pytest.mark.realtime
-def test_a_worker_may_take_longer_to_start_than_to_beat(tmp_path: Path) -> None:
-    with serving(tmp_path, "late", workers=1, worker_timeout_s=2) as served:
-        Talk(served.port).close()
-        assert [line["event"] for line in served.events()] == ["worker_ready"]
-
-
 def test_delays_of_restarts_double_up_to_a_bound() -> None:
     assert [restart_delay_s(n) for n in range(7)] == [0, 0, 0.1, 0.2, 0.4, 0.8, 1.6]
     assert restart_delay_s(20) == restart_delay_s(10_000) == 10
-
-
-@pytest.mark.realtime
-def test_a_crash_loop_waits_longer_each_time(tmp_path: Path) -> None:
-    with serving(tmp_path, "crash", workers=1) as served:
-        wait_until(lambda: len(served.events("worker_died")) == 5)
-        died = served.events("worker_died")
-        assert [line["restart_s"] for line in died] == [0, 0.1, 0.2, 0.4, 0.8]
-        served.process.send_signal(signal.SIGTERM)  # between two restarts
-        assert served.process.wait(timeout=BOUND_S) == 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -177,14 +160,6 @@ def test_workers_that_do_not_end_are_killed(tmp_path: Path) -> None:
         served.process.send_signal(signal.SIGTERM)
         assert served.process.wait(timeout=BOUND_S) == 0
         assert len(served.events("worker_killed")) == 2
-
-
-def test_a_second_signal_ends_it_at_once(tmp_path: Path) -> None:
-    with serving(tmp_path, "stubborn", shutdown_timeout_s=600) as served:
-        served.process.send_signal(signal.SIGTERM)
-        wait_until(lambda: served.events("stopping"))
-        served.process.send_signal(signal.SIGINT)
-        assert served.process.wait(timeout=BOUND_S) == 0
 
 
 def test_workers_do_not_outlive_their_arbiter(tmp_path: Path) -> None:

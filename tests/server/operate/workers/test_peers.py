@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import signal
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, closing
-from pathlib import Path
+from contextlib import asynccontextmanager
 
 import pytest
 
-from codec.errors import InvalidError
-from server.operate.workers.peers import MAX_MESSAGE_BYTES, Mailboxes, Peers
-from tests.server.operate.workers.test_arbiter import Talk, serving
-from tests.support.server.virtualtime import hold_up, in_virtual_time, now_s, passes
-from tests.support.waiting import wait_until
+from server.operate.workers.peers import Mailboxes, Peers
+from tests.support.server.virtualtime import in_virtual_time, now_s, passes
 
 
 @asynccontextmanager
@@ -75,17 +69,6 @@ async def test_an_answer_that_fails_is_none(caplog: pytest.LogCaptureFixture) ->
 
 
 @in_virtual_time
-async def test_who_was_late_himself_takes_an_answer_that_is_there() -> None:
-    def slow(message: bytes) -> bytes:
-        hold_up(0.15)  # both are on this event loop
-        return message
-
-    async with group(2, timeout_s=0.1) as peers:
-        peers[1].on_request = slow
-        assert await peers[0].ask(1, b"hello") == b"hello"
-
-
-@in_virtual_time
 async def test_only_the_first_answer_counts_and_none_to_what_was_not_asked() -> None:
     mailboxes = Mailboxes(2)
     asker = Peers(0, mailboxes)
@@ -103,47 +86,3 @@ async def test_only_the_first_answer_counts_and_none_to_what_was_not_asked() -> 
     assert asker.counts.refused == 3
     asker.close()
     mailboxes.close()
-
-
-@in_virtual_time
-async def test_messages_are_bounded() -> None:
-    async with group(2) as peers:
-        peers[1].on_request = lambda message: message
-        longest = b"x" * MAX_MESSAGE_BYTES
-        assert await peers[0].ask(1, longest) == longest
-        assert await peers[0].ask(1, b"") == b""
-        with pytest.raises(InvalidError, match="at most"):
-            await peers[0].ask(1, longest + b"x")
-
-
-@in_virtual_time
-async def test_questions_that_wait_at_the_end_are_given_up() -> None:
-    async with group(2, timeout_s=60) as peers:
-        question = asyncio.create_task(peers[0].ask(2, b"hello"))
-        await passes(0.01)
-        peers[0].close()
-        assert await question is None
-
-
-def test_workers_ask_each_other_and_a_successor_reads_on(tmp_path: Path) -> None:
-    with serving(tmp_path, "relay") as served, closing(Talk(served.port)) as talk:
-        pids = {line["worker"]: line["pid"] for line in served.events("worker_ready")}
-        other = 1 - talk.number
-
-        def answers(word: bytes, pid: int) -> bool:
-            """Whether the other worker answers in time; a late answer must not be taken for it."""
-            talk.send(b"%d %s" % (other, word))
-            line = talk.line()
-            assert line in (b"nothing\n", b"%d of %d: %s\n" % (other, pid, word))
-            return line != b"nothing\n"
-
-        wait_until(lambda: answers(b"one", pids[other]))
-        os.kill(pids[other], signal.SIGSTOP)
-        assert not answers(b"two", pids[other])
-        os.kill(pids[other], signal.SIGCONT)
-        wait_until(lambda: answers(b"again", pids[other]))
-        os.kill(pids[other], signal.SIGKILL)
-        wait_until(lambda: len(served.events("worker_ready")) == 3)
-        successor = served.events("worker_ready")[-1]
-        assert successor["worker"] == other
-        wait_until(lambda: answers(b"three", successor["pid"]))

@@ -29,7 +29,7 @@ from tests.server.hostile.serverprocess import Comers, ServerProcess, ask, figur
 from tests.support.server.certificates import make_certificate
 from tests.support.server.running_server import births_with_layer_0, make_stream, parse_records
 from tests.support.suite.once import made_once
-from tests.support.waiting import BOUND_S, is_running, wait_until
+from tests.support.waiting import BOUND_S, wait_until
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="several workers need Linux"
@@ -294,33 +294,6 @@ def test_under_load_all_workers_know_the_tokens_of_all_and_no_others(
                 assert answer_of(one, f"long/play{query}", token).status == 503
             for token in (before, after):
                 assert answer_of(one, f"long/play{query}", token).status == 200
-
-
-SHUTDOWN_S = 3.0
-
-
-@pytest.mark.realtime
-@pytest.mark.parametrize("count", [1, 2])
-def test_it_ends_in_time_though_50_clients_read_nothing(
-    root: Path, tmp_path: Path, count: int
-) -> None:
-    words = ("--workers", count, "--shutdown-timeout-s", SHUTDOWN_S, *JSON)
-    with server_process(root, tmp_path, *words) as server, ExitStack() as stack:
-        for _ in range(50):
-            one = stack.enter_context(socket.socket())
-            one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            one.connect(("127.0.0.1", server.port))
-            one.sendall(b"GET /v1/streams/big/play HTTP/1.1\r\nHost: h\r\n\r\n")
-        wait_until(lambda: figures(server.port).get(("swings_active_plays",)) == 50)
-        began_s = time.monotonic()
-        os.kill(server.pid, signal.SIGTERM)
-        wait_until(lambda: not is_running(server.pid))
-        took_s = time.monotonic() - began_s
-        assert took_s < SHUTDOWN_S + 0.5
-        assert not server.events("worker_killed", "worker_died")
-        cut = [line for line in server.events("request") if line["path"].endswith("/play")]
-        assert len(cut) == 50
-        assert {line["outcome"] for line in cut} == {"stopped"}
 
 
 @pytest.mark.realtime

@@ -1,4 +1,4 @@
-"""Small random streams, links and rules of a play, with awkward cases."""
+"""Small random streams, links, rules and policies of a play, with awkward cases."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from server.abr.decisioncontext import Policy
+from server.abr.decisioncontext import DecisionContext, Policy, Send, SendSlices, SendSnapshots
 from server.abr.link.link import Link, LinkStep
 from server.abr.media import SegmentSizes
 from server.abr.playout import PlayoutConfig
@@ -125,3 +125,57 @@ def play_through(
     assert clock.started_s is not None
     psnr_db = [frame.psnr_db for frame in shown]
     return score(psnr_db, media.fps, clock.started_s, clock.stalled_s, clock.stalls, qoe)
+
+
+class Whims:
+    """Sends at random anything allowed, useful or not."""
+
+    mends = True
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._base = rng.uniform(0.2, 0.9)  # how often layer 0 is sent first
+        self._idle = rng.choice([0.0, 0.0, 0.2])
+        self._next_birth: int | None = None
+
+    def choose(self, context: DecisionContext) -> Send | None:
+        rng = self._rng
+        if rng.random() < self._idle:
+            return None
+        if rng.random() < self._base:
+            send = self._base_layer(context)
+            if send is not None:
+                return send
+        return self._upper_layer(context)
+
+    def _base_layer(self, context: DecisionContext) -> Send | None:
+        """Layer 0 in order, sometimes with other layers."""
+        media, first = context.media, context.clock.first_frame
+        end_layer = int(self._rng.integers(1, media.num_layers + 1)) if self._whim(0.4) else 1
+        birth = self._next_birth
+        if birth is None:
+            segments = first // media.segment_frames
+            segment = int(self._rng.integers(segments + 1)) if self._whim(0.2) else segments
+            self._next_birth = segment * media.segment_frames + 1
+            return SendSnapshots(segment * media.segment_frames, 0, end_layer)
+        end = min(context.end_birth, birth + int(self._rng.integers(1, 4)))
+        if birth >= end:
+            return None
+        if birth % media.segment_frames == 0 and self._whim(0.3):
+            self._next_birth = birth + 1
+            return SendSnapshots(birth, 0, end_layer)
+        self._next_birth = end
+        return SendSlices(range(birth, end), 0, end_layer)
+
+    def _upper_layer(self, context: DecisionContext) -> Send | None:
+        media, holding, end = context.media, context.holding, context.end_birth
+        layer = int(self._rng.integers(media.num_layers))
+        birth = holding.end_birth(layer)
+        if birth is not None and birth < end and self._whim(0.9):
+            return SendSlices(range(birth, min(end, birth + 2)), layer, layer + 1)
+        starts = range(0, end, media.segment_frames)
+        start = starts[max(0, len(starts) - int(self._rng.integers(1, 4)))]
+        return SendSnapshots(start, layer, layer + 1) if self._whim(0.2) else None
+
+    def _whim(self, chance: float) -> bool:
+        return bool(self._rng.random() < chance)

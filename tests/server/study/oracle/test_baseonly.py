@@ -15,7 +15,6 @@ from server.abr.media import SegmentSizes
 from server.abr.session import SessionConfig
 from server.study.oracle.bound import base_only, normalised
 from server.study.oracle.feasible import earliest_s, latest_s, open_play, waiting_s
-from server.study.oracle.offers import group_frames
 from server.study.simulate.qoe import QoeConfig
 from tests.server.study.oracle.made_up_streams import (
     Stream,
@@ -23,34 +22,10 @@ from tests.server.study.oracle.made_up_streams import (
     make_rules,
     make_span,
     make_stream,
-    play_through,
 )
-from tests.server.study.oracle.odd_policies import Planned
 
 seeds = st.integers(0, 1 << 32)
 RULES = (SessionConfig(), QoeConfig())
-
-
-@given(seed=seeds)
-@settings(max_examples=30, deadline=None)
-def test_no_play_waits_less_and_a_play_of_layer_0_little_more(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    media = make_stream(rng)
-    link, rules, span = (
-        make_link(rng, media.need_bps, even=True),
-        make_rules(rng),
-        make_span(rng, media),
-    )
-    base = base_only(media, link, *rules, *span)
-    play = open_play(media, link, rules[0], *span)
-    groups = group_frames(play, rules[1]).groups
-    policy = Planned(media, groups, [1] * len(groups))
-    played = play_through(media, policy, link, rules, *span)
-    assert played is not None
-    assert played.psnr_db == pytest.approx(base.psnr_db)
-    assert played.step_db == pytest.approx(base.step_db)
-    waited_s = base.startup_s + base.stalled_s
-    assert waited_s - 1e-5 <= played.startup_s + played.stalled_s
 
 
 @given(seed=seeds, more_s=st.floats(0, 5))

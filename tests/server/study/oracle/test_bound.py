@@ -21,13 +21,13 @@ from server.study.oracle.feasible import open_play
 from server.study.simulate.qoe import QoeConfig
 from tests.server.study.oracle.made_up_streams import (
     Stream,
+    Whims,
     make_link,
     make_rules,
     make_span,
     make_stream,
     play_through,
 )
-from tests.server.study.oracle.odd_policies import Whims
 
 RULES = (SessionConfig(), QoeConfig())
 seeds = st.integers(0, 1 << 32)
@@ -99,30 +99,6 @@ def test_half_of_a_layer_is_half_of_its_worth() -> None:
     found = bound(media, steady(8 * 10 * 1.5e4), *RULES, 0, 600)
     # The lead and the stored bytes at the ends count little over a minute.
     assert found.psnr_db == pytest.approx(32.0, abs=0.15)
-
-
-def test_a_layer_that_lasts_begins_with_its_snapshot() -> None:
-    def layers(snapshot_bytes: float) -> Stream:
-        sizes = SegmentSizes((1e3, 1e3), (30.0, 34.0), (1e3, snapshot_bytes), (0.2, 0.2))
-        return Stream(10, 10, 60, 2, (sizes,) * 6)
-
-    link = steady(8 * 10 * 3e3)
-    cheap = bound(layers(1e3), link, *RULES, 0, 60)
-    assert cheap.psnr_db == pytest.approx(34.0, abs=1e-3)
-    # The link carries less in this time than the snapshot.
-    assert bound(layers(1e6), link, *RULES, 0, 60).psnr_db < 30.5
-
-
-@given(seed=seeds)
-@settings(max_examples=5, deadline=None)
-def test_waiting_that_costs_nothing_brings_all(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    media = make_stream(rng, seconds=5)
-    free = QoeConfig(stall_db=0.0)
-    found = bound(media, steady(1e4), SessionConfig(), free, 0, media.num_frames)
-    frames = range(media.num_frames)
-    all_db = float(np.mean([media.sizes(frame).psnr_db[-1] for frame in frames]))
-    assert found.quality_db == pytest.approx(all_db)
 
 
 @pytest.mark.parametrize(
