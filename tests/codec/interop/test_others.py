@@ -16,13 +16,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from codec.foreign.bundle import encode_bundle
-from codec.foreign.sog import decode_sog
 from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat, encode_splats, read_splats, write_splats
 from codec.lattice.lattice import Lattice
-from codec.sequence.importing import ImportOptions, import_stream
 from codec.slice import Slice
 from codec.slots.slotlayout import SlotLayout
 from codec.splats import SH_C0, Splats
@@ -365,28 +362,3 @@ def test_splat_transform_reads_a_ksplat_alike(level: int, degree: int, tmp_path:
     errors = largest_errors(ours, source)
     assert len(ours) == len(source)
     assert (errors <= LARGEST[level]).all()
-
-
-@needs_splat_transform
-@pytest.mark.parametrize("degree", [0, pytest.param(3, marks=pytest.mark.deep)])
-def test_a_sog_folder_of_splat_transform_is_a_bundle(degree: int, tmp_path: Path) -> None:
-    write_splats(tmp_path / "a.ply", trained_like_splats(300, 1, degree), SplatFormat.PLY)
-    for number in range(2):
-        folder = tmp_path / "frames" / f"frame_{number}"
-        folder.mkdir(parents=True)
-        if not number:
-            transformed(tmp_path / "a.ply", folder / "meta.json")
-        else:
-            shutil.copytree(folder.with_name("frame_0"), folder, dirs_exist_ok=True)
-    # It clusters harmonics at random, so that its bundle would differ.
-    data = encode_bundle({path.name: path.read_bytes() for path in folder.iterdir()})
-    bundle = decode_sog(data)
-    assert same_splats(read_splats(folder), bundle)
-    assert same_splats(read_splats(folder / "meta.json"), bundle)
-    # A single file is a still model, several are a sequence.
-    import_stream(folder, tmp_path / "still", ImportOptions())
-    import_stream(tmp_path / "frames", tmp_path / "moving", ImportOptions(fps=10))
-    for name, frames in (("still", 1), ("moving", 2)):
-        reader = StreamReader(tmp_path / name)
-        assert reader.num_frames == frames
-        assert len(reader.active_splats(frames - 1, 4)) == len(bundle)

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from codec.errors import CodecError, CorruptError, InvalidError, UnwritableError
+from codec.errors import CorruptError, InvalidError, UnwritableError
 from codec.slots.update import Update
 from codec.storage import objectstore
 from codec.storage.objectstore import RetryPolicy
@@ -134,13 +134,6 @@ def test_a_writer_goes_on_when_a_store_that_was_gone_is_back(
                 server.start()
             append_some(writer, UPDATES[n : n + 1])
     assert server.files(key) == files_of(tmp_path / "s")
-
-
-def test_what_a_store_refuses_is_a_line(server: S3Server) -> None:
-    with pytest.raises(CodecError, match=r"^s3://no-such-bucket/s/") as caught:
-        StreamWriter.create("s3://no-such-bucket/s", forked_manifest())
-    assert "NoSuchBucket" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 NUM_SEGMENTS = -(-NUM_FRAMES // forked_manifest().segment_frames)

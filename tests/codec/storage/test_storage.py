@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CodecError, CorruptError, UnreadableError
-from codec.interop.formats import read_splats
 from codec.storage import growingfolder
 from codec.storage.folder import FolderStorage
 from codec.storage.growingfolder import GrowingFolder
@@ -234,36 +233,6 @@ def test_a_link_after_a_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sw
     refused(CorruptError, "", lambda: FolderStorage(tmp_path / "folder").read("deep/file", 10))
 
 
-@pytest.mark.deep
-def test_a_name_that_is_swapped_all_the_time_never_shows_what_it_leads_to(tmp_path: Path) -> None:
-    for name, content in (("away", b"secret"), ("folder/deep", b"inside")):
-        (tmp_path / name).mkdir(parents=True)
-        (tmp_path / name / "file").write_bytes(content)
-    folder, stop = tmp_path / "folder", threading.Event()
-
-    def swap() -> None:
-        while not stop.is_set():
-            (folder / "deep").rename(folder / "kept")
-            (folder / "deep").symlink_to("../away")
-            (folder / "deep").unlink()
-            (folder / "kept").rename(folder / "deep")
-
-    swapper = threading.Thread(target=swap)
-    swapper.start()
-    storage, outcomes, reads = FolderStorage(folder), set[bytes | str](), 0
-    try:
-        while reads < 10_000 or b"inside" not in outcomes or len(outcomes) < 2:
-            reads += 1
-            try:
-                outcomes.add(storage.read("deep/file", 10))
-            except CodecError as error:
-                outcomes.add(str(error).rpartition("/")[2].partition(":")[0])
-    finally:
-        stop.set()
-        swapper.join()
-    assert b"secret" not in outcomes
-
-
 def test_a_folder_that_is_gone_says_so(tmp_path: Path) -> None:
     storage = FolderStorage(tmp_path / "absent")
     refused(CorruptError, "is not a folder", storage.check)
@@ -275,19 +244,6 @@ def test_a_folder_that_is_gone_says_so(tmp_path: Path) -> None:
     assert not isinstance(told.value, OSError)
     refused(UnreadableError, r"absent cannot be listed: No such file", storage.folders, ("m",))
     assert storage.stamp("m") is None
-
-
-def test_nothing_waits_for_a_pipe(tmp_path: Path) -> None:
-    write_tiny(tmp_path / "s", 8)
-    reason = "cannot be read: it is not a regular file"
-    for name in ("segments/1/0", "index.bin", "manifest.json"):
-        (tmp_path / "s" / name).unlink()
-        os.mkfifo(tmp_path / "s" / name)
-        for command in (verify_stream, summarise):
-            if command is verify_stream or "segments" not in name:  # info reads no object
-                refused(CorruptError, f"{name} {reason}", command, tmp_path / "s")
-    os.mkfifo(tmp_path / "x.ply")
-    refused(CorruptError, rf"x\.ply {reason}", read_splats, tmp_path / "x.ply")
 
 
 @pytest.mark.parametrize("last", [1, 2, 3])
