@@ -92,7 +92,3 @@ def test_all_32_bits_count(count: int) -> None:
     radix_sort(keys.copy(), order, spare_keys, spare_order)
     np.testing.assert_array_equal(spare_order, expected)
     np.testing.assert_array_equal(spare_keys, keys[expected])
-
-
-def test_what_lies_behind_the_camera_comes_last() -> None:
-    assert near_first(np.array([-1, 3, 2, -5], np.float32))[:2].tolist() == [2, 1]

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -13,18 +10,12 @@ import numpy.typing as npt
 import pytest
 
 from codec.errors import InvalidError, UnsupportedError
-from player.render.gl import create_renderer
+from player.render.gl import GlError, create_renderer
 from player.render.renderer import Renderer, RendererKind
-from tests.support.commands import ROOT
 from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest
 from tests.support.screen.opengl import needs_gl
 
 Floats = npt.NDArray[np.float32]
-
-
-def test_what_the_recipe_cannot_draw() -> None:
-    with pytest.raises(UnsupportedError, match="antialias"):
-        create_renderer(RendererKind.CPU, small_manifest(antialias=True))
 
 
 KINDS = [
@@ -38,6 +29,11 @@ def renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
     opened = create_renderer(request.param, small_manifest(slice_size=40))
     yield opened
     opened.close()
+
+
+def test_what_the_recipe_cannot_draw() -> None:
+    with pytest.raises(UnsupportedError, match="antialias"):
+        create_renderer(RendererKind.CPU, small_manifest(antialias=True))
 
 
 def put_window(renderer: Renderer, births: range) -> None:
@@ -98,39 +94,15 @@ def test_what_follows_a_forgotten_slice_is_refused(renderer: Renderer) -> None:
         follow()
 
 
-WITHOUT_GL = {**os.environ, "__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent"}
-"""An environment in which libglvnd, if present, finds no OpenGL."""
+def test_without_opengl_auto_says_so_and_gl_fails(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise RuntimeError("no display")
 
-CHOOSE = """
-import logging, sys
-from player.render.gl import create_renderer
-from player.render.renderer import RendererKind
-from tests.support.hosted_streams import small_manifest
-logging.basicConfig(level=logging.WARNING)
-try:
-    print(create_renderer(RendererKind(sys.argv[1]), small_manifest()).name)
-except Exception as error:
-    print(type(error).__name__, error)
-"""
-
-
-def choose(kind: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", CHOOSE, kind],
-        cwd=ROOT,
-        env=WITHOUT_GL,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-
-
-def test_without_opengl_auto_says_so_and_gl_fails() -> None:
-    forced = choose("gl")
-    if not forced.stdout.startswith("GlError"):
-        pytest.skip("this OpenGL does not come through libglvnd, so it cannot be hidden")
-    assert "OpenGL 3.3 cannot start: " in forced.stdout
-    assert forced.stdout.count("\n") == 1
-    fallen = choose("auto")
-    assert fallen.stdout == "CPU\n"
-    assert "drawing on the CPU: OpenGL 3.3 cannot start" in fallen.stderr
+    monkeypatch.setattr("moderngl.create_standalone_context", refuse)
+    monkeypatch.setattr("moderngl.create_context", refuse)
+    with pytest.raises(GlError, match=r"^OpenGL 3.3 cannot start: .*no display"):
+        create_renderer(RendererKind.GL, small_manifest())
+    assert create_renderer(RendererKind.AUTO, small_manifest()).name == "CPU"
+    assert "drawing on the CPU: OpenGL 3.3 cannot start" in caplog.text

@@ -36,23 +36,6 @@ def test_every_frame_is_what_the_reader_says(tmp_path: Path, num_layers: int) ->
             assert same_splats(ring.active(birth), reader.active_splats(birth, num_layers))
 
 
-def test_a_shorter_slice_leaves_nothing_of_the_longer_one_before() -> None:
-    ring = Ring(2, 5, 0)
-    ring.put(random_slice(0, 5, 0))
-    ring.put(random_slice(1, 5, 0))
-    ring.put(random_slice(2, 2, 0))
-    births = [s.splats.take(np.flatnonzero(s.active(3, 2))) for s in (random_slice(2, 2, 0),)]
-    assert same_splats(ring.active(3), births[0])
-
-
-def test_lanes_of_other_windows_do_not_show() -> None:
-    ring = Ring(3, 4, 0)
-    assert len(ring.active(0)) == 0
-    ring.put(random_slice(0, 4, 0))
-    assert len(ring.active(2)) == 4
-    assert len(ring.active(3)) == 0
-
-
 @given(leased_streams())
 def test_changes_leave_what_a_plain_replay_leaves(stream: LeasedStream) -> None:
     ring = Ring(stream.swin_size, stream.slice_size, stream.sh_degree)
@@ -67,29 +50,26 @@ def test_changes_leave_what_a_plain_replay_leaves(stream: LeasedStream) -> None:
 
 
 def test_what_does_not_fit_is_refused() -> None:
-    ring = Ring(2, 3, 0)
-    with pytest.raises(InvalidError, match="4 Gaussians"):
-        ring.put(random_slice(0, 4, 0))
-    with pytest.raises(InvalidError, match="SH degree 1"):
-        ring.put(random_slice(0, 3, 1))
-    with pytest.raises(InvalidError, match="at least one lane"):
-        Ring(0, 3, 0)
-
-
-def test_changes_that_do_not_fit_are_refused() -> None:
     def change(birth: int, row: int) -> Slice:
         rows = np.array([row], np.int32)
         return Slice(birth, random_splats(1, 0, 0), np.zeros(1, np.uint8), rows)
 
     ring = Ring(2, 3, 0)
-    with pytest.raises(InvalidError, match="changes the one born at 0; its lane holds nothing"):
-        ring.put(change(2, 0))
-    ring.put(random_slice(0, 3, 0))
-    with pytest.raises(InvalidError, match="changes row 3; a lane has 3"):
-        ring.put(change(2, 3))
-    ring.put(change(2, 2))
-    with pytest.raises(InvalidError, match="its lane holds the one born at 2"):
-        ring.put(change(6, 0))
+    assert len(ring.active(0)) == 0
+    for slice, refusal in (
+        (random_slice(0, 4, 0), "4 Gaussians"),
+        (random_slice(0, 3, 1), "SH degree 1"),
+        (change(2, 0), "changes the one born at 0; its lane holds nothing"),
+        (random_slice(0, 3, 0), None),
+        (change(2, 3), "changes row 3; a lane has 3"),
+        (change(2, 2), None),
+        (change(6, 0), "its lane holds the one born at 2"),
+    ):
+        if refusal is None:
+            ring.put(slice)
+            continue
+        with pytest.raises(InvalidError, match=refusal):
+            ring.put(slice)
 
 
 def test_the_cpu_renderer_shows_slices_from_their_birth_on() -> None:
