@@ -110,21 +110,17 @@ def test_what_is_transparent_is_laid_on_black(
     assert np.abs(read_rgb(path, any_size) - np.asarray(expected, np.float64)).max() <= 1
 
 
-@pytest.mark.parametrize(
-    ("name", "pixels", "mode"),
-    [
+@pytest.mark.filterwarnings("ignore:'mode' parameter:DeprecationWarning")
+def test_what_is_not_8_or_16_bit_rgb_or_grey_is_refused(tmp_path: Path) -> None:
+    bad: list[tuple[str, npt.NDArray[np.generic], str]] = [
         ("nan.tif", np.full((6, 8), np.nan, np.float32), "F"),
         ("ink.jpg", np.zeros((6, 8, 4), np.uint8), "CMYK"),
         ("deep.tif", np.full((6, 8), 1 << 20, np.int32), "I"),
-    ],
-)
-@pytest.mark.filterwarnings("ignore:'mode' parameter:DeprecationWarning")
-def test_what_is_not_8_or_16_bit_rgb_or_grey_is_refused(
-    name: str, pixels: npt.NDArray[np.generic], mode: str, tmp_path: Path
-) -> None:
-    saving(pixels, mode)(tmp_path / name)
-    with pytest.raises(CaptureError, match=rf"{name}: pixels of mode {mode}"):
-        read_rgb(tmp_path / name, any_size)
+    ]
+    for name, pixels, mode in bad:
+        saving(pixels, mode)(tmp_path / name)
+        with pytest.raises(CaptureError, match=rf"{name}: pixels of mode {mode}"):
+            read_rgb(tmp_path / name, any_size)
 
 
 @pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
@@ -156,12 +152,9 @@ def test_nobody_waits_for_the_other_end_of_a_pipe(layout: str, name: str, tmp_pa
     path.unlink()
     os.mkfifo(path)
     assert path.name in refusal(tmp_path / "c")
-
-
-def test_a_pipe_that_replaces_a_picture_is_refused(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe.png")
-    with pytest.raises(CaptureError, match="not a regular file"):
-        read_rgb(tmp_path / "pipe.png", any_size)
+    if path.suffix == ".png":
+        with pytest.raises(CaptureError, match="not a regular file"):
+            read_rgb(path, any_size)
 
 
 def test_damage_is_told_with_the_file(tmp_path: Path) -> None:

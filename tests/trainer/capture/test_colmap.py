@@ -92,9 +92,7 @@ def grid_picture(camera: Camera, lens: Lens) -> npt.NDArray[np.uint8]:
         ("OPENCV", (-0.1, 0.02, 0.003, -0.004), Lens(k1=-0.1, k2=0.02, p1=0.003, p2=-0.004)),
     ],
 )
-def test_a_bent_grid_comes_back_straight(
-    tmp_path: Path, model: str, distortion: tuple[float, ...], lens: Lens
-) -> None:
+def test_a_bent_grid(tmp_path: Path, model: str, distortion: tuple[float, ...], lens: Lens) -> None:
     pose = tiny_rig(1)[0].w2c
     camera = Camera("cam00", 240, 160, 150.0, 150.0, 118.0, 83.0, pose)
     straight = grid_picture(camera, Lens())
@@ -185,9 +183,7 @@ def test_text_files_with_another_count_or_words(tmp_path: Path, name: str) -> No
         ("images", "(?s).+", "9 1e200 0 0 0 1 2 3 1 a.png\n\n", "image a.png: its quaternion"),
     ],
 )
-def test_rows_that_contradict_each_other(
-    tmp_path: Path, name: str, before: str, after: str, said: str
-) -> None:
+def test_contradicting_rows(tmp_path: Path, name: str, before: str, after: str, said: str) -> None:
     write_colmap(tmp_path, binary=False)
     path = tmp_path / "sparse/0" / f"{name}.txt"
     changed, count = re.subn(before, after, path.read_text())

@@ -86,9 +86,7 @@ def test_llff_axes() -> None:
     centre=st.tuples(*[st.floats(-100, 100)] * 3),
     focal_px=st.floats(1, 10_000),
 )
-def test_poses_come_back(
-    quat: tuple[float, ...], centre: tuple[float, ...], focal_px: float
-) -> None:
+def test_poses_return(quat: tuple[float, ...], centre: tuple[float, ...], focal_px: float) -> None:
     rotation = rotation_of(np.array(quat) / np.linalg.norm(quat))
     w2c = world_to_camera(rotation, np.array(centre))
     camera = Camera("cam00", 64, 36, focal_px, focal_px, 32.0, 18.0, w2c)
@@ -159,7 +157,7 @@ def video_at(path: Path) -> VideoSource:
     return VideoSource(path, tiny_rig(1)[0], NUM_FRAMES)
 
 
-def test_any_order_gives_the_same_pictures_and_forward_each_is_decoded_once(
+def test_any_order_gives_the_same_pictures_and_forward_decodes_each_once(
     long_video: Path,
 ) -> None:
     forward = video_at(long_video)
@@ -185,9 +183,7 @@ def test_a_far_frame_costs_one_group_of_pictures(long_video: Path) -> None:
             assert source.decoded_frames <= most
 
 
-def test_frames_are_counted_where_the_container_does_not_tell(
-    capture_path: Path, tmp_path: Path
-) -> None:
+def test_frames_are_counted_where_no_header_tells(capture_path: Path, tmp_path: Path) -> None:
     write_video(tmp_path / "v.mkv", 1, 5)
     shutil.move(tmp_path / "v.mkv", capture_path / "cam01.mp4")
     assert probe_video(capture_path / "cam01.mp4").num_frames == 5
@@ -247,9 +243,7 @@ def declare(root: Path, cameras: list[Camera]) -> None:
     write_transforms(root, transforms_of(cameras, [[f"{c.name}.mp4"] for c in cameras]))
 
 
-def test_hdr_is_refused_with_the_command_that_converts_it(
-    rig: list[Camera], tmp_path: Path
-) -> None:
+def test_hdr_is_refused_with_a_command_that_converts_it(rig: list[Camera], tmp_path: Path) -> None:
     for transfer, name in ((PQ, "PQ"), (HLG, "HLG")):
         film(tmp_path / "cam03.mp4", transfer)
         told = refusal(tmp_path)
@@ -261,9 +255,7 @@ def test_hdr_is_refused_with_the_command_that_converts_it(
 
 
 @pytest.mark.parametrize("turned_deg", [90, 180, -90])
-def test_a_video_is_turned_counterclockwise_as_its_file_says(
-    turned_deg: int, rig: list[Camera], tmp_path: Path
-) -> None:
+def test_a_video_is_turned_as_it_says(turned_deg: int, rig: list[Camera], tmp_path: Path) -> None:
     film(tmp_path / "cam02.mp4", turned_deg=turned_deg)
     if turned_deg != 180:
         upright = {"width_px": 36, "height_px": 64, "cx_px": 18, "cy_px": 32}
@@ -275,7 +267,7 @@ def test_a_video_is_turned_counterclockwise_as_its_file_says(
             np.testing.assert_array_equal(source.read(frame), expected)
 
 
-def test_a_turned_video_of_another_size_and_a_rate_that_varies_are_named(
+def test_a_turned_video_s_size_and_a_varying_rate_are_named(
     rig: list[Camera], tmp_path: Path
 ) -> None:
     film(tmp_path / "cam02.mp4", turned_deg=90)

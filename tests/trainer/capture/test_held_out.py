@@ -67,7 +67,7 @@ def test_never_the_corner_or_edge_of_a_grid_nor_what_is_far_above_a_ring() -> No
     assert 2 <= camera_between(standing_at(pairs)) <= 9
 
 
-def test_the_one_between_in_small_rigs_and_in_another_unit_or_frame_of_the_world(
+def test_the_one_between_in_small_rigs_and_in_another_unit_or_frame(
     tmp_path: Path,
 ) -> None:
     assert read_held_out(tmp_path, tiny_rig(5)) == {"cam02"}
@@ -97,16 +97,11 @@ def test_rig_depths_of_an_inward_rig() -> None:
     assert depths[1] >= 1.2 * 2 * CAMERA_RADIUS_M * np.sin(np.radians(79))
 
 
-def test_rig_depths_of_a_forward_facing_rig() -> None:
-    cameras = tiny_rig(6, arc_deg=20)
-    assert rig_centre(cameras) is None
-    assert rig_depths(cameras, (1.2, 34.0)) == (1.2, 34.0)
-    assert rig_depths(cameras) is None
-    assert rig_depths([]) is None
-    assert rig_depths(cameras[:1]) is None
-
-
-def test_rigs_without_a_centre() -> None:
+def test_rigs_without_a_centre_have_the_depths_that_they_declare() -> None:
+    forward = tiny_rig(6, arc_deg=20)
+    assert rig_centre(forward) is None
+    assert rig_depths(forward, (1.2, 34.0)) == (1.2, 34.0)
+    assert rig_depths(forward) is rig_depths(forward[:1]) is rig_depths([]) is None
     cameras, around = tiny_rig(9), np.diag([-1.0, 1.0, -1.0, 1.0])
     away = replace(cameras[8], w2c=around @ cameras[8].w2c)
     assert rig_centre([*cameras[:8], away]) is None

@@ -258,9 +258,7 @@ def test_a_folder_of_masks_that_cannot_be_used(tmp_path: Path, layout: str) -> N
 
 
 @pytest.mark.parametrize("layout", ["colmap", "colmap by camera", "nerfstudio"])
-def test_masks_of_a_camera_with_pictures_but_no_pose_are_left_out(
-    tmp_path: Path, layout: str
-) -> None:
+def test_masks_of_a_camera_without_a_pose_are_left_out(tmp_path: Path, layout: str) -> None:
     if layout == "nerfstudio":
         _, value = write_nerfstudio(tmp_path, listed=True)
         del value["frames"][2 * NUM_FRAMES :]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from codec.camera import Camera
-from tests.support.tiny_capture import picture_of, refusal, tiny_rig, write_video
+from tests.support.tiny_capture import picture_of, refusal, tiny_rig
 from tests.support.tiny_models import (
     COLOURS,
     POINTS,

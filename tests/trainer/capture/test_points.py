@@ -17,13 +17,7 @@ from codec.camera import Camera
 from tests.support.hostile import flips, truncations
 from trainer.capture import points as module
 from trainer.capture.capture import InitialPoints
-from trainer.capture.points import (
-    MAX_PLY_POINTS,
-    points_evenness,
-    read_ply,
-    read_points,
-    read_points_file,
-)
+from trainer.capture.points import MAX_PLY_POINTS, points_evenness, read_ply, read_points_file
 from trainer.errors import CaptureError
 
 XYZ = ((0.5, -1.0, 0.25), (0.0, -0.5, 0.0), (-0.25, -1.5, 1.0))
@@ -83,9 +77,7 @@ def test_every_flavour_gives_the_same_points(
     assert np.array_equal(points.rgb, RGB)
 
 
-def test_text_is_the_same_however_the_blocks_fall(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_text_is_the_same_in_any_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "points.ply"
     path.write_bytes(WHOLE["ascii"])
     for block_bytes in (7, 8, 40):
@@ -113,22 +105,17 @@ def test_what_is_not_a_coordinate_is_refused(tmp_path: Path) -> None:
     assert not accepts(path, header("binary_little_endian") + nan.tobytes())
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "says"),
-    [
+def test_a_header_without_points_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "points.ply"
+    for before, after, says in (
         (b"element vertex", b"element edge", "not a list of vertices"),
         (b"uchar red", b"float red", "red, green, blue as uchar"),
         (b" z\n", b" w\n", "lack x, y, z"),
         (b"short n", b"list int n", "not a list of vertices"),
-    ],
-)
-def test_a_header_without_points_is_refused(
-    before: bytes, after: bytes, says: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "points.ply"
-    path.write_bytes(WHOLE["binary"].replace(before, after))
-    with pytest.raises(CaptureError, match=rf"points\.ply: .*{says}"):
-        read_ply(path)
+    ):
+        path.write_bytes(WHOLE["binary"].replace(before, after))
+        with pytest.raises(CaptureError, match=rf"points\.ply: .*{says}"):
+            read_ply(path)
 
 
 @pytest.mark.parametrize(
@@ -143,7 +130,7 @@ def test_a_header_without_points_is_refused(
         (header("binary_little_endian", count=1 << 40), True, "not a list of vertices"),
     ],
 )
-def test_a_false_claim_costs_little_memory(
+def test_false_claims_cost_no_memory(
     data: bytes, is_sparse: bool, says: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "points.ply"
@@ -215,14 +202,9 @@ def test_points_that_unpack_to_gigabytes_are_refused(tmp_path: Path) -> None:
     assert path.stat().st_size < 1 << 20
     told = r"bytes that claim to be \d+ bytes of points"
     with bounded_memory(1 << 22), pytest.raises(CaptureError, match=told):
-        read_points(path)
-
-
-def test_points_whose_header_claims_more_than_there_is(tmp_path: Path) -> None:
-    path = tmp_path / "points.npz"
+        read_points_file(path)
     np.savez(path, xyz=np.ones((10, 3)), rgb=np.ones((10, 3)))
-    data = path.read_bytes()
-    # The checksum of the zip does not match either; both are damage.
-    path.write_bytes(data.replace(b"(10, 3), }      ", b"(99999999999, 3)"))
+    # A header that claims more than there is; the checksum of the zip does not match either.
+    path.write_bytes(path.read_bytes().replace(b"(10, 3), }      ", b"(99999999999, 3)"))
     with pytest.raises(CaptureError, match=r"points\.npz: not an \.npz file of points"):
-        read_points(path)
+        read_points_file(path)

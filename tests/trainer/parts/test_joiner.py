@@ -75,9 +75,7 @@ def leave_pieces(whole: Path, run: Run) -> list[Task]:
     return tasks
 
 
-def test_a_run_in_parts_has_the_sound_that_is_added_to_the_stream(
-    whole: Path, tmp_path: Path
-) -> None:
+def test_a_run_in_parts_has_the_sound_that_is_added_later(whole: Path, tmp_path: Path) -> None:
     run = run_into(tmp_path / "joined")
     tasks = leave_pieces(whole, run)
     joiner = Joiner(run, sound_of(tmp_path / "a.wav"))
@@ -91,21 +89,18 @@ def test_a_run_in_parts_has_the_sound_that_is_added_to_the_stream(
         assert (tmp_path / "joined" / name).read_bytes() == (whole / name).read_bytes()
 
 
-@pytest.mark.parametrize("began_with", [True, False])
-def test_a_run_goes_on_with_the_sound_that_it_began_with(
-    whole: Path, tmp_path: Path, began_with: bool
-) -> None:
-    run = run_into(tmp_path / "joined")
-    tasks = leave_pieces(whole, run)
-    sounds = sound_of(tmp_path / "a.wav"), None
-    now, other = sounds if began_with else sounds[::-1]
-    joiner = Joiner(run, now)
-    joiner.begin(resumed=False)
-    next(joiner.go_on())
-    resumed = Joiner(run, now)
-    assert len(resumed.begin(resumed=True)) == len(tasks[0].frames) // SEGMENT_FRAMES
-    with pytest.raises(InvalidError, match="sound, unlike the capture now"):
-        Joiner(run, other).begin(resumed=True)
+def test_a_run_goes_on_with_the_sound_that_it_began_with(whole: Path, tmp_path: Path) -> None:
+    sound = sound_of(tmp_path / "a.wav")
+    for now, other in ((sound, None), (None, sound)):
+        run = run_into(tmp_path / f"joined {now is None}")
+        tasks = leave_pieces(whole, run)
+        joiner = Joiner(run, now)
+        joiner.begin(resumed=False)
+        next(joiner.go_on())
+        resumed = Joiner(run, now)
+        assert len(resumed.begin(resumed=True)) == len(tasks[0].frames) // SEGMENT_FRAMES
+        with pytest.raises(InvalidError, match="sound, unlike the capture now"):
+            Joiner(run, other).begin(resumed=True)
 
 
 def record(segment: int, psnr_db: float, size: int) -> SegmentRecord:
@@ -137,22 +132,18 @@ def test_the_log_has_a_line_for_each_segment_and_means_over_all(tmp_path: Path) 
     assert lines[-1].startswith("frame 40 of 60  100% done  2:00 elapsed")
 
 
-@pytest.mark.parametrize(
-    ("iterations", "done", "said"),
-    [
+def test_a_resumed_run_says_what_is_known(tmp_path: Path) -> None:
+    now_s = [0.0]
+    for iterations, done, before, said in (
         # Iterations of an earlier run took none of the time.
-        (1_000, (600, 500), "first of 60 frames  60% done  1:00 elapsed, 4:00 left"),
-        (0, (0, 0), "first of 60 frames  0% done"),  # everything existed already
-    ],
-)
-def test_a_resumed_run_says_what_is_known(
-    iterations: int, done: tuple[int, int], said: str, tmp_path: Path
-) -> None:
-    now_s, told = 0.0, io.StringIO()
-    with ProgressLine(Console(file=told), lambda: now_s) as line, RunLog(tmp_path / "log") as log:
-        monitor = JoinMonitor(line, log, 60, lambda: now_s)
-        monitor.begin(iterations)
-        now_s += 60
-        monitor.progressed(done[0], before=done[1])
-    assert told.getvalue().startswith(said)
-    assert not (tmp_path / "log").exists()
+        (1_000, 600, 500, "first of 60 frames  60% done  1:00 elapsed, 4:00 left"),
+        (0, 0, 0, "first of 60 frames  0% done"),  # everything existed already
+    ):
+        told, path = io.StringIO(), tmp_path / "log"
+        with ProgressLine(Console(file=told), lambda: now_s[0]) as line, RunLog(path) as log:
+            monitor = JoinMonitor(line, log, 60, lambda: now_s[0])
+            monitor.begin(iterations)
+            now_s[0] += 60
+            monitor.progressed(done, before=before)
+        assert told.getvalue().startswith(said)
+        assert not path.exists()

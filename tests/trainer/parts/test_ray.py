@@ -126,9 +126,7 @@ def stop_at(file: str, number: signal.Signals, stream: Path, arguments: list[obj
 
 
 @on_a_cluster
-def test_a_run_that_is_stopped_goes_on_with_what_is_there(
-    capture: Path, one: Path, tmp_path: Path
-) -> None:
+def test_a_stopped_run_goes_on_with_what_is_there(capture: Path, one: Path, tmp_path: Path) -> None:
     stream = tmp_path / "many"
     arguments = [capture, stream, *SETTINGS, "--ray", "--worker-cpus", 1]
     stop_at("genesis.state", signal.SIGTERM, stream, arguments)
@@ -219,18 +217,17 @@ def test_what_ray_gives_up_on_is_one_line() -> None:
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
-        (("--swin-size", 5), "--swin-size 1"),
-        (("--whole-slices",), "--no-whole-slices"),
-        (("--part-frames", 3), "part_frames 3"),
+        (("--ray", "--swin-size", 5), "--swin-size 1"),
+        (("--ray", "--whole-slices"), "--no-whole-slices"),
+        (("--ray", "--part-frames", 3), "part_frames 3"),
         pytest.param(("--ray", "127.0.0.1:9"), "127.0.0.1:9", marks=on_a_cluster),
-        pytest.param(("--resume",), "no run with --ray was started there", marks=on_a_cluster),
+        pytest.param(("--ray", "--resume"), "no run with --ray was started", marks=on_a_cluster),
     ],
 )
 def test_what_no_cluster_can_train_is_one_line(
     arguments: tuple[object, ...], word: str, capture: Path, tmp_path: Path
 ) -> None:
-    given = arguments if "--ray" in arguments else [*arguments, "--ray"]
-    done = run("swings-train", capture, tmp_path / "none", *SETTINGS, *given)
+    done = run("swings-train", capture, tmp_path / "none", *SETTINGS, *arguments)
     assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
     assert word in done.stderr
     assert not (tmp_path / "none").exists()

@@ -72,9 +72,7 @@ def test_to_join_anywhere_is_to_have_played_from_the_beginning(stream: Path) -> 
         assert np.array_equal(joined.start_offsets, played.start_offsets)
 
 
-def test_workers_that_die_before_a_checkpoint_leave_the_same_stream(
-    capture: Path, stream: Path, tmp_path: Path
-) -> None:
+def test_dying_workers_leave_the_same_stream(capture: Path, stream: Path, tmp_path: Path) -> None:
     rng = random.Random(3)
     left = 10
 
@@ -90,9 +88,7 @@ def test_workers_that_die_before_a_checkpoint_leave_the_same_stream(
     assert contents(path) == contents(stream)
 
 
-def test_a_driver_that_died_at_any_moment_is_gone_on_from(
-    capture: Path, trained: Path, tmp_path: Path
-) -> None:
+def test_a_driver_may_die_at_any_moment(capture: Path, trained: Path, tmp_path: Path) -> None:
     stream, path = trained / "stream", tmp_path / "died"
     index = (stream / "index.bin").read_bytes()
     for num_bytes in range(0, len(index) + 1, 200):
@@ -119,9 +115,7 @@ DEATHS = {
 """Iterations after which a task dies, and those that it goes on after."""
 
 
-def test_from_store_to_store_tasks_that_die_go_on_from_their_checkpoints(
-    capture: Path, stream: Path
-) -> None:
+def test_from_store_to_store_dead_tasks_go_on_from_checkpoints(capture: Path, stream: Path) -> None:
     begun = defaultdict[str, list[int]](list)
 
     def do(task: Task) -> None:

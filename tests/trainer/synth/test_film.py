@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,14 +26,10 @@ TINY = SynthConfig(
 )
 
 
-def quiet() -> Console:
-    return Console(file=io.StringIO())
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Capture:
     out = tmp_path_factory.mktemp("synth") / "made" / "capture"
-    synthesise(replace(TINY, out=out), quiet())
+    synthesise(replace(TINY, out=out), Console(quiet=True))
     return open_capture(out)
 
 
@@ -129,9 +124,9 @@ def test_same_seed_same_bytes_other_seed_other_picture(tmp_path: Path, made: Cap
     def digest(root: Path) -> dict[str, str]:
         return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in root.iterdir()}
 
-    synthesise(replace(TINY, out=tmp_path / "again"), quiet())
+    synthesise(replace(TINY, out=tmp_path / "again"), Console(quiet=True))
     assert digest(tmp_path / "again") == digest(made.root)
-    synthesise(replace(TINY, out=tmp_path / "other", seed=3), quiet())
+    synthesise(replace(TINY, out=tmp_path / "other", seed=3), Console(quiet=True))
     assert digest(tmp_path / "other")["cam01.mp4"] != digest(made.root)["cam01.mp4"]
 
 
@@ -154,23 +149,13 @@ def test_on_a_wide_circle_the_figure_passes_right_before_a_camera() -> None:
     assert depths is not None
     nearest = {}
     for radius_m in (WALK_RADIUS_M, 2.5):
-        distances = [
-            Studio(make_scene(1, 30.0, 22, radius_m), camera).film(0)[1] for camera in cameras
-        ]
-        nearest[radius_m] = min(float(distance.min()) for distance in distances)
+        scene = make_scene(1, 30.0, 22, radius_m)
+        nearest[radius_m] = min(Studio(scene, camera).film(0)[1].min() for camera in cameras)
     assert nearest[2.5] < 0.6 * depths[0]
     assert nearest[WALK_RADIUS_M] > 0.9 * depths[0]
 
 
-def test_the_command_prints_what_it_made(tmp_path: Path) -> None:
-    size = ("--width-px", 32, "--height-px", 32, "--points", 50)
-    told = run_ok("swings-synth", tmp_path / "c", "--frames", 2, "--cameras", 5, *size)
-    assert told == f"{tmp_path}/c: 5 cameras, 2 of them held out, 2 frames at 30 a second\n"
-
-
-def test_a_taken_folder_is_refused_and_a_failure_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failure_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(self: Studio, frame: int) -> None:
         raise OSError("disk full")
 
@@ -178,27 +163,25 @@ def test_a_taken_folder_is_refused_and_a_failure_leaves_nothing(
     (tmp_path / "full" / "mine").touch()
     for taken in (tmp_path / "full", tmp_path / "full" / "mine"):
         with pytest.raises(InvalidError, match="is not empty; remove it or name another"):
-            synthesise(replace(TINY, out=taken), quiet())
+            synthesise(replace(TINY, out=taken), Console(quiet=True))
     with monkeypatch.context() as patch:
         patch.setattr(Studio, "film", broken)
         with pytest.raises(OSError, match="disk full"):
-            synthesise(replace(TINY, out=tmp_path / "c"), quiet())
+            synthesise(replace(TINY, out=tmp_path / "c"), Console(quiet=True))
     assert [p.name for p in tmp_path.rglob("*")] == ["full", "mine"]
-    (tmp_path / "free").mkdir()
-    synthesise(replace(TINY, out=tmp_path / "free", frames=1, points=0, held_out=0), quiet())
-    capture = open_capture(tmp_path / "free")
-    assert (capture.points, capture.held_out) == (None, ())
+    free = tmp_path / "free"
+    free.mkdir()
+    words = "--cameras", 5, "--held-out", 0, "--width-px", 32, "--height-px", 32, "--frames", 1
+    told = run_ok("swings-synth", free, *words, "--points", 0)
+    assert told == f"{free}: 5 cameras, 0 of them held out, 1 frames at 30 a second\n"
+    assert (open_capture(free).points, open_capture(free).held_out) == (None, ())
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"frames": 0}, {"cameras": 0}, {"held_out": 3}, {"held_out": -1}, {"width_px": 8},
-        {"height_px": 5000}, {"fps": 0.0}, {"fps": float("nan")}, {"arc_deg": 360.0},
-        {"walk_radius_m": 3.2}, {"points": -1}, {"seed": -1},
-    ],
-)  # fmt: skip
-def test_numbers_that_make_no_capture(change: dict[str, float]) -> None:
-    (name,) = change
-    with pytest.raises(InvalidError, match=f"{name}.* must be between"):
-        check_config(replace(TINY, **change))  # type: ignore[arg-type]
+def test_numbers_that_make_no_capture() -> None:
+    for name, value in (
+        ("frames", 0), ("cameras", 0), ("held_out", 3), ("held_out", -1), ("width_px", 8),
+        ("height_px", 5000), ("fps", 0.0), ("fps", float("nan")), ("arc_deg", 360.0),
+        ("walk_radius_m", 3.2), ("points", -1), ("seed", -1),
+    ):  # fmt: skip
+        with pytest.raises(InvalidError, match=f"{name}.* must be between"):
+            check_config(replace(TINY, **{name: value}))  # type: ignore[arg-type]
