@@ -103,22 +103,6 @@ async def test_each_form_is_revalidated_with_its_own_tag(root: Path) -> None:
                 assert [one[0] for one in got] == [200 if m == n else 412 for m in (0, 1)]
 
 
-async def test_a_range_is_never_coded(root: Path) -> None:
-    whole = (root / "walk" / "segments" / "0" / "1").read_bytes()
-
-    async with running(root) as server:
-        for text, status, body in (
-            ("bytes=5-99", 206, whole[5:100]),
-            ("bytes=0-", 206, whole),
-            ("bytes=0-1,4-5", 200, whole),
-        ):
-            plain, coded = await each_way(server.port, URL, Range=text)
-            assert plain[0] == coded[0] == status
-            assert plain[2] == coded[2] == body
-            assert "Content-Encoding" not in coded[1]
-            assert plain[1]["ETag"] == coded[1]["ETag"]
-
-
 async def test_what_is_not_an_object_is_never_coded(root: Path) -> None:
     async with running(root) as server:
         for url in ("/v1/streams/walk/manifest.json", "/v1/streams/walk/index.bin"):

@@ -13,8 +13,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import pytest
-
 from codec.stream.playrecord import ErrorRecord, SliceRecord, SnapshotRecord
 from tests.support.commands import ROOT, run
 from tests.support.server.running_server import make_stream, parse_records
@@ -107,21 +105,3 @@ def test_mistakes_are_one_clear_line(tmp_path: Path) -> None:
             assert done.stderr.count("\n") == 1, done.stderr
             assert done.stderr.startswith("swings-serve: "), done.stderr
             assert word in done.stderr, (word, done.stderr)
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        [],
-        ["x", "--port", "y"],
-        ["x", "--max-plays", "0"],
-        ["x", "--write-timeout-s", "inf"],
-        ["x", "--keepalive-timeout-s", "nan"],
-    ],
-)
-def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
-    done = run("swings-serve", *arguments)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "Traceback" not in done.stderr
-    for name in arguments[1:2]:
-        assert name[2:].replace("-", "_") in done.stderr.replace("-", "_")

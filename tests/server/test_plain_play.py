@@ -14,11 +14,8 @@ import zstandard
 from codec.coders.coder import decompress
 from codec.stream.playrecord import Record, RecordParser, SliceRecord, SnapshotRecord
 from codec.tools.static import export_static
-from server.abr.clientstatus import PLAY_HEADER, RATE_HEADER, ClientStatus
 from tests.support.server.running_server import (
-    Running,
     make_stream,
-    on_server,
     play,
     served,
 )
@@ -94,20 +91,3 @@ async def test_the_body_is_what_others_get(
             )
             body = frames.read()
         assert RecordParser().feed(body) == expected
-
-
-def test_the_answer_to_a_status_report_has_the_rate_of_the_link(root: Path) -> None:
-    async def check(_: Running, client: aiohttp.ClientSession) -> None:
-        async with client.get("/v1/streams/long/play?plain=1") as response:
-            url = f"/v1/streams/long/play/{response.headers[PLAY_HEADER]}"
-            for frame in range(300):
-                await response.content.readany()
-                async with client.post(url, data=ClientStatus(frame).to_json()) as answer:
-                    assert answer.status == 204
-                    rate = answer.headers.get(RATE_HEADER)
-                if rate is not None:
-                    assert int(rate) > 0
-                    return
-        raise AssertionError("nothing was estimated")
-
-    on_server(root, check)

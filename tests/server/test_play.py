@@ -29,7 +29,6 @@ from tests.support.server.running_server import (
     quick_config,
     random_slice,
     served,
-    slices_of,
 )
 from tests.support.slots.slot_streams import write_slot_stream
 from tests.support.slots.updates import small_layout
@@ -177,22 +176,6 @@ async def test_a_client_that_leaves_is_not_an_error(
         gone = server.state.metrics.plays
         await eventually(lambda: gone.value("gone") == 2 and not len(server.state.plays))
     assert not caplog.records
-
-
-async def test_many_clients_play_at_once(root: Path) -> None:
-    disk = packets_on_disk(root / "walk")
-
-    async with served(root, quick_config(max_plays=40)) as (server, client):
-        async with asyncio.TaskGroup() as group:
-            tasks = [
-                group.create_task(play(client, "walk", f"?from={n % 20}&layers={n % 4 + 1}"))
-                for n in range(40)
-            ]
-        for n, task in enumerate(tasks):
-            for one in slices_of(task.result()):
-                assert one.packets == tuple(disk[one.birth, k] for k in range(n % 4 + 1))
-                assert one.mask == disk[one.birth, MASKS]
-        assert server.state.metrics.plays.value("complete") == 40
 
 
 async def test_a_live_stream_is_followed_to_its_end(tmp_path: Path) -> None:

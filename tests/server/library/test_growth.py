@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from server.library import Library
-from server.library.growth import LIVE_POLL_S, Growth
+from server.library.growth import Growth
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     append_frames,
@@ -33,36 +33,6 @@ async def watched(root: Path, refresh_s: float = 3600.0) -> AsyncIterator[Librar
         watch.cancel()
         with suppress(asyncio.CancelledError):
             await watch
-
-
-def test_who_waits_is_told_at_once_and_knows_the_new_view(tmp_path: Path) -> None:
-    writer = live_stream(tmp_path / "live")
-
-    async def check() -> None:
-        async with watched(tmp_path) as library:
-            stream = library.streams["live"]
-            for number in range(3):
-                waiters = [
-                    asyncio.create_task(stream.wait_for_growth(number, 5.0)) for _ in range(50)
-                ]
-                await passes(0.12)
-                assert not any(waiter.done() for waiter in waiters)
-                append_frames(writer)
-                grown_s = now_s()
-                await asyncio.gather(*waiters)
-                assert stream.view.num_segments == number + 1
-                assert now_s() - grown_s <= LIVE_POLL_S
-            waiter = asyncio.create_task(stream.wait_for_growth(3, 5.0))
-            await passes(0.05)
-            writer.close()
-            ended_s = now_s()
-            await waiter
-            assert not stream.live
-            # The stream will not grow, so the wait ends at once.
-            await stream.wait_for_growth(3, 100.0)
-            assert now_s() - ended_s <= LIVE_POLL_S
-
-    virtually(check())
 
 
 def test_waiting_ends_in_time_and_may_be_cancelled(tmp_path: Path) -> None:

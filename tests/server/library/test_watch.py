@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
-import os
 import shutil
 import sys
 from itertools import pairwise
@@ -178,18 +177,6 @@ def test_an_index_that_is_copied_before_its_objects_waits_for_them(tmp_path: Pat
         assert library.find("s") is stream
 
     asyncio.run(check())
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_what_may_not_be_read_is_served_once_it_may(tmp_path: Path) -> None:
-    path = make_stream(tmp_path / "root" / "s", 3) / "index.bin"
-    path.chmod(0o000)
-
-    library = Library(tmp_path / "root", 1.0)
-    assert "cannot be read" in library.broken["s"]
-    path.chmod(0o644)
-    asyncio.run(library.look())
-    assert "s" in library.streams
 
 
 def test_a_look_that_finds_nothing_new_only_looks_at_stamps(tmp_path: Path) -> None:

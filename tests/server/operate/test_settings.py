@@ -76,13 +76,6 @@ def test_every_kind_of_setting_can_stand_everywhere() -> None:
     assert read(*f"{flags} --refresh-s 3 --overload.shed-from 0.5".split()) == command
 
 
-def test_what_is_required_is_still_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        read(MAX_PLAYS="5")
-    assert ended.value.code == 2
-    assert "ROOT" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("variable", "value", "message"),
     [
@@ -172,12 +165,3 @@ def test_any_text_is_printed_on_one_line_that_is_read_again_or_refused(text: str
         return
     assert told.count("\n") == len(told.splitlines()) == len(settings_of("X", Command))
     assert variables_of(told)["HOST"] == text
-
-
-@given(st.text(max_size=20))
-def test_any_variable_gives_settings_or_one_line(value: str) -> None:
-    parse = settings_parser("S", {"S_MAX_PLAYS": value, "S_REFRESH_S": value, "S_MODE": "a"})
-    try:
-        parse(Command, args=["r"])
-    except InvalidError as error:
-        assert re.fullmatch("S_(MAX_PLAYS|REFRESH_S): .+", str(error))  # noqa: PT017

@@ -50,16 +50,6 @@ def test_the_capacity_is_the_sum_over_the_steps(link: Link, start_s: float, end_
     assert 8 * link.capacity_bytes(start_s, end_s) == pytest.approx(bits, rel=1e-6, abs=20)
 
 
-@given(links, st.integers(0, 1000), st.floats(0, 30))
-def test_rounds_are_alike(link: Link, rounds: int, start_s: float) -> None:
-    round_bytes = link.capacity_bytes(0, link.round_s)
-    assert 8 * round_bytes == pytest.approx(link.mean_bps * link.round_s)
-    end_s = link.passed_s(start_s, rounds * round_bytes)
-    assert link.capacity_bytes(start_s, end_s) == pytest.approx(rounds * round_bytes, rel=1e-9)
-    later_s = start_s + rounds * link.round_s
-    assert link.capacity_bytes(start_s, later_s) == pytest.approx(rounds * round_bytes, rel=1e-6)
-
-
 @given(st.integers(1, 10**6), st.booleans())
 def test_whole_rounds_end_before_the_silence(rounds: int, silent_first: bool) -> None:
     """The end is exact for any number of rounds: one more bit would wait for the silence."""
@@ -77,17 +67,6 @@ def test_nothing_passes_at_once_even_in_silence() -> None:
     assert link.passed_s(0.5, 1) == pytest.approx(1.001)
     assert link.passed_s(0.5, 1000) == 2
     assert link.passed_s(0.5, 1001) == pytest.approx(3.001)
-
-
-@given(links, st.floats(-1e-9, 40))
-def test_the_step_at_a_time_is_one_that_holds_then(link: Link, time_s: float) -> None:
-    into_s, found = time_s % link.round_s, link.at(time_s)
-    begins_s = [math.fsum(s.duration_s for s in link.steps[:n]) for n in range(len(link.steps))]
-    assert any(
-        begin_s - 1e-9 <= into_s <= begin_s + step.duration_s + 1e-9
-        for begin_s, step in zip(begins_s, link.steps, strict=True)
-        if step == found
-    )
 
 
 def test_a_step_holds_from_its_beginning_to_before_its_end() -> None:
