@@ -6,6 +6,7 @@ import logging
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -57,10 +58,9 @@ def test_the_key_goes_through_the_languages_and_cues_show_in_their_time(
 
 def test_a_language_that_there_is_not_is_one_line() -> None:
     assert CaptionChoice(TRACKS, read, "FR").chosen == TRACKS[1]
-    with pytest.raises(InvalidError, match="captions it: this stream has en, fr, de"):
-        CaptionChoice(TRACKS, read, "it")
-    with pytest.raises(InvalidError, match="captions it: this stream has none at all"):
-        CaptionChoice((), read, "it")
+    for tracks, there in ((TRACKS, "en, fr, de"), ((), "none at all")):
+        with pytest.raises(InvalidError, match=f"captions it: this stream has {there}"):
+            CaptionChoice(tracks, read, "it")
 
 
 def test_they_come_from_every_kind_of_source(tmp_path: Path) -> None:
@@ -69,14 +69,8 @@ def test_they_come_from_every_kind_of_source(tmp_path: Path) -> None:
     add_captions(stream, tmp_path / "in.vtt", TRACKS[0])
     pack_stream(stream, tmp_path / "packed.swings")
     with served(tmp_path) as server, range_host(tmp_path) as host:
-        for source in (
-            str(stream),
-            str(tmp_path / "packed.swings"),
-            f"{server.url}/watch/s",
-            f"{server.url}/watch/packed",
-            f"{host.url}/s",
-            f"{host.url}/packed.swings",
-        ):
+        folders = [f"{place}/{s}" for place in (tmp_path, host.url) for s in ("s", "packed.swings")]
+        for source in (*folders, f"{server.url}/watch/s", f"{server.url}/watch/packed"):
             with closing(Opener(source)) as opener:
                 opener.open(FrameRange(), None).close()
                 assert opener.read_captions("captions-en.vtt").decode() == ENGLISH, source
@@ -87,7 +81,7 @@ def test_they_come_from_every_kind_of_source(tmp_path: Path) -> None:
     st.integers(1, 2000),
     st.integers(1, 1200),
 )
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=25)
 def test_a_panel_is_no_wider_than_the_picture(lines: list[str], width: int, height: int) -> None:
     pixels = caption_panel(lines, (width, height))
     assert pixels.shape[1] <= width
@@ -95,18 +89,11 @@ def test_a_panel_is_no_wider_than_the_picture(lines: list[str], width: int, heig
         assert (pixels > 250).all(axis=2).any(), "there is text"
 
 
-def test_long_lines_are_wrapped_between_words() -> None:
-    line = " ".join(["word"] * 40)
-    narrow, wide = (caption_panel([line], (width_px, 240)) for width_px in (200, 20000))
-    assert narrow.shape[1] <= 200
-    assert len(narrow) > 5 * len(wide)
-    assert wide.shape[1] > 1000
-
-
-@pytest.mark.parametrize("letter", "éłйαע")
-def test_letters_of_many_languages_are_drawn(letter: str) -> None:
-    drawn, missing = (caption_panel([text], (640, 360)) for text in (letter, "\U000effff"))
-    assert drawn.shape != missing.shape or (drawn != missing).any()
+def test_letters_of_many_languages_are_drawn() -> None:
+    missing = caption_panel(["\U000effff"], (640, 360))
+    for letter in "éłйαע":
+        drawn = caption_panel([letter], (640, 360))
+        assert drawn.shape != missing.shape or (drawn != missing).any()
 
 
 @pytest.mark.parametrize("text", ["W" * 900_000, "a\n" * 400_000, "W " * 400_000])
@@ -117,7 +104,5 @@ def test_a_strangers_text_fills_no_memory(text: str) -> None:
     lines = choice.lines(1)
     assert len(lines) <= MAX_LINES
     assert max(map(len, lines)) <= MAX_LINE_CHARS
-    width_px, height_px = 320, 240
-    pixels = caption_panel(lines, (width_px, height_px))
-    assert pixels.shape[0] <= height_px
-    assert pixels.shape[1] <= width_px
+    assert (caption_panel(lines, (320, 240)).shape[:2] <= np.array([240, 320])).all()
+    assert len(caption_panel(["word " * 40], (200, 240))) > 100, "wrapped between words"

@@ -3,11 +3,9 @@ opened again and again, as for seeks."""
 
 from __future__ import annotations
 
-import re
 import shutil
 import socket
 import threading
-import urllib.request
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -16,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from codec.errors import CorruptError, InvalidError, SwingsError
+from codec.errors import CorruptError, SwingsError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
-from player.network.fetch import BrokenError, Fetcher, FetchError, StoppedError
-from player.source.opener import Opener, opened
+from player.network.fetch import Fetcher, StoppedError
+from player.source.opener import Opener
 from tests.player.network.webhosts import NO_ANSWER, script
 from tests.player.source.test_served import answer, start
 from tests.support.delivery.assembled import assembled, read_all, slices_of
@@ -41,16 +39,13 @@ def server(library: Path) -> Iterator[ServerProcess]:
         yield server
 
 
-def test_all_forms_of_a_server_s_url(server: ServerProcess) -> None:
+def test_all_forms_of_a_stream_s_url(library: Path, server: ServerProcess) -> None:
     for form in ("", "/", "/watch/one", "/watch/one/", "/v1/streams/one"):
         got = read_all(server.url + form)
         assert sorted({slice.birth for slice in slices_of(got)}) == list(range(1 - SWIN_SIZE, 13))
         assert all(1 <= one.layers <= 3 for one in got)
     # The server's objects are also a static stream.
     assert len(read_all(f"{server.url}/v1/streams/one/manifest.json")) == 13
-
-
-def test_a_static_stream_by_its_folder_or_its_manifest(library: Path) -> None:
     with static_host(library) as host:
         for form in ("one", "one/manifest.json"):
             got = read_all(f"{host}/{form}", FrameRange(3, 9), 2)
@@ -59,96 +54,62 @@ def test_a_static_stream_by_its_folder_or_its_manifest(library: Path) -> None:
             assert {one.layers for one in got} == {2}
 
 
-def test_layers_are_checked_before_anything_is_sent(library: Path) -> None:
-    with pytest.raises(InvalidError, match="--layers 9"):
-        read_all(str(library / "one"), layers=9)
-
-
-def test_the_addresses_on_the_server_s_pages_can_be_played(server: ServerProcess) -> None:
-    with urllib.request.urlopen(f"{server.url}/watch/one", timeout=10) as response:
-        page = response.read().decode()
-    (address,) = set(re.findall(r"swings-play ([^\s<]+)", page))
-    assert address == f"{server.url}/watch/one"
-    assert len(read_all(address)) == 13
-
-
-def test_what_a_source_says_before_its_slices(library: Path, server: ServerProcess) -> None:
-    manifest = StreamReader(library / "one").manifest
-    for name in (str(library / "one"), server.url):
-        with opened(name, FrameRange(2)) as source:
-            assert source.name == name
-            assert source.frames == FrameRange(2, 13)
-            assert source.manifest.to_json() == manifest.to_json()
-
-
-@pytest.mark.parametrize(
-    ("frames", "layers", "message"),
-    [
-        (FrameRange(13), None, "there is no frame 13|has 13 frames"),
-        (FrameRange(0, 14), None, "there is no frame 13"),
-        (FrameRange(), 4, "layers"),
-    ],
-)
-def test_what_a_stream_does_not_have(
-    library: Path, server: ServerProcess, frames: FrameRange, layers: int | None, message: str
+def test_what_is_not_there(
+    library: Path, server: ServerProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with static_host(library) as host:
-        for source in (str(library / "one"), f"{host}/one", f"{server.url}/watch/one"):
+    for name in ("empty", "page"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "page" / "manifest.json").write_text("<html>")
+    for name in ("first", "second"):
+        shutil.copytree(library / "one", tmp_path / name)
+    monkeypatch.delattr(Fetcher, "pause")  # what was never there is not waited for
+    with (
+        static_host(library) as host,
+        static_host(tmp_path) as other,
+        served(tmp_path) as many,
+        socket.create_server(("127.0.0.1", 0)) as unused,
+    ):
+        away = f"http://127.0.0.1:{unused.getsockname()[1]}"
+        unused.close()
+        rows = [
+            (f"{other}/nothing", "is not a stream"),
+            (f"{other}/empty", "is not a stream"),
+            (f"{server.url}/elsewhere", "is not a stream"),
+            (f"{other}/page", r"manifest\.json: byte 0: .*; this is not a stream$"),
+            (many.url, "2 streams: first, second; choose one"),
+            (f"{many.url}/watch/third", "is not a stream: HTTP 404, no stream is named"),
+            (away, "cannot connect: Connection refused"),
+            (f"{away}/watch/s", "cannot connect: Connection refused"),
+            ("ftp://host/x", "only http:// and https:// URLs"),
+            (str(tmp_path / "absent"), "is not a folder"),
+        ]
+        for source, message in rows:
             with pytest.raises(SwingsError, match=message):
-                read_all(source, frames, layers)
+                read_all(source)
+        for source in (str(library / "one"), f"{host}/one", f"{server.url}/watch/one"):
+            for frames, layers, message in (
+                (FrameRange(13), None, "there is no frame 13|has 13 frames"),
+                (FrameRange(0, 14), None, "there is no frame 13"),
+                (FrameRange(), 4, "layers"),
+            ):
+                with pytest.raises(SwingsError, match=message):
+                    read_all(source, frames, layers)
 
 
-def test_a_server_of_many_streams_names_them(library: Path, tmp_path: Path) -> None:
-    shutil.copytree(library / "one", tmp_path / "first")
-    shutil.copytree(library / "one", tmp_path / "second")
-    with served(tmp_path) as server:
-        with pytest.raises(FetchError, match="2 streams: first, second; choose one"):
-            read_all(server.url)
-        with pytest.raises(FetchError, match="is not a stream: HTTP 404, no stream is named"):
-            read_all(f"{server.url}/watch/third")
-
-
-def test_what_is_not_a_stream(tmp_path: Path, server: ServerProcess) -> None:
-    (tmp_path / "manifest.json").write_text("<html>")
-    (tmp_path / "empty").mkdir()
+def test_a_damaged_object_is_named(library: Path, tmp_path: Path) -> None:
     with static_host(tmp_path) as host:
-        for url in (f"{host}/nothing", f"{host}/empty", f"{server.url}/elsewhere"):
-            with pytest.raises(FetchError, match="is not a stream"):
-                read_all(url)
-        with pytest.raises(FetchError, match=r"manifest\.json: byte 0: .*; this is not a stream$"):
-            read_all(host)
-    with pytest.raises(BrokenError, match="cannot connect: Connection refused"):
-        read_all(host)
-    with pytest.raises(InvalidError, match="only http:// and https:// URLs"):
-        read_all("ftp://host/x")
-    with pytest.raises(CorruptError, match="is not a folder"):
-        read_all(str(tmp_path / "absent"))
-
-
-@pytest.mark.parametrize(
-    ("part", "damage"),
-    [
-        ("0", "altered"),
-        ("0", "short"),
-        ("0", "missing"),
-        ("masks", "altered"),
-        ("snapshot-0", "altered"),
-    ],
-)
-def test_a_damaged_object_is_named(library: Path, tmp_path: Path, part: str, damage: str) -> None:
-    shutil.copytree(library / "one", tmp_path / "s")
-    path = tmp_path / "s" / "segments" / "1" / part
-    data = path.read_bytes()
-    if damage == "altered":
-        path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
-    elif damage == "short":
-        path.write_bytes(data[:-1])
-    else:
-        path.unlink()
-    with static_host(tmp_path) as host:
-        for source in (str(tmp_path / "s"), f"{host}/s"):
-            with pytest.raises(SwingsError, match=f"segments/1/{part}"):
-                read_all(source, FrameRange(5))
+        for part in ("0", "masks", "snapshot-0"):
+            for damage in ("altered", "short", "missing"):
+                shutil.copytree(library / "one", tmp_path / "s", dirs_exist_ok=True)
+                path = tmp_path / "s" / "segments" / "1" / part
+                data = path.read_bytes()
+                path.unlink()
+                if damage != "missing":
+                    last = bytes([data[-1] ^ 1]) if damage == "altered" else b""
+                    path.write_bytes(data[:-1] + last)
+                for source in (str(tmp_path / "s"), f"{host}/s"):
+                    with pytest.raises(SwingsError, match=f"segments/1/{part}"):
+                        read_all(source, FrameRange(5))
 
 
 @pytest.fixture
@@ -284,11 +245,3 @@ def test_a_seek_while_the_server_is_away_waits_for_it(
         with closing(opener.open(FrameRange(35), 3)) as source:
             assert next(assembled(source)).frame == 35
         restarted[0].kill()
-
-
-def test_nobody_waits_for_a_server_that_was_never_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as unused:
-        url = f"http://127.0.0.1:{unused.getsockname()[1]}"
-    monkeypatch.delattr(Fetcher, "pause")
-    with pytest.raises(BrokenError, match="cannot connect"), opened(f"{url}/watch/s"):
-        pass
