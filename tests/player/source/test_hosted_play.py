@@ -15,7 +15,6 @@ from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import MASKS, Part, snapshot_part
-from player.network.diskcache import DiskCache
 from player.playout.assembler import Assembler
 from player.playout.timeline import FrameRecord, Playout
 from player.source.hostedplay import Ask, HostedPlay
@@ -178,27 +177,6 @@ def test_no_more_requests_are_open_than_share_the_link_well(reader: StreamReader
         asked.append(decision)
     # Layer 0 of a segment is two objects.
     assert [ask.part for ask in asked] == ["snapshot-0", MASKS, 0]
-
-
-def test_what_is_stored_is_not_asked_for_and_what_comes_whole_is_stored(
-    reader: StreamReader, tmp_path: Path
-) -> None:
-    store = DiskCache(tmp_path, 1 << 30)
-
-    def asked(rate_bps: float) -> list[Ask]:
-        frames = FrameRange(0, NUM_FRAMES)
-        play = HostedPlay(reader.manifest, reader.records, frames, 0.0, None, store)
-        link = MadeLink(reader, play)
-        while link.packets(rate_bps) or not link.over:
-            pass
-        return link.asked
-
-    assert asked(4 * need_bps(reader))
-    snapshots = len(reader.records) * 3
-    stored = sum(path.is_file() for path in tmp_path.rglob("*"))
-    assert stored >= sum(len(r.part_bytes) for r in reader.records) - snapshots
-    # A link that carries nothing is of no account then.
-    assert asked(1.0) == []
 
 
 # --- one object

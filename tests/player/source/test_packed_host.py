@@ -6,28 +6,23 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.tools.packing import pack_stream
-from player.network.faults import BrokenError
 from player.network.fetch import FetchError
 from player.network.retry import RetryConfig
 from player.script.openscene import Scene
-from player.sound.decodedsound import DecodedSound, SegmentLoader
 from player.source.opener import Opener, SourceConfig, opened
 from player.source.source import SlicePackets, Source
 from player.source.webstorage import WebStorage
 from tests.support.delivery.assembled import assembled, check_packets, checked
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.hosted_streams import static_host, write_stream
-from tests.support.sounding import add_clicks, heard
 
 NUM_FRAMES = 40
 PATIENT = SourceConfig(RetryConfig(10, first_delay_s=0.01, max_delay_s=0.05))
@@ -47,16 +42,6 @@ def host(made: Path) -> Iterator[RangeHost]:
         yield found
 
 
-@pytest.mark.parametrize(("first", "layers"), [(0, None), (17, 2), (NUM_FRAMES - 1, None)])
-def test_every_frame_shows_what_the_folder_shows(
-    made: Path, host: RangeHost, first: int, layers: int | None
-) -> None:
-    reader, frames = StreamReader(made / "s"), FrameRange(first)
-    with opened(f"{host.url}/s.swings", frames, layers) as source:
-        shown = list(checked(reader, assembled(source), layers or 3))
-    assert [one.frame for one in shown] == list(range(first, NUM_FRAMES))
-
-
 def births_of(source: Source, reader: StreamReader) -> set[int]:
     """The births whose masks and layer 0 have come; each packet is the one in the folder."""
     here = set()
@@ -67,49 +52,41 @@ def births_of(source: Source, reader: StreamReader) -> set[int]:
     return here
 
 
-def test_an_adaptive_play_gets_the_packets_of_the_folder(made: Path, host: RangeHost) -> None:
-    with opened(f"{host.url}/s.swings", FrameRange(17), adaptive=True) as source:
-        assert source.adaptive
-        births = births_of(source, StreamReader(made / "s"))
-    assert births >= set(range(18, NUM_FRAMES))
-
-
-def play_one_frame(source: Source) -> None:
-    with closing(source.packets()) as packets:  # type: ignore[type-var]
-        for one in packets:
-            if isinstance(one, SlicePackets) and one.first_layer == 0:
-                return
-
-
-@pytest.mark.parametrize("long_index", [False, True])
-def test_the_first_picture_takes_one_request_less_than_from_a_folder(
-    made: Path, host: RangeHost, monkeypatch: pytest.MonkeyPatch, long_index: bool
+@pytest.mark.parametrize(("first", "layers"), [(0, None), (17, 2), (NUM_FRAMES - 1, None)])
+def test_every_frame_shows_what_the_folder_shows(
+    made: Path, host: RangeHost, first: int, layers: int | None
 ) -> None:
-    if long_index:
-        index_bytes = (made / "s" / "index.bin").stat().st_size
-        monkeypatch.setattr("codec.stream.packedlayout.FIRST_BYTES", index_bytes // 2)
-    counts: list[int] = []
-    for path in ("s", "s.swings"):
+    reader, frames = StreamReader(made / "s"), FrameRange(first)
+    with opened(f"{host.url}/s.swings", frames, layers) as source:
+        shown = list(checked(reader, assembled(source), layers or 3))
+    assert [one.frame for one in shown] == list(range(first, NUM_FRAMES))
+    with opened(f"{host.url}/s.swings", frames, adaptive=True) as source:
+        assert source.adaptive
+        assert births_of(source, reader) >= set(range(first + 1, NUM_FRAMES))
+
+
+def test_the_first_picture_takes_one_request_less_than_from_a_folder(
+    made: Path, host: RangeHost, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def counts(path: str) -> tuple[int, int]:
+        """Requests until the source is open, and until a frame has come."""
         host.asked.clear()
-        with opened(f"{host.url}/{path}") as source:
-            counts.append(len(host.asked))
-            play_one_frame(source)
-            counts.append(len(host.asked))
-    assert counts[0] == 2
-    assert counts[2] == 1 + long_index
-    assert counts[3] == counts[1] - 1 + long_index
+        with opened(f"{host.url}/{path}") as source, closing(source.packets()) as packets:  # type: ignore[type-var]
+            open_count = len(host.asked)
+            next(one for one in packets if isinstance(one, SlicePackets) and not one.first_layer)
+            return open_count, len(host.asked)
+
+    to_open, to_show = counts("s")
+    assert to_open == 2
+    assert counts("s.swings") == (1, to_show - 1)
+    index_bytes = (made / "s" / "index.bin").stat().st_size
+    monkeypatch.setattr("codec.stream.packedlayout.FIRST_BYTES", index_bytes // 2)
+    assert counts("s.swings") == (2, to_show)
 
 
-def test_an_opener_seeks_without_asking_for_the_head_again(host: RangeHost) -> None:
-    with closing(Opener(f"{host.url}/s.swings")) as opener:
-        for first in (0, 30, 8):
-            with closing(opener.open(FrameRange(first), None)) as source:
-                play_one_frame(source)
-    heads = [asked for _, asked in host.asked if asked.startswith("bytes=0-")]
-    assert len(heads) == 1
-
-
-def test_a_part_that_breaks_off_goes_on_where_it_broke(made: Path, host: RangeHost) -> None:
+def test_a_part_that_breaks_off_goes_on_and_seeks_need_no_other_head(
+    made: Path, host: RangeHost
+) -> None:
     with closing(Opener(f"{host.url}/s.swings", config=PATIENT)) as opener:
         for adaptive in (False, True):
             with closing(opener.open(FrameRange(0, 12), None, adaptive)) as source:
@@ -117,36 +94,27 @@ def test_a_part_that_breaks_off_goes_on_where_it_broke(made: Path, host: RangeHo
                 births = births_of(source, StreamReader(made / "s"))
                 host.cut_bytes = None
             assert births >= set(range(1, 12))
+    assert sum(asked.startswith("bytes=0-") for _, asked in host.asked) == 1
 
 
-def test_a_host_without_ranges_is_refused_in_one_line(made: Path, host: RangeHost) -> None:
-    with (
-        static_host(made) as plain,
-        pytest.raises(FetchError, match=r"s\.swings: the host does not send parts of a file, as "),
-        opened(f"{plain}/s.swings"),
-    ):
-        pass
+def test_what_is_not_a_packed_stream_is_said(made: Path, tmp_path: Path, host: RangeHost) -> None:
+    whole = (made / "s.swings").read_bytes()
+    for name, data in (("cut", whole[:-1]), ("page", b"<html>" + bytes(200)), ("empty", b"")):
+        (tmp_path / f"{name}.swings").write_bytes(data)
+    with range_host(tmp_path) as other, static_host(made) as plain:
+        for url, complaint in (
+            (f"{other.url}/cut", "by its index it has"),
+            (f"{other.url}/page", r"page\.swings: byte 0: packed stream: does .*not a stream$"),
+            (f"{other.url}/empty", "HTTP 416"),
+            (f"{other.url}/none", "HTTP 404"),
+            (f"{plain}/s", r"s\.swings: the host does not send parts of a file, as "),
+        ):
+            with pytest.raises(FetchError, match=complaint), opened(f"{url}.swings"):
+                pass
     with opened(f"{host.url}/s.swings", adaptive=True) as source:
         host.knows_ranges = False
         with pytest.raises(FetchError, match="does not send parts"):
             list(assembled(source))
-
-
-def test_what_is_not_a_packed_stream_is_said(made: Path, tmp_path: Path) -> None:
-    whole = (made / "s.swings").read_bytes()
-    (tmp_path / "cut.swings").write_bytes(whole[:-1])
-    (tmp_path / "page.swings").write_bytes(b"<html>" + bytes(200))
-    (tmp_path / "empty.swings").write_bytes(b"")
-    with range_host(tmp_path) as host:
-        for name, complaint in (
-            ("cut", "by its index it has"),
-            ("page", r"page\.swings: byte 0: packed stream: does not begin as one.*not a stream$"),
-            ("empty", "HTTP 416"),
-            ("none", "HTTP 404"),
-        ):
-            kind = BrokenError if name == "empty" else FetchError
-            with pytest.raises(kind, match=complaint), opened(f"{host.url}/{name}.swings"):
-                pass
 
 
 @pytest.mark.parametrize("adaptive", [False, True])
@@ -183,13 +151,11 @@ def test_a_script_reads_it(made: Path, host: RangeHost) -> None:
         assert scene.num_frames == NUM_FRAMES
 
 
-def test_the_poster_comes_out_of_the_file(made: Path, tmp_path: Path) -> None:
-    shutil.copytree(made / "s", tmp_path / "s")
-    manifest = replace(StreamReader(made / "s").manifest, poster="köder/poster.png")
-    (tmp_path / "s" / "manifest.json").write_bytes(manifest.to_json())
+def test_the_poster_comes_out_of_the_file(tmp_path: Path) -> None:
     poster = b"\x89PNG\r\n\x1a\n" + bytes(2000)
-    (tmp_path / "s" / "köder").mkdir()
-    (tmp_path / "s" / "köder" / "poster.png").write_bytes(poster)
+    file = write_stream(tmp_path / "s", 1, poster="köder/poster.png") / "köder" / "poster.png"
+    file.parent.mkdir()
+    file.write_bytes(poster)
     pack_stream(tmp_path / "s", tmp_path / "s.swings")
     with range_host(tmp_path) as host:
         for name in (f"{host.url}/s.swings", str(tmp_path / "s.swings")):
@@ -198,25 +164,3 @@ def test_the_poster_comes_out_of_the_file(made: Path, tmp_path: Path) -> None:
                 assert preview is not None
                 assert preview.poster == poster
         assert len(host.asked) == 2
-
-
-def test_sound_comes_by_ranges(tmp_path: Path) -> None:
-    stream = write_stream(tmp_path / "s", 23)
-    add_clicks(stream, (0, 4, 5, 10, 19, 22))
-    pack_stream(stream, tmp_path / "s.swings")
-    whole = heard(stream)
-    with range_host(tmp_path) as host:
-        for source in (f"{host.url}/s.swings", str(tmp_path / "s.swings")):
-            with closing(Opener(source)) as opener:
-                opener.open(FrameRange(), None).close()
-                manifest = opener.manifest
-                assert manifest is not None
-                decoded, files = DecodedSound(manifest), opener.sound_files()
-                with closing(files):
-                    loader = SegmentLoader(manifest, files.read)
-                    for segment in range(5):
-                        decoded.put(segment, loader.load(segment))
-            mixed = decoded.mix(0, len(whole), manifest.camera())
-            np.testing.assert_array_equal(np.rint(mixed * 32768), whole)
-        assert {path for path, _ in host.asked} == {"/s.swings"}
-        assert all(asked for _, asked in host.asked)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from pathlib import Path
 
 import pytest
 
@@ -22,18 +21,15 @@ from codec.stream.playrecord import (
     StartRecord,
     encode_record,
 )
-from player.config import PlayConfig
 from player.network.fetch import BrokenError, FetchConfig, Fetcher, FetchError, StoppedError
 from player.network.retry import RetryConfig
 from player.playout.clock import Clock
 from player.playout.queues import Events
 from player.playout.threads import Threads
 from player.playout.timeline import Playout
-from player.render.renderer import RendererKind
-from player.run.playback import play
+from player.source.opener import Opener
 from player.source.served import ServedSource
 from player.source.source import LastPlay
-from player.view.path import Size
 from server.abr.clientstatus import FRAME_HEADER, PLAY_HEADER, RATE_HEADER, ClientStatus
 from tests.player.network.webhosts import HOLD, NO_ANSWER, ScriptedHost, script
 from tests.support.delivery.assembled import assembled
@@ -46,6 +42,10 @@ QUICK = RetryConfig(patience_s=0.05, first_delay_s=0.01, max_delay_s=0.01)
 """For plays that cannot go on."""
 
 HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: application/x-swings-play\r\nConnection: close\r\n\r\n"
+
+
+NO_INDEX = b"HTTP/1.1 404 No\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+"""Response to clients that want more of the stream than its manifest."""
 
 
 def answer(*records: Record) -> bytes:
@@ -132,6 +132,12 @@ def test_a_server_that_stops_is_asked_again() -> None:
         ([HEAD + b"\x01\0\0\0\xc0"], CorruptError, "S: play"),
         ([answer(EndRecord(3))], CorruptError, "does not begin with a start record"),
         ([answer(StartRecord(0, 3, b"{}"))], CorruptError, "S: manifest"),
+        ([answer(StartRecord(0, 3, b'{"version"; 1}'))], CorruptError, "^S: byte 10: "),
+        (
+            [answer(start(), SNAPSHOT, MISPLACED, *ALL[2:])],
+            CorruptError,
+            "^S: layer 0 of the slice born at 1: byte 8: ",
+        ),
         ([answer(start(), start())], CorruptError, "second start"),
         ([answer(start(), *ALL[1:])], CorruptError, "born at 1 arrived before a snapshot"),
         ([answer(start(), *ALL[:3], EndRecord(5))], CorruptError, "ended before frame 3"),
@@ -161,11 +167,7 @@ def test_a_server_that_stops_is_asked_again() -> None:
             FetchError,
             "S: HTTP 400, from=0: no",
         ),
-        (
-            [b"HTTP/1.1 404 No\r\nContent-Length: 3\r\n\r\n[1]"],
-            FetchError,
-            "S is not a stream: HTTP 404",
-        ),
+        ([NO_INDEX], FetchError, "S is not a stream: HTTP 404"),
     ],
 )
 def test_hostile_servers(answers: list[bytes], error: type[SwingsError], message: str) -> None:
@@ -174,25 +176,8 @@ def test_hostile_servers(answers: list[bytes], error: type[SwingsError], message
     with pytest.raises(error, match=message) as caught:
         births_from(*answers, retry=QUICK, config=config)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("records", "name", "at"),
-    [
-        ([StartRecord(0, 3, b'{"version"; 1}')], "S", 10),
-        ([start(), SNAPSHOT, MISPLACED, *ALL[2:]], "S: layer 0 of the slice born at 1", 8),
-        (
-            [start(), SNAPSHOT, SliceRecord(1, SLICES[0].packets[:1] * 2, SLICES[0].mask)],
-            "S: layer 1 of the slice born at 1",
-            5,
-        ),
-    ],
-)
-def test_an_error_keeps_its_place(records: list[Record], name: str, at: int) -> None:
-    with pytest.raises(CorruptError) as caught:
-        births_from(answer(*records))
-    assert str(caught.value).startswith(f"{name}: byte {at}: ")
-    assert caught.value.at == at
+    if isinstance(caught.value, CorruptError) and caught.value.at is not None:
+        assert f"byte {caught.value.at}: " in str(caught.value)
 
 
 def test_waiting_for_a_slice_can_be_stopped() -> None:
@@ -208,10 +193,6 @@ def test_waiting_for_a_slice_can_be_stopped() -> None:
 NAMED = HEAD.replace(b"\r\n\r\n", f"\r\n{PLAY_HEADER}: abc-_1\r\n\r\n".encode())
 
 
-NO_INDEX = b"HTTP/1.1 404 No\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
-"""Response to clients that want more of the stream than its manifest."""
-
-
 @contextmanager
 def played(*answers: bytes) -> Iterator[tuple[ScriptedHost, ServedSource]]:
     """A host that gives `answers`, and a play of its stream."""
@@ -221,12 +202,6 @@ def played(*answers: bytes) -> Iterator[tuple[ScriptedHost, ServedSource]]:
             yield host, source
 
 
-def test_a_server_that_names_no_play_is_told_nothing() -> None:
-    with played(answer(start(), *ALL)) as (host, source):
-        assert not source.send_status(ClientStatus(1))
-        assert len(host.asked) == 1
-
-
 @pytest.mark.parametrize(
     ("status", "listens", "asked"),
     [(b"405 No", False, 1), (b"404 No", True, 1), (b"500 No", True, 2)],
@@ -234,6 +209,9 @@ def test_a_server_that_names_no_play_is_told_nothing() -> None:
 def test_what_a_server_answers_decides_who_is_told_more(
     status: bytes, listens: bool, asked: int
 ) -> None:
+    with played(answer(start(), *ALL)) as (host, source):  # it names no play
+        assert not source.send_status(ClientStatus(1))
+        assert len(host.asked) == 1
     told = b"HTTP/1.1 %s\r\nContent-Length: 0\r\nConnection: close\r\n\r\n" % status
     with played(answer(start()).replace(HEAD, NAMED) + HOLD, told, told) as (host, source):
         assert source.send_status(ClientStatus(1)) == listens
@@ -301,17 +279,12 @@ def test_a_new_connection_names_the_last_play_the_next_frame_and_the_rate(
         assert source.play == LastPlay("", float(sent) if sent else None)
 
 
-def test_a_loop_names_the_play_before(tmp_path: Path) -> None:
+def test_a_loop_names_the_play_before() -> None:
     whole = answer(start(), *ALL).replace(HEAD, NAMED)
-    with script(whole, whole) as host:
-        config = PlayConfig(
-            f"{host.url}/v1/streams/s",
-            loop=2,
-            capture=tmp_path / "out",
-            size=Size(32, 24),
-            renderer=RendererKind.CPU,
-        )
-        assert play(config).totals.frames == 10
+    with script(whole, whole) as host, closing(Opener(f"{host.url}/v1/streams/s")) as opener:
+        for _ in range(2):
+            with closing(opener.open(FrameRange(), None)) as source:
+                assert len(list(source.packets())) == 5
         first, second = (request for request in host.requests if request.startswith(b"GET "))
         assert PLAY_HEADER.encode() not in first
         assert f"{PLAY_HEADER}: abc-_1".encode() in second

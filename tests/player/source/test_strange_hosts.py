@@ -20,6 +20,7 @@ import pytest
 import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from codec.errors import CorruptError, SwingsError
 from codec.framerange import FrameRange
@@ -44,7 +45,7 @@ from tests.player.source.test_served import (
     open_play,
     start,
 )
-from tests.support.commands import run, run_ok
+from tests.support.commands import run
 from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import answering, small_manifest, static_host, write_stream
 
@@ -76,7 +77,6 @@ def records(*some: Record) -> bytes:
     return b"".join(map(encode_record, some))
 
 
-OLD = records(*ALL[:2])
 BEGUN = answer(start(), *ALL[:2])
 NAMED = HEAD.replace(b"Connection", b"Swings-Play: abc\r\nConnection")
 IDLE = FetchConfig(idle_s=0.4)
@@ -94,22 +94,26 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> count[int]:
 
 
 @pytest.mark.usefixtures("looks")
-@pytest.mark.parametrize(
-    ("begun", "again"),
-    [
-        (BEGUN, OLD),  # what is known already
+def test_bytes_of_no_use_do_not_keep_a_play_waiting() -> None:
+    no_use = r"\d+ bytes arrived in \d+ s, but no usable data$"
+    for begun, again in (
+        (BEGUN, records(*ALL[:2])),  # what is known already
         (BEGUN + LENGTH.pack(1_000_000), b"\0"),  # a record, byte by byte
-    ],
-)
-def test_bytes_of_no_use_do_not_keep_a_play_waiting(begun: bytes, again: bytes) -> None:
-    with (
-        endless(begun, lambda n: again) as url,
-        closing(open_play(url)) as source,
-        pytest.raises(FetchError, match=r"\d+ bytes arrived in \d+ s, but no usable data") as error,
     ):
-        list(source.packets())
-    assert "\n" not in str(error.value)
-    assert not isinstance(error.value, BrokenError)
+        with (
+            endless(begun, lambda n, again=again: again) as url,  # type: ignore[misc]
+            closing(open_play(url)) as source,
+            pytest.raises(FetchError, match=no_use) as error,
+        ):
+            list(source.packets())
+        assert not isinstance(error.value, BrokenError)
+    head = b"HTTP/1.1 200 OK\r\nContent-Length: 9000000\r\n\r\n"
+    with (
+        endless(head, lambda n: b"{") as url,
+        closing(Fetcher()) as fetcher,
+        pytest.raises(BrokenError, match=no_use),
+    ):
+        fetcher.get(url, 9_000_000)
 
 
 @pytest.mark.parametrize(
@@ -140,17 +144,6 @@ def test_junk_does_not_keep_a_play_waiting(
     ):
         list(source.packets())
     assert len(str(caught.value).splitlines()) == 1
-
-
-@pytest.mark.usefixtures("looks")
-def test_a_file_that_drips_is_given_up() -> None:
-    head = b"HTTP/1.1 200 OK\r\nContent-Length: 9000000\r\n\r\n"
-    with (
-        endless(head, lambda n: b"{") as url,
-        closing(Fetcher()) as fetcher,
-        pytest.raises(BrokenError, match=r"\d+ bytes arrived in \d+ s, but no usable data$"),
-    ):
-        fetcher.get(url, 9_000_000)
 
 
 def test_who_pauses_is_owed_nothing(looks: count[int], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,9 +203,6 @@ def test_another_host_is_followed_when_told(
             continue
         with pytest.raises(FetchError, match=AWAY if anywhere else WRONG):
             joined("http://a/s/m", reference, other_hosts)
-
-
-def test_nothing_leads_from_https_to_http() -> None:
     with pytest.raises(FetchError, match="not encrypted"):
         joined("https://a/", "http://a/", other_hosts=True)
 
@@ -228,56 +218,27 @@ def test_any_reference_is_a_url_or_an_error(reference: str, other_hosts: bool) -
     assert other_hosts or host == "a"
 
 
-@pytest.mark.parametrize("template", ["http://[{segment}{layer}", "//elsewhere/{segment}/{layer}"])
-def test_a_manifest_that_leads_away_is_one_line(tmp_path: Path, template: str) -> None:
+def test_manifests_and_redirects_stay_on_their_host(tmp_path: Path) -> None:
     write_stream(tmp_path / "s", 13)
-    path = tmp_path / "s" / "manifest.json"
-    path.write_text(json.dumps(json.loads(path.read_bytes()) | {"object_url": template}))
+    write_stream(tmp_path / "away", 13, object_url="//elsewhere/{segment}/{layer}")
+    to = b"HTTP/1.1 302 Found\r\nLocation: %s\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
     with (
         static_host(tmp_path) as host,
-        pytest.raises(FetchError, match=r"s/manifest\.json leads to "),
-        opened(f"{host}/s") as source,
+        script(*[to % f"{host}/s/manifest.json".encode()] * 2) as first,
+        script(*[to % b"/s/manifest.json"] * 9) as circles,
     ):
-        list(source.packets())
-
-
-def test_redirects_stay_on_their_host(tmp_path: Path) -> None:
-    write_stream(tmp_path / "s", 13)
-    with static_host(tmp_path) as host:
-        to = b"HTTP/1.1 302 Found\r\nLocation: %s\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
-        there = to % f"{host}/s/manifest.json".encode()
-        with (
-            script(there) as first,
-            pytest.raises(FetchError, match="leads to another host"),
-            opened(f"{first.url}/s"),
+        for url, message in (
+            (f"{host}/away", r"away/manifest\.json leads to another host"),
+            (f"{first.url}/s", "leads to another host"),
+            (f"{circles.url}/s", "more than 5 redirects"),
         ):
-            pass
-        with script(there) as first:
-            config = SourceConfig(QUICK, other_hosts=True)
-            with opened(f"{first.url}/elsewhere", config=config) as source:
-                assert len(list(source.packets())) == 13
-            assert first.asked == ["/elsewhere/manifest.json"]
-    around = to % b"/s/manifest.json"
-    with script(*[around] * 9) as host_in_circles:
-        with (
-            pytest.raises(FetchError, match="more than 5 redirects"),
-            opened(f"{host_in_circles.url}/s"),
-        ):
-            pass
-        assert len(host_in_circles.asked) == 5
-
-
-def test_what_the_user_typed_is_no_url() -> None:
-    for name in [
-        "http://[",
-        "http://",
-        "http:///x",
-        "http://a:b/x",
-        "http://a:99999/s",
-        "http://[::1/s",
-    ]:
-        with pytest.raises(SwingsError, match="is not a URL"), opened(name):
-            pass
+            with pytest.raises(FetchError, match=message), opened(url) as source:
+                list(source.packets())
+        assert len(circles.asked) == 5
+        config = SourceConfig(QUICK, other_hosts=True)
+        with opened(f"{first.url}/elsewhere", config=config) as source:
+            assert len(list(source.packets())) == 13
+        assert first.asked == ["/s/manifest.json", "/elsewhere/manifest.json"]
 
 
 # --- what reaches a terminal
@@ -285,49 +246,31 @@ def test_what_the_user_typed_is_no_url() -> None:
 EVIL = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202eevil"
 
 
-def steers(text: str) -> bool:
-    return any(not one.isprintable() and one != "\n" for one in text)
-
-
 def test_no_escape_sequence_of_a_server_reaches_the_terminal(tmp_path: Path) -> None:
     refusal = json.dumps({"error": EVIL}).encode()
     head = b"HTTP/1.1 400 No\r\nConnection: close\r\nContent-Length: %d\r\n\r\n"
     with script(head % len(refusal) + refusal) as host:
         done = run("swings-play", f"{host.url}/v1/streams/s", "--capture", tmp_path / "a")
-    assert done.returncode == 1
-    assert "evil" in done.stderr
-    assert not steers(done.stderr + done.stdout)
-    # A camera's name, in a warning and in an error.
+    # The names of a stream and of its cameras, in what is shown, in a warning and in an error.
     camera = small_manifest().cameras[0]
-    names = [type(camera)(EVIL, 16384, 4, 60.0, 60.0, 8.0, 2.0, camera.w2c)]
-    write_stream(tmp_path / "s", 3, cameras=tuple(names), default_camera=EVIL)
-    words = ("--capture", tmp_path / "b", "--camera", "camera:x")
-    done = run("swings-play", tmp_path / "s", *words)
-    assert done.returncode == 1
-    assert "evil" in done.stderr
-    assert not steers(done.stderr + done.stdout)
-
-
-def test_what_a_stream_calls_itself_does_not_steer_the_terminal(tmp_path: Path) -> None:
-    write_stream(tmp_path / "s", 3, title=EVIL)
-    shown = run_ok("swings-stream", "info", tmp_path / "s")
-    assert "evil" in shown
-    assert not steers(shown)
-
-
-def test_an_enormous_camera_is_drawn_at_a_sane_size(tmp_path: Path) -> None:
-    camera = small_manifest().cameras[0]
-    wide = type(camera)("c", 16384, 64, 60.0, 60.0, 8192.0, 32.0, camera.w2c)
-    write_stream(tmp_path / "s", 1, cameras=(wide,), default_camera="c")
-    out = tmp_path / "out"
-    done = run("swings-play", tmp_path / "s", "--capture", out, "--renderer", "cpu")
-    assert done.returncode == 0, done.stderr
-    assert (
-        "the camera has 16384x64 pixels; drawing 4096x16 (--size sets another size)" in done.stderr
-    )
-    from PIL import Image
-
-    with Image.open(next(out.iterdir())) as picture:
+    wide = type(camera)(EVIL, 16384, 64, 60.0, 60.0, 8192.0, 32.0, camera.w2c)
+    stream = write_stream(tmp_path / "s", 1, cameras=(wide,), default_camera=EVIL, title=EVIL)
+    words = (stream, "--renderer", "cpu", "--capture")
+    found = [
+        done,
+        run("swings-play", *words, tmp_path / "b", "--camera", "camera:x"),
+        run("swings-play", *words, tmp_path / "c"),
+        run("swings-stream", "info", stream),
+    ]
+    assert [done.returncode for done in found] == [1, 1, 0, 0]
+    for done in found[:2]:
+        assert "evil" in done.stderr
+    assert "evil" in found[3].stdout
+    text = "".join(done.stdout + done.stderr for done in found)
+    assert not any(not one.isprintable() and one != "\n" for one in text)
+    # An enormous camera is drawn at a sane size.
+    assert "has 16384x64 pixels; drawing 4096x16 (--size sets another size)" in found[2].stderr
+    with Image.open(next((tmp_path / "c").iterdir())) as picture:
         assert picture.size == (4096, 16)
 
 
@@ -396,11 +339,6 @@ def test_what_comes_again_counts_once_and_is_not_held() -> None:
     assert both.packets == whole.packets[1:2]
 
 
-def test_more_bytes_than_a_packet_can_have_are_not_held() -> None:
-    with pytest.raises(CorruptError, match=r"born at 1: packet: 1000000 bytes; the manifest"):
-        receiver_of().ingest(SliceRecord(1, (bytes(1_000_000),), b""))
-
-
 def test_a_record_that_no_slice_fills_is_not_waited_for() -> None:
     begun = answer(start()) + LENGTH.pack(60 << 20)
     with (
@@ -412,25 +350,23 @@ def test_a_record_that_no_slice_fills_is_not_waited_for() -> None:
         list(source.packets())
 
 
-def test_slices_that_nobody_asked_for_are_not_held() -> None:
+def test_slices_that_nobody_asked_for_and_slices_that_came_are_not_held() -> None:
     receiver = receiver_of(MANIFEST.with_live(True))
+    with pytest.raises(CorruptError, match=r"born at 1: packet: 1000000 bytes; the manifest"):
+        receiver.ingest(SliceRecord(1, (bytes(1_000_000),), b""))
     with at_most(100_000):
         for birth in range(100, 10_000):
             assert receiver.ingest(SliceRecord(birth, (b"zz",), None, 1)) is None
             assert receiver.ingest(SliceRecord(-birth, (b"zz",), b"zz")) is None
+    with at_most(6 << 20):
+        for birth in range(1, 4 * KEPT_BIRTHS):
+            assert receiver.ingest(SliceRecord(birth, (b"zz",), b"zz")) is not None
+    assert receiver.ingest(SliceRecord(0, (b"zz",), None, 1)) is None
     receiver = receiver_of(frames=FrameRange(0, 3))
     with pytest.raises(
         CorruptError, match=r"^S: the slice born at 3 arrived, but the play ends before frame 3"
     ):
         receiver.ingest(SliceRecord(3, (b"zz",), None, 1))
-
-
-def test_what_has_come_of_an_endless_stream_is_forgotten() -> None:
-    receiver = receiver_of(MANIFEST.with_live(True))
-    with at_most(6 << 20):
-        for birth in range(1, 4 * KEPT_BIRTHS):
-            assert receiver.ingest(SliceRecord(birth, (b"zz",), b"zz")) is not None
-    assert receiver.ingest(SliceRecord(0, (b"zz",), None, 1)) is None
 
 
 def test_an_object_that_no_manifest_allows_is_not_fetched(tmp_path: Path) -> None:
