@@ -10,11 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 
 from codec.camera import Camera
 from codec.pose import Doubles, look_at, world_to_camera
-from tests.support.tiny_models import parameters_of, quaternion_of, transforms_of, write_transforms
+from tests.support.tiny_models import (
+    transforms_of,
+    write_model,
+    write_pictures,
+    write_transforms,
+)  # fmt: skip
 from trainer.capture.lens import Lens
 from trainer.synth.film import Scene, Studio, VideoWriter, make_scene
 from trainer.synth.scene import UP, camera_rig
@@ -75,14 +79,11 @@ def straight_place(bent: Doubles, lens: Lens) -> Doubles:
 def distorted(camera: Camera, lens: Lens) -> Picture:
     """The camera's picture through the lens: that of a finer and wider pinhole, distorted."""
     wide = replace(
-        camera,
-        width_px=int(1.3 * FINER * camera.width_px),
-        height_px=int(1.3 * FINER * camera.height_px),
-        fx_px=FINER * camera.fx_px,
-        fy_px=FINER * camera.fy_px,
+        camera, width_px=int(1.3 * FINER * camera.width_px), fx_px=FINER * camera.fx_px,
+        height_px=int(1.3 * FINER * camera.height_px), fy_px=FINER * camera.fy_px,
         cx_px=FINER * (camera.cx_px + 0.15 * camera.width_px),
         cy_px=FINER * (camera.cy_px + 0.15 * camera.height_px),
-    )
+    )  # fmt: skip
     # FINER x FINER samples in each pixel, so that it is as soft as an undistorted picture.
     v, u = (np.mgrid[: FINER * camera.height_px, : FINER * camera.width_px] + 0.5) / FINER
     bent = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px], axis=-1)
@@ -96,9 +97,9 @@ def distorted(camera: Camera, lens: Lens) -> Picture:
     return bent_picture
 
 
-def write_portrait(root: Path, num_cameras: int = 10) -> Footage:
+def write_portrait(root: Path) -> Footage:
     """nerfstudio: a video for each camera, each with its own intrinsics, one in portrait format."""
-    cameras = camera_rig(num_cameras, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
+    cameras = camera_rig(10, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
     for i, camera in enumerate(cameras):
         focal_px = camera.fx_px * (1 + 0.01 * i)
         own = replace(
@@ -128,7 +129,7 @@ def moved(camera: Camera, scale: float, turn: Doubles, offset: Doubles) -> Camer
     return replace(camera, w2c=world_to_camera(camera.w2c[:3, :3] @ turn.T, position))
 
 
-def write_radial(root: Path, num_cameras: int = 9) -> Footage:
+def write_radial(root: Path) -> Footage:
     """COLMAP in text: SIMPLE_RADIAL lenses, one camera of another size, a turned world of any unit.
 
     Its pictures are images/<camera>/<frame>.png, and no file states their rate.
@@ -137,27 +138,18 @@ def write_radial(root: Path, num_cameras: int = 9) -> Footage:
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     offset = np.array([2.0, -5.0, 0.5])
-    cameras = camera_rig(num_cameras, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
+    cameras = camera_rig(9, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
     cameras[7] = cameras[7].scaled(0.75)
     xyz, rgb = points_seen(cameras, 4000)
     xyz = scale * xyz @ turn.T + offset
     placed = [moved(camera, scale, turn, offset) for camera in cameras]
-    folder = root / "sparse/0"
-    folder.mkdir(parents=True)
-    optics, poses = ["# Camera list"], ["# Image list"]
-    for number, (camera, at) in enumerate(zip(cameras, placed, strict=True), 1):
-        (root / "images" / camera.name).mkdir(parents=True)
-        picture = distorted(camera, lens)
-        Image.fromarray(picture).save(root / "images" / camera.name / "0000.png")
-        numbers = " ".join(map(repr, parameters_of(camera, "SIMPLE_RADIAL", (lens.k1,))))
-        optics.append(f"{number} SIMPLE_RADIAL {camera.width_px} {camera.height_px} {numbers}")
-        pose = (*quaternion_of(at.w2c[:3, :3]), *at.w2c[:3, 3].tolist())
-        poses += [f"{number} {' '.join(map(repr, pose))} {number} {camera.name}/0000.png", ""]
+    write_pictures(root, cameras, 1, False, lambda i, _: distorted(cameras[i], lens))
+    folder, names = root / "sparse/0", [f"{camera.name}/0007.png" for camera in cameras]
+    write_model(folder, placed, names, False, "SIMPLE_RADIAL", (lens.k1,))
     marks = ["# 3D point list"]
     for number, (place, colour) in enumerate(zip(xyz.tolist(), rgb.tolist(), strict=True), 1):
         marks.append(" ".join(map(str, (number, *place, *colour, 0.5, 1, 0, 2, 0))))
-    for name, lines in (("cameras", optics), ("images", poses), ("points3D", marks)):
-        (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
+    (folder / "points3D.txt").write_text("\n".join(marks) + "\n")
     return Footage(placed, [filmed(camera) for camera in cameras])
 
 
@@ -165,12 +157,7 @@ def write_distant(root: Path) -> Footage:
     """nerfstudio: four cameras far apart, with radial and tangential distortion as in OpenCV."""
     lens = Lens(k1=-0.12, k2=0.03, p1=0.002, p2=-0.0015)
     cameras = camera_rig(4, WIDTH_PX, HEIGHT_PX, float(np.radians(160)))
-    paths = []
-    for camera in cameras:
-        (root / "images" / camera.name).mkdir(parents=True)
-        paths.append([f"images/{camera.name}/0000.png"])
-        picture = distorted(camera, lens)
-        Image.fromarray(picture).save(root / "images" / camera.name / "0000.png")
+    paths = write_pictures(root, cameras, 1, False, lambda i, _: distorted(cameras[i], lens))
     terms = {"k1": lens.k1, "k2": lens.k2, "p1": lens.p1, "p2": lens.p2}
     write_transforms(root, transforms_of(cameras, paths) | terms | {"fps": 30})
     return Footage(cameras, [filmed(camera) for camera in cameras])

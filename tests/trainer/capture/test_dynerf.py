@@ -157,9 +157,7 @@ def video_at(path: Path) -> VideoSource:
     return VideoSource(path, tiny_rig(1)[0], NUM_FRAMES)
 
 
-def test_any_order_gives_the_same_pictures_and_forward_decodes_each_once(
-    long_video: Path,
-) -> None:
+def test_any_order_gives_the_same_pictures_and_forward_decodes_each_once(long_video: Path) -> None:
     forward = video_at(long_video)
     pictures = [forward.read(frame) for frame in range(NUM_FRAMES)]
     assert all(nearly(picture, 3, frame) for frame, picture in enumerate(pictures))

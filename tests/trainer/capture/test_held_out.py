@@ -67,9 +67,7 @@ def test_never_the_corner_or_edge_of_a_grid_nor_what_is_far_above_a_ring() -> No
     assert 2 <= camera_between(standing_at(pairs)) <= 9
 
 
-def test_the_one_between_in_small_rigs_and_in_another_unit_or_frame(
-    tmp_path: Path,
-) -> None:
+def test_the_one_between_in_small_rigs_and_in_another_unit_or_frame(tmp_path: Path) -> None:
     assert read_held_out(tmp_path, tiny_rig(5)) == {"cam02"}
     assert read_held_out(tmp_path, tiny_rig(1)) == {"cam00"}
     assert read_held_out(tmp_path, []) == set()

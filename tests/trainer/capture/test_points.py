@@ -137,10 +137,7 @@ def test_false_claims_cost_no_memory(
     path.write_bytes(data)
     if is_sparse:
         os.truncate(path, 4 << 30)
-    with (
-        bounded_memory(8 << 20),
-        pytest.raises(CaptureError, match=rf"points\.ply: .*{says}"),
-    ):
+    with bounded_memory(8 << 20), pytest.raises(CaptureError, match=rf"points\.ply: .*{says}"):
         read_ply(path)
 
 

@@ -132,9 +132,7 @@ def test_a_slot_goes_on_unless_another_gaussian_takes_it() -> None:
 
 
 @given(st.integers(1, 3), st.integers(1, 7), st.integers(1, 7), st.integers(0, 99))
-def test_dealing_is_a_permutation_that_keeps_layers(
-    lanes: int, first: int, second: int, seed: int
-) -> None:
+def test_dealing_permutes_within_layers(lanes: int, first: int, second: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     leases = Leases(LeaseConfig(), layout(lanes, first, second))
     count = lanes * (first + second)

@@ -12,7 +12,7 @@ from codec.camera import Camera
 from player.render.recipe import ALPHA_MAX
 from trainer.fit.cameradraws import CameraDraws
 from trainer.fit.lifespans import Lifespans
-from trainer.fit.mcmc import relocate, split_opacity_and_scale
+from trainer.fit.mcmc import MAX_COPIES, relocate, split_opacity_and_scale
 from trainer.step.raster import Parameters, View, render
 from trainer.step.scalebound import CameraSpread, bound_scales
 
@@ -31,9 +31,7 @@ def after_genesis(swin_size: int, slice_size: int, seed: int = 0) -> Lifespans:
 
 
 @given(sizes, st.integers(1, 12))
-def test_one_slice_matures_per_frame_and_every_frame_has_num_gs(
-    size: tuple[int, int], total: int
-) -> None:
+def test_a_slice_matures_per_frame_and_each_has_num_gs(size: tuple[int, int], total: int) -> None:
     swin_size, slice_size = size
     fresh = Lifespans(swin_size * slice_size, swin_size)
     assert all(len(fresh.active_rows(frame)) == fresh.num_gs for frame in range(swin_size))
@@ -135,7 +133,7 @@ def test_it_goes_on_from_its_state() -> None:
 
 
 @given(st.floats(0.05, 0.95), st.integers(1, MAX_COPIES))
-def test_the_scale_keeps_the_integral_of_a_line_through_the_gaussian(
+def test_copies_keep_the_integral_of_a_line_through_the_gaussian(
     opacity: float, copies: int
 ) -> None:
     """By quadrature: the blended opacity of the copies, integrated along a line through their

@@ -226,9 +226,7 @@ def test_what_jumps_is_followed() -> None:
 
 
 @pytest.mark.parametrize("frame", [3, 4])
-def test_only_the_least_of_each_slice_are_placed_and_they_show_from_the_frame_on(
-    frame: int,
-) -> None:
+def test_only_the_least_of_each_slice_are_placed_and_show_from_the_frame_on(frame: int) -> None:
     # With the state of a trainer before the window that includes the frame.
     state, film = trained(0.0, frame - 2).state(), jumping()
     generations, colour = Generations(CONFIG, None), CameraColour(len(film.cameras), 0)
@@ -284,9 +282,7 @@ def flow(
 
 
 @pytest.mark.parametrize("motion_m", [(0.3, 0, 0), (0.0, -0.2, 0.1), (0.05, 0.05, -0.05)])
-def test_a_thing_is_found_where_it_went_and_the_room_stays(
-    motion_m: tuple[float, float, float],
-) -> None:
+def test_a_thing_is_found_where_it_went_alone(motion_m: tuple[float, float, float]) -> None:
     moved = np.array(motion_m, np.float32)
     motions, is_thing = flow(moved)
     errors_m = np.linalg.norm(motions[is_thing] - moved, axis=1)

@@ -193,23 +193,6 @@ def until(cache: FrameCache, done: Callable[[CacheStatistics], bool]) -> CacheSt
     return cache.statistics
 
 
-def test_pictures_read_ahead_are_the_pictures(capture: Capture) -> None:
-    with FrameCache(capture, range(1, FRAMES), 0.5) as plain:
-        expected = {(c, f): plain.image(c, f) for c in range(4) for f in range(1, FRAMES)}
-    with FrameCache(capture, range(1, FRAMES), 0.5) as cache:
-        for frame in range(1, FRAMES):
-            cache.prefetch(range(4), frame, 1)
-        count = len(expected)
-        assert until(cache, lambda s: s.prefetched == count).held_bytes == count * PICTURE_BYTES / 4
-        for (camera, frame), picture in expected.items():
-            got = cache.image(camera, frame)
-            assert np.array_equal(got, picture)
-            assert not got.flags.writeable
-        seen = cache.statistics
-        assert (seen.hits, seen.misses, seen.evictions) == (count, 0, 0)
-        assert (seen.prefetch_dropped, seen.prefetch_skipped, seen.prefetch_failed) == (0, 0, 0)
-
-
 def test_what_finds_too_many_waiting_is_dropped_and_counted(gate: Gate) -> None:
     with FrameCache(gate.capture, range(FRAMES), max_requests=3) as cache:
         cache.prefetch([0], 0, 0)

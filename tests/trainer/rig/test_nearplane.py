@@ -14,7 +14,7 @@ from codec.camera import Camera
 from codec.pose import rotation_about
 from codec.rig import rig_depths
 from tests.support.footage.checking import all_said, checked, said
-from tests.support.footage.rebuilt import SIZE_PX, close_rig, points_seen, room
+from tests.support.footage.rebuilt import SIZE_PX, close_rig, filmed, points_seen, room
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, tiny_rig, write_dynerf
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
 from trainer.capture.capture import Capture
@@ -31,21 +31,13 @@ from trainer.synth.scene import camera_rig
 
 def write(root: Path, cameras: list[Camera], points: int) -> Capture:
     """Writes one frame in the nerfstudio layout, with all cameras for training."""
-    for camera in cameras:
-        (root / "images" / camera.name).mkdir(parents=True)
-        picture, _ = Studio(room(), camera).film(0)
-        Image.fromarray(picture).save(root / f"images/{camera.name}/0000.png")
-    declare(root, cameras)
+    paths = write_pictures(root, cameras, 1, False, lambda i, _: filmed(cameras[i])[0])
+    write_transforms(root, transforms_of(cameras, paths) | {"fps": 30})
     (root / "held_out.txt").write_text("")
     if points:
         xyz, rgb = points_seen(cameras, points)
         np.savez(root / "points.npz", xyz=xyz, rgb=rgb)
     return open_capture(root)
-
-
-def declare(root: Path, cameras: list[Camera]) -> None:
-    paths = [[f"images/{camera.name}/0000.png"] for camera in cameras]
-    write_transforms(root, transforms_of(cameras, paths) | {"fps": 30})
 
 
 def least_depth(camera: Camera) -> float:
@@ -117,9 +109,7 @@ def test_points_that_a_camera_sees_bring_it_in(close: Capture) -> None:
     assert any(line.startswith("the near plane of cam10, ") for line in cut)
 
 
-def test_so_do_cameras_that_agree_where_there_are_no_points_in_a_world_of_any_unit(
-    tmp_path: Path,
-) -> None:
+def test_without_points_so_do_cameras_that_agree_in_a_world_of_any_unit(tmp_path: Path) -> None:
     cameras = close_rig(16)
     capture = write(tmp_path, cameras, 0)
     assert capture.near_m is not None
@@ -127,7 +117,8 @@ def test_so_do_cameras_that_agree_where_there_are_no_points_in_a_world_of_any_un
     assert near < 0.9 * capture.near_m
     for camera in cameras:
         camera.w2c[:3, 3] *= 40
-    declare(tmp_path, cameras)
+    paths = [[f"images/{camera.name}/0007.png"] for camera in cameras]
+    write_transforms(tmp_path, transforms_of(cameras, paths))
     assert near_of(open_capture(tmp_path)) / 40 == pytest.approx(near, rel=1e-3)
 
 
@@ -188,9 +179,7 @@ def test_a_rig_that_looks_one_way_keeps_what_it_declares(tmp_path: Path) -> None
     assert said(checked(tmp_path / "without"), "near").startswith("0.2 units, by default")
 
 
-def test_new_places_are_looked_for_from_where_the_rig_suggests(
-    close: Capture, tmp_path: Path
-) -> None:
+def test_new_places_are_searched_from_where_the_rig_says(close: Capture, tmp_path: Path) -> None:
     found = prepare(TrainConfig(close.root, tmp_path / "s"))
     assert not found.near_doubts
     assert close.near_m is not None

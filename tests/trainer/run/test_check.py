@@ -136,9 +136,7 @@ def test_a_radial_lens_in_a_world_of_any_unit(tmp_path: Path) -> None:
     assert said(checked(root, fps=12.5), "frames").startswith("1 at 12.5 per second")
 
 
-def test_four_distant_cameras_are_read_rightly_and_warned_of(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_four_distant_cameras_warn(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     root = tmp_path / "c"
     footage = write_distant(root)
     check_pictures(open_capture(root), footage, 31)

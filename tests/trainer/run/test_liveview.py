@@ -46,9 +46,7 @@ def show(tmp_path: Path) -> Path:
     return tmp_path / "show"
 
 
-def test_the_server_shows_what_is_trained_and_ends_with_the_block(
-    show: Path, tmp_path: Path
-) -> None:
+def test_the_server_shows_what_is_trained_and_ends_after_it(show: Path, tmp_path: Path) -> None:
     told = list[str]()
     with LiveView(show, 0, tmp_path, told.append) as view:
         for frame in (0, 1):

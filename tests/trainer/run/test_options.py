@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
-from rich.console import Console
 
 from codec.errors import SwingsError
 from codec.interop.formats import SplatFormat, read_splats, write_splats
@@ -20,8 +20,6 @@ from tests.support.drawn import same_splats
 from tests.support.tiny_capture import WIDTH_PX
 from tests.support.trainings import train_here
 from trainer.run.runlog import LOG_NAME
-from trainer.score.evaluate import EvaluateConfig, evaluate_stream
-from trainer.synth.film import SynthConfig, synthesise
 
 FRAMES = 6
 LATER = "--window-iterations", 10, "--num-gs", 200, "--frames", "0:2"
@@ -44,14 +42,11 @@ def test_a_temporal_layer_changes_no_frame(capture: Path, tmp_path: Path) -> Non
     assert halved.records[0].psnr_db[-1] == pytest.approx(plain.records[0].psnr_db[-1])
 
 
-def score_db(stream: Path) -> float:
-    """That of the first frame, from the log."""
-    line = (stream / LOG_NAME).read_text().splitlines()[0]
-    score: float = json.loads(line)["psnr_db"]
-    return score
+def log_of(stream: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (stream / LOG_NAME).read_text().splitlines()]
 
 
-def test_a_run_goes_on_from_given_gaussians_whose_higher_degrees_are_cut(
+def test_a_run_goes_on_from_given_gaussians_of_a_higher_degree(
     capture: Path, tmp_path: Path
 ) -> None:
     first, initial = tmp_path / "first", tmp_path / "first.ply"
@@ -64,28 +59,23 @@ def test_a_run_goes_on_from_given_gaussians_whose_higher_degrees_are_cut(
     train_here(capture, tmp_path / "s", *LATER, "--num-gs", len(splats), *given)
     assert StreamReader(tmp_path / "s").manifest.sh_degree == 0
     # 10 iterations cannot train 200 seeds.
-    assert score_db(tmp_path / "s") > score_db(first) - 0.5
+    assert log_of(tmp_path / "s")[0]["psnr_db"] > log_of(first)[0]["psnr_db"] - 0.5
     with pytest.raises(SwingsError, match="set --num-gs"):
         train_here(capture, tmp_path / "other", *given, "--num-gs", 300)
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--initial", "none.ply"), r"none\.ply"),
-        (("--genesis-iterations", 0), "see --initial"),
-        (("--log", "nowhere/log.jsonl"), "nowhere is not a folder"),
-    ],
-)
-def test_what_cannot_begin_is_refused_before_anything_is_written(
-    words: tuple[object, ...], message: str, capture: Path, tmp_path: Path
-) -> None:
-    with pytest.raises((SwingsError, OSError), match=message):
-        train_here(capture, tmp_path / "s", *words)
+def test_what_cannot_begin_is_refused_before_any_write(capture: Path, tmp_path: Path) -> None:
+    for option, value, message in (
+        ("--initial", "none.ply", r"none\.ply"),
+        ("--genesis-iterations", 0, "see --initial"),
+        ("--log", "nowhere/log.jsonl", "nowhere is not a folder"),
+    ):
+        with pytest.raises((SwingsError, OSError), match=message):
+            train_here(capture, tmp_path / "s", option, value)
     assert not (tmp_path / "s").exists()
 
 
-def test_preset_gpu_says_its_memory_and_scales_a_large_capture(
+def test_preset_gpu_says_its_memory_and_scales_large_captures(
     capture: Path, tmp_path: Path
 ) -> None:
     stream = tmp_path / "stream"
@@ -104,26 +94,6 @@ def test_preset_gpu_says_its_memory_and_scales_a_large_capture(
     assert verify_stream(stream).num_frames == 2
 
 
-@pytest.mark.deep
-def test_a_stream_trained_by_torch_is_valid_and_as_good(tmp_path: Path) -> None:
-    capture = tmp_path / "capture"
-    film = SynthConfig(
-        capture, frames=3, cameras=14, held_out=1, width_px=64, height_px=48, points=400
-    )
-    synthesise(film, Console(quiet=True))
-    psnr_db = {}
-    for name in ("cpu", "torch"):
-        stream = tmp_path / name
-        train_here(
-            capture, stream, "--backend", name, "--num-gs", 500, "--point-share", 0.8,
-            "--genesis-iterations", 200, "--settle-rounds", 0, "--window-iterations", 30,
-        )  # fmt: skip
-        verify_stream(stream)
-        psnr_db[name] = evaluate_stream(EvaluateConfig(stream, capture)).layers[-1].psnr_db
-    assert psnr_db["cpu"] > 15
-    assert psnr_db["torch"] == pytest.approx(psnr_db["cpu"], abs=0.2)
-
-
 def test_a_run_logs_every_frame_and_draws_snapshots(capture: Path, tmp_path: Path) -> None:
     stream, points = tmp_path / "stream", tmp_path / "points.npz"
     xyz = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 3))
@@ -133,7 +103,7 @@ def test_a_run_logs_every_frame_and_draws_snapshots(capture: Path, tmp_path: Pat
         "--settle-rounds", 1, "--window-iterations", 20, "--segment-frames", 2,
         "--snapshot-every", 2, "--points", points,
     )  # fmt: skip
-    records = [json.loads(line) for line in (stream / LOG_NAME).read_text().splitlines()]
+    records = log_of(stream)
     assert [r["frame"] for r in records] == list(range(FRAMES))
     assert all(r["gaussians"] > 100 for r in records)
     assert all(r["iterations_per_s"] > 0 for r in records)
@@ -153,9 +123,6 @@ def test_a_run_logs_every_frame_and_draws_snapshots(capture: Path, tmp_path: Pat
         f"{frame:06d}.png" for frame in (0, 2, 4)
     ]
     with Image.open(stream / "snapshots" / "000004.png") as picture:
-        drawn = np.asarray(picture)
-    height, width = drawn.shape[:2]
-    captured, rendered = drawn[:, : width // 3], drawn[:, width // 3 : 2 * width // 3]
+        captured, rendered, _ = np.array_split(np.asarray(picture), 3, axis=1)
     assert captured.std() > 1
     assert rendered.std() > 1
-    assert height > 10

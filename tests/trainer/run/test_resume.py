@@ -160,9 +160,7 @@ def test_a_process_that_a_signal_ends_is_resumed_by_the_command(
     assert contents(stream) == contents(moments / "whole")
 
 
-def test_a_finished_run_has_nothing_to_resume_and_succeeds(
-    capture: Path, moments: Path, tmp_path: Path
-) -> None:
+def test_a_finished_run_resumes_with_success(capture: Path, moments: Path, tmp_path: Path) -> None:
     stream = tmp_path / "stream"
     shutil.copytree(moments / "whole", stream)
     for more in ([], ["--ray"], SETTINGS):
@@ -176,9 +174,7 @@ def test_a_finished_run_has_nothing_to_resume_and_succeeds(
     assert contents(stream) == contents(moments / "whole")
 
 
-def test_resuming_what_is_not_there_or_other_is_refused(
-    capture: Path, moments: Path, tmp_path: Path
-) -> None:
+def test_resuming_something_else_is_refused(capture: Path, moments: Path, tmp_path: Path) -> None:
     def refusal(*words: object) -> str:
         with pytest.raises(SwingsError) as caught:
             train_here(*words)
@@ -261,7 +257,7 @@ def test_updates_come_back_from_a_checkpoint(sh_degree: int, tmp_path: Path) -> 
 
 
 @pytest.mark.deep
-def test_the_run_that_compiles_the_kernels_writes_the_same_bytes(
+def test_a_run_that_compiles_writes_the_same_bytes(
     capture: Path, moments: Path, tmp_path: Path
 ) -> None:
     stream = tmp_path / "stream"

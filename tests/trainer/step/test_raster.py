@@ -153,9 +153,7 @@ def test_ignored_pixels_add_nothing() -> None:
 
 
 @pytest.mark.parametrize(("count", "logit"), [(80, -1.0), (400, 4.0)])
-def test_contribution_is_the_slope_of_the_references_picture_by_colour(
-    count: int, logit: float
-) -> None:
+def test_contribution_is_the_slope_of_the_picture_by_colour(count: int, logit: float) -> None:
     """The dense scene transmits so little light that the threshold ends pixels."""
     splats, cam = scattered_splats(count, 6, logit=logit), turned_camera()
     splats.sh[:] = 0.1  # far from black, where the colour would be clipped

@@ -3,15 +3,16 @@ numbers between host and device."""
 
 from __future__ import annotations
 
-from collections import Counter
+import ast
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
 
+import trainer.step.device
 from codec.camera import Camera
 from tests.support.reference_render import turned_camera
 from trainer.capture.capture import Mask
@@ -275,36 +276,25 @@ def test_a_step_looks_at_no_value_on_the_device() -> None:
         plain.step(steps(1)[0], plain.select(SHOWN, TRAINED))
 
 
-class Operations(TorchDispatchMode):  # type: ignore[no-untyped-call]
-    """Counts the operations of torch."""
-
-    def __init__(self) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]
-        self.counts: Counter[str] = Counter()
-
-    def __torch_dispatch__(
-        self, func: Any, types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
-    ) -> Any:
-        self.counts[func.overloadpacket.__name__] += 1
-        return func(*args, **(kwargs or {}))
+CROSSES = {
+    "item", "tolist", "cpu", "numpy", "to", "cuda", "from_numpy", "tensor", "as_tensor",
+    "pin_memory", "synchronize",
+}  # fmt: skip
+"""Methods that copy values between host and device, or make the host wait."""
 
 
-def test_the_plain_rasteriser_reads_lengths_of_lists_and_nothing_else() -> None:
-    given = training(1)
-    resident = started(True, given)
-    begin(resident)
-    selection = resident.select(SHOWN, TRAINED)
-    for step in steps(CAMERAS * FRAMES):
-        resident.step(step, selection)
-    with Operations() as operations:
-        for step in steps(6):
-            resident.step(replace(step, whole=step.seed % 2 == 0), selection)
-    counts = operations.counts
-    assert counts["index_copy_"] == 6 * 4  # values, two histories, counts of steps
-    # Operations that read a value.
-    assert not {"_local_scalar_dense", "item", "equal", "is_nonzero"} & set(counts)
-    assert 0 < counts["nonzero"] <= 6 * 25
-    assert counts["repeat_interleave"] == 6 * 2
+def test_arrays_cross_in_one_module_alone() -> None:
+    folder = Path(trainer.step.device.__file__).parent
+    found = {
+        (file.stem, node.func.attr)
+        for file in folder.glob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and node.func.attr in CROSSES
+    }
+    assert ("crossing", "cpu") in found
+    assert {stem for stem, _ in found} == {"crossing"}
 
 
 @pytest.mark.parametrize("seed", [0, 5, 2**63 + 11, 2**64 - 1])

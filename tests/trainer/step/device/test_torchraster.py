@@ -20,15 +20,13 @@ from tests.trainer.step.device.test_resident import NUM_GS, begin, steps, traini
 from trainer.pictures.shot import Shot
 from trainer.step.backend import Backend, MemoryNeeds, StepInput
 from trainer.step.cpubackend import CpuBackend
-from trainer.step.device.devicememory import free_bytes, planned
-from trainer.step.device.deviceview import DeviceView
-from trainer.step.device.packedrows import pack
+from trainer.step.device.devicememory import planned
 from trainer.step.device.torchblend import PAIR_BYTES, SLAB, blend
 from trainer.step.device.torchproject import CONIC_A, CONIC_C, DRAWN, OPACITY, RED, X, Y
 from trainer.step.device.torchraster import TorchBackend
 from trainer.step.device.torchtiles import TensorLists
 from trainer.step.loss import Loss
-from trainer.step.raster import Ints, Parameters, View, render
+from trainer.step.raster import Ints, Parameters, View
 
 WEIGHTS = (0.2, 0.01, 0.02)
 NEAR_M = 0.2
@@ -99,17 +97,6 @@ def test_gradients_are_the_cpu_s_on_any_scene(
         # A pixel differs if an alpha rounds to the other side of the visibility threshold.
         assert off.sum() <= max(3, 0.01 * off.size)
         np.testing.assert_allclose(a[off], b[off], atol=0.05 * scale)
-
-
-def test_a_picture_is_the_cpu_s() -> None:
-    values, camera = scene(3_000, 1, 1), turned_camera()
-    rows, view = np.arange(3_000, dtype=np.int32), View.prepare(camera, NEAR_M)
-    expected = render(values, rows, view).picture[:, : camera.height_px, : camera.width_px]
-    backend = TorchBackend(*WEIGHTS, "cpu")
-    there = DeviceView.send(view, backend.crossing)
-    got = backend.loss.render(torch.tensor(pack(values, rows)), there, 3_000).picture.numpy()
-    assert expected.max() > 0.5
-    assert np.abs(got - expected).max() < 1e-4
 
 
 @pytest.mark.parametrize("rows", [[], [0], [0, 1]])
@@ -194,16 +181,6 @@ def test_preset_gpu_fits_a_small_gpu_and_pictures_get_what_is_left() -> None:
     with pytest.raises(InvalidError, match=r"^device cuda:1 has 1\.00 GB free.*--num-gs") as caught:
         planned(GPU, 10**9, 512 << 20, 4 << 30, "device cuda:1")
     assert "\n" not in str(caught.value)
-
-
-def test_the_plan_is_said_before_training() -> None:
-    line = TorchBackend(*WEIGHTS, "cpu").plan(GPU)
-    assert line is not None
-    assert line.startswith("memory: ")
-    assert "that are free on device cpu" in line
-    assert "\n" not in line
-    assert CpuBackend(*WEIGHTS).plan(GPU) is None
-    assert free_bytes(torch.device("cpu")) > 1 << 28
 
 
 @pytest.mark.parametrize(("sh_degree", "times"), [(0, 3), (3, 1)])
