@@ -69,9 +69,7 @@ def shown(reader: StreamReader, lives: Mapping[int, Ints], frame: int, drop: Dro
 
 @pytest.mark.parametrize("whole", [False, True])
 @pytest.mark.parametrize("swin_size", [1, 3])
-def test_the_files_show_what_is_kept_and_nothing_else(
-    whole: bool, swin_size: int, tmp_path: Path
-) -> None:
+def test_the_files_show_what_is_kept_alone(whole: bool, swin_size: int, tmp_path: Path) -> None:
     if whole:
         reader = StreamReader(write_stream(tmp_path / "stream", FRAMES, swin_size=swin_size))
     else:

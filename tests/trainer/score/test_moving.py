@@ -235,9 +235,7 @@ def noise(seed: int) -> Floats:
 
 @settings(max_examples=25)
 @given(st.integers(0, 99), st.tuples(colours, colours, colours))
-def test_a_camera_with_other_colours_costs_nothing(
-    seed: int, cast: tuple[tuple[float, float], ...]
-) -> None:
+def test_a_camera_s_colours_cost_nothing(seed: int, cast: tuple[tuple[float, float], ...]) -> None:
     shown = noise(seed)
     gain_bias = np.array(cast, np.float32)
     truth: Floats = gain_bias[:, 0] * shown + gain_bias[:, 1]

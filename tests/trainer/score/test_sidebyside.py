@@ -32,9 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("index", [0, 2])
-def test_each_picture_has_truth_rendered_and_error(
-    folder: Path, tmp_path: Path, index: int
-) -> None:
+def test_pictures_have_truth_rendered_and_error(folder: Path, tmp_path: Path, index: int) -> None:
     """This holds for any camera, held out or not."""
     reader = StreamReader(folder / "stream")
     camera = reader.manifest.cameras[index]
