@@ -10,6 +10,8 @@ import socket
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import pytest
 
@@ -52,14 +54,6 @@ def test_it_ends_with_whoever_started_it(number: signal.Signals) -> None:
         socket.create_connection(("127.0.0.1", port), timeout=5)
 
 
-def test_ctrl_c_is_for_the_player_alone() -> None:
-    with LinkProcess(LINK, "127.0.0.1", 9) as relay:
-        # A terminal sends the signal to a whole group.
-        assert os.getpgid(relay.pid) != os.getpgrp()
-        assert relay.down_bytes == 0
-        assert relay.began_s is None
-
-
 def test_one_that_dies_is_named_instead_of_what_follows() -> None:
     message = r"the process of the emulated link ended \(signal 9\); play again"
 
@@ -81,12 +75,13 @@ def test_one_that_dies_is_named_instead_of_what_follows() -> None:
 
 
 def test_one_that_cannot_start_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "executable", "/absent/python")
-    with pytest.raises(RelayError, match=r"the emulated link cannot start: .*No such file"):
-        LinkProcess(LINK, "127.0.0.1", 9)
-    monkeypatch.setattr(sys, "executable", "/bin/false")
-    with pytest.raises(RelayError, match=r"the process of the emulated link ended \(exit code 1\)"):
-        LinkProcess(LINK, "127.0.0.1", 9)
+    for program, message in (
+        ("/absent/python", r"the emulated link cannot start: .*No such file"),
+        ("/bin/false", r"the process of the emulated link ended \(exit code 1\)"),
+    ):
+        monkeypatch.setattr(sys, "executable", program)
+        with pytest.raises(RelayError, match=message):
+            LinkProcess(LINK, "127.0.0.1", 9)
 
 
 def test_all_bytes_of_all_connections_pass_and_are_counted() -> None:
@@ -95,6 +90,9 @@ def test_all_bytes_of_all_connections_pass_and_are_counted() -> None:
         LinkProcess(read_link("1G"), "127.0.0.1", server.port) as relay,
         ThreadPoolExecutor(4) as pool,
     ):
+        assert (relay.down_bytes, relay.began_s) == (0, None)
+        # Ctrl-C is for the player alone: a terminal sends the signal to a whole group.
+        assert os.getpgid(relay.pid) != os.getpgrp()
         assert [*pool.map(drain, [relay.address] * 4)] == [150_000] * 4
         assert relay.down_bytes == 600_000
 
@@ -114,14 +112,10 @@ def test_a_player_that_does_not_read_holds_the_server_back() -> None:
 def test_a_server_that_is_away_is_said_in_http() -> None:
     with socket.create_server(("127.0.0.1", 0)) as unused:
         port = unused.getsockname()[1]
-    with LinkProcess(read_link("8M"), "127.0.0.1", port) as relay:
-        with socket.create_connection(relay.address, timeout=BOUND_S) as connection:
-            connection.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
-            answer = b""
-            while piece := connection.recv(65536):
-                answer += piece
-        assert answer.startswith(b"HTTP/1.1 502")
-        assert b"cannot connect" in answer
+    with LinkProcess(LINK, "127.0.0.1", port) as relay, pytest.raises(HTTPError) as answer:
+        urlopen("http://{}:{}/".format(*relay.address), timeout=BOUND_S)
+    assert answer.value.code == 502
+    assert b"cannot connect" in answer.value.read()
 
 
 def test_closing_the_relay_cuts_its_connections() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -58,12 +59,7 @@ def test_a_bad_trace_is_named(tmp_path: Path) -> None:
     trace.write_text("5\n3\n")
     with pytest.raises(InvalidError, match=r"trace .*/trace\.txt: line 2 is 3 ms"):
         read_link(str(trace))
-
-
-def test_no_more_of_a_file_is_read_than_a_trace_may_hold(tmp_path: Path) -> None:
-    trace = tmp_path / "trace.txt"
-    with open(trace, "wb") as file:
-        file.truncate(MAX_TRACE_BYTES + 5)  # a hole, which takes no space
+    os.truncate(trace, MAX_TRACE_BYTES + 5)  # a hole, which takes no space
     with pytest.raises(InvalidError, match="more than 64 MiB"):
         read_link(str(trace))
 

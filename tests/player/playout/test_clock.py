@@ -8,15 +8,7 @@ from hypothesis import strategies as st
 
 from codec.errors import InvalidError
 from player.playout.clock import MAX_RATE, MIN_RATE, Clock
-
-
-class World:
-    """A fake real time."""
-
-    now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
+from tests.player.playout.conducted import World
 
 
 @given(
@@ -50,7 +42,7 @@ def test_it_shows_the_time_that_ran_at_the_rate_that_it_had(
         assert (clock.running, clock.rate) == (running, rate)
 
 
-def test_waiting_is_in_seconds_of_the_world() -> None:
+def test_waiting_is_in_seconds_of_the_world_and_skipping_goes_on_only() -> None:
     world = World()
     clock = Clock(True, world)
     clock.set_rate(0.25)
@@ -63,22 +55,9 @@ def test_waiting_is_in_seconds_of_the_world() -> None:
     assert clock.until_s(99.0) is None
     assert clock.until_s(1.0) == 0
     assert Clock(False, world).until_s(99.0) == 0
-
-
-def test_skipping_goes_on_only() -> None:
-    world = World()
-    clock = Clock(True, world)
-    clock.stop()
-    clock.skip_to(3.0)
-    assert clock.now_s() == 3.0
-    clock.skip_to(1.0)
-    assert clock.now_s() == 3.0
-    clock.start()
-    world.now_s += 1
-    assert clock.now_s() == 4.0
-
-
-@pytest.mark.parametrize("rate", [0.0, -1.0, 0.09, 4.1, float("nan"), float("inf")])
-def test_rates_that_nobody_can_watch_are_refused(rate: float) -> None:
-    with pytest.raises(InvalidError, match="rate"):
-        Clock(True).set_rate(rate)
+    for place_s in (7.0, 5.0):
+        clock.skip_to(place_s)
+        assert clock.now_s() == 7.0
+    for rate in (0.0, -1.0, 0.09, 4.1, float("nan"), float("inf")):
+        with pytest.raises(InvalidError, match="rate"):
+            clock.set_rate(rate)

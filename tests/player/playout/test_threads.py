@@ -20,7 +20,7 @@ from codec.stream.manifest import Manifest
 from player.network.fetch import StoppedError
 from player.playout.clock import Clock
 from player.playout.outputtimes import OutputTimes
-from player.playout.queues import EmptyStreamError, Events, Handoff
+from player.playout.queues import Events, Handoff
 from player.playout.threads import Threads, render_thread
 from player.playout.timeline import DueFrame, FrameRecord, Playout, QueueConfig
 from player.render.cpu import CpuRenderer
@@ -198,34 +198,24 @@ def test_a_slow_stream_stalls() -> None:
     assert [record.late for record in shown] == [False] + [True] * 5
 
 
-@pytest.mark.parametrize("real", [True, False])
-def test_what_breaks_the_stream_rises_where_frames_are_drawn(real: bool) -> None:
-    source = ListSource(4, failure=SwingsError("the network is gone"))
-    with pytest.raises(SwingsError, match="the network is gone"):
-        run(source, NotingRenderer(), events_of(30.0, Clock(real)))
-
-
 def fail_to_draw(frame: int) -> None:
     raise SwingsError("the disk is full")
 
 
 @pytest.mark.parametrize(
-    ("renderer", "message"),
+    ("source", "renderer", "message"),
     [
-        (NotingRenderer(failure=SwingsError("no memory")), "no memory"),
-        (NotingRenderer(draws=fail_to_draw), "the disk is full"),
+        (ListSource(4, SwingsError("no network")), NotingRenderer(), "no network"),
+        (ListSource(40, silent=True), NotingRenderer(SwingsError("no memory")), "no memory"),
+        (ListSource(40, silent=True), NotingRenderer(draws=fail_to_draw), "the disk is full"),
+        (ListSource(0), NotingRenderer(), "ended before its first frame"),
     ],
 )
-def test_what_breaks_the_renderer_rises_and_ends_the_stream(
-    renderer: NotingRenderer, message: str
+def test_what_breaks_rises_where_frames_are_drawn_and_ends_the_stream(
+    source: ListSource, renderer: NotingRenderer, message: str
 ) -> None:
     with pytest.raises(SwingsError, match=message):
-        run(ListSource(40, silent=True), renderer, events_of(30.0, Clock(False)))
-
-
-def test_a_stream_that_ends_before_its_first_frame_is_an_error() -> None:
-    with pytest.raises(EmptyStreamError):
-        run(ListSource(0), NotingRenderer(), events_of(30.0, Clock(False)))
+        run(source, renderer, events_of(30.0, Clock(real=False)))
 
 
 def test_a_window_sees_errors_too_and_takes_all_frames_at_once() -> None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from codec.stream.manifest import Manifest, Part
+from codec.stream.manifest import Part
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.source.source import Packets, SlicePackets, SnapshotPackets
 from server.abr.playout import PlayoutConfig
@@ -23,10 +24,6 @@ AT_ONCE = PlayoutConfig(start_lead_s=0, resume_lead_s=0)
 
 def blame(error: Exception, part: Part) -> Exception:
     raise AssertionError("nothing is decoded here")
-
-
-def manifest_of(segment_frames: int, fps: float) -> Manifest:
-    return small_manifest(4, 0, fps, segment_frames=segment_frames)
 
 
 def packets(birth: int, first: int = 0, end: int = 1, size: int = 100) -> SlicePackets:
@@ -46,10 +43,9 @@ def sent(first: int, segment_frames: int) -> Iterator[Packets]:
         yield packets(birth)
 
 
-def playout_of(
-    segment_frames: int, fps: float, first: int = 0, queue: QueueConfig | None = None
-) -> Playout:
-    return Playout(manifest_of(segment_frames, fps), first, None, queue, AT_ONCE)
+def playout_of(segment_frames: int, fps: float, first: int = 0, **more: Any) -> Playout:
+    manifest = small_manifest(4, 0, fps, segment_frames=segment_frames)
+    return Playout(manifest, first, **{"config": AT_ONCE, **more})
 
 
 def played(
@@ -106,7 +102,7 @@ def test_startup_play_and_stalls_add_up_to_the_time_that_passed(
 def test_the_queue_is_bounded_and_never_stuck(
     segment_frames: int, max_frames: int, pushes: list[bool]
 ) -> None:
-    playout = playout_of(segment_frames, 30, 5, QueueConfig(max_frames=max_frames))
+    playout = playout_of(segment_frames, 30, 5, queue=QueueConfig(max_frames=max_frames))
     coming = sent(5, segment_frames)
     for push in pushes:
         if push and playout.has_room:
@@ -131,7 +127,7 @@ def test_a_full_queue_refuses_and_counts_bytes() -> None:
 
 
 def test_what_the_next_frame_needs_fits_whatever_the_bounds() -> None:
-    playout = playout_of(10, 30, 5, QueueConfig(max_frames=1, max_bytes=1))
+    playout = playout_of(10, 30, 5, queue=QueueConfig(max_frames=1, max_bytes=1))
     needed = [*itertools.islice(sent(5, 10), 6)]
     for one in needed:
         assert playout.pop_due() is None
@@ -168,7 +164,7 @@ def test_frames_come_only_when_they_are_due() -> None:
 
 
 def test_layers_that_are_needed_are_waited_for() -> None:
-    playout = Playout(manifest_of(1, 10), 0, None, None, AT_ONCE, needed=2)
+    playout = playout_of(1, 10, needed=2)
     playout.push(snapshots(0), 1.0)
     assert playout.next_shown_s is None
     playout.push(snapshots(0, 1, 2), 1.5)
@@ -177,28 +173,22 @@ def test_layers_that_are_needed_are_waited_for() -> None:
 
 def test_play_begins_with_what_there_is_when_no_more_comes() -> None:
     config = PlayoutConfig(start_lead_s=0.3)
-    short = Playout(manifest_of(1, 10), 0, None, None, config)
+    short = playout_of(1, 10, config=config)
     short.push(snapshots(0), 1.0)
     assert short.next_shown_s is None
     short.finish(1.4)
     assert short.next_shown_s == 1.4
-    known = Playout(manifest_of(1, 10), 0, 1, None, config)
+    known = playout_of(1, 10, until_frame=1, config=config)
     known.push(snapshots(0), 1.0)
     assert known.next_shown_s == 1.0
 
 
-def conceals(conceal_s: float) -> Playout:
-    config = PlayoutConfig(start_lead_s=0, resume_lead_s=0, conceal_s=conceal_s)
-    playout = Playout(manifest_of(1, 10), 0, None, None, config)
+def test_what_comes_soon_after_it_was_due_puts_nothing_off() -> None:
+    config = PlayoutConfig(start_lead_s=0, resume_lead_s=0, conceal_s=0.25)
+    playout = playout_of(1, 10, config=config)
     for one in itertools.islice(sent(0, 1), 3):
         playout.push(one, 1.0)
-    for _ in range(3):
         assert playout.pop_due() is not None
-    return playout
-
-
-def test_what_comes_soon_after_it_was_due_puts_nothing_off() -> None:
-    playout = conceals(0.25)
     assert playout.next_shown_s is None
     playout.push(packets(3), 1.45)  # due at 1.3
     playout.push(packets(4), 1.45)  # due at 1.4
@@ -212,22 +202,12 @@ def test_what_comes_soon_after_it_was_due_puts_nothing_off() -> None:
     assert (totals.stalls, totals.stalled_s, totals.concealed, totals.late_packets) == (0, 0, 2, 0)
 
 
-def test_what_comes_later_is_a_stall_and_nothing_is_left_out() -> None:
-    playout = conceals(0.25)
-    playout.push(packets(3), 1.6)  # due at 1.3
-    playout.push(packets(4), 1.6)
-    shown_s = [due.record.shown_s for due in iter(playout.pop_due, None)]
-    assert shown_s == pytest.approx([1.6, 1.7])
-    assert (playout.totals.stalls, playout.totals.concealed) == (1, 0)
-    assert playout.totals.stalled_s == pytest.approx(0.3)
-
-
 @given(gaps_s, lengths, rates, st.floats(0, 1))
 def test_concealed_or_not_every_frame_comes_once_and_its_slices_with_it(
     gaps_s: list[float], segment_frames: int, fps: float, conceal_s: float
 ) -> None:
     config = PlayoutConfig(start_lead_s=0, resume_lead_s=0, conceal_s=conceal_s)
-    playout = Playout(manifest_of(segment_frames, fps), 0, None, None, config)
+    playout = playout_of(segment_frames, fps, config=config)
     births, records = [], []
     coming = zip(itertools.accumulate(gaps_s), sent(0, segment_frames), strict=False)
     for arrival_s, one in coming:
@@ -241,17 +221,6 @@ def test_concealed_or_not_every_frame_comes_once_and_its_slices_with_it(
     assert [record.frame for record in records] == list(range(len(records)))
     assert playout.totals.concealed == sum(record.concealed for record in records)
     assert not any(record.concealed and record.late for record in records)
-
-
-def test_a_play_that_follows_another_shows_when_that_is_over() -> None:
-    playout = Playout(manifest_of(1, 10), 0, 5, None, AT_ONCE, not_before_s=4.0, play=7)
-    for one in itertools.islice(sent(0, 1), 5):
-        playout.push(one, 1.0)
-    records = [due.record for due in iter(playout.pop_due, None)]
-    assert [one.shown_s for one in records] == pytest.approx([4.0, 4.1, 4.2, 4.3, 4.4])
-    assert {one.play for one in records} == {7}
-    assert playout.end_s == pytest.approx(4.5)
-    assert playout.totals.stalls == 0
 
 
 def test_a_layer_shows_while_its_chain_is_whole_and_again_once_it_is_mended() -> None:

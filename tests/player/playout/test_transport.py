@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from player.playout.transport import RATES, Transport, next_rate
+from player.playout.transport import Transport, next_rate
 
 frames = st.integers(-(10**9), 10**9)
 
@@ -40,34 +40,22 @@ def test_a_live_stream_ends_where_it_has_come_to() -> None:
     assert transport.newest == 0
 
 
-def test_the_end_is_the_last_frame() -> None:
-    transport = Transport(5, 10, 30.0)
-    assert not transport.at_end
+def test_the_end_is_the_last_frame_and_a_loop_ends_when_it_is_asked_to() -> None:
+    transport = Transport(5, 10, 30.0, plays_left=2)
     assert transport.newest == 9
-    transport.shown = 8
-    assert not transport.at_end
-    transport.shown = 9
-    assert transport.at_end
-
-
-def test_a_loop_ends_when_it_is_asked_to() -> None:
-    transport = Transport(0, 10, 30.0, plays_left=2)
+    for shown, at_end in ((None, False), (8, False), (9, True)):
+        transport.shown = shown or transport.shown
+        assert transport.at_end == at_end
     assert transport.loops
     transport.plays_left -= 1
     assert not transport.loops
     assert transport.toggle_loop()
     assert transport.plays_left == math.inf
     assert not transport.toggle_loop()
+    with pytest.raises(InvalidError, match="5:5"):
+        Transport(5, 5, 30.0)
 
 
 def test_rates_go_up_and_down_a_ladder() -> None:
-    assert next_rate(1.0, 1) == 1.5
-    assert next_rate(1.0, -2) == 0.25
-    assert next_rate(4.0, 1) == 4.0
-    assert next_rate(0.3, 0) == 0.25
-    assert RATES[0] == 0.1
-
-
-def test_no_frames_cannot_be_played() -> None:
-    with pytest.raises(InvalidError, match="5:5"):
-        Transport(5, 5, 30.0)
+    found = [next_rate(*step) for step in ((1.0, 1), (1.0, -2), (4.0, 1), (0.3, 0), (0.1, -1))]
+    assert found == [1.5, 0.25, 4.0, 0.25, 0.1]
