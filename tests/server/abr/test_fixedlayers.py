@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from codec.errors import InvalidError
 from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
 from server.abr.fixedlayers import FixedLayers
 from server.abr.link.link import Link, LinkStep
@@ -57,8 +55,3 @@ def test_layers_that_the_server_takes_come_back_at_a_segment() -> None:
     assert [(birth, layers[birth]) for birth in changes] == [(1, 3), (10, 2), (61, 3)]
     # The slice of the frame is sent before the snapshot.
     assert sent[sent.index(SendSnapshots(60, 2, 3)) - 1].births.stop == 61  # type: ignore[union-attr]
-
-
-def test_there_is_at_least_one_layer() -> None:
-    with pytest.raises(InvalidError, match="layers is 0"):
-        FixedLayers(0)

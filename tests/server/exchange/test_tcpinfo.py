@@ -95,11 +95,6 @@ def test_a_socket_that_is_closed_holds_nothing() -> None:
     assert unacked_bytes(sock) == unacked_bytes(sock, "darwin") == 0
 
 
-def test_what_is_not_tcp_has_no_figures() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        assert read_tcp_info(sock) is None
-
-
 class MacSocket:
     """Answers the only query like macOS."""
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from codec.errors import InvalidError
 from server.abr.link.link import Link, LinkStep
-from server.study.cases import LOAD_WINDOW, at_load, make_cases
+from server.study.cases import LOAD_WINDOW, at_load
 from server.study.looped import LoopedMedia
 from server.study.simulate.generate import GeneratorConfig, generate
 from server.study.tracefolder import Trace, chosen_names, generated_traces, read_traces
@@ -114,17 +114,6 @@ def test_a_load_is_the_mean_over_what_is_needed(rates: list[float], load: float)
 def test_what_lies_behind_the_play_does_not_count() -> None:
     trace = Trace("t", link_of((15, 4e6), (100, 1e9)))
     assert at_load(trace, 1.0, MEDIA).link.at(0).rate_bps == pytest.approx(MEDIA.need_bps)
-
-
-def test_cases_are_all_traces_at_each_load() -> None:
-    traces = [Trace(name, link_of((9, 1e6))) for name in "ab"]
-    cases = make_cases(traces, [2.0, 0.5], MEDIA)
-    assert [(case.trace, case.load) for case in cases] == [
-        ("a", 2.0),
-        ("b", 2.0),
-        ("a", 0.5),
-        ("b", 0.5),
-    ]
 
 
 def test_a_silent_trace_and_a_load_out_of_reach_are_refused() -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import aiohttp
 import numpy as np
+from yarl import URL
 
 from codec.camera import Camera
 from codec.lattice.lattice import Lattice
@@ -214,6 +217,31 @@ async def served(
     """A server for `root`, and a client of it."""
     async with running(root, config) as server, aiohttp.ClientSession(server.url) as client:
         yield server, client
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A whole response."""
+
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+    @property
+    def text(self) -> str:
+        return self.body.decode()
+
+    def json(self) -> Any:
+        return json.loads(self.body)
+
+
+async def fetch(
+    client: aiohttp.ClientSession, url: str | URL, method: str = "GET", **fields: str
+) -> Answer:
+    """The response to a request. fields: its headers, with _ for -."""
+    headers = {name.replace("_", "-"): value for name, value in fields.items()}
+    async with client.request(method, url, headers=headers) as response:
+        return Answer(response.status, response.headers, await response.read())
 
 
 Check = Callable[[Running, aiohttp.ClientSession], Awaitable[None]]

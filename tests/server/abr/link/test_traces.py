@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from itertools import accumulate
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
@@ -54,13 +54,6 @@ def test_each_line_lets_1504_bytes_pass(
         assert link.capacity_bytes(0, end_s - 1e-9) == pytest.approx(lines * 1504, rel=1e-5)
 
 
-@given(times_ms)
-def test_no_step_is_longer_than_100_ms_but_in_silence(times_ms: list[int]) -> None:
-    link = parse_trace(text_of(times_ms), "t")
-    assert all(step.duration_s <= 0.1 or step.rate_bps == 0 for step in link.steps)
-    assert len(link.steps) <= 2 * len(times_ms)
-
-
 def test_a_trace_of_mahimahi() -> None:
     # 12 Mbit/s, as in its manual, for a quarter of a second; nothing for a second; one packet.
     link = parse_trace(text_of([*range(1, 251), 1250]), "t", 0.03)
@@ -100,24 +93,18 @@ STEP = b'[{"duration_ms": %b, "bandwidth_kbps": %b, "latency_ms": %b}]'
     ("data", "message"),
     [
         (b"", "the file is not JSON nor lines of milliseconds"),
-        (b"hello", "the file is not JSON nor lines of milliseconds"),
         (b"[", "the file is not JSON nor lines of milliseconds"),
         (b"[" * 100_000, "the file is not JSON"),
         (b"\xff\xfe\x00", "the file is not JSON"),
         (b"[" + b"1" * 5000 + b"]", "the file is not JSON"),
         (b"-5\n", "the file is not a list of steps"),
         (b"{}", "the file is not a list of steps"),
-        (b"[]", "the file is not a list of steps"),
         (b"[5]", "step 0 must have the numbers duration_ms, bandwidth_kbps, latency_ms"),
         (b'[{"duration_ms": 5}]', "step 0 must have"),
-        (STEP % (b'"5"', b"5", b"5"), "step 0 must have"),
         (STEP % (b"true", b"5", b"5"), "step 0 must have"),
         (STEP % (b"0", b"5", b"5"), "link: step 0 is"),
         (STEP % (b"5", b"NaN", b"5"), "link: step 0 is"),
-        (STEP % (b"5", b"5", b"-5"), "link: step 0 is"),
         (STEP % (b"5", b"1" * 400, b"5"), "step 0: bandwidth_kbps is too large"),
-        (STEP % (b"5", b"0", b"5"), "every rate is 0"),
-        (STEP % (b"1e300", b"1e300", b"5"), "too large"),
         (b"0\n0\n", "the last line is 0 ms"),
         (b"5\n3\n", "line 2 is 3 ms, after 5 ms"),
         (b"5\n\n7\n", "line 2 is '', not a whole number"),
@@ -148,29 +135,6 @@ def answers(link: Link) -> None:
 def survives(data: bytes) -> None:
     with contextlib.suppress(InvalidError):
         answers(parse_trace(data, "t"))
-
-
-json_values = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
-    lambda inner: (
-        st.lists(inner)
-        | st.dictionaries(st.sampled_from(["duration_ms", "bandwidth_kbps", "latency_ms"]), inner)
-    ),
-)
-
-
-beginnings = st.sampled_from([b"", b"1", b"12\n", b"[", b"[{", STEP % (b"5", b"5", b"5")])
-pieces = st.sampled_from([b"0", b"1", b"42", b"\n", b" ", b"9", b"\r", b"[", b"-", b"."])
-
-
-@given(
-    st.builds(bytes.__add__, beginnings, st.binary())
-    | st.lists(pieces).map(b"".join)
-    | json_values.map(lambda value: json.dumps(value).encode())
-)
-@settings(max_examples=300)
-def test_any_bytes_lines_or_json_give_a_link_or_an_error(data: bytes) -> None:
-    survives(data)
 
 
 def test_altered_traces_give_a_link_or_an_error() -> None:

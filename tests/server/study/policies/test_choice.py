@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from codec.errors import InvalidError
 from server.abr.decisioncontext import DecisionContext, Policy, Send, SendSlices, SendSnapshots
 from server.abr.fixedlayers import FixedLayers
 from server.abr.link.link import Link, LinkStep
 from server.abr.session import SessionConfig
+from server.study.policies.bola import BolaConfig
 from server.study.policies.choice import POLICIES
+from server.study.policies.dynamic import DynamicConfig
+from server.study.policies.inorder import InOrder
+from server.study.policies.robustmpc import RobustMpcConfig, RobustMpcRule
+from server.study.policies.situation import Rule
+from server.study.policies.taildrop import TailDropConfig, TailDropRule
+from server.study.policies.throughput import ThroughputRule
 from server.study.simulate.simulator import play_out, simulate
 from tests.server.study.policies.made_media import medias
+from tests.server.study.policies.situations import situation
 from tests.support.delivery.media import MadeMedia
 
 AT_MOST_S = 300.0
@@ -101,3 +111,26 @@ def test_a_link_below_layer_0_gets_layer_0(name: str, media: MadeMedia) -> None:
     link = Link([LinkStep(1.0, 0.8 * least_bps, 0.02)])
     result = simulate(media, POLICIES[name](media), link)
     assert {a.what.end_layer for a in result.arrivals} == {1}
+
+
+@pytest.mark.parametrize("rule", [RobustMpcRule(), TailDropRule(), ThroughputRule()])
+def test_before_anything_is_measured_there_is_one_layer(rule: Rule) -> None:
+    assert rule.choose_layers(situation(rate_bps=1e9, measured=False)) == 1
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: BolaConfig(low_lead=0.5, high_lead=0.5), "give them rising"),
+        (lambda: BolaConfig(most_wait=0), "most_wait 0"),
+        (lambda: DynamicConfig(to_bola=0.2, to_throughput=0.3), "to_throughput"),
+        (lambda: FixedLayers(0), "layers is 0"),
+        (lambda: InOrder(ThroughputRule(), 0.0), "group_s is 0"),
+        (lambda: RobustMpcConfig(horizon=0), "horizon is 0"),
+        (lambda: TailDropConfig(share=0), "share is 0"),
+        (lambda: ThroughputRule(safety=0), "safety is 0"),
+    ],
+)
+def test_numbers_that_make_no_policy_are_refused(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(InvalidError, match=message):
+        make()

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import pytest
-
-from codec.errors import InvalidError
-from server.study.policies.dynamic import DynamicConfig, DynamicRule
+from server.study.policies.dynamic import DynamicRule
 from server.study.policies.situation import Situation
 from tests.server.study.policies.situations import situation
 
@@ -53,8 +50,3 @@ def test_bola_does_not_take_over_with_fewer_layers() -> None:
     assert not both.follows_bola(0.9, throughput=3, bola=2)
     assert both.follows_bola(0.9, throughput=2, bola=3)
     assert both.follows_bola(0.9, throughput=3, bola=2)
-
-
-def test_its_shares_rise() -> None:
-    with pytest.raises(InvalidError, match="to_throughput"):
-        DynamicConfig(to_bola=0.2, to_throughput=0.3)

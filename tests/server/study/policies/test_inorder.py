@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.errors import InvalidError
 from server.abr.decisioncontext import SendSlices, SendSnapshots
 from server.abr.link.link import Link, LinkStep
 from server.study.policies.inorder import InOrder, group_end
@@ -122,11 +121,6 @@ def test_a_live_stream_has_as_much_lead_as_there_is() -> None:
     rule = Whims([1])
     simulate(media, InOrder(rule), FAST, at_most_s=5.0)
     assert {round(s.max_lead_s, 3) for s in rule.asked[:2]} == {1.5}
-
-
-def test_its_numbers_are_checked() -> None:
-    with pytest.raises(InvalidError, match="group_s is 0"):
-        InOrder(Whims([1]), 0.0)
 
 
 def test_segments_are_cut_into_groups_of_about_the_same_length() -> None:

@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.errors import InvalidError
 from server.study.policies.robustmpc import RobustMpcConfig, RobustMpcRule, best_plan
 from server.study.policies.situation import Situation
 from server.study.simulate.qoe import QoeConfig
@@ -85,12 +84,3 @@ def test_errors_of_late_make_it_careful() -> None:
     # The error is forgotten after three more.
     planned = predictions([1e6, 1e6, 0.5e6] + [0.5e6] * 6)
     assert planned[-1] == pytest.approx(0.5e6)
-
-
-def test_before_anything_is_measured_there_is_one_layer() -> None:
-    assert RobustMpcRule().choose_layers(situation(rate_bps=1e9, measured=False)) == 1
-
-
-def test_its_numbers_are_checked() -> None:
-    with pytest.raises(InvalidError, match="horizon is 0"):
-        RobustMpcConfig(horizon=0)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from codec.errors import InvalidError
 from server.study.policies.situation import Situation
 from server.study.policies.throughput import ThroughputRule
 from tests.server.study.policies.situations import group, situation, situations
@@ -45,12 +43,3 @@ def test_to_rise_is_paid_over_some_time() -> None:
     assert chosen(279e3, held=1) == 1
     assert chosen(281e3, held=1) == 2
     assert chosen(241e3, held=2) == 2
-
-
-def test_before_anything_is_measured_there_is_one_layer() -> None:
-    assert ThroughputRule().choose_layers(situation(rate_bps=1e9, measured=False)) == 1
-
-
-def test_its_numbers_are_positive() -> None:
-    with pytest.raises(InvalidError, match="safety is 0"):
-        ThroughputRule(safety=0)
