@@ -80,7 +80,7 @@ def test_the_commands_of_the_manual_write_the_bytes_of_folders(
     assert f"{train[2]} is not empty" in again.stderr
 
 
-def test_killed_and_resumed_it_writes_the_same_bytes(
+def test_killed_it_resumes_to_the_same(
     server: S3Server, whole: dict[str, bytes], tmp_path: Path
 ) -> None:
     url, work = f"s3://{BUCKET}/killed/show", tmp_path / "work"
@@ -111,39 +111,23 @@ def test_a_store_that_goes_in_the_middle_is_an_error_and_resume_goes_on(
     assert server.files("gone/show") == whole
 
 
-def test_a_capture_that_is_not_there_is_named(server: S3Server, tmp_path: Path) -> None:
-    for url in (f"s3://{BUCKET}/nothing", "s3://no-such-bucket/x"):
-        with pytest.raises(SwingsError, match=url):
-            train_here(url, tmp_path / "s")
-    assert not (tmp_path / "s").exists()
-
-
-STORED_FRAMES = 12
-URL = f"s3://{BUCKET}/deep/capture"
-KEY = "deep/capture"
-
-
 @pytest.mark.parametrize("layout", ["dynerf", "dynamic3dgs"])
-def test_pictures_are_those_of_the_folder_in_any_order(
-    server: S3Server, tmp_path: Path, layout: str
-) -> None:
+def test_pictures_are_those_of_a_folder(server: S3Server, tmp_path: Path, layout: str) -> None:
     write = write_dynerf if layout == "dynerf" else write_dynamic3dgs
-    write(tmp_path / "capture", 4, STORED_FRAMES)
+    write(tmp_path / "capture", 4, 12)
     server.upload(tmp_path / "capture", f"{layout}/capture")
     # The object that consoles create for a folder.
     server.put(f"{layout}/capture/ims/", b"")
-    here, there = (
-        open_capture(tmp_path / "capture"),
-        open_capture(f"s3://{BUCKET}/{layout}/capture/"),
-    )
+    here = open_capture(tmp_path / "capture")
+    there = open_capture(f"s3://{BUCKET}/{layout}/capture/")
     assert there.layout == here.layout == layout
     assert there.root.name == "capture"
-    assert there.num_frames == here.num_frames == STORED_FRAMES
+    assert there.num_frames == here.num_frames == 12
     assert [c.held_out for c in there.cameras] == [c.held_out for c in here.cameras]
     rng = random.Random(0)
     for camera in range(4):
         ours, theirs = here.open_images(camera), there.open_images(camera)
-        for frame in [0, 1, 2, *rng.sample(range(STORED_FRAMES), 4), STORED_FRAMES - 1, 0]:
+        for frame in [0, 1, 2, *rng.sample(range(12), 4), 12 - 1, 0]:
             assert np.array_equal(ours.read(frame), theirs.read(frame))
         theirs.close()
     on_disk = sum(path.stat().st_size for path in there.root.rglob("*") if path.is_file())
@@ -153,34 +137,39 @@ def test_pictures_are_those_of_the_folder_in_any_order(
     assert not there.root.parent.exists()
 
 
-def test_what_is_wrong_is_told_by_its_url(
+def test_errors_name_the_url(
     server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(objectstore, "PATIENT", objectstore.BRIEF)
+    for url in (f"s3://{BUCKET}/nothing", "s3://no-such-bucket/x"):
+        with pytest.raises(SwingsError, match=url):
+            train_here(url, tmp_path / "s")
+    assert not (tmp_path / "s").exists()
+    url = f"s3://{BUCKET}/wrong"
     write_dynamic3dgs(tmp_path / "pictures", 4, 3)
     write_dynerf(tmp_path / "videos", 3, 3)
-    server.upload(tmp_path / "pictures", f"{KEY}/pictures")
-    server.upload(tmp_path / "videos", f"{KEY}/videos")
-    pictures, videos = open_capture(f"{URL}/pictures"), open_capture(f"{URL}/videos")
-    server.put(f"{KEY}/pictures/ims/0/000001.png", b"not a picture")
-    with pytest.raises(CaptureError, match=rf"^{URL}/pictures/ims/0/000001\.png: not a picture"):
-        pictures.open_images(0).read(1)
-    server.delete(f"{KEY}/pictures/ims/0/000002.png")
-    with pytest.raises(CaptureError, match=rf"^{URL}/pictures/ims/0/000002\.png is missing"):
-        pictures.open_images(0).read(2)
-    with pytest.raises(CaptureError, match=rf"^{URL}/pictures/ims/0/000002\.png: is missing"):
-        open_capture(f"{URL}/pictures")
-    server.put(f"{KEY}/videos/cam00.mp4", b"short")
-    with pytest.raises(CaptureError, match=rf"^{URL}/videos/cam00\.mp4 "):
-        videos.open_images(0).read(0)
+    server.upload(tmp_path / "pictures", "wrong/pictures")
+    server.upload(tmp_path / "videos", "wrong/videos")
+    pictures, videos = open_capture(f"{url}/pictures"), open_capture(f"{url}/videos")
+    server.put("wrong/pictures/ims/0/000001.png", b"not a picture")
+    server.delete("wrong/pictures/ims/0/000002.png")
+    server.put("wrong/videos/cam00.mp4", b"short")
+    for ask, told in (
+        (lambda: pictures.open_images(0).read(1), r"pictures/ims/0/000001\.png: not a picture"),
+        (lambda: pictures.open_images(0).read(2), r"pictures/ims/0/000002\.png is missing"),
+        (lambda: open_capture(f"{url}/pictures"), r"pictures/ims/0/000002\.png: is missing"),
+        (lambda: videos.open_images(0).read(0), r"videos/cam00\.mp4 "),
+    ):
+        with pytest.raises(CaptureError, match=f"^{url}/{told}"):
+            ask()
     server.stop()
     try:
         for source in (pictures.open_images(0), videos.open_images(1)):
-            with pytest.raises(CaptureError, match=rf"^{URL}/.* cannot be read: ") as caught:
+            with pytest.raises(CaptureError, match=rf"^{url}/.* cannot be read: ") as caught:
                 source.read(0)
             assert "\n" not in str(caught.value)
-        with pytest.raises(CaptureError, match=rf"^{URL}/.* cannot be read: "):
-            open_capture(f"{URL}/pictures")
+        with pytest.raises(CaptureError, match=rf"^{url}/.* cannot be read: "):
+            open_capture(f"{url}/pictures")
     finally:
         server.start()
 
