@@ -1,12 +1,11 @@
-"""Small handmade .4dgs and .splat4d files; tests can change every part of them."""
+"""Small handmade .4dgs and .splat4d files; test_fuzz.py changes every part of them."""
 
 from __future__ import annotations
 
 import json
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -65,14 +64,15 @@ def record(kind: int, content: bytes) -> bytes:
     return struct.pack("<BQ", kind, len(content)) + content
 
 
-def header(model: str = "keyframe-delta", cutoff: float = 0.05, sh_degree: int = 0) -> bytes:
-    fields = struct.pack("<dQd", 1.0, 2, cutoff) + text(model)
+def header(sh_degree: int = 0) -> bytes:
+    fields = struct.pack("<dQd", 1.0, 2, 0.05) + text("keyframe-delta")
     tail = struct.pack("<6dBB", *[0.0] * 6, sh_degree, 0) + text("")
     return record(1, text("") + text("") + fields + tail)
 
 
-def grids(steps: Sequence[float] = STEPS, scheme: str = "uniform-v1") -> bytes:
-    return record(3, text(scheme) + struct.pack("<11dB", 1.0, 2.0, 3.0, *steps, 1) + text(""))
+def grids() -> bytes:
+    steps = struct.pack("<11dB", 1.0, 2.0, 3.0, *STEPS, 1)
+    return record(3, text("uniform-v1") + steps + text(""))
 
 
 def windows(*spans: tuple[float, float]) -> bytes:
@@ -105,19 +105,6 @@ def fourdgs(*records: bytes) -> bytes:
     return MAGIC + b"".join(records) + record(2, bytes(20)) + MAGIC
 
 
-PARTS = {
-    "masks": [[0b10100000]] * 5,
-    "positions": [[10, -20, 30], [11, -20, 30], [12, -20, 30]],
-    "sizes": [[-30, -40, -50]] * 3,
-    "colours": [[255, 0, 128]] * 3,
-    "opacities": [[255], [100], [200]],
-    "rotations": [[255, 128, 128, 128]] * 3,
-}
-"""Three Gaussians; every part of the middle one changes."""
-KEYS = {0: [[6, 0, 0]], 1: [[100, 10, 0, 0]], 2: [[50, 60, 70]], 3: [[0]], 4: [[-9, -9, -9]]}
-DIFFERENCES = {kind: np.ones((2, 1, len(key[0])), int) for kind, key in KEYS.items()}
-
-
 def splat4d_stream(kind: int, role: int, numbers: Numbers, width: int = 2) -> tuple[bytes, bytes]:
     """The head and the payload of a stream."""
     flat = np.asarray(numbers).ravel()
@@ -125,30 +112,29 @@ def splat4d_stream(kind: int, role: int, numbers: Numbers, width: int = 2) -> tu
     return struct.pack("<BBBII", kind, role, width, flat.size, len(body)), body
 
 
-def splat4d(json_changes: Mapping[str, Any] = {}, **changes: Any) -> bytes:
-    """A .splat4d of three frames with PARTS, some replaced by `changes`."""
-    parts: dict[str, Any] = PARTS | {"keys": KEYS, "differences": DIFFERENCES} | changes
-    static = b"".join(b"".join(splat4d_stream(9, 2, mask, 1)) for mask in parts["masks"])
-    for name in ("positions", "sizes"):
-        steps = zigzag(np.diff(np.asarray(parts[name]), axis=0, prepend=0))
-        static += b"".join(splat4d_stream(9, 2, steps))
-    for name in ("colours", "opacities", "rotations"):
-        static += b"".join(splat4d_stream(9, 2, parts[name], 1))
-    streams = [splat4d_stream(k, 0, zigzag(key)) for k, key in parts["keys"].items()]
-    streams += [splat4d_stream(k, 1, zigzag(d), 1) for k, d in parts["differences"].items()]
+def splat4d() -> bytes:
+    """A .splat4d of three frames with three Gaussians; everything of the middle one changes."""
+    static = b"".join(splat4d_stream(9, 2, [0b10100000], 1)) * 5
+    for name in ([10, -20, 30, 1, 0, 0, 1, 0, 0], [-30, -40, -50, *[0] * 6]):
+        static += b"".join(splat4d_stream(9, 2, zigzag(name)))
+    for values in ([255, 0, 128] * 3, [255, 100, 200], [255, 128, 128, 128] * 3):
+        static += b"".join(splat4d_stream(9, 2, values, 1))
+    keys = ([6, 0, 0], [100, 10, 0, 0], [50, 60, 70], [0], [-9, -9, -9])
+    streams = [splat4d_stream(kind, 0, zigzag(key)) for kind, key in enumerate(keys)]
+    for kind, key in enumerate(keys):
+        streams.append(splat4d_stream(kind, 1, zigzag([1] * (2 * len(key))), 1))
     chunk = struct.pack("<H", len(streams)) + b"".join(
         b"".join(s) for s in zip(*streams, strict=True)
     )
-    fields: dict[str, Any] = {
+    room = 1000
+    fields = {
         **{"n": 3, "t": 3, "fps": 20.0, "gop": 30},
         "steps": {
             **{"pos": 0.5, "rot": 1, "rgb": 1, "alpha": 1, "scale_log": 0.2},
             **{"base_pos": 0.25, "base_scale_log": 0.1},
         },
+        "static_section": {"offset": room, "len": len(static)},
+        "gops": [{"offset": room + len(static), "len": len(chunk), "f0": 0, "f1": 2}],
     }
-    room = 1000
-    fields["static_section"] = {"offset": room, "len": len(static)}
-    fields["gops"] = [{"offset": room + len(static), "len": len(chunk), "f0": 0, "f1": 2}]
-    said = json.dumps(fields | dict(json_changes or {})).encode()
-    said += b" " * (room - 12 - len(said))
+    said = json.dumps(fields).encode().ljust(room - 12)
     return b"SP4D" + struct.pack("<HHI", 1, 0, room - 12) + said + static + chunk

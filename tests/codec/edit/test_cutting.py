@@ -106,17 +106,6 @@ def test_parts_joined(cuts: tuple[int, ...], swin_size: int, period: int, tmp_pa
     assert_same_frames(source, tmp_path / "t")
 
 
-@pytest.mark.parametrize("swin_size", [1, 5])
-def test_what_was_cut_costs_no_more_once_joined(swin_size: int, tmp_path: Path) -> None:
-    source = write_trained_like(tmp_path / "s", swin_size)
-    parts = tmp_path / "a", tmp_path / "b"
-    trim_stream(source, parts[0], FrameRange(0, SEGMENT_FRAMES))
-    trim_stream(source, parts[1], FrameRange(SEGMENT_FRAMES))
-    join(parts, tmp_path / "t")
-    assert objects_bytes(tmp_path / "t") <= objects_bytes(source) * 1.01
-    assert_same_frames(source, tmp_path / "t")
-
-
 @pytest.mark.parametrize("lengths", [(8, 14, 9), (7, 9, 12), (2, 3, 4), (4, 12, 4)])
 @pytest.mark.parametrize("swin_size", [1, 3])
 def test_other_streams_follow(swin_size: int, lengths: tuple[int, ...], tmp_path: Path) -> None:

@@ -16,14 +16,13 @@ from codec.edit.recolour import ColourOptions
 from codec.edit.rewrite import coder_of_stream
 from codec.edit.transform import Transform, TransformOptions
 from codec.errors import SwingsError
-from codec.lattice.lattice import COLOURS, dequantise
-from codec.pose import Doubles
+from codec.pose import Doubles, rotation_about
 from codec.similarity import harmonics
 from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
 from player.render.cpu import render_splats
-from tests.support.alike import axis_turns, shapes
+from tests.support.alike import shapes
 from tests.support.hostile import refused
 from tests.support.slots.edited import (
     edited_frames,
@@ -34,8 +33,8 @@ from tests.support.slots.edited import (
     write_still,
     write_trained_like,
 )
-from tests.support.slots.slot_streams import slot_manifest, write_busy_stream, write_slot_stream
-from tests.support.slots.updates import patternless_states, small_layout
+from tests.support.slots.slot_streams import write_busy_stream, write_slot_stream
+from tests.support.slots.updates import small_layout
 
 OBLIQUE = TransformOptions(1.3, (10, 20, 30), (0.5, -0.25, 1.0), (0, 1, 0))
 
@@ -125,10 +124,12 @@ def test_scaling_alone_copies_all_objects(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.log_scales, first.log_scales + np.log(3), atol=1e-5)
 
 
-def test_four_quarter_turns_bring_everything_back(tmp_path: Path) -> None:
+@pytest.mark.parametrize("axis", range(3))
+def test_four_quarter_turns_bring_everything_back(axis: int, tmp_path: Path) -> None:
     source = write_slot_stream(tmp_path / "0", 9, small_layout(2, (20, 10), 1))
     for n in range(4):
-        quarter = TransformOptions(turn=(0, 90, 0))
+        x, y, z = (90.0 * (axis == one) for one in range(3))
+        quarter = TransformOptions(turn=(x, y, z))
         edit_stream(tmp_path / str(n), tmp_path / str(n + 1), quarter)
     verify_stream(tmp_path / "4")
     for before, after in zip(frames_of(source), frames_of(tmp_path / "4"), strict=True):
@@ -139,6 +140,10 @@ def test_four_quarter_turns_bring_everything_back(tmp_path: Path) -> None:
         np.testing.assert_array_equal(b.logit_opacities, a.logit_opacities)
         both = [shapes(splats) for splats in (a, b)]
         np.testing.assert_allclose(both[1], both[0], rtol=1e-3, atol=1e-4 * both[0].max())
+    # About x, then y, then z.
+    turn = TransformOptions(turn=(90, 90, 90)).similarity().turn
+    about = (rotation_about(one, np.pi / 2) for one in np.eye(3)[::-1])
+    np.testing.assert_allclose(turn, np.linalg.multi_dot([*about]), atol=1e-12)
 
 
 def seen_along(splats: Splats, directions: Doubles) -> Doubles:
@@ -146,45 +151,6 @@ def seen_along(splats: Splats, directions: Doubles) -> Doubles:
     basis = harmonics(directions)[:, : splats.sh.shape[1]]
     seen: Doubles = np.einsum("jk,nkc->njc", basis, splats.sh.astype(np.float64))
     return seen
-
-
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_a_turn_of_axes_permutes_integers_and_turns_colours(degree: int) -> None:
-    layout = small_layout(1, (60,), degree)
-    manifest = slot_manifest(layout)
-    (lattice,) = layout.lattices
-    states = patternless_states(np.random.default_rng(1), [161] * 60, degree)
-    colours = states.attributes[:, COLOURS:-1].view(np.int8)
-    colours //= 3  # keeps the harmonics on the lattice when those of one degree mix
-    splats = dequantise(states, lattice)
-    directions = np.random.default_rng(2).normal(size=(20, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    assert len(axis_turns()) == 24
-    for turn in axis_turns():
-        edit = Transform(TransformOptions(turn=euler_of(turn)), manifest)
-        np.testing.assert_array_equal(edit.similarity.turn, turn)
-        made, fits = edit.states(0, states, None)
-        assert fits.mean() > 0.8
-        kept, found = splats.take(np.flatnonzero(fits)), dequantise(made.take(fits), lattice)
-        np.testing.assert_allclose(found.means, kept.means @ turn.T, rtol=1e-6)
-        wanted = turn @ shapes(kept) @ turn.T
-        got = shapes(found)
-        np.testing.assert_allclose(got, wanted, rtol=1e-3, atol=1e-4 * np.abs(wanted).max())
-        np.testing.assert_array_equal(found.logit_opacities, kept.logit_opacities)
-        # Degrees 0 and 1 are exact; the coefficients of the others are rounded.
-        error = seen_along(found, directions @ turn.T) - seen_along(kept, directions)
-        assert np.abs(error).max() < (1e-4 if degree < 2 else 0.5)
-
-
-def euler_of(turn: Doubles) -> tuple[float, float, float]:
-    """Angles in degrees about x, then y, then z."""
-    y = np.arcsin(np.clip(-turn[2, 0], -1, 1))
-    if abs(turn[2, 0]) > 0.5:
-        x, z = np.arctan2(-turn[1, 2], turn[1, 1]), 0.0
-    else:
-        x, z = np.arctan2(turn[2, 1], turn[2, 2]), np.arctan2(turn[1, 0], turn[0, 0])
-    a, b, c = np.degrees([x, y, z]).tolist()
-    return a, b, c
 
 
 @pytest.mark.parametrize("degree", [1, 3])

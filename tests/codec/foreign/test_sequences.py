@@ -50,41 +50,6 @@ def test_4dgs_by_hand(tmp_path: Path) -> None:
     assert first.sh == pytest.approx(np.full((2, 1, 3), -0.5 / SH_C0))
 
 
-def test_motion_fading_and_windows(tmp_path: Path) -> None:
-    """One state for two frames and one for a single frame, with frames of half a second."""
-    streams = group(
-        [0, 1, 2],
-        # ln sigma / 0.02, no fading for the last two; time 0.25 s; motion.
-        **{"a8": [[-35], [0], [0]], "a9": [[0], [1], [1]], "a7": [[0]] * 3},
-        **{"a6": [[10, 0, 0], [0, 10, 0], [0, 0, 0]], "a10": [[0], [0], [1]], "a5": [[200]] * 3},
-    )
-    last = keyframe(1, 1.5, 0, b"")
-    spans = made.windows((0, 10), (0.5, 10))
-    frames = read(tmp_path, fourdgs(header(), grids(), spans, keyframe(0, 1, 3, streams), last))
-    assert [len(splats) for splats in frames] == [2, 3, 0]
-    sigma = np.exp(-0.7)
-    assert frames[0].means[0].tolist() == [1, 2, 3]
-    # Half of a 1.2 s life is in the class up to 2 s: a quarter of the step, and 2 s of window.
-    assert frames[1].means[0] == pytest.approx([1 + 10 * 0.1 / 4 * 0.5, 2, 3])
-    assert frames[1].means[1] == pytest.approx([1, 2 + 10 * 0.1 / 4 * 0.5, 3])
-    faded = 200 / 255 * np.exp(-0.5 * (0.5 / sigma) ** 2)
-    assert frames[1].opacities == pytest.approx([faded, 200 / 255, 200 / 255], rel=1e-5)
-
-
-def test_harmonics_come_in_bands(tmp_path: Path) -> None:
-    codes = np.arange(18).reshape(2, 9)
-    front = header(sh_degree=1), *FRONT[1:]
-    band = made.record(7, b"\1" + made.stream(7, codes))
-    born = made.record(7, b"\1" + made.stream(7, codes[:1] + 100))
-    after = delta((0.5, 1), AT, (b"", group([9]), b""), (0, 1, 0))
-    frames = read(tmp_path, fourdgs(*front, KEY, band, after, born))
-    wanted = codes.reshape(2, 3, 3).swapaxes(1, 2) * 8 / 255 - 4
-    assert frames[0].sh[:, 1:] == pytest.approx(wanted, abs=1e-6)
-    assert frames[1].sh[:, 1:] == pytest.approx(
-        np.concatenate([wanted, wanted[:1] + 800 / 255]), abs=1e-6
-    )
-
-
 def test_what_a_few_bytes_claim_costs_no_memory(tmp_path: Path) -> None:
     many = 1 << 24
     constant = struct.pack("<BBBBBIQ", 13, 1, 2, 0, 1, many, 9) + zlib.compress(b"\0")

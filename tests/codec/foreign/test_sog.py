@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from PIL import Image
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
-from codec.foreign.bundle import MAX_DIRECTORY_BYTES, Bundle, encode_bundle
+from codec.foreign.bundle import MAX_DIRECTORY_BYTES, Bundle
 from codec.foreign.levels import Bytes
 from codec.foreign.sog import decode_sog, encode_sog
 from codec.foreign.webp import decode_webp, encode_webp, webp_size
@@ -242,17 +242,6 @@ def test_a_huge_picture_costs_little_memory() -> None:
     assert len(flat) < 20_000
     with within_bytes(4 << 20), pytest.raises(CorruptError, match="4000 x 4000 pixels, at most"):
         decode_any(replaced("ml", flat))
-
-
-def test_files_come_back_and_the_archive_is_always_the_same() -> None:
-    files = {"a.txt": b"alpha", "empty": b""}
-    data = encode_bundle(files)
-    assert data == encode_bundle(files)
-    for made in (data, bundled(files), bundled(files, zipfile.ZIP_STORED, b"a comment")):
-        bundle = Bundle(made, "it")
-        assert {name: bundle.read(name) for name in files} == files
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        assert archive.testzip() is None
 
 
 def test_a_bomb_is_refused_by_what_it_claims() -> None:

@@ -15,7 +15,6 @@ from hypothesis import given, settings
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.foreign.spz import SpzVersion, decode_spz, encode_spz
 from codec.interop.formats import decode_any
-from codec.pose import Doubles
 from codec.splats import Splats
 from tests.support.drawn import angles_rad, drawn_splats, same_splats
 from tests.support.hostile import refused, within_bytes
@@ -98,31 +97,6 @@ def test_spz_1_keeps_half_floats() -> None:
     assert splats.sh.tolist() == decode_any(data).sh.tolist()
     endless = np.array([[np.inf] * 3] * 2, "<f2").tobytes()
     refused(CorruptError, "not finite", decode_any, gzip.compress(header(1) + endless + body))
-
-
-def basis(directions: Doubles) -> Doubles:
-    """(N, 16) harmonics up to their constants and signs, which do not matter here."""
-    x, y, z = directions.T
-    one = np.ones_like(x)
-    terms = [one, y, z, x, x * y, y * z, 2 * z * z - x * x - y * y, x * z, x * x - y * y]
-    terms += [y * (3 * x * x - y * y), x * y * z, y * (4 * z * z - x * x - y * y)]
-    terms += [z * (2 * z * z - 3 * x * x - 3 * y * y), x * (4 * z * z - x * x - y * y)]
-    terms += [z * (x * x - y * y), x * (x * x - 3 * y * y)]
-    return np.stack(terms, axis=1)
-
-
-def test_colours_turn_with_the_axes() -> None:
-    """The colour along d in our frame is that of the file's numbers along the turned d."""
-    rng = np.random.default_rng(3)
-    codes = rng.integers(0, 256, 45).astype(np.uint8)
-    arrays = [bytes(9), b"\x80", bytes(3), bytes(3), bytes(4), codes.tobytes()]
-    body = header(3, 1, 3) + b"".join(arrays)
-    splats = decode_spz(gzip.compress(body))
-    directions = rng.normal(size=(20, 3))
-    turned = directions * [1, -1, -1]
-    in_file = basis(turned)[:, 1:] @ ((codes.reshape(15, 3) - 128.0) / 128)
-    ours = basis(directions)[:, 1:] @ splats.sh[0, 1:].astype(np.float64)
-    assert ours == pytest.approx(in_file, abs=1e-5)
 
 
 @given(drawn_splats(log_scale=(-10.0, 5.9), harmonic=0.99))

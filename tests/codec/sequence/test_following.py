@@ -263,20 +263,6 @@ def test_a_gap_is_given_up_only_when_a_later_file_has_been_there(tmp_path: Path)
     assert rig.troubles.counts == {"missing files": 2, "late files": 1}
 
 
-def test_a_broken_file_is_stood_for(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    rig = Rig(tmp_path, next_number=0)
-    rig.file(0).write_bytes(b"ply\nrubbish")
-    assert rig.settled(after_s=100) is None
-    rig.write(1)
-    assert rig.settled() is None
-    arrival = rig.poll(after_s=PATIENCE_S)
-    assert arrival is not None
-    assert (arrival.number, arrival.splats) == (0, None)
-    assert "frame_0000.ply" in caplog.text
-    assert rig.number() == 1
-    assert rig.troubles.counts == {"odd files": 1}
-
-
 def test_what_is_no_frame_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     rig = Rig(tmp_path, next_number=0, step=2)
     (tmp_path / "final.ply").write_bytes(b"ply")

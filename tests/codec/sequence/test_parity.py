@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from codec.camera import Camera
 from codec.interop.exporting import export_stream
@@ -118,33 +119,13 @@ def test_they_do_what_the_page_says(folder: Path) -> None:
     assert streams["quartered"].manifest.temporal_period == 4
 
 
-def test_the_page_has_the_defaults() -> None:
-    told = dict(re.findall(r"\| `--error\.(\w+)` \| .* \| ([0-9.]+) \|", PAGE))
-    bound = ErrorBound()
-    assert told.keys() == {field.name for field in fields(bound)}
-    for name, value in told.items():
-        assert float(value) == pytest.approx(getattr(bound, name), rel=0.01)
-
-
 SLACK = 1e-5
 """Tolerance for the rounding of f32, as a share."""
 
 
-def matrices(quats: Doubles) -> Doubles:
-    """(N, 3, 3) rotations of quaternions wxyz."""
-    w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
-    rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
-    rows += [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
-    rows += [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
-    return np.stack(rows, axis=1).reshape(-1, 3, 3)
-
-
 def vectors(turns: Doubles) -> Doubles:
-    """(..., 3) x, y, z of the rotations' quaternions, with w >= 0 where w is not tiny."""
-    w = np.sqrt(np.maximum(1 + np.trace(turns, axis1=-2, axis2=-1), 0)) / 2
-    pairs = ((2, 1), (0, 2), (1, 0))
-    skew = np.stack([turns[..., a, b] - turns[..., b, a] for a, b in pairs], axis=-1)
-    return np.asarray(skew / (4 * np.maximum(w, 1e-3))[..., None])
+    """(N, 3) x, y, z of the rotations' quaternions, with w >= 0."""
+    return np.asarray(Rotation.from_matrix(turns).as_quat(canonical=True)[:, :3])
 
 
 def lowest_of(reader: StreamReader, frame: int) -> Doubles:
@@ -192,13 +173,15 @@ def within(
     colours = abs(luma(source, darkest)[:, None] - luma(found)[None])
     fits &= (colours <= error.of("colour") + SLACK).all(axis=2)
     form = np.zeros_like(fits)
-    have = vectors(matrices(found.quats.astype(np.float64)))
-    wanted_turns = matrices(source.quats.astype(np.float64))
+    turned_by = [
+        Rotation.from_quat(one.quats[:, [1, 2, 3, 0]]).as_matrix() for one in (source, found)
+    ]
+    have = vectors(turned_by[1])
     scales = source.log_scales.astype(np.float64)
     for turn in axis_turns():
         wanted = np.maximum((scales @ abs(turn))[:, None], lowest[:, None])
         sizes = abs(wanted - found.log_scales[None].astype(np.float64))
-        turns = abs(vectors(wanted_turns @ turn)[:, None] - have[None])
+        turns = abs(vectors(turned_by[0] @ turn)[:, None] - have[None])
         form |= (sizes <= error.of("size") + SLACK).all(2) & (
             turns <= error.of("turn") + 10 * SLACK
         ).all(2)
@@ -317,3 +300,11 @@ def test_sizes_that_show_fit(degree: int, finer: float, log_factor: float, tmp_p
     # Half the steps of the last layer, which alone keep the bound below degree 2.
     most = 0.25 if degree == 3 else error.of("size") * (1 + SLACK)
     assert np.abs(sizes - given)[given > usual - 2].max() < most
+
+
+def test_the_page_has_the_defaults() -> None:
+    told = dict(re.findall(r"\| `--error\.(\w+)` \| .* \| ([0-9.]+) \|", PAGE))
+    bound = ErrorBound()
+    assert told.keys() == {field.name for field in fields(bound)}
+    for name, value in told.items():
+        assert float(value) == pytest.approx(getattr(bound, name), rel=0.01)

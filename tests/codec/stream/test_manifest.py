@@ -142,13 +142,6 @@ def test_a_name_of_a_camera_is_kept_whole_or_refused() -> None:
         Manifest.from_json(json.dumps(VALUE | {"cameras": cameras}).encode())
 
 
-def test_what_no_reader_would_take_is_not_written() -> None:
-    """Every text is short enough; all texts together are too long."""
-    names = [f"{n:03}" + "\U0001f600" * (MAX_NAME_CHARS - 3) for n in range(256)]
-    many = replace(MANIFEST, cameras=tuple(map(camera, names)), default_camera=names[0])
-    refused(InvalidError, "bytes, at most 1048576; shorten the names", many.to_json)
-
-
 def test_a_live_manifest_can_still_be_finished(monkeypatch: pytest.MonkeyPatch) -> None:
     finished = replace(MANIFEST, live=False)
     size = len(finished.to_json())

@@ -18,8 +18,6 @@ from codec.coders.coder import Coder, coder_of, compress, decompress
 from codec.errors import CorruptError, InvalidError
 from codec.slots.slotlayout import MAX_SLOT_CHUNK_BYTES
 from codec.stream.object import (
-    ENTRY,
-    HEAD,
     MAX_CHUNKS_PER_OBJECT,
     encode_packet,
     join_packets,
@@ -55,21 +53,6 @@ def test_an_object_may_be_empty_and_leaves_out_packets_of_no_bytes() -> None:
     assert data == object_of([chunk])
     assert packet_content(b"", 9) == b""
     refused(CorruptError, "its content is empty", packet_content, compress(b""), 9)
-
-
-@pytest.mark.parametrize(
-    ("coder", "magic"), [(Coder.ZSTD, b"\x28\xb5\x2f\xfd"), (Coder.GZIP, b"\x1f\x8b\x08\0")]
-)
-def test_the_table_is_pinned(coder: Coder, magic: bytes) -> None:
-    data = object_of(new_chunks(), coder)
-    assert (HEAD.size, ENTRY.size) == (20, 12)
-    head = struct.unpack_from("<II4sBBHI", data)
-    assert head == (0x184D2A50, 12 + 12 * 5, b"SWGO", 2, coder, 0, 5)
-    births = [struct.unpack_from("<i", data, 20 + 12 * n)[0] for n in range(5)]
-    assert births == list(BIRTHS)
-    first = struct.unpack_from("<II", data, 24)
-    assert first[0] == 20 + 12 * 5
-    assert data[first[0] : first[0] + 4] == magic
 
 
 @coders

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from codec.camera import Camera
-from codec.errors import CorruptError, InvalidError
+from codec.errors import CorruptError
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
@@ -234,14 +234,3 @@ def test_noise_keeps_the_bound_and_a_plain_scene_the_aim(tmp_path: Path) -> None
     file.write_bytes(b"<html>")
     with pytest.raises(CorruptError, match="does not begin as image/webp"):
         check_pictures(tmp_path / "s", StreamReader(tmp_path / "s").manifest)
-
-
-def test_the_manifest_may_lack_a_storyboard() -> None:
-    with_one = manifest_of(64, 48)
-    without = replace(with_one, storyboard=None)
-    assert Manifest.from_json(with_one.to_json()).storyboard == STORYBOARD_NAME
-    assert b"storyboard" not in without.to_json()
-    assert Manifest.from_json(without.to_json()).storyboard is None
-    with pytest.raises(CorruptError, match="storyboard"):
-        Manifest.from_json(with_one.to_json().replace(b'"storyboard.webp"', b"7"))
-    refused(InvalidError, "storyboard", replace, with_one, storyboard="a\nb.webp")

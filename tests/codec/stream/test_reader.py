@@ -23,8 +23,6 @@ from codec.slots.update import Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import verify_stream
-from tests.goldens.decoder import Gaussian, to_floats
-from tests.goldens.folder import StreamFolder, state_at
 from tests.support.deforming import Deforming
 from tests.support.drawn import same_splats
 from tests.support.hosted_streams import random_slice, small_manifest
@@ -32,7 +30,7 @@ from tests.support.hostile import refused
 from tests.support.slots.folder import write_slots
 from tests.support.slots.slot_streams import gaussians
 from tests.support.slots.updates import small_layout
-from tests.support.tiny_stream import SLICE_SIZE, append_tiny, tiny_manifest, tiny_slice, write_tiny
+from tests.support.tiny_stream import SLICE_SIZE, append_tiny, tiny_manifest, tiny_slice
 
 NUM_FRAMES = 10
 
@@ -111,21 +109,8 @@ def test_any_slice_and_window_in_any_order(
     assert verify_stream(path).num_frames == 17
 
 
-def plainly_shown(stream: Path, frame: int) -> list[list[float]]:
-    """The means at `frame`, of all layers, from the decoder written from FORMAT.md alone."""
-    lattices = StreamFolder(stream).shape.lattice
-    return [
-        list(to_floats(slot, lattice).mean)
-        for lane in state_at(stream, frame, len(lattices))
-        for row, lattice in zip(lane, lattices, strict=True)
-        for slot in row
-        if isinstance(slot, Gaussian) and slot.start <= frame
-    ]
-
-
 def test_slices_that_were_sent_whole_show_at_any_frame(tmp_path: Path) -> None:
-    """As in SwinGS: windows of five slices, with some Gaussians that start late. The values are
-    exact, read here and by the decoder written from FORMAT.md alone."""
+    """As in SwinGS: windows of five slices, with some Gaussians that start late."""
     manifest, num_frames = small_manifest(30, 1, swin_size=5, segment_frames=7), 20
     slices = [random_slice(birth, 30 - birth % 3, 1) for birth in range(-4, num_frames)]
     with StreamWriter.create(tmp_path / "s", manifest, exact=True) as writer:
@@ -139,9 +124,6 @@ def test_slices_that_were_sent_whole_show_at_any_frame(tmp_path: Path) -> None:
         window = [part for part in slices if part.birth in window_births(frame, 5)]
         expected = active_splats(window, frame, 5)
         assert gaussians(reader.active_splats(frame, 3)) == gaussians(expected)
-        if frame % 6 == 0:
-            means = plainly_shown(tmp_path / "s", frame)
-            assert sorted(means) == sorted(expected.means.tolist())
 
 
 def test_a_reader_of_one_layer_needs_no_other(stream: Path) -> None:
@@ -153,15 +135,6 @@ def test_a_reader_of_one_layer_needs_no_other(stream: Path) -> None:
     assert len(reader.window(9, 1)) == 3
     assert len(list(reader.slices(-2, 1))) == 12
     refused(CodecError, "snapshot-1 is missing", reader.window, 9, 2)
-
-
-@pytest.mark.parametrize(("swin_size", "segment_frames"), [(1, 1), (9, 2), (3, 4096), (255, 5)])
-def test_any_windows_and_segments(tmp_path: Path, swin_size: int, segment_frames: int) -> None:
-    write_tiny(tmp_path / "s", 5, tiny_manifest(swin_size, segment_frames))
-    reader = StreamReader(tmp_path / "s")
-    for frame in range(5):
-        assert len(reader.window(frame, 2)) == swin_size
-    assert verify_stream(tmp_path / "s").num_frames == 5
 
 
 def test_memory_of_reader_and_writer_is_bounded(tmp_path: Path) -> None:
