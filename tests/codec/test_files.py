@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -66,6 +68,25 @@ def test_appending_cuts_off_what_nobody_knows_of(tmp_path: Path) -> None:
     assert path.read_bytes() == b"known and more"
     refused(CorruptError, r"file has 14 bytes, not the 15 written", append_durably, path, 15, b"x")
     assert path.read_bytes() == b"known and more"
+
+
+def test_an_append_is_whole_or_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(bytes(100))
+    for room_bytes in (0, 1, 19):
+        with file_limit(100 + room_bytes):
+            refused(OSError, "File too large: '.*/file'", append_durably, path, 100, b"x" * 20)
+        assert path.read_bytes() == bytes(100)
+
+    class Grudging(io.FileIO):
+        """A file that accepts only a few bytes per write, which is no failure."""
+
+        def write(self, data: Any) -> int:
+            return super().write(data[:7])
+
+    monkeypatch.setattr("codec.files.open", lambda *a, **_: Grudging(*a), raising=False)
+    append_durably(path, 100, b"0123456789" * 3)
+    assert path.read_bytes() == bytes(100) + b"0123456789" * 3
 
 
 def test_a_file_is_read_up_to_a_limit(tmp_path: Path) -> None:

@@ -8,24 +8,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import IO, Any
 
 import numpy as np
 import pytest
 
-from codec.errors import CorruptError, InvalidError
+from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.slots.update import Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.index import record_bytes
 from codec.tools.audit import verify_stream
 from tests.support.drawn import same_splats
-from tests.support.hostile import file_limit, refused
-from tests.support.slots.folder import slots_manifest, write_slots
+from tests.support.hostile import refused
+from tests.support.slots.folder import slots_manifest
 from tests.support.slots.updates import patternless_updates, small_layout
 from tests.support.tiny_stream import (
-    SLICE_SIZE,
     append_tiny,
     files_of,
     tiny_manifest,
@@ -99,17 +96,6 @@ def test_a_slice_that_was_refused_leaves_nothing(tmp_path: Path, birth: int, goe
         assert files_of(tmp_path / "s") == files_of(tmp_path / "whole")
 
 
-def test_an_update_that_was_refused_leaves_nothing(tmp_path: Path) -> None:
-    with StreamWriter.create(tmp_path / "s", slots_manifest()) as writer:
-        for update in write_slots(tmp_path / "whole", NUM_FRAMES):
-            with pytest.raises(InvalidError, match="expected"):
-                writer.append(replace(update, birth=update.birth + 1))
-            with pytest.raises(InvalidError, match="at most 3"):
-                writer.append(replace(update, statuses=update.statuses + 4))
-            writer.append(update)
-    assert files_of(tmp_path / "s") == files_of(tmp_path / "whole")
-
-
 def test_slices_sent_whole_and_updates_may_follow_each_other(tmp_path: Path) -> None:
     manifest = tiny_manifest()
     with StreamWriter.create(tmp_path / "s", manifest, exact=True) as writer:
@@ -164,79 +150,11 @@ def test_a_stopped_writer_goes_on(tmp_path: Path, period: int, kept: int) -> Non
     assert writer.played_bytes == sum(record.played_bytes for record in records)
 
 
-RECORD_BYTES = record_bytes(2)
-
-
 def written(path: Path, num_frames: int = 7) -> StreamWriter:
     """A writer that has written the first frames of the stream."""
     writer = StreamWriter.create(path, tiny_manifest())
     append_tiny(writer, num_frames)
     return writer
-
-
-def test_a_record_that_fits_in_part_is_taken_back(tmp_path: Path) -> None:
-    path = tmp_path / "s"
-    # Records of such short segments soon take more than the largest object.
-    with StreamWriter.create(path, tiny_manifest(segment_frames=1)) as writer:
-        append_tiny(writer, 51)
-        index_bytes = os.stat(path / "index.bin").st_size
-        assert index_bytes == 51 * RECORD_BYTES
-        assert max(p.stat().st_size for p in path.glob("segments/*/*")) < index_bytes
-        for room_bytes in (0, 1, RECORD_BYTES - 1):
-            with (
-                file_limit(index_bytes + room_bytes),
-                pytest.raises(OSError, match="File too large"),
-            ):
-                writer.append(tiny_slice(51))
-            assert os.stat(path / "index.bin").st_size == index_bytes
-            assert writer.next_birth == verify_stream(path).num_frames == 51
-        writer.append(tiny_slice(51))
-    assert verify_stream(path).num_frames == 52
-
-
-class Grudging:
-    """A file that accepts only a few bytes per write."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-
-    def write(self, data: memoryview) -> int:
-        return self._file.write(data[:7])
-
-    def __enter__(self) -> Grudging:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._file, name)
-
-
-def test_short_writes_that_go_on_are_not_a_failure(
-    tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def opened(path: Path, mode: str, **options: Any) -> object:
-        return Grudging(open(path, mode, **options)) if "a" in mode else open(path, mode, **options)
-
-    monkeypatch.setattr("codec.files.open", opened, raising=False)
-    write_tiny(tmp_path / "s", NUM_FRAMES)
-    assert files_of(tmp_path / "s") == whole
-
-
-def test_a_torn_end_goes_before_the_next_record(tmp_path: Path, whole: dict[str, bytes]) -> None:
-    with written(tmp_path / "s") as writer:
-        with open(tmp_path / "s" / "index.bin", "ab") as index:
-            index.write(b"torn")
-        append_tiny(writer, NUM_FRAMES)
-    assert files_of(tmp_path / "s") == whole
-
-
-def test_an_index_that_somebody_cut_is_not_filled_up(tmp_path: Path) -> None:
-    writer = written(tmp_path / "s")
-    os.truncate(tmp_path / "s" / "index.bin", 9)
-    with pytest.raises(CorruptError, match=r"index\.bin has 9 bytes, not the 228 written"):
-        writer.append(tiny_slice(7))
 
 
 STEPS = ("fsync", "replace")
@@ -321,41 +239,6 @@ def test_any_step(tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.M
                 append_tiny(writer, NUM_FRAMES)
         assert files_of(path) == whole
     assert at > 20
-
-
-def test_a_torn_index_is_read_and_resumed_at_any_byte(tmp_path: Path) -> None:
-    path = tmp_path / "s"
-    written(path, 8)
-    index = (path / "index.bin").read_bytes()
-    for torn in range(0, RECORD_BYTES, 7):
-        (path / "index.bin").write_bytes(index[: RECORD_BYTES + torn])
-        assert StreamReader(path).num_frames == 4
-        assert StreamWriter.resume(path).next_birth == 4
-        assert (path / "index.bin").read_bytes() == index[:RECORD_BYTES]
-
-
-MANIFEST = tiny_manifest()  # windows of 3, segments of 4, two layers
-
-
-def test_the_index_holds_the_mean_of_every_segment(tmp_path: Path) -> None:
-    births = range(MANIFEST.first_birth, 6)
-    seen: list[tuple[int, list[int]]] = []
-
-    def quality(frame: int, slices: Sequence[Slice]) -> list[float] | None:
-        seen.append((frame, [len(s.splats) for s in slices]))
-        assert [s.birth for s in slices] == [frame, frame]
-        return None if frame < 0 else [float(frame), 10.0 + frame]
-
-    path = tmp_path / "stream"
-    with StreamWriter.create(path, MANIFEST, quality=quality) as writer:
-        append_tiny(writer, 6)
-    assert seen == [(birth, [SLICE_SIZE // 2, SLICE_SIZE]) for birth in births]
-    write_tiny(tmp_path / "plain", 2)
-    (record,) = StreamReader(tmp_path / "plain").records
-    assert all(math.isnan(value) for value in record.psnr_db)
-    first, last = StreamReader(path).records
-    assert first.psnr_db == pytest.approx([1.5, 11.5])
-    assert last.psnr_db == pytest.approx([4.5, 14.5])
 
 
 def test_it_is_asked_once_for_every_slice_as_a_reader_has_it(tmp_path: Path) -> None:
