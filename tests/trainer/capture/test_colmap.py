@@ -187,7 +187,7 @@ def test_numbers_that_no_camera_has(tmp_path: Path) -> None:
         ({"cx_px": -1e5}, "cameras.bin: camera cam00: focal length"),
         ({"w2c": far}, "camera cam00: is over 1e+09 m away"),
     ):
-        cameras = [replace(whole, **change)]  # type: ignore[arg-type]
+        cameras = [replace(whole, **change)]
         shutil.rmtree(tmp_path / "sparse", ignore_errors=True)
         write_model(tmp_path / "sparse", cameras, ["cam00.png"], True)
         assert said in refusal(tmp_path)
@@ -211,35 +211,31 @@ def test_bytes_of_a_model_that_are_none(tmp_path: Path) -> None:
     assert "cameras.bin or cameras.txt" in refusal(tmp_path)
 
 
-def test_missing_pictures_of_frame_folders(tmp_path: Path) -> None:
-    write_colmap(tmp_path)
-    (tmp_path / "frames/frame_08/cam01.png").unlink()
-    assert "frame_08/cam01.png: is missing" in refusal(tmp_path)
-    (tmp_path / "frames/frame_08").rename(tmp_path / "aside")
-    assert "frames: frame 8 is missing before frame 9" in refusal(tmp_path)
-    (tmp_path / "aside").rename(tmp_path / "frames/other_9")
-    assert "frame 9 is also" in refusal(tmp_path)
-    (tmp_path / "frames").rename(tmp_path / "aside")
-    assert "frames: is missing, and so is images/" in refusal(tmp_path)
-    (tmp_path / "frames").mkdir()
-    assert "holds no numbered frames" in refusal(tmp_path)
-
-
-def test_missing_pictures_of_camera_folders(tmp_path: Path) -> None:
-    write_colmap(tmp_path, by_frame=False)
-    path = tmp_path / "images/cam01"
+def test_missing_pictures_are_named(tmp_path: Path) -> None:
+    frames, by_camera = tmp_path / "f", tmp_path / "c"
+    write_colmap(frames)
+    (frames / "frames/frame_08/cam01.png").unlink()
+    assert "frame_08/cam01.png: is missing" in refusal(frames)
+    (frames / "frames/frame_08").rename(tmp_path / "aside")
+    assert "frames: frame 8 is missing before frame 9" in refusal(frames)
+    (tmp_path / "aside").rename(frames / "frames/other_9")
+    assert "frame 9 is also" in refusal(frames)
+    shutil.rmtree(frames / "frames")
+    assert "frames: is missing, and so is images/" in refusal(frames)
+    (frames / "frames").mkdir()
+    assert "holds no numbered frames" in refusal(frames)
+    write_colmap(by_camera, by_frame=False)
+    path = by_camera / "images/cam01"
     (path / "._0008.png").touch()
     (path / "notes.txt").touch()
-    assert open_capture(tmp_path).num_frames == NUM_FRAMES
-    (path / "0008.png").rename(tmp_path / "aside.png")
-    assert "cam01: lacks frame 8" in refusal(tmp_path)
-    (tmp_path / "aside.png").rename(path / "0010.png")
-    assert "cam01: lacks frame 8" in refusal(tmp_path)
+    assert open_capture(by_camera).num_frames == NUM_FRAMES
+    (path / "0008.png").rename(path / "0010.png")
+    assert "cam01: lacks frame 8" in refusal(by_camera)
     for file in path.iterdir():
         file.unlink()
-    assert "cam01: holds no numbered frames" in refusal(tmp_path)
+    assert "cam01: holds no numbered frames" in refusal(by_camera)
     path.rmdir()
-    assert "cam01: is missing" in refusal(tmp_path)
+    assert "cam01: is missing" in refusal(by_camera)
 
 
 def test_names_sort_by_their_numbers(tmp_path: Path) -> None:

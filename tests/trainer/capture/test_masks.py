@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -217,44 +218,34 @@ def test_every_layout_takes_a_folder_of_masks_for_a_camera(tmp_path: Path, layou
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_a_folder_of_masks_that_cannot_be_used(tmp_path: Path, layout: str) -> None:
-    root = tmp_path / "c"
+    root, is_colmap = tmp_path / "c", layout.startswith("colmap")
     write_layout(root, layout)
     folder = root / "masks/cam01"
-    for frame in range(NUM_FRAMES):
-        save_mask(folder / f"{frame}.png", 1, frame)
 
     def said() -> str:
         return refusal(lambda: open_capture(root))
 
-    (folder / "1.png").rename(tmp_path / "1.png")
+    folder.mkdir(parents=True)
+    assert ("masks: has no mask" if is_colmap else "masks/cam01: holds no numbered") in said()
+    save_mask(folder / "0.png", 1, 0)
+    save_mask(folder / "2.png", 1, 2, slice(1, None))
     assert "masks/cam01: frame 1 is missing before frame 2" in said()
-    (tmp_path / "1.png").rename(folder / "1.png")
+    save_mask(folder / "1.png", 1, 1)
+    capture = open_capture(root)
+    assert "masks/cam01/2.png: is 63x36 px" in refusal(lambda: mask(capture, 1, 2))
     (folder / "2.png").unlink()
     assert "masks/cam01: has 2 masks, 0.png to 1.png, for 3 frames; give one" in said()
     save_mask(folder / "2.png", 1, 2)
     save_mask(folder / "0.png", 1, 0, slice(1, None))
     assert "masks/cam01/0.png: is 63x36 px; its picture has 64x36 px" in said()
-    save_mask(folder / "0.png", 1, 0)
-    save_mask(folder / "2.png", 1, 2, slice(1, None))
-    capture = open_capture(root)
-    assert "masks/cam01/2.png: is 63x36 px" in refusal(lambda: mask(capture, 1, 2))
-    save_mask(folder / "2.png", 1, 2)
-    (root / "masks/kamera").mkdir()
-    open_capture(root)
-    save_mask(root / "masks/kamera/0.png", 1, 0)
-    assert "masks/kamera: is not the name of a camera (cam00, cam01, cam02" in said()
-    (root / "masks/kamera/0.png").unlink()
-    (root / "masks/kamera").rmdir()
-    for file in folder.iterdir():
-        file.unlink()
-    is_colmap = layout.startswith("colmap")
-    assert ("masks: has no mask" if is_colmap else "masks/cam01: holds no numbered") in said()
-    # A plain file beside masks is none.
-    (root / "masks/README.txt").write_text("By hand.")
-    folder.rmdir()
+    shutil.rmtree(folder)
+    (root / "masks/README.txt").write_text("By hand.")  # a plain file beside masks is none
     assert is_colmap or not masked_cameras(root)  # colmap refuses a masks folder without masks
     save_mask(root / "masks/cam02/0.png", 2, 1)
+    (root / "masks/kamera").mkdir()
     assert masked_cameras(root) == ["cam02"]
+    save_mask(root / "masks/kamera/0.png", 1, 0)
+    assert "masks/kamera: is not the name of a camera (cam00, cam01, cam02" in said()
 
 
 @pytest.mark.parametrize("layout", ["colmap", "colmap by camera", "nerfstudio"])

@@ -19,7 +19,6 @@ from tests.trainer.fit.test_trainer import (
     Rendered,
     ring_camera,
     start,
-    truth,
 )
 from trainer.fit.config import FitConfig
 from trainer.fit.observer import Observer, Progress
@@ -55,42 +54,6 @@ def trainer_of(
     )  # fmt: skip
 
 
-def quality_db(name: BackendName, config: FitConfig) -> float:
-    """Mean PSNR of all frames between the cameras."""
-    reported = Reported()
-    trainer = trainer_of(backend_of(name, config), config, start(), reported)
-    held_out, found = [ring_camera(angle, "between") for angle in (-0.95, 0.05, 0.55)], []
-    for window in trainer.windows():
-        for camera in held_out:
-            goal = np.clip(render_splats(truth(window.first_frame), camera, NEAR_M), 0, 1)
-            shown = trainer.shown(window.first_frame)
-            found.append(psnr_db(np.clip(render_splats(shown, camera, NEAR_M), 0, 1), goal))
-    assert len(found) == 3 * FRAMES
-    assert min(reported.losses) > 0
-    return float(np.mean(found))
-
-
-@pytest.mark.deep
-@pytest.mark.parametrize(
-    ("config", "least_db"),
-    # Short: rounding, which differs between processors, then moves a seed by at most 0.1 dB. With a
-    # genesis of 400 and windows of 150 iterations that settle it moves one by 0.8 dB.
-    [
-        (SHORT, 22),
-        (replace(LEASED, settle_rounds=0), 22),
-        (replace(LEASED, genesis_iterations=60, window_iterations=20), 20),
-    ],
-    ids=["whole slices", "leases", "leases that settle"],
-)
-def test_a_short_training_is_as_good(config: FitConfig, least_db: float) -> None:
-    by_seed = {
-        name: [quality_db(name, replace(config, seed=seed)) for seed in range(3)]
-        for name in ("cpu", "torch")
-    }
-    assert min(map(min, by_seed.values())) > least_db
-    assert np.mean(by_seed["torch"]) == pytest.approx(np.mean(by_seed["cpu"]), abs=0.1)
-
-
 @pytest.mark.parametrize("config", [SHORT, LEASED], ids=["whole slices", "leases"])
 def test_a_stopped_training_on_a_device_goes_on_as_if_it_had_not(config: FitConfig) -> None:
     config = replace(config, genesis_iterations=40, window_iterations=20)
@@ -116,15 +79,22 @@ def test_a_stopped_training_on_a_device_goes_on_as_if_it_had_not(config: FitConf
             np.testing.assert_array_equal(array, kept[-1][name], err_msg=name)
 
 
-def test_with_an_early_report_of_losses_nothing_else_changes() -> None:
+@pytest.mark.parametrize("config", [SHORT, LEASED], ids=["whole slices", "leases"])
+def test_a_training_on_a_device_has_the_losses_and_pictures_of_numba(config: FitConfig) -> None:
     """Numba's losses are known at once, those of a device with the next report."""
-    reported = [Reported(), Reported()]
-    config = replace(LEASED, genesis_iterations=40, window_iterations=20, settle_rounds=0)
+    config = replace(config, genesis_iterations=60, window_iterations=20)
     names: tuple[BackendName, ...] = ("cpu", "torch")
-    for name, observer in zip(names, reported, strict=True):
-        trainer = trainer_of(backend_of(name, config), config, start(), observer)
-        next(trainer.windows())
-    assert reported[1].losses == pytest.approx(reported[0].losses, rel=2e-3)
+    losses, pictures, camera = list[list[float]](), [], ring_camera(0.05, "between")
+    for name in names:
+        reported = Reported()
+        trainer = trainer_of(backend_of(name, config), config, start(), reported)
+        for window in trainer.windows():
+            pictures.append(render_splats(trainer.shown(window.first_frame), camera, NEAR_M))
+        losses.append(reported.losses)
+    # Of genesis: later, a loss may be that of another camera.
+    assert losses[1][:3] == pytest.approx(losses[0][:3], rel=2e-3)
+    for ours, theirs in zip(pictures[:FRAMES], pictures[FRAMES:], strict=True):
+        assert psnr_db(theirs, ours) > 40
 
 
 @pytest.mark.parametrize("config", [SHORT, LEASED], ids=["whole slices", "leases"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -270,20 +271,22 @@ def test_genesis_bounds_gaussians_and_keeps_the_mean_of_the_cameras_colours() ->
 
 
 def test_settings_that_cannot_work_are_refused() -> None:
-    for kind, bad in (
+    bad: list[tuple[Callable[..., object], dict[str, float]]] = [
         (FitConfig, {"num_gs": 0, "swin_size": 256, "sh_degree": 4, "window_iterations": 0,
                      "newest_share": 1.5, "seed": -1}),
         (McmcConfig, {"relocate_period": 0, "relocate_until": 1.1, "dead_opacity": 0.0,
                       "noise_lr": -1.0, "settle_dead_opacity": 1.0, "renew_share": -0.1,
                       "scale_reg": float("nan"), "max_scale": -0.1}),
         (LeaseConfig, {"active_share": 1.1, "refresh_share": -1, "hold": 0.4}),
-    ):  # fmt: skip
-        for name, value in bad.items():
+    ]  # fmt: skip
+    for kind, values in bad:
+        for name, value in values.items():
             with pytest.raises(InvalidError, match=name):
                 kind(**{name: value})
-    for several in ({"num_gs": 91, "swin_size": 3}, {"genesis_iterations": 0, "settle_rounds": 0}):
-        with pytest.raises(InvalidError, match=next(iter(several))):
-            FitConfig(**several)
+    with pytest.raises(InvalidError, match="num_gs"):
+        FitConfig(num_gs=91, swin_size=3)
+    with pytest.raises(InvalidError, match="genesis_iterations"):
+        FitConfig(genesis_iterations=0, settle_rounds=0)
 
 
 def test_fresh_adam_forgets_at_every_window_and_carried_adam_does_not() -> None:
