@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import aiohttp
@@ -15,6 +14,8 @@ from codec.stream.manifest import Part
 from codec.stream.object import ChunkEntry, packet_content
 from codec.stream.plainrecord import inflates_whole
 from tests.support.server.running_server import (
+    Answer,
+    fetch,
     make_stream,
     running,
 )
@@ -24,8 +25,8 @@ from tests.support.slots.updates import small_layout
 pytestmark = pytest.mark.anyio
 
 URL = "/v1/streams/walk/segments/0/1"
-ZSTD = {"Accept-Encoding": "gzip, deflate, br, zstd"}
-NONE = {"Accept-Encoding": "identity"}
+ZSTD = {"Accept_Encoding": "gzip, deflate, br, zstd"}
+NONE = {"Accept_Encoding": "identity"}
 
 
 @pytest.fixture(scope="module")
@@ -49,21 +50,13 @@ def contents(folder: Path, segment: int, part: Part) -> bytes:
     return b"".join(packet_content(packet, 1 << 24) for packet in packets)
 
 
-Raw = tuple[int, Mapping[str, str], bytes]
-
-
-async def fetch(client: aiohttp.ClientSession, url: str, method: str = "GET", **fields: str) -> Raw:
-    """Status, fields and the bytes as received."""
-    headers = {name.replace("_", "-"): value for name, value in fields.items()}
-    async with client.request(method, url, headers=headers) as response:
-        return response.status, response.headers, await response.read()
-
-
-async def each_way(port: int, url: str, method: str = "GET", **fields: str) -> tuple[Raw, Raw]:
+async def each_way(
+    port: int, url: str, method: str = "GET", **fields: str
+) -> tuple[Answer, Answer]:
     """The plain and the coded response, from a client that decodes nothing."""
     async with aiohttp.ClientSession(f"http://127.0.0.1:{port}", auto_decompress=False) as client:
-        plain = await fetch(client, url, method, **{**NONE, **fields})
-        return plain, await fetch(client, url, method, **{**ZSTD, **fields})
+        plain = await fetch(client, url, method, **NONE, **fields)
+        return plain, await fetch(client, url, method, **ZSTD, **fields)
 
 
 async def test_its_frames_hold_the_contents_of_its_packets(root: Path) -> None:
@@ -78,38 +71,35 @@ async def test_its_frames_hold_the_contents_of_its_packets(root: Path) -> None:
         for url, folder, segment, part in urls:
             for _ in range(2):  # read from disk, and from memory
                 plain, coded = await each_way(server.port, url)
-                assert (
-                    plain[2]
-                    == coded[2]
-                    == (folder / "segments" / url.split("segments/")[1]).read_bytes()
-                )
-                assert "Content-Encoding" not in plain[1]
-                assert coded[1]["Content-Encoding"] == "zstd"
-                assert inflated(coded[2]) == contents(folder, segment, part)
-                assert plain[1]["ETag"] != coded[1]["ETag"]
-                assert plain[1]["Vary"] == coded[1]["Vary"] == "Accept-Encoding"
+                stored = (folder / "segments" / url.split("segments/")[1]).read_bytes()
+                assert plain.body == coded.body == stored
+                assert "Content-Encoding" not in plain.headers
+                assert coded.headers["Content-Encoding"] == "zstd"
+                assert inflated(coded.body) == contents(folder, segment, part)
+                assert plain.headers["ETag"] != coded.headers["ETag"]
+                assert plain.headers["Vary"] == coded.headers["Vary"] == "Accept-Encoding"
 
 
 async def test_each_form_is_revalidated_with_its_own_tag(root: Path) -> None:
     async with running(root) as server:
         for method in ("HEAD", "GET", "HEAD"):  # HEAD before it was read, and after
             plain, coded = await each_way(server.port, URL, method)
-            tags = plain[1]["ETag"], coded[1]["ETag"]
+            tags = plain.headers["ETag"], coded.headers["ETag"]
             assert tags[0] != tags[1]
             for n, tag in enumerate(tags):
                 got = await each_way(server.port, URL, method, If_None_Match=tag)
-                assert [one[0] for one in got] == [304 if m == n else 200 for m in (0, 1)]
+                assert [one.status for one in got] == [304 if m == n else 200 for m in (0, 1)]
                 got = await each_way(server.port, URL, method, If_Match=tag)
-                assert [one[0] for one in got] == [200 if m == n else 412 for m in (0, 1)]
+                assert [one.status for one in got] == [200 if m == n else 412 for m in (0, 1)]
 
 
 async def test_what_is_not_an_object_is_never_coded(root: Path) -> None:
     async with running(root) as server:
         for url in ("/v1/streams/walk/manifest.json", "/v1/streams/walk/index.bin"):
             plain, coded = await each_way(server.port, url)
-            assert "Content-Encoding" not in coded[1]
-            assert plain[1]["ETag"] == coded[1]["ETag"]
-            assert plain[2] == coded[2]
+            assert "Content-Encoding" not in coded.headers
+            assert plain.headers["ETag"] == coded.headers["ETag"]
+            assert plain.body == coded.body
 
 
 def test_an_object_is_one_zstd_stream_or_not() -> None:

@@ -7,19 +7,18 @@ import json
 import re
 from pathlib import Path
 
-import aiohttp
 import pytest
-from prometheus_client.parser import text_string_to_metric_families
 
+from tests.server.hostile.serverprocess import samples
 from tests.support.server.running_server import (
-    Running,
+    fetch,
     make_stream,
-    on_server,
     quick_config,
     raw_get,
     running,
     served,
 )
+from tests.support.tiny_stream import files_of
 
 pytestmark = pytest.mark.anyio
 
@@ -33,31 +32,24 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_every_file_is_served_as_it_lies_on_disk(root: Path) -> None:
-    files = [path for path in sorted(root.rglob("*")) if path.is_file()]
-
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        for path in files:
-            if path.name == "secret.txt":
-                continue
-            data, (stream, *rest) = path.read_bytes(), path.relative_to(root).parts
-            async with client.get(f"/v1/streams/{stream}/{'/'.join(rest)}") as response:
-                assert response.status == 200, path
-                assert await response.read() == data, path
-                assert response.headers["Accept-Ranges"] == "bytes"
-                assert response.headers["ETag"] == f'"{hashlib.sha256(data).hexdigest()}"'
-                immutable = "immutable" in response.headers["Cache-Control"]
-                assert immutable == (rest[0] == "segments")
-                seen.add((rest[0], rest[-1]))
+async def test_every_file_is_served_as_it_lies_on_disk(root: Path) -> None:
+    seen: set[tuple[str, str]] = set()
+    async with served(root) as (server, client):
+        for stream in ("walk", "dance.2"):
+            for name, data in files_of(root / stream).items():
+                found = await fetch(client, f"/v1/streams/{stream}/{name}")
+                assert (found.status, found.body) == (200, data), name
+                assert found.headers["Accept-Ranges"] == "bytes"
+                assert found.headers["ETag"] == f'"{hashlib.sha256(data).hexdigest()}"'
+                immutable = "immutable" in found.headers["Cache-Control"]
+                assert immutable == name.startswith("segments")
+                seen.add((name.partition("/")[0], name.rpartition("/")[2]))
         parts = {"masks", *"0123", *(f"snapshot-{n}" for n in range(4))}
         objects = {("segments", part) for part in parts}
         assert seen == objects | {(name, name) for name in ("index.bin", "manifest.json")}
         # Each part is one label, and there are no others.
         labels = re.findall(r'layer_bytes_total{layer="([^"]+)"', server.state.metrics.text())
         assert set(labels) == parts
-
-    seen: set[tuple[str, str]] = set()
-    on_server(root, check)
 
 
 NO_OBJECTS = (
@@ -88,70 +80,54 @@ async def test_what_is_not_there_is_a_404_in_one_line_of_json(root: Path) -> Non
         assert "layer_bytes_total{" not in server.state.metrics.text()
 
 
-def test_pages_of_other_origins_may_read_or_not(root: Path) -> None:
+@pytest.mark.parametrize("origin", ["*", "https://a.example", ""])
+async def test_pages_of_other_origins_may_read_or_not(root: Path, origin: str) -> None:
     url = "/v1/streams/walk/segments/0/0"
-
-    async def open_to_all(server: Running, client: aiohttp.ClientSession) -> None:
-        for request in (client.get(url), client.get("/nope"), client.head(url)):
-            async with request as response:
-                assert response.headers["Access-Control-Allow-Origin"] == "*"
-                assert "ETag" in response.headers["Access-Control-Expose-Headers"]
-        async with client.options(url) as response:
-            assert response.status == 204
-            assert "Range" in response.headers["Access-Control-Allow-Headers"]
-
-    async def closed(server: Running, client: aiohttp.ClientSession) -> None:
-        async with client.get(url) as response:
-            assert response.status == 200
-            assert not [name for name in response.headers if "Access-Control" in name]
-
-    async def one_origin(server: Running, client: aiohttp.ClientSession) -> None:
-        async with client.get(url) as response:
-            assert response.headers["Access-Control-Allow-Origin"] == "https://a.example"
-
-    on_server(root, open_to_all)
-    on_server(root, closed, quick_config(cors_origin=""))
-    on_server(root, one_origin, quick_config(cors_origin="https://a.example"))
+    async with served(root, quick_config(cors_origin=origin)) as (_, client):
+        for path, method in ((url, "GET"), ("/nope", "GET"), (url, "HEAD")):
+            headers = (await fetch(client, path, method)).headers
+            assert headers.get("Access-Control-Allow-Origin", "") == origin
+            if origin:
+                assert "ETag" in headers["Access-Control-Expose-Headers"]
+            else:
+                assert not [name for name in headers if "Access-Control" in name]
+        answer = await fetch(client, url, "OPTIONS")
+        assert answer.status == 204
+        assert not origin or "Range" in answer.headers["Access-Control-Allow-Headers"]
 
 
 async def test_health_readiness_and_metrics(root: Path) -> None:
     async with served(root) as (server, client):
         for path in ("/healthz", "/readyz", "/nope", "/v1/streams/walk/segments/0/1"):
-            async with client.get(path) as response:
-                await response.read()
-        async with client.post("/healthz") as response:
-            assert response.status == 405
-            assert response.headers["Allow"] == "GET,HEAD"
-        async with client.get("/metrics") as response:
-            assert response.headers["Content-Type"].startswith("text/plain; version=0.0.4")
-            text = await response.text()
-        found = {
-            (sample.name, *sorted(sample.labels.items())): sample.value
-            for family in text_string_to_metric_families(text)
-            for sample in family.samples
-        }
-        assert found["swings_requests_total", ("code", "200"), ("route", "/healthz")] == 1
-        assert found["swings_requests_total", ("code", "404"), ("route", "unmatched")] == 1
+            await fetch(client, path)
+        for path, method, allowed in (
+            ("/healthz", "POST", "GET,HEAD"),
+            ("/v1/streams/walk/play", "HEAD", "GET"),
+        ):
+            refused = await fetch(client, path, method)
+            assert (refused.status, refused.headers["Allow"]) == (405, allowed)
+        answer = await fetch(client, "/metrics")
+        assert answer.headers["Content-Type"].startswith("text/plain; version=0.0.4")
+        found = samples(answer.text)
+        assert found["swings_requests_total", "/healthz", "200"] == 1
+        assert found["swings_requests_total", "404", "unmatched"] == 1
         size = (root / "walk" / "segments" / "0" / "1").stat().st_size
-        assert found["swings_layer_bytes_total", ("layer", "1"), ("via", "object")] == size
+        assert found["swings_layer_bytes_total", "1", "object"] == size
         assert found["swings_active_plays",] == 0
         assert found["swings_ttfb_seconds_count",] == 1  # the object was read from disk
         server.state.stopping.set()
-        async with client.get("/readyz") as response:
-            assert response.status == 503
+        assert (await fetch(client, "/readyz")).status == 503
 
 
 async def test_a_damaged_object_is_a_500_that_tells_no_path(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = make_stream(tmp_path / "s", 6) / "segments" / "0" / "0"
-
     async with served(tmp_path) as (_, client):
         path.write_bytes(path.read_bytes()[:-1])
-        async with client.get("/v1/streams/s/segments/0/0") as response:
-            assert response.status == 500
-            assert str(tmp_path) not in await response.text()
-        async with client.get("/v1/streams/s/segments/0/1") as response:
-            assert response.status == 200
+        damaged = await fetch(client, "/v1/streams/s/segments/0/0")
+        assert damaged.status == 500
+        assert str(tmp_path) not in damaged.text
+        assert (await fetch(client, "/v1/streams/s/segments/0/1")).status == 200
     assert str(path) in caplog.text
     assert "Traceback" not in caplog.text

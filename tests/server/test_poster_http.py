@@ -16,6 +16,7 @@ from codec.files import write_atomic
 from codec.stream import StreamReader
 from codec.stream.pictures import MAX_PICTURE_BYTES
 from tests.support.server.running_server import (
+    fetch,
     make_stream,
     raw_get,
     running,
@@ -48,46 +49,37 @@ URL = "/v1/streams/walk/poster.jpg"
 
 
 async def test_it_is_served_like_the_other_files(root: Path) -> None:
-    tag = f'"{hashlib.sha256(JPEG).hexdigest()}"'
-
     async with served(root) as (_, client):
-        async with client.get(URL) as response:
-            assert (response.status, await response.read()) == (200, JPEG)
-            headers = {
-                "ETag": tag,
-                "Content-Type": "image/jpeg",
-                "Cache-Control": "no-cache",
-                "Accept-Ranges": "bytes",
-                "X-Content-Type-Options": "nosniff",
-                "Access-Control-Allow-Origin": "*",
-            }
-            assert {name: response.headers[name] for name in headers} == headers
-        async with client.post(URL) as response:
-            assert response.status == 405
+        found = await fetch(client, URL)
+        assert (found.status, found.body) == (200, JPEG)
+        headers = {
+            "ETag": f'"{hashlib.sha256(JPEG).hexdigest()}"',
+            "Content-Type": "image/jpeg",
+            "Cache-Control": "no-cache",
+            "Accept-Ranges": "bytes",
+            "X-Content-Type-Options": "nosniff",
+            "Access-Control-Allow-Origin": "*",
+        }
+        assert {name: found.headers[name] for name in headers} == headers
+        assert (await fetch(client, URL, "POST")).status == 405
+        for name, what in (("none.jpg", "picture"), ("captions-en.vtt", "captions")):
+            missing = await fetch(client, f"/v1/streams/walk/{name}")
+            assert missing.status == 404
+            assert f"walk has no {what} '{name}'" in missing.text
 
 
 async def test_one_that_is_replaced_or_comes_later_is_served_as_it_is(root: Path) -> None:
     path = root / "walk" / "poster.jpg"
-
     async with served(root) as (_, client):
-        async with client.get(URL) as response:
-            tag = response.headers["ETag"]
+        tag = (await fetch(client, URL)).headers["ETag"]
         write_atomic(path, JPEG + b"more")
-        async with client.get(URL, headers={"If-None-Match": tag}) as response:
-            assert (response.status, await response.read()) == (200, JPEG + b"more")
+        found = await fetch(client, URL, If_None_Match=tag)
+        assert (found.status, found.body) == (200, JPEG + b"more")
         path.unlink()
-        assert (await client.get(URL)).status == 404
-        write_atomic(path, JPEG)
-        assert (await client.get(URL)).status == 200
-
-
-@pytest.mark.parametrize(
-    ("name", "what"), [("none.jpg", "picture"), ("captions-en.vtt", "captions")]
-)
-async def test_what_is_missing_is_called_by_its_kind(root: Path, name: str, what: str) -> None:
-    async with served(root) as (_, client), client.get(f"/v1/streams/walk/{name}") as response:
-        assert response.status == 404
-        assert f"walk has no {what} '{name}'" in await response.text()
+        assert (await fetch(client, URL)).status == 404
+        for size, status in ((MAX_PICTURE_BYTES, 200), (MAX_PICTURE_BYTES + 1, 404)):
+            write_atomic(path, bytes(size))
+            assert (await fetch(client, URL)).status == status
 
 
 @pytest.mark.parametrize(
@@ -106,10 +98,10 @@ async def test_its_path_and_its_name_give_its_url_and_its_type(
     path.write_bytes(JPEG)
 
     async with served(tmp_path) as (server, client):
-        url = f"{server.url}/v1/streams/walk/"
-        async with client.get(yarl.URL(url + quote(name), encoded=True)) as response:
-            assert (response.status, await response.read()) == (200, JPEG)
-            assert response.headers["Content-Type"] == content_type
+        url = yarl.URL(f"{server.url}/v1/streams/walk/{quote(name)}", encoded=True)
+        found = await fetch(client, url)
+        assert (found.status, found.body) == (200, JPEG)
+        assert found.headers["Content-Type"] == content_type
 
 
 async def test_no_other_picture_is_served(root: Path) -> None:
@@ -148,15 +140,3 @@ async def test_what_a_manifest_should_not_name_is_not_a_poster(
             if name not in ("manifest.json", "index.bin", "segments/0/0"):
                 assert head.startswith(b"HTTP/1.1 404 "), head
             assert b"image/" not in head
-
-
-async def test_one_that_is_too_large_is_not_served(root: Path) -> None:
-    path = root / "walk" / "poster.jpg"
-    path.write_bytes(bytes(MAX_PICTURE_BYTES + 1))
-
-    async with served(root) as (_, client):
-        async with client.get(URL) as response:
-            assert response.status == 404
-        path.write_bytes(bytes(MAX_PICTURE_BYTES))
-        async with client.get(URL) as response:
-            assert len(await response.read()) == MAX_PICTURE_BYTES

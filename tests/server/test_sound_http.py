@@ -16,7 +16,7 @@ from codec.stream.sound import SAMPLE_RATE, SoundSource
 from codec.tools.streamsound import add_sound
 from server.library.servedstream import ServedStream
 from server.state.soundcache import SoundCache
-from tests.support.server.running_server import make_stream, served
+from tests.support.server.running_server import fetch, make_stream, served
 
 pytestmark = pytest.mark.anyio
 
@@ -32,38 +32,30 @@ async def test_they_are_served_like_the_other_files(
         tone = 8000 * np.sin(np.arange(9000) / 10)
         file.writeframes(tone.astype("<i2").tobytes())
     add_sound(path, tmp_path / "in.wav", SoundSource("main", 2))
-    objects = {n: (path / f"segments/{n}/audio-main").read_bytes() for n in range(1)}
-    (path / "segments" / "0" / "audio-other").write_bytes(objects[0])
+    sound = (path / "segments" / "0" / "audio-main").read_bytes()
+    (path / "segments" / "0" / "audio-other").write_bytes(sound)
     broken = make_stream(tmp_path / "root" / "broken", 3)
     add_sound(broken, tmp_path / "in.wav", SoundSource("main", 2))
-    (broken / "segments" / "0" / "audio-main").write_bytes(objects[0][:-1])
+    (broken / "segments" / "0" / "audio-main").write_bytes(sound[:-1])
 
     async with served(tmp_path / "root") as (server, client):
-        url = "/v1/streams/walk/segments/"
-        for n, data in objects.items():
-            async with client.get(f"{url}{n}/audio-main") as response:
-                assert (response.status, await response.read()) == (200, data)
-                assert response.headers["Cache-Control"] == "no-cache"
-                headers = {"If-None-Match": response.headers["ETag"]}
-            async with client.get(f"{url}{n}/audio-main", headers=headers) as response:
-                assert response.status == 304
-        for name in ("0/audio-other", "0/audio-", "0/audio-Main", "999/audio-main"):
-            async with client.get(url + name) as response:
-                assert response.status == 404
-        async with client.get("/v1/streams/broken/segments/0/audio-main") as response:
-            assert response.status == 500
-
         url = "/v1/streams/walk/segments/0/audio-main"
+        found = await fetch(client, url)
+        assert (found.status, found.body) == (200, sound)
+        assert found.headers["Cache-Control"] == "no-cache"
+        assert (await fetch(client, url, If_None_Match=found.headers["ETag"])).status == 304
+        for name in ("0/audio-other", "0/audio-", "0/audio-Main", "999/audio-main"):
+            assert (await fetch(client, f"/v1/streams/walk/segments/{name}")).status == 404
+        damaged = await fetch(client, "/v1/streams/broken/segments/0/audio-main")
+        assert damaged.status == 500
         with monkeypatch.context() as patch:
             patch.setattr(ServedStream, "read_sound", None)  # cached objects are not read again
-            async with client.get(url) as response:
-                assert (response.status, await response.read()) == (200, objects[0])
+            assert (await fetch(client, url)).body == sound
         add_sound(broken, tmp_path / "in.wav", SoundSource("other", 1))
         other = (broken / "segments" / "0" / "audio-other").read_bytes()
-        assert other != objects[0]
+        assert other != sound
         write_atomic(path / "segments" / "0" / "audio-main", other)
-        async with client.get(url) as response:
-            assert (response.status, await response.read()) == (200, other)
+        assert (await fetch(client, url)).body == other
         assert server.state.sounds.size_bytes == len(other)
 
 

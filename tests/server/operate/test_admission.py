@@ -10,8 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from codec.errors import InvalidError
-from server.operate.admission import Admission, AdmissionConfig, Refusal
+from server.operate.admission import Admission, Refusal
 from server.operate.clientaddress import parse_proxies
 from tests.support.commands import ROOT
 
@@ -63,11 +62,6 @@ def test_it_counts_as_a_simple_model_does(events: list[tuple[bool, str]]) -> Non
             model[key] -= 1
         assert admission.num_held == model.total()
         assert len(admission._held) == len(+model - Counter({"": model[""]}))
-
-
-def test_limits_below_one_are_refused() -> None:
-    with pytest.raises(InvalidError, match="max_address_plays"):
-        AdmissionConfig(max_address_plays=0)
 
 
 def limited(soft: int, hard: int, wanted: int) -> subprocess.CompletedProcess[str]:

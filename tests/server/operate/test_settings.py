@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -15,9 +16,12 @@ from hypothesis import strategies as st
 
 from codec.console import option
 from codec.errors import InvalidError
+from server.clients.timeouts import TimeoutConfig
+from server.operate.admission import AdmissionConfig
 from server.operate.log.logline import LogStyle
 from server.operate.overload import OverloadConfig
 from server.operate.settings import settings_of, settings_parser, settings_text
+from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.state.config import ServerConfig
 
 
@@ -165,3 +169,31 @@ def test_any_text_is_printed_on_one_line_that_is_read_again_or_refused(text: str
         return
     assert told.count("\n") == len(told.splitlines()) == len(settings_of("X", Command))
     assert variables_of(told)["HOST"] == text
+
+
+@pytest.mark.parametrize(
+    ("config", "wrong"),
+    [
+        (AdmissionConfig, {"max_address_plays": 0}),
+        (OverloadConfig, {"shed_from": 0.95}),
+        (OverloadConfig, {"shed_from": 0.0}),
+        (OverloadConfig, {"refuse_from": 1.1}),
+        (OverloadConfig, {"recover_margin": -0.1}),
+        (OverloadConfig, {"recover_per_s": 0.0}),
+        (OverloadConfig, {"smooth_s": float("inf")}),
+        (OverloadConfig, {"max_late_s": float("nan")}),
+        (OverloadConfig, {"max_egress_bps": -1.0}),
+        (SupervisorConfig, {"workers": 0}),
+        (SupervisorConfig, {"workers": 257}),
+        (SupervisorConfig, {"shutdown_timeout_s": 0.0}),
+        (SupervisorConfig, {"worker_timeout_s": 1}),
+        (TimeoutConfig, {"request_timeout_s": 0.0}),
+        (TimeoutConfig, {"keepalive_timeout_s": float("nan")}),
+        (TimeoutConfig, {"write_timeout_s": 86401.0}),
+    ],
+)
+def test_configs_that_make_no_sense_are_refused(
+    config: Callable[..., object], wrong: dict[str, float]
+) -> None:
+    with pytest.raises(InvalidError, match=next(iter(wrong))):
+        config(**wrong)

@@ -15,9 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from codec.errors import InvalidError
 from server.operate.workers.arbiter import restart_delay_s
-from server.operate.workers.supervisorconfig import SupervisorConfig
 from tests.server.hostile.serverprocess import Comers, ServerProcess, logged_process
 from tests.support.commands import environment
 from tests.support.waiting import BOUND_S, is_running, wait_until
@@ -209,14 +207,3 @@ def test_what_was_counted_outlives_the_workers_that_counted(tmp_path: Path) -> N
                 os.kill(talk.pid, signal.SIGKILL)
                 wait_until(lambda n=n: len(served.events("worker_died")) == n)
         assert len(list((tmp_path / "metrics").glob("counter_*.db"))) <= 4
-
-
-def test_configs_that_make_no_sense_are_refused() -> None:
-    for wrong in (
-        {"workers": 0},
-        {"workers": 257},
-        {"shutdown_timeout_s": 0.0},
-        {"worker_timeout_s": 1},
-    ):
-        with pytest.raises(InvalidError, match=next(iter(wrong))):
-            SupervisorConfig(**wrong)
