@@ -47,11 +47,11 @@ class Pictures:
     def __init__(self, times: int) -> None:
         camera = turned_camera()
         camera = camera.resized(times * camera.width_px, times * camera.height_px)
-        self.cameras: list[Camera] = []
-        for i in range(CAMERAS):
-            w2c = camera.w2c.copy()
-            w2c[0, 3] += 0.3 * i
-            self.cameras.append(replace(camera, name=f"{i}", w2c=w2c))
+        aside = np.zeros((4, 4))
+        aside[0, 3] = 0.3
+        self.cameras: list[Camera] = [
+            replace(camera, name=f"{i}", w2c=camera.w2c + i * aside) for i in range(CAMERAS)
+        ]
         self.asked: list[tuple[int, int]] = []
 
     def shot(self, camera: int, frame: int) -> Shot:
