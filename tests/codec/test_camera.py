@@ -26,7 +26,6 @@ from codec.similarity import Similarity, half_turned, harmonics, turned_harmonic
 from codec.splats import SH_C0, Splats
 from tests.support.alike import shapes
 from tests.support.drawn import directions, places, posed_cameras, rotations, same_splats, turns_rad
-from tests.support.hosted_streams import ring_of_cameras
 from tests.support.hostile import refused
 from tests.support.trained_like import trained_like_splats
 
@@ -43,19 +42,6 @@ def point_at(camera: Camera, share: tuple[float, float, float]) -> Doubles:
 def seen_at(camera: Camera, point: Doubles) -> tuple[float, float]:
     u_px, v_px, _ = camera.project(point)
     return float(u_px), float(v_px)
-
-
-@given(posed_cameras())
-def test_a_camera_sees_from_its_place_along_its_axes(camera: Camera) -> None:
-    axes = np.stack([camera.right, camera.down, camera.forward])
-    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
-    ahead = camera.position + 2 * camera.forward
-    u_px, v_px, depth = camera.project(ahead)
-    assert float(depth) == pytest.approx(2)
-    assert (float(u_px), float(v_px)) == pytest.approx((camera.cx_px, camera.cy_px), abs=1e-6)
-    u_px, v_px, _ = camera.project(ahead + camera.right + camera.down)
-    middle = (camera.cx_px + camera.fx_px / 2, camera.cy_px + camera.fy_px / 2)
-    assert (float(u_px), float(v_px)) == pytest.approx(middle, rel=1e-6, abs=1e-6)
 
 
 def test_pixels_of_a_camera_that_can_be_read_off() -> None:
@@ -102,18 +88,6 @@ def test_a_resized_camera_shows_the_same_view(
     assert (u_px, v_px) == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
-@given(posed_cameras(), st.floats(1e-4, 1))
-def test_a_scaled_camera_is_resized_to_whole_pixels(camera: Camera, scale: float) -> None:
-    small = camera.scaled(scale)
-    sizes = (small.width_px, camera.width_px), (small.height_px, camera.height_px)
-    for scaled_px, full_px in sizes:
-        assert scaled_px >= 1
-        assert scaled_px == 1 or abs(scaled_px - scale * full_px) <= 0.5 + 1e-9
-    expected = camera.resized(small.width_px, small.height_px)
-    assert small.to_json() == expected.to_json()
-    assert camera.scaled(1).to_json() == camera.to_json()
-
-
 @given(posed_cameras(), shares)
 def test_a_halved_camera(camera: Camera, share: tuple[float, float, float]) -> None:
     full = camera.resized(max(2, camera.width_px), max(2, camera.height_px))
@@ -154,13 +128,8 @@ def test_quaternions_and_rotations_are_the_same(axis: Doubles, angle_rad: float)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1)
     np.testing.assert_allclose(rotation_of(quat_of(rotation)), rotation, atol=1e-9)
-
-
-@given(directions, turns_rad)
-def test_quaternions_turn_by_twice_their_angle(axis: Doubles, angle_rad: float) -> None:
     quat = np.array([math.cos(angle_rad / 2), *(math.sin(angle_rad / 2) * axis)])
-    np.testing.assert_allclose(rotation_of(quat), rotation_about(axis, angle_rad), atol=1e-12)
-    # A quarter turn about z takes x to y.
+    np.testing.assert_allclose(rotation_of(quat), rotation, atol=1e-12)
     quarter = rotation_about(np.array([0.0, 0, 1]), math.pi / 2)
     np.testing.assert_allclose(quarter @ [1, 0, 0], [0, 1, 0], atol=1e-12)
 
@@ -231,13 +200,6 @@ def test_axes_that_meet(target: Doubles, ways: list[Doubles], distance_m: float)
     assert closest_point(turned, 1e-6) is None
 
 
-def test_a_ring_of_cameras_looks_at_its_middle() -> None:
-    found = closest_point(ring_of_cameras(5), 1e-3)
-    assert found is not None
-    np.testing.assert_allclose(found, [0, 0, 4], atol=1e-9)
-    np.testing.assert_allclose(mean_up(ring_of_cameras()), [0, -1, 0], atol=1e-9)
-
-
 def test_the_closest_point_of_axes_that_pass_each_other_is_half_way_between() -> None:
     along_z = camera_at(np.eye(4))
     turn = rotation_about(np.array([0.0, 1, 0]), math.pi / 2)
@@ -278,12 +240,6 @@ def test_up_is_a_unit_vector_and_the_sum_of_the_tops(turns: list[Doubles]) -> No
     if np.linalg.norm(total) > 1e-2 * len(cameras):
         np.testing.assert_allclose(np.cross(up, total), np.zeros(3), atol=1e-9)
         assert up @ total > 0
-
-
-def test_where_tops_cancel_out_the_first_camera_tells_what_is_up() -> None:
-    upright, overhead = camera_at(np.eye(4)), camera_at(np.diag([-1.0, -1, 1, 1]))
-    np.testing.assert_allclose(mean_up([upright, overhead]), [0, -1, 0])
-    np.testing.assert_allclose(mean_up([overhead, upright]), [0, 1, 0])
 
 
 def affine(linear: Doubles, offset: Doubles) -> Doubles:

@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
-from codec.pose import Doubles, quat_of
+from codec.pose import Doubles
 from codec.splats import SH_C0, Splats
 from tests.support.drawn import angles_rad
 from tests.support.trained_like import covariances
@@ -50,31 +51,17 @@ def shapes(splats: Splats) -> Doubles:
     return covariances(splats.log_scales.astype(np.float64), splats.quats.astype(np.float64))
 
 
-def _axis_turns() -> list[tuple[Doubles, list[int]]]:
-    """The same as quaternions wxyz, and the axis that each axis comes from."""
-    return [(quat_of(turn), np.abs(turn).argmax(axis=0).tolist()) for turn in axis_turns()]
-
-
-def _multiplied(p: Doubles, q: Doubles) -> Doubles:
-    """(N, 4) products of quaternions (N, 4) and (4,), wxyz."""
-    (a, b, c, d), (w, x, y, z) = p.T, q
-    parts = (
-        a * w - b * x - c * y - d * z,
-        a * x + b * w + c * z - d * y,
-        a * y - b * z + c * w + d * x,
-        a * z + b * y - c * x + d * w,
-    )
-    return np.stack(parts, axis=1)
-
-
 def _closest_shapes(found: Splats, wanted: Splats) -> tuple[Doubles, Doubles]:
     """(N,) angles between orientations in radians and (N, 3) differences of ln sizes. The axes of
     each Gaussian are permuted so that both are small, because their order has no visible effect."""
     sizes = [np.maximum(splats.log_scales, FLAT) for splats in (found, wanted)]
     best = np.full(len(found), np.inf)
     angles, differences = np.zeros(len(found)), np.zeros((len(found), 3))
-    for turn, axes in _axis_turns():
-        quats = _multiplied(found.quats.astype(np.float64), turn).astype(np.float32)
+    turned = Rotation.from_quat(found.quats[:, [1, 2, 3, 0]])
+    for turn in axis_turns():
+        # The axis that each axis comes from.
+        axes = np.abs(turn).argmax(axis=0).tolist()
+        quats = (turned * Rotation.from_matrix(turn)).as_quat()[:, [3, 0, 1, 2]].astype(np.float32)
         angle = angles_rad(replace(found, quats=quats), wanted)
         difference = sizes[0][:, axes] - sizes[1]
         cost = angle + np.abs(difference).max(axis=1)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from codec.camera import Camera
 from codec.pose import Doubles
@@ -25,16 +26,9 @@ Picturer = Callable[[int, int], npt.NDArray[np.uint8]]
 
 
 def quaternion_of(rotation: Doubles) -> tuple[float, ...]:
-    """(w, x, y, z): the eigenvector of the largest eigenvalue of Bar-Itzhack's matrix."""
-    m = rotation
-    table = [
-        [m[0, 0] - m[1, 1] - m[2, 2], 0, 0, 0],
-        [m[0, 1] + m[1, 0], m[1, 1] - m[0, 0] - m[2, 2], 0, 0],
-        [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], m[2, 2] - m[0, 0] - m[1, 1], 0],
-        [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], m[0, 0] + m[1, 1] + m[2, 2]],
-    ]
-    x, y, z, w = np.linalg.eigh(np.array(table))[1][:, 3]
-    return float(w), float(x), float(y), float(z)
+    """(w, x, y, z)."""
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
+    return w, x, y, z
 
 
 def parameters_of(camera: Camera, model: str, distortion: Sequence[float]) -> tuple[float, ...]:

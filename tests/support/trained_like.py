@@ -7,6 +7,7 @@ opacities and colours); positions lie on a figure of balls in a room, with a few
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from codec.pose import Doubles
 from codec.slice import Slice
@@ -96,9 +97,5 @@ def trained_like_slice(birth: int, count: int, sh_degree: int = 0) -> Slice:
 
 def covariances(log_scales: Doubles, quats: Doubles) -> Doubles:
     """(N, 3, 3) covariances; they are the same for all representations of a Gaussian."""
-    w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
-    rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
-    rows += [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
-    rows += [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
-    axes = np.stack(rows, axis=1).reshape(-1, 3, 3) * np.exp(log_scales)[:, None, :]
+    axes = Rotation.from_quat(quats[:, [1, 2, 3, 0]]).as_matrix() * np.exp(log_scales)[:, None, :]
     return np.asarray(axes @ axes.transpose(0, 2, 1))

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from codec.lattice.lattice import MAX_HOLD, MIN_STEP, POSITION_LIMIT, Lattice, dequantise, quantise
+from codec.lattice.lattice import MAX_HOLD, MIN_STEP, POSITION_LIMIT, dequantise, quantise
 from codec.lattice.orientation import canonical
 from codec.lattice.quantise import (
     MAX_COARSENESS,
@@ -32,28 +32,24 @@ from tests.support.trained_like import covariances, trained_like_splats
 MINE = replace(LATTICE, log_scale_base=-4.0)
 
 
-def with_step(name: str, step: float) -> Lattice:
-    return replace(LATTICE, **{name: step})  # type: ignore[arg-type]
+STEPS = (0.0, 9e-7, 1.1e6, -1.0, math.inf, math.nan), (MIN_STEP, 1e6)
 
 
-@pytest.mark.parametrize("name", ["position_m", "log_scale", "rotation", "colour"])
-def test_steps_have_bounds(name: str) -> None:
-    for step in (0.0, 9e-7, 1.1e6, -1.0, float("inf"), float("nan")):
-        refused(InvalidError, name, with_step, name, step)
-    least = with_step(name, MIN_STEP)
-    # The nearest f32 is below the minimum step, but it is valid.
-    assert getattr(least, name) == np.float32(MIN_STEP)
-    assert replace(least) == least
-    assert getattr(with_step(name, 1e6), name) == 1e6
-
-
-def test_the_base_and_the_opacity_levels_have_bounds() -> None:
-    for base in (1000.1, -1000.1, float("inf"), float("nan")):
-        refused(InvalidError, "log_scale_base", replace, LATTICE, log_scale_base=base)
-    for base in (-1e3, 0.1, 1e3):
-        assert replace(LATTICE, log_scale_base=base).log_scale_base == np.float32(base)
-    for levels in (1, 257):
-        refused(InvalidError, "opacity_levels", replace, LATTICE, opacity_levels=levels)
+@pytest.mark.parametrize(
+    ("name", "wrong", "good"),
+    [
+        *((name, *STEPS) for name in ("position_m", "log_scale", "rotation", "colour")),
+        ("log_scale_base", (1000.1, -1000.1, math.inf, math.nan), (-1e3, 0.1, 1e3)),
+        ("opacity_levels", (1, 257), (2, 256)),
+    ],
+)
+def test_each_has_bounds(name: str, wrong: tuple[float, ...], good: tuple[float, ...]) -> None:
+    for value in wrong:
+        refused(InvalidError, name, replace, LATTICE, **{name: value})
+    for value in good:  # the nearest f32 of MIN_STEP is below it, but it is valid
+        made = replace(LATTICE, **{name: value})  # type: ignore[arg-type]
+        assert getattr(made, name) == np.float32(value)
+        assert replace(made) == made
 
 
 def test_what_comes_back_is_within_half_a_step() -> None:

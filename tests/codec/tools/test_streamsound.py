@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import wave
 from dataclasses import replace
 from fractions import Fraction
@@ -23,7 +22,6 @@ from codec.errors import CodecError, CorruptError, SwingsError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.captions import MAX_CAPTIONS_BYTES, Captions, Cue, parse_webvtt
-from codec.stream.packedstorage import open_place
 from codec.stream.sound import SAMPLE_RATE, SoundObject, SoundSource, first_sample, segment_sound
 from codec.tools.audit import verify_stream
 from codec.tools.cutting import join, trim_stream
@@ -32,11 +30,11 @@ from codec.tools.soundcommands import Add, Audio, run_audio
 from codec.tools.soundfile import decode, encode, read_samples
 from codec.tools.static import export_static
 from codec.tools.streamcaptions import add_captions, remove_captions
-from codec.tools.streamsound import add_sound, extract_sound, read_sound, remove_sound, samples
+from codec.tools.streamsound import add_sound, read_sound, remove_sound, samples
 from tests.support.commands import run, run_ok
 from tests.support.hostile import refused
 from tests.support.server.running_server import Running, on_server
-from tests.support.sounding import add_clicks, best_shift, heard, write_clicks
+from tests.support.sounding import best_shift, heard, write_clicks
 from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, write_tiny
 
 CLICKS = (0, 4000, 9600, 14400)
@@ -98,18 +96,13 @@ def test_a_segment_decodes_by_itself(stream: Path) -> None:
     assert np.sqrt(np.mean(error**2)) < 0.05 * np.sqrt(np.mean(whole**2)) + 1
 
 
-def test_static_export_and_one_file_carry_it(stream: Path, tmp_path: Path) -> None:
+def test_static_export_carries_it(stream: Path, tmp_path: Path) -> None:
     add(stream)
     export_static(stream, tmp_path / "static")
     verify_stream(tmp_path / "static")
     for n in range(3):
         name = f"segments/{n}/audio-main"
         assert (tmp_path / "static" / name).read_bytes() == (stream / name).read_bytes()
-    pack_stream(stream, tmp_path / "s.swings")
-    verify_stream(tmp_path / "s.swings")
-    for place in (stream, tmp_path / "s.swings"):
-        extract_sound(str(place), tmp_path / f"{place.name}.wav", "main")
-    assert (tmp_path / "s.wav").read_bytes() == (tmp_path / "s.swings.wav").read_bytes()
     (stream / "segments" / "1" / "audio-main").write_bytes(b"SWA1")
     with pytest.raises(CorruptError, match="segments/1/audio-main: byte 0: sound"):
         pack_stream(stream, tmp_path / "s.swings")
@@ -280,25 +273,6 @@ def test_sound_that_cannot_be_cut_leaves_no_stream(stream: Path, tmp_path: Path)
         assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_stream_that_grows_while_it_is_joined(stream: Path, tmp_path: Path) -> None:
-    fps = StreamReader(stream).manifest.fps
-    add_clicks(stream, [2, 7])
-    (source,) = StreamReader(stream).manifest.sound
-    writer = StreamWriter.create(tmp_path / "live", replace(tiny_manifest(), sound=(source,)))
-    hush = encode([np.zeros((first_sample(16, fps), 2), np.int16)], 2, 1 << 20, 96000)
-    writer.sound = objects_of(hush, fps)
-    append_tiny(writer, 8)
-    join(
-        [tmp_path / "live", stream], tmp_path / "both", progress=lambda *_: append_tiny(writer, 16)
-    )
-    writer.close()
-    assert StreamReader(tmp_path / "live").num_frames == 16
-    verify_stream(tmp_path / "both")
-    found, begin = heard(tmp_path / "both"), first_sample(8, fps)
-    assert len(found) == first_sample(18, fps)
-    assert best_shift(heard(stream), found[begin:], 30) == 0
-
-
 VTT = """\
 WEBVTT - of the walk
 
@@ -354,9 +328,6 @@ def test_captions_go_with_the_stream_but_for_cuts(stream: Path, file: Path, tmp_
     export_static(stream, tmp_path / "static")
     assert (tmp_path / "static" / "captions-en.vtt").read_text() == VTT
     verify_stream(tmp_path / "static")
-    pack_stream(stream, tmp_path / "one.swings")
-    verify_stream(tmp_path / "one.swings")
-    assert open_place(tmp_path / "one.swings").read("captions-en.vtt", 1 << 20).decode() == VTT
     edit_stream(stream, tmp_path / "dark", ColourOptions(exposure=-1))
     verify_stream(tmp_path / "dark")
     assert (tmp_path / "dark" / "captions-en.vtt").read_text() == VTT
@@ -384,26 +355,6 @@ def test_damaged_files_are_found(stream: Path, file: Path) -> None:
     for _ in range(2):
         refused(CodecError, r"captions-en\.vtt", verify_stream, stream)
         path.unlink(missing_ok=True)
-
-
-@pytest.mark.parametrize(
-    "captions",
-    [
-        {},
-        [{"language": "../en", "label": "x"}],
-        [{"language": "en", "label": ""}],
-        [{"language": "en", "label": "a\nb"}],
-        [{"language": "en", "label": "a" * 81}],
-        [{"language": "en"}],
-        [{"language": "en", "label": "a"}, {"language": "EN", "label": "b"}],
-        [{"language": f"l{n}", "label": "a"} for n in range(17)],
-    ],
-)
-def test_other_manifests_are_refused(stream: Path, captions: object) -> None:
-    path = stream / "manifest.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "captions": captions}))
-    with pytest.raises(CodecError, match=r"manifest: (captions|two captions|label|17 captions)"):
-        StreamReader(stream)
 
 
 def test_cues_are_read() -> None:
