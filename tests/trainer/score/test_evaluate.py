@@ -49,8 +49,7 @@ def trained_on(capture: Capture) -> Manifest:
     return replace(tiny_manifest(), cameras=cameras, default_camera=cameras[0].name)
 
 
-@pytest.fixture
-def uneven(tmp_path: Path) -> Capture:
+def test_cameras_have_the_sizes_of_training_and_others_are_named(tmp_path: Path) -> None:
     """Cameras of 64, 51 and 33 pixels in width, which SCALE does not divide."""
     write_dynamic3dgs(tmp_path / "c", num_cameras=4, num_frames=3)
     plain = open_capture(tmp_path / "c")
@@ -59,33 +58,24 @@ def uneven(tmp_path: Path) -> Capture:
         replace(c, camera=c.camera.resized(*size), held_out=True)
         for c, size in zip(plain.cameras, sizes, strict=True)
     ]
-    return replace(plain, cameras=tuple(cameras))
-
-
-def test_every_camera_has_the_size_that_training_gave_it(uneven: Capture) -> None:
-    cameras = stream_cameras(trained_on(uneven), uneven, "stream")
-    sizes = [(c.width_px, c.height_px) for c in cameras]
-    with FrameCache(uneven, range(3), SCALE) as cache:
-        scaled = [cache.camera(i) for i in range(len(cameras))]
-    assert sizes == [(c.width_px, c.height_px) for c in scaled]
-    with FrameCache(uneven, range(3), cameras=cameras) as cache:
-        assert cache.camera(1) == cameras[1]
-        assert cache.image(0, 0).shape == (cameras[0].height_px, cameras[0].width_px, 3)
-
-
-@pytest.mark.parametrize("index", [0, 2])
-def test_another_capture_is_told_by_any_held_out_camera(uneven: Capture, index: int) -> None:
+    uneven = replace(plain, cameras=tuple(cameras))
     manifest = trained_on(uneven)
-    cameras = list(manifest.cameras)
-    w2c = cameras[index].w2c.copy()
-    w2c[:3, 3] += 0.1
-    cameras[index] = replace(cameras[index], w2c=w2c)
-    with pytest.raises(CaptureError, match=f"camera {cameras[index].name} is not the one"):
-        stream_cameras(replace(manifest, cameras=tuple(cameras)), uneven, "stream")
-    cameras[index] = replace(cameras[index], w2c=np.eye(4), name="other")
-    others = replace(manifest, cameras=tuple(cameras), default_camera="other")
-    with pytest.raises(CaptureError, match="has no camera"):
-        stream_cameras(others, uneven, "stream")
+    found = stream_cameras(manifest, uneven, "stream")
+    with FrameCache(uneven, range(3), SCALE) as cache:
+        for i, camera in enumerate(found):
+            scaled = cache.camera(i)
+            assert (camera.width_px, camera.height_px) == (scaled.width_px, scaled.height_px)
+    with FrameCache(uneven, range(3), cameras=found) as cache:
+        assert cache.camera(1) == found[1]
+        assert cache.image(0, 0).shape == (found[0].height_px, found[0].width_px, 3)
+    for index in (0, 2):
+        others, moved = list(manifest.cameras), manifest.cameras[index].w2c.copy()
+        moved[:3, 3] += 0.1
+        for name, told in (("", f"camera cam0{index} is not the one"), ("x", "has no camera")):
+            others[index] = replace(others[index], w2c=moved, name=name or others[index].name)
+            wrong = replace(manifest, cameras=tuple(others), default_camera=others[0].name)
+            with pytest.raises(CaptureError, match=told):
+                stream_cameras(wrong, uneven, "stream")
 
 
 def test_a_contact_sheet_shows_cameras_of_any_size_whole(tmp_path: Path) -> None:

@@ -16,11 +16,9 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image
 from rich.console import Console
 
-from codec.slice import Slice
-from codec.splats import Splats
 from codec.stream import StreamWriter
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, seen_by, write_dynamic3dgs
-from tests.support.tiny_stream import tiny_manifest
+from tests.support.tiny_stream import tiny_manifest, tiny_slice
 from trainer.capture.capture import Mask, Picture
 from trainer.pictures.shot import Shot
 from trainer.score.colourfit import colour_fitted
@@ -115,31 +113,6 @@ def test_psnr_is_that_of_the_moving_pixels_alone_if_there_are_enough() -> None:
         assert score is None if missing else score == pytest.approx(0)
 
 
-def write_moving_capture(root: Path) -> None:
-    """Writes a capture whose held-out camera sees a grey block on a grey wall; see BRIGHTNESS."""
-    write_dynamic3dgs(root, num_cameras=3, num_frames=FRAMES)
-    for frame, brightness in enumerate(BRIGHTNESS):
-        picture = grey(GREY, (HEIGHT_PX, WIDTH_PX))
-        picture[BLOCK] = brightness
-        Image.fromarray(picture).save(root / f"ims/1/{frame:06d}.png")
-
-
-def write_black_stream(path: Path, capture: Path) -> None:
-    """Writes a stream of invisible Gaussians."""
-    manifest = seen_by(tiny_manifest(), capture)
-    count = manifest.slice_size
-    splats = Splats(
-        np.zeros((count, 3), np.float32),
-        np.full((count, 3), -3, np.float32),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
-        np.full(count, -20, np.float32),
-        np.zeros((count, 1, 3), np.float32),
-    )
-    with StreamWriter.create(path, manifest) as writer:
-        for birth in range(manifest.first_birth, FRAMES):
-            writer.append(Slice(birth, splats, np.zeros(count, np.uint8)))
-
-
 def expected_db(brightness: int) -> float:
     """PSNR of black pixels against the block and the adjacent pixels."""
     squares = BLOCK_PX * brightness**2 + BESIDE_PX * GREY**2
@@ -151,10 +124,20 @@ MEAN_DB = (expected_db(100) + expected_db(160)) / 2
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a capture and a black stream of it."""
+    """A folder with a capture, whose held-out camera sees a grey block on a grey wall, see
+    BRIGHTNESS, and with a stream of invisible Gaussians."""
     root = tmp_path_factory.mktemp("moving")
-    write_moving_capture(root / "capture")
-    write_black_stream(root / "stream", root / "capture")
+    write_dynamic3dgs(root / "capture", num_cameras=3, num_frames=FRAMES)
+    for frame, brightness in enumerate(BRIGHTNESS):
+        picture = grey(GREY, (HEIGHT_PX, WIDTH_PX))
+        picture[BLOCK] = brightness
+        Image.fromarray(picture).save(root / f"capture/ims/1/{frame:06d}.png")
+    manifest = seen_by(tiny_manifest(), root / "capture")
+    with StreamWriter.create(root / "stream", manifest) as writer:
+        for birth in range(manifest.first_birth, FRAMES):
+            part = tiny_slice(birth)
+            part.splats.logit_opacities[:] = -20
+            writer.append(part)
     return root
 
 
@@ -226,7 +209,7 @@ def test_the_table_shows_what_moves_and_each_camera_whatever_its_name(folder: Pa
     assert "".join(rows) == f"12{name}mean"
 
 
-colours = st.tuples(st.floats(0.5, 1.5), st.floats(-0.2, 0.2))
+COLOURS = st.tuples(st.floats(0.5, 1.5), st.floats(-0.2, 0.2))
 
 
 def noise(seed: int) -> Floats:
@@ -234,7 +217,7 @@ def noise(seed: int) -> Floats:
 
 
 @settings(max_examples=25)
-@given(st.integers(0, 99), st.tuples(colours, colours, colours))
+@given(st.integers(0, 99), st.tuples(COLOURS, COLOURS, COLOURS))
 def test_a_camera_s_colours_cost_nothing(seed: int, cast: tuple[tuple[float, float], ...]) -> None:
     shown = noise(seed)
     gain_bias = np.array(cast, np.float32)
