@@ -17,17 +17,15 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from codec.camera import Camera
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat, read_splats, write_splats
 from codec.pose import Doubles
 from codec.sequence.errorbound import ErrorBound
-from codec.sequence.importing import ImportOptions, facing_camera, import_stream
+from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import SH_C0, Splats, sh_count
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.layers import Rank
 from codec.tools.audit import verify_stream
-from player.render.cpu import render_splats
 from tests.support.alike import axis_turns
 from tests.support.commands import ENTRY, ROOT, run_ok
 from tests.support.drawn import same_splats
@@ -51,15 +49,9 @@ def test_an_exported_stream_comes_back_exactly(swin_size: int, tmp_path: Path) -
     assert 0.5 * writer.bytes_written < made.num_bytes < 1.15 * writer.bytes_written
     assert 0.5 * writer.played_bytes < made.played_bytes < 1.15 * writer.played_bytes
     reader, source = StreamReader(tmp_path / "t"), StreamReader(tmp_path / "s")
-    low, high = (np.array(corner) for corner in reader.manifest.bounds)
-    camera: Camera = facing_camera(low, high).scaled(0.1)
-    for frame, file in enumerate(sorted((tmp_path / "seq").iterdir())):
-        found = reader.active_splats(frame, 4)
-        # Equal bit by bit, in another order.
-        assert gaussians(found) == gaussians(source.active_splats(frame, 4))
-        # Another order changes the picture where two Gaussians have the same depth.
-        error = render_splats(found, camera, 0.01) - render_splats(read_splats(file), camera, 0.01)
-        assert -10 * np.log10(np.mean(error**2) + 1e-12) >= 50
+    for frame in range(NUM_FRAMES):  # equal bit by bit, in another order
+        found, wanted = (one.active_splats(frame, 4) for one in (reader, source))
+        assert gaussians(found) == gaussians(wanted)
 
 
 def test_the_layers_of_the_source_come_back_by_the_order_of_its_files(tmp_path: Path) -> None:
