@@ -13,9 +13,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from codec.stream.playrecord import ErrorRecord, SliceRecord, SnapshotRecord
+import pytest
+
 from tests.support.commands import ROOT, run
-from tests.support.server.running_server import make_stream, parse_records
+from tests.support.server.running_server import make_stream
 from tests.support.waiting import BOUND_S
 
 
@@ -40,39 +41,23 @@ def serving(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
             process.kill()
 
 
-def test_it_says_when_it_is_ready_and_ends_on_sigterm(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_it_says_when_it_is_ready_and_ends_on_a_signal(
+    tmp_path: Path, number: signal.Signals
+) -> None:
     make_stream(tmp_path / "walk", 3)
     make_stream(tmp_path / "dance", 3)
     with serving(str(tmp_path), "--port", "0") as (process, url):
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+", url)
         with urllib.request.urlopen(f"{url}/readyz", timeout=BOUND_S) as response:
             assert response.read() == b"ready\n"
-        process.send_signal(signal.SIGTERM)
+        process.send_signal(number)
         out, err = process.communicate(timeout=BOUND_S)
         assert (process.returncode, out) == (0, "")
         lines = err.splitlines()
         assert [line.split()[1] for line in lines] == ["info"] * 3
         assert "dance is served: 3 frames" in lines[0]
         assert "method=GET path=/readyz status=200 bytes=6" in lines[2]
-
-
-def test_sigint_ends_a_play_at_a_slice_boundary(tmp_path: Path) -> None:
-    make_stream(tmp_path / "walk", 60, fps=1)
-    with serving(str(tmp_path / "walk"), "--port", "0") as (process, url):
-        with urllib.request.urlopen(
-            f"{url}/v1/streams/walk/play?layers=1", timeout=BOUND_S
-        ) as response:
-            head = response.read(100)
-            process.send_signal(signal.SIGINT)
-            records = parse_records([head, response.read()])
-        # The signal may arrive when only the snapshot of frame 0 has been sent.
-        *_, last, error = records
-        assert isinstance(last, SliceRecord | SnapshotRecord)
-        assert isinstance(error, ErrorRecord)
-        _, err = process.communicate(timeout=BOUND_S)
-        assert process.returncode == 0
-        assert len(err.splitlines()) == 2  # the stream, the play
-        assert "outcome=stopped" in err
 
 
 def test_a_folder_without_a_stream_is_served_and_the_log_says_so(tmp_path: Path) -> None:

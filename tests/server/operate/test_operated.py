@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import re
 import resource
+import signal
 import socket
 import sys
 from contextlib import ExitStack
@@ -212,8 +214,13 @@ def test_every_line_of_a_json_log_is_json(root: Path, tmp_path: Path) -> None:
     assert (play["outcome"], play["layers"]) == ("complete", 1)
 
 
-def test_any_worker_tells_what_both_have_counted(root: Path, tmp_path: Path) -> None:
-    with server_process(root, tmp_path, "--workers", 2) as server:
+def test_any_worker_tells_what_all_have_counted_the_dead_ones_too(
+    root: Path, tmp_path: Path
+) -> None:
+    with (
+        server_process(root, tmp_path, "--workers", 2, "--log", "json") as server,
+        ExitStack() as stack,
+    ):
         for _ in range(40):
             assert ask(server.port, "/healthz").status == 200
 
@@ -223,3 +230,10 @@ def test_any_worker_tells_what_both_have_counted(root: Path, tmp_path: Path) -> 
         # Both see the same streams, and no load.
         wait_until(lambda: figures(server.port).get(("swings_streams", "served")) == 2)
         assert figures(server.port)["swings_shed_layers",] == 0
+        begin(stack, server.port, PLAY)
+        wait_until(lambda: figures(server.port)["swings_active_plays",] == 1)
+        for line in server.events("worker_ready"):
+            os.kill(line["pid"], signal.SIGKILL)
+        wait_until(lambda: len(server.events("worker_ready")) == 4)
+        found = figures(server.port)
+        assert (found[counted], found["swings_active_plays",]) == (40, 0)

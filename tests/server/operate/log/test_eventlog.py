@@ -44,16 +44,6 @@ def warning(message: str, created_s: float = 0.0) -> logging.LogRecord:
     return logging.makeLogRecord(fields | {"created": created_s})
 
 
-def test_events_are_lines(told: Told) -> None:
-    told.log.event("request", path="/", event_bytes=3)
-    for _ in range(2):  # events are never held back
-        told.log.event("no_stream_yet", "warning", root="r")
-    assert [(line["level"], line["event"]) for line in told.lines()] == [
-        ("info", "request"),
-        *[("warning", "no_stream_yet")] * 2,
-    ]
-
-
 def test_the_same_warning_is_logged_once_a_minute_with_its_count(told: Told) -> None:
     for created_s in [*[0.0] * 1000, 61.0]:
         told.log.handle(warning("descriptors are out", created_s))

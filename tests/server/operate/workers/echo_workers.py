@@ -2,8 +2,7 @@
 WHAT CONFIG: its URL is on the first line of stdout, its log on stderr.
 
 WHAT: "echo", where "hang" is echoed and blocks the event loop; "slow", which ends when its clients
-have gone; "stubborn", which never ends; "refuse", which cannot start; "count", which counts
-connections and answers any line with all figures, in JSON.
+have gone; "stubborn", which never ends; "refuse", which cannot start.
 
 A file "refuse" in the folder prevents further workers from starting.
 """
@@ -18,12 +17,10 @@ import socket
 import sys
 import threading
 from functools import partial
-from pathlib import Path
 
 from codec.errors import SwingsError
 from server.operate.log.eventlog import EventLog, take_over_logging
 from server.operate.log.logline import LogStyle
-from server.operate.prometheus import Metrics, forget_worker
 from server.operate.workers.arbiter import WorkerHooks, run_workers
 from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.operate.workers.workerprocess import StreamWorker
@@ -36,20 +33,13 @@ async def serve(what: str, worker: StreamWorker) -> None:
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     loop.add_signal_handler(signal.SIGTERM, stop.set)
-    metrics = Metrics(Path("metrics"), worker.number) if what == "count" else None
-
     talks = set[asyncio.Task[None] | None]()
 
     async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         talks.add(asyncio.current_task())
         try:
             writer.write(f"{worker.number} {os.getpid()}\n".encode())
-            if metrics is not None:
-                metrics.requests.add(1, "/", "200")
-                metrics.active_plays.set(1)
             while line := await reader.readline():
-                if metrics is not None:
-                    line = json.dumps(metrics.text()).encode() + b"\n"
                 writer.write(line)
                 await writer.drain()
                 if line == b"hang\n":
@@ -80,7 +70,6 @@ def main() -> None:
     take_over_logging(log)
 
     def forget(number: int) -> None:
-        forget_worker(Path("metrics"), number)
         log.event("forgotten", worker=number)
 
     def ready() -> None:

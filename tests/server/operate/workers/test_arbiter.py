@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import socket
 import subprocess
@@ -193,17 +192,3 @@ def test_a_server_that_cannot_start_says_why_in_one_line(tmp_path: Path) -> None
     *lines, last = done.stderr.splitlines()
     assert last == "failed: there is nothing to serve"
     assert {json.loads(line)["event"] for line in lines} == {"forgotten"}
-
-
-def test_what_was_counted_outlives_the_workers_that_counted(tmp_path: Path) -> None:
-    (tmp_path / "metrics").mkdir()
-    with serving(tmp_path, "count") as served:
-        for n in range(1, 4):
-            with closing(Talk(served.port)) as talk:
-                talk.send(b"figures")
-                text = json.loads(talk.line())
-                assert f'swings_requests_total{{code="200",route="/"}} {n}.0\n' in text
-                assert re.search(r"^swings_active_plays [12]\b", text, re.MULTILINE)
-                os.kill(talk.pid, signal.SIGKILL)
-                wait_until(lambda n=n: len(served.events("worker_died")) == n)
-        assert len(list((tmp_path / "metrics").glob("counter_*.db"))) <= 4
