@@ -35,7 +35,6 @@ from player.streamcommand import draw_poster
 from tests.support.commands import ROOT, run, run_ok
 from tests.support.deforming import Deforming
 from tests.support.hostile import file_limit, refused
-from tests.support.slots.rotating import turned
 from tests.support.trained_like import trained_like_splats
 
 OPTIONS = ImportOptions(fps=30)
@@ -184,24 +183,6 @@ def test_a_file_that_changes_while_it_is_imported_is_named(tmp_path: Path) -> No
     with pytest.raises(InvalidError, match=r"1\.ply: changed while it was imported"):
         import_stream(tmp_path / "take", tmp_path / "s", OPTIONS, progress=grow)
     assert [path.name for path in tmp_path.iterdir()] == ["take"]
-
-
-@pytest.mark.parametrize("format", SplatFormat)
-def test_every_format_makes_a_sequence(format: SplatFormat, tmp_path: Path) -> None:
-    """The sequence has the Gaussians of each file, even if the format is coarse."""
-    splats = trained_like_splats(200)
-    (tmp_path / "seq").mkdir()
-    files = [tmp_path / "seq" / f"{number}.{format}" for number in range(3)]
-    for number, file in enumerate(files):
-        write_splats(file, turned(splats, 0.02 * (number // 2)), format)
-    made = import_stream(tmp_path / "seq", tmp_path / "s", OPTIONS)
-    assert made.statuses[0] >= 200  # the second file equals the first
-    reader = StreamReader(tmp_path / "s")
-    for number, file in enumerate(files):
-        found, wanted = reader.active_splats(number, 4), read_splats(file)
-        assert len(found) == len(wanted)
-        for a, b in zip(np.sort(found.means, 0).T, np.sort(wanted.means, 0).T, strict=True):
-            assert abs(a - b).max() < 0.003
 
 
 def test_too_many(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
