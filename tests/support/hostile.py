@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import math
 import resource
 import tracemalloc
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +14,7 @@ from typing import Any
 import pytest
 
 from codec.errors import CodecError
-from codec.stream.index import CHECKSUM, HEAD, LAYER, SIDE, SegmentRecord, pack_record
+from codec.stream.index import pack_record
 from codec.stream.manifest import Part, object_file
 from codec.stream.object import join_packets
 from codec.stream.reader import StreamReader
@@ -70,34 +68,6 @@ def flips(data: bytes, every: int = 1) -> Iterable[bytes]:
     for place in range(0, len(data), every):
         for value in (data[place] ^ 1, data[place] ^ 0x80, 255 - data[place]):
             yield data[:place] + bytes([value]) + data[place + 1 :]
-
-
-def forged_record(record: SegmentRecord) -> bytes:
-    """A record of the index with a correct checksum, even if the record breaks a rule."""
-    layers = zip(record.object_bytes, record.object_sha256, record.psnr_db, strict=True)
-    sides = zip(record.side_bytes, record.side_sha256, strict=True)
-    body = HEAD.pack(record.segment, record.first_frame, record.num_frames, 0)
-    body += b"".join(LAYER.pack(*layer) for layer in layers)
-    body += b"".join(SIDE.pack(*side) for side in sides)
-    return body + CHECKSUM.pack(zlib.crc32(body))
-
-
-def record_of(segment: int, num_frames: int, objects: Sequence[bytes]) -> SegmentRecord:
-    """The record of a segment in a stream with segments of 4 frames; `objects` are in the order of
-    `Manifest.parts`."""
-    num_layers = (len(objects) - 1) // 2
-    sizes = tuple(map(len, objects))
-    hashes = tuple(hashlib.sha256(data).digest() for data in objects)
-    return SegmentRecord(
-        segment,
-        4 * segment,
-        num_frames,
-        sizes[:num_layers],
-        hashes[:num_layers],
-        (math.nan,) * num_layers,
-        sizes[num_layers:],
-        hashes[num_layers:],
-    )
 
 
 def put_object(stream: Path, segment: int, part: Part, data: bytes) -> None:

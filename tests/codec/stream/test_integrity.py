@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
 
 from codec.errors import CorruptError, InvalidError
-from codec.stream.index import SegmentRecord, pack_record, parse_index, record_bytes
+from codec.stream.index import (
+    CHECKSUM,
+    HEAD,
+    LAYER,
+    SIDE,
+    SegmentRecord,
+    pack_record,
+    parse_index,
+    record_bytes,
+)
 from codec.stream.integrity import (
     CheckedObject,
     check_index_end,
@@ -20,7 +31,7 @@ from codec.stream.integrity import (
 )
 from codec.stream.manifest import MASKS, Part, snapshot_part
 from codec.stream.object import MAX_OBJECT_BYTES, encode_packet, join_packets, read_object_table
-from tests.support.hostile import flips, forged_record, record_of, refused
+from tests.support.hostile import flips, refused
 from tests.support.objects import new_chunk, object_of
 from tests.support.tiny_stream import tiny_manifest
 
@@ -32,6 +43,34 @@ NUM_PARTS = len(MANIFEST.parts)
 CHUNKS = {birth: new_chunk(birth, 12) for birth in range(9)}
 OBJECT = object_of([CHUNKS[birth] for birth in BIRTHS])
 SNAPSHOT = object_of([CHUNKS[4]])
+
+
+def forged_record(record: SegmentRecord) -> bytes:
+    """A record of the index with a correct checksum, even if the record breaks a rule."""
+    layers = zip(record.object_bytes, record.object_sha256, record.psnr_db, strict=True)
+    sides = zip(record.side_bytes, record.side_sha256, strict=True)
+    body = HEAD.pack(record.segment, record.first_frame, record.num_frames, 0)
+    body += b"".join(LAYER.pack(*layer) for layer in layers)
+    body += b"".join(SIDE.pack(*side) for side in sides)
+    return body + CHECKSUM.pack(zlib.crc32(body))
+
+
+def record_of(segment: int, num_frames: int, objects: Sequence[bytes]) -> SegmentRecord:
+    """The record of a segment in a stream with segments of 4 frames; `objects` are in the order of
+    `Manifest.parts`."""
+    num_layers = (len(objects) - 1) // 2
+    sizes = tuple(map(len, objects))
+    hashes = tuple(hashlib.sha256(data).digest() for data in objects)
+    return SegmentRecord(
+        segment,
+        4 * segment,
+        num_frames,
+        sizes[:num_layers],
+        hashes[:num_layers],
+        (math.nan,) * num_layers,
+        sizes[num_layers:],
+        hashes[num_layers:],
+    )
 
 
 def record_with(data: bytes) -> SegmentRecord:
