@@ -25,15 +25,18 @@ pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="reads /proc"),
 ]
 
-PLAY = """
+PEAK = """
 import re, sys
 from pathlib import Path
-from player.config import PlayConfig
-from player.run.playback import play
-from player.render.renderer import RendererKind
 
 def peak_mb():
     return int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024
+"""
+
+PLAY = """
+from player.config import PlayConfig
+from player.run.playback import play
+from player.render.renderer import RendererKind
 
 source, out, shown = sys.argv[1], sys.argv[2], sys.argv[3] == "window"
 if shown:
@@ -53,13 +56,7 @@ print(peak_mb())
 
 # Memory of OpenGL for an empty window, which is large with a software driver.
 EMPTY = """
-import re
-from pathlib import Path
 import glfw, moderngl
-
-def peak_mb():
-    return int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024
-
 from player.render.renderer import GlVersion
 from player.show.glwindow import GlWindow, window_system
 from player.show.posterscreen import PosterScreen
@@ -75,7 +72,7 @@ with window_system():
 
 def output_mb(program: str, display: str, *arguments: str) -> float:
     done = subprocess.run(
-        [sys.executable, "-c", program, *arguments],
+        [sys.executable, "-c", PEAK + program, *arguments],
         cwd=ROOT,
         env={**os.environ, "DISPLAY": display},
         capture_output=True,

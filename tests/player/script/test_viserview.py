@@ -6,13 +6,10 @@ import importlib.util
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
-from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -83,56 +80,6 @@ def receive(connection: Any, wanted: bytes) -> None:
     """Returns when `wanted` has arrived."""
     while wanted not in connection.recv(timeout=BOUND_S):
         pass
-
-
-@needs_viser
-def test_the_page_is_there_and_a_frame_is_sent(stream: Path) -> None:
-    before = set(threading.enumerate())
-    with Scene.open(stream) as scene, ViserView(scene, 0) as view:
-        with urlopen(view.url, timeout=10) as answer:
-            assert b"<html" in answer.read().lower()
-        with browser(view.url) as connection:
-            receive(connection, sent(scene.splats(0)))
-            view.show(7)
-            receive(connection, sent(scene.splats(7)))
-        with browser(view.url) as late:
-            receive(late, sent(scene.splats(7)))
-        url = view.url
-    with pytest.raises(OSError, match="refused"):
-        urlopen(url, timeout=10)
-    assert set(threading.enumerate()) == before
-
-
-@needs_viser
-def test_it_plays_in_time_and_goes_where_the_slider_says(
-    stream: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now_s, shown = 100.0, list[int]()
-
-    def passes(seconds: float) -> None:
-        nonlocal now_s
-        now_s += seconds
-
-    clock = SimpleNamespace(monotonic=lambda: now_s, sleep=passes)
-    monkeypatch.setattr("player.script.viserview.time", clock)
-    with Scene.open(stream) as scene, ViserView(scene, 0, range(2, 12)) as view:
-        show = view.show
-
-        def noting(frame: int) -> None:
-            shown.append(frame)
-            show(frame)
-
-        view.show = noting  # type: ignore[method-assign]
-        view.play(0.495)
-        assert shown == [2 + n % 10 for n in range(1, 25)]  # 50 frames a second, in a loop
-        shown.clear()
-        view.playing = False
-        view.frame = 9
-        view.play(0.1)
-        assert shown == [9]
-        view.playing = True
-        view.play(0.05)
-        assert shown == [9, 10, 11]
 
 
 @needs_viser

@@ -20,12 +20,7 @@ from codec.stream.sound import (
     segment_sound,
 )
 from codec.tools.soundfile import PACKET_SAMPLES, decode, encode
-from player.sound.segmentsound import (
-    MAX_SEGMENT_S,
-    SegmentDecoder,
-    check_playable,
-    segment_span,
-)
+from player.sound.segmentsound import MAX_SEGMENT_S, SegmentDecoder, check_playable, segment_span
 from tests.support.hosted_streams import small_manifest
 
 MAIN = SoundSource("main", 2)
@@ -39,12 +34,11 @@ def silent_object(num_packets: int, num_samples: int) -> SoundObject:
     return SoundObject(2, 312, num_samples, 0, (SILENCE,) * num_packets)
 
 
-@pytest.mark.parametrize("num_samples", [0, 1 << 40])
-def test_packets_far_behind_the_segment_are_refused(num_samples: int) -> None:
-    whole = silent_object(MAX_PACKETS, num_samples)
-    for segment in (0, 7):
+def test_packets_far_behind_the_segment_are_refused() -> None:
+    for num_samples, segment in ((0, 0), (1 << 40, 0), (1 << 40, 7)):
+        whole = silent_object(MAX_PACKETS, num_samples).pack()
         with pytest.raises(CorruptError, match="sound: packets up to"):
-            SegmentDecoder(MAIN, MANIFEST).decode(segment, whole.pack())
+            SegmentDecoder(MAIN, MANIFEST).decode(segment, whole)
 
 
 @pytest.mark.parametrize("more_frames", [-2, 0, 9])
@@ -97,5 +91,4 @@ def test_segments_of_too_many_samples_are_not_played() -> None:
     ):
         with pytest.raises(UnsupportedError, match="play it with --mute"):
             check_playable(wrong)
-    assert segment_span(manifest, 0)[1] * 16 == MAX_SEGMENT_S * SAMPLE_RATE
     assert np.int16(0).nbytes * MAX_SEGMENT_S * SAMPLE_RATE < 1.2e8

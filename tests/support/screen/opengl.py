@@ -24,8 +24,7 @@ NO_GL43 = gl_reason(GlVersion.V43)
 GL_VERSIONS = [
     pytest.param(GlVersion.V33, marks=needs_gl),
     pytest.param(
-        GlVersion.V43,
-        marks=pytest.mark.skipif(NO_GL43 is not None, reason=f"OpenGL: {NO_GL43}"),
+        GlVersion.V43, marks=pytest.mark.skipif(NO_GL43 is not None, reason=f"OpenGL: {NO_GL43}")
     ),
 ]
 """Both versions of OpenGL, as parameters."""
