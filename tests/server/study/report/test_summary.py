@@ -1,4 +1,4 @@
-"""Summaries of many plays: means, normalised QoE and paired differences, checked by hand."""
+"""Summaries of many plays: means, intervals, normalised QoE and paired differences, by hand."""
 
 from __future__ import annotations
 
@@ -6,11 +6,34 @@ import math
 from statistics import fmean
 
 import pytest
+from scipy.stats import binom
 
+from codec.errors import InvalidError
 from server.study.plays import Oracle, Outcome, Play
 from server.study.report.bootstrap import mean_interval
 from server.study.report.summary import normalised_mean, summarise
 from server.study.report.tables import HEAD, rows
+
+
+@pytest.mark.parametrize(("ones", "zeros"), [(5, 5), (3, 17), (30, 10)])
+def test_the_mean_of_coins_is_binomial(ones: int, zeros: int) -> None:
+    count = ones + zeros
+    interval = mean_interval([1.0] * ones + [0.0] * zeros, seed=1)
+    assert interval.mean == ones / count
+    # With 10,000 draws the share below a point is accurate to about a percent; the points are
+    # 1 / count apart.
+    low, high = binom.ppf([0.015, 0.035], count, ones / count) / count
+    assert low <= interval.low <= high
+    low, high = binom.ppf([0.965, 0.985], count, ones / count) / count
+    assert low <= interval.high <= high
+
+
+@pytest.mark.parametrize(
+    ("values", "resamples", "level"), [([], 10, 0.95), ([1.0], 0, 0.95), ([1.0], 10, 1.0)]
+)
+def test_nothing_to_draw_from_is_refused(values: list[float], resamples: int, level: float) -> None:
+    with pytest.raises(InvalidError, match="bootstrap"):
+        mean_interval(values, 0, resamples, level)
 
 
 def play(policy: str, quality_db: float, came_bytes: float = 100.0, wasted: float = 0.0) -> Play:

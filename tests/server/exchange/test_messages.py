@@ -1,15 +1,107 @@
-"""Conditional and partial requests, compared with a naive reading of RFC 9110, 13 and 14."""
+"""Requests and responses, compared with a naive reading of RFC 9110, 13 and 14."""
 
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from multidict import CIMultiDict
 
+from server.exchange.byterange import parse_range
 from server.exchange.content import IMMUTABLE, Content, accepted_codings, respond
 from server.exchange.errors import RequestError
-from server.exchange.request import Request
+from server.exchange.request import Request, read_request
+from server.exchange.response import error_response, fields_text
+
+PATHS = st.text("".join(chr(c) for c in range(0x21, 0x7F) if chr(c) not in "?#"), max_size=30)
+QUERIES = st.text("".join(chr(c) for c in range(0x21, 0x7F) if chr(c) != "#"), max_size=20)
+HOSTS = st.sampled_from(["h", "a.example:8080", "127.0.0.1:1", "[::1]:65535", "[2001:db8::1]"])
+
+
+def read(target: str, *fields: tuple[str, str], method: str = "GET") -> Request:
+    return read_request(method, target, CIMultiDict(fields))
+
+
+@given(PATHS, st.none() | QUERIES, HOSTS, st.none() | HOSTS)
+def test_a_target_is_read_back(
+    path: str, query: str | None, host: str, authority: str | None
+) -> None:
+    target = f"/{path}" + ("" if query is None else f"?{query}")
+    before = "" if authority is None else f"http://{authority}"
+    request = read(before + target, ("Host", host))
+    assert (request.path, request.query) == (f"/{path}", query or "")
+    assert request.host == (authority or host)
+
+
+def test_lines_of_one_field_are_one_list() -> None:
+    request = read("/", ("If-None-Match", '"a"'), ("if-none-match", '"b"'))
+    assert request.joined("If-None-Match") == '"a", "b"'
+    assert request.joined("If-Match") == ""
+
+
+texts = st.text(max_size=20) | st.text("ab:\r\n", max_size=8)
+
+
+@given(st.dictionaries(texts, texts, max_size=4))
+@example({"X": "a\r\nSet-Cookie: b"})
+@example({"a\nb": "x"})
+def test_no_field_breaks_out_of_its_line(fields: dict[str, str]) -> None:
+    try:
+        data = fields_text(fields)
+    except ValueError as error:  # more than one line, or not latin-1
+        assert "more than one line" in str(error) or "latin-1" in str(error)  # noqa: PT017
+        return
+    lines = data.split(b"\r\n")
+    assert lines.pop() == b""
+    assert len(lines) == len(fields)
+    assert data.count(b"\n") == data.count(b"\r") == len(fields)
+
+
+def test_an_error_is_one_line_whatever_it_says() -> None:
+    response = error_response(400, 'a "b"\n\r\u2028\x00<script>', {"Allow": "GET"})
+    assert b"\n" not in response.body
+    assert response.fields["Cache-Control"] == "no-store"
+    assert response.fields["Allow"] == "GET"
+
+
+CASES = [
+    ("", 10, None),
+    ("bytes=0-0", 10, range(0, 1)),
+    ("bytes=0-", 10, range(0, 10)),
+    ("Bytes= 2-4 ", 10, range(2, 5)),
+    ("bytes=2-400", 10, range(2, 10)),
+    ("bytes=-3", 10, range(7, 10)),
+    ("bytes=-300", 10, range(0, 10)),
+    ("bytes=-0", 10, range(0)),
+    ("bytes=10-", 10, range(0)),
+    ("bytes=10-12", 10, range(0)),
+    ("bytes=0-", 0, range(0)),
+    ("bytes=-5", 0, range(0)),
+    ("bytes=5-4", 10, None),
+    ("bytes=-", 10, None),
+    ("bytes=1-2,4-5", 10, None),
+    ("bytes=a-b", 10, None),
+    ("bytes=--1", 10, None),
+    ("bytes=+1-2", 10, None),
+    ("bytes=\u0661-\u0662", 10, None),
+    ("items=0-1", 10, None),
+    ("bytes 0-1", 10, None),
+    ("bytes=" + "9" * 5000 + "-", 10, None),
+]
+
+
+@pytest.mark.parametrize(("header", "size", "expected"), CASES)
+def test_cases(header: str, size: int, expected: object) -> None:
+    assert parse_range(header, size) == expected
+
+
+@given(st.text(max_size=30), st.integers(0, 1 << 40))
+def test_any_text_gives_a_range_inside_or_none(header: str, size: int) -> None:
+    for text in (header, f"bytes={header}"):
+        found = parse_range(text, size)
+        if found:
+            assert 0 <= found.start < found.stop <= size
+
 
 DATA = bytes(range(100))
 TAG, CODED, OTHER = '"f00d"', '"f00d-zstd"', '"beef"'
