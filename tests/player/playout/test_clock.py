@@ -14,8 +14,7 @@ from tests.player.playout.conducted import World
 @given(
     st.lists(
         st.tuples(
-            st.floats(0, 10),
-            st.sampled_from(["stop", "start"]) | st.floats(MIN_RATE, MAX_RATE),
+            st.floats(0, 10), st.sampled_from(["stop", "start"]) | st.floats(MIN_RATE, MAX_RATE)
         )
     )
 )

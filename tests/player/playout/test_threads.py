@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from player.playout.clock import Clock
 from player.playout.outputtimes import OutputTimes
 from player.playout.queues import Events, Handoff
 from player.playout.threads import Threads, render_thread
-from player.playout.timeline import DueFrame, FrameRecord, Playout, QueueConfig
+from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.cpu import CpuRenderer
 from player.source.directory import DirectorySource
 from player.source.source import NO_PLAY, Packets
@@ -228,33 +228,6 @@ def test_a_window_sees_errors_too_and_takes_all_frames_at_once() -> None:
     handoff.finish(SwingsError("broken"))
     with pytest.raises(SwingsError, match="broken"):
         handoff.poll()
-
-
-def test_a_frame_waits_until_it_is_due_and_longer_in_a_pause() -> None:
-    world = World()
-    clock = Clock(True, world)
-    events = events_of(10.0, clock)
-    for one in PACKETS[:2]:
-        events.append(one)
-    assert events.wait_for_frame() is not None
-
-    def still_waits(frame: Future[DueFrame | None], seconds: float) -> bool:
-        """Whether the frame is not there after `seconds`, whenever the thread looks."""
-        world.now_s += seconds
-        events.time_changed()
-        return frame not in wait([frame], 0.05).done
-
-    with ThreadPoolExecutor(1) as pool:
-        frame = pool.submit(events.wait_for_frame)
-        assert still_waits(frame, 0.09)
-        clock.stop()
-        assert still_waits(frame, 5.0)
-        clock.start()
-        assert still_waits(frame, 0.009)
-        still_waits(frame, 0.002)
-        due = frame.result(BOUND_S)
-    assert due is not None
-    assert due.record.shown_s == pytest.approx(0.1)
 
 
 def test_who_sends_is_told_of_a_full_queue_and_of_a_pause() -> None:

@@ -23,14 +23,6 @@ def test_one_stays_within_the_frames(first: int, count: int, frame: int, seconds
         assert transport.seek(frame) == frame
 
 
-def test_skips_add_up_before_the_first_of_them_shows() -> None:
-    transport = Transport(0, 1000, 30.0, shown=100)
-    wanted = transport.skip(1.0)
-    assert wanted == 130
-    assert transport.skip(1.0, wanted) == 160
-    assert transport.skip(-9.0, wanted) == 0
-
-
 def test_a_live_stream_ends_where_it_has_come_to() -> None:
     transport = Transport(0, None, 30.0, known_end=300, shown=10)
     assert transport.seek(10**6) == 299

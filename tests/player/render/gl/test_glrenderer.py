@@ -20,22 +20,10 @@ from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 from player.render.cpu import CpuRenderer, render_splats
-from player.render.gl import (
-    GlError,
-    GlRenderer,
-    Target,
-    bufferresident,
-    glrenderer,
-    open_context,
-)
+from player.render.gl import GlError, GlRenderer, Target, bufferresident, glrenderer, open_context
 from player.render.renderer import GlVersion
 from player.render.ring import Ring
-from tests.support.hosted_streams import (
-    SWIN_SIZE,
-    random_slice,
-    random_splats,
-    small_manifest,
-)
+from tests.support.hosted_streams import SWIN_SIZE, random_slice, random_splats, small_manifest
 from tests.support.screen.opengl import GL_VERSIONS, NO_GL43
 from tests.support.slots.leases import LeasedStream, leased_streams, replayed
 
