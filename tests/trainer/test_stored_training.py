@@ -1,5 +1,4 @@
-"""Captures and streams in an object store, a real S3 server: the same pictures as from a folder, in
-bounded memory; training, kills and scores."""
+"""Captures and streams in a real S3 server: the pictures and bytes of folders."""
 
 from __future__ import annotations
 
@@ -80,9 +79,7 @@ def test_the_commands_of_the_manual_write_the_bytes_of_folders(
     assert f"{train[2]} is not empty" in again.stderr
 
 
-def test_killed_it_resumes_to_the_same(
-    server: S3Server, whole: dict[str, bytes], tmp_path: Path
-) -> None:
+def test_killed_runs_go_on(server: S3Server, whole: dict[str, bytes], tmp_path: Path) -> None:
     url, work = f"s3://{BUCKET}/killed/show", tmp_path / "work"
     done = run_until(signal.SIGKILL, 3, CAPTURE, url, "--work", work, *SETTINGS)
     assert done.returncode == -signal.SIGKILL, done.stderr
@@ -137,9 +134,7 @@ def test_pictures_are_those_of_a_folder(server: S3Server, tmp_path: Path, layout
     assert not there.root.parent.exists()
 
 
-def test_errors_name_the_url(
-    server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_urls_in_errors(server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(objectstore, "PATIENT", objectstore.BRIEF)
     for url in (f"s3://{BUCKET}/nothing", "s3://no-such-bucket/x"):
         with pytest.raises(SwingsError, match=url):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,13 +12,9 @@ import pytest
 from PIL import Image
 
 from codec.errors import InvalidError
-from tests.support.commands import ROOT
 from tests.support.tiny_capture import picture_of, refusal, write_dynamic3dgs
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
-
-DATA = Path(os.environ.get("SWINGS_DATA", ROOT / ".." / "shared" / "data"))
-BASKETBALL = DATA / "panoptic_basketball"
 
 
 def test_folders_that_are_not_captures_are_refused(tmp_path: Path) -> None:
@@ -182,19 +177,3 @@ def test_points_of_either_form_and_bad_ones(tmp_path: Path) -> None:
         assert said in refusal(tmp_path / "c")
     (tmp_path / "c/init_pt_cld.npz").write_bytes(b"PK")
     assert "not an .npz file" in refusal(tmp_path / "c")
-
-
-@pytest.mark.skipif(
-    not (BASKETBALL / "train_meta.json").is_file(),
-    reason="the PanopticSports basketball capture is not on this machine (SWINGS_DATA)",
-)
-def test_basketball() -> None:
-    basketball = open_capture(BASKETBALL)
-    assert len(basketball.cameras) == 31
-    assert basketball.num_frames == 150
-    assert basketball.held_out == (0, 10, 15, 30)
-    assert basketball.points is not None
-    assert len(basketball.points) == 28352
-    assert basketball.near_m is not None
-    assert 0.9 < basketball.near_m < 1.0
-    assert basketball.open_images(7).read(149).shape == (360, 640, 3)

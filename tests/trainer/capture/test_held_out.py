@@ -1,5 +1,4 @@
-"""Held-out cameras, those of held_out.txt in every layout or one between the others; and place and
-depth of the scene, estimated from the cameras."""
+"""Held-out cameras of every layout; and place and depth of the scene, from cameras."""
 
 from __future__ import annotations
 

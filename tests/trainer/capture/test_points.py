@@ -66,9 +66,7 @@ def accepts(path: Path, data: bytes) -> bool:
 @pytest.mark.parametrize("version", [" 1.0", ""])
 @pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
 @pytest.mark.parametrize("layout", ["ascii", "binary_little_endian"])
-def test_every_flavour_gives_the_same_points(
-    layout: str, newline: str, version: str, faces: bool, tmp_path: Path
-) -> None:
+def test_any_flavour(layout: str, newline: str, version: str, faces: bool, tmp_path: Path) -> None:
     body = text() if layout == "ascii" else binary()
     path = tmp_path / "points.ply"
     path.write_bytes(header(layout, newline, version, faces=faces) + body)
@@ -130,9 +128,7 @@ def test_a_header_without_points_is_refused(tmp_path: Path) -> None:
         (header("binary_little_endian", count=1 << 40), True, "not a list of vertices"),
     ],
 )
-def test_false_claims_cost_no_memory(
-    data: bytes, is_sparse: bool, says: str, tmp_path: Path
-) -> None:
+def test_false_claims_are_cheap(data: bytes, is_sparse: bool, says: str, tmp_path: Path) -> None:
     path = tmp_path / "points.ply"
     path.write_bytes(data)
     if is_sparse:

@@ -1,5 +1,4 @@
-"""Leases: the slots sent to a player are exactly those that training renders; a seam: slots take
-over the Gaussians of another training, all of them by its end."""
+"""The slots sent are exactly those that training renders; and seams of two trainings."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""Renewal finds objects in a frame that no Gaussian renders, and places Gaussians there; scene flow
-finds moving Gaussians at their new places, and leaves others unchanged."""
+"""Renewal places Gaussians on objects that none renders; scene flow follows things."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -72,7 +71,7 @@ class Film:
     """Pictures of the Gaussians of each frame."""
 
     def __init__(
-        self, frames: list[Splats], gains: Sequence[float] = (1,) * 8, sizes: Sizes = ((160, 90),)
+        self, frames: list[Splats], gains: Iterable[float] = (1,) * 8, sizes: Sizes = ((160, 90),)
     ) -> None:
         rig = tiny_rig(8, arc_deg=90.0)
         self.cameras = [c.resized(*sizes[i % len(sizes)]) for i, c in enumerate(rig)]
@@ -103,12 +102,9 @@ def find(compared: Comparison, count: int = 200) -> Splats:
 
 
 @pytest.mark.parametrize(
-    ("sizes", "masked"),
-    [([(160, 90), (128, 100), (400, 225)], ()), ([(160, 90)], (0, 2, 4, 5, 7))],
+    ("sizes", "masked"), [([(160, 90), (128, 100), (400, 225)], ()), ([(160, 90)], (0, 2, 4, 5, 7))]
 )
-def test_what_is_missing_is_found_in_its_place_and_colour(
-    sizes: Sizes, masked: Sequence[int]
-) -> None:
+def test_missing_things_are_found_in_place_and_colour(sizes: Sizes, masked: Sequence[int]) -> None:
     film = Film([Splats.concatenate([room(), thing()])], sizes=sizes)
     for i in masked:
         film.masks[i] = np.zeros((90, 160), np.uint8)

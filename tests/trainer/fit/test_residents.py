@@ -1,5 +1,4 @@
-"""A training with its Gaussians on a torch device reaches the same quality as one in host arrays,
-and resumes from its own state."""
+"""A training on a torch device shows what one in host arrays shows, and resumes."""
 
 from __future__ import annotations
 
@@ -12,14 +11,7 @@ import pytest
 from codec.splats import Splats
 from player.render.cpu import render_splats
 from tests.trainer.fit.test_leases import SLOTS, layout
-from tests.trainer.fit.test_trainer import (
-    CONFIG,
-    FRAMES,
-    NEAR_M,
-    Rendered,
-    ring_camera,
-    start,
-)
+from tests.trainer.fit.test_trainer import CONFIG, FRAMES, NEAR_M, Rendered, ring_camera, start
 from trainer.fit.config import FitConfig
 from trainer.fit.observer import Observer, Progress
 from trainer.fit.trainer import Trainer

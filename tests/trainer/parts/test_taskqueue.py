@@ -1,5 +1,4 @@
-"""Parts cover a capture in whole segments; tasks come in the order in which the stream grows; and
-checks of a cluster before it gets work."""
+"""Parts in whole segments, tasks in the order of the stream, and checks of a cluster."""
 
 from __future__ import annotations
 
@@ -52,9 +51,7 @@ def run_of(num_parts: int) -> Run:
 
 
 @given(st.integers(1, 9), st.integers(1, 6), st.data())
-def test_every_task_is_handed_out_once_and_after_what_it_needs(
-    num_parts: int, at_a_time: int, data: st.DataObject
-) -> None:
+def test_tasks_come_once_and_in_order(num_parts: int, at_a_time: int, data: st.DataObject) -> None:
     run = run_of(num_parts)
     tasks = run.tasks
     # What an earlier run has done includes what that needs.

@@ -1,5 +1,4 @@
-"""The frame cache: correct pictures at the correct scale, within its bound, read ahead; and shots:
-a picture and its mask stay together."""
+"""The frame cache: correct pictures, within its bound, read ahead; and shots of it."""
 
 from __future__ import annotations
 

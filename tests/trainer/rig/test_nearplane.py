@@ -1,5 +1,4 @@
-"""The near plane of a rig, or of a camera that sees something nearer; warnings about captures that
-may train badly, or that no score can judge."""
+"""The near plane of a rig, or of one camera; and warnings about captures."""
 
 from __future__ import annotations
 

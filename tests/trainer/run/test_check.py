@@ -1,5 +1,4 @@
-"""Describing and drawing a capture; captures as users record them give the correct pictures, or the
-correct warning."""
+"""Captures as users record them give the correct description and pictures, or a warning."""
 
 from __future__ import annotations
 

@@ -111,9 +111,7 @@ def test_settings_that_cannot_be_are_refused(values: dict[str, Any], message: st
         (("--no-whole-slices", "--preset", "paper"), "--rank opacity"),
     ],
 )
-def test_what_only_whole_slices_can_do_needs_them_in_any_preset(
-    more: Sequence[str], word: str
-) -> None:
+def test_what_only_whole_slices_do_needs_them_in_any_preset(more: Sequence[str], word: str) -> None:
     with pytest.raises(InvalidError, match=f"{word} .*--whole-slices"):
         parse(*more).check_slices()
     for preset in ("fast", "paper"):

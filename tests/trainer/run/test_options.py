@@ -46,9 +46,7 @@ def log_of(stream: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (stream / LOG_NAME).read_text().splitlines()]
 
 
-def test_a_run_goes_on_from_given_gaussians_of_a_higher_degree(
-    capture: Path, tmp_path: Path
-) -> None:
+def test_runs_go_on_from_given_gaussians_of_a_higher_degree(capture: Path, tmp_path: Path) -> None:
     first, initial = tmp_path / "first", tmp_path / "first.ply"
     train_here(capture, first, *LATER, "--genesis-iterations", 150, "--settle-rounds", 2)
     reader = StreamReader(first)
@@ -75,9 +73,7 @@ def test_what_cannot_begin_is_refused_before_any_write(capture: Path, tmp_path: 
     assert not (tmp_path / "s").exists()
 
 
-def test_preset_gpu_says_its_memory_and_scales_large_captures(
-    capture: Path, tmp_path: Path
-) -> None:
+def test_preset_gpu_says_memory_and_scales_large_captures(capture: Path, tmp_path: Path) -> None:
     stream = tmp_path / "stream"
     done = run(
         "swings-train", capture, stream, "--preset", "gpu", "--num-gs", 100, "--frames", "0:2",

@@ -98,14 +98,10 @@ QUICK = {
 }  # fmt: skip
 
 
-def marks_of(case: tuple[str, int, bool]) -> tuple[pytest.MarkDecorator, ...]:
-    return () if case in QUICK else (pytest.mark.deep,)
-
-
 @pytest.mark.parametrize(
     ("kind", "number", "is_old"),
     [
-        pytest.param(*case, marks=marks_of(case))
+        pytest.param(*case, marks=() if case in QUICK else pytest.mark.deep)
         for kind in SETTINGS_OF
         for number in range(4 + FRAMES)
         for is_old in (True, False)
@@ -257,9 +253,7 @@ def test_updates_come_back_from_a_checkpoint(sh_degree: int, tmp_path: Path) -> 
 
 
 @pytest.mark.deep
-def test_a_run_that_compiles_writes_the_same_bytes(
-    capture: Path, moments: Path, tmp_path: Path
-) -> None:
+def test_compiling_runs_write_the_same_bytes(capture: Path, moments: Path, tmp_path: Path) -> None:
     stream = tmp_path / "stream"
     done = subprocess.run(
         command("swings-train", capture, stream, *SETTINGS),

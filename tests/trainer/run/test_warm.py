@@ -44,9 +44,7 @@ def main() -> None:
 
 
 @pytest.mark.parametrize("sh_degree", [0, pytest.param(1, marks=pytest.mark.deep), 3])
-def test_training_compiles_nothing_that_was_not_compiled_ahead(
-    sh_degree: int, tmp_path: Path
-) -> None:
+def test_training_compiles_nothing_that_warm_did_not(sh_degree: int, tmp_path: Path) -> None:
     write_dynerf(tmp_path / "capture", num_cameras=9, num_frames=3)  # no warning
     code = "from tests.trainer.run.test_warm import main; main()"
     words = tmp_path / "capture", tmp_path / "out", sh_degree

@@ -87,7 +87,7 @@ def streams(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Str
     return trained(config_of(capture, tmp_path_factory.mktemp("whole")))
 
 
-def test_the_raw_stream_holds_what_the_other_rounds_to_lattices(
+def test_raw_streams_hold_what_the_other_rounds_to_lattices(
     streams: list[StreamReader],
 ) -> None:
     coded, exact = streams
@@ -128,9 +128,7 @@ class Stopper(Observer):
             raise InterruptedError
 
 
-def test_resuming_keeps_every_float(
-    streams: list[StreamReader], capture: Path, tmp_path: Path
-) -> None:
+def test_resume_keeps_floats(streams: list[StreamReader], capture: Path, tmp_path: Path) -> None:
     config = config_of(capture, tmp_path)
     with pytest.raises(InterruptedError):
         trained(config, [Stopper()])

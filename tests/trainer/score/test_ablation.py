@@ -8,15 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from codec.errors import InvalidError
 from codec.lattice.lattice import Lattice
 from codec.pose import Doubles
 from codec.rig import rig_centre
 from codec.slice import Slice
-from codec.splats import Floats, Splats, sh_count
+from codec.splats import Floats, Splats
 from codec.stream import StreamWriter
 from tests.support.commands import run_ok
 from tests.support.tiny_capture import seen_by, write_dynamic3dgs

@@ -38,9 +38,7 @@ SHARES = (1.0, 0.5, 0.2)
     st.lists(st.floats(0.01, 1), min_size=2, max_size=2),
     st.data(),
 )
-def test_the_highest_ranks_are_kept(
-    values: list[float], shares: list[float], data: st.DataObject
-) -> None:
+def test_high_ranks_are_kept(values: list[float], shares: list[float], data: st.DataObject) -> None:
     importances = np.array(values)
     order = data.draw(st.permutations(range(len(values))))
     empty = data.draw(st.lists(st.booleans(), min_size=len(values), max_size=len(values)))

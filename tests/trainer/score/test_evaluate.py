@@ -1,5 +1,4 @@
-"""swings-eval: capture and sizes that it scores with, traffic, training cameras, figures that
-`swings-stream info` prints, too, and those that a writer records."""
+"""swings-eval: sizes, traffic, training cameras, and figures that a writer records, too."""
 
 from __future__ import annotations
 
@@ -214,9 +213,7 @@ FRAMES, SEGMENT = 8, 3
 
 @pytest.mark.parametrize("killed_at", [None, 4, 7])
 @pytest.mark.parametrize("swin_size", [1, 3])
-def test_a_frame_is_scored_as_a_reader_shows_it(
-    swin_size: int, killed_at: int | None, tmp_path: Path
-) -> None:
+def test_frames_score_as_they_show(swin_size: int, killed_at: int | None, tmp_path: Path) -> None:
     """Also where the writer is dropped before the birth `killed_at`, and another one resumes."""
     capture, stream = tmp_path / "capture", tmp_path / "stream"
     write_dynamic3dgs(capture, num_cameras=3, num_frames=FRAMES)

@@ -1,5 +1,4 @@
-"""Moving pixels: their choice, and the score of a stream with known pictures on them; and pictures
-in a camera's colours."""
+"""Moving pixels, and the score of a stream on them; and pictures in a camera's colours."""
 
 from __future__ import annotations
 
@@ -170,9 +169,7 @@ def test_the_sheet_shows_what_moves_twice_as_large(folder: Path, tmp_path: Path)
 
 @settings(max_examples=25)
 @given(arrays(np.bool_, (14, 23)), st.integers(1, 14), st.integers(1, 23))
-def test_no_other_box_holds_more_of_what_moves(
-    pixels: npt.NDArray[np.bool_], height_px: int, width_px: int
-) -> None:
+def test_the_box_moves_most(pixels: npt.NDArray[np.bool_], height_px: int, width_px: int) -> None:
     box = Movement(pixels, pixels.size).busiest(height_px, width_px)
     if box is None:
         assert pixels.sum() < MIN_MOVING_PX

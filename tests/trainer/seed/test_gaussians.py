@@ -1,5 +1,4 @@
-"""Seeds are where the cameras agree; the spacing of first Gaussians; and the depth of the nearest
-objects, from places that cameras see."""
+"""Seeds are where cameras agree; spacing of first Gaussians; depth of the nearest objects."""
 
 from __future__ import annotations
 

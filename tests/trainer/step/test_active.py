@@ -148,9 +148,7 @@ def test_neighbours_are_the_eight_around() -> None:
     reach=st.tuples(st.integers(0, 20), st.integers(0, 20)),
 )
 @settings(max_examples=60, deadline=None)
-def test_runs_are_near_active_tiles(
-    seed: int, height: int, width: int, reach: tuple[int, int]
-) -> None:
+def test_runs_near_active_tiles(seed: int, height: int, width: int, reach: tuple[int, int]) -> None:
     rng = np.random.default_rng(seed)
     active = rng.random((-(-height // TILE_PX), -(-width // TILE_PX))) < 0.2
     reach_x, reach_y = reach

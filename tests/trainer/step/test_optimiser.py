@@ -1,5 +1,4 @@
-"""Adam equals that of torch, row by row; the noise has the covariance of 3DGS-MCMC; Gaussians of a
-cell get a common gradient."""
+"""Adam is torch's, row by row; noise of 3DGS-MCMC; common gradients of a cell."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The CPU rasteriser, compared with a plain torch reference and with finite differences; and
-contributions, which are its blending weights."""
+"""The CPU rasteriser and contributions, against a torch reference and differences."""
 
 from __future__ import annotations
 

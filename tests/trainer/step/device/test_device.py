@@ -74,9 +74,7 @@ def backend_named(name: str) -> Backend:
 )
 @pytest.mark.parametrize("half", [False, True])
 @pytest.mark.parametrize("name", ["stand-in", "torch", "gsplat", "torch on a GPU"])
-def test_a_step_gives_the_cpu_s_gradients(
-    name: str, half: bool, sh_degree: int, masked: bool
-) -> None:
+def test_steps_give_cpu_s_gradients(name: str, half: bool, sh_degree: int, masked: bool) -> None:
     backend = backend_named(name)
     shot = shot_of(CAMERA, 3, masked, half)
     rows = np.random.default_rng(4).permutation(COUNT)[: COUNT - 5].astype(np.int32)

@@ -104,9 +104,7 @@ def test_auto_prefers_gsplat_then_torch_on_a_device(monkeypatch: pytest.MonkeyPa
         ("updates have no effect", r"its loss in a trial is nan, not 0\.\d+"),
     ],
 )
-def test_a_faulty_device_is_not_taken(
-    monkeypatch: pytest.MonkeyPatch, fault: str, said: str
-) -> None:
+def test_faulty_devices_are_refused(monkeypatch: pytest.MonkeyPatch, fault: str, said: str) -> None:
     def plain(weights: Weights, device: str) -> TorchBackend:
         backend = Faulty(0.2, 0.01, 0.02, "cpu")
         backend.fault = fault if device == "mps" else ""

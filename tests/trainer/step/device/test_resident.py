@@ -1,5 +1,4 @@
-"""A training that stays on a device matches the one in host arrays, and a step copies only single
-numbers between host and device."""
+"""A training on a device matches one in host arrays, and its steps copy only numbers."""
 
 from __future__ import annotations
 
@@ -196,33 +195,6 @@ def test_where_nothing_is_trained_nothing_moves(rows: Ints, whole: bool) -> None
             assert np.array_equal(array, was)
         assert not given.adam.steps.any()
     assert losses[1] == pytest.approx(losses[0], rel=1e-3, abs=1e-9)
-
-
-def test_a_steady_step_sends_numbers_alone() -> None:
-    given, backend = training(1), TorchBackend(*WEIGHTS, "cpu")
-    resident, crossing = backend.start(given), backend.crossing
-    begin(resident)
-    selection = resident.select(SHOWN, TRAINED)
-    for step in steps(CAMERAS * FRAMES):
-        resident.step(step, selection)
-    resident.losses(wait=True)
-    pixels = given.views[0].camera.width_px * given.views[0].camera.height_px
-    masks = CAMERAS - 1
-    assert crossing.picture_bytes == FRAMES * pixels * (3 * CAMERAS + masks)  # as bytes, once
-    assert isinstance(given.pictures, Pictures)
-    assert len(given.pictures.asked) == CAMERAS * FRAMES
-    before, pictures = crossing.crossed_bytes, crossing.picture_bytes
-    for i, step in enumerate(steps(40, 6)):
-        resident.step(step, selection)
-        assert len(resident.losses(wait=i % 20 == 19)) == (20 if i % 20 == 19 else 0)
-    assert 0 < crossing.crossed_bytes - before < 40 * 150
-    assert crossing.picture_bytes == pictures
-    # Copying all rows shows that the counter works.
-    resident.fetch(history=True)
-    assert crossing.received_bytes > NUM_GS * 3 * 23 * 4
-    received = crossing.received_bytes
-    resident.fetch(history=True)
-    assert crossing.received_bytes == received
 
 
 def test_pictures_keep_to_their_bound_and_come_again() -> None:

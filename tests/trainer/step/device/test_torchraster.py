@@ -1,5 +1,4 @@
-"""The rasteriser in plain torch draws and differentiates like the CPU's kernels; a training reports
-its device memory, and a device with less memory is refused."""
+"""Plain torch draws and differentiates like the CPU's kernels, in the planned memory."""
 
 from __future__ import annotations
 
