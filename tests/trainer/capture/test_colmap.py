@@ -81,9 +81,7 @@ def test_a_forward_rig_takes_its_depths_from_the_points(tmp_path: Path) -> None:
         ("OPENCV", (-0.1, 0.02, 0.003, -0.004), Lens(k1=-0.1, k2=0.02, p1=0.003, p2=-0.004)),
     ],
 )
-def test_each_lens_is_taken_out_of_the_pictures(
-    tmp_path: Path, model: str, distortion: tuple[float, ...], lens: Lens
-) -> None:
+def test_each_lens(tmp_path: Path, model: str, distortion: tuple[float, ...], lens: Lens) -> None:
     """That straight lines are straight then is shown by the captures of tests/support/footage."""
     camera = tiny_rig(1)[0]
     write_model(tmp_path / "sparse/0", [camera], ["cam00.png"], True, model, distortion)
@@ -157,13 +155,10 @@ def test_text_files_with_another_count_or_words(tmp_path: Path, name: str) -> No
         ("images", "cam01.png", "../cam01.png", "images.txt: '../cam01.png' is not a path inside"),
         ("images", "cam01.png", "cam00.jpg", "cam00.jpg and cam00.png are both camera cam00"),
         ("images", "cam01.png", "cam\x0001.png", "is not a path inside"),
+        ("cameras", "(64 36) \\S+", r"\1 1e-300", "cameras.txt: camera cam00: focal length"),
+        ("images", "(?s).+", "9 1 0 0 0 1e200 2 3 1 a.png\n\n", "is over 1e+09 m away"),
         ("images", "(?s).+", "# nothing", "images.txt: has no images"),
-        (
-            "images",
-            "(?s).+",
-            "9 0 0 0 0 1 2 3 1 a.png\n\n",
-            "images.txt: image a.png: its quaternion",
-        ),
+        ("images", "(?s).+", "9 0 0 0 0 1 2 3 1 a.png\n\n", "image a.png: its quaternion"),
         ("images", "(?s).+", "9 1e200 0 0 0 1 2 3 1 a.png\n\n", "image a.png: its quaternion"),
     ],
 )
@@ -174,23 +169,6 @@ def test_contradicting_rows(tmp_path: Path, name: str, before: str, after: str, 
     assert count
     path.write_text(changed)
     assert said in refusal(tmp_path)
-
-
-def test_numbers_that_no_camera_has(tmp_path: Path) -> None:
-    whole = tiny_rig(1)[0]
-    far = whole.w2c.copy()
-    far[0, 3] = 1e200
-    write_pictures(tmp_path, [whole], 1, True)
-    for change, said in (
-        ({"fx_px": 1e-300}, "cameras.bin: camera cam00: focal length"),
-        ({"fy_px": 1e300}, "cameras.bin: camera cam00: focal length"),
-        ({"cx_px": -1e5}, "cameras.bin: camera cam00: focal length"),
-        ({"w2c": far}, "camera cam00: is over 1e+09 m away"),
-    ):
-        cameras = [replace(whole, **change)]
-        shutil.rmtree(tmp_path / "sparse", ignore_errors=True)
-        write_model(tmp_path / "sparse", cameras, ["cam00.png"], True)
-        assert said in refusal(tmp_path)
 
 
 def test_bytes_of_a_model_that_are_none(tmp_path: Path) -> None:
