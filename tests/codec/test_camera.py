@@ -316,3 +316,9 @@ def test_what_leaves_the_range_of_floats_is_refused() -> None:
     small = trained_like_splats(1)
     long = Splats(small.means, small.log_scales, huge, small.logit_opacities, small.sh)
     refused(InvalidError, "quats holds a value that is not finite", turn.moved, long)
+
+
+def test_where_tops_cancel_out_the_first_camera_tells_what_is_up() -> None:
+    upright, overhead = camera_at(np.eye(4)), camera_at(np.diag([-1.0, -1, 1, 1]))
+    np.testing.assert_allclose(mean_up([upright, overhead]), [0, -1, 0])
+    np.testing.assert_allclose(mean_up([overhead, upright]), [0, 1, 0])

@@ -167,17 +167,26 @@ WRONG_CAMERAS: list[dict[str, Any]] = [
 ]
 
 
+WRONG_CAPTIONS: list[Any] = [
+    *({}, [{"language": "en"}], [{"language": "../en", "label": "x"}]),
+    *([{"language": "en", "label": label}] for label in ("", "a\nb", "a" * 81)),
+    [{"language": language, "label": "a"} for language in ("en", "EN")],
+    [{"language": f"l{n}", "label": "a"} for n in range(17)],
+]
+
+
 @pytest.mark.parametrize(
     "change",
     [
         *({"cameras": [VALUE["cameras"][0] | change]} for change in WRONG_CAMERAS),
         *({"poster": name} for name in ("a\0b", "x" * 300, "\x7f", "ü" * 128, HALF)),
         *({"title": HALF}, {"object_url": HALF + "{segment}{layer}"}),
+        *({"captions": value} for value in WRONG_CAPTIONS),
     ],
 )
 def test_what_a_manifest_cannot_say(change: dict[str, Any]) -> None:
     """A text that is not Unicode could not be written again."""
-    with pytest.raises(CorruptError, match=r"camera|poster .* is longer|surrogate"):
+    with pytest.raises(CorruptError, match=r"camera|poster .* is longer|surrogate|caption|label"):
         Manifest.from_json(json.dumps(VALUE | change).encode())
 
 

@@ -102,6 +102,11 @@ def test_an_object_is_wrong_where_it_ends(stream: Path) -> None:
         assert found(stream, "segments/0/1").at == length
     path.write_bytes(data + b"more")
     assert found(stream, "segments/0/1").at == len(data)
+    index = stream / "index.bin"
+    records = index.read_bytes()
+    index.write_bytes(records + b"torn")
+    assert found(stream, "index.bin").at == len(records)
+    index.write_bytes(records)
     # Damage before the end comes first.
     entry = read_object_table(data)[1]
     at = entry.offset + entry.size - 1

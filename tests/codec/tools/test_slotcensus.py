@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -175,8 +176,12 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_quality_is_drawn_where_it_is_known(tiny: Path, tmp_path: Path) -> None:
+    """Of any number of layers, with any title."""
+    manifest, title = tiny_manifest(), "$\\frac{1}$ _a_ \n" * 20
+    slots, lattices = (40,) * 16, manifest.lattice[:1] * 16
+    made = replace(manifest, slots=slots, lattice=lattices, title=title)
     with StreamWriter.create(
-        tmp_path / "scored", tiny_manifest(), quality=lambda frame, slices: (20.0, 30.0)
+        tmp_path / "scored", made, quality=lambda frame, slices: (20.0,) * 16
     ) as writer:
         append_tiny(writer, 6)
     heights_px = []

@@ -34,7 +34,7 @@ from codec.tools.streamsound import add_sound, read_sound, remove_sound, samples
 from tests.support.commands import run, run_ok
 from tests.support.hostile import refused
 from tests.support.server.running_server import Running, on_server
-from tests.support.sounding import best_shift, heard, write_clicks
+from tests.support.sounding import add_clicks, best_shift, heard, write_clicks
 from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, write_tiny
 
 CLICKS = (0, 4000, 9600, 14400)
@@ -393,3 +393,22 @@ def test_several_sources_of_other_formats(stream: Path, tmp_path: Path) -> None:
     assert abs(len(heard(stream, "voice")) - 8192 * SAMPLE_RATE / 44100) <= 2
     remove_sound(stream, "main")
     assert [source.name for source in StreamReader(stream).manifest.sound] == ["voice"]
+
+
+def test_a_stream_that_grows_while_it_is_joined(stream: Path, tmp_path: Path) -> None:
+    fps = StreamReader(stream).manifest.fps
+    add_clicks(stream, [2, 7])
+    (source,) = StreamReader(stream).manifest.sound
+    writer = StreamWriter.create(tmp_path / "live", replace(tiny_manifest(), sound=(source,)))
+    hush = encode([np.zeros((first_sample(16, fps), 2), np.int16)], 2, 1 << 20, 96000)
+    writer.sound = objects_of(hush, fps)
+    append_tiny(writer, 8)
+    join(
+        [tmp_path / "live", stream], tmp_path / "both", progress=lambda *_: append_tiny(writer, 16)
+    )
+    writer.close()
+    assert StreamReader(tmp_path / "live").num_frames == 16
+    verify_stream(tmp_path / "both")
+    found, begin = heard(tmp_path / "both"), first_sample(8, fps)
+    assert len(found) == first_sample(18, fps)
+    assert best_shift(heard(stream), found[begin:], 30) == 0
