@@ -67,18 +67,6 @@ def test_streams_come_go_break_and_are_repaired(server: S3Server, tmp_path: Path
     assert (library.streams, library.broken) == ({}, {})
 
 
-def test_a_half_copied_stream_waits_for_its_objects(server: S3Server, tmp_path: Path) -> None:
-    whole = make_stream(tmp_path / "whole", 60)
-    server.upload(whole, "root/s")
-    server.delete("root/s/segments/9/2")
-    library = Library(ROOT, 0.5)
-    assert library.streams == {}
-    assert library.broken["s"].startswith("segments/9/2 is missing")
-    server.put("root/s/segments/9/2", (whole / "segments" / "9" / "2").read_bytes())
-    asyncio.run(library.look())
-    check_whole(library.streams["s"])
-
-
 def test_a_live_stream_is_followed_and_may_be_waited_for(server: S3Server, tmp_path: Path) -> None:
     writer = live_stream(tmp_path / "s")
     server.upload(tmp_path / "s", "root/live")

@@ -1,9 +1,10 @@
-"""The choice of traces, and the link of a case."""
+"""The choice of traces, the link of a case, and its plays."""
 
 from __future__ import annotations
 
 import json
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,8 +13,10 @@ from hypothesis import strategies as st
 
 from codec.errors import InvalidError
 from server.abr.link.link import Link, LinkStep
-from server.study.cases import LOAD_WINDOW, at_load
+from server.study.cases import LOAD_WINDOW, Case, at_load
 from server.study.looped import LoopedMedia
+from server.study.plays import Rules, run_case, run_play
+from server.study.policies.choice import POLICIES
 from server.study.simulate.generate import GeneratorConfig, generate
 from server.study.tracefolder import Trace, chosen_names, generated_traces, read_traces
 from tests.support.delivery.media import basketball_media
@@ -122,3 +125,35 @@ def test_a_silent_trace_and_a_load_out_of_reach_are_refused() -> None:
         at_load(silent, 1.0, MEDIA)
     with pytest.raises(InvalidError, match="load is 0"):
         at_load(Trace("t", link_of((9, 1e6))), 0.0, MEDIA)
+
+
+PLAYED = replace(MEDIA, num_frames=240)
+TRACE = Trace(
+    "uneven", Link([LinkStep(2, 8e6, 0.02), LinkStep(1.5, 0.2e6, 0.04), LinkStep(3, 5e6, 0.02)])
+)
+RULES = Rules()
+
+
+def case_of(load: float) -> Case:
+    return at_load(TRACE, load, PLAYED)
+
+
+@pytest.mark.parametrize("load", [0.5, 1.2])
+def test_every_policy_plays_and_none_beats_the_oracle(load: float) -> None:
+    outcome = run_case(PLAYED, case_of(load), list(POLICIES), RULES)
+    assert [play.policy for play in outcome.plays] == list(POLICIES)
+    oracle = outcome.oracle
+    assert oracle.base_db <= oracle.quality_db
+    for play in outcome.plays:
+        assert play.quality_db <= oracle.quality_db + 1e-3
+        assert play.normalised <= 1.001
+        assert 1 <= play.layers <= 4
+        assert play.low_psnr_db <= play.psnr_db
+        waited_s = play.startup_s + play.rebuffering * PLAYED.length_s
+        assert waited_s >= oracle.startup_s + oracle.rebuffering * PLAYED.length_s - 1e-3
+
+
+def test_a_play_that_does_not_end_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("server.study.plays.MOST_S", 4.0)
+    with pytest.raises(InvalidError, match=r"trace uneven at load 0\.5: bola has shown"):
+        run_play(PLAYED, case_of(0.5), "bola", RULES)
