@@ -4,7 +4,6 @@ player shows the content of the stream."""
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -23,7 +22,7 @@ from codec.tools.static import export_static
 from player.network.retry import RetryConfig
 from player.source.opener import SourceConfig, opened
 from tests.support.delivery.assembled import Assembled, assembled, checked, read_all, slices_of
-from tests.support.hosted_streams import ServerProcess, served, static_host, wait_for_stream
+from tests.support.hosted_streams import ServerProcess, static_host, wait_for_stream
 from tests.support.slots.slot_streams import slot_manifest, write_slot_stream
 from tests.support.slots.updates import patternless_updates, small_layout
 
@@ -91,12 +90,6 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-@pytest.fixture(scope="module")
-def server(library: Path) -> Iterator[ServerProcess]:
-    with served(library) as server:
-        yield server
-
-
 def test_a_model_that_stands_still_takes_nothing_after_its_first_frame(
     library: Path, server: ServerProcess, tmp_path: Path
 ) -> None:
@@ -146,45 +139,6 @@ def test_the_first_frame_carries_what_came_before_it(library: Path) -> None:
     # At a segment's first frame there is only the snapshot.
     told = [one.wire_bytes for one in read_all(str(library / "one"), FrameRange(5, 6), 2)]
     assert told == [packet_bytes(reader, 5, 6, 2)]
-
-
-def test_snapshots_are_fetched_of_the_first_segment_only(
-    library: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = []
-    read_object = StreamReader.read_object
-
-    def noting(self: StreamReader, segment: int, part: int | str) -> object:
-        asked.append((segment, part))
-        return read_object(self, segment, part)
-
-    monkeypatch.setattr(StreamReader, "read_object", noting)
-    read_all(str(library / "one"), FrameRange(7), 2)
-    assert asked == [
-        *((1, part) for part in ("snapshot-0", "snapshot-1", "masks", 0, 1)),
-        *((2, part) for part in ("masks", 0, 1)),
-    ]
-
-
-def test_a_folder_still_written_is_followed(tmp_path: Path) -> None:
-    layout = small_layout(2, (5, 3), 0, 4)
-    updates = iter(patternless_updates(layout, 11))
-    with StreamWriter.create(tmp_path / "s", slot_manifest(layout, live=True)) as writer:
-        for update in updates:
-            writer.append(update)
-            if update.birth == 3:
-                break
-        got = []
-        with opened(str(tmp_path / "s"), FrameRange(2)) as source:
-            assert source.frames.end is None
-            for one in assembled(source):
-                got.append(one)
-                if one.frame == 3:
-                    for update in updates:
-                        writer.append(update)
-                    writer.close()
-    # The last segment is short.
-    check_play(StreamReader(tmp_path / "s"), got, FrameRange(2), 2)
 
 
 def test_a_killed_server_that_comes_back_is_not_noticed(tmp_path: Path) -> None:

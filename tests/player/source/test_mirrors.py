@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from tests.support.delivery.assembled import assembled, check_packets, checked
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.hosted_streams import (
     SWIN_SIZE,
+    ServerProcess,
     random_slice,
     served,
     small_manifest,
@@ -192,18 +194,10 @@ def test_the_second_time_objects_come_from_the_disk(
     assert all("/snapshot-" in path for path in host.objects()[fetched:])
 
 
-@pytest.mark.parametrize(
-    ("kind", "adaptive"),
-    [
-        ("static", False),
-        ("static", True),
-        ("ranges", False),
-        ("ranges", True),
-        ("files of swings", False),
-        ("files of swings", True),
-        ("swings", False),
-    ],
-)
+HOSTED = [(kind, yes) for kind in ("static", "ranges", "files of swings") for yes in (False, True)]
+
+
+@pytest.mark.parametrize(("kind", "adaptive"), [*HOSTED, ("swings", False), ("folder", False)])
 def test_a_live_stream_is_followed_to_its_end(tmp_path: Path, kind: str, adaptive: bool) -> None:
     root, num_frames = tmp_path / "library", 23
     writer = StreamWriter.create(root / "s", small_manifest(live=True))
@@ -217,10 +211,10 @@ def test_a_live_stream_is_followed_to_its_end(tmp_path: Path, kind: str, adaptiv
         if end == num_frames:
             writer.close()
 
-    hosts = {"static": static_host, "ranges": range_host}
+    hosts = {"static": static_host, "ranges": range_host, "folder": nullcontext}
     paths = {"files of swings": "v1/streams/s/manifest.json", "swings": "watch/s"}
     with hosts.get(kind, served)(root) as host:  # type: ignore[operator]
-        url = host if isinstance(host, str) else host.url
+        url = host.url if isinstance(host, RangeHost | ServerProcess) else host
         layers = None if adaptive else 3
         came = list[Packets]()
         name = f"{url}/{paths.get(kind, 's')}"

@@ -3,9 +3,9 @@ status that a player reports."""
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from typing import Any
 
 import pytest
 
@@ -21,7 +21,7 @@ from codec.stream.playrecord import (
     StartRecord,
     encode_record,
 )
-from player.network.fetch import BrokenError, FetchConfig, Fetcher, FetchError, StoppedError
+from player.network.fetch import BrokenError, FetchConfig, Fetcher, FetchError
 from player.network.retry import RetryConfig
 from player.playout.clock import Clock
 from player.playout.queues import Events
@@ -77,10 +77,17 @@ def open_play(
         raise
 
 
-def births_from(
+@contextmanager
+def played(
     *answers: bytes, retry: RetryConfig = PATIENT, config: FetchConfig | None = None
-) -> tuple[list[int], list[str]]:
+) -> Iterator[tuple[ScriptedHost, ServedSource]]:
+    """A host that gives `answers`, and a play of its stream."""
     with script(*answers) as host, closing(open_play(host.url, retry, config)) as source:
+        yield host, source
+
+
+def births_from(*answers: bytes, **options: Any) -> tuple[list[int], list[str]]:
+    with played(*answers, **options) as (host, source):
         births = [slice.birth for one in assembled(source) for slice in one.slices]
         return births, host.asked
 
@@ -97,31 +104,20 @@ def test_a_response_cut_anywhere_is_taken_up_again() -> None:
 
 def test_a_new_connection_asks_for_what_is_missing_only() -> None:
     resumed = answer(StartRecord(3, 5, MANIFEST.to_json()), *ALL, EndRecord(5))
-    births, asked = births_from(answer(start(), *ALL[:3]), resumed)
-    assert births == [*range(1 - SWIN_SIZE, 5)]
-    assert asked == [
-        "/v1/streams/s/play?from=0&layers=auto",
-        "/v1/streams/s/play?from=3&layers=auto",
-    ]
-
-
-def test_at_the_edge_of_a_live_stream_the_last_frame_is_asked_for_again() -> None:
     live = MANIFEST.with_live(True)
-    later = StartRecord(4, 5, live.to_json())
-    births, asked = births_from(
-        answer(start(1, live), *ALL),
-        answer(later, SNAPSHOT, *SLICES, EndRecord(8)),
-    )
-    assert births == list(range(1 - SWIN_SIZE, 8))
-    # The missing frame 5 does not exist yet.
-    assert asked[1] == "/v1/streams/s/play?from=4&layers=auto"
-
-
-def test_a_server_that_stops_is_asked_again() -> None:
+    later = answer(StartRecord(4, 5, live.to_json()), SNAPSHOT, *SLICES, EndRecord(8))
     stopping = answer(start(), *ALL[:4], ErrorRecord("the server is stopping"))
     unavailable = b"HTTP/1.1 503 Busy\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
-    births, _ = births_from(stopping, unavailable, answer(start(), *ALL, EndRecord(5)))
-    assert births == [*range(1 - SWIN_SIZE, 5)]
+    for answers, end, again in (
+        ((answer(start(), *ALL[:3]), resumed), 5, 3),
+        # At the edge of a live stream the missing frame 5 does not exist yet.
+        ((answer(start(1, live), *ALL), later), 8, 4),
+        ((stopping, unavailable, answer(start(), *ALL, EndRecord(5))), 5, 4),
+    ):
+        births, asked = births_from(*answers)
+        assert births == [*range(1 - SWIN_SIZE, end)]
+        froms = (0, *[again] * (len(answers) - 1))
+        assert asked == [f"/v1/streams/s/play?from={n}&layers=auto" for n in froms]
 
 
 @pytest.mark.parametrize(
@@ -146,11 +142,7 @@ def test_a_server_that_stops_is_asked_again() -> None:
             CorruptError,
             "replaced by another",
         ),
-        (
-            [answer(start(), *ALL[:2])] * 30,
-            BrokenError,
-            r"early \(tried for \S+ s, \d+ times\)",
-        ),
+        ([answer(start(), *ALL[:2])] * 30, BrokenError, r"early \(tried for \S+ s, \d+ times\)"),
         (
             [answer(start(), *ALL[:2]), NO_ANSWER, NO_ANSWER, NO_ANSWER],
             BrokenError,
@@ -180,26 +172,7 @@ def test_hostile_servers(answers: list[bytes], error: type[SwingsError], message
         assert f"byte {caught.value.at}: " in str(caught.value)
 
 
-def test_waiting_for_a_slice_can_be_stopped() -> None:
-    with script(answer(start(), ALL[0]) + HOLD) as host, closing(open_play(host.url)) as source:
-        packets = source.packets()
-        next(packets)
-        threading.Timer(0.1, source.interrupt).start()
-        with pytest.raises(StoppedError):
-            next(packets)
-        source.close()
-
-
 NAMED = HEAD.replace(b"\r\n\r\n", f"\r\n{PLAY_HEADER}: abc-_1\r\n\r\n".encode())
-
-
-@contextmanager
-def played(*answers: bytes) -> Iterator[tuple[ScriptedHost, ServedSource]]:
-    """A host that gives `answers`, and a play of its stream."""
-    with script(*answers) as host:
-        url = f"{host.url}/v1/streams/s"
-        with closing(ServedSource("S", url, Fetcher(), FrameRange(), None, PATIENT)) as source:
-            yield host, source
 
 
 @pytest.mark.parametrize(

@@ -26,19 +26,6 @@ from tests.support.hosted_streams import SWIN_SIZE, ServerProcess, served, stati
 from tests.support.hostile import put_object
 
 
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("library")
-    write_stream(root / "one", 13)
-    return root
-
-
-@pytest.fixture(scope="module")
-def server(library: Path) -> Iterator[ServerProcess]:
-    with served(library) as server:
-        yield server
-
-
 def test_all_forms_of_a_stream_s_url(library: Path, server: ServerProcess) -> None:
     for form in ("", "/", "/watch/one", "/watch/one/", "/v1/streams/one"):
         got = read_all(server.url + form)
