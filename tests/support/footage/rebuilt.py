@@ -1,5 +1,4 @@
-"""Captures as users record them, filmed in the synthetic room: cameras of different sizes, lenses
-with distortion, a world of any unit, cameras far apart or close to objects."""
+"""Captures as users record them, filmed in the synthetic room."""
 
 from __future__ import annotations
 
@@ -123,17 +122,9 @@ def write_portrait(root: Path) -> Footage:
     return Footage(cameras, pictures)
 
 
-def moved(camera: Camera, scale: float, turn: Doubles, offset: Doubles) -> Camera:
-    """The camera in a world that is scaled, turned and moved."""
-    position = scale * turn @ camera.position + offset
-    return replace(camera, w2c=world_to_camera(camera.w2c[:3, :3] @ turn.T, position))
-
-
 def write_radial(root: Path) -> Footage:
-    """COLMAP in text: SIMPLE_RADIAL lenses, one camera of another size, a turned world of any unit.
-
-    Its pictures are images/<camera>/<frame>.png, and no file states their rate.
-    """
+    """COLMAP in text, without a rate: SIMPLE_RADIAL lenses, a camera of another size, a world that
+    is scaled, turned and moved."""
     lens, scale = Lens(k1=-0.09), 0.37
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
@@ -142,7 +133,10 @@ def write_radial(root: Path) -> Footage:
     cameras[7] = cameras[7].scaled(0.75)
     xyz, rgb = points_seen(cameras, 4000)
     xyz = scale * xyz @ turn.T + offset
-    placed = [moved(camera, scale, turn, offset) for camera in cameras]
+    placed = [
+        replace(c, w2c=world_to_camera(c.w2c[:3, :3] @ turn.T, scale * turn @ c.position + offset))
+        for c in cameras
+    ]
     write_pictures(root, cameras, 1, False, lambda i, _: distorted(cameras[i], lens))
     folder, names = root / "sparse/0", [f"{camera.name}/0007.png" for camera in cameras]
     write_model(folder, placed, names, False, "SIMPLE_RADIAL", (lens.k1,))

@@ -50,9 +50,6 @@ def test_dynamic3dgs_cameras_split_and_pictures(tmp_path: Path) -> None:
 
 def test_what_is_held_out(tmp_path: Path) -> None:
     write_dynamic3dgs(tmp_path / "c")
-    (tmp_path / "c/held_out.txt").write_text("cam02")  # above test_meta.json
-    assert open_capture(tmp_path / "c").held_out == (2,)
-    (tmp_path / "c/held_out.txt").unlink()
     (tmp_path / "c/test_meta.json").unlink()
     (tmp_path / "c/fps.txt").unlink()
     capture = open_capture(tmp_path / "c")

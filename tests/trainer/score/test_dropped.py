@@ -16,18 +16,15 @@ from tests.support.drawn import same_splats
 from tests.support.hosted_streams import write_stream
 from tests.support.slots.folder import write_slots
 from tests.support.slots.updates import small_layout
-from trainer.run.rank import slices_by_contribution
 from trainer.score.dropped import (
     NOBODY,
     Drop,
     Ints,
-    contributions,
     lives_of,
     opacities,
     places,
     write_kept,
 )
-from trainer.step.raster import View
 
 FRAMES = 9
 SHARES = (1.0, 0.5, 0.2)
@@ -87,14 +84,3 @@ def test_the_files_show_what_is_kept_alone(whole: bool, swin_size: int, tmp_path
             assert same_splats(found, shown(reader, lives, frame, drop))
             if drop.share == 1:
                 assert same_splats(found, reader.active_splats(frame, layers))
-
-
-def test_contributions_are_those_that_the_trainer_ranks_by(tmp_path: Path) -> None:
-    reader = StreamReader(write_stream(tmp_path / "stream", FRAMES))
-    manifest, lives = reader.manifest, lives_of(reader)
-    views = [View.prepare(camera, manifest.near_m) for camera in manifest.cameras]
-    found = contributions(reader, lives, views, len(views))
-    for part in slices_by_contribution(reader, views):
-        order = np.argsort(-found[lives[part.birth]], kind="stable")
-        splats = reader.slice(part.birth, manifest.num_layers).splats
-        assert same_splats(splats.take(order), part.splats)

@@ -6,6 +6,7 @@ import numba
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from codec.camera import Camera
 from codec.splats import ARRAY_NAMES, SH_C0, Splats
@@ -17,12 +18,9 @@ from trainer.step.raster import Parameters, Rendered, View, backward, render
 NEAR_M = 0.2
 
 
-def torch_parameters(
-    splats: Splats, dtype: torch.dtype
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    means, log_scales, quats, logits, sh = (
-        torch.tensor(array, dtype=dtype, requires_grad=True) for array in splats.arrays
-    )
+def leaves_of(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    doubles = (torch.tensor(a, dtype=torch.float64, requires_grad=True) for a in splats.arrays)
+    means, log_scales, quats, logits, sh = doubles
     return means, log_scales, quats, logits, sh
 
 
@@ -31,7 +29,7 @@ def torch_parameters(
 def test_the_picture_is_the_references(sh_degree: int, seed: int) -> None:
     splats, cam = scattered_splats(120, seed, sh_degree), turned_camera()
     with torch.no_grad():
-        expected = render_reference(*torch_parameters(splats, torch.float64), cam, NEAR_M).numpy()
+        expected = render_reference(*leaves_of(splats), cam, NEAR_M).numpy()
     got = render_splats(splats, cam, NEAR_M)
     mse = float(np.mean((got - expected) ** 2))
     assert expected.max() > 0.5
@@ -44,7 +42,7 @@ def test_gradients_are_the_references(sh_degree: int) -> None:
     rng = np.random.default_rng(7)
     weights = rng.normal(size=(cam.height_px, cam.width_px, 3)).astype(np.float32)
 
-    leaves = torch_parameters(splats, torch.float64)
+    leaves = leaves_of(splats)
     picture = render_reference(*leaves, cam, NEAR_M)
     torch.autograd.backward((picture * torch.tensor(weights)).sum())
 
@@ -156,11 +154,10 @@ def test_contribution_is_the_slope_of_the_picture_by_colour(count: int, logit: f
     """The dense scene transmits so little light that the threshold ends pixels."""
     splats, cam = scattered_splats(count, 6, logit=logit), turned_camera()
     splats.sh[:] = 0.1  # far from black, where the colour would be clipped
-    means, scales, quats, logits, sh = torch_parameters(splats, torch.float64)
-    red = render_reference(means, scales, quats, logits, sh, cam, NEAR_M)[..., 0]
-    torch.autograd.backward(red.sum())
-    assert sh.grad is not None
-    expected = sh.grad[:, 0, 0].numpy() / SH_C0
+    leaves = leaves_of(splats)
+    torch.autograd.backward(render_reference(*leaves, cam, NEAR_M)[..., 0].sum())
+    assert leaves[4].grad is not None
+    expected = leaves[4].grad[:, 0, 0].numpy() / SH_C0
     error = np.abs(contribution(rendered(splats, cam)) - expected)
     # A pixel near 1/255 or the threshold may be on the other side in float32.
     assert error.max() < 0.02
