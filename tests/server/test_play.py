@@ -144,23 +144,6 @@ async def test_long_snapshots_come_in_several_records(
         assert records[2] == SnapshotRecord(5, 2, packets[2:])
 
 
-async def test_one_play_more_is_asked_to_come_back(root: Path) -> None:
-    async with served(root, quick_config(max_plays=2)) as (server, client):
-        url = "/v1/streams/long/play?layers=1"
-        async with client.get(url) as one, client.get(url) as two:
-            assert (one.status, two.status) == (200, 200)
-            async with client.get(url) as three:
-                assert three.status == 503
-                assert int(three.headers["Retry-After"]) > 0
-                assert "2 plays" in (await three.json())["error"]
-            assert "swings_active_plays 2.0" in server.state.metrics.text()
-            one.close()
-            await eventually(lambda: len(server.state.plays) == 1)
-            async with client.get(url) as three:
-                assert three.status == 200
-                three.close()
-
-
 async def test_a_client_that_leaves_is_not_an_error(
     root: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

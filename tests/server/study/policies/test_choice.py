@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import pytest
 from hypothesis import Phase, given, settings
@@ -248,23 +247,8 @@ def test_a_rule_sees_what_comes() -> None:
     assert len(rule.asked[-1].coming) == 1
 
 
-def test_what_is_sent_at_once_fits_a_run_of_the_link() -> None:
-    media = MadeMedia((sizes_of((1e3, 1e3), (25.0, 1.0)),), num_frames=600)
-    result = simulate(media, InOrder(Whims([2])), Link([LinkStep(1.0, 8e6, 0.01)]))
-    births = [len(a.what.births) for a in result.arrivals if isinstance(a.what, SendSlices)]
-    assert 1 < max(births) <= 0.02 * 8e6 / 8 / 2e3 * 1.2
-
-
 def test_a_live_stream_has_as_much_lead_as_there_is() -> None:
     media = MadeMedia((sizes_of((1e3, 1e3), (25.0, 1.0)),), num_frames=45, live=True)
     rule = Whims([1])
     simulate(media, InOrder(rule), FAST, at_most_s=5.0)
     assert {round(s.max_lead_s, 3) for s in rule.asked[:2]} == {1.5}
-
-
-def test_segments_are_cut_into_groups_of_about_the_same_length() -> None:
-    media = MadeMedia(MEDIA.segments, num_frames=80, segment_frames=40)
-    ends = [0]
-    while ends[-1] < 80:
-        ends.append(group_end(media, ends[-1], 0.5))
-    assert [b - a for a, b in pairwise(ends)] == [14, 14, 12, 14, 14, 12]
