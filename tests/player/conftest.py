@@ -19,6 +19,11 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def stream(library: Path) -> Path:
+    return library / "one"
+
+
+@pytest.fixture(scope="module")
 def server(library: Path) -> Iterator[ServerProcess]:
     with served(library) as server:
         yield server

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
@@ -21,29 +20,14 @@ from player.config import CameraPathName, PlayConfig
 from player.link.linktext import read_link
 from player.render.renderer import RendererKind
 from player.run.playback import play
+from player.run.stills import draw_frames
+from player.view.moment import Moment
 from player.view.path import Size
 from server.abr.link.link import LinkStep
 from tests.support.commands import run
-from tests.support.hosted_streams import (
-    ServerProcess,
-    served,
-    write_stream,
-)
+from tests.support.hosted_streams import ServerProcess
 
 CPU = RendererKind.CPU
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("library")
-    write_stream(root / "one", 13)
-    return root
-
-
-@pytest.fixture(scope="module")
-def server(library: Path) -> Iterator[ServerProcess]:
-    with served(library) as server:
-        yield server
 
 
 def test_a_folder_into_a_video_with_a_report(library: Path, tmp_path: Path) -> None:
@@ -120,15 +104,11 @@ def test_a_report_has_the_layers_of_a_slow_link_and_the_plays_of_a_loop(
         ("--layers 0", "neither auto nor a whole number"),
         ("--frames 9:3", "hold no frame"),
         ("--size big", "WIDTHxHEIGHT"),
-        ("--camera nowhere", "not one of default"),
         ("--renderer cpu", "add --capture"),
         ("--capture x.gif", "name an .mp4"),
         ("--capture x.mp4 --link 8M", "works only with http"),
         ("--capture x.mp4 --link fast", "neither a rate"),
-        ("--link absent.json", "nor a trace: No such file"),
-        ("--camera absent.json", "there is no file absent.json"),
         ("--capture x.mp4 --report /absent/r.json", "there is no folder"),
-        ("--capture x.mp4 --plot /absent/p.png", "there is no folder"),
         ("--capture x.mp4 --loop 0", "neither forever nor a whole number of 1 or more"),
         ("--capture x.mp4 --loop forever", "--loop forever cannot be combined with"),
         ("--capture x.mp4 --rate 2", "--rate cannot be combined with --capture"),
@@ -138,7 +118,6 @@ def test_a_report_has_the_layers_of_a_slow_link_and_the_plays_of_a_loop(
         ("--background blue", "is not RRGGBB"),
         ("--still 3", "name it with --capture"),
         ("--still=-1 --capture o.png", "neither a frame, such as 30, nor a time, such as 2.5s"),
-        ("--still 3m --capture o.png", "'3m' is neither a frame"),
         ("--still 3 --capture o.mp4", "name a .png file"),
         ("--still 3 --capture o.exr", "name a .png file"),
         ("--picture mask --still 3 --capture o.jpg", "a .png or .exr file"),
@@ -148,7 +127,6 @@ def test_a_report_has_the_layers_of_a_slow_link_and_the_plays_of_a_loop(
         ("--picture depth", "--picture depth needs an output"),
         ("--capture o --exr", "--exr cannot be combined with --picture colour"),
         ("--picture depth --still 3 --capture o.png --exr", "name a .exr file instead"),
-        ("--still 3 --capture absent/o.png", "there is no folder absent"),
         ("--turntable 3 --capture o.mp4", "choose its frame with --still"),
         ("--still 3 --turntable 3 --capture o.png", "name an .mp4 or .mov file, or a folder"),
         ("--still 3 --turntable nan --capture o.mp4", "more than 0"),
@@ -219,7 +197,8 @@ def test_what_the_stream_does_not_have_leaves_nothing(library: Path, tmp_path: P
         (replace(config, frames=FrameRange(13)), "there is no frame 13"),
         (replace(config, layers=4), "--layers 4"),
         (replace(config, camera=CameraPathName("camera:nobody")), "no camera is called"),
+        (replace(config, still=Moment(13), capture=tmp_path / "o.png"), "one has frames 0:13"),
     ):
         with pytest.raises(InvalidError, match=message):
-            play(asked)
+            (play if asked.still is None else draw_frames)(asked)
     assert list(tmp_path.iterdir()) == []

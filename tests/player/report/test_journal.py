@@ -8,9 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from player.playout.timeline import FrameRecord
 from player.report.journal import STEPS_PER_S, WINDOW_STEPS, Journal, Rows
-from player.report.playplot import buffer_line
 from server.abr.link.link import Link, LinkStep
 
 
@@ -51,24 +49,3 @@ def test_a_constant_stream_reads_as_its_rate_and_the_link_as_it_was() -> None:
     assert {one.goodput_bps for one in rates[WINDOW_STEPS:]} == {8e5}
     assert [one.link_bps for one in rates[:19]] == [8e6] * 19
     assert [one.link_bps for one in rates[20:39]] == [1e6] * 19
-
-
-def test_frames_that_nobody_saw_are_counted_even_where_none_is_kept() -> None:
-    journal = Journal(most=0)
-    record = FrameRecord(7, 2, 100, 1.0, 1.0)
-    journal.shown(record, 1.1)
-    journal.shown(record, None)
-    assert (journal.undrawn_frames, journal.frames.all()) == (1, [])
-
-
-def test_the_buffer_is_what_can_show_and_has_not() -> None:
-    arrivals = [
-        {"came_s": 0.1, "birth": None, "snapshot_frame": 10, "first_layer": 0},
-        {"came_s": 0.2, "birth": 11, "snapshot_frame": None, "first_layer": 0},
-        {"came_s": 0.3, "birth": 11, "snapshot_frame": None, "first_layer": 1},
-        {"came_s": 0.5, "birth": 12, "snapshot_frame": None, "first_layer": 0},
-    ]
-    frames = [{"frame": 10, "shown_s": 0.2}, {"frame": 11, "shown_s": 0.4}]
-    times_s, buffered_s = buffer_line(arrivals, frames, fps=10.0)
-    assert times_s == [0.1, 0.2, 0.2, 0.4, 0.5]
-    assert buffered_s == pytest.approx([0.1, 0.2, 0.1, 0.0, 0.1])

@@ -22,17 +22,9 @@ from player.run.stills import draw_frames
 from player.show.background import Colour
 from player.show.sink import Bytes, Floats, to_bytes
 from player.view.moment import Moment
-from tests.support.hosted_streams import write_stream
 
 FRAME, WHITE, BLUE = 9, (1.0, 1.0, 1.0), (0.2, 0.4, 1.0)
 SH_C0 = 0.28209479177387814
-
-
-@pytest.fixture(scope="module")
-def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("backgrounds") / "stream"
-    write_stream(path, 13)
-    return path
 
 
 def colours_and_cover(stream: Path) -> tuple[Floats, Floats]:

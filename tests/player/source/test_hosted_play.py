@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
-from codec.stream import StreamReader, StreamWriter
+from codec.stream import StreamReader
 from codec.stream.manifest import MASKS, Part, snapshot_part
 from player.playout.assembler import Assembler
 from player.playout.timeline import FrameRecord, Playout
@@ -26,7 +26,7 @@ from server.abr.playout import PlayoutConfig
 from server.abr.session import Finished
 from tests.support.delivery.assembled import check_packets
 from tests.support.drawn import same_splats
-from tests.support.slots.slot_streams import Shown, busy_updates, slot_manifest, write_busy_stream
+from tests.support.slots.slot_streams import Shown, write_busy_stream
 from tests.support.slots.updates import small_layout
 
 NUM_FRAMES, FPS, STEP_S = 120, 30.0, 0.005
@@ -126,57 +126,46 @@ def watched(
     return frames, playout
 
 
-def mean_layers(frames: list[FrameRecord], begin_s: float, end_s: float = 1e9) -> float:
-    """Mean layers of the frames shown from begin_s to end_s after the first picture."""
-    first_s = frames[0].shown_s
-    return fmean(one.layers for one in frames if begin_s <= one.shown_s - first_s < end_s)
+LAWS: list[tuple[list[tuple[float, float]], list[tuple[float, float, float, float]]]] = [
+    # Of what it carries all shows, almost from the start.
+    ([(60.0, 1.5)], [(2.0, 9.0, 2.9, 3.0), (0.0, 9.0, 2.4, 3.0)]),
+    # A link that falls to half of it goes on with fewer layers.
+    ([(1.5, 1.5), (60.0, 0.5)], [(0.8, 1.4, 2.2, 3.0), (2.0, 9.0, 1.0, 2.7)]),
+    # One that comes back brings the layers back.
+    ([(1.0, 1.5), (1.2, 0.5), (60.0, 2.0)], [(1.6, 2.2, 1.0, 2.7), (3.5, 9.0, 2.7, 3.0)]),
+]
+"""What a link carries: seconds, and the share of the stream. Mean layers from a to b seconds after
+the first picture, at least and at most."""
 
 
 @pytest.mark.parametrize("knows_ranges", [True, False])
-@pytest.mark.parametrize(
-    ("steps", "laws"),
-    [
-        # Of what it carries all shows, almost from the start.
-        ([(60.0, 1.5)], [(2.0, 9.0, 2.9, 3.0), (0.0, 9.0, 2.4, 3.0)]),
-        # A link that falls to half of it goes on with fewer layers.
-        ([(1.5, 1.5), (60.0, 0.5)], [(0.8, 1.4, 2.2, 3.0), (2.0, 9.0, 1.0, 2.7)]),
-        # One that comes back brings the layers back.
-        ([(1.0, 1.5), (1.2, 0.5), (60.0, 2.0)], [(1.6, 2.2, 1.0, 2.7), (3.5, 9.0, 2.7, 3.0)]),
-    ],
-)
+@pytest.mark.parametrize(("steps", "laws"), LAWS)
 def test_layers_follow_the_link_without_a_stall(
     reader: StreamReader,
     knows_ranges: bool,
     steps: list[tuple[float, float]],
     laws: list[tuple[float, float, float, float]],
 ) -> None:
-    """laws: mean layers from a to b seconds after the first picture, at least and at most."""
     frames, playout = watched(reader, steps, knows_ranges)
     assert [one.frame for one in frames] == list(range(NUM_FRAMES))
     assert frames[0].shown_s < 0.5
     # A host without ranges finishes every begun object, even if the link has become slow.
     assert playout.totals.stalled_s <= (0.0 if knows_ranges else 0.4)
+    first_s = frames[0].shown_s
     for begin_s, end_s, least, most in laws:
-        assert least <= mean_layers(frames, begin_s, end_s) <= most
+        part = [one.layers for one in frames if begin_s <= one.shown_s - first_s < end_s]
+        assert least <= fmean(part) <= most
 
 
-def test_a_play_with_a_known_rate_shows_its_frame_with_layer_0_first(reader: StreamReader) -> None:
-    rate_bps = 2 * need_bps(reader)
-    play = HostedPlay(reader.manifest, reader.records, FrameRange(75, NUM_FRAMES), 0.0, rate_bps)
-    link, came = MadeLink(reader, play), list[Packets]()
-    while not came:
-        came += link.packets(rate_bps)
-    assert came[0].first_layer == 0
-    assert {ask.segment for ask in link.asked} == {3}
-
-
-def test_no_more_requests_are_open_than_share_the_link_well(reader: StreamReader) -> None:
-    play = HostedPlay(reader.manifest, reader.records, FrameRange(0, NUM_FRAMES), 0.0, 1e9)
+def test_a_play_with_a_known_rate_asks_for_layer_0_of_its_frame_and_no_more_yet(
+    reader: StreamReader,
+) -> None:
+    play = HostedPlay(reader.manifest, reader.records, FrameRange(75, NUM_FRAMES), 0.0, 1e9)
     asked = []
     while isinstance(decision := play.next(0.0), Ask):
         asked.append(decision)
-    # Layer 0 of a segment is two objects.
-    assert [ask.part for ask in asked] == ["snapshot-0", MASKS, 0]
+    # Layer 0 of a segment is two objects; more requests at once would share the link badly.
+    assert [(ask.segment, ask.part) for ask in asked] == [(3, "snapshot-0"), (3, MASKS), (3, 0)]
 
 
 # --- one object
@@ -216,15 +205,11 @@ def test_whatever_is_asked_for_comes_and_is_what_the_object_holds(
         pieces.add(whole.start, kept.data[whole.start : whole.stop])
     assert pieces.whole() == kept.data
 
-
-def test_a_whole_object_that_was_altered_is_found_out(reader: StreamReader) -> None:
-    data = bytearray(reader.read_object(1, 0).data)
-    data[-1] ^= 1
-    pieces = PartialObject(reader.manifest, reader.records[1], 0)
-    pieces.name = "there"
-    pieces.add(0, bytes(data))
+    altered = PartialObject(reader.manifest, reader.records[segment], part)
+    altered.name = "there"
+    altered.add(0, kept.data[:-1] + bytes([kept.data[-1] ^ 1]))
     with pytest.raises(CorruptError, match=r"^there: .*was altered"):
-        pieces.whole()
+        altered.whole()
 
 
 # --- a stream with a temporal layer
@@ -232,31 +217,20 @@ def test_a_whole_object_that_was_altered_is_found_out(reader: StreamReader) -> N
 TEMPORAL, TEMPORAL_FRAMES = 2, 80
 """Number of the temporal layer, and of the frames."""
 
-QUALITY_DB = 30.0, 33.0, 33.5
-"""Quality in the index; the temporal layer adds half a decibel, as in the demo."""
-
 
 @pytest.fixture(scope="module")
 def temporal_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("temporal") / "s"
     layout = small_layout(1, (60, 60), 0, 20, TEMPORAL)
-    manifest = slot_manifest(layout, fps=FPS)
-    with StreamWriter.create(path, manifest, quality=lambda *_: QUALITY_DB) as writer:
-        for update in busy_updates(layout, TEMPORAL_FRAMES):
-            writer.append(update)
-    return path
-
-
-@pytest.fixture
-def temporal(temporal_path: Path) -> StreamReader:
-    return StreamReader(temporal_path)
+    return write_busy_stream(path, TEMPORAL_FRAMES, layout, fps=FPS)
 
 
 @pytest.mark.parametrize(("layers", "first"), [(1, 0), (2, 0), (2, 27), (3, 0)])
 def test_a_play_without_it_shows_what_a_reader_does(
-    temporal_path: Path, temporal: StreamReader, layers: int, first: int
+    temporal_path: Path, layers: int, first: int
 ) -> None:
     """Without it Gaussians that go on are interpolated."""
+    temporal = StreamReader(temporal_path)
     playout = Playout(temporal.manifest, first, TEMPORAL_FRAMES, needed=layers)
     with opened(str(temporal_path), FrameRange(first, TEMPORAL_FRAMES), layers) as source:
         for packets in source.packets():
@@ -270,26 +244,3 @@ def test_a_play_without_it_shows_what_a_reader_does(
         expected = temporal.active_splats(frames[-1], layers)
         assert same_splats(shown.after(slices, frames[-1]), expected)
     assert frames == list(range(first, TEMPORAL_FRAMES))
-
-
-def shares_of(reader: StreamReader, rate_share: float) -> list[float]:
-    """Share of each layer's bytes that arrives in time, without a stall, over a link with this
-    share of the stream's rate."""
-    play = HostedPlay(reader.manifest, reader.records, FrameRange(0, TEMPORAL_FRAMES), 0.0)
-    link, come, clock = MadeLink(reader, play), [0.0] * (TEMPORAL + 1), play.session.clock
-    while True:
-        for one in link.packets(rate_share * need_bps(reader, TEMPORAL_FRAMES)):
-            in_time = clock.started_s is None or link.now_s <= clock.due_s(one.first_frame)
-            if isinstance(one, SlicePackets) and in_time:
-                come[one.first_layer] += sum(map(len, one.packets))
-        if link.over:
-            break
-    assert clock.stalls == 0
-    sizes = [sum(record.object_bytes[n] for record in reader.records) for n in range(TEMPORAL + 1)]
-    return [num_bytes / size for num_bytes, size in zip(come, sizes, strict=True)]
-
-
-def test_on_a_thin_link_it_stays_behind_first(temporal: StreamReader) -> None:
-    base, upper, last = shares_of(temporal, 0.7)
-    assert last < 0.1 < 0.4 < upper < base
-    assert min(shares_of(temporal, 3.0)) > 0.75  # it starts after the others

@@ -57,6 +57,12 @@ def open_gl(version: GlVersion) -> Iterator[OpenGl]:
         renderer.close()
 
 
+def put_window(gl: GlRenderer, count: int, sh_degree: int = 1) -> None:
+    """The slices of frame 0."""
+    for birth in range(1 - SWIN_SIZE, 1):
+        gl.put(random_slice(birth, count, sh_degree))
+
+
 def assert_as_on_cpu(
     gl: GlRenderer, manifest: Manifest, slices: Iterable[Slice], cameras: Sequence[Camera] = ()
 ) -> None:
@@ -160,8 +166,7 @@ def test_only_the_changed_slice_is_uploaded(open_gl: OpenGl) -> None:
     manifest = small_manifest(slice_size=1024, sh_degree=0)
     gl = open_gl(manifest)
     slice_bytes = 1024 * 64  # two whole rows of 512 Gaussians
-    for birth in range(1 - SWIN_SIZE, 1):
-        gl.put(random_slice(birth, 1024, 0))
+    put_window(gl, 1024, 0)
     assert gl.uploaded_bytes == 0
     gl.render(0, manifest.camera())
     assert gl.uploaded_bytes == SWIN_SIZE * slice_bytes
@@ -207,8 +212,7 @@ def test_changes_are_drawn_as_a_plain_replay(
 def test_only_the_changed_rows_are_uploaded(open_gl: OpenGl) -> None:
     manifest = small_manifest(slice_size=2048, sh_degree=0)
     gl = open_gl(manifest)
-    for birth in range(1 - SWIN_SIZE, 1):
-        gl.put(random_slice(birth, 2048, 0))
+    put_window(gl, 2048, 0)
     gl.upload(0)
     for frame, rows in enumerate(([], [700], range(512, 1536), range(0, 2048, 2)), 1):
         before = gl.uploaded_bytes
@@ -227,8 +231,7 @@ def test_only_the_changed_rows_are_uploaded(open_gl: OpenGl) -> None:
 def test_other_threads_run_while_a_frame_is_drawn(open_gl: OpenGl) -> None:
     manifest, ticks_s, done = small_manifest(20_000, 0), list[float](), threading.Event()
     gl = open_gl(manifest)
-    for birth in range(1 - SWIN_SIZE, 1):
-        gl.put(random_slice(birth, 20_000, 0))
+    put_window(gl, 20_000, 0)
     gl.render(0, manifest.camera())
 
     def tick() -> None:
@@ -251,8 +254,7 @@ def test_a_window_gets_the_picture_the_right_way_up(version: GlVersion) -> None:
     context = open_context(version)
     gl = GlRenderer(manifest, context=context, version=version)
     try:
-        for birth in range(1 - SWIN_SIZE, 1):
-            gl.put(random_slice(birth, 200))
+        put_window(gl, 200)
         camera = manifest.camera()
         expected = gl.render(0, camera)
         # Larger than the picture, like a window that was just resized.
