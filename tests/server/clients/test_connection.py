@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import random
 import re
 import socket
@@ -53,7 +52,6 @@ ANSWERS: Answers = {
     "/chunks": chunks,
     "/large": text(body=bytes(range(256)) * 4096),
     "/304": text(304, b""),
-    "/404": text(404),
 }
 
 
@@ -282,31 +280,6 @@ async def test_bodies_of_any_size_come_whole_one_after_the_other(tls: Tls) -> No
     assert not site.cuts
     sent_bytes = 2 * sum(sizes) + 900_000
     assert sent_bytes < site.state.sent_bytes < sent_bytes + 500 * len(site.done)
-
-
-async def test_a_slow_reader_gets_every_byte_and_little_waits_in_the_process(tls: Tls) -> None:
-    async with (
-        on_site({"/body": body}, tls=tls[0]) as site,
-        site.connect(tls[1], limit_bytes=2048) as client,
-    ):
-        client.get(f"/body?{len(BODY)}")
-        await client.reader.readuntil(b"\r\n\r\n")
-        hashed, left, most = hashlib.sha256(), len(BODY), 0
-        (connection,) = site.acceptor.connections
-        transport = connection.transport
-        while left:
-            piece = await client.reader.read(50_000)
-            hashed.update(piece)
-            left -= len(piece)
-            waiting = transport.get_write_buffer_size()
-            inner = getattr(transport, "_ssl_protocol", None)
-            waiting += inner._transport.get_write_buffer_size() if inner is not None else 0
-            most = max(most, waiting)
-            await passes(0)
-        assert hashed.digest() == hashlib.sha256(BODY).digest()
-        # A piece of 512 KiB; TLS keeps it twice, as it came and coded.
-        assert most <= (600_000 if tls[1] is None else 1_200_000)
-    assert not site.cuts
 
 
 async def test_strangers_at_the_tls_port_leave_nothing_behind(

@@ -39,55 +39,37 @@ JOIN = (0.0, SendSnapshots(0, 0, 1))
 CHAIN = (0.0, slices(range(1, 10), 0, 1))
 
 
+UP, AT_5 = (0.0, SendSnapshots(0, 1, 2)), SendSnapshots(5, 1, 2)
+
+
+def changes_of(begin: int, end: int, time_s: float = 0.0) -> tuple[float, Send]:
+    """The slices of layer 1 from `begin` to before `end`."""
+    return time_s, slices(range(begin, end), 1, 2)
+
+
 @pytest.mark.parametrize(
     ("sends", "changes", "snapshots"),
     [
-        ([(0.0, SendSnapshots(0, 1, 2)), (0.0, slices(range(1, 10), 1, 2))], 0, 0),
-        ([(0.0, slices(range(1, 10), 1, 2))], 9, 0),  # changes without a snapshot
-        ([(0.0, SendSnapshots(0, 1, 2)), (0.0, slices(range(2, 10), 1, 2))], 8, 0),  # a gap
-        ([(0.0, SendSnapshots(0, 1, 2)), (9.5, slices(range(1, 10), 1, 2))], 9, 0),  # too late
-        # The same slices twice.
-        (
-            [
-                (0.0, SendSnapshots(0, 1, 2)),
-                (0.0, slices(range(1, 10), 1, 2)),
-                (1.0, slices(range(2, 3), 1, 2)),
-            ],
-            1,
-            0,
-        ),
+        ([UP, changes_of(1, 10)], 0, 0),
+        ([changes_of(1, 10)], 9, 0),  # changes without a snapshot
+        ([UP, changes_of(2, 10)], 8, 0),  # a gap
+        ([UP, changes_of(1, 10, 9.5)], 9, 0),  # too late
+        ([UP, changes_of(1, 10), changes_of(2, 3, 1.0)], 1, 0),  # the same slices twice
         # A snapshot replaces a chain whose end had not arrived.
         (
             [
-                (0.0, SendSnapshots(0, 1, 2)),
-                (0.0, slices(range(1, 3), 1, 2)),
-                (4.5, SendSnapshots(5, 1, 2)),
-                (5.5, slices(range(3, 4), 1, 2)),
-                (5.6, slices(range(6, 10), 1, 2)),
+                UP,
+                changes_of(1, 3),
+                (4.5, UP_AT_5[1]),
+                changes_of(3, 4, 5.5),
+                changes_of(6, 10, 5.6),
             ],
             1,
             0,
         ),
-        # A snapshot of a state that is there already.
-        (
-            [
-                (0.0, SendSnapshots(0, 1, 2)),
-                (0.0, slices(range(1, 10), 1, 2)),
-                (2.0, SendSnapshots(5, 1, 2)),
-            ],
-            0,
-            1,
-        ),
+        ([UP, changes_of(1, 10), (2.0, AT_5)], 0, 1),  # of a state that is there already
         # The next snapshot arrives early, and the chain reaches it later.
-        (
-            [
-                (0.0, SendSnapshots(0, 1, 2)),
-                (0.0, SendSnapshots(5, 1, 2)),
-                (0.0, slices(range(1, 10), 1, 2)),
-            ],
-            0,
-            0,
-        ),
+        ([UP, (0.0, AT_5), changes_of(1, 10)], 0, 0),
         # A layer does not show without the layer below it.
         ([(0.0, SendSnapshots(0, 2, 3)), (0.0, slices(range(1, 10), 2, 3))], 9, 1),
     ],
