@@ -125,11 +125,12 @@ def agrees(said: str, measured: float) -> bool:
 
 
 def assert_size_and_picture(said: list[str], found: Kept) -> None:
-    least, most = (found.psnr_db - 1, found.psnr_db + 1)
     assert float(said[0]) == pytest.approx(found.bytes_each, rel=0.03), found
     if said[1].startswith("over "):
-        least = 0
-    assert least <= (math.inf if said[1] == "exact" else float(said[1].split()[-1])) <= most, found
+        assert found.psnr_db > float(said[1].removeprefix("over ")), found
+    else:
+        told_db = math.inf if said[1] == "exact" else float(said[1])
+        assert found.psnr_db == pytest.approx(told_db, abs=1), found
 
 
 @formats

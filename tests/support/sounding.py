@@ -18,17 +18,22 @@ BURST = (20000 * np.sin(np.arange(480) * 2 * np.pi / 24)).astype(np.int16)
 """A click: 10 ms of 2 kHz."""
 
 
+def write_wav(path: Path, samples: npt.NDArray[np.int16]) -> None:
+    """Writes (n, channels) samples."""
+    with wave.open(str(path), "wb") as file:
+        file.setnchannels(samples.shape[1])
+        file.setsampwidth(2)
+        file.setframerate(SAMPLE_RATE)
+        file.writeframes(samples.astype("<i2").tobytes())
+
+
 def write_clicks(path: Path, num_samples: int, at: Sequence[int], channels: int = 2) -> None:
     """Writes a WAV file of `num_samples` with a BURST from each sample of `at` on."""
     data = np.zeros((num_samples, channels), np.int16)
     for begin in at:
         piece = data[begin : begin + len(BURST)]
         piece[:] = BURST[: len(piece), None]
-    with wave.open(str(path), "wb") as file:
-        file.setnchannels(channels)
-        file.setsampwidth(2)
-        file.setframerate(SAMPLE_RATE)
-        file.writeframes(data.astype("<i2").tobytes())
+    write_wav(path, data)
 
 
 def add_clicks(

@@ -19,41 +19,18 @@ from tests.player.link.pouring import drain, pouring
 pytestmark = pytest.mark.realtime
 
 
-def times_s(text: str, num_bytes: int, connections: int = 1) -> tuple[float, float]:
-    """When the first byte has come of a server that pours `num_bytes` on each of so many
-    connections, and when all have."""
-    with (
-        pouring(num_bytes) as server,
-        LinkProcess(read_link(text), "127.0.0.1", server.port) as relay,
-        ThreadPoolExecutor(connections) as pool,
-    ):
-        began_s = time.monotonic()
-        others = [pool.submit(drain, relay.address) for _ in range(connections - 1)]
-        with socket.create_connection(relay.address, timeout=30) as connection:
-            assert connection.recv(1)
-            first_s = time.monotonic() - began_s
-            while connection.recv(65536):
-                pass
-        for other in others:
-            other.result()
-        return first_s, time.monotonic() - began_s
-
-
-@pytest.mark.parametrize(
-    ("text", "num_bytes", "connections", "first_s", "all_s"),
-    [
-        ("8M", 1_000_000, 1, 0.0, 1.0),
-        ("8M", 150_000, 4, 0.0, 0.6),
-        ("40M,150ms", 1_000_000, 1, 0.15, 0.35),
-    ],
-)
-def test_bytes_take_their_time(
-    text: str, num_bytes: int, connections: int, first_s: float, all_s: float
-) -> None:
-    """Connections share the link; latency delays and does not throttle."""
-    found = [times_s(text, num_bytes, connections) for _ in range(3)]
-    assert min(one for one, _ in found) > 0.95 * first_s
-    assert 0.95 * all_s < min(one for _, one in found) < all_s + 0.15
+def test_connections_share_the_link() -> None:
+    took_s = []
+    for _ in range(3):
+        with (
+            pouring(150_000) as server,
+            LinkProcess(read_link("8M"), "127.0.0.1", server.port) as relay,
+            ThreadPoolExecutor(4) as pool,
+        ):
+            began_s = time.monotonic()
+            list(pool.map(drain, [relay.address] * 4))
+            took_s.append(time.monotonic() - began_s)
+    assert 0.57 < min(took_s) < 0.75
 
 
 @pytest.mark.parametrize("megabits", [3, 12, 40, 100])

@@ -22,19 +22,11 @@ from player import Scene
 from player.script.viserview import ViserView, viser_arrays
 from tests.support.commands import command, environment
 from tests.support.drawn import drawn_splats
-from tests.support.hosted_streams import write_stream
 from tests.support.reference_render import rotations
 from tests.support.waiting import BOUND_S
 
 HAS_VISER = importlib.util.find_spec("viser") is not None
 needs_viser = pytest.mark.skipif(not HAS_VISER, reason="viser is not installed (extra viser)")
-
-NUM_FRAMES = 13
-
-
-@pytest.fixture(scope="module")
-def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_stream(tmp_path_factory.mktemp("viser") / "s", NUM_FRAMES, fps=50.0)
 
 
 @given(drawn_splats(position=10.0, log_scale=(-5.0, 1.0)))
@@ -92,9 +84,7 @@ def test_the_command_shows_a_stream_until_it_is_ended(stream: Path) -> None:
         text=True,
     )
     assert process.stdout is not None
-    while not (line := process.stdout.readline()).startswith("showing "):
-        assert line
-    url = line.split()[-1]
+    url = next(line for line in process.stdout if line.startswith("showing ")).split()[-1]
     with Scene.open(stream) as scene, browser(url) as connection:
         receive(connection, sent(scene.splats(5)))
     process.send_signal(signal.SIGTERM)

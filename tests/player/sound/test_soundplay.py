@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 import threading
-import wave
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -36,7 +35,7 @@ from player.source.source import Source
 from server.abr.link.link import Link, LinkStep
 from tests.player.playout.conducted import Played, World, playing
 from tests.support.hosted_streams import served, write_stream
-from tests.support.sounding import add_clicks
+from tests.support.sounding import add_clicks, write_wav
 
 FRAMES = 90
 FLASHES = range(7, FRAMES, 15)
@@ -111,11 +110,7 @@ def write_noisy_stream(folder: Path) -> float:
     stream, frames, fps = folder / "s", 10 * (PLAYED_S + 5), 10.0
     write_stream(stream, frames, slice_size=280, fps=fps, segment_frames=10)
     samples = np.random.default_rng(1).normal(0, 3000, (frames * SAMPLE_RATE // 10, 1))
-    with wave.open(str(folder / "noise.wav"), "wb") as file:
-        file.setnchannels(1)
-        file.setsampwidth(2)
-        file.setframerate(SAMPLE_RATE)
-        file.writeframes(samples.astype("<i2").tobytes())
+    write_wav(folder / "noise.wav", samples.astype(np.int16))
     add_sound(stream, folder / "noise.wav", SoundSource("main", 1), 48000)
     names = ("0", "masks", "audio-main")
     needed = [path for name in names for path in (stream / "segments").glob(f"*/{name}")]
