@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from multidict import CIMultiDict
 
 from server.exchange.byterange import parse_range
-from server.exchange.content import IMMUTABLE, Content, accepted_codings, respond
+from server.exchange.content import IMMUTABLE, Content, respond
 from server.exchange.errors import RequestError
 from server.exchange.request import Request, read_request
 from server.exchange.response import error_response, fields_text
@@ -205,18 +205,3 @@ def test_bytes_on_their_way_are_counted() -> None:
     respond(request("GET", {"if-none-match": TAG}), one)
     respond(request("HEAD", {}), one)
     assert counted == [100, 5]
-
-
-@pytest.mark.parametrize(
-    ("text", "codings"),
-    [
-        ("", {""}),
-        ("zstd, gzip", {"zstd", "gzip"}),
-        ("ZSTD;q=1.0", {"zstd"}),
-        ("zstd;q=0", set()),
-        ("zstd ; Q = 0.0, gzip;q=0.001", {"gzip"}),
-        ("identity;q=0, *", {"*"}),
-    ],
-)
-def test_codings_that_are_accepted(text: str, codings: set[str]) -> None:
-    assert accepted_codings(text) == codings

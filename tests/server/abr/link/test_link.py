@@ -97,20 +97,3 @@ def test_a_step_holds_from_its_beginning_to_before_its_end() -> None:
 def test_what_is_not_a_link(steps: list[tuple[float, float, float]], message: str) -> None:
     with pytest.raises(InvalidError, match=message):
         Link([LinkStep(*step) for step in steps])
-
-
-finite = st.floats(0, allow_infinity=False)
-
-
-@given(st.lists(st.builds(LinkStep, finite, finite, finite), max_size=5), finite, st.floats(0, 1e9))
-def test_any_numbers_give_a_link_that_answers(
-    steps: list[LinkStep], start_s: float, num_bytes: float
-) -> None:
-    try:
-        link = Link(steps)
-    except InvalidError:
-        return
-    assert link.passed_s(start_s, num_bytes) >= start_s
-    assert link.capacity_bytes(start_s, start_s + num_bytes) >= 0
-    assert link.at(start_s) in steps
-    assert link.mean_bps >= 0

@@ -56,17 +56,7 @@ def changes_of(begin: int, end: int, time_s: float = 0.0) -> tuple[float, Send]:
         ([UP, changes_of(1, 10, 9.5)], 9, 0),  # too late
         ([UP, changes_of(1, 10), changes_of(2, 3, 1.0)], 1, 0),  # the same slices twice
         # A snapshot replaces a chain whose end had not arrived.
-        (
-            [
-                UP,
-                changes_of(1, 3),
-                (4.5, UP_AT_5[1]),
-                changes_of(3, 4, 5.5),
-                changes_of(6, 10, 5.6),
-            ],
-            1,
-            0,
-        ),
+        ([UP, changes_of(1, 3), (4.5, AT_5), changes_of(3, 4, 5.5), changes_of(6, 10, 5.6)], 1, 0),
         ([UP, changes_of(1, 10), (2.0, AT_5)], 0, 1),  # of a state that is there already
         # The next snapshot arrives early, and the chain reaches it later.
         ([UP, (0.0, AT_5), changes_of(1, 10)], 0, 0),
