@@ -87,9 +87,7 @@ def streams(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Str
     return trained(config_of(capture, tmp_path_factory.mktemp("whole")))
 
 
-def test_raw_streams_hold_what_the_other_rounds_to_lattices(
-    streams: list[StreamReader],
-) -> None:
+def test_raw_streams_hold_what_the_other_rounds_to_lattices(streams: list[StreamReader]) -> None:
     coded, exact = streams
     manifest = coded.manifest
     assert exact.manifest_json == coded.manifest_json

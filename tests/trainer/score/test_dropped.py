@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +15,7 @@ from tests.support.drawn import same_splats
 from tests.support.hosted_streams import write_stream
 from tests.support.slots.folder import write_slots
 from tests.support.slots.updates import small_layout
-from trainer.score.dropped import (
-    NOBODY,
-    Drop,
-    Ints,
-    lives_of,
-    opacities,
-    places,
-    write_kept,
-)
+from trainer.score.dropped import NOBODY, Drop, lives_of, opacities, places, write_kept
 
 FRAMES = 9
 SHARES = (1.0, 0.5, 0.2)
@@ -53,15 +44,6 @@ def test_high_ranks_are_kept(values: list[float], shares: list[float], data: st.
     assert not (few & ~many).any()
 
 
-def shown(reader: StreamReader, lives: Mapping[int, Ints], frame: int, drop: Drop) -> Splats:
-    """The kept ones of the Gaussians that show at `frame`."""
-    manifest, parts = reader.manifest, []
-    for part in reader.window(frame, manifest.num_layers):
-        rows = part.active(frame, manifest.swin_size) & drop.kept(lives[part.birth])
-        parts.append(part.splats.take(np.flatnonzero(rows)))
-    return Splats.concatenate(parts)
-
-
 @pytest.mark.parametrize("whole", [False, True])
 @pytest.mark.parametrize("swin_size", [1, 3])
 def test_the_files_show_what_is_kept_alone(whole: bool, swin_size: int, tmp_path: Path) -> None:
@@ -72,15 +54,18 @@ def test_the_files_show_what_is_kept_alone(whole: bool, swin_size: int, tmp_path
         reader = StreamReader(tmp_path / "stream")
     lives = lives_of(reader)
     ranks = places(opacities(reader, lives))
-    drops = [Drop(share, ranks) for share in SHARES]
+    drops, layers = [Drop(share, ranks) for share in SHARES], reader.manifest.num_layers
     paths = write_kept(reader, lives, drops, tmp_path / "kept")
     for drop, path in zip(drops, paths, strict=True):
         again = StreamReader(path)
         assert again.manifest_json == reader.manifest_json
         assert again.num_frames == reader.num_frames
-        layers = reader.manifest.num_layers
         for frame in range(FRAMES):
+            parts = []
+            for part in reader.window(frame, layers):
+                rows = part.active(frame, swin_size) & drop.kept(lives[part.birth])
+                parts.append(part.splats.take(np.flatnonzero(rows)))
             found = again.active_splats(frame, layers)
-            assert same_splats(found, shown(reader, lives, frame, drop))
+            assert same_splats(found, Splats.concatenate(parts))
             if drop.share == 1:
                 assert same_splats(found, reader.active_splats(frame, layers))

@@ -20,7 +20,6 @@ from codec.slice import Slice
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import PREDICTED
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.manifest import Manifest
 from tests.support.commands import run_ok
 from tests.support.slots.folder import slots_manifest
 from tests.support.slots.updates import patternless_updates, small_layout
@@ -28,7 +27,6 @@ from tests.support.tiny_capture import seen_by, tiny_rig, write_dynamic3dgs, wri
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
 from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
 from tests.support.trainings import train_here
-from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
 from trainer.pictures.framecache import FrameCache
@@ -43,11 +41,6 @@ from trainer.step.loss import psnr_db
 SCALE = 0.3
 
 
-def trained_on(capture: Capture) -> Manifest:
-    cameras = tuple(c.camera.scaled(SCALE) for c in capture.cameras)
-    return replace(tiny_manifest(), cameras=cameras, default_camera=cameras[0].name)
-
-
 def test_cameras_have_the_sizes_of_training_and_others_are_named(tmp_path: Path) -> None:
     """Cameras of 64, 51 and 33 pixels in width, which SCALE does not divide."""
     write_dynamic3dgs(tmp_path / "c", num_cameras=4, num_frames=3)
@@ -58,7 +51,8 @@ def test_cameras_have_the_sizes_of_training_and_others_are_named(tmp_path: Path)
         for c, size in zip(plain.cameras, sizes, strict=True)
     ]
     uneven = replace(plain, cameras=tuple(cameras))
-    manifest = trained_on(uneven)
+    trained = tuple(c.camera.scaled(SCALE) for c in cameras)
+    manifest = replace(tiny_manifest(), cameras=trained, default_camera="cam00")
     found = stream_cameras(manifest, uneven, "stream")
     with FrameCache(uneven, range(3), SCALE) as cache:
         for i, camera in enumerate(found):
@@ -136,9 +130,8 @@ def test_who_plays_from_frame_0_fetches_no_later_snapshot(swin_size: int, tmp_pa
         objects = size_of(*played, *joins[0])
         overhead = size_of("manifest.json", "index.bin")
         assert score.bytes_per_frame * frames == pytest.approx(objects + overhead)
-        assert score.snapshot_bytes_per_frame * frames == pytest.approx(
-            size_of(*joins[1], *joins[2])
-        )
+        later = size_of(*joins[1], *joins[2])
+        assert score.snapshot_bytes_per_frame * frames == pytest.approx(later)
         assert score.bits_per_second == pytest.approx(8 * 25 * score.bytes_per_frame)
         # Before frame 0 nothing is predicted, and the snapshots contain the state of frame 0.
         rows = slice(layout.row_edges[score.layers])
