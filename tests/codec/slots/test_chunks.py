@@ -11,7 +11,7 @@ import pytest
 
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.lattice.lattice import POSITION_LIMIT, Lattice, States
-from codec.slots.mask import decode_mask, encode_mask
+from codec.slots.mask import MaskHistory, decode_mask, encode_mask
 from codec.slots.slotchange import Change, Newcomers, decode_change, encode_change
 from codec.slots.slotchunk import SLOT_HEADER
 from codec.slots.slotdecoder import SlotDecoder
@@ -274,3 +274,23 @@ def test_what_a_mask_refuses() -> None:
     for place, value in ((4, 4), (6, 1), (6, 128), (7, 1)):
         wrong = data[:place] + bytes([value]) + data[place + 1 :]
         refused(UnsupportedError, "", decode_mask, layout, 9, wrong, history)
+
+
+def test_history_is_of_the_lane_and_begins_anew_with_a_segment() -> None:
+    layout = small_layout(swin_size=2, slots=(4,), segment_frames=6)
+    history = MaskHistory(layout)
+    history.note(6, np.array([1, 1, 1, 1], np.uint8))  # the segment's first frame
+    assert history.of(8).tolist() == [0, 0, 0, 0]
+    history.note(7, np.array([3, 3, 3, 3], np.uint8))  # the other lane
+    history.note(8, np.array([0, 1, 0, 3], np.uint8))
+    assert history.of(10).tolist() == [0, 2, 0, 2]
+    history.note(9, np.array([0, 0, 0, 0], np.uint8))
+    history.note(10, np.array([0, 0, 2, 2], np.uint8))
+    assert history.of(12).tolist() == [0, 0, 0, 0]
+    assert history.of(11).tolist() == [1, 1, 1, 1]
+    history.note(11, np.zeros(4, np.uint8))
+    history.note(12, np.zeros(4, np.uint8))
+    assert history.of(14).tolist() == [0, 0, 0, 0]
+    history.note(13, np.ones(4, np.uint8))
+    assert history.of(14).tolist() == [0, 0, 0, 0]
+    assert history.of(15).tolist() == [2, 2, 2, 2]
