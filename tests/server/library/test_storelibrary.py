@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import signal
-import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,7 +12,6 @@ from codec.errors import CodecError, SwingsError
 from server.library import Library
 from server.library.growth import LIVE_POLL_S
 from tests.server.library.test_watch import check_whole
-from tests.server.test_main import serving
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     append_frames,
@@ -129,20 +125,3 @@ def test_a_store_that_fails_keeps_what_is_served(
 def test_a_bucket_that_is_not_there_is_an_error_at_the_start(server: S3Server) -> None:
     with pytest.raises(SwingsError, match="s3://absent/x/ cannot be read: NoSuchBucket"):
         Library("s3://absent/x", 0.5)
-
-
-def test_swings_serve_takes_a_url(server: S3Server, tmp_path: Path) -> None:
-    path = make_stream(tmp_path / "walk", 12)
-    server.upload(path, "root/walk")
-    for url in (ROOT, f"{ROOT}/walk"):
-        with serving(url, "--port", "0") as (process, address):
-            with urllib.request.urlopen(f"{address}/v1/streams", timeout=10) as response:
-                assert [one["name"] for one in json.load(response)["streams"]] == ["walk"]
-            for name in ("manifest.json", "index.bin", "segments/1/2"):
-                where = f"{address}/v1/streams/walk/{name}"
-                with urllib.request.urlopen(where, timeout=10) as response:
-                    assert response.read() == (path / name).read_bytes()
-            process.send_signal(signal.SIGTERM)
-            _, err = process.communicate(timeout=20)
-            assert process.returncode == 0
-            assert {line.split()[1] for line in err.splitlines()} == {"info"}

@@ -245,10 +245,3 @@ def test_a_rule_sees_what_comes() -> None:
     assert second.group.cost_bytes(2, 2) == pytest.approx(150e3)
     assert second.held == 2
     assert len(rule.asked[-1].coming) == 1
-
-
-def test_a_live_stream_has_as_much_lead_as_there_is() -> None:
-    media = MadeMedia((sizes_of((1e3, 1e3), (25.0, 1.0)),), num_frames=45, live=True)
-    rule = Whims([1])
-    simulate(media, InOrder(rule), FAST, at_most_s=5.0)
-    assert {round(s.max_lead_s, 3) for s in rule.asked[:2]} == {1.5}
