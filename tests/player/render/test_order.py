@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from player.render.order import Order
 from player.render.pack import NEVER
-from player.render.sort import near_first
+from player.render.sort import near_first, radix_sort
 
 
 def test_the_order_is_that_of_a_stable_sort_by_depth() -> None:
@@ -68,3 +69,14 @@ def test_any_depths_are_sorted_and_equal_ones_keep_their_order(values: list[floa
     assert near_first(depths).tolist() == np.argsort(before, kind="stable").tolist()
     np.testing.assert_array_equal(depths, before)
     assert near_first(np.array([-1, 3, 2, -5], np.float32))[:2].tolist() == [2, 1]
+
+
+@pytest.mark.parametrize("count", [0, 1, 5000])
+def test_all_32_bits_count(count: int) -> None:
+    keys = np.random.default_rng(count).integers(0, 1 << 32, count, dtype=np.uint32)
+    order = np.arange(count, dtype=np.int32)
+    expected = np.argsort(keys, kind="stable")
+    spare_keys, spare_order = np.empty_like(keys), np.empty_like(order)
+    radix_sort(keys.copy(), order, spare_keys, spare_order)
+    np.testing.assert_array_equal(spare_order, expected)
+    np.testing.assert_array_equal(spare_keys, keys[expected])
