@@ -33,9 +33,3 @@ def test_every_family_is_in_the_text() -> None:
     text = Metrics().text()
     assert {family.name for family in text_string_to_metric_families(text)} == FAMILIES
     assert "_created" not in text
-
-
-def test_two_servers_in_one_process_count_apart() -> None:
-    one, other = Metrics(), Metrics()
-    one.cache_hits.add(1)
-    assert (one.cache_hits.value(), other.cache_hits.value()) == (1, 0)

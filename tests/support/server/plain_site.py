@@ -8,12 +8,10 @@ import ssl
 import tempfile
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager, suppress
-from dataclasses import replace
 from typing import Any
 
 from server.app import Application
 from server.clients.acceptor import Acceptor
-from server.clients.timeouts import TimeoutConfig
 from server.exchange.exchange import Exchange
 from server.exchange.request import Request
 from server.exchange.response import AnyResponse, Response, error_response
@@ -71,13 +69,6 @@ class PlainSite(Application):
         super().finished(exchange, now_s)
         self.done.append(exchange)
 
-    @property
-    def cuts(self) -> list[str]:
-        """The kinds of the timeouts so far, in alphabetical order."""
-        timeouts = self.state.metrics.timeouts
-        kinds = ("flood", "head", "idle", "write")
-        return [kind for kind in kinds for _ in range(round(timeouts.value(kind)))]
-
 
 def text(status: int = 200, body: bytes = b"ok\n") -> Callable[[Exchange], Response]:
     """A response that is always the same."""
@@ -94,11 +85,11 @@ class Client:
     def send(self, data: bytes) -> None:
         self.writer.write(data)
 
-    def get(self, path: str, *lines: str, method: str = "GET", version: str = "1.1") -> None:
-        head = [f"{method} {path} HTTP/{version}", "Host: h", *lines, "", ""]
+    def get(self, path: str, *lines: str, version: str = "1.1") -> None:
+        head = [f"GET {path} HTTP/{version}", "Host: h", *lines, "", ""]
         self.send("\r\n".join(head).encode())
 
-    async def answer(self, head_only: bool = False) -> tuple[int, dict[str, str], bytes]:
+    async def answer(self) -> tuple[int, dict[str, str], bytes]:
         """Status, fields by lower-case names, and body of the next response."""
         async with asyncio.timeout(BOUND_S):
             head = (await self.reader.readuntil(b"\r\n\r\n")).decode("latin-1")
@@ -107,7 +98,7 @@ class Client:
             fields = {
                 name.lower(): value for name, value in (line.split(": ", 1) for line in lines)
             }
-            if head_only or status in (100, 204, 304):
+            if status in (100, 204, 304):
                 return status, fields, b""
             if fields.get("transfer-encoding") != "chunked":
                 if "content-length" not in fields:
@@ -127,16 +118,13 @@ class Client:
 
 
 @asynccontextmanager
-async def on_site(
-    answers: Answers, timeouts: TimeoutConfig | None = None, tls: ssl.SSLContext | None = None
-) -> AsyncIterator[PlainSite]:
+async def on_site(answers: Answers, tls: ssl.SSLContext | None = None) -> AsyncIterator[PlainSite]:
     """Runs a site with these responses until the block ends. Fails the test if a callback or task
     of the event loop has failed by then."""
     failures: list[object] = []
     others = asyncio.all_tasks()
     asyncio.get_running_loop().set_exception_handler(lambda _, context: failures.append(context))
     config = ServerConfig(log_requests=False)
-    config = replace(config, timeouts=timeouts or config.timeouts)
     listener = bind("127.0.0.1", 0)
     with tempfile.TemporaryDirectory() as folder:
         site = PlainSite(
