@@ -55,8 +55,9 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def writer(name: str, root: Path) -> StreamWriter:
-    return growing(root / name)
+def writer(name: str, root: Path) -> Iterator[StreamWriter]:
+    yield growing(root / name)
+    shutil.rmtree(root / name)
 
 
 @pytest.fixture(scope="module")
