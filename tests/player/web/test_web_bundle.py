@@ -83,11 +83,12 @@ def test_links_and_embed_code_lead_to_the_page_beside_it(page: Page, site: Site)
 
 
 def requests_of(server: ServerProcess) -> dict[str, list[tuple[int, int]]]:
-    """Status and bytes of each response to a GET, by path without the query."""
+    """Status and bytes of each response to a GET, by path without the query; not of scripts that
+    the page loads after its first frame."""
     answers: dict[str, list[tuple[int, int]]] = {}
     for line in server.settled_log():
         found = re.search(r"method=GET path=(\S+) .*?status=(\d+) bytes=(\d+)", line)
-        if found:
+        if found and Path(found[1]).name not in webbundle.LATER:
             answers.setdefault(found[1], []).append((int(found[2]), int(found[3])))
     return answers
 
