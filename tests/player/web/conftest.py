@@ -11,7 +11,6 @@ from tests.support.web.chromium import Page, running_chromium, why_not
 from tests.support.web.nodeprocess import NODE
 from tests.support.web.site import Site, player_host, write_streams
 
-
 ENDS_OF_HOSTS = "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE"
 """Complaints about a test's own host, which may end before its page does."""
 
