@@ -19,6 +19,7 @@ from tests.support.hosted_streams import served, write_stream
 from tests.support.sounding import add_clicks
 from tests.support.stores.s3_server import BUCKET, s3_server
 from tests.support.tiny_stream import files_of
+from tests.support.waiting import BOUND_S
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +38,7 @@ def look(library: Library) -> None:
 
 def fetch(url: str, **fields: str) -> tuple[int, bytes]:
     try:
-        with urlopen(Request(url, headers=fields), timeout=10) as response:
+        with urlopen(Request(url, headers=fields), timeout=BOUND_S) as response:
             return response.status, response.read()
     except HTTPError as error:
         return error.code, error.read()
