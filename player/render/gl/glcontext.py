@@ -58,7 +58,6 @@ def open_context(version: GlVersion = GlVersion.AUTO) -> moderngl.Context:
 def version_for(context: moderngl.Context, version: GlVersion) -> GlVersion:
     """Which of the two ways of drawing this context gets. Raises GlError if it lacks `version`.
 
-    AUTO takes 4.3 on a GPU only: without one both draw equally fast, but ordering takes compute
     AUTO takes 4.3 on a GPU only: on llvmpipe the pictures take about the same time, but compute
     shaders order 200,000 Gaussians in 80 ms, the CPU's own code in 2.
     """
