@@ -107,7 +107,7 @@ def run(config: StatesConfig) -> None:
             if state in STATES:
                 for screen in screens:
                     reached = Reached(page, hosts, screen)
-                    show(state, screen, partial(STATES[state], reached), "swings-player")
+                    show(state, screen, partial(reached.reach, STATES[state]), "swings-player")
             else:
                 count, reach = PAGES[state]
                 with tempfile.TemporaryDirectory() as root, serving(Path(root), count) as url:

@@ -15,7 +15,9 @@ from tests.support.web.playerstates import (
     Hosts,
     Reached,
     Screen,
+    clicks,
     hosting,
+    within,
     write_hosted,
 )
 
@@ -52,7 +54,7 @@ def check_accessible(page: Page) -> None:
     "state", [pytest.param(s, marks=() if s in QUICK else pytest.mark.deep) for s in STATES]
 )
 def test_no_state_has_a_fault_that_axe_finds(desk: Reached, state: str) -> None:
-    STATES[state](desk)
+    desk.reach(STATES[state])
     check_accessible(desk.page)
 
 
@@ -81,10 +83,10 @@ def test_a_tap_on_a_hidden_bar_shows_it_and_presses_nothing(phone: Reached) -> N
 def test_the_large_button_plays_and_plays_again(desk: Reached) -> None:
     page = desk.page
     desk.watch("src=../static&autoplay=0&loop=0&t=3.6")
-    desk.wait("start")
+    desk.do(within("start"))
     check_accessible(page)
     page.click("swings-player .large")
-    desk.wait("ended")
+    desk.do(within("ended"))
     check_accessible(page)
     assert page.value("part('.large').getAttribute('aria-label')") == "Play again"
     assert page.value("!part('.frame.idle')")
@@ -98,13 +100,13 @@ def test_a_failure_is_a_sentence_and_may_be_tried_again(desk: Reached) -> None:
     page, folder = desk.page, desk.hosts.folder
     page.expect("404")
     desk.watch("src=../later&autoplay=0&t=1")
-    desk.wait("failed")
+    desk.do(within("failed"))
     sentence = page.value("part('.sentence').textContent")
     assert sentence == "This video does not exist, or is not here any more."
     assert "HTTP 404" in page.value("part('.failure .note').textContent")
     assert not page.value("part('.bar').checkVisibility()")
     check_accessible(page)
-    desk.click("summary")
+    desk.do(*clicks("summary"))
     check_accessible(page)
     (folder / "later").symlink_to(folder / "static")
     page.click("swings-player .retry")
@@ -115,7 +117,7 @@ def test_a_failure_is_a_sentence_and_may_be_tried_again(desk: Reached) -> None:
 def test_the_menu_by_keys(phone: Reached) -> None:
     page = phone.page
     phone.watch("src=../static&autoplay=0&loop=0")
-    phone.wait("start")
+    phone.do(within("start"))
 
     def focused() -> str:
         name: str = page.value("element.shadowRoot.activeElement.dataset.name")
@@ -151,7 +153,7 @@ def test_the_menu_by_keys(phone: Reached) -> None:
 def test_the_keys_of_the_player(desk: Reached) -> None:
     page = desk.page
     desk.watch("src=../static&autoplay=0")
-    desk.wait("start")
+    desk.do(within("start"))
     steps = [
         ("5", 60), (".", 61), (",", 60), ("l", 84), ("j", 60), ("ArrowRight", 72),
         ("ArrowLeft", 60), ("End", NUM_FRAMES - 1), ("Home", 0),
@@ -174,7 +176,7 @@ def test_the_keys_of_the_player(desk: Reached) -> None:
 
 
 def test_a_small_picture_over_the_thumb(desk: Reached) -> None:
-    STATES["preview"](desk)
+    desk.reach(STATES["preview"])
     check_accessible(desk.page)
     layout = StoryboardLayout.of(NUM_FRAMES, 30.0)
     tile = 90 // layout.step_frames
@@ -191,7 +193,7 @@ def test_a_small_picture_over_the_thumb(desk: Reached) -> None:
 def test_without_full_screen_the_player_covers_the_page(desk: Reached) -> None:
     page = desk.page
     desk.watch("src=../static&autoplay=0", "delete Element.prototype.requestFullscreen;")
-    desk.wait("start")
+    desk.do(within("start"))
     page.run("element.style.width = '300px'; element.style.height = '200px'")
     page.click("swings-player .full")
     page.wait(f"element.clientWidth === {DESK.width_px}")
@@ -237,7 +239,7 @@ def test_a_retry_keeps_time_rate_and_view(desk: Reached) -> None:
     page.run("element.playbackRate = 1.5; element.view = '0.2,0.1,0.9,0,0'")
     for _ in range(2):
         page.run("player.fail('The player failed: a test')")
-        desk.wait("failed")
+        desk.do(within("failed"))
         page.click("swings-player .retry")
         page.wait("player.shownFrame === 30 && element.error === null")
     page.wait("element.view === '0.2,0.1,0.9,0,0'")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import socket
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from codec.stream.poster import POSTER_NAME, write_poster
@@ -93,6 +92,23 @@ def hosting(folder: Path) -> Iterator[Hosts]:
         yield Hosts(url, f"http://127.0.0.1:{silent.getsockname()[1]}/stream", folder)
 
 
+Step = tuple[str, str]
+"""Which of `wait`, `run` and `press` of `Page`, and its argument; SILENT_URL stands for the URL of
+the silent host."""
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A state of the player: the query of its page, and what happens there."""
+
+    query: str
+    steps: Sequence[Step]
+    script: str = ""
+    """Runs in the page before its own scripts."""
+    options: Mapping[str, object] = field(default_factory=dict)
+    """Options of `Page.open`."""
+
+
 @dataclass(frozen=True, slots=True)
 class Reached:
     """A page in Chromium, with methods to open the player in it."""
@@ -101,158 +117,66 @@ class Reached:
     hosts: Hosts
     screen: Screen
 
-    def watch(self, query: str, script: str | None = None, **options: object) -> None:
+    def watch(self, query: str, script: str = "", options: Mapping[str, object] = {}) -> None:
         """Opens the player's page with `query`."""
-        scripts: list[Path] = []
-        if script is not None:
-            path = self.hosts.folder / "before.js"
-            path.write_text(script, encoding="utf-8")
-            scripts.append(path)
-        open_on(
-            self.page, f"{self.hosts.url}/player/watch.html?{query}", self.screen, scripts, options
-        )
+        path = self.hosts.folder / "before.js"
+        path.write_text(script, encoding="utf-8")
+        url = f"{self.hosts.url}/player/watch.html?{query}"
+        open_on(self.page, url, self.screen, [path], options)
 
-    def wait(self, condition: str) -> None:
-        """Waits until the player is in this condition."""
-        self.page.wait(f"part('.frame').dataset.condition === '{condition}'")
+    def reach(self, state: State) -> None:
+        self.watch(state.query, state.script, state.options)
+        self.do(*state.steps)
 
-    def click(self, part: str) -> None:
-        self.page.wait(f"part('{part}')")
-        self.page.run(f"part('{part}').click()")
-
-    def shows(self, part: str) -> None:
-        """Waits for a part that is loaded when it is first used, or shows after a while."""
-        self.page.wait(f"part('{part}').checkVisibility({{ visibilityProperty: true }})")
+    def do(self, *steps: Step) -> None:
+        for method, text in steps:
+            getattr(self.page, method)(text.replace("SILENT_URL", self.hosts.silent_url))
 
 
-def _start(at: Reached) -> None:
-    at.watch("src=../static&autoplay=0")
-    at.wait("start")
+def within(condition: str) -> Step:
+    """Waits until the player is in this condition."""
+    return "wait", f"part('.frame').dataset.condition === '{condition}'"
 
 
-def _loading(at: Reached, **options: object) -> None:
-    at.watch("src=../static&autoplay=0", None, **options)
-    poster = f"{at.hosts.url}/static/poster.jpg"
-    at.page.wait("player")
-    at.page.run(f"element.poster = '{poster}'; element.src = '{at.hosts.silent_url}'")
-    at.wait("loading")
-    at.shows(".spinner")
+def shows(part: str) -> Step:
+    """Waits for a part that is loaded when it is first used, or shows after a while."""
+    return "wait", f"part('{part}').checkVisibility({{ visibilityProperty: true }})"
 
 
-def _playing(at: Reached) -> None:
-    at.watch("src=../static&t=0.5")
-    at.wait("playing")
+def clicks(part: str) -> list[Step]:
+    return [("wait", f"part('{part}')"), ("run", f"part('{part}').click()")]
 
 
-def _idle(at: Reached) -> None:
-    at.watch("src=../static")
-    at.page.wait("getComputedStyle(part('.bar')).opacity === '0'")
+START, AT_1, LIVE = "src=../static&autoplay=0", "src=../static&t=1", "src=../live&t=0"
+POSTER = "element.poster = '../static/poster.jpg'; element.src = 'SILENT_URL'"
+LOADING = [("wait", "player"), ("run", POSTER), within("loading"), shows(".spinner")]
+PAUSED = [("wait", "player.shownFrame > 35"), ("run", "element.pause()"), within("paused")]
+MENU = [*PAUSED, *clicks(".more"), shows(".menu")]
+SCRUB = "part('.scrub').value = 90; part('.scrub').dispatchEvent(new Event('input'))"
+FORCED, STILL = {"forcedColors": "active"}, {"reducedMotion": "reduce"}
 
-
-def _paused(at: Reached, **options: object) -> None:
-    at.watch("src=../static&t=1", None, **options)
-    at.page.wait("player.shownFrame > 35")
-    at.page.run("element.pause()")
-    at.wait("paused")
-
-
-def _ended(at: Reached) -> None:
-    at.watch("src=../static&loop=0&t=3.5")
-    at.wait("ended")
-
-
-def _waiting(at: Reached) -> None:
-    at.watch("src=../live&t=0")
-    at.wait("waiting")
-    at.shows(".spinner")
-
-
-def _stopped(at: Reached) -> None:
-    at.watch("src=../live&t=0")
-    at.page.wait("part('.note.soft').textContent.includes('has stopped')")
-
-
-def _failed(at: Reached) -> None:
-    at.watch("src=../nothing")
-    at.wait("failed")
-
-
-def _failed_details(at: Reached) -> None:
-    _failed(at)
-    at.click("summary")
-
-
-def _no_webgl(at: Reached) -> None:
-    at.watch("src=../static", NO_WEBGL)
-    at.wait("failed")
-
-
-def _context_lost(at: Reached) -> None:
-    _paused(at)
-    at.page.run("player.dispatchEvent(new Event('contextlost'))")
-
-
-def _menu(at: Reached) -> None:
-    _paused(at)
-    at.click(".more")
-    at.shows(".menu")
-
-
-def _speed(at: Reached) -> None:
-    _menu(at)
-    at.click("[data-name=rate]")
-
-
-def _keys(at: Reached) -> None:
-    _paused(at)
-    at.page.press("?")
-    at.shows("dialog")
-
-
-def _statistics(at: Reached) -> None:
-    _paused(at)
-    at.page.press("i")
-    at.shows(".stats")
-
-
-def _preview(at: Reached) -> None:
-    _paused(at)
-    at.page.run("part('.scrub').value = 90; part('.scrub').dispatchEvent(new Event('input'))")
-    at.shows(".tile")
-
-
-def _forced_menu(at: Reached) -> None:
-    _paused(at, forcedColors="active")
-    at.click(".more")
-    at.shows(".menu")
-
-
-def _still(at: Reached) -> None:
-    at.watch("src=../static&autoplay=1", reducedMotion="reduce")
-    at.wait("start")
-
-
-STATES: dict[str, Callable[[Reached], None]] = {
-    "start": _start,
-    "loading": _loading,
-    "playing": _playing,
-    "idle": _idle,
-    "paused": _paused,
-    "ended": _ended,
-    "waiting": _waiting,
-    "stopped": _stopped,
-    "failed": _failed,
-    "failed-details": _failed_details,
-    "no-webgl": _no_webgl,
-    "context-lost": _context_lost,
-    "menu": _menu,
-    "speed": _speed,
-    "keys": _keys,
-    "statistics": _statistics,
-    "preview": _preview,
-    "forced-colours": partial(_paused, forcedColors="active"),
-    "forced-menu": _forced_menu,
-    "reduced-motion": _still,
-    "reduced-motion-loading": partial(_loading, reducedMotion="reduce"),
+STATES = {
+    "start": State(START, [within("start")]),
+    "loading": State(START, LOADING),
+    "playing": State("src=../static&t=0.5", [within("playing")]),
+    "idle": State("src=../static", [("wait", "getComputedStyle(part('.bar')).opacity === '0'")]),
+    "paused": State(AT_1, PAUSED),
+    "ended": State("src=../static&loop=0&t=3.5", [within("ended")]),
+    "waiting": State(LIVE, [within("waiting"), shows(".spinner")]),
+    "stopped": State(LIVE, [("wait", "part('.note.soft').textContent.includes('has stopped')")]),
+    "failed": State("src=../nothing", [within("failed")]),
+    "failed-details": State("src=../nothing", [within("failed"), *clicks("summary")]),
+    "no-webgl": State("src=../static", [within("failed")], NO_WEBGL),
+    "context-lost": State(
+        AT_1, [*PAUSED, ("run", "player.dispatchEvent(new Event('contextlost'))")]
+    ),
+    "menu": State(AT_1, MENU),
+    "speed": State(AT_1, [*MENU, *clicks("[data-name=rate]")]),
+    "keys": State(AT_1, [*PAUSED, ("press", "?"), shows("dialog")]),
+    "statistics": State(AT_1, [*PAUSED, ("press", "i"), shows(".stats")]),
+    "preview": State(AT_1, [*PAUSED, ("run", SCRUB), shows(".tile")]),
+    "forced-colours": State(AT_1, PAUSED, options=FORCED),
+    "forced-menu": State(AT_1, MENU, options=FORCED),
+    "reduced-motion": State("src=../static&autoplay=1", [within("start")], options=STILL),
+    "reduced-motion-loading": State(START, LOADING, options=STILL),
 }
-"""Functions that reach the states, by name."""
