@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 from rich.console import Console, RenderableType
 
-from bench import dropping, flip, ghost, temporal
+from bench import dropping, flip, ghost
 from bench.dropping import BY_CONTRIBUTION, BY_OPACITY, LAYERS, DroppingConfig, Outcome
 from bench.flip import FlipConfig, flip_map
 from bench.ghost import GhostConfig, excess, left_and_around
@@ -23,8 +23,6 @@ from bench.play import between
 from bench.play.between import FADED, HELD, INTERPOLATED, SENT, BetweenConfig
 from codec.errors import InvalidError
 from codec.stream import StreamReader
-from codec.tools.audit import verify_stream
-from codec.tools.cutting import set_temporal_layer
 from tests.player.render.test_glide import write_body
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
@@ -184,21 +182,6 @@ def test_shown_frames_score_what_had_come(scored: tuple[Path, Path]) -> None:
         with pytest.raises(InvalidError, match="lacks part of the play"):
             list(shown.shown_scores(held_out, report, 1))
     assert "all" in text_of(shown.table_of(late))
-
-
-# --- temporal ---
-
-
-def test_a_temporal_layer_is_scored_as_one_more(tmp_path: Path) -> None:
-    stream, capture = write_scored(tmp_path, 1)
-    set_temporal_layer(stream, tmp_path / "halved", 2)
-    assert verify_stream(tmp_path / "halved").num_frames == FRAMES
-    assert StreamReader(tmp_path / "halved").manifest.temporal_period == 2
-    config = temporal.TemporalConfig(stream, capture)
-    plain, halved = (temporal.scored(path, config) for path in (stream, tmp_path / "halved"))
-    assert [row.layers for row in halved] == [1, 2, 3]
-    assert halved[-1].psnr_db == pytest.approx(plain[-1].psnr_db, abs=1e-6)
-    assert halved[-2].bytes_per_frame < plain[-1].bytes_per_frame < halved[-1].bytes_per_frame
 
 
 # --- ghost ---

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +14,6 @@ MAGIC = b"\x894DGS1\r\n"
 CHANNELS = {0: 3, 1: 3, 2: 1, 3: 3, 4: 3, 5: 1, 6: 3, 7: 1, 8: 1, 9: 1, 10: 1, 13: 1}
 STEPS = (0.01, 0.02, 0.001, 1 / 255, 1 / 255, 0.1, 0.004, 0.02)
 """Steps of position, ln size, rotation, colour, opacity, motion, time and ln sigma."""
-LASTS = {9: 1, 6: 0, 7: 0, 8: 0, 10: 0}
-"""Values of Gaussians that neither fade nor move."""
 
 Numbers = npt.ArrayLike
 
@@ -30,26 +27,14 @@ def planes(numbers: Numbers, width: int) -> bytes:
     return np.asarray(numbers).astype(f"<u{width}").reshape(-1, 1).view(np.uint8).T.tobytes()
 
 
-def stream(kind: int, numbers: Numbers, mode: int = 0, width: int = 2, codec: int = 0) -> bytes:
-    """An attribute stream of (N, channels) numbers."""
+def stream(kind: int, numbers: Numbers, codec: int = 0) -> bytes:
+    """An attribute stream of (N, channels) numbers, in two bytes each."""
     rows = np.asarray(numbers, np.int64)
     rows = rows.reshape(len(rows), -1)
-    stored = {0: rows, 1: np.diff(rows, axis=0, prepend=0), 2: rows[:1]}[mode]
-    raw = planes(zigzag(stored), width)
+    raw = planes(zigzag(rows), 2)
     body = zlib.compress(raw) if codec == 0 else zstandard.compress(raw)
-    head = (kind, width, mode, codec, rows.shape[1], len(rows), len(body))
+    head = (kind, 2, 0, codec, rows.shape[1], len(rows), len(body))
     return struct.pack("<BBBBBIQ", *head) + body
-
-
-def group(ids: Sequence[int], **changed: Numbers) -> bytes:
-    """The streams of some Gaussians, by default at 0 and lasting; `a0`.. are attributes."""
-    values: dict[int, Numbers] = {13: ids}
-    for kind, channels in CHANNELS.items():
-        if kind != 13:
-            values[kind] = np.full((len(ids), channels), LASTS.get(kind, 0))
-    for name, numbers in changed.items():
-        values[int(name.removeprefix("a"))] = numbers
-    return b"".join(stream(kind, numbers) for kind, numbers in sorted(values.items()))
 
 
 def text(value: str) -> bytes:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import contextlib
 import importlib
 import shutil
+import struct
 import sys
+import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from codec.errors import InvalidError
+from codec.errors import CodecError, InvalidError
+from codec.foreign.fourdgs import FourdgsReader
 from codec.foreign.spz import SpzVersion
 from codec.interop import splat4dexport
 from codec.interop.containers import contained_frames
@@ -24,8 +27,10 @@ from codec.sequence.importing import ImportOptions, import_stream
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
 from codec.tools.commands import Export, export_files
+from tests.support import handmade_sequences as made
 from tests.support.alike import largest_errors
 from tests.support.commands import run_ok
+from tests.support.hostile import within_bytes
 from tests.support.slots.rotating import figure, turned
 from tests.support.tiny_stream import write_tiny
 
@@ -92,3 +97,14 @@ def test_what_cannot_be_exported_is_said(tmp_path: Path, monkeypatch: pytest.Mon
         with pytest.raises(InvalidError, match=r"pip install '.\[neighbours\]'"):
             export_stream(tmp_path / "tiny", tmp_path / f"b.{format}", None, None, format, None)
         assert not list(tmp_path.glob(f"*b.{format}*"))
+
+
+def test_what_a_few_bytes_claim_costs_no_memory(tmp_path: Path) -> None:
+    many, path = 1 << 24, tmp_path / "a.4dgs"
+    constant = struct.pack("<BBBBBIQ", 13, 1, 2, 0, 1, many, 9) + zlib.compress(b"\0")
+    huge = struct.pack("<2d2I", 0, 1, 0, 1) + made.text("deflate")
+    huge += struct.pack("<Q", 1 << 29) + made.block(zlib.compress(bytes(1 << 20)))
+    for state in (made.keyframe(0, 1, many, constant), made.record(5, huge)):
+        path.write_bytes(made.fourdgs(made.header(), made.grids(), made.windows((0, 10)), state))
+        with within_bytes(8 << 20), pytest.raises(CodecError, match="claims to decompress"):
+            FourdgsReader(path).read(0, many)

@@ -17,54 +17,21 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat, read_splats, write_splats
 from codec.pose import Doubles
 from codec.sequence.errorbound import ErrorBound
 from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import SH_C0, Splats, sh_count
-from codec.stream import StreamReader, StreamWriter
-from codec.stream.layers import Rank
+from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
 from tests.support.alike import axis_turns
 from tests.support.commands import ENTRY, ROOT, run_ok
 from tests.support.drawn import same_splats
 from tests.support.slots.rotating import figure, turned
-from tests.support.slots.slot_streams import gaussians, slot_manifest
-from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
+from tests.support.slots.slot_streams import gaussians
 from tests.support.trained_like import trained_like_splats
 
 NUM_FRAMES, NUM_GS = 16, 2000
-
-
-@pytest.mark.parametrize("swin_size", [1, 2, 5])
-def test_an_exported_stream_comes_back_exactly(swin_size: int, tmp_path: Path) -> None:
-    layout = trained_like_layout(NUM_GS // swin_size, swin_size, 15)
-    with StreamWriter.create(tmp_path / "s", slot_manifest(layout)) as writer:
-        for update in trained_like_updates(layout, NUM_FRAMES, 0.3):
-            writer.append(update)
-    export_stream(tmp_path / "s", tmp_path / "seq" / "f.ply", None, "0:", None, None)
-    made = import_stream(tmp_path / "seq", tmp_path / "t", ImportOptions(fps=30))
-    assert made.num_frames == NUM_FRAMES
-    assert 0.5 * writer.bytes_written < made.num_bytes < 1.15 * writer.bytes_written
-    assert 0.5 * writer.played_bytes < made.played_bytes < 1.15 * writer.played_bytes
-    reader, source = StreamReader(tmp_path / "t"), StreamReader(tmp_path / "s")
-    for frame in range(NUM_FRAMES):  # equal bit by bit, in another order
-        found, wanted = (one.active_splats(frame, 4) for one in (reader, source))
-        assert gaussians(found) == gaussians(wanted)
-
-
-def test_the_layers_of_the_source_come_back_by_the_order_of_its_files(tmp_path: Path) -> None:
-    layout = trained_like_layout(1000, 1, 15)
-    with StreamWriter.create(tmp_path / "s", slot_manifest(layout)) as writer:
-        for update in trained_like_updates(layout, 1, 0.3):
-            writer.append(update)
-    export_stream(tmp_path / "s", tmp_path / "f.ply", 0, None, None, None)
-    import_stream(tmp_path / "f.ply", tmp_path / "t", ImportOptions(rank=Rank.GIVEN))
-    reader, source = StreamReader(tmp_path / "t"), StreamReader(tmp_path / "s")
-    for layers in range(1, 5):
-        mine, theirs = (one.active_splats(0, layers) for one in (reader, source))
-        assert gaussians(mine) == gaussians(theirs)
 
 
 PAGE = (ROOT / "docs" / "SEQUENCES.md").read_text(encoding="utf-8")

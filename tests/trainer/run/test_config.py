@@ -87,10 +87,7 @@ def test_what_makes_no_settings_is_an_error(values: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"temporal": 9}, "temporal 9: choose 1 to 8"),
-        ({"temporal": 2, "fit": FitConfig(swin_size=5)}, "--temporal needs --swin-size 1"),
         ({"temporal": 2, "ray": "local"}, "cannot be combined with --ray"),
-        ({"temporal": 2, "layers": [1 / 16] * 16}, "choose --layers of 15 shares"),
         ({"audio": Path("a.wav"), "silent": True}, "cannot be combined with --silent"),
         *(({"scale": scale}, "choose above 0, at most 1") for scale in (2.0, 0.0, float("nan"))),
         ({"worker_cpus": 0}, "worker_cpus 0"),

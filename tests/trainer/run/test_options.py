@@ -16,30 +16,12 @@ from codec.interop.formats import SplatFormat, read_splats, write_splats
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
 from tests.support.commands import run
-from tests.support.drawn import same_splats
 from tests.support.tiny_capture import WIDTH_PX
 from tests.support.trainings import train_here
 from trainer.run.runlog import LOG_NAME
 
 FRAMES = 6
 LATER = "--window-iterations", 10, "--num-gs", 200, "--frames", "0:2"
-
-
-def test_a_temporal_layer_changes_no_frame(capture: Path, tmp_path: Path) -> None:
-    words = "--num-gs", 60, "--genesis-iterations", 4, "--settle-rounds", 1, "--temporal"
-    made = {}
-    for period in (1, 2):
-        out = tmp_path / f"s{period}"
-        train_here(capture, out, "--window-iterations", 1, *words, period)
-        assert verify_stream(out).num_frames == FRAMES
-        made[period] = StreamReader(out)
-    plain, halved = made[1], made[2]
-    assert halved.manifest.num_layers == plain.manifest.num_layers + 1
-    assert halved.manifest.segment_frames == 16
-    for frame in range(FRAMES):
-        wanted = plain.active_splats(frame, plain.manifest.num_layers)
-        assert same_splats(halved.active_splats(frame, halved.manifest.num_layers), wanted)
-    assert halved.records[0].psnr_db[-1] == pytest.approx(plain.records[0].psnr_db[-1])
 
 
 def log_of(stream: Path) -> list[dict[str, Any]]:

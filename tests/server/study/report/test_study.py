@@ -10,9 +10,7 @@ from pathlib import Path
 import pytest
 
 from server.study.__main__ import main
-from server.study.config import StudyConfig
 from server.study.policies.choice import POLICIES
-from server.study.report.study import run_study
 from tests.support import commands
 from tests.support.slots.folder import write_slots
 
@@ -66,28 +64,6 @@ def test_the_report_is_whole(report: Path) -> None:
     assert summary["need_bps"] == pytest.approx(36e6)
     assert [one["load"] for one in summary["loads"]] == [0.7, 1.5, None]
     assert not summary["knows_psnr"]
-
-
-def test_equal_settings_give_equal_bytes(
-    report: Path, stream: Path, traces: Path, tmp_path: Path
-) -> None:
-    config = StudyConfig(
-        stream,
-        tmp_path / "again",
-        traces,
-        generate=1,
-        length_s=4,
-        loads=(0.7, 1.5),
-        seed=5,
-        half="tune",
-        as_bitrate=36e6,
-        jobs=1,
-    )
-    steps: list[tuple[int, int]] = []
-    run_study(config, lambda done, of: steps.append((done, of)))
-    assert steps == [(done, 6) for done in range(7)]
-    for name in FILES:
-        assert (config.out / name).read_bytes() == (report / name).read_bytes(), name
 
 
 CASES: list[tuple[list[str], int, str]] = [
