@@ -54,6 +54,7 @@ def check_accessible(page: Page) -> None:
     "state", [pytest.param(s, marks=() if s in QUICK else pytest.mark.deep) for s in STATES]
 )
 def test_no_state_has_a_fault_that_axe_finds(desk: Reached, state: str) -> None:
+    desk.page.expect("404")
     desk.reach(STATES[state])
     check_accessible(desk.page)
 
