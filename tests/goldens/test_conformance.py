@@ -25,8 +25,8 @@ from tests.goldens.folder import read_index as read_index_plainly
 from tests.goldens.objects import decode_object, inflate
 from tests.goldens.statehash import state_sha256
 from tests.goldens.suite import FOLDER, read_order, read_table, stream_name, write_suite
+from tests.support.slots.arrivals import played
 from tests.support.slots.plain import encoded_chunks, held
-from tests.support.slots.played import played
 
 STREAMS, ORDERS, HOSTILE = map(read_table, ("streams.json", "orders.json", "hostile.json"))
 

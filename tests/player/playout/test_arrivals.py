@@ -7,9 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.goldens.decoder import Shape
-from tests.support.slots.arrivals import make_arrivals
+from tests.support.slots.arrivals import make_arrivals, played
 from tests.support.slots.plain import make_shape
-from tests.support.slots.played import played
 
 
 @given(

@@ -6,7 +6,8 @@ There are no sockets here; the records are made from the packets on disk.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
+from codec.slice import Slice
 from codec.stream import StreamReader
 from codec.stream.playrecord import SliceRecord, SnapshotRecord
 from player.playout.assembler import Assembler
@@ -23,9 +25,9 @@ from player.source.playreceiver import PlayReceiver
 from player.source.source import Packets
 from server.abr.holding import Holding
 from tests.support.delivery.playrecords import slice_record, snapshot_record
+from tests.support.drawn import same_splats
 from tests.support.hostile import flips
-from tests.support.slots.screen import Screen
-from tests.support.slots.slot_streams import write_slot_stream
+from tests.support.slots.slot_streams import Shown, gaussians, write_slot_stream
 from tests.support.slots.updates import small_layout
 
 NUM_FRAMES = 24
@@ -70,6 +72,35 @@ def response(reader: StreamReader, frame: int, rng: np.random.Generator) -> Iter
         waiting = [(at, record) for at, record in waiting if at > birth]
 
 
+class Screen:
+    """Shows the slices of an assembler, and compares them with the stream."""
+
+    def __init__(self, reader: StreamReader) -> None:
+        self._reader, self._shown = reader, Shown(reader.manifest)
+        self._whole: dict[int, int] = {}  # by lane: number of complete layers that show
+
+    def put(self, frame: int, slices: Sequence[Slice], whole: int) -> None:
+        """Shows the next frame; checks that the complete layers of each lane are there, and that
+        there is nothing that the stream does not have.
+
+        whole: number of complete layers in this frame. A repair shows lane by lane, with the next
+        slice of each lane.
+        """
+        splats = self._shown.after(slices, frame)
+        self._whole |= {slice.birth % SWIN_SIZE: whole for slice in slices}
+        self._whole = {lane: min(before, whole) for lane, before in self._whole.items()}
+        everything = self._reader.active_splats(frame, LAYERS)
+        assert gaussians(splats) <= gaussians(everything)
+        least: Counter[bytes] = Counter()
+        for one in self._reader.window(frame, LAYERS):
+            end = self._reader.manifest.slot_layout.row_edges[self._whole[one.birth % SWIN_SIZE]]
+            rows = np.flatnonzero(one.active(frame, SWIN_SIZE))
+            least += gaussians(one.splats.take(rows[rows < end]))
+        assert least <= gaussians(splats)
+        if set(self._whole.values()) == {LAYERS}:
+            assert same_splats(splats, everything)
+
+
 @given(first=st.integers(0, NUM_FRAMES - 1), seed=st.integers(0, 1 << 32))
 @settings(max_examples=25, deadline=None)
 def test_whatever_comes_late_or_never_only_what_is_known_shows(
@@ -83,7 +114,7 @@ def test_whatever_comes_late_or_never_only_what_is_known_shows(
     assembler = Assembler(manifest, LAYERS, first)
     holding = Holding(PlayedMedia(manifest), first)
     seen = Holding(PlayedMedia(manifest), first)
-    screen = Screen(reader, first)
+    screen = Screen(reader)
     frame, waiting = first, list[Packets]()
     while frame < NUM_FRAMES:
         asked = first if frame == first else receiver.rejoin(NUM_FRAMES)
@@ -98,7 +129,7 @@ def test_whatever_comes_late_or_never_only_what_is_known_shows(
                 waiting = [p for p in waiting if p.first_frame > frame]
                 for packets in used:
                     packets.add_to(seen)
-                screen.put(assembler.assemble(frame, used), seen.whole_layers(frame))
+                screen.put(frame, assembler.assemble(frame, used), seen.whole_layers(frame))
                 frame += 1
             if rng.random() < breaks:
                 break
