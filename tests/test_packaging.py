@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 
 from docs.architecture import PAGE, PICTURE, page, picture
-from tests.importlaw import FLOORS, MAY_USE, PACKAGES
+from tests.importlaw import FLOORS, MAY_USE
+from tests.importlaw import PACKAGES as HOUSE
 
 ROOT = Path(__file__).parents[1]
-HOUSE = PACKAGES
 
 NO_IO = {"asyncio", "aiohttp", "os", "pathlib", "socket", "threading", "time", "datetime", "random"}
 
@@ -30,6 +30,10 @@ PURE = ("server/abr", f"{STUDY}/simulate", f"{STUDY}/policies", f"{STUDY}/oracle
 
 def python_files(folder: str) -> list[Path]:
     return sorted((ROOT / folder).rglob("*.py"))
+
+
+def house_files() -> list[Path]:
+    return [file for folder in HOUSE for file in python_files(folder)]
 
 
 def run_on_import(node: ast.AST) -> Iterator[ast.AST]:
@@ -57,9 +61,6 @@ def imported_modules(file: Path, on_import: bool = False) -> set[str]:
             names.add(stem)
             names |= {f"{stem}.{alias.name}" for alias in node.names}
     return names
-
-
-USES_TORCH = "trainer/step/device"
 
 
 def is_within(module: str, package: str) -> bool:
@@ -118,19 +119,15 @@ def test_folders_import_from_the_floors_below(package: str) -> None:
 
 def test_a_file_is_found_by_its_name() -> None:
     """No two source files share a name, except those with the same role in every package."""
-    stems = Counter(
-        file.stem
-        for folder in HOUSE
-        for file in python_files(folder)
-        if file.stem not in ("__init__", "__main__", "errors", "config")
-    )
+    shared = {"__init__", "__main__", "errors", "config"}
+    stems = Counter(file.stem for file in house_files() if file.stem not in shared)
     assert not {stem: count for stem, count in stems.items() if count > 1}
 
 
 def test_nobody_is_told_to_install_a_package_that_is_not_ours() -> None:
     """`swings` on a package index would be another program; extras come from the checkout:
     `pip install '.[s3]'`."""
-    files = [f for folder in (*HOUSE, "bench", "fuzz") for f in python_files(folder)]
+    files = [*house_files(), *python_files("bench"), *python_files("fuzz")]
     files += [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("codec/*.md")]
     files += [path for path in (ROOT / "deploy").iterdir() if path.is_file()]
     wrong = re.compile(r"swings\[|pip install swings\b")
@@ -138,11 +135,10 @@ def test_nobody_is_told_to_install_a_package_that_is_not_ours() -> None:
 
 
 def test_only_what_runs_on_devices_imports_torch() -> None:
-    for folder in HOUSE:
-        for file in python_files(folder):
-            tops = {m.split(".")[0] for m in imported_modules(file)}
-            may = file.parent.relative_to(ROOT).as_posix() == USES_TORCH
-            assert may or not tops & {"torch", "gsplat"}, file
+    for file in house_files():
+        tops = {m.split(".")[0] for m in imported_modules(file)}
+        may = file.parent == ROOT / "trainer" / "step" / "device"
+        assert may or not tops & {"torch", "gsplat"}, file
 
 
 @pytest.mark.parametrize("command", ["train", "evaluate", "synth"])
@@ -163,12 +159,11 @@ def test_the_help_of_the_trainer_waits_for_no_large_library(command: str) -> Non
 
 def test_no_module_imports_from_a_command() -> None:
     """A `__main__` is only started; code that others need belongs into a module."""
-    for folder in HOUSE:
-        for file in python_files(folder):
-            # swings-stream is a command of codec that uses the player's renderer.
-            may = file == ROOT / "player" / "streamcommand.py"
-            named = [m for m in imported_modules(file) if "__main__" in m.split(".")]
-            assert may or not named, f"{file.relative_to(ROOT)} imports {named}"
+    for file in house_files():
+        # swings-stream is a command of codec that uses the player's renderer.
+        may = file == ROOT / "player" / "streamcommand.py"
+        named = [m for m in imported_modules(file) if "__main__" in m.split(".")]
+        assert may or not named, f"{file.relative_to(ROOT)} imports {named}"
 
 
 @pytest.mark.parametrize("folder", PURE)
@@ -184,10 +179,9 @@ def module_name(file: Path) -> str:
 
 def test_no_module_imports_itself_in_a_circle() -> None:
     """So each of them can be imported first; `deep` imports them so."""
-    files = [file for folder in HOUSE for file in python_files(folder)]
-    modules = {module_name(file) for file in files}
+    modules = {module_name(file) for file in house_files()}
     needed: dict[str, set[str]] = {}
-    for file in files:
+    for file in house_files():
         name, named = module_name(file), imported_modules(file, on_import=True)
         from_packages = {module.rpartition(".")[0] for module in named & modules}
         needed[name] = named & modules - from_packages
@@ -199,7 +193,7 @@ def test_no_module_imports_itself_in_a_circle() -> None:
 
 @pytest.mark.deep
 def test_every_module_imports_alone() -> None:
-    modules = [module_name(file) for folder in HOUSE for file in python_files(folder)]
+    modules = [*map(module_name, house_files())]
     # One new interpreter; each module is loaded with none of ours in memory.
     code = (
         "import importlib, sys\n"
@@ -213,11 +207,10 @@ def test_every_module_imports_alone() -> None:
 
 
 def test_no_catch_all_modules_and_short_commands() -> None:
-    for folder in HOUSE:
-        for file in python_files(folder):
-            assert file.stem not in {"utils", "util", "common", "helpers", "misc"}, file
-            if file.name == "__main__.py":
-                assert len(file.read_text(encoding="utf-8").splitlines()) <= 80, file
+    for file in house_files():
+        assert file.stem not in {"utils", "util", "common", "helpers", "misc"}, file
+        if file.name == "__main__.py":
+            assert len(file.read_text(encoding="utf-8").splitlines()) <= 80, file
 
 
 def test_no_test_folder_wears_a_package_name() -> None:

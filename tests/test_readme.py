@@ -36,6 +36,7 @@ from tests.support.waiting import BOUND_S, wait_until
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = README + (ROOT / "docs" / "GUIDE.md").read_text(encoding="utf-8")
 MOST_WORDS = 700
+FIGURE = r"\d+(?:,\d{3})*(?:\.\d+)?"
 NUM_FRAMES = 32
 IS_COMMAND = re.compile(r"(swings-\w+|python3?|pip|cp|git|scripts/\w+)( |$)")
 
@@ -200,6 +201,14 @@ def test_the_readme_is_short_and_begins_with_a_moving_picture() -> None:
     assert picture.stat().st_size < 1_000_000
     with Image.open(picture) as image:
         assert getattr(image, "n_frames", 1) > 30
+
+
+def test_every_figure_that_the_readme_claims_was_measured() -> None:
+    """They are among the results of docs/RESULTS.md."""
+    results = (ROOT / "docs" / "RESULTS.md").read_text(encoding="utf-8")
+    claimed = re.findall(FIGURE, README.partition("## Measured")[2].partition("\n## ")[0])
+    assert len(claimed) > 20
+    assert not set(claimed) - set(re.findall(rf"(?<![\d.]){FIGURE}(?!\d)", results))
 
 
 @pytest.mark.parametrize("words", MADE)

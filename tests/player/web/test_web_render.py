@@ -23,6 +23,7 @@ from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 from tests.support.web.canvas import LEAST_PSNR_DB, psnr_db
 from tests.support.web.chromium import Page
+from tests.support.web.site import player_host, watch
 
 FRAME = 7
 LEAST_HALF_WAY_DB, LEAST_BETWEEN_DB = 45.0, 36.0
@@ -31,12 +32,9 @@ order is always that of halfway."""
 
 
 def made_stream(path: Path, kind: str) -> Path:
-    match kind:
-        case "whole slices, SH 1":
-            return write_stream(path, FRAME + 2, slice_size=300)
-        case _:
-            layout = small_layout(2, (400, 300, 300), 0, 5)
-            return write_busy_stream(path, FRAME + 2, layout)
+    if kind == "whole slices, SH 1":
+        return write_stream(path, FRAME + 2, slice_size=300)
+    return write_busy_stream(path, FRAME + 2, small_layout(2, (400, 300, 300), 0, 5))
 
 
 @pytest.mark.parametrize("kind", ["whole slices, SH 1", "slots that last"])
@@ -159,3 +157,26 @@ def for_browser(camera: Camera) -> dict[str, object]:
         "cyPx": camera.cy_px,
         "w2c": camera.w2c.ravel().tolist(),
     }
+
+
+PROGRAMS = Path(__file__).with_name("programs.js")
+
+NUM_PROGRAMS = {1: 7, 3: 8}
+"""By degree of the harmonics: splats, depths, the screen, two that expand what arrives, two that
+draw between frames, and from degree 2 on one for colours."""
+
+
+@pytest.mark.parametrize("sh_degree", NUM_PROGRAMS)
+def test_every_program_compiles_without_a_word(page: Page, tmp_path: Path, sh_degree: int) -> None:
+    """Those of the bundle, which is what viewers get."""
+    layout = small_layout(1, (60, 40), sh_degree, 4)
+    write_moving_stream(tmp_path / "stream", 60, layout)
+    export_static(tmp_path / "stream", tmp_path / "static")
+    with player_host(tmp_path) as url:
+        watch(page, f"{url}/player/watch.html?src=../static&autoplay=0", scripts=(PROGRAMS,))
+        page.run("player.renderer.depthAt(player.view.camera, 80, 60)")
+        page.run("element.playbackRate = 0.1; element.play()")
+        page.wait(f"window.numPrograms() >= {NUM_PROGRAMS[sh_degree]}")
+        found = page.run("return window.complaintsOfPrograms()")
+        assert found == [""] * NUM_PROGRAMS[sh_degree]
+        page.wait("player.renderer.inbetween !== null")

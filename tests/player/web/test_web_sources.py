@@ -1,4 +1,5 @@
-"""The sources of the browser player: their types and those of the npm package, and their style."""
+"""The sources of the browser player: their types and those of the npm package, their style, and the
+tests beside them."""
 
 from __future__ import annotations
 
@@ -11,9 +12,11 @@ import pytest
 from scripts.npmpackage import write_description, write_types
 from scripts.webmodules import modules
 from tests.support.suite.once import made_once
+from tests.support.waiting import BOUND_S
 from tests.support.web.nodeprocess import NODE, SCRIPTS
 
 PACKAGES = SCRIPTS / "node_modules"
+FOLDER = Path(__file__).parents[3] / "player" / "web" / "test"
 
 
 def run(tool: str, *arguments: str, folder: Path = SCRIPTS) -> None:
@@ -115,3 +118,13 @@ def test_the_style() -> None:
 @pytest.mark.parametrize("path", modules(), ids=lambda path: path.name)
 def test_what_is_generated_is_not_stale(path: Path) -> None:
     assert path.read_text(encoding="utf-8") == modules()[path], "stale: run scripts/webmodules"
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.test.mjs")), ids=lambda path: path.name)
+def test_the_modules_that_need_no_page(path: Path) -> None:
+    """Their tests are beside them: `node --test player/web/test/*.test.mjs`."""
+    if NODE is None:
+        pytest.skip("needs Node.js: apt-get install nodejs")
+    command = [NODE, "--test", "--test-reporter=spec", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=5 * BOUND_S)
+    assert done.returncode == 0, done.stdout + done.stderr

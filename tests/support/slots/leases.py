@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 
 import numpy as np
 from hypothesis import strategies as st
@@ -12,48 +13,33 @@ from codec.splats import Splats
 from tests.support.hosted_streams import random_splats
 
 
-@dataclass(frozen=True, slots=True)
-class Lease:
-    """The Gaussian in one row of a lane."""
-
-    slice: Slice
-    place: int
-    """Index of the Gaussian in `slice`."""
-    start: int | None
-    """First frame in which it shows; None if it never shows."""
-
-
-def replayed_lane(slices: list[Slice], lane: int, frame: int, swin_size: int) -> list[Lease]:
-    """The Gaussians of a lane after all of `slices` born up to `frame`, row by row."""
-    held: dict[int, Lease] = {}
+def replayed_lane(slices: list[Slice], frame: int, sh_degree: int) -> Splats:
+    """The Gaussians shown at `frame` of a lane with `slices`, row by row."""
+    held: dict[int, tuple[float, Slice, int]] = {}
+    """By row: first frame in which its Gaussian shows, its slice and its index there."""
     for slice in slices:
-        if slice.birth > frame or slice.birth % swin_size != lane:
-            continue
-        if slice.rows is None:
-            held, rows = {}, list(range(len(slice.splats)))
-        else:
-            rows = slice.rows.tolist()
-        for row, lease in held.items():
-            if lease.start is not None and lease.start > slice.birth:
-                held[row] = replace(lease, start=slice.birth)
-        for place, row in enumerate(rows):
-            offset = int(slice.start_offsets[place])
-            start = None if offset == HIDDEN else slice.birth + offset
-            held[row] = Lease(slice, place, start)
-    return [held[row] for row in sorted(held)]
+        rows = range(len(slice.splats)) if slice.rows is None else slice.rows.tolist()
+        kept = {} if slice.rows is None else held
+        held = {
+            row: (start if start == math.inf else min(start, slice.birth), whose, place)
+            for row, (start, whose, place) in kept.items()
+        }
+        for place, (row, offset) in enumerate(zip(rows, slice.start_offsets.tolist(), strict=True)):
+            start = math.inf if offset == HIDDEN else slice.birth + offset
+            held[row] = start, slice, place
+    shown = [held[row] for row in sorted(held) if held[row][0] <= frame]
+    parts = [slice.splats.take(np.array([place])) for _, slice, place in shown]
+    return Splats.concatenate([Splats.empty(sh_degree), *parts])
 
 
 def replayed(slices: list[Slice], frame: int, swin_size: int) -> list[Splats]:
     """The Gaussians shown at `frame`, lane by lane, the earliest birth first."""
     lanes = []
     for birth in window_births(frame, swin_size):
-        if birth not in [slice.birth for slice in slices]:
-            continue
-        held = replayed_lane(slices, birth % swin_size, frame, swin_size)
-        shown = [one for one in held if one.start is not None and one.start <= frame]
-        parts = [one.slice.splats.take(np.array([one.place])) for one in shown]
-        empty = Splats.empty(slices[0].splats.sh_degree)
-        lanes.append(Splats.concatenate([empty, *parts]))
+        born = range(birth, -swin_size, -swin_size)
+        mine = [one for one in slices if one.birth in born]
+        if mine and mine[-1].birth == birth:
+            lanes.append(replayed_lane(mine, frame, slices[0].splats.sh_degree))
     return lanes
 
 
@@ -71,18 +57,8 @@ class LeasedStream:
         return self.slices[-1].birth + 1
 
 
-def changed_rows(
-    kind: str, slice_size: int, rng: np.random.Generator
-) -> np.ndarray[tuple[int], np.dtype[np.int32]]:
-    """Rows of a lane that change, in ascending order."""
-    chosen = np.zeros(slice_size, np.bool_)
-    if kind == "run":
-        first, last = np.sort(rng.integers(0, slice_size + 1, 2))
-        chosen[first:last] = True
-    else:
-        share = {"none": 0.0, "few": 0.02, "half": 0.5, "all": 1.1}[kind]
-        chosen = rng.random(slice_size) < share
-    return np.flatnonzero(chosen).astype(np.int32)
+SHARES = {"none": 0.0, "few": 0.02, "half": 0.5, "all": 1.1}
+"""Shares of the rows of a lane that change. A "run" is of rows that follow one another."""
 
 
 def leased_slice(
@@ -90,7 +66,11 @@ def leased_slice(
 ) -> Slice:
     """A slice of `kind`: "whole", with any number of Gaussians, or a pattern of changed rows."""
     rng = np.random.default_rng(seed)
-    rows = None if kind == "whole" else changed_rows(kind, slice_size, rng)
+    rows = None
+    if kind == "run":
+        rows = np.arange(*np.sort(rng.integers(0, slice_size + 1, 2)), dtype=np.int32)
+    elif kind != "whole":
+        rows = np.flatnonzero(rng.random(slice_size) < SHARES[kind]).astype(np.int32)
     count = int(rng.integers(0, slice_size + 1)) if rows is None else len(rows)
     # Some start at the next birth of their lane or later, so that they have not shown by then.
     offsets = rng.integers(0, swin_size + 2, count).astype(np.uint8)
@@ -103,8 +83,8 @@ def leased_streams(draw: st.DrawFn, slice_sizes: tuple[int, ...] = (1, 7)) -> Le
     swin_size = draw(st.sampled_from((1, 2, 5)))
     slice_size = draw(st.sampled_from(slice_sizes))
     sh_degree = draw(st.integers(0, 1))
-    kinds = ["none", "few", "half", "all", "run", "whole"]
-    later = draw(st.lists(st.sampled_from(kinds), min_size=1, max_size=3 * swin_size + 2))
+    kinds = st.sampled_from([*SHARES, "run", "whole"])
+    later = draw(st.lists(kinds, min_size=1, max_size=3 * swin_size + 2))
     seed = draw(st.integers(0, 1 << 20))
     slices = [
         leased_slice(birth, kind, swin_size, slice_size, sh_degree, seed + 100 + birth)
