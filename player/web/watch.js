@@ -32,6 +32,8 @@ for (const [name, attribute] of [
 player.toggleAttribute("other-hosts", query.get("other-hosts") === "1");
 player.toggleAttribute("loop", query.get("loop") !== "0");
 player.toggleAttribute("autoplay", query.get("autoplay") !== "0");
+// The page is about the player; in a frame, one finger and the wheel scroll the page around it.
+if (!isFramed) player.setAttribute("gestures", "all");
 // A page that shows this one in a frame needs only the player.
 document.documentElement.classList.toggle("framed", isFramed);
 document.addEventListener("click", async ({ target }) => {

@@ -1,7 +1,5 @@
 import { Taps } from "./taps.js";
 
-/** A player counts as filling its page if it covers this share of the page's width and height. */
-const FILLS_SHARE = 0.9;
 /** A one-finger move this far to the side is read as an attempt to look around. */
 const LOOKS_PX = 16;
 const HINT_PERIOD_MS = 1000;
@@ -20,11 +18,11 @@ const HINT_PERIOD_MS = 1000;
  * Moves the camera by pointers.
  *
  * Dragging with a mouse turns the camera around the scene; with the right button or shift it moves the
- * camera. In a player that fills its page or the screen, one finger turns, two move, and pinching or the
- * wheel zooms. Elsewhere the page must stay scrollable: one finger and the wheel belong to the page, two
- * fingers turn and zoom, three move, and the wheel zooms only with ctrl or while the player has the focus.
- * A gesture that is left to the page dispatches `gesturehint` (detail: what to do instead), which leaves
- * the shadow tree.
+ * camera. In full screen, in a page that cannot scroll, and with the attribute `gestures="all"`, one finger
+ * turns, two move, and pinching or the wheel zooms. Elsewhere the page must stay scrollable: one finger and
+ * the wheel belong to the page, two fingers turn and zoom, three move, and the wheel zooms only with ctrl or
+ * while the player has the focus. A gesture that is left to the page dispatches `gesturehint` (detail: what
+ * to do instead), which leaves the shadow tree.
  *
  * A double tap, or a double click with alt, flies to the point of the scene at that place.
  * @param {HTMLElement} surface
@@ -58,19 +56,25 @@ export function listenToGestures(surface, player, signal) {
     player.focusAt(x - left, y - top);
   };
 
-  let isFull = false;
-  const lookAtSize = () => {
-    isFull = isFilling(surface);
-    surface.style.touchAction = isFull ? "none" : "pan-y";
+  let hasAll = false;
+  const lookAtPage = () => {
+    hasAll = ownsAllGestures(hostOf(surface));
+    surface.style.touchAction = hasAll ? "none" : "pan-y";
   };
-  const resizing = new ResizeObserver(lookAtSize);
-  resizing.observe(surface);
-  signal.addEventListener("abort", () => resizing.disconnect());
-  document.addEventListener("fullscreenchange", lookAtSize, { signal });
-  globalThis.addEventListener("resize", lookAtSize, { signal });
+  // What a page loads later may make it scroll.
+  const resizing = new ResizeObserver(lookAtPage);
+  for (const one of [surface, document.documentElement, document.body]) resizing.observe(one);
+  const changing = new MutationObserver(lookAtPage);
+  changing.observe(hostOf(surface), { attributeFilter: ["gestures", "class"] });
+  signal.addEventListener("abort", () => {
+    resizing.disconnect();
+    changing.disconnect();
+  });
+  document.addEventListener("fullscreenchange", lookAtPage, { signal });
+  globalThis.addEventListener("resize", lookAtPage, { signal });
 
   on("pointerdown", (/** @type {PointerEvent} */ event) => {
-    if (pointers.size === 0) lookAtSize();
+    if (pointers.size === 0) lookAtPage();
     surface.setPointerCapture(event.pointerId);
     const { clientX: x, clientY: y } = event;
     pointers.set(event.pointerId, { x, y, firstX: x });
@@ -84,7 +88,7 @@ export function listenToGestures(surface, player, signal) {
     const isTouch = event.pointerType === "touch";
     const from = spreadOf([...pointers.values()]);
     pointers.set(event.pointerId, { ...before, x: event.clientX, y: event.clientY });
-    if (isTouch && !isFull && pointers.size === 1) {
+    if (isTouch && !hasAll && pointers.size === 1) {
       if (Math.abs(event.clientX - before.firstX) > LOOKS_PX) {
         hint("Use two fingers to look around", event.timeStamp);
       }
@@ -92,7 +96,7 @@ export function listenToGestures(surface, player, signal) {
     }
     const to = spreadOf([...pointers.values()]);
     const isPan = isTouch
-      ? pointers.size === (isFull ? 2 : 3)
+      ? pointers.size === (hasAll ? 2 : 3)
       : (event.buttons & 2) !== 0 || event.shiftKey;
     dragged = isPan ? "pan" : "turn";
     const [rightPx, downPx] = [to.x - from.x, to.y - from.y];
@@ -124,8 +128,8 @@ export function listenToGestures(surface, player, signal) {
     if (event.altKey) focusAt(event.clientX, event.clientY);
   });
   const turnWheel = (/** @type {WheelEvent} */ event) => {
-    lookAtSize();
-    if (!(event.ctrlKey || event.metaKey || isFull || hasFocus(surface))) {
+    lookAtPage();
+    if (!(event.ctrlKey || event.metaKey || hasAll || hasFocus(surface))) {
       hint("Use Ctrl and the wheel to come closer", event.timeStamp);
       return;
     }
@@ -152,20 +156,20 @@ function spreadOf(places) {
 }
 
 /**
- * Whether all gestures may go to the player, because it fills the screen or a page that does not
- * scroll. In a frame only full screen counts: the code cannot know whether the page around it scrolls.
- * @param {HTMLElement} surface
+ * Whether all gestures go to the player: in full screen, where the page asks for it, and where nothing
+ * around the player scrolls. In a frame, the code cannot know whether the page around it scrolls.
+ * @param {Element} host
  */
-function isFilling(surface) {
-  const full = document.fullscreenElement;
-  if (full?.contains(hostOf(surface))) return true;
+function ownsAllGestures(host) {
+  if (host.matches(':fullscreen, .covering, [gestures="all"]')) return true;
+  if (document.fullscreenElement?.contains(host)) return true;
   if (globalThis.parent !== globalThis.window) return false;
-  const { clientWidth, clientHeight } = surface;
-  const page = document.documentElement;
-  const isLarge =
-    clientWidth >= FILLS_SHARE * page.clientWidth &&
-    clientHeight >= FILLS_SHARE * globalThis.innerHeight;
-  return isLarge && page.scrollHeight <= globalThis.innerHeight / FILLS_SHARE;
+  if (document.documentElement.scrollHeight > globalThis.innerHeight + 1) return false;
+  for (let around = host.parentElement; around !== null; around = around.parentElement) {
+    const scrolls = /auto|scroll/.test(getComputedStyle(around).overflowY);
+    if (scrolls && around.scrollHeight > around.clientHeight + 1) return false;
+  }
+  return true;
 }
 
 /** @param {HTMLElement} surface */

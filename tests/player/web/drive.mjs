@@ -139,6 +139,11 @@ const ACTIONS = {
   async tap({ atPx }) {
     await page.touchscreen.tap(atPx[0], atPx[1]);
   },
+  /** Turns the wheel away from the person by one step. */
+  async wheel({ atPx }) {
+    await page.mouse.move(atPx[0], atPx[1]);
+    await page.mouse.wheel(0, -100);
+  },
   async drag({ fromPx, toPx, button }) {
     await page.mouse.move(fromPx[0], fromPx[1]);
     await page.mouse.down({ button });

@@ -12,6 +12,7 @@ from codec.camera import Camera
 from codec.splats import SH_C0
 from codec.stream import StreamReader
 from player.render.cpu import render_splats
+from tests.support.hosted_streams import ServerProcess
 from tests.support.web.canvas import camera_of, check_picture
 from tests.support.web.chromium import Page
 from tests.support.web.site import Site
@@ -76,7 +77,53 @@ def test_a_finger_turns_and_two_come_closer(page: Page, site: Site) -> None:
     assert view_of(page)[3:] != found[3:]
 
 
+WINDOWS_PX = (
+    (390, 664), (390, 844), (412, 732), (844, 390), (800, 360), (768, 1024), (1280, 720),
+    (1440, 789), (1440, 900), (1920, 969), (2560, 1440),
+)  # fmt: skip
+"""Phones with and without the browser's bars, a tablet, laptops and large screens."""
+
+
+def check_all_gestures(page: Page, at_px: tuple[int, int]) -> None:
+    """Asserts that a finger that moves turns the camera, and that the wheel comes closer."""
+    x, y = at_px
+    page.run("window.hints = []; element.addEventListener('gesturehint', () => hints.push(1))")
+    page.touch([at_px], [(x - 40, y)], [(x - 96, y)])
+    turn, _, zoom, *_ = view_of(page)
+    assert turn > 0
+    page.wheel(at_px)
+    page.wait(f"Number(player.orbit.text.split(',')[2]) < {zoom}")
+    assert page.value("window.hints") == []
+
+
+@pytest.mark.parametrize("size_px", WINDOWS_PX, ids="{0[0]}x{0[1]}".format)
+def test_one_finger_and_the_wheel_are_the_players_on_the_watch_page(
+    page: Page, server: ServerProcess, size_px: tuple[int, int]
+) -> None:
+    page.open(f"{server.url}/watch/clip?autoplay=0", *size_px, touch=True)
+    page.wait("player.shownFrame >= 0 && player.canvas.style.touchAction === 'none'")
+    check_all_gestures(page, (size_px[0] // 2, size_px[1] // 4))  # above the large button
+
+
+PART_OF_A_PAGE = """<div style="height: 320px; overflow: {overflow}">
+<script type="module" src="player/player.js"></script>
+<swings-player src="clip" style="width: 400px; height: 300px"></swings-player>
+<p style="height: 400px"></p></div>"""
+
+
+def test_a_small_player_has_them_where_nothing_scrolls(page: Page, site: Site) -> None:
+    for overflow, action in ("auto", "pan-y"), ("hidden", "none"):
+        page.open(
+            site.write_page("part.html", PART_OF_A_PAGE.format(overflow=overflow)), touch=True
+        )
+        page.wait(f"player.shownFrame >= 0 && player.canvas.style.touchAction === '{action}'")
+    check_all_gestures(page, (200, 60))
+    page.run("document.body.style.paddingBottom = '3000px'")
+    page.wait("player.canvas.style.touchAction === 'pan-y'")
+
+
 SCROLLING = """
+element.removeAttribute("gestures");
 document.documentElement.style.overflow = document.body.style.overflow = "auto";
 document.body.style.height = "auto";
 element.style.height = "240px";

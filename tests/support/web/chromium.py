@@ -96,6 +96,10 @@ class Page:
         """Taps the page with a finger."""
         self._do("tap", atPx=at_px)
 
+    def wheel(self, at_px: tuple[float, float]) -> None:
+        """Turns the wheel away from the person by one step."""
+        self._do("wheel", atPx=at_px)
+
     def drag(
         self, from_px: tuple[float, float], to_px: tuple[float, float], button: str = "left"
     ) -> None:
