@@ -12,6 +12,7 @@ from rich.console import Console
 import bench.curve
 from bench.curve import CurveConfig, Published, draw, kept_path, measure, names_of, run, table_of
 from codec.errors import InvalidError
+from tests.support.hostile import refused
 from tests.support.tiny_capture import seen_by, write_dynamic3dgs
 from tests.support.tiny_stream import tiny_manifest, write_tiny
 
@@ -94,10 +95,8 @@ def test_a_published_point_is_name_kb_and_db() -> None:
     assert Published.parse("a: b:1.5:20") == Published("a: b", 1.5, 20)
     assert str(Published.parse("a: b:1.5:20")) == "a: b:1.5:20"
     for wrong in ("", "a", "a:1", ":1:2", "a:b:2", "a:0:2", "a:-1:2", "a:inf:2", "a:1:nan"):
-        with pytest.raises(InvalidError, match="NAME:KB:DB"):
-            Published.parse(wrong)
+        refused(InvalidError, "NAME:KB:DB", Published.parse, wrong)
 
 
 def test_no_stream_is_an_error(config: CurveConfig) -> None:
-    with pytest.raises(InvalidError, match="at least one stream"):
-        run(replace(config, streams=()))
+    refused(InvalidError, "at least one stream", run, replace(config, streams=()))

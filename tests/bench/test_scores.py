@@ -24,6 +24,7 @@ from bench.play.between import FADED, HELD, INTERPOLATED, SENT, BetweenConfig
 from codec.errors import InvalidError
 from codec.stream import StreamReader
 from tests.player.render.test_glide import write_body
+from tests.support.hostile import refused
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 from tests.support.tiny_capture import picture_of, write_dynamic3dgs
@@ -127,8 +128,7 @@ def test_what_moves_straight_is_interpolated_best(tmp_path: Path) -> None:
         assert by[INTERPOLATED] > by[FADED] + 6 > by[HELD] + 6
     assert np.mean(far.whole[HELD]) < np.mean(near.whole[HELD])
     for gap in (1, 3, 100):  # without a middle, or too long
-        with pytest.raises(InvalidError, match=r"gap \d+"):
-            between.against_stream(reader, gap, config)
+        refused(InvalidError, r"gap \d+", between.against_stream, reader, gap, config)
 
 
 def test_pictures_between_are_scored_against_the_film(scored: tuple[Path, Path]) -> None:
@@ -309,5 +309,4 @@ WRONG: Sequence[tuple[dict[str, Any], str]] = (
 
 def test_options_out_of_their_bounds_are_refused(scored: tuple[Path, Path]) -> None:
     for changes, message in WRONG:
-        with pytest.raises(InvalidError, match=message):
-            dropping.measure(replace(dropping_of(*scored), **changes))
+        refused(InvalidError, message, dropping.measure, replace(dropping_of(*scored), **changes))

@@ -21,9 +21,8 @@ from rich.console import Console
 from codec.console import Ended, ending_by_signals, run_command
 from codec.errors import InvalidError, SwingsError
 from codec.progressline import Stage, counted, line_of
-from tests.support.commands import ROOT, run, run_ok
+from tests.support.commands import ROOT
 from tests.support.hostile import refused
-from tests.support.tiny_stream import write_tiny
 from tests.support.waiting import BOUND_S
 
 
@@ -252,19 +251,3 @@ def test_a_terminal_has_as_much_of_a_bar_as_there_is_room(columns: int, bar: int
     assert (line != "", after.rstrip()) == (True, "  20 of 40")
     assert len(before) == (bar + 1 if bar else 0)
     assert before.count("━") == bar // 2
-
-
-@pytest.fixture(scope="module")
-def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("main") / "stream"
-    write_tiny(path, 6)
-    return path
-
-
-def test_verify_exits_with_0_and_with_1_and_bad_usage_with_2(stream: Path, tmp_path: Path) -> None:
-    assert "6 frames in 2 segments are intact" in run_ok("swings-stream", "verify", stream)
-    done = run("swings-stream", "verify", tmp_path)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
-    assert done.stderr.startswith("swings-stream: ")
-    assert "manifest.json" in done.stderr
-    assert run("swings-stream", "polish").returncode == 2

@@ -16,12 +16,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.server.certificates import make_certificate
 from tests.support.waiting import BOUND_S, wait_until
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
-
-MAKE_CERTIFICATE = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2"]
-MAKE_CERTIFICATE += ["-subj", "/CN=swings.test"]
 
 
 def find_program(name: str) -> str | None:
@@ -30,10 +28,9 @@ def find_program(name: str) -> str | None:
 
 
 def need(proxy: str) -> None:
-    """Skips the test unless the proxy, and what makes its certificate, are installed."""
-    for program in (proxy, *(["openssl"] if proxy == "nginx" else [])):
-        if find_program(program) is None:
-            pytest.skip(f"{program} is not installed")
+    """Skips the test unless the proxy is installed."""
+    if find_program(proxy) is None:
+        pytest.skip(f"{proxy} is not installed")
 
 
 def free_port() -> int:
@@ -110,12 +107,7 @@ def nginx(backend: int, folder: Path, root: Path = Path("/nowhere")) -> Iterator
     """Runs nginx with TLS in front of the server at port `backend`. root: folder of the streams
     that it sends from disk itself, with the secrets in `folder`/swings-secrets.map."""
     port, plain_port = free_port(), free_port()
-    key, certificate = folder / "key.pem", folder / "certificate.pem"
-    subprocess.run(
-        [*MAKE_CERTIFICATE, "-keyout", key, "-out", certificate],
-        check=True,
-        capture_output=True,
-    )
+    certificate, key = make_certificate(folder / "tls")
     user = {r"^user www-data;": "user root;" if os.getuid() == 0 else ""}
     text = replaced(
         (DEPLOY / "nginx.conf").read_text(),

@@ -35,7 +35,6 @@ def hostile_rows(stream: Path) -> list[Row]:
         *_objects(files["object"]),
         *_packets(),
         *_records(),
-        *_near_planes(json.loads(files["manifest"])),
     ]
 
 
@@ -121,6 +120,17 @@ def _manifests(value: dict[str, Any]) -> Iterator[Row]:
         ("cut short", json.dumps(value).encode()[:-2]),
     ):
         yield _row("manifest", name, data, CORRUPT)
+    count = len(value["cameras"])
+    for name, depths, verdict in (
+        ("one for each camera", [0.2] * count, TAKEN),
+        ("none", [], TAKEN),
+        ("null", None, CORRUPT),
+        ("too many", [0.2] * (count + 1), CORRUPT),
+        ("a zero", [0] * count, CORRUPT),
+        ("a text", ["0.2"] * count, CORRUPT),
+        ("true", [True] * count, CORRUPT),
+    ):
+        yield row(f"camera_near_m: {name}", verdict, camera_near_m=depths)
 
 
 # --- Section 5 ---
@@ -279,21 +289,3 @@ def _records() -> Iterator[Row]:
     deep = b"\x81\xa7packets" + b"\x91" * 20_000
     yield _row("record", "arrays in arrays", struct.pack("<I", len(deep)) + deep, CORRUPT)
     yield _row("record", "a length over 2^26", struct.pack("<I", 2**26 + 1), CORRUPT)
-
-
-# --- Section 4: near planes of cameras ---
-
-
-def _near_planes(value: dict[str, Any]) -> Iterator[Row]:
-    count = len(value["cameras"])
-    for name, depths, verdict in (
-        ("one for each camera", [0.2] * count, TAKEN),
-        ("none", [], TAKEN),
-        ("null", None, CORRUPT),
-        ("too many", [0.2] * (count + 1), CORRUPT),
-        ("a zero", [0] * count, CORRUPT),
-        ("a text", ["0.2"] * count, CORRUPT),
-        ("true", [True] * count, CORRUPT),
-    ):
-        data = json.dumps(value | {"camera_near_m": depths}).encode()
-        yield _row("manifest", f"camera_near_m: {name}", data, verdict)

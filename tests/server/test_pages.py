@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from base64 import b64encode
 from collections.abc import AsyncIterator
-from dataclasses import replace
 from hashlib import sha256
 from html import unescape
 from pathlib import Path
@@ -19,23 +18,20 @@ from PIL import Image
 from yarl import URL
 
 from codec.errors import InvalidError
-from codec.stream import StreamWriter
 from server.answers import pages
 from server.html.gallery import Card, card_html, clock_text
 from server.html.webplayer import WebPlayer
 from server.library import ServedStream
+from tests.server.test_poster_and_sound import stream_with_poster
 from tests.support.server.running_server import (
     Running,
     append_frames,
-    births_of,
     eventually,
     fetch,
     live_stream,
     make_stream,
-    random_slice,
     raw_get,
     served,
-    small_manifest,
 )
 
 pytestmark = pytest.mark.anyio
@@ -58,14 +54,6 @@ async def site(root: Path) -> AsyncIterator[Site]:
         yield site
 
 
-def stream_with_poster(path: Path, poster: str) -> Path:
-    """A stream of one frame; the poster itself is not written."""
-    with StreamWriter.create(path, replace(small_manifest(), poster=poster)) as writer:
-        for birth in births_of(1):
-            writer.append(random_slice(birth, 8))
-    return path
-
-
 async def test_the_list_and_the_front_page_name_every_stream(site: Site) -> None:
     server, client = site
     listed = (await fetch(client, "/v1/streams")).json()["streams"]
@@ -86,7 +74,7 @@ async def test_the_list_and_the_front_page_name_every_stream(site: Site) -> None
 
 async def test_a_poster_of_any_name_shows_on_the_front_page(tmp_path: Path) -> None:
     name = 'a "b" & <c>?.png'
-    stream = stream_with_poster(tmp_path / "walk", name)
+    stream = stream_with_poster(tmp_path, "walk", name)
     (stream / name).write_bytes(b"\x89PNG\r\n\x1a\n and so on")
     async with served(tmp_path) as (server, client):
         (picture,) = re.findall('<img src="([^"]*)"', (await fetch(client, "/")).text)
@@ -202,7 +190,7 @@ async def test_the_thumbnail_for_other_sites_is_the_poster(
     tmp_path: Path, name: str, kind: str
 ) -> None:
     """It has its size, or is omitted."""
-    stream = stream_with_poster(tmp_path / "walk", name)
+    stream = stream_with_poster(tmp_path, "walk", name)
     async with served(tmp_path) as (_, client):
 
         async def thumbnail(query: str = "") -> dict[str, object]:

@@ -19,6 +19,7 @@ from codec.storage import objectstore
 from codec.storage.objectstore import open_store
 from codec.tools.audit import verify_stream
 from tests.support.commands import ROOT, run, run_ok
+from tests.support.hostile import refused
 from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
 from tests.support.tiny_capture import write_dynamic3dgs, write_dynerf
 from tests.support.trainings import contents, run_until, train_here
@@ -100,8 +101,7 @@ def test_a_store_that_goes_in_the_middle_is_an_error_and_resume_goes_on(
 
     monkeypatch.setattr(objectstore, "PATIENT", objectstore.BRIEF)
     words = CAPTURE, f"s3://{BUCKET}/gone/show", "--work", tmp_path / "work"
-    with pytest.raises(SwingsError, match=f"^s3://{BUCKET}/"):
-        train_here(*words, *SETTINGS, observers=[Stopping()])
+    refused(SwingsError, f"^s3://{BUCKET}/", train_here, *words, *SETTINGS, observers=[Stopping()])
     server.start()
     assert verify_stream(words[1]).live
     train_here(*words, "--resume")
@@ -137,8 +137,7 @@ def test_pictures_are_those_of_a_folder(server: S3Server, tmp_path: Path, layout
 def test_urls_in_errors(server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(objectstore, "PATIENT", objectstore.BRIEF)
     for url in (f"s3://{BUCKET}/nothing", "s3://no-such-bucket/x"):
-        with pytest.raises(SwingsError, match=url):
-            train_here(url, tmp_path / "s")
+        refused(SwingsError, url, train_here, url, tmp_path / "s")
     assert not (tmp_path / "s").exists()
     url = f"s3://{BUCKET}/wrong"
     write_dynamic3dgs(tmp_path / "pictures", 4, 3)
@@ -155,16 +154,14 @@ def test_urls_in_errors(server: S3Server, tmp_path: Path, monkeypatch: pytest.Mo
         (lambda: open_capture(f"{url}/pictures"), r"pictures/ims/0/000002\.png: is missing"),
         (lambda: videos.open_images(0).read(0), r"videos/cam00\.mp4 "),
     ):
-        with pytest.raises(CaptureError, match=f"^{url}/{told}"):
-            ask()
+        refused(CaptureError, f"^{url}/{told}", ask)
     server.stop()
     try:
         for source in (pictures.open_images(0), videos.open_images(1)):
             with pytest.raises(CaptureError, match=rf"^{url}/.* cannot be read: ") as caught:
                 source.read(0)
             assert "\n" not in str(caught.value)
-        with pytest.raises(CaptureError, match=rf"^{url}/.* cannot be read: "):
-            open_capture(f"{url}/pictures")
+        refused(CaptureError, rf"^{url}/.* cannot be read: ", open_capture, f"{url}/pictures")
     finally:
         server.start()
 

@@ -97,6 +97,7 @@ def test_gltf_by_hand() -> None:
         [4, 5, 6],
         [-7, -8, -9],
     ]
+    refused(UnsupportedError, "2 Gaussians in a frame, at most 1", decode_any, made(), "", 1)
 
 
 @given(drawn_splats(logit=8.0))
@@ -282,11 +283,6 @@ def test_an_opacity_outside_of_its_range_is_refused(opacity: float) -> None:
     refused(CorruptError, "an opacity outside", decode_any, with_opacity(opacity))
 
 
-def test_more_than_the_caller_takes_is_refused() -> None:
-    with pytest.raises(UnsupportedError, match="2 Gaussians in a frame, at most 1"):
-        decode_any(made(), max_gaussians=1)
-
-
 def test_a_small_file_does_not_become_large_by_repetition() -> None:
     """4000 nodes each use one buffer of 80000 bytes, as 20000 rows, for every attribute."""
     count = 20_000
@@ -343,6 +339,8 @@ def test_a_buffer_may_be_a_file_beside(tmp_path: Path) -> None:
     (tmp_path / "my numbers.bin").write_bytes(CHUNK + b"more")
     (tmp_path / "a.gltf").write_text(json.dumps(outside("my%20numbers.bin")))
     assert same_splats(read_splats(tmp_path / "a.gltf"), decode_any(made()))
+    alone = json.dumps(outside("a.bin")).encode()
+    refused(CorruptError, r"another file, 'a\.bin', which is not given", decode_any, alone)
     encoded = base64.b64encode(CHUNK).decode()
     for kind in ("application/octet-stream", "application/gltf-buffer", ""):
         data = json.dumps(outside(f"data:{kind};base64,{encoded}")).encode()
@@ -377,11 +375,6 @@ def test_places_not_looked_at(uri: str, kind: type[CodecError], says: str, tmp_p
     (folder / "short.bin").write_bytes(b"four")
     (folder / "a.gltf").write_text(json.dumps(outside(uri)))
     refused(kind, rf"a\.gltf: .*{says}", read_splats, folder / "a.gltf")
-
-
-def test_bytes_without_a_place_have_no_file_beside() -> None:
-    with pytest.raises(CorruptError, match=r"another file, 'a\.bin', which is not given"):
-        decode_any(json.dumps(outside("a.bin")).encode())
 
 
 @pytest.mark.parametrize(

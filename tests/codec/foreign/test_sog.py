@@ -248,8 +248,7 @@ def test_a_bomb_is_refused_by_what_it_claims() -> None:
     bomb = bundled({"zeros": bytes(64 << 20)})
     assert len(bomb) < 100_000
     with within_bytes(4 << 20):
-        with pytest.raises(CorruptError, match="'zeros' claims 67108864 bytes"):
-            Bundle(bomb, "it").read("zeros")
+        refused(CorruptError, "'zeros' claims 67108864 bytes", Bundle(bomb, "it").read, "zeros")
         # A file that lies about its size is truncated there.
         lying = bomb.replace((64 << 20).to_bytes(4, "little"), (9).to_bytes(4, "little"))
         refused(CorruptError, "is broken", lambda: Bundle(lying, "it").read("zeros"))

@@ -201,8 +201,7 @@ def test_what_a_faulty_writer_would_do_is_named(updates: Path, tmp_path: Path) -
     assert str(caught.value).startswith(str(updates / "segments" / "0" / "0"))
     put_packets(updates, 0, 0, layer)
     put_packets(updates, 0, MASKS, [*masks, (4, masks[-1][1])])
-    with pytest.raises(CorruptError, match=r"birth 4 is not one of 0\.\.3"):
-        StreamReader(updates).window(1, 2)
+    refused(CorruptError, r"birth 4 is not one of 0\.\.3", StreamReader(updates).window, 1, 2)
     put_packets(updates, 0, MASKS, masks)
     put_packets(updates, 0, 1, packets_of(updates, 0, 1)[1:])
     with pytest.raises(CorruptError, match=r"segments/0/1: .*it is missing, but the mask declares"):

@@ -22,6 +22,7 @@ from server.study.policies.choice import POLICIES
 from server.study.simulate.generate import GeneratorConfig, generate
 from server.study.tracefolder import Trace, chosen_names, generated_traces, read_traces
 from tests.support.delivery.media import basketball_media
+from tests.support.hostile import refused
 from tests.support.slots.folder import slots_manifest, write_slots
 from tests.support.slots.updates import patternless_updates
 
@@ -76,19 +77,14 @@ def test_traces_of_all_kinds_are_found_and_named(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_traces_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidError, match="holds no traces"):
-        read_traces(tmp_path, "all", 0, 0.0)
-    with pytest.raises(InvalidError, match="not a folder"):
-        read_traces(tmp_path / "absent", "all", 0, 0.0)
+    refused(InvalidError, "holds no traces", read_traces, tmp_path, "all", 0, 0.0)
+    refused(InvalidError, "not a folder", read_traces, tmp_path / "absent", "all", 0, 0.0)
     (tmp_path / "only").write_text("0\n10\n")
-    with pytest.raises(InvalidError, match="'report'"):
-        read_traces(tmp_path, "report", 0, 0.0)
+    refused(InvalidError, "'report'", read_traces, tmp_path, "report", 0, 0.0)
     (tmp_path / "wrong").write_text("quite")
-    with pytest.raises(InvalidError, match="wrong"):
-        read_traces(tmp_path, "all", 0, 0.0)
+    refused(InvalidError, "wrong", read_traces, tmp_path, "all", 0, 0.0)
     (tmp_path / "a\nb").write_text("0\n10\n")
-    with pytest.raises(InvalidError, match="rename it"):
-        read_traces(tmp_path, "all", 0, 0.0)
+    refused(InvalidError, "rename it", read_traces, tmp_path, "all", 0, 0.0)
 
 
 def test_made_up_traces_are_those_of_their_seeds() -> None:
@@ -127,8 +123,7 @@ def test_a_silent_trace_and_a_load_out_of_reach_are_refused() -> None:
     silent = Trace("silent.json", link_of((60, 0), (1, 1e6)))
     with pytest.raises(InvalidError, match=r"silent\.json: no data passes in its first 15 s"):
         at_load(silent, 1.0, MEDIA)
-    with pytest.raises(InvalidError, match="load is 0"):
-        at_load(Trace("t", link_of((9, 1e6))), 0.0, MEDIA)
+    refused(InvalidError, "load is 0", at_load, Trace("t", link_of((9, 1e6))), 0.0, MEDIA)
 
 
 PLAYED = replace(MEDIA, num_frames=240)
@@ -222,5 +217,4 @@ def test_a_stream_without_frames_is_refused(tmp_path: Path) -> None:
     update, *_ = patternless_updates(manifest.slot_layout, 1)
     with StreamWriter.create(tmp_path / "live", manifest) as writer:
         writer.append(update)
-        with pytest.raises(InvalidError, match="no frames yet"):
-            open_media(tmp_path / "live", 1.0)
+        refused(InvalidError, "no frames yet", open_media, tmp_path / "live", 1.0)

@@ -14,12 +14,8 @@ import aiohttp
 import numpy as np
 from yarl import URL
 
-from codec.camera import Camera
-from codec.lattice.lattice import Lattice
 from codec.slice import Slice
-from codec.splats import Splats
 from codec.stream import StreamWriter
-from codec.stream.layers import split_counts
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import Record, RecordParser, SliceRecord, SnapshotRecord
 from server.abr.session import SessionConfig
@@ -31,42 +27,21 @@ from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.runningserver import RunningServer
 from server.state.config import ServerConfig
 from server.state.serverstate import ServerState
+from tests.support import hosted_streams
+from tests.support.hosted_streams import SEGMENT_FRAMES, random_splats
 from tests.support.waiting import BOUND_S
 
 SWIN_SIZE = 4
-SEGMENT_FRAMES = 5
-LATTICE = Lattice(1 / 512, 1 / 16, 1 / 100, 1 / 40, 64)
 
 
 def random_slice(birth: int, count: int) -> Slice:
     """A slice of noise, which zstd cannot compress."""
-    rng = np.random.default_rng(birth + 1000)
-    splats = Splats(
-        rng.normal(size=(count, 3)).astype(np.float32),
-        rng.normal(size=(count, 3)).astype(np.float32),
-        rng.normal(size=(count, 4)).astype(np.float32),
-        rng.normal(size=count).astype(np.float32),
-        rng.normal(size=(count, 1, 3)).astype(np.float32),
-    )
-    return Slice(birth, splats, np.zeros(count, np.uint8))
+    return Slice(birth, random_splats(count, 0, birth + 1000), np.zeros(count, np.uint8))
 
 
 def small_manifest(slice_size: int = 8, fps: float = 30.0, title: str = "") -> Manifest:
-    return Manifest(
-        fps=fps,
-        swin_size=SWIN_SIZE,
-        slots=split_counts(slice_size, (0.25,) * 4),
-        lattice=(LATTICE,) * 4,
-        segment_frames=SEGMENT_FRAMES,
-        sh_degree=0,
-        antialias=False,
-        near_m=0.01,
-        bounds=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
-        cameras=(Camera("front", 64, 48, 50.0, 50.0, 32.0, 24.0, np.eye(4)),),
-        default_camera="front",
-        live=False,
-        title=title,
-    )
+    changes = {"layers": (0.25,) * 4, "swin_size": SWIN_SIZE, "title": title}
+    return hosted_streams.small_manifest(slice_size, 0, fps, **changes)
 
 
 def births_of(num_frames: int) -> range:

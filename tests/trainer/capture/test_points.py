@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import tracemalloc
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +12,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from codec.camera import Camera
-from tests.support.hostile import flips, truncations
+from tests.support.hostile import flips, refused, truncations, within_bytes
 from trainer.capture import points as module
 from trainer.capture.capture import InitialPoints
 from trainer.capture.points import MAX_PLY_POINTS, points_evenness, read_ply, read_points_file
@@ -112,8 +110,7 @@ def test_a_header_without_points_is_refused(tmp_path: Path) -> None:
         (b"short n", b"list int n", "not a list of vertices"),
     ):
         path.write_bytes(WHOLE["binary"].replace(before, after))
-        with pytest.raises(CaptureError, match=rf"points\.ply: .*{says}"):
-            read_ply(path)
+        refused(CaptureError, rf"points\.ply: .*{says}", read_ply, path)
 
 
 @pytest.mark.parametrize(
@@ -133,18 +130,8 @@ def test_false_claims_are_cheap(data: bytes, is_sparse: bool, says: str, tmp_pat
     path.write_bytes(data)
     if is_sparse:
         os.truncate(path, 4 << 30)
-    with bounded_memory(8 << 20), pytest.raises(CaptureError, match=rf"points\.ply: .*{says}"):
+    with within_bytes(8 << 20), pytest.raises(CaptureError, match=rf"points\.ply: .*{says}"):
         read_ply(path)
-
-
-@contextlib.contextmanager
-def bounded_memory(most_bytes: int) -> Iterator[None]:
-    tracemalloc.start()
-    try:
-        yield
-        assert tracemalloc.get_traced_memory()[1] < most_bytes
-    finally:
-        tracemalloc.stop()
 
 
 def write_ply(path: Path, xyz: ArrayLike, rgb: ArrayLike) -> None:
@@ -170,8 +157,7 @@ def test_points_come_from_a_ply_as_from_an_npz(tmp_path: Path) -> None:
         read_points_file(tmp_path / "points.txt")
     for name in ("pipe.ply", "pipe.npz"):
         os.mkfifo(tmp_path / name)
-        with pytest.raises(CaptureError, match="not a regular file"):
-            read_points_file(tmp_path / name)
+        refused(CaptureError, "not a regular file", read_points_file, tmp_path / name)
 
 
 def test_evenness_is_the_share_of_the_picture_that_points_fill() -> None:
@@ -194,10 +180,9 @@ def test_points_that_unpack_to_gigabytes_are_refused(tmp_path: Path) -> None:
     np.savez_compressed(path, xyz=np.zeros((4_000_000, 3)), rgb=np.zeros((4_000_000, 3), np.uint8))
     assert path.stat().st_size < 1 << 20
     told = r"bytes that claim to be \d+ bytes of points"
-    with bounded_memory(1 << 22), pytest.raises(CaptureError, match=told):
+    with within_bytes(1 << 22), pytest.raises(CaptureError, match=told):
         read_points_file(path)
     np.savez(path, xyz=np.ones((10, 3)), rgb=np.ones((10, 3)))
     # A header that claims more than there is; the checksum of the zip does not match either.
     path.write_bytes(path.read_bytes().replace(b"(10, 3), }      ", b"(99999999999, 3)"))
-    with pytest.raises(CaptureError, match=r"points\.npz: not an \.npz file of points"):
-        read_points_file(path)
+    refused(CaptureError, r"points\.npz: not an \.npz file of points", read_points_file, path)

@@ -12,6 +12,7 @@ import pytest
 
 from codec.errors import InvalidError
 from tests.support.commands import run, run_ok
+from tests.support.hostile import refused
 from trainer.fit.config import FitConfig
 from trainer.lease.leases import LeaseConfig
 from trainer.run.config import TrainConfig
@@ -95,8 +96,7 @@ def test_what_makes_no_settings_is_an_error(values: dict[str, Any]) -> None:
     ],
 )
 def test_settings_that_cannot_be_are_refused(values: dict[str, Any], message: str) -> None:
-    with pytest.raises(InvalidError, match=message):
-        TrainConfig("capture", "stream", **values)
+    refused(InvalidError, message, TrainConfig, "capture", "stream", **values)
 
 
 @pytest.mark.parametrize(
@@ -109,8 +109,7 @@ def test_settings_that_cannot_be_are_refused(values: dict[str, Any], message: st
     ],
 )
 def test_what_only_whole_slices_do_needs_them_in_any_preset(more: Sequence[str], word: str) -> None:
-    with pytest.raises(InvalidError, match=f"{word} .*--whole-slices"):
-        parse(*more).check_slices()
+    refused(InvalidError, f"{word} .*--whole-slices", parse(*more).check_slices)
     for preset in ("fast", "paper"):
         parse(*more, "--preset", preset, "--whole-slices").check_slices()
 

@@ -19,6 +19,7 @@ from codec.stream import StreamReader
 from codec.stream.manifest import MANIFEST_NAME
 from codec.stream.poster import POSTER_NAME
 from tests.support.commands import command, environment, run, run_ok
+from tests.support.hostile import refused
 from tests.support.slots.updates import patternless_updates, small_layout
 from tests.support.suite.once import made_once
 from tests.support.tiny_stream import tiny_slice
@@ -209,8 +210,7 @@ def test_a_run_that_had_no_room_for_its_first_checkpoint_begins_anew(
     stream = tmp_path / "stream"
     with monkeypatch.context() as patch:
         patch.setattr(job, "save_checkpoint", full)
-        with pytest.raises(OSError, match=CHECKPOINT_NAME):
-            train_here(capture, stream, *SETTINGS)
+        refused(OSError, CHECKPOINT_NAME, train_here, capture, stream, *SETTINGS)
     assert sorted(p.name for p in stream.iterdir()) == ["index.bin", "manifest.json", "segments"]
     train_here(capture, stream, *SETTINGS, "--resume")
     assert contents(stream) == contents(moments / "whole")
@@ -223,13 +223,11 @@ def test_a_damaged_checkpoint_is_told(tmp_path: Path) -> None:
     found = load_checkpoint(path, {"seed": 1})
     assert (found.state["values0"] == state["values0"]).all()
     assert found.pending == []
-    with pytest.raises(InvalidError, match="seed"):
-        load_checkpoint(path, {"seed": 2})
+    refused(InvalidError, "seed", load_checkpoint, path, {"seed": 2})
     data = path.read_bytes()
     for size in range(0, len(data), 37):
         path.write_bytes(data[:size])
-        with pytest.raises(CheckpointError):
-            load_checkpoint(path, {"seed": 1})
+        refused(CheckpointError, "", load_checkpoint, path, {"seed": 1})
 
 
 @pytest.mark.parametrize("sh_degree", [0, 1])
