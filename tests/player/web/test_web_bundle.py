@@ -6,6 +6,7 @@ import gzip
 import re
 import shutil
 from pathlib import Path
+from urllib.parse import quote
 from urllib.request import urlopen
 
 import pytest
@@ -50,16 +51,21 @@ def test_what_a_page_begins_with_is_small_with_gzip() -> None:
 COPIED = """
 const clipboard = { writeText: (text) => (window.copied = text) };
 Object.defineProperty(navigator, "clipboard", { value: clipboard, configurable: true });
+element.setAttribute("link", "/mine?id=7");
+await element.copyLink();
+const mine = window.copied;
 element.removeAttribute("link");
 await element.copyLink();
-return window.copied;
+return [mine, window.copied];
 """
-"""Copies the link of a player whose page has no own address for it."""
+"""Copies the link of a player whose page has an address for it, and of one whose page has none."""
 
 
 def check_link(page: Page, watch_url: str) -> None:
-    link = page.run(COPIED)
-    assert link.startswith(f"{watch_url}?src=")
+    mine, link = page.run(COPIED)
+    assert mine.startswith(page.value("location.origin + '/mine?id=7&t='"))
+    source = quote(page.value("element.currentSrc"), safe="")
+    assert link.startswith(f"{watch_url}?src={source}&t=")
     with urlopen(link) as response:
         assert response.status == 200
 

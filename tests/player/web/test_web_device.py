@@ -5,7 +5,6 @@ from __future__ import annotations
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from tests.support.web.chromium import Page
@@ -74,22 +73,16 @@ def test_the_menu_shares_the_moment_and_the_view(phone: Page) -> None:
     assert copied == [shared[2]["url"]]
 
 
-def pose_of(page: Page) -> npt.NDArray[np.float64]:
-    """(4, 4) world-to-camera matrix."""
-    return np.array(page.value("player.camera.w2c")).reshape(4, 4)
-
-
 def test_in_flight_a_held_key_moves_the_camera(page: Page, site: Site) -> None:
+    """It moves forward, and does not turn."""
     site.watch(page, "whole")
-    before = pose_of(page)
+    before = page.value("player.camera.w2c")
     key = "new KeyboardEvent(value, { key: 'w', bubbles: true, composed: true })"
     page.press("g")
     page.run(f"element.dispatchEvent({key})", "keydown")
-    moved = "(value) => Math.hypot(...[3, 7, 11].map((at) => player.camera.w2c[at] - value[at]))"
-    page.wait(f"({moved})({before.ravel().tolist()}) > 0.05")
+    page.wait(f"player.camera.w2c[11] < {before[11] - 0.05}")
     page.run(f"element.dispatchEvent({key})", "keyup")
     page.wait("!player.motion.isMoving")
-    after = pose_of(page)
-    np.testing.assert_allclose(after[:3, :3], before[:3, :3], atol=1e-9)
-    assert before[2, 3] - after[2, 3] > 0.05  # forward
-    assert abs(after[:2, 3] - before[:2, 3]).max() < 1e-6
+    after = page.value("player.camera.w2c")
+    del before[11], after[11]
+    assert after == pytest.approx(before, abs=1e-6)

@@ -1,10 +1,9 @@
-"""The player on other pages: from a file, in a frame, under a strict policy, from a script."""
+"""The player on other pages: from a file, in a frame, under a strict policy."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import quote
 
 import pytest
 
@@ -84,77 +83,3 @@ def test_a_host_that_lets_nobody_else_read(page: Page, site: Site) -> None:
         assert message.startswith(f"{streams} answers, but does not let pages of other hosts read")
         assert "Access-Control-Allow-Origin" in message
         assert page.value("part('.note:not(.soft)').textContent") == message
-
-
-EVENTS = [
-    *("loadedmetadata", "play", "playing", "waiting", "pause", "seeking", "seeked"),
-    *("ratechange", "layerschange", "ended", "error"),
-]
-SCRIPT = """
-await import("/player/player.js");
-const made = document.createElement("swings-player");
-window.heard = [];
-for (const type of value) made.addEventListener(type, () => heard.push(type));
-made.addEventListener("timeupdate", () => (heard.time = made.currentTime));
-const before = [made.paused, made.currentTime, Number.isNaN(made.duration), made.view];
-made.src = "/clip";
-document.body.replaceChildren(made);
-return before;
-"""
-
-
-COPY_LINK = """
-const clipboard = { writeText: (text) => (window.copied = text) };
-Object.defineProperty(navigator, "clipboard", { value: clipboard, configurable: true });
-await element.copyLink();
-return copied;
-"""
-
-
-def test_what_a_script_can_do(page: Page, site: Site) -> None:
-    """The events and properties are those of a media element."""
-
-    def heard() -> list[str]:
-        """The events since the last call."""
-        found: list[str] = page.run("return heard.splice(0)")
-        return found
-
-    page.expect("404")
-    page.open(f"{site.url}/web/tsconfig.json", 160, 120)
-    assert page.run(SCRIPT, EVENTS) == [True, 0, True, ""]
-    page.wait("player.shownFrame === 0")
-    assert heard() == ["loadedmetadata"]
-    values = "[element.duration, element.numLayers, element.layers, element.view]"
-    assert page.value(values) == [1.5, 3, 0, "0,0,1,0,0"]
-
-    sought = "element.currentTime = 1; return [element.seeking, element.currentTime]"
-    assert page.run(sought) == [True, 1]
-    page.wait("heard.includes('seeked')")
-    assert page.value("[element.seeking, player.shownFrame]") == [False, 30]
-    assert heard() == ["seeking", "seeked"]
-
-    page.run("element.playbackRate = 0.5; element.layers = 2; element.play()")
-    page.wait("element.ended")
-    found = [event for event in heard() if event != "waiting"]
-    assert found[:4] == ["ratechange", "layerschange", "play", "playing"]
-    assert found[-2:] == ["pause", "ended"]
-    assert page.value("[element.paused, element.currentTime, heard.time]") == [True, 1.5, 1.5]
-
-    page.run("element.loop = true; element.play()")
-    page.wait("heard.time < 0.5")
-    page.run("element.pause()")
-    found = heard()
-    # The stream has ended: playing starts with a seek to the first frame.
-    assert (found[:2], found[-1]) == (["seeking", "play"], "pause")
-
-    link = f"{site.url}/player/watch.html?src={quote(site.url, safe='')}%2Fclip&t="
-    assert page.run(COPY_LINK).startswith(link)
-    page.run("element.setAttribute('link', '/mine?id=7')")
-    assert page.run(COPY_LINK).startswith(f"{site.url}/mine?id=7&t=")
-
-    page.run("element.src = '../nothing'")
-    page.wait("heard.includes('error')")
-    assert heard() == ["ratechange", "error"]  # a new stream begins at the default rate
-    assert "HTTP 404" in page.value("element.error.message")
-    refused = "try { element.playbackRate = 0 } catch (e) { return e.name }"
-    assert page.run(refused) == "RangeError"

@@ -13,8 +13,10 @@ const made = document.createElement("swings-player");
 window.heard = [];
 const events = ["loadstart", "suspend", "durationchange", "loadedmetadata", "loadeddata", "canplay",
   "canplaythrough", "play", "playing", "pause", "seeking", "seeked", "ratechange", "volumechange",
-  "emptied", "abort", "ended", "error"];
+  "emptied", "abort", "ended", "error", "layerschange"];
 for (const type of events) made.addEventListener(type, () => heard.push(type));
+made.addEventListener("timeupdate", () => (heard.time = made.currentTime));
+const before = [made.paused, made.currentTime, Number.isNaN(made.duration), made.view];
 for (const [name, text] of Object.entries(value)) made.setAttribute(name, text);
 document.body.append(made);
 window.numHolds = 0;
@@ -24,6 +26,8 @@ made.player.keepAlive = () => {
 };
 """
 """Makes a player with the attributes `value`."""
+UNSURE = "canplay", "canplaythrough", "suspend", "waiting"
+"""Events whose number depends on the network."""
 
 
 @pytest.fixture
@@ -31,6 +35,11 @@ def empty(page: Page, site: Site) -> Page:
     """A page without a player."""
     page.open(site.write_page("empty.html", ""), 480, 320)
     return page
+
+
+def heard(page: Page, *but: str) -> list[str]:
+    """The events since the last call, except some."""
+    return [event for event in page.run("return heard.splice(0)") if event not in but]
 
 
 def ranges(name: str) -> str:
@@ -44,16 +53,10 @@ OUTCOME = "(promise) => promise.then(() => 'playing', (error) => error.name)"
 def test_it_loads_plays_and_ends_as_a_media_element(empty: Page, site: Site) -> None:
     page = empty
     page.expect("404")
-
-    def heard() -> list[str]:
-        """The events since the last call."""
-        found: list[str] = page.run("return heard.splice(0)")
-        return found
-
     page.run(MAKE, {"src": "clip", "preload": "metadata"})
     page.wait("element.networkState === 1")
     metadata = ["loadstart", "durationchange", "loadedmetadata", "suspend"]
-    assert heard() == metadata
+    assert heard(page) == metadata
     # Only the description was fetched.
     assert page.value("[element.readyState, state.receivedBytes]") == [1, 0]
     assert page.value("element.currentSrc") == f"{site.url}/clip"
@@ -63,7 +66,7 @@ def test_it_loads_plays_and_ends_as_a_media_element(empty: Page, site: Site) -> 
     page.run("element.playbackRate = 0.5")
     assert page.value(f"({OUTCOME})(element.play())") == "playing"
     page.wait("heard.includes('ended')")
-    found = [event for event in heard() if event not in ("canplaythrough", "suspend")]
+    found = heard(page, "canplaythrough", "suspend")
     assert found[:5] == ["ratechange", "play", "loadeddata", "canplay", "playing"]
     assert found[-2:] == ["pause", "ended"]
     assert set(found[5:-2]) <= {"canplay", "playing"}, "again if it had to wait"
@@ -73,9 +76,9 @@ def test_it_loads_plays_and_ends_as_a_media_element(empty: Page, site: Site) -> 
     assert page.run(beyond) == "IndexSizeError"
 
     page.run("heard.length = 0; element.volume = 0.5; element.muted = true; element.muted = true")
-    assert heard() == ["volumechange", "volumechange"]
+    assert heard(page) == ["volumechange", "volumechange"]
     page.run("element.muted = false; element.defaultMuted = true")
-    assert heard() == ["volumechange"]
+    assert heard(page) == ["volumechange"]
     assert page.value("element.muted") is False, "the attribute has no effect later"
     page.run("element.defaultMuted = false")
     # Promises of play() for which playback never starts.
@@ -83,14 +86,52 @@ def test_it_loads_plays_and_ends_as_a_media_element(empty: Page, site: Site) -> 
     assert page.run(f"{paused} return played") == "AbortError"
     page.wait("heard.includes('suspend')")
     begun = ["abort", "emptied", "ratechange", "loadstart", "play", "pause"]
-    assert heard() == [*begun, *metadata[1:]]
+    assert heard(page) == [*begun, *metadata[1:]]
     replaced = f"const played = ({OUTCOME})(element.play()); element.src = 'none';"
     failing = f"return [await played, await ({OUTCOME})(element.play())]"
     assert page.run(f"{replaced} {failing}") == ["AbortError", "NotSupportedError"]
     status = "[element.error.code, element.networkState, element.readyState]"
     assert page.value(status) == [4, 3, 0]
     assert page.value(f"({OUTCOME})(element.play())") == "NotSupportedError"
-    assert heard() == ["play", "abort", "emptied", "loadstart", "play", "error"]
+    assert heard(page) == ["play", "abort", "emptied", "loadstart", "play", "error"]
+
+
+def test_what_a_script_can_do(empty: Page) -> None:
+    """The events and properties of seeks, loops, rates and layers."""
+    page = empty
+    page.expect("404")
+    assert page.run(f"{MAKE} return before", {"src": "/clip"}) == [True, 0, True, ""]
+    page.wait("player.shownFrame === 0")
+    values = "[element.duration, element.numLayers, element.layers, element.view]"
+    assert page.value(values) == [1.5, 3, 0, "0,0,1,0,0"]
+    page.wait("heard.includes('loadeddata')")
+    heard(page)
+
+    sought = "element.currentTime = 1; return [element.seeking, element.currentTime]"
+    assert page.run(sought) == [True, 1]
+    page.wait("heard.includes('seeked')")
+    assert page.value("[element.seeking, player.shownFrame]") == [False, 30]
+    assert heard(page, *UNSURE) == ["seeking", "seeked"]
+
+    page.run("element.playbackRate = 0.5; element.layers = 2; element.play()")
+    page.wait("element.ended")
+    found = heard(page, *UNSURE)
+    assert found[:4] == ["ratechange", "layerschange", "play", "playing"]
+    assert found[-2:] == ["pause", "ended"]
+    assert page.value("[element.paused, element.currentTime, heard.time]") == [True, 1.5, 1.5]
+
+    page.run("element.loop = true; element.play()")
+    page.wait("heard.time < 0.5")
+    page.run("element.pause()")
+    found = heard(page, *UNSURE)
+    # The stream has ended: playing starts with a seek to the first frame.
+    assert (found[:2], found[-1]) == (["seeking", "play"], "pause")
+
+    page.run("element.src = '../nothing'")
+    page.wait("heard.includes('error')")
+    assert "HTTP 404" in page.value("element.error.message")
+    refused = "try { element.playbackRate = 0 } catch (e) { return e.name }"
+    assert page.run(refused) == "RangeError"
 
 
 OVER_PICTURE = """[".ring", ".large", ".bar"].filter(
