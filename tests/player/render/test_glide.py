@@ -116,7 +116,7 @@ def moved(body: Splats, frames: float) -> Splats:
 
 
 def psnr_db(a: np.ndarray, b: np.ndarray) -> float:
-    return float(-10 * np.log10(((a - b) ** 2).mean() + 1e-12))
+    return float(-10 * np.log10(((a.astype(np.float64) - b) ** 2).mean() + 1e-12))
 
 
 def test_half_way_it_looks_as_it_would_half_way(

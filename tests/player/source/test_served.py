@@ -62,6 +62,7 @@ def start(num_frames: int = 5, manifest: Manifest = MANIFEST) -> StartRecord:
 SNAPSHOT, SLICES = records_from_0(8)
 ALL: list[Record] = [SNAPSHOT, *SLICES[:4]]
 """Frames 0 to 4, a segment."""
+CUT = answer(start(), *ALL[:2])
 MISPLACED = SliceRecord(1, SLICES[1].packets, SLICES[0].mask)
 """A slice with the layers of the next slice."""
 
@@ -137,21 +138,13 @@ def test_a_new_connection_asks_for_what_is_missing_only() -> None:
         ([answer(start(), start())], CorruptError, "second start"),
         ([answer(start(), *ALL[1:])], CorruptError, "born at 1 arrived before a snapshot"),
         ([answer(start(), *ALL[:3], EndRecord(5))], CorruptError, "ended before frame 3"),
+        ([CUT, answer(start(5, small_manifest(4)))], CorruptError, "replaced by another"),
+        ([CUT] * 30, BrokenError, r"early \(tried for \S+ s, \d+ times\)"),
+        ([CUT, NO_ANSWER, NO_ANSWER, NO_ANSWER], BrokenError, "did not answer in time"),
         (
-            [answer(start(), *ALL[:2]), answer(start(5, small_manifest(4)))],
-            CorruptError,
-            "replaced by another",
-        ),
-        ([answer(start(), *ALL[:2])] * 30, BrokenError, r"early \(tried for \S+ s, \d+ times\)"),
-        (
-            [answer(start(), *ALL[:2]), NO_ANSWER, NO_ANSWER, NO_ANSWER],
+            [CUT, *[answer(ErrorRecord("it is damaged"))] * 30],
             BrokenError,
-            "did not answer in time",
-        ),
-        (
-            [answer(start()), *[answer(ErrorRecord("it is damaged"))] * 30],
-            BrokenError,
-            "the server reports: it is damaged",
+            "reports: it is damaged",
         ),
         ([HEAD.replace(b"x-swings-play", b"json") + b"{}"], FetchError, "S is not a stream"),
         (

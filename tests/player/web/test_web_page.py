@@ -1,42 +1,26 @@
-"""The page plays a stream from a plain file server as expected."""
+"""The page of a stream on a plain file server: its poster, and files and hosts that fail."""
 
 from __future__ import annotations
 
 import random
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
-from tests.support.hosted_streams import static_host
+from codec.files import write_atomic
+from codec.stream import StreamReader
+from codec.tools.static import export_static
+from tests.support.hosted_streams import static_host, write_stream
 from tests.support.web import nodeprocess
 from tests.support.web.chromium import Page
-from tests.support.web.site import CLIP_FRAMES, SLOW_DOWN, Site, player_host, watch
+from tests.support.web.site import SLOW_DOWN, Site, player_host, watch
 
 NOTE = "part('.note:not(.soft)').textContent"
 SOFT_NOTE = "part('.note.soft').textContent"
-
-
-def test_it_plays_pauses_seeks_and_ends(page: Page, site: Site) -> None:
-    site.watch(page, "clip", size_px=(480, 320))
-    assert page.value("state.playing") is False
-    # Keys work before anything is clicked.
-    page.press("i")
-    page.wait("part('.stats').hidden === false")
-    page.press("i")
-    page.press("Space")
-    page.wait("state.playing && state.frame >= 5")
-    page.press("Space")
-    page.wait("!state.playing")
-    page.press("Tab")
-    page.wait("element.shadowRoot.activeElement.className === 'scrub'")
-    page.press("o")
-    page.press("End")
-    page.wait(f"player.shownFrame === {CLIP_FRAMES - 1}")
-    began = "() => (window.hasBegun ||= player.shownFrame < 30)"
-    page.run(f"element.focus(); player.addEventListener('shown', {began})")
-    page.click("swings-player .play")
-    page.wait("window.hasBegun")
+POSTER = "art/still #1.jpg"
 
 
 def test_a_host_that_is_gone_for_a_while_and_a_stream_that_is_not_there(
@@ -55,6 +39,32 @@ def test_a_host_that_is_gone_for_a_while_and_a_stream_that_is_not_there(
         page.wait(f"state.endFrame > {end + 30}")
         page.run("element.setAttribute('src', '../nothing')")
         page.wait(f"{NOTE}.includes('HTTP 404')")
+
+
+def test_a_poster_shows_until_the_first_frame_and_may_be_missing(
+    page: Page, tmp_path: Path
+) -> None:
+    stream = write_stream(tmp_path / "stream", 10)
+    manifest = replace(StreamReader(stream).manifest, poster=POSTER)
+    write_atomic(stream / "manifest.json", manifest.to_json())
+    (stream / POSTER).parent.mkdir()
+    Image.new("RGB", (64, 48), (200, 40, 40)).save(stream / POSTER)
+    export_static(stream, tmp_path / "good")
+    for name, missing in (("unplayable", "segments"), ("bare", "art")):
+        shutil.copytree(tmp_path / "good", tmp_path / name)
+        shutil.rmtree(tmp_path / name / missing)
+    page.expect("404")
+    opacity = "getComputedStyle(part('.poster')).opacity"
+    with player_host(tmp_path) as url:
+        address = f"{url}/player/watch.html?autoplay=0&src=.."
+        page.open(f"{address}/unplayable")
+        page.wait("part('.poster').naturalWidth === 64")
+        assert page.value(f"part('.poster').checkVisibility() && {opacity}") == "1"
+        watch(page, f"{address}/good")
+        page.wait(f"{opacity} === '0'")
+        assert page.value("part('.poster').naturalWidth") == 64
+        watch(page, f"{address}/bare")
+        page.wait("part('.poster').hidden")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from tests.support.web.playerstates import (
     Screen,
     clicks,
     hosting,
+    shows,
     within,
     write_hosted,
 )
@@ -155,6 +156,14 @@ def test_the_keys_of_the_player(desk: Reached) -> None:
     page = desk.page
     desk.watch("src=../static&autoplay=0")
     desk.do(within("start"))
+    # Keys work before anything is clicked.
+    page.press("i")
+    desk.do(shows(".stats"))
+    page.press("i")
+    page.press("Space")
+    page.wait("state.playing && state.frame >= 5")
+    page.press("Space")
+    page.wait("!state.playing")
     steps = [
         ("5", 60), (".", 61), (",", 60), ("l", 84), ("j", 60), ("ArrowRight", 72),
         ("ArrowLeft", 60), ("End", NUM_FRAMES - 1), ("Home", 0),
@@ -166,8 +175,16 @@ def test_the_keys_of_the_player(desk: Reached) -> None:
     assert page.value("element.playbackRate") == 1.5
     page.press("<")
     assert page.value("element.playbackRate") == 1
+    page.press("Tab")
+    page.wait("element.shadowRoot.activeElement.className === 'scrub'")
     page.press("o")
     assert page.value("element.loop") is False
+    page.press("End")
+    page.wait(f"player.shownFrame === {NUM_FRAMES - 1}")
+    began = "() => (window.hasBegun ||= player.shownFrame < 90)"
+    page.run(f"player.addEventListener('shown', {began})")
+    page.click("swings-player .play")
+    page.wait("window.hasBegun")
     page.press("?")
     page.wait("part('dialog')?.open")
     assert "Next frame" in page.value("part('dialog').textContent")

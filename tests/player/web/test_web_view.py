@@ -12,6 +12,7 @@ from codec.stream.manifest import Manifest
 from player.view.mouse import view_of
 from tests.support.hosted_streams import small_manifest
 from tests.support.web.browsercode import BrowserCode
+from tests.support.web.nodeprocess import Json
 
 MOVES: tuple[tuple[str, tuple[float, ...]], ...] = (
     ("turn", (120.0, -30.0)),
@@ -29,6 +30,13 @@ def outward() -> Manifest:
     return replace(made, cameras=tuple(replace(c, w2c=turn @ c.w2c) for c in made.cameras))
 
 
+def moved(
+    browser: BrowserCode, manifest: Manifest, width_px: int, height_px: int, **how: object
+) -> Json:
+    size = {"widthPx": width_px, "heightPx": height_px}
+    return browser.ask("moved", manifest=manifest.to_json().hex(), **size, **how)
+
+
 @pytest.mark.parametrize("manifest", [small_manifest(), outward()], ids=["inward", "outward"])
 @pytest.mark.parametrize("again", [False, True], ids=["moved", "by a link"])
 def test_the_camera(browser: BrowserCode, manifest: Manifest, again: bool) -> None:
@@ -41,14 +49,8 @@ def test_the_camera(browser: BrowserCode, manifest: Manifest, again: bool) -> No
     for count, (name, arguments) in enumerate(MOVES, 1):
         actions[name](*arguments)
         expected = view.applied(manifest.camera().fitted(390, 844))
-        found = browser.ask(
-            "moved",
-            manifest=manifest.to_json().hex(),
-            widthPx=390,
-            heightPx=844,
-            moves=[[name, *arguments] for name, arguments in MOVES[:count]],
-            again=again,
-        )
+        moves = [[name, *arguments] for name, arguments in MOVES[:count]]
+        found = moved(browser, manifest, 390, 844, moves=moves, again=again)
         w2c = np.array(found["w2c"]).reshape(4, 4)
         scale = 2e-3 * max(1, float(np.abs(expected.w2c).max()))
         np.testing.assert_allclose(w2c, expected.w2c, atol=scale if again else 1e-9)
@@ -79,14 +81,7 @@ def test_a_narrow_picture_shows_what_the_rig_looks_at(
     camera = replace(made.cameras[0], w2c=np.eye(4))
     bounds = ((x_m - 2, -2.0, 2.0), (x_m + 2, 2.0, 6.0))
     manifest = replace(made, cameras=(camera,), bounds=bounds)
-    found = browser.ask(
-        "moved",
-        manifest=manifest.to_json().hex(),
-        widthPx=width_px,
-        heightPx=96,
-        moves=[],
-        again=False,
-    )
+    found = moved(browser, manifest, width_px, 96, moves=[], again=False)
     assert found["fxPx"] == pytest.approx(scale * camera.fx_px)
     assert found["cxPx"] == pytest.approx(middle_px)
     assert found["cyPx"] == pytest.approx(24 * scale + (96 - 48 * scale) / 4)

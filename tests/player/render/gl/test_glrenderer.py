@@ -23,17 +23,10 @@ from player.render.cpu import CpuRenderer, render_splats
 from player.render.gl import GlError, GlRenderer, Target, bufferresident, glrenderer, open_context
 from player.render.renderer import GlVersion
 from player.render.ring import Ring
+from tests.player.render.test_glide import psnr_db
 from tests.support.hosted_streams import SWIN_SIZE, random_slice, random_splats, small_manifest
 from tests.support.screen.opengl import GL_VERSIONS, NO_GL43
 from tests.support.slots.leases import LeasedStream, leased_streams, replayed
-
-Floats = npt.NDArray[np.float32]
-
-
-def psnr_db(a: Floats, b: Floats) -> float:
-    error = ((a.astype(np.float64) - b) ** 2).mean()
-    return float("inf") if error == 0 else float(-10 * np.log10(error))
-
 
 OpenGl = Callable[..., GlRenderer]
 
