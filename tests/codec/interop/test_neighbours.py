@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import shutil
 import struct
-import sys
 import zlib
 from pathlib import Path
 from typing import Any
@@ -16,23 +14,17 @@ import pytest
 
 from codec.errors import CodecError, InvalidError
 from codec.foreign.fourdgs import FourdgsReader
-from codec.foreign.spz import SpzVersion
 from codec.interop import splat4dexport
-from codec.interop.containers import contained_frames
-from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat, write_splats
-from codec.interop.sequences import Precision, SequenceFormat
-from codec.interop.tracks import StreamTracks
+from codec.interop.sequences import SequenceFormat
 from codec.sequence.importing import ImportOptions, import_stream
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
-from codec.tools.commands import Export, export_files
 from tests.support import handmade_sequences as made
 from tests.support.alike import largest_errors
 from tests.support.commands import run_ok
 from tests.support.hostile import within_bytes
 from tests.support.slots.rotating import figure, turned
-from tests.support.tiny_stream import write_tiny
 
 fourdgs: Any = None
 with contextlib.suppress(ImportError):
@@ -67,36 +59,6 @@ def test_a_stream_there_and_back(format: SequenceFormat, tmp_path: Path) -> None
     for frame in range(len(FRAMES)):
         a, b = (reader.active_splats(frame, 4) for reader in (before, after))
         assert (largest_errors(b, a) < (1.5, 0.2, 0.15, 0.03, 0.06)).all()
-    # A range of frames, with the identities of a stream with several lanes.
-    write_tiny(tmp_path / "tiny", 6)
-    [out] = export_stream(tmp_path / "tiny", tmp_path / "t", None, "1:4", format, 1)
-    frames = contained_frames(out)
-    assert frames is not None
-    tracks = StreamTracks(StreamReader(tmp_path / "tiny"), range(1, 4), 1)
-    assert len(frames) == 3
-    for contained, tracked in zip(frames, tracks, strict=True):
-        assert (np.diff(tracked.slots) > 0).all()
-        assert tracked.slots[-1] < tracks.num_slots
-        assert len(contained.read(1000)) == len(tracked.slots)
-
-
-def test_what_cannot_be_exported_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_tiny(tmp_path / "tiny", 3)
-    for name, options, says in (
-        ("a.4dgs", {"frame": 1}, "4dgs holds a sequence; choose its frames by --frames"),
-        ("a.splat4d", {"spz_version": SpzVersion.V2}, "splat4d holds a sequence"),
-        ("a.ply", {"frame": 1, "precision": Precision.FINE}, "--precision is for 4dgs and splat4d"),
-        ("a.4dgs", {"frames": "2:9"}, "has frames 0:3"),
-    ):
-        with pytest.raises(InvalidError, match=says):
-            export_files(Export(str(tmp_path / "tiny"), tmp_path / name, **options))
-    monkeypatch.setitem(sys.modules, "fourdgs", None)
-    monkeypatch.setattr(shutil, "which", lambda name: None)
-    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
-    for format in SequenceFormat:
-        with pytest.raises(InvalidError, match=r"pip install '.\[neighbours\]'"):
-            export_stream(tmp_path / "tiny", tmp_path / f"b.{format}", None, None, format, None)
-        assert not list(tmp_path.glob(f"*b.{format}*"))
 
 
 def test_what_a_few_bytes_claim_costs_no_memory(tmp_path: Path) -> None:

@@ -52,13 +52,10 @@ def test_which_are_taken_goes_by_their_names_alone(found: list[str], order: rand
         assert chosen_names(shuffled, half, 3) == chosen_names(found, half, 3)
 
 
-def test_halves_alternate_in_each_folder() -> None:
+def test_halves_alternate_in_each_folder_and_a_few_are_spread_over_it() -> None:
     found = ["b/1", "a/2", "a/1", "a/3", "b/2"]
     assert chosen_names(found, "tune", 0) == ["a/1", "a/3", "b/1"]
     assert chosen_names(found, "report", 0) == ["a/2", "b/2"]
-
-
-def test_a_few_of_a_folder_are_spread_over_it() -> None:
     found = [f"a/{n}" for n in range(9)] + ["b/0"]
     assert chosen_names(found, "all", 3) == ["a/0", "a/3", "a/6", "b/0"]
 
@@ -112,11 +109,6 @@ def test_a_load_is_the_mean_over_what_is_needed(rates: list[float], load: float)
     ratios = [new.rate_bps / old for new, old in zip(link.steps, rates, strict=True)]
     assert ratios == pytest.approx([ratios[0]] * len(ratios))
     assert {(step.duration_s, step.latency_s) for step in link.steps} == {(7.0, 0.02)}
-
-
-def test_what_lies_behind_the_play_does_not_count() -> None:
-    trace = Trace("t", link_of((15, 4e6), (100, 1e9)))
-    assert at_load(trace, 1.0, MEDIA).link.at(0).rate_bps == pytest.approx(MEDIA.need_bps)
 
 
 def test_a_silent_trace_and_a_load_out_of_reach_are_refused() -> None:

@@ -47,18 +47,6 @@ def test_dynamic3dgs_cameras_split_and_pictures(tmp_path: Path) -> None:
     refused(InvalidError, "3 frames", capture.open_images(0).read, 3)
 
 
-def test_what_is_held_out(tmp_path: Path) -> None:
-    write_dynamic3dgs(tmp_path / "c")
-    (tmp_path / "c/test_meta.json").unlink()
-    (tmp_path / "c/fps.txt").unlink()
-    capture = open_capture(tmp_path / "c")
-    assert (capture.held_out, capture.fps) == ((1,), None)
-    (tmp_path / "c/held_out.txt").write_text("")
-    capture = open_capture(tmp_path / "c")
-    assert capture.held_out == ()
-    assert capture.watching == capture.training
-
-
 def test_missing_files_are_named(tmp_path: Path) -> None:
     root = tmp_path / "c"
     write_dynamic3dgs(root)

@@ -24,14 +24,20 @@ from trainer.synth.scene import CAMERA_RADIUS_M, CAMERA_TARGET
 def test_every_layout_reads_it_alike(tmp_path: Path, layout: str) -> None:
     root = tmp_path / "c"
     write_layout(root, layout)
-    if layout != "dynamic3dgs":
-        assert open_capture(root).held_out == (1,)  # the middle one of three on an arc
+    assert open_capture(root).held_out == (1,)  # the middle one of three on an arc, or as declared
     for text, expected in (("", ()), ("cam01", (1,)), ("cam02\r\n\n cam00 \n", (0, 2))):
         (root / "held_out.txt").write_text(text)
-        assert open_capture(root).held_out == expected
+        capture = open_capture(root)
+        assert capture.held_out == expected
+        assert expected or capture.watching == capture.training
     for data, said in ((b"cam07", "'cam07' is not a camera of"), (b"\xff\xfe", "not text")):
         (root / "held_out.txt").write_bytes(data)
         assert f"held_out.txt: {said}" in refusal(root)
+    if layout == "dynamic3dgs":  # without the list of the cameras that are held out
+        for name in ("held_out.txt", "test_meta.json", "fps.txt"):
+            (root / name).unlink()
+        capture = open_capture(root)
+        assert (capture.held_out, capture.fps) == ((1,), None)
 
 
 def standing_at(places: Sequence[Sequence[float]]) -> list[Camera]:

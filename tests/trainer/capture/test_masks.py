@@ -23,6 +23,7 @@ from tests.support.tiny_capture import (
     write_dynerf,
 )
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
+from tests.trainer.capture.test_colmap import write_colmap
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
@@ -70,13 +71,6 @@ def refusal(ask: Callable[[], object]) -> str:
     return message
 
 
-def write_colmap(root: Path, by_frame: bool) -> list[list[str]]:
-    cameras = tiny_rig(3)
-    suffix = ".png" if by_frame else "/0007.png"
-    tiny_models.write_model(root / "sparse", cameras, [c.name + suffix for c in cameras], True)
-    return write_pictures(root, cameras, NUM_FRAMES, by_frame)
-
-
 def mirrored(root: Path, picture: str, name_of: Callable[[Path], str]) -> Path:
     below = Path(picture).relative_to(Path(picture).parts[0])
     return root / "masks" / below.parent / name_of(below)
@@ -85,7 +79,7 @@ def mirrored(root: Path, picture: str, name_of: Callable[[Path], str]) -> Path:
 @pytest.mark.parametrize("by_frame", [True, False])
 @pytest.mark.parametrize("whole_name", [True, False])
 def test_colmap_masks_mirror_the_pictures(tmp_path: Path, by_frame: bool, whole_name: bool) -> None:
-    paths = write_colmap(tmp_path, by_frame)
+    paths = write_colmap(tmp_path, by_frame=by_frame)
     for frame, path in enumerate(paths[1]):
         name = mirrored(tmp_path, path, lambda p: p.name + ".png" if whole_name else p.name)
         save_mask(name, 1, frame)
@@ -94,7 +88,7 @@ def test_colmap_masks_mirror_the_pictures(tmp_path: Path, by_frame: bool, whole_
 
 
 def test_colmap_masks_that_cannot_be_used(tmp_path: Path) -> None:
-    paths = write_colmap(tmp_path, True)
+    paths = write_colmap(tmp_path)
     assert not masked_cameras(tmp_path)
     (tmp_path / "masks").mkdir()
     assert "masks: has no mask of a picture in frames/" in refusal(lambda: open_capture(tmp_path))
