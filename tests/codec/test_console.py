@@ -96,6 +96,7 @@ def test_a_parser_of_its_own(command: Any, capsys: pytest.CaptureFixture[str]) -
 SLEEPER = """
 import sys
 from signal import *
+from threading import Event
 from codec.console import run_command
 from tests.codec.test_console import Number
 
@@ -105,7 +106,8 @@ if "ignoring" in sys.argv:
 def rest(number):
     try:
         print("asleep", flush=True)
-        pause()
+        while not Event().wait(0.1):  # pause() would miss a signal that comes just before it
+            pass
     finally:
         print("cleaning", flush=True)
         sys.stdin.readline()
