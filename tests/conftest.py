@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
+
+from tests.support.stores.s3_server import S3Server, s3_server
 
 # Idle threads sleep instead of spinning: tests share few cores with the processes they start.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
@@ -32,6 +35,13 @@ settings.load_profile("ci" if os.environ.get("CI") else "desk")
 def anyio_backend() -> str:
     """The event loop that the plugin of anyio runs coroutine tests on."""
     return "asyncio"
+
+
+@pytest.fixture(scope="module")
+def s3() -> Iterator[S3Server]:
+    """A real S3 server with an empty bucket."""
+    with s3_server() as server:
+        yield server
 
 
 def pytest_make_parametrize_id(config: pytest.Config, val: object, argname: str) -> str | None:

@@ -8,7 +8,6 @@ import random
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from codec.storage.objectstore import open_store
 from codec.tools.audit import verify_stream
 from tests.support.commands import ROOT, run, run_ok
 from tests.support.hostile import refused
-from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
+from tests.support.stores.s3_server import BUCKET, S3Server
 from tests.support.tiny_capture import write_dynamic3dgs, write_dynerf
 from tests.support.trainings import contents, run_until, train_here
 from tests.support.waiting import BOUND_S
@@ -39,23 +38,17 @@ CAPTURE = f"s3://{BUCKET}/captures/show"
 
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[S3Server]:
-    with s3_server() as server:
-        yield server
-
-
-@pytest.fixture(scope="module")
-def whole(server: S3Server, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+def whole(s3: S3Server, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """The stream trained from and to folders; its capture is in the store, too."""
     path = tmp_path_factory.mktemp("whole") / "show"
     write_dynerf(path, 4, FRAMES)
-    server.upload(path, "captures/show")
+    s3.upload(path, "captures/show")
     train_here(path, path.parent / "stream", *SETTINGS)
     return contents(path.parent / "stream")
 
 
 def test_the_commands_of_the_manual_write_the_bytes_of_folders(
-    server: S3Server, whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    s3: S3Server, whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     manual = (ROOT / "docs" / "OPERATE.md").read_text(encoding="utf-8")
@@ -68,7 +61,7 @@ def test_the_commands_of_the_manual_write_the_bytes_of_folders(
     stopped = run_until(signal.SIGINT, 3, *train[1:], *SETTINGS)
     assert "stopped after frame 3; --resume continues from there" in stopped.stderr
     assert run_ok(*resume) == f"{train[2]}\n"
-    assert server.files("streams/show") == whole
+    assert s3.files("streams/show") == whole
     assert [path.name for path in Path("show.work").iterdir()] == [LOG_NAME]
     assert [words[0] for words in read] == ["swings-stream", "swings-eval"]
     verified, scored = (run_ok(*words) for words in read)
@@ -80,41 +73,41 @@ def test_the_commands_of_the_manual_write_the_bytes_of_folders(
     assert f"{train[2]} is not empty" in again.stderr
 
 
-def test_killed_runs_go_on(server: S3Server, whole: dict[str, bytes], tmp_path: Path) -> None:
+def test_killed_runs_go_on(s3: S3Server, whole: dict[str, bytes], tmp_path: Path) -> None:
     url, work = f"s3://{BUCKET}/killed/show", tmp_path / "work"
     done = run_until(signal.SIGKILL, 3, CAPTURE, url, "--work", work, *SETTINGS)
     assert done.returncode == -signal.SIGKILL, done.stderr
     assert verify_stream(url).num_frames == 2
-    assert server.files("killed/show").keys() < whole.keys()
+    assert s3.files("killed/show").keys() < whole.keys()
     # Its settings are in the work folder, so that no option has to be repeated.
     run_ok("swings-train", CAPTURE, url, "--work", work, "--resume")
-    assert server.files("killed/show") == whole
+    assert s3.files("killed/show") == whole
 
 
 def test_a_store_that_goes_in_the_middle_is_an_error_and_resume_goes_on(
-    server: S3Server, whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    s3: S3Server, whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Stopping(Observer):
         def window_begun(self, first_frame: int, done: int) -> None:
             if first_frame == 3:
-                server.stop()
+                s3.stop()
 
     monkeypatch.setattr(objectstore, "PATIENT", objectstore.BRIEF)
     words = CAPTURE, f"s3://{BUCKET}/gone/show", "--work", tmp_path / "work"
     refused(SwingsError, f"^s3://{BUCKET}/", train_here, *words, *SETTINGS, observers=[Stopping()])
-    server.start()
+    s3.start()
     assert verify_stream(words[1]).live
     train_here(*words, "--resume")
-    assert server.files("gone/show") == whole
+    assert s3.files("gone/show") == whole
 
 
 @pytest.mark.parametrize("layout", ["dynerf", "dynamic3dgs"])
-def test_pictures_are_those_of_a_folder(server: S3Server, tmp_path: Path, layout: str) -> None:
+def test_pictures_are_those_of_a_folder(s3: S3Server, tmp_path: Path, layout: str) -> None:
     write = write_dynerf if layout == "dynerf" else write_dynamic3dgs
     write(tmp_path / "capture", 4, 12)
-    server.upload(tmp_path / "capture", f"{layout}/capture")
+    s3.upload(tmp_path / "capture", f"{layout}/capture")
     # The object that consoles create for a folder.
-    server.put(f"{layout}/capture/ims/", b"")
+    s3.put(f"{layout}/capture/ims/", b"")
     here = open_capture(tmp_path / "capture")
     there = open_capture(f"s3://{BUCKET}/{layout}/capture/")
     assert there.layout == here.layout == layout
@@ -134,7 +127,7 @@ def test_pictures_are_those_of_a_folder(server: S3Server, tmp_path: Path, layout
     assert not there.root.parent.exists()
 
 
-def test_urls_in_errors(server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_urls_in_errors(s3: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(objectstore, "PATIENT", objectstore.BRIEF)
     for url in (f"s3://{BUCKET}/nothing", "s3://no-such-bucket/x"):
         refused(SwingsError, url, train_here, url, tmp_path / "s")
@@ -142,12 +135,12 @@ def test_urls_in_errors(server: S3Server, tmp_path: Path, monkeypatch: pytest.Mo
     url = f"s3://{BUCKET}/wrong"
     write_dynamic3dgs(tmp_path / "pictures", 4, 3)
     write_dynerf(tmp_path / "videos", 3, 3)
-    server.upload(tmp_path / "pictures", "wrong/pictures")
-    server.upload(tmp_path / "videos", "wrong/videos")
+    s3.upload(tmp_path / "pictures", "wrong/pictures")
+    s3.upload(tmp_path / "videos", "wrong/videos")
     pictures, videos = open_capture(f"{url}/pictures"), open_capture(f"{url}/videos")
-    server.put("wrong/pictures/ims/0/000001.png", b"not a picture")
-    server.delete("wrong/pictures/ims/0/000002.png")
-    server.put("wrong/videos/cam00.mp4", b"short")
+    s3.put("wrong/pictures/ims/0/000001.png", b"not a picture")
+    s3.delete("wrong/pictures/ims/0/000002.png")
+    s3.put("wrong/videos/cam00.mp4", b"short")
     for ask, told in (
         (lambda: pictures.open_images(0).read(1), r"pictures/ims/0/000001\.png: not a picture"),
         (lambda: pictures.open_images(0).read(2), r"pictures/ims/0/000002\.png is missing"),
@@ -155,20 +148,20 @@ def test_urls_in_errors(server: S3Server, tmp_path: Path, monkeypatch: pytest.Mo
         (lambda: videos.open_images(0).read(0), r"videos/cam00\.mp4 "),
     ):
         refused(CaptureError, f"^{url}/{told}", ask)
-    server.stop()
+    s3.stop()
     says = rf"^{url}/.* cannot be read: "
     try:
         for source in (pictures.open_images(0), videos.open_images(1)):
             assert "\n" not in str(refused(CaptureError, says, source.read, 0))
         refused(CaptureError, says, open_capture, f"{url}/pictures")
     finally:
-        server.start()
+        s3.start()
 
 
-def test_a_block_file_reads_what_is_there(server: S3Server) -> None:
+def test_a_block_file_reads_what_is_there(s3: S3Server) -> None:
     rng = random.Random(0)
     data = rng.randbytes(5 * BLOCK_BYTES + 12345)
-    server.put("big", data)
+    s3.put("big", data)
     store = open_store(f"s3://{BUCKET}")
     file = io.BufferedReader(StoredFile(store, "big", len(data)), BLOCK_BYTES)
     for _ in range(100):
@@ -198,9 +191,9 @@ print(through(8 << 20), through(1 << 40), file.tell())
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux")
-def test_memory_of_a_long_video_is_its_blocks(server: S3Server) -> None:
+def test_memory_of_a_long_video_is_its_blocks(s3: S3Server) -> None:
     size = 48 << 20
-    server.put("deep/video", bytes(size))
+    s3.put("deep/video", bytes(size))
     done = subprocess.run(
         [sys.executable, "-c", MEMORY, f"s3://{BUCKET}/deep", str(size)],
         cwd=ROOT, env=os.environ, capture_output=True, text=True, timeout=BOUND_S, check=True,

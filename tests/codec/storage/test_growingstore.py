@@ -39,14 +39,8 @@ UPDATES = forked_updates()[:11]
 """Of a stream of five segments of two frames, each with three objects."""
 
 
-@pytest.fixture(scope="module")
-def server() -> Iterator[S3Server]:
-    with s3_server() as server:
-        yield server
-
-
 @pytest.fixture
-def key(server: S3Server, request: pytest.FixtureRequest) -> str:
+def key(s3: S3Server, request: pytest.FixtureRequest) -> str:
     return f"deep/{request.node.name}"
 
 
@@ -63,7 +57,7 @@ def append_some(writer: StreamWriter, slices: Sequence[Update]) -> None:
 
 
 def test_a_store_gets_the_bytes_of_a_folder_in_a_request_for_each_object(
-    server: S3Server, key: str, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    s3: S3Server, key: str, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import obstore
 
@@ -83,13 +77,13 @@ def test_a_store_gets_the_bytes_of_a_folder_in_a_request_for_each_object(
     ]
     inner = [key for segment in segments for key in segment]
     assert keys == ["index.bin", "manifest.json", *inner, "index.bin", "manifest.json"]
-    assert server.files(key) == files_of(tmp_path / "s")
+    assert s3.files(key) == files_of(tmp_path / "s")
     assert verify_stream(url) == verify_stream(tmp_path / "s")
     refused(InvalidError, "is finished; ", StreamWriter.resume, url)
     refused(InvalidError, "is not empty; ", StreamWriter.create, url, forked_manifest())
 
 
-def test_of_two_writers_the_later_one(server: S3Server, key: str, url: str, tmp_path: Path) -> None:
+def test_of_two_writers_the_later_one(s3: S3Server, key: str, url: str, tmp_path: Path) -> None:
     write(tmp_path / "s", UPDATES)
     first = StreamWriter.create(url, forked_manifest())
     for slice in UPDATES[:6]:
@@ -104,10 +98,10 @@ def test_of_two_writers_the_later_one(server: S3Server, key: str, url: str, tmp_
     assert verify_stream(url).live
     with second:
         append_some(second, UPDATES)
-    assert server.files(key) == files_of(tmp_path / "s")
+    assert s3.files(key) == files_of(tmp_path / "s")
 
 
-def test_two_beginning_at_once(server: S3Server, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_beginning_at_once(s3: S3Server, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from codec.storage.growingstore import GrowingStore
 
     StreamWriter.create(url, forked_manifest())
@@ -117,7 +111,7 @@ def test_two_beginning_at_once(server: S3Server, url: str, monkeypatch: pytest.M
 
 
 def test_a_writer_goes_on_when_a_store_that_was_gone_is_back(
-    server: S3Server, key: str, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    s3: S3Server, key: str, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quick = RetryPolicy(10.0, 0.001, 0.001, max_retries=1)
     monkeypatch.setattr(objectstore, "PATIENT", quick)
@@ -125,15 +119,15 @@ def test_a_writer_goes_on_when_a_store_that_was_gone_is_back(
     with StreamWriter.create(url, forked_manifest()) as writer:
         for n in range(len(UPDATES)):
             if n in (4, 9):
-                server.stop()
+                s3.stop()
                 with pytest.raises(UnwritableError) as caught:
                     append_some(writer, UPDATES[n : n + 3])  # one of them completes a segment
                 assert str(caught.value).startswith(f"{url}/segments/")
                 assert "\n" not in str(caught.value)
                 assert len(str(caught.value)) < 400
-                server.start()
+                s3.start()
             append_some(writer, UPDATES[n : n + 1])
-    assert server.files(key) == files_of(tmp_path / "s")
+    assert s3.files(key) == files_of(tmp_path / "s")
 
 
 NUM_SEGMENTS = -(-NUM_FRAMES // forked_manifest().segment_frames)

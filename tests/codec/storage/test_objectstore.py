@@ -31,22 +31,16 @@ from codec.storage.openstorage import open_storage
 from tests.support.commands import run, run_ok
 from tests.support.hosted_streams import answering
 from tests.support.hostile import refused
-from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
+from tests.support.stores.s3_server import BUCKET, S3Server
 from tests.support.tiny_stream import write_tiny
 from tests.support.waiting import BOUND_S
 
 pytest.importorskip("obstore", reason="object stores need the extra s3")
 
 
-@pytest.fixture(scope="module")
-def server() -> Iterator[S3Server]:
-    with s3_server() as server:
-        yield server
-
-
-def test_the_commands_take_urls(server: S3Server, tmp_path: Path) -> None:
+def test_the_commands_take_urls(s3: S3Server, tmp_path: Path) -> None:
     write_tiny(tmp_path / "s", 4)
-    server.upload(tmp_path / "s", "deep/er/s")
+    s3.upload(tmp_path / "s", "deep/er/s")
     url = f"s3://{BUCKET}/deep/er/s"
     told = json.loads(run_ok("swings-stream", "info", f"{url}/", "--json"))
     assert told == json.loads(run_ok("swings-stream", "info", tmp_path / "s", "--json"))
@@ -55,21 +49,21 @@ def test_the_commands_take_urls(server: S3Server, tmp_path: Path) -> None:
     assert f"s3://{BUCKET}/nothing/manifest.json is missing" in done.stderr
 
 
-def test_what_a_store_refuses_is_a_line(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_store_refuses_is_a_line(s3: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(objectstore, "BRIEF", RetryPolicy(10.0, 0.001, 0.001, max_retries=1))
     storage = open_storage("s3://no-such-bucket/x")
     error = refused(UnreadableError, "", storage.check)
     assert str(error).startswith("s3://no-such-bucket/x/ cannot be read: ")
     assert "NoSuchBucket" in str(error)
     held = open_storage(f"s3://{BUCKET}/x")
-    server.stop()
+    s3.stop()
     try:
         for ask in (held.check, lambda: held.read("m", 10), lambda: held.stamp("m")):
             error = refused(UnreadableError, "", ask)
             assert "\n" not in str(error)
             assert len(str(error)) < 400
     finally:
-        server.start()
+        s3.start()
     assert held.stamp("m") is None
 
 
@@ -81,7 +75,7 @@ def test_what_a_store_refuses_is_a_line(server: S3Server, monkeypatch: pytest.Mo
     ],
 )
 def test_the_variable_to_set_is_named(
-    server: S3Server, changes: dict[str, str | None], advice: str, monkeypatch: pytest.MonkeyPatch
+    s3: S3Server, changes: dict[str, str | None], advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, value in changes.items():
         if value is None:
@@ -96,19 +90,19 @@ def test_the_variable_to_set_is_named(
 
 
 @pytest.mark.parametrize("name", ["AWS_ENDPOINT_URL", "AWS_ENDPOINT", "AWS_ENDPOINT_URL_S3"])
-def test_an_endpoint_is_a_url(server: S3Server, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_endpoint_is_a_url(s3: S3Server, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     endpoint = os.environ["AWS_ENDPOINT_URL"]
     monkeypatch.delenv("AWS_ENDPOINT_URL")
     monkeypatch.setenv(name, endpoint)
     monkeypatch.delenv("AWS_ALLOW_HTTP", raising=False)
-    server.put("x/m", b"data")
+    s3.put("x/m", b"data")
     assert open_storage(f"s3://{BUCKET}/x").read("m", 10) == b"data"
     for wrong in ("localhost:9000", "127.0.0.1", "", "minio"):
         monkeypatch.setenv(name, wrong)
         refused(InvalidError, rf"^{name} is '{wrong}'; set it to a URL", open_storage, "s3://b/x")
 
 
-def test_a_path_that_no_store_takes_is_an_error_of_ours(server: S3Server) -> None:
+def test_a_path_that_no_store_takes_is_an_error_of_ours(s3: S3Server) -> None:
     for path in ("../x", "a//b", "", "a/./b"):
         with pytest.raises(CodecError):
             open_storage(f"s3://{BUCKET}/x").read(path, 10)

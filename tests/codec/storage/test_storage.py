@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from codec.storage.storage import Storage
 from codec.stream.reader import StreamReader
 from codec.tools.audit import summarise, verify_stream
 from tests.support.hostile import refused
-from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
+from tests.support.stores.s3_server import BUCKET
 from tests.support.tiny_stream import write_tiny
 
 
@@ -32,12 +32,6 @@ class Held:
     storage: Storage
     put: Callable[[str, bytes], None]
     delete: Callable[[str], None]
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[S3Server]:
-    with s3_server() as server:
-        yield server
 
 
 def put_file(path: Path, data: bytes) -> None:
@@ -52,10 +46,10 @@ def held(request: pytest.FixtureRequest, tmp_path: Path) -> Held:
         folder.mkdir()
         put, delete = (lambda n, d: put_file(folder / n, d)), (lambda n: (folder / n).unlink())
         return Held(open_storage(folder), put, delete)
-    server, key = request.getfixturevalue("server"), f"{request.node.name}/place"
+    s3, key = request.getfixturevalue("s3"), f"{request.node.name}/place"
     put, delete = (
-        (lambda n, d: server.put(f"{key}/{n}", d)),
-        (lambda n: server.delete(f"{key}/{n}")),
+        (lambda n, d: s3.put(f"{key}/{n}", d)),
+        (lambda n: s3.delete(f"{key}/{n}")),
     )
     return Held(open_storage(f"s3://{BUCKET}/{key}"), put, delete)
 

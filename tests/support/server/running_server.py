@@ -28,10 +28,10 @@ from server.runningserver import RunningServer
 from server.state.config import ServerConfig
 from server.state.serverstate import ServerState
 from tests.support import hosted_streams
-from tests.support.hosted_streams import SEGMENT_FRAMES, random_splats
+from tests.support.hosted_streams import random_splats
 from tests.support.waiting import BOUND_S
 
-SWIN_SIZE = 4
+SWIN_SIZE, SEGMENT_FRAMES = 4, hosted_streams.SEGMENT_FRAMES
 
 
 def random_slice(birth: int, count: int) -> Slice:
