@@ -8,10 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-import resource
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +18,7 @@ from codec.stream import StreamReader
 from codec.stream.poster import POSTER_NAME
 from codec.tools.audit import verify_stream
 from tests.support.commands import run, run_ok
+from tests.support.hostile import file_limit
 from tests.support.tiny_capture import seen_by, write_dynamic3dgs
 from tests.support.tiny_stream import tiny_manifest, write_tiny
 from trainer.run.runlog import RunLog
@@ -126,22 +124,12 @@ def test_training_without_room_is_told_and_goes_on_later(folder: Path) -> None:
     shutil.rmtree(folder / "trained")
 
 
-@contextmanager
-def no_file_longer_than(limit_bytes: int) -> Iterator[None]:
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
 def test_a_log_keeps_whole_lines_only(tmp_path: Path) -> None:
     path = tmp_path / "training.jsonl"
     records = [{"frame": frame, "text": "y" * 40} for frame in range(3)]
     with RunLog(path) as log:
         log.add(records[0])
-        with no_file_longer_than(90), pytest.raises(OSError, match=r"training\.jsonl"):
+        with file_limit(90), pytest.raises(OSError, match=r"training\.jsonl"):
             log.add(records[1])
         assert path.read_text().count("\n") == 1
         log.add(records[1])

@@ -106,15 +106,12 @@ class Person:
         yield from self.until(lambda: len(self.pictures) > drawn + 5)
         self._held.clear()
 
-    def points(self, x_px: float, y_px: float) -> None:
-        self._callbacks["cursor_pos"](self.window, x_px, y_px)
-
     def drags(self, button: int, *places: tuple[float, float]) -> None:
-        self.points(*places[0])
+        self._callbacks["cursor_pos"](self.window, *places[0])
         self._held.add(button)
         self._callbacks["mouse_button"](self.window, button, glfw.PRESS, 0)
         for place in places[1:]:
-            self.points(*place)
+            self._callbacks["cursor_pos"](self.window, *place)
         self._held.clear()
         self._callbacks["mouse_button"](self.window, button, glfw.RELEASE, 0)
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import threading
 import time
-import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
@@ -48,6 +47,7 @@ from tests.player.source.test_served import (
 from tests.support.commands import run
 from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import answering, small_manifest, static_host, write_stream
+from tests.support.hostile import within_bytes
 
 
 @contextmanager
@@ -284,17 +284,6 @@ def claiming(size: int) -> bytes:
     return packet + compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
 
 
-@contextmanager
-def at_most(limit_bytes: int) -> Iterator[None]:
-    """Fails if the block allocates more than `limit_bytes` at any time."""
-    tracemalloc.start()
-    try:
-        yield
-        assert tracemalloc.get_traced_memory()[1] < limit_bytes
-    finally:
-        tracemalloc.stop()
-
-
 HUGE = claiming(64 << 20)
 
 
@@ -310,7 +299,7 @@ def test_a_packet_that_claims_more_than_its_part_can_hold_is_not_inflated(
     records: list[Record], place: str
 ) -> None:
     with (
-        at_most(8 << 20),
+        within_bytes(8 << 20),
         script(answer(start(), *records)) as host,
         closing(open_play(host.url)) as source,
         pytest.raises(CorruptError, match=f"^S: {place}: packet"),
@@ -329,7 +318,7 @@ def test_what_comes_again_counts_once_and_is_not_held() -> None:
     receiver, whole = receiver_of(), SLICES[0]
     first = SliceRecord(1, whole.packets[:1], whole.mask)
     assert receiver.ingest(first) is not None
-    with at_most(100_000):
+    with within_bytes(100_000):
         for _ in range(1000):
             assert receiver.ingest(first) is None
             assert receiver.ingest(SNAPSHOT) is None
@@ -343,7 +332,7 @@ def test_a_record_that_no_slice_fills_is_not_waited_for() -> None:
     begun = answer(start()) + LENGTH.pack(60 << 20)
     with (
         endless(begun, lambda n: bytes(1 << 16)) as url,
-        at_most(6 << 20),
+        within_bytes(6 << 20),
         closing(open_play(url)) as source,
         pytest.raises(CorruptError, match=r"a record of 62914560 bytes, at most 1\d{6}$"),
     ):
@@ -354,11 +343,11 @@ def test_slices_that_nobody_asked_for_and_slices_that_came_are_not_held() -> Non
     receiver = receiver_of(MANIFEST.with_live(True))
     with pytest.raises(CorruptError, match=r"born at 1: packet: 1000000 bytes; the manifest"):
         receiver.ingest(SliceRecord(1, (bytes(1_000_000),), b""))
-    with at_most(100_000):
+    with within_bytes(100_000):
         for birth in range(100, 10_000):
             assert receiver.ingest(SliceRecord(birth, (b"zz",), None, 1)) is None
             assert receiver.ingest(SliceRecord(-birth, (b"zz",), b"zz")) is None
-    with at_most(6 << 20):
+    with within_bytes(6 << 20):
         for birth in range(1, 4 * KEPT_BIRTHS):
             assert receiver.ingest(SliceRecord(birth, (b"zz",), b"zz")) is not None
     assert receiver.ingest(SliceRecord(0, (b"zz",), None, 1)) is None
@@ -379,7 +368,7 @@ def test_an_object_that_no_manifest_allows_is_not_fetched(tmp_path: Path) -> Non
     with static_host(tmp_path) as host:
         for name in (f"{host}/s", str(path)):
             with (
-                at_most(8 << 20),
+                within_bytes(8 << 20),
                 pytest.raises(CorruptError, match="segment 0 names an object of 1073741824 bytes"),
                 opened(name) as source,
             ):
