@@ -65,12 +65,14 @@ def run_ok(name: str, *arguments: object, folder: Path | None = None) -> str:
     return done.stdout
 
 
-def started(name: str, *arguments: object) -> subprocess.Popen[str]:
+def started(
+    name: str, *arguments: object, stdout: int = subprocess.DEVNULL
+) -> subprocess.Popen[str]:
     """Starts the command as a process; its standard error is a pipe."""
     return subprocess.Popen(
         command(name, *arguments),
         env=environment(),
-        stdout=subprocess.DEVNULL,
+        stdout=stdout,
         stderr=subprocess.PIPE,
         text=True,
     )

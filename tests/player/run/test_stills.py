@@ -26,7 +26,7 @@ from player.run.stills import draw_frames
 from player.show.sink import to_bytes
 from player.view.moment import Moment
 from player.view.path import Size, orbit
-from tests.support.commands import command, environment, run_ok
+from tests.support.commands import run_ok, started
 from tests.support.hosted_streams import served, write_stream
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
@@ -120,9 +120,7 @@ def test_a_signal_ends_the_wait_for_a_host_that_is_silent(tmp_path: Path) -> Non
     with socket.create_server(("127.0.0.1", 0)) as listener:
         url = f"http://127.0.0.1:{listener.getsockname()[1]}/s"
         words = (url, "--still", 3, "--capture", tmp_path / "out.png")
-        process = subprocess.Popen(
-            command("swings-play", *words), env=environment(), stderr=subprocess.PIPE, text=True
-        )
+        process = started("swings-play", *words)
         connection, _ = listener.accept()
         with connection:
             assert connection.recv(4) == b"GET "
@@ -147,13 +145,7 @@ def test_a_signal_writes_the_report_and_no_half_video(
     options = ["--size", "32x24", "--renderer", "cpu", "--link", "20M,2ms", "--loop", "9"]
     with served(tmp_path / "library") as server:
         options += ["--capture", str(out), "--report", str(report)]
-        player = subprocess.Popen(
-            command("swings-play", server.url, *options),
-            env=environment(),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        player = started("swings-play", server.url, *options, stdout=subprocess.PIPE)
         # A picture, or the unfinished video.
         begun = "pictures/frame_00002.png" if capture == "pictures" else ".out.mp4.tmp"
         wait_until((folder / begun).exists)

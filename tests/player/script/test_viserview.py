@@ -20,7 +20,7 @@ from codec.errors import InvalidError
 from codec.splats import SH_C0, Splats
 from player import Scene
 from player.script.viserview import ViserView, viser_arrays
-from tests.support.commands import command, environment
+from tests.support.commands import started
 from tests.support.drawn import drawn_splats
 from tests.support.reference_render import rotations
 from tests.support.waiting import BOUND_S
@@ -76,13 +76,8 @@ def receive(connection: Any, wanted: bytes) -> None:
 
 @needs_viser
 def test_the_command_shows_a_stream_until_it_is_ended(stream: Path) -> None:
-    process = subprocess.Popen(
-        command("swings-play", stream, "--viser", 0, "--frames", "3:9", "--camera", "camera:c2"),
-        env=environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    words = ("--viser", 0, "--frames", "3:9", "--camera", "camera:c2")
+    process = started("swings-play", stream, *words, stdout=subprocess.PIPE)
     assert process.stdout is not None
     url = next(line for line in process.stdout if line.startswith("showing ")).split()[-1]
     with Scene.open(stream) as scene, browser(url) as connection:

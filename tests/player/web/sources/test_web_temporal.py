@@ -30,22 +30,16 @@ def test_it_shows_every_frame(
 ) -> None:
     root = made_once(tmp_path_factory, "web-temporal", make)
     reader = StreamReader(root / "s")
-
-    def check(frame: int, layers: int) -> None:
-        page.run("player.seek(value)", frame)
-        wait_for_picture(page, reader, frame, layers)
-
     (tmp_path / "static").symlink_to(root / "static")
     with served(root) as server, player_host(tmp_path) as files:
-        url = (
-            f"{server.url}/watch/s?"
-            if host == "server"
-            else f"{files}/player/watch.html?src=../static&"
-        )
-        watch(page, f"{url}autoplay=0")
-        for frame in (0, 7, 8, 13):
-            check(frame, 3)
-        page.run("player.setLayers(2)")
-        page.wait("state.layers === 2")
-        for frame in (12, 18):
-            check(frame, 2)
+        pages = {
+            "server": f"{server.url}/watch/s?",
+            "files": f"{files}/player/watch.html?src=../static&",
+        }
+        watch(page, f"{pages[host]}autoplay=0")
+        for frame, layers in ((0, 3), (7, 3), (8, 3), (13, 3), (12, 2), (18, 2)):
+            if frame == 12:
+                page.run("player.setLayers(2)")
+                page.wait("state.layers === 2")
+            page.run("player.seek(value)", frame)
+            wait_for_picture(page, reader, frame, layers)
