@@ -123,10 +123,7 @@ def test_an_error_within_a_file_names_it_and_the_byte(kind: type[CodecError]) ->
     )
     told = kind("it was altered").within("segments/0/1", 100)
     assert (type(told), str(told), told.at) == (kind, "segments/0/1: it was altered", None)
-
-
-def test_an_error_of_a_part_is_moved_to_its_place_in_the_whole() -> None:
-    assert CorruptError("x", 3).moved(10).at == 13
+    assert CorruptError("x", 3).moved(10).at == 13  # of a part, to its place in the whole
     assert CorruptError("x").moved(10).at is None
 
 

@@ -273,14 +273,11 @@ def test_a_bad_gltf(change: Callable[[Json], object], kind: type[CodecError], sa
     refused(kind, says, decode_any, made(change))
 
 
-def with_opacity(value: float) -> bytes:
-    start = ROOT["bufferViews"][3]["byteOffset"]
-    return made(chunk=CHUNK[:start] + struct.pack("<f", value) + CHUNK[start + 4 :])
-
-
 @pytest.mark.parametrize("opacity", [-0.1, 1.1, np.nan, np.inf])
 def test_an_opacity_outside_of_its_range_is_refused(opacity: float) -> None:
-    refused(CorruptError, "an opacity outside", decode_any, with_opacity(opacity))
+    start = ROOT["bufferViews"][3]["byteOffset"]
+    chunk = CHUNK[:start] + struct.pack("<f", opacity) + CHUNK[start + 4 :]
+    refused(CorruptError, "an opacity outside", decode_any, made(chunk=chunk))
 
 
 def test_a_small_file_does_not_become_large_by_repetition() -> None:

@@ -17,7 +17,7 @@ from codec.tools.streamcaptions import add_captions
 from server.library import Library
 from tests.support.hosted_streams import served, write_stream
 from tests.support.sounding import add_clicks
-from tests.support.stores.s3_server import BUCKET, s3_server
+from tests.support.stores.s3_server import BUCKET, S3Server
 from tests.support.tiny_stream import files_of
 from tests.support.waiting import BOUND_S
 
@@ -107,13 +107,12 @@ def test_a_file_that_is_replaced_is_another_stream(stream: Path, tmp_path: Path)
     assert (library.streams, library.broken) == ({}, {})
 
 
-def test_packed_streams_of_an_object_store(stream: Path, tmp_path: Path) -> None:
+def test_packed_streams_of_an_object_store(stream: Path, s3: S3Server, tmp_path: Path) -> None:
     pack_stream(stream, tmp_path / "s.swings")
-    with s3_server() as store:
-        store.put("place/s.swings", (tmp_path / "s.swings").read_bytes())
-        for root, name in ((f"s3://{BUCKET}/place", "s"), (f"s3://{BUCKET}/place/s.swings", "s")):
-            library = Library(root, 1.0)
-            assert list(library.streams) == [name], library.broken
-            for part in (0, "masks", "snapshot-1"):
-                read = library.streams[name].read_object(2, part).data
-                assert read == (stream / "segments" / "2" / str(part)).read_bytes()
+    s3.put("place/s.swings", (tmp_path / "s.swings").read_bytes())
+    for root in (f"s3://{BUCKET}/place", f"s3://{BUCKET}/place/s.swings"):
+        library = Library(root, 1.0)
+        assert list(library.streams) == ["s"], library.broken
+        for part in (0, "masks", "snapshot-1"):
+            read = library.streams["s"].read_object(2, part).data
+            assert read == (stream / "segments" / "2" / str(part)).read_bytes()

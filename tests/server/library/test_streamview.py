@@ -10,39 +10,27 @@ import shutil
 import tempfile
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CodecError
-from codec.stream import StreamWriter
 from server.library import Library, ServedStream
 from server.library.streamview import StreamView, continued, index_of, is_continued, view_of
-from tests.support.server.running_server import (
-    SEGMENT_FRAMES,
-    births_of,
-    random_slice,
-    small_manifest,
-)
+from tests.support.server.running_server import SEGMENT_FRAMES, make_stream
 
 NUM_SEGMENTS = 4
-
-
-def write(path: Path, count: int, title: str = "") -> Path:
-    """Writes a finished stream of slices of `count` Gaussians."""
-    with StreamWriter.create(path, small_manifest(title=title)) as writer:
-        for birth in births_of(NUM_SEGMENTS * SEGMENT_FRAMES):
-            writer.append(random_slice(birth, count))
-    return path
 
 
 @pytest.fixture(scope="module")
 def kinds(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Three streams: the first two have the same manifest and different sizes, the third has
     another title."""
-    root = tmp_path_factory.mktemp("kinds")
-    return [write(root / "a", 8), write(root / "b", 7), write(root / "c", 8, "c")]
+    root, count = tmp_path_factory.mktemp("kinds"), NUM_SEGMENTS * SEGMENT_FRAMES
+    changes: list[dict[str, Any]] = [{}, {"num_empty": 1}, {"title": "c"}]
+    return [make_stream(root / str(n), count, **change) for n, change in enumerate(changes)]
 
 
 def files(stream: Path) -> tuple[bytes, bytes]:

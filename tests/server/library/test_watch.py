@@ -13,26 +13,14 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CodecError
-from codec.stream import StreamWriter
 from server.library import Library, ServedStream
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     append_frames,
-    births_of,
     live_stream,
     make_stream,
-    random_slice,
-    small_manifest,
 )
 from tests.support.server.virtualtime import passes, virtually
-
-
-def other_stream(path: Path, num_frames: int, title: str = "") -> Path:
-    """A stream with the manifest of `make_stream`, and other slices."""
-    with StreamWriter.create(path, small_manifest(title=title)) as writer:
-        for birth in births_of(num_frames):
-            writer.append(random_slice(birth, 7))
-    return path
 
 
 def files_of(stream: Path) -> list[Path]:
@@ -97,9 +85,9 @@ def test_a_replaced_stream_is_another_one(tmp_path: Path, how: str, alike: bool)
     root, new = tmp_path / "root", tmp_path / "new"
     make_stream(root / "s", 12)
     if alike:
-        other_stream(new, 12)  # the same manifest, sizes of files that may be the same
+        make_stream(new, 12, num_empty=1)  # the same manifest, sizes of files that may be the same
     else:
-        other_stream(new, 17, title="another")
+        make_stream(new, 17, title="another", num_empty=1)
 
     library = Library(root, 1.0)
     old = library.streams["s"]

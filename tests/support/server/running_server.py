@@ -49,12 +49,17 @@ def births_of(num_frames: int) -> range:
 
 
 def make_stream(
-    path: Path, num_frames: int, slice_size: int = 8, fps: float = 30.0, title: str = ""
+    path: Path,
+    num_frames: int,
+    slice_size: int = 8,
+    fps: float = 30.0,
+    title: str = "",
+    num_empty: int = 0,
 ) -> Path:
-    """Writes a finished stream to `path`."""
+    """Writes a finished stream to `path`. num_empty: slots of a slice that have no Gaussian."""
     with StreamWriter.create(path, small_manifest(slice_size, fps, title), exact=True) as writer:
         for birth in births_of(num_frames):
-            writer.append(random_slice(birth, slice_size))
+            writer.append(random_slice(birth, slice_size - num_empty))
     return path
 
 

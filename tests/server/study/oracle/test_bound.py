@@ -38,7 +38,6 @@ def make_stream(
     segment_frames = segment_frames or int(rng.choice([3, 7, 10, 15]))
     num_frames = max(2, int(seconds * fps))
     segments = []
-    temporal = num_layers - 1 if num_layers > 1 and rng.random() < 0.3 else None
     for _ in range(-(-num_frames // segment_frames)):
         layer_bytes = rng.uniform(2e3, 2e4, num_layers)
         if rng.random() < 0.1:
@@ -46,8 +45,6 @@ def make_stream(
         gains_db = [20 + 8 * rng.random(), *rng.uniform(0, 3, num_layers - 1).tolist()]
         snapshots = layer_bytes * rng.uniform(0.5, 12, num_layers)
         changed = rng.choice([0.0, 0.1, 0.3, 1.0], num_layers, p=[0.1, 0.4, 0.4, 0.1])
-        if temporal is not None:
-            changed[temporal], snapshots[temporal] = 1.0, 20.0
         segments.append(
             SegmentSizes(
                 tuple(layer_bytes.tolist()),
@@ -56,9 +53,7 @@ def make_stream(
                 tuple(changed.tolist()),
             )
         )
-    return MadeMedia(
-        tuple(segments), num_frames, fps, segment_frames=segment_frames, temporal_layer=temporal
-    )
+    return MadeMedia(tuple(segments), num_frames, fps, segment_frames=segment_frames)
 
 
 def make_link(rng: np.random.Generator, media: MadeMedia) -> Link:
