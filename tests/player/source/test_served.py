@@ -44,6 +44,7 @@ QUICK = RetryConfig(patience_s=0.05, first_delay_s=0.01, max_delay_s=0.01)
 HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: application/x-swings-play\r\nConnection: close\r\n\r\n"
 
 
+REFUSED = b'HTTP/1.1 400 No\r\nConnection: close\r\n\r\n{"error": "from=0: no"}'
 NO_INDEX = b"HTTP/1.1 404 No\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 """Response to clients that want more of the stream than its manifest."""
 
@@ -147,11 +148,7 @@ def test_a_new_connection_asks_for_what_is_missing_only() -> None:
             "reports: it is damaged",
         ),
         ([HEAD.replace(b"x-swings-play", b"json") + b"{}"], FetchError, "S is not a stream"),
-        (
-            [b'HTTP/1.1 400 No\r\nConnection: close\r\n\r\n{"error": "from=0: no"}'],
-            FetchError,
-            "S: HTTP 400, from=0: no",
-        ),
+        ([REFUSED], FetchError, "S: HTTP 400, from=0: no"),
         ([NO_INDEX], FetchError, "S is not a stream: HTTP 404"),
     ],
 )

@@ -122,12 +122,7 @@ def test_bytes_of_no_use_do_not_keep_a_play_waiting() -> None:
         (b"", lambda n: b"HTTP/1.1 100 Continue\r\n\r\n", 0.01, "did not answer in time"),
         (b"HTTP/1.1 200 OK\r\n", lambda n: b"X-%d: 1\r\n" % n, 0.05, "did not answer in time"),
         (BEGUN, lambda n: b"", 0.05, r"no bytes arrived for \d+ s|did not answer in time"),
-        (
-            BEGUN,
-            lambda n: records(SLICES[min(n + 1, 6)]),
-            0.0,
-            "the slice born at 5 arrived, but the play ends before frame 5",
-        ),
+        (BEGUN, lambda n: records(SLICES[min(n + 1, 6)]), 0.0, "born at 5 .* ends before frame 5"),
         (BEGUN, lambda n: b"\x02\0\0\0\x80\xc0", 0.0, "play: "),
         (b"", lambda n: b"junk" * 1000, 0.0, "the connection broke"),
     ],

@@ -4,9 +4,8 @@ captions. It accepts and refuses the same bytes as the package."""
 from __future__ import annotations
 
 import random
-import re
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -40,7 +39,7 @@ from tests.goldens.suite import FOLDER, read_table
 from tests.support.objects import object_packets
 from tests.support.slots.slot_streams import slot_manifest
 from tests.support.slots.updates import small_layout
-from tests.support.web.browsercode import BrowserCode
+from tests.support.web.browsercode import BrowserCode, fields_in_browser
 
 STREAMS = [FOLDER / row["stream"] for row in read_table("streams.json")]
 ZSTD_MAGIC = "28b52ffd"
@@ -102,26 +101,6 @@ def assert_same_object(browser: BrowserCode, data: bytes, coder: int) -> None:
         for _, packet in packets:
             content = decompress(packet, LIMIT).hex()
             assert browser.ask("packet", bytes=packet.hex(), limit=LIMIT) == content
-
-
-def in_browser(value: object) -> object:
-    """`value` in the form of answers.mjs."""
-    match value:
-        case bytes():
-            return value.hex()
-        case tuple():
-            return [in_browser(one) for one in value]
-        case str():
-            return value[:500]  # of a message it keeps no more
-    return value
-
-
-def fields_in_browser(one: object, names: Iterable[str]) -> dict[str, object]:
-    """The attributes `names` of `one`, as answers.mjs names them: numGs for num_gs."""
-    return {
-        re.sub("_(.)", lambda found: found[1].upper(), name): in_browser(getattr(one, name))
-        for name in names
-    }
 
 
 def assert_same_manifest(found: dict[str, Any], manifest: Manifest) -> None:

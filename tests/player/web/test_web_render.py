@@ -21,6 +21,7 @@ from tests.support.reference_render import cameras_all_round, drawn_psnr_db
 from tests.support.slots.moving_updates import write_jumps, write_moving_stream
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
+from tests.support.web.browsercode import fields_in_browser
 from tests.support.web.canvas import LEAST_PSNR_DB, psnr_db
 from tests.support.web.chromium import Page
 from tests.support.web.site import player_host, watch
@@ -147,16 +148,8 @@ def drawn(
 
 
 def for_browser(camera: Camera) -> dict[str, object]:
-    return {
-        "name": camera.name,
-        "widthPx": camera.width_px,
-        "heightPx": camera.height_px,
-        "fxPx": camera.fx_px,
-        "fyPx": camera.fy_px,
-        "cxPx": camera.cx_px,
-        "cyPx": camera.cy_px,
-        "w2c": camera.w2c.ravel().tolist(),
-    }
+    names = ["name", "width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px"]
+    return {**fields_in_browser(camera, names), "w2c": camera.w2c.ravel().tolist()}
 
 
 PROGRAMS = Path(__file__).with_name("programs.js")

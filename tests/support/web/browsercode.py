@@ -2,16 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-
-import numpy as np
+from dataclasses import fields
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.slots.slotlayout import SlotLayout
 from tests.support.slots.arrivals import Arrivals, Change, Event, Look, Mask, Show, Snapshot
 from tests.support.slots.plain import Held
 from tests.support.web.nodeprocess import Json, NodeProcess, running_script
+
+
+def in_browser(value: object) -> object:
+    """`value` in the form of answers.mjs."""
+    match value:
+        case bytes():
+            return value.hex()
+        case tuple():
+            return [in_browser(one) for one in value]
+        case str():
+            return value[:500]  # of a message it keeps no more
+    return value
+
+
+def fields_in_browser(one: object, names: Iterable[str]) -> dict[str, object]:
+    """The attributes `names` of `one`, as answers.mjs names them: numGs for num_gs."""
+    return {
+        re.sub("_(.)", lambda found: found[1].upper(), name): in_browser(getattr(one, name))
+        for name in names
+    }
 
 
 class BrowserCode:
@@ -65,14 +85,7 @@ class BrowserSlots:
             shDegree=layout.sh_degree,
             slots=layout.slots,
             lattices=[
-                {
-                    "positionM": float(np.float32(lattice.position_m)),
-                    "logScale": float(np.float32(lattice.log_scale)),
-                    "logScaleBase": float(np.float32(lattice.log_scale_base)),
-                    "rotation": float(np.float32(lattice.rotation)),
-                    "colour": float(np.float32(lattice.colour)),
-                    "opacityLevels": lattice.opacity_levels,
-                }
+                fields_in_browser(lattice, [field.name for field in fields(lattice)])
                 for lattice in layout.lattices
             ],
             period=layout.temporal_period,
