@@ -41,7 +41,9 @@ def make_stream(
     for _ in range(-(-num_frames // segment_frames)):
         layer_bytes = rng.uniform(2e3, 2e4, num_layers)
         if rng.random() < 0.1:
-            layer_bytes[int(rng.integers(num_layers))] = 0.0
+            layer = int(rng.integers(num_layers))
+            # A sender takes nothing of layer 0 for something that has come at once.
+            layer_bytes[layer] = 0.0 if layer else 1.0
         gains_db = [20 + 8 * rng.random(), *rng.uniform(0, 3, num_layers - 1).tolist()]
         snapshots = layer_bytes * rng.uniform(0.5, 12, num_layers)
         changed = rng.choice([0.0, 0.1, 0.3, 1.0], num_layers, p=[0.1, 0.4, 0.4, 0.1])
