@@ -17,6 +17,7 @@ MODULES = {
     "player.js": "element/swingsplayer.js",
     "playworker.js": "playback/playworker.js",
     "sortworker.js": "playback/sortworker.js",
+    "controls.js": "element/controls.js",
     "extras.js": "element/extras.js",
     "tracks.js": "element/tracks.js",
     "smoothing.js": "element/smoothing.js",
@@ -25,8 +26,15 @@ MODULES = {
 }
 """Each module of the bundle and its entry point in the sources."""
 
-LATER = {"extras.js", "tracks.js", "smoothing.js", "packedlayout.js", "passing.js"}
-"""Modules that are loaded when a viewer, or a stream, needs them."""
+LATER = {
+    "controls.js",
+    "extras.js",
+    "tracks.js",
+    "smoothing.js",
+    "packedlayout.js",
+    "passing.js",
+}
+"""Modules that are loaded after the first requests, or when a viewer or a stream needs them."""
 
 PAGE_SCRIPT, PAGE_SOURCE = "page.js", "watch.js"
 """The script that pages contain inline, so that it sends the first requests at once."""

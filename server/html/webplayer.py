@@ -21,6 +21,7 @@ _PAGE_SCRIPT = "page.js"
 _FIRST = ("player.js", "playworker.js", "sortworker.js")
 _MODULES = (
     *_FIRST,
+    "controls.js",
     "extras.js",
     "tracks.js",
     "smoothing.js",

@@ -4,65 +4,112 @@ import { node } from "./nodes.js";
 /** @typedef {import("./commands.js").Command} Command */
 /** @typedef {import("./menu.js").Choice} Choice */
 
-/** The row of buttons under the picture. */
+/** What leaves a row without room for everything, the first one first; the menu has most of these then. */
+const DROPPED_FIRST = "volume rate reset quality cc headset mute time share".split(" ");
+
+/**
+ * What the bar's buttons do, other than commands.
+ * @typedef {object} BarActions
+ * @property {() => void} togglePlaying
+ * @property {() => void} toggleFullScreen
+ * @property {(opener: HTMLElement, at: number | Choice | null) => void} openMenu focuses entry `at` (-1: the
+ *   last one), or shows the values of a choice; null toggles the menu
+ */
+
+/** The scrub bar, and under it one row of buttons. */
 export class Bar {
   /**
-   * @param {object} parts
-   * @param {import("./scrubber.js").Scrubber} parts.scrubber
-   * @param {HTMLElement} parts.badge
-   * @param {(at: number | null) => void} parts.openMenu focuses entry `at` (-1: the last one); null toggles
-   *   the menu
+   * @param {import("./scrubber.js").Scrubber} scrubber
+   * @param {HTMLElement} badge
    * @param {Choice[]} choices
    * @param {Command[]} commands
-   * @param {() => void} togglePlaying
-   * @param {() => void} toggleFullScreen
+   * @param {BarActions} actions
    */
-  constructor({ scrubber, badge, openMenu }, choices, commands, togglePlaying, toggleFullScreen) {
-    this.playButton = button("play", "Play", "K", togglePlaying);
-    this.fullButton = button("full", "Full screen", "F", toggleFullScreen);
-    this.menuButton = menuButton(openMenu);
+  constructor(scrubber, badge, choices, commands, actions) {
+    this.playButton = button("play", "Play", "K", actions.togglePlaying);
+    this.fullButton = button("full", "Full screen", "F", actions.toggleFullScreen);
+    this.menuButton = menuButton((at) => actions.openMenu(this.menuButton, at));
     this.choices = choices;
     this.commands = commands;
-    this.selects = choices.map((choice) => {
-      const select = node("select", { class: `${choice.name} wide`, "aria-label": choice.label });
-      select.addEventListener("change", () => choice.choose(Number(select.value)));
-      return select;
-    });
     /** @type {Map<string, HTMLButtonElement>} */
     this.buttons = new Map();
-    for (const { name, label, icon: iconName, key, place, run } of commands) {
-      if (iconName === undefined) continue; // only in the menu
+    for (const { name, label, icon: iconName, key, isInBar, run } of commands) {
+      if (!isInBar || iconName === undefined) continue;
       const made = button(name, label, key.toUpperCase(), run);
       made.append(icon(iconName));
-      made.classList.toggle("wide", place === "wide");
       this.buttons.set(name, made);
+    }
+    for (const choice of choices) {
+      if (!choice.isInBar) continue;
+      const made = node("button", { class: choice.name, "aria-haspopup": "menu" });
+      made.setAttribute("aria-expanded", "false");
+      made.addEventListener("click", () => actions.openMenu(made, choice));
+      this.buttons.set(choice.name, made);
     }
     const { headset, ...others } = Object.fromEntries(this.buttons);
     headset.hidden = true;
     this.headset = headset;
-    this.root = node(
+    this.time = scrubber.time;
+    this.row = node(
       "div",
-      { class: "bar", part: "bar" },
-      scrubber.root,
+      { class: "row" },
       this.playButton,
       scrubber.time,
       badge,
       node("span", { class: "space" }),
       ...Object.values(others),
-      ...this.selects,
       headset,
       this.menuButton,
       this.fullButton,
     );
-    this.showPlaying(false);
-    this.showFull(false);
-    this.showChoices();
+    this.root = node("div", { class: "bar", part: "bar" }, scrubber.root, this.row);
   }
 
-  /** @param {boolean} isPlaying */
-  showPlaying(isPlaying) {
-    if (isPlaying) rename(this.playButton, "Pause", "K", "pause");
-    else rename(this.playButton, "Play", "K", "play");
+  /** Keeps everything in one row, whatever appears in it. @param {AbortSignal} signal ends that */
+  follow(signal) {
+    const fit = () => this.#fit();
+    const resizing = new ResizeObserver(fit);
+    for (const one of [this.row, this.time]) resizing.observe(one);
+    // The time's own changes, ten a second, hardly ever change its size.
+    const changing = new MutationObserver((changes) => {
+      if (changes.some(({ target }) => target !== this.time)) fit();
+    });
+    changing.observe(this.row, { childList: true, subtree: true, attributeFilter: ["hidden"] });
+    signal.addEventListener("abort", () => {
+      resizing.disconnect();
+      changing.disconnect();
+    });
+  }
+
+  #fit() {
+    const { row } = this;
+    const [...parts] = row.children;
+    for (const part of parts) part.classList.remove("dropped");
+    for (const name of DROPPED_FIRST) {
+      if (row.scrollWidth <= row.clientWidth) return;
+      parts.find((part) => part.classList.contains(name))?.classList.add("dropped");
+    }
+  }
+
+  /** Whether something has a button in the bar now. @param {string} name */
+  shows(name) {
+    const part = this.row.querySelector(`.${name}`);
+    return part instanceof HTMLElement && !part.hidden && !part.classList.contains("dropped");
+  }
+
+  /**
+   * @param {boolean} isPlaying
+   * @param {boolean} isLargeShown whether the large button over the picture does the same
+   */
+  showPlaying(isPlaying, isLargeShown) {
+    const { playButton } = this;
+    if (isPlaying) rename(playButton, "Pause", "K", "pause");
+    else rename(playButton, "Play", "K", "play");
+    if (isLargeShown === playButton.hasAttribute("aria-hidden")) return;
+    // One stop of the Tab key for one action.
+    playButton.toggleAttribute("aria-hidden", isLargeShown);
+    if (isLargeShown) playButton.setAttribute("aria-hidden", "true");
+    playButton.tabIndex = isLargeShown ? -1 : 0;
   }
 
   /** @param {boolean} isFull */
@@ -78,14 +125,24 @@ export class Bar {
     }
   }
 
-  /** Fills the selects, and shows their values. */
+  /** Shows the values of the choices. */
   showChoices() {
-    for (const [n, { values, now }] of this.choices.entries()) {
-      const options = values().map(({ value, label }) => new Option(label, String(value)));
-      this.selects[n].replaceChildren(...options);
-      this.selects[n].value = String(now());
+    for (const choice of this.choices) {
+      const made = this.buttons.get(choice.name);
+      if (made === undefined) continue;
+      const { label } = valueOf(choice);
+      if (made.textContent !== label) made.textContent = label;
+      made.hidden = !choice.isThere();
+      made.setAttribute("aria-label", `${choice.label}: ${label}`);
+      made.title = choice.label;
     }
   }
+}
+
+/** The value that a choice has now. @param {Choice} choice */
+export function valueOf({ values, now }) {
+  const at = now();
+  return values().find(({ value }) => value === at) ?? { value: at, label: String(at) };
 }
 
 /**
@@ -103,11 +160,8 @@ function button(name, label, key, action) {
 
 /** @param {(at: number | null) => void} open */
 function menuButton(open) {
-  const made = node(
-    "button",
-    { class: "more", "aria-label": "More", title: "More", "aria-haspopup": "menu" },
-    icon("menu"),
-  );
+  const attributes = { class: "more", "aria-label": "More", title: "More" };
+  const made = node("button", { ...attributes, "aria-haspopup": "menu" }, icon("menu"));
   made.setAttribute("aria-expanded", "false");
   made.addEventListener("click", () => open(null));
   made.addEventListener("keydown", (event) => {

@@ -22,11 +22,9 @@ export class CanvasSize {
       this.devicePx = devicePixelContentBoxSize?.[0] ?? null;
       this.onChange();
     });
-    try {
-      this.observer.observe(canvas, { box: "device-pixel-content-box" });
-    } catch {
-      this.observer.observe(canvas); // Safari does not report device pixels
-    }
+    // Safari does not report device pixels.
+    const hasDevicePixels = "devicePixelContentBoxSize" in ResizeObserverEntry.prototype;
+    this.observer.observe(canvas, hasDevicePixels ? { box: "device-pixel-content-box" } : {});
     this.#followRatio();
   }
 

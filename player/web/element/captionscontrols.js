@@ -3,16 +3,15 @@ import { readCues, textAt } from "../captions/webvtt.js";
 import { readCaptionTracks } from "../captions/captiontracks.js";
 import { Fetcher } from "../source/fetcher.js";
 import { fileBytes } from "../source/filebytes.js";
-import { drawn } from "./icons.js";
-import { node } from "./nodes.js";
+import { drawn, node } from "./nodes.js";
 
 const ICON =
   "M4 5h16a1 1 0 0 1 1 1v12a1 1 0 0 1-1 1H4a1 1 0 0 1-1-1V6a1 1 0 0 1 1-1zm6.5 5.5a3 3 0 1 0 0 3l-1.3-.8a1.5 1.5 0 1 1 0-1.4zm7 0a3 3 0 1 0 0 3l-1.3-.8a1.5 1.5 0 1 1 0-1.4z";
 
 export const CAPTIONS_STYLE = /* css */ `
 .captions {
-  position: absolute; left: 50%; bottom: calc(1.5 * max(var(--least), 2cqw) + 40px); translate: -50% 0;
-  max-width: 86%; padding: 0.15em 0.6em; border-radius: 6px; background: rgb(0 0 0 / 0.78); color: #fff;
+  position: absolute; inset-inline: 0; bottom: calc(1.5 * max(var(--least), 2cqw) + 40px);
+  margin-inline: auto; width: fit-content; max-width: 86%; box-sizing: border-box; padding: 0.15em 0.6em; border-radius: 6px; background: rgb(0 0 0 / 0.78); color: #fff;
   font-size: clamp(14px, 2.4cqw, 44px); line-height: 1.35; text-align: center; white-space: pre-line;
   overflow-wrap: anywhere; pointer-events: none; unicode-bidi: plaintext;
 }
@@ -64,10 +63,29 @@ export class CaptionsControls {
     this.#choose(this.#tracks.findIndex(({ language }) => language === this.#language));
   }
 
+  /** The languages for the menu. @returns {import("./menu.js").Choice} */
+  get choice() {
+    return {
+      name: "captions",
+      label: "Captions",
+      isThere: () => this.#tracks.length > 0,
+      values: () => [
+        { value: -1, label: "Off" },
+        ...this.#tracks.map(({ label }, value) => ({ value, label })),
+      ],
+      now: () => this.#chosen,
+      choose: (at) => this.#offer(at),
+    };
+  }
+
   /** Switches to the next language; after the last one, to none. */
   next() {
     if (this.#tracks.length === 0) return;
-    const at = this.#chosen + 1 < this.#tracks.length ? this.#chosen + 1 : -1;
+    this.#offer(this.#chosen + 1 < this.#tracks.length ? this.#chosen + 1 : -1);
+  }
+
+  /** @param {number} at index of the track that a viewer has chosen; -1: none */
+  #offer(at) {
     this.#language = this.#tracks[at]?.language ?? null;
     this.say(at < 0 ? "Captions off" : `Captions: ${this.#tracks[at].label}`);
     this.#choose(at);
@@ -85,7 +103,7 @@ export class CaptionsControls {
     button.setAttribute("aria-pressed", String(at >= 0));
     const label = at < 0 ? "Captions" : `Captions: ${this.#tracks[at].label}`;
     button.setAttribute("aria-label", label);
-    button.title = `${label} (Shift+C)`;
+    button.title = `${label} (C)`;
     if (at < 0) return;
     const { file, language } = this.#tracks[at];
     this.text.lang = language;

@@ -5,7 +5,8 @@
  * @property {string} label
  * @property {import("./icons.js").IconName} [icon] for the bar; icons of menu-only commands are in menu.js
  * @property {string} key name as in keyboard events, in lower case
- * @property {"bar" | "wide" | "menu"} place in the bar; in a wide bar, otherwise in the menu; in the menu
+ * @property {boolean} [isInBar] whether it is in the bar while there is room, and else in the menu
+ * @property {() => boolean} [isThere] whether this stream on this device has it; by default it has
  * @property {() => void} run
  * @property {() => boolean} [isOn] for toggles: whether it is on
  */
@@ -19,62 +20,79 @@
  * @returns {Command[]}
  */
 export function commandsOf(element, stereo, sharing, panels) {
+  const hasTime = () => !element.player?.isStill;
   return [
     {
       name: "share",
       label: "Share this moment and view",
       icon: "share",
       key: "",
-      place: "wide",
+      isInBar: true,
       run: () => sharing.use((part) => part.share()),
-    },
-    {
-      name: "embed",
-      label: "Copy the embed code",
-      key: "",
-      place: "menu",
-      run: () => sharing.use((part) => part.copyEmbedCode()),
-    },
-    {
-      name: "loop",
-      label: "Loop",
-      icon: "loop",
-      key: "o",
-      place: "wide",
-      run: () => element.toggleLoop(),
-      isOn: () => element.isLooping,
     },
     {
       name: "reset",
       label: "Reset the view",
       icon: "reset",
       key: "r",
-      place: "wide",
+      isInBar: true,
       run: () => element.resetView(),
     },
     {
-      name: "side-by-side",
-      label: "Side-by-side stereo view",
-      icon: "sideBySide",
-      key: "e",
-      place: "wide",
-      run: () => stereo.toggleSideBySide(),
-      isOn: () => stereo.isSideBySide,
+      name: "loop",
+      label: "Loop",
+      key: "o",
+      isThere: () => hasTime() && !element.player?.live,
+      run: () => element.toggleLoop(),
+      isOn: () => element.isLooping,
+    },
+    {
+      name: "fly",
+      label: "Fly through the scene",
+      key: "g",
+      isThere: () => matchMedia("(any-pointer: fine)").matches,
+      run: () => element.toggleFlying(),
+      isOn: () => element.player?.motion?.isFlying ?? false,
     },
     {
       name: "interpolate",
       label: "Motion between frames",
       key: "b",
-      place: "menu",
+      isThere: hasTime,
       run: () => (element.interpolate = !element.interpolate),
       isOn: () => element.interpolate,
     },
     ...(element.hasGyroscope ? [gyroscopeOf(element)] : []),
     {
+      name: "side-by-side",
+      label: "Side-by-side stereo view",
+      key: "e",
+      run: () => stereo.toggleSideBySide(),
+      isOn: () => stereo.isSideBySide,
+    },
+    {
+      name: "pip",
+      label: "Picture in picture",
+      key: "",
+      isThere: () => document.pictureInPictureEnabled ?? false,
+      run: () => sharing.use((part) => part.openPictureInPicture()),
+    },
+    {
+      name: "save",
+      label: "Save this picture",
+      key: "",
+      run: () => sharing.use((part) => part.savePicture()),
+    },
+    {
+      name: "embed",
+      label: "Copy the embed code",
+      key: "",
+      run: () => sharing.use((part) => part.copyEmbedCode()),
+    },
+    {
       name: "statistics",
       label: "Statistics",
       key: "i",
-      place: "menu",
       run: () => element.toggleStats(),
       isOn: () => panels.part?.statistics.isOn ?? false,
     },
@@ -82,7 +100,7 @@ export function commandsOf(element, stereo, sharing, panels) {
       name: "keys",
       label: "Keys",
       key: "?",
-      place: "menu",
+      isThere: () => matchMedia("(any-pointer: fine)").matches,
       run: () => panels.use(({ keyList }) => keyList.toggle()),
     },
     {
@@ -90,7 +108,8 @@ export function commandsOf(element, stereo, sharing, panels) {
       label: "Show on the VR headset",
       icon: "headset",
       key: "v",
-      place: "bar",
+      isInBar: true,
+      isThere: () => stereo.isThere,
       run: () => stereo.toggleHeadset(),
       isOn: () => stereo.isWorn,
     },
@@ -107,7 +126,6 @@ function gyroscopeOf(element) {
     name: "gyroscope",
     label: "Look around by turning the phone",
     key: "",
-    place: "menu",
     run: () => element.toggleGyroscope(),
     isOn: () => element.isGyroscopeOn,
   };

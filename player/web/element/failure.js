@@ -9,6 +9,8 @@ const SENTENCES = /** @type {[RegExp, string][]} */ ([
   [/https?:|file:/, "This video cannot be played."],
 ]);
 
+const NO_WEBGL = /no WebGL2/;
+
 /** Longer messages are replaced by a general sentence, and shown folded below it. */
 const MOST_CHARS = 120;
 
@@ -33,15 +35,13 @@ export class Failure {
     this.root = node("div", { class: "failure", role: "alert", hidden: true }, ...parts);
   }
 
-  /**
-   * @param {string} message
-   * @param {boolean} mayRetry
-   */
-  show(message, mayRetry) {
+  /** @param {string} message */
+  show(message) {
     const sentence = sentenceOf(message);
     this.sentence.textContent = sentence;
     this.details.textContent = message;
-    this.retryButton.hidden = !mayRetry;
+    // A browser without WebGL2 will not have it at the next try.
+    this.retryButton.hidden = NO_WEBGL.test(message);
     this.fold.hidden = sentence === message || sentence === `${message}.`;
     this.fold.open = false;
     this.root.hidden = false;

@@ -25,12 +25,14 @@ export class FullScreen {
   async toggle() {
     const { element } = this;
     if (this.#covers) return this.#cover(false);
-    if (element.matches(":fullscreen")) return document.exitFullscreen().catch(() => {});
+    const isFull = element.matches(":fullscreen");
+    if (!isFull && element.requestFullscreen === undefined) return this.#cover(true);
     try {
-      if (element.requestFullscreen === undefined) throw new TypeError("no full screen");
-      await element.requestFullscreen();
-    } catch {
-      this.#cover(true);
+      if (isFull) await document.exitFullscreen();
+      else await element.requestFullscreen();
+    } catch (error) {
+      console.info("swings: the browser refuses a change of full screen:", error);
+      this.#cover(!isFull);
     }
   }
 

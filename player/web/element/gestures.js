@@ -72,6 +72,7 @@ export function listenToGestures(surface, player, signal) {
   });
   document.addEventListener("fullscreenchange", lookAtPage, { signal });
   globalThis.addEventListener("resize", lookAtPage, { signal });
+  lookAtPage();
 
   on("pointerdown", (/** @type {PointerEvent} */ event) => {
     if (pointers.size === 0) lookAtPage();

@@ -33,8 +33,9 @@ export class Gyroscope extends EventTarget {
     try {
       const answer = (await events.requestPermission?.()) ?? "granted";
       if (answer !== "granted") return false;
-    } catch {
-      return false; // not called in a click
+    } catch (error) {
+      console.warn("swings: the gyroscope needs a click to begin:", error);
+      return false;
     }
     if (this.isOn) return true;
     this.#last = null;

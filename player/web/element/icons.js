@@ -1,14 +1,11 @@
-const SVG = "http://www.w3.org/2000/svg";
+import { drawn } from "./nodes.js";
 
 /** Icon paths on a grid of 24 by 24; icons that only the menu uses are in menu.js. */
 const PATHS = {
   play: "M8 5v14l11-7z",
   pause: "M7 5h4v14H7zm6 0h4v14h-4z",
-  replay: "M12 5V1L6 6l6 5V7a5.5 5.5 0 1 1-5.5 5.5h-2A7.5 7.5 0 1 0 12 5z",
-  loop: "M7 7h10v3l4-4-4-4v3H5v6h2zm10 10H7v-3l-4 4 4 4v-3h12v-6h-2z",
-  reset: "M12 5a7 7 0 1 1-6.7 5H3l4-5 4 5H7.4A5 5 0 1 0 12 7z",
+  reset: "M12 3l9.5 8.5H19V20h-5.5v-6h-3v6H5v-8.5H2.5z",
   share: "M14 9V5l7 7-7 7v-4C8 15 5 17 3 20c1-6 4-10 11-11z",
-  sideBySide: "M3 6h8v12H3zm2 2v8h4V8zm8-2h8v12h-8zm2 2v8h4V8z",
   headset:
     "M4 7h16a2 2 0 0 1 2 2v6a2 2 0 0 1-2 2h-4l-2.5-3h-3L8 17H4a2 2 0 0 1-2-2V9a2 2 0 0 1 2-2zm2 3v3h4v-3zm8 0v3h4v-3z",
   menu: "M12 4a2 2 0 1 1 0 4 2 2 0 0 1 0-4zm0 6a2 2 0 1 1 0 4 2 2 0 0 1 0-4zm0 6a2 2 0 1 1 0 4 2 2 0 0 1 0-4z",
@@ -21,15 +18,4 @@ const PATHS = {
 /** @param {IconName} name */
 export function icon(name) {
   return drawn(PATHS[name]);
-}
-
-/** @param {string} outline on that grid */
-export function drawn(outline) {
-  const svg = document.createElementNS(SVG, "svg");
-  svg.setAttribute("viewBox", "0 0 24 24");
-  svg.setAttribute("aria-hidden", "true");
-  const path = document.createElementNS(SVG, "path");
-  path.setAttribute("d", outline);
-  svg.append(path);
-  return svg;
 }

@@ -13,7 +13,9 @@ const NAMES = {
 
 /** The dialog that lists the keys. */
 export class KeyList {
-  constructor() {
+  /** @param {import("./keys.js").KeyAction[]} actions read whenever the list opens */
+  constructor(actions) {
+    this.actions = actions;
     this.list = node("dl");
     const close = node("button", { class: "close" }, "Close");
     close.addEventListener("click", () => this.root.close());
@@ -30,9 +32,8 @@ export class KeyList {
     });
   }
 
-  /** @param {import("./keys.js").KeyAction[]} actions */
-  fill(actions) {
-    const rows = actions.map(({ keys, label }) => {
+  #fill() {
+    const rows = this.actions.map(({ keys, label }) => {
       const caps = keys.length > 4 ? [`${keys[0]} – ${keys[keys.length - 1]}`] : keys.map(nameOf);
       const names = caps.map((key) => node("kbd", {}, key));
       return node("div", {}, node("dt", {}, ...names), node("dd", {}, label));
@@ -42,7 +43,10 @@ export class KeyList {
 
   toggle() {
     if (this.root.open) this.root.close();
-    else this.root.showModal();
+    else {
+      this.#fill();
+      this.root.showModal();
+    }
   }
 }
 

@@ -69,7 +69,11 @@ export function keysOf(element, player, commands) {
     { keys: ["<"], label: "Slower", run: () => changeRate(-1) },
     { keys: [">"], label: "Faster", run: () => changeRate(1) },
     { keys: ["f"], label: "Full screen", run: () => element.toggleFullScreen() },
-    { keys: ["c"], label: "Copy a link to this moment and view", run: () => element.copyLink() },
+    {
+      keys: ["shift+c"],
+      label: "Copy a link to this moment and view",
+      run: () => element.copyLink(),
+    },
     ...commands
       .filter(({ key }) => key !== "")
       .map(({ key, label, run }) => ({ keys: [key], label, run })),
@@ -102,31 +106,23 @@ function cameraActions(player) {
 }
 
 /**
- * Runs the action of each pressed key. A focused control keeps the keys that it uses itself.
- * @param {HTMLElement} element
+ * Runs the action of a pressed key. A focused control keeps the keys that it uses itself.
  * @param {KeyAction[]} actions
- * @param {() => void} escape
- * @param {AbortSignal} signal ends the listening
+ * @param {KeyboardEvent} event
+ * @param {EventTarget} target the innermost one
  */
-export function listenToKeys(element, actions, escape, signal) {
-  const press = (/** @type {KeyboardEvent} */ event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const [target] = event.composedPath();
-    const key = event.key.toLowerCase();
-    const isOnButton = target instanceof HTMLButtonElement || isSummary(target);
-    if (key === "escape") return escape();
-    if (key === " " && (isOnButton || target instanceof HTMLSelectElement)) return;
-    if (target instanceof HTMLSelectElement && /^(arrow|home|end)/.test(key)) return;
-    const names = event.shiftKey ? [`shift+${key}`, key] : [key];
-    for (const name of names) {
-      const action = actions.find(({ keys }) => keys.includes(name));
-      if (action === undefined) continue;
-      event.preventDefault();
-      action.run(name);
-      return;
-    }
-  };
-  element.addEventListener("keydown", press, { signal });
+export function pressKey(actions, event, target) {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  const key = event.key.toLowerCase();
+  if (key === " " && (target instanceof HTMLButtonElement || isSummary(target))) return;
+  const names = event.shiftKey ? [`shift+${key}`, key] : [key];
+  for (const name of names) {
+    const action = actions.find(({ keys }) => keys.includes(name));
+    if (action === undefined) continue;
+    event.preventDefault();
+    action.run(name);
+    return;
+  }
 }
 
 /** @param {EventTarget} target */

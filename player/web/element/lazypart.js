@@ -1,32 +1,37 @@
 /**
- * A part of the controls that is loaded when it is first used.
+ * A part of the player that is loaded by `import()`.
  * @template Part
  */
 export class LazyPart {
   /** @type {Part | null} null until it is loaded */
   part = null;
-  /** @type {Promise<Part> | null} */
+  /** @type {Promise<Part | null> | null} */
   #loading = null;
 
   /**
-   * @param {() => Promise<Part>} load
-   * @param {() => void} failed called if the part could not be loaded
+   * @param {() => Promise<Part | null>} load gives null if the part is not needed any more
+   * @param {(error: unknown) => void} failed called if the part could not be loaded; its next use tries again
    */
   constructor(load, failed) {
     this.load = load;
     this.failed = failed;
   }
 
-  /** Runs `action` with the part as soon as it is loaded. @param {(part: Part) => unknown} action */
+  /**
+   * Runs `action` with the part as soon as it is loaded: at once if it already is, because some actions must
+   * run within a user gesture.
+   * @param {(part: Part) => unknown} [action]
+   */
   async use(action) {
-    try {
-      this.#loading ??= this.load();
-      this.part = await this.#loading;
-    } catch {
-      this.#loading = null;
-      this.failed();
-      return;
+    if (this.part === null) {
+      try {
+        this.#loading ??= this.load();
+        this.part = await this.#loading;
+      } catch (error) {
+        this.#loading = null;
+        this.failed(error);
+      }
     }
-    await action(this.part);
+    if (this.part !== null) await action?.(this.part);
   }
 }

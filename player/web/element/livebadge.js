@@ -25,7 +25,12 @@ export class LiveBadge {
    */
   constructor(player, onStopped, signal) {
     const label = "Go to the live edge";
-    const attributes = { class: "badge", "aria-label": label, title: `${label} (End)` };
+    const attributes = {
+      class: "badge",
+      "aria-label": label,
+      title: `${label} (End)`,
+      hidden: true,
+    };
     this.root = node("button", attributes, node("span", {}, "LIVE"));
     this.player = player;
     this.hasStopped = false;
@@ -54,9 +59,8 @@ export class LiveBadge {
 
   #show() {
     const { live, manifest, numFrames, state } = this.player;
-    const { classList } = this.root;
-    classList.toggle("on", live);
+    if (this.root.hidden === live) this.root.hidden = !live;
     const isGrey = this.hasStopped || (live && isBehind(manifest, numFrames, state.frame));
-    classList.toggle("behind", isGrey);
+    this.root.classList.toggle("behind", isGrey);
   }
 }

@@ -97,8 +97,8 @@ export class MediaInterface extends PictureInterface {
     const { player } = this;
     if (!player?.manifest) return new SecondRanges([]);
     const frames = new FrameRanges();
-    const { frame, endFrame, bufferedRanges } = player.state;
-    for (const [first, end] of bufferedRanges ?? [[frame, endFrame]]) frames.add(first, end);
+    const { bufferedRanges } = player.state;
+    for (const [first, end] of bufferedRanges) frames.add(first, end);
     return frames.inSeconds(player.manifest.fps);
   }
 
@@ -218,12 +218,14 @@ export class MediaInterface extends PictureInterface {
   load() {
     this.muted = this.muted; // from now on the attribute has no effect, as in HTML
     this.#unload();
-    if (this.player === null || !this.getAttribute("src")) return;
+    if (this.player === null) return;
     this.error = null;
     this.#currentSrc = this.src;
-    this.#fire(this.#readiness.select());
+    const hasSource = this.#currentSrc !== "";
+    if (hasSource) this.#fire(this.#readiness.select());
     const isWanted = this.#playsAlone || !this.#paused;
     this.prepare();
+    if (!hasSource) return;
     if (this.preload === "none" && !isWanted) this.#fire(this.#readiness.suspend());
     else this.#open();
   }

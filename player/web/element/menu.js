@@ -1,5 +1,6 @@
-import { drawn, icon } from "./icons.js";
-import { node } from "./nodes.js";
+import { valueOf } from "./bar.js";
+import { icon } from "./icons.js";
+import { drawn, node } from "./nodes.js";
 
 /**
  * Icons of the entries that exist only in the menu, by entry name.
@@ -9,6 +10,15 @@ const ICONS = {
   back: "M15 5l1.5 1.5L11 12l5.5 5.5L15 19l-7-7z",
   rate: "M12 5a9 9 0 0 0-9 9c0 1.8.5 3.5 1.5 5h15A9 9 0 0 0 12 5zm0 11a2 2 0 0 1-1-3.7l5-3.3-2.3 5.5A2 2 0 0 1 12 16z",
   quality: "M12 3l9 5-9 5-9-5zM5.5 11.5L12 15l6.5-3.5L21 13l-9 5-9-5z",
+  captions:
+    "M4 5h16a1 1 0 0 1 1 1v12a1 1 0 0 1-1 1H4a1 1 0 0 1-1-1V6a1 1 0 0 1 1-1zm6.5 5.5a3 3 0 1 0 0 3l-1.3-.8a1.5 1.5 0 1 1 0-1.4zm7 0a3 3 0 1 0 0 3l-1.3-.8a1.5 1.5 0 1 1 0-1.4z",
+  views: "M4 7h10a1 1 0 0 1 1 1v2.5l5-3v9l-5-3V16a1 1 0 0 1-1 1H4a1 1 0 0 1-1-1V8a1 1 0 0 1 1-1z",
+  mute: "M3 9v6h4l5 5V4L7 9zM14 7.5v9a5 5 0 0 0 0-9z",
+  loop: "M7 7h10v3l4-4-4-4v3H5v6h2zm10 10H7v-3l-4 4 4 4v-3h12v-6h-2z",
+  "side-by-side": "M3 6h8v12H3zm2 2v8h4V8zm8-2h8v12h-8zm2 2v8h4V8z",
+  fly: "M21 3L3 10.5l6.5 3L12.5 21zM9.6 11.6l6.2-3.4-5 5z",
+  pip: "M3 5h18v14H3zm2 2v10h14V7zm6 4h7v5h-7z",
+  save: "M11 4h2v8h3.5L12 17l-4.5-5H11zM4 18h16v2H4z",
   embed: "M9 7l-5 5 5 5-1.5 1.5L1 12l6.5-6.5zm6 0l5 5-5 5 1.5 1.5L23 12l-6.5-6.5z",
   gyroscope: "M7 2h10v20H7zm2 3v13h6V5zM2 9l3-3v2.5h1v1H5V12zm20 6l-3 3v-2.5h-1v-1h1V12z",
   interpolate: "M3 8h4v8H3zm7 0h1v8h-1zm3 0h1v8h-1zm4 0h4v8h-4z",
@@ -23,6 +33,8 @@ const ICONS = {
  * @typedef {object} Choice
  * @property {string} name
  * @property {string} label
+ * @property {boolean} [isInBar] whether it has a button in the bar while there is room
+ * @property {() => boolean} isThere whether this stream has it
  * @property {() => { value: number, label: string }[]} values
  * @property {() => number} now
  * @property {(value: number) => void} choose
@@ -30,17 +42,20 @@ const ICONS = {
 
 /**
  * The menu for everything that has no room in the bar, built as in
- * https://www.w3.org/WAI/ARIA/apg/patterns/menu-button/. A choice replaces the menu by a page of its own.
+ * https://www.w3.org/WAI/ARIA/apg/patterns/menu-button/. A choice replaces the menu by a page of its own,
+ * which its button in the bar opens as well.
  */
 export class Menu {
   /**
-   * @param {HTMLElement} button
+   * @param {import("./bar.js").Bar} bar
    * @param {Choice[]} choices
    * @param {Command[]} commands
    * @param {() => void} changed called when the menu was opened or closed
    */
-  constructor(button, choices, commands, changed) {
-    this.button = button;
+  constructor(bar, choices, commands, changed) {
+    this.bar = bar;
+    /** The button that has opened the menu, to which the focus returns. @type {HTMLElement} */
+    this.opener = bar.menuButton;
     this.choices = choices;
     this.commands = commands;
     this.changed = changed;
@@ -52,58 +67,59 @@ export class Menu {
     return !this.root.hidden;
   }
 
-  toggle() {
-    if (this.isOpen) this.close();
-    else this.open(0);
-  }
-
-  /** @param {number} at index of the entry that gets the focus; -1: the last one */
-  open(at) {
-    this.#showAll();
+  /**
+   * @param {HTMLElement} opener
+   * @param {number | Choice | null} at index of the entry that gets the focus (-1: the last one), or a choice
+   *   whose values to show; null closes an open menu, and opens it at the first entry
+   */
+  openFor(opener, at) {
+    const isSame = this.isOpen && opener === this.opener;
+    this.close(false);
+    if (isSame && typeof at !== "number") return opener.focus();
+    this.opener = opener;
+    if (at === null || typeof at === "number") this.#showAll();
     this.root.hidden = false;
-    this.button.setAttribute("aria-expanded", "true");
+    opener.setAttribute("aria-expanded", "true");
     this.changed();
-    this.#entries.at(at)?.focus();
+    if (at === null || typeof at === "number") this.#entries.at(at ?? 0)?.focus();
+    else this.#showChoice(at);
   }
 
-  /** @param {boolean} [toButton] whether the focus goes back to the menu's button */
-  close(toButton = true) {
+  /** @param {boolean} [toOpener] whether the focus goes back to the button that opened the menu */
+  close(toOpener = true) {
     if (!this.isOpen) return;
     this.root.hidden = true;
-    this.button.setAttribute("aria-expanded", "false");
-    if (toButton) this.button.focus();
+    this.opener.setAttribute("aria-expanded", "false");
+    if (toOpener) this.opener.focus();
     this.changed();
   }
 
-  /** The visible entries, in order. */
+  /** The entries, in order. */
   get #entries() {
-    const all = /** @type {HTMLElement[]} */ ([...this.root.querySelectorAll("button")]);
-    return all.filter((entry) => entry.checkVisibility());
+    return /** @type {HTMLElement[]} */ ([...this.root.querySelectorAll("button")]);
   }
 
   #showAll() {
-    const choices = this.choices.map((choice) => {
-      const { value, label } = this.#current(choice);
-      const entry = this.#entry(
-        { role: "menuitem", class: "narrow", "aria-haspopup": "menu", "data-name": choice.name },
-        [
-          drawn(ICONS[choice.name]),
-          node("span", {}, choice.label),
-          node("span", { class: "value" }, label),
-        ],
-        () => this.#showChoice(choice, value),
-      );
-      return entry;
-    });
+    const isMissing = (/** @type {string} */ name) => !this.bar.shows(name);
+    const choices = this.choices
+      .filter(({ name, isThere }) => isThere() && isMissing(name))
+      .map((choice) => {
+        const { name, label } = choice;
+        const value = node("span", { class: "value" }, valueOf(choice).label);
+        return this.#entry(
+          { role: "menuitem", "aria-haspopup": "menu", "data-name": name },
+          [drawn(ICONS[name]), node("span", {}, label), value],
+          () => this.#showChoice(choice),
+        );
+      });
     const commands = this.commands
-      .filter(({ place }) => place !== "bar")
-      .map(({ name, label, icon: iconName, key, place, run, isOn }) => {
+      .filter(({ name, isThere }) => (isThere?.() ?? true) && isMissing(name))
+      .map(({ name, label, icon: iconName, key, run, isOn }) => {
         const isOnNow = isOn?.();
         const attributes = {
           role: isOn ? "menuitemcheckbox" : "menuitem",
           "aria-checked": isOnNow === undefined ? null : String(isOnNow),
           "data-name": name,
-          class: place === "wide" ? "narrow" : null,
         };
         const cap = key && node("kbd", {}, key.toUpperCase());
         const shown = iconName ? icon(iconName) : drawn(ICONS[name]);
@@ -116,24 +132,17 @@ export class Menu {
   }
 
   /** @param {Choice} choice */
-  #current({ values, now }) {
-    const at = now();
-    return values().find(({ value }) => value === at) ?? { value: at, label: String(at) };
-  }
-
-  /**
-   * @param {Choice} choice
-   * @param {number} now
-   */
-  #showChoice({ name, label, values, choose }, now) {
+  #showChoice({ name, label, values, now, choose }) {
     const back = () => {
+      if (this.opener !== this.bar.menuButton) return this.close();
       this.#showAll();
       /** @type {HTMLElement | null} */ (this.root.querySelector(`[data-name="${name}"]`))?.focus();
     };
     const attributes = { role: "menuitem", class: "back", "aria-label": `Back from ${label}` };
     const header = this.#entry(attributes, [drawn(ICONS.back), node("span", {}, label)], back);
+    const at = now();
     const entries = values().map(({ value, label: text }) => {
-      const isNow = value === now;
+      const isNow = value === at;
       const radio = { role: "menuitemradio", "aria-checked": String(isNow) };
       return this.#entry(radio, [node("span", {}, text)], () => {
         choose(value);

@@ -1,3 +1,5 @@
+const SVG = "http://www.w3.org/2000/svg";
+
 /**
  * Makes an element. The player builds its DOM with such calls because a page's Trusted Types policy may
  * forbid `innerHTML`.
@@ -16,4 +18,22 @@ export function node(tag, attributes = {}, ...children) {
   }
   made.append(...children);
   return made;
+}
+
+/** An icon. @param {string} outline its path on a grid of 24 by 24 */
+export function drawn(outline) {
+  const svg = document.createElementNS(SVG, "svg");
+  svg.setAttribute("viewBox", "0 0 24 24");
+  svg.setAttribute("aria-hidden", "true");
+  const path = document.createElementNS(SVG, "path");
+  path.setAttribute("d", outline);
+  svg.append(path);
+  return svg;
+}
+
+/** Adds a style to the shadow tree of an element, once. @param {Node} place @param {CSSStyleSheet} sheet */
+export function addStyle(place, sheet) {
+  const root = place.getRootNode();
+  if (root instanceof ShadowRoot && !root.adoptedStyleSheets.includes(sheet))
+    root.adoptedStyleSheets.push(sheet);
 }

@@ -1,15 +1,17 @@
-import { icon } from "./icons.js";
-import { node } from "./nodes.js";
+import { drawn, node } from "./nodes.js";
+
+const PLAY = "M8 5v14l11-7z";
+const REPLAY = "M12 5V1L6 6l6 5V7a5.5 5.5 0 1 1-5.5 5.5h-2A7.5 7.5 0 1 0 12 5z";
 
 /**
  * State of the player, which decides what the overlay shows.
- * @typedef {"failed" | "loading" | "start" | "playing" | "waiting" | "paused" | "ended"} Condition
+ * @typedef {"empty" | "failed" | "still" | "loading" | "start" | "playing" | "waiting" | "paused" | "ended"} Condition
  */
 
 /** Everything over the picture except the bar: poster, spinner and the large button. */
 export class Overlay {
   /** @type {Condition} */
-  condition = "loading";
+  condition = "empty";
 
   /** @param {() => void} play */
   constructor(play) {
@@ -18,7 +20,7 @@ export class Overlay {
     this.poster.addEventListener("error", () => (this.poster.hidden = true));
     const ring = node("span", { class: "ring" });
     const label = node("span", { class: "label" }, "Loading");
-    this.spinner = node("div", { class: "spinner", role: "status" }, ring, label);
+    this.spinner = node("div", { class: "spinner", role: "status", hidden: true }, ring, label);
     this.large = node("button", { class: "large", hidden: true });
     this.large.addEventListener("click", play);
     this.parts = [this.poster, this.spinner, this.large];
@@ -42,17 +44,15 @@ export class Overlay {
   show(condition, isShown, isWaiting) {
     this.poster.classList.toggle("gone", isShown);
     const isLarge = condition === "start" || condition === "ended";
-    const spins = condition === "loading" || (condition !== "failed" && isWaiting && !isLarge);
+    const spins =
+      condition === "loading" || (!/empty|failed/.test(condition) && isWaiting && !isLarge);
     this.spinner.hidden = !spins;
     if (condition === this.condition) return;
     this.condition = condition;
     this.large.hidden = !isLarge;
     if (!isLarge) return;
-    const [name, label] =
-      condition === "start"
-        ? [/** @type {const} */ ("play"), "Play"]
-        : [/** @type {const} */ ("replay"), "Play again"];
-    this.large.replaceChildren(icon(name));
-    this.large.setAttribute("aria-label", label);
+    const isStart = condition === "start";
+    this.large.replaceChildren(drawn(isStart ? PLAY : REPLAY));
+    this.large.setAttribute("aria-label", isStart ? "Play" : "Play again");
   }
 }

@@ -1,10 +1,12 @@
-/** Style of the poster, messages and large button over the picture. Panels have their own style. */
+/** Style of the poster, messages and large button over the picture. */
 export const OVERLAY_STYLE = /* css */ `
+/* In a low player, the bar leaves the middle of what is above it. */
+.large, .spinner { --at: calc((100% - var(--under, 0px)) / 2); }
 .poster { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: contain; pointer-events: none; transition: opacity 0.3s; }
 .poster.gone { opacity: 0; }
 .large {
   --size: clamp(64px, 9cqmin, 120px);
-  position: absolute; left: 50%; top: 50%; translate: -50% -50%; padding: 0;
+  position: absolute; left: 50%; top: var(--at); translate: -50% -50%; padding: 0;
   width: var(--size); height: var(--size); border-radius: 50%; background: rgb(20 20 24 / 0.75);
 }
 .large:hover { background: rgb(60 60 68 / 0.9); }
@@ -12,7 +14,7 @@ export const OVERLAY_STYLE = /* css */ `
 /* The ring appears after a delay: a quick start shows none, and need not draw it beside the first picture. */
 .spinner {
   --after: 0.8s;
-  position: absolute; left: 50%; top: 50%; translate: -50% -50%; pointer-events: none; text-align: center;
+  position: absolute; left: 50%; top: var(--at); translate: -50% -50%; pointer-events: none; text-align: center;
   visibility: hidden; animation: appear 0s var(--after) forwards;
 }
 .ring {
@@ -24,25 +26,14 @@ export const OVERLAY_STYLE = /* css */ `
 @keyframes appear { to { visibility: visible; } }
 @keyframes turn { to { transform: rotate(1turn); } }
 .note.soft {
-  position: absolute; left: 50%; top: 12px; translate: -50% 0; max-width: min(80%, 40em);
+  position: absolute; inset-inline: 0; top: max(12px, env(safe-area-inset-top)); margin-inline: auto;
+  width: fit-content; max-width: min(80%, 40em); box-sizing: border-box;
   padding: 4px 12px; border-radius: 8px; background: var(--panel); text-align: center;
   overflow-wrap: anywhere; pointer-events: none;
 }
 .note.soft:empty { display: none; }
-.failure {
-  position: absolute; left: 50%; top: 50%; translate: -50% -50%; box-sizing: border-box;
-  width: min(88%, 34em); max-height: 92%; overflow: auto; padding: 1.4em;
-  border-radius: 12px; background: #1c1c20; text-align: center;
-}
-.failure p { margin: 0 0 1em; overflow-wrap: anywhere; }
-.failure .sentence { font-size: 1.25em; }
-.failure .retry { min-height: max(36px, var(--least)); padding: 0 1.4em; background: #e8e8ea; color: #111; font-weight: 600; }
-.failure .retry:hover { background: #fff; }
-.failure details { margin-top: 1em; color: #c4c4cc; text-align: left; }
-.failure summary { min-height: max(24px, var(--least)); line-height: max(24px, var(--least)); text-align: center; }
-.failure .note { margin: 0.6em 0 0; font-size: 0.92em; }
 @media (forced-colors: active) {
-  .failure, .note.soft, .large { border: 1px solid CanvasText; background: Canvas; }
+  .note.soft, .large { border: 1px solid CanvasText; background: Canvas; }
   .ring { border-color: GrayText; border-top-color: Highlight; forced-color-adjust: none; }
 }
 @media (prefers-reduced-motion: reduce) {

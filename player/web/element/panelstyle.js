@@ -39,6 +39,6 @@ kbd {
 .keylist .close { min-height: max(36px, var(--least)); padding: 0 1.4em; background: #e8e8ea; color: #111; font-weight: 600; }
 @media (forced-colors: active) {
   .menu, .keylist, .stats { border: 1px solid CanvasText; background: Canvas; }
-  :is(.stats, .menu span, .keylist *) { color: CanvasText; background-color: Canvas; }
+  :is(.stats, .menu span, .menu .value, .keylist *) { color: CanvasText; background-color: Canvas; }
 }
 `;

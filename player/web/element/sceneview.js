@@ -122,8 +122,8 @@ export class SceneView extends EventTarget {
     try {
       const { Smoothing } = await import("./smoothing.js");
       this.smoothing = new Smoothing(this);
-    } catch {
-      // Without smoothing, each frame stands still until the next one.
+    } catch (error) {
+      console.warn("swings: there is no motion between frames, its code is missing:", error);
     }
   }
 

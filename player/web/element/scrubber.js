@@ -1,3 +1,4 @@
+import { isBehind } from "../source/liveedge.js";
 import { node } from "./nodes.js";
 import { frameTimeText, positionText } from "./timetext.js";
 
@@ -29,7 +30,14 @@ export class Scrubber {
       { class: "preview", "aria-hidden": "true", hidden: true },
       this.hoverTime,
     );
-    const attributes = { class: "scrub", type: "range", min: "0", max: "0", step: "1", value: "0" };
+    const attributes = {
+      class: "scrub slider",
+      type: "range",
+      min: "0",
+      max: "0",
+      step: "1",
+      value: "0",
+    };
     this.input = node("input", { ...attributes, "aria-label": "Seek" });
     this.root = node("div", { class: "scrubber" }, this.preview, this.input);
     this.time = node("span", { class: "time" }, "0:00 / 0:00");
@@ -66,7 +74,7 @@ export class Scrubber {
     if (this.#request !== 0) return;
     this.#request = requestAnimationFrame(() => {
       this.#request = 0;
-      /** @type {{ scrub?: (frame: number) => void }} */ (player).scrub?.(Number(input.value));
+      player.scrub(Number(input.value));
     });
   }
 
@@ -102,8 +110,9 @@ export class Scrubber {
       let Storyboard;
       try {
         ({ Storyboard } = await import("./extras.js"));
-      } catch {
-        return; // only the time shows, as for a storyboard whose pictures do not load
+      } catch (error) {
+        console.warn("swings: the pictures over the scrub bar could not be loaded:", error);
+        return; // the time still shows
       }
       this.#storyboard ??= new Storyboard();
       preview.prepend(this.#storyboard.root);
@@ -124,11 +133,12 @@ export class Scrubber {
   /** @param {number} frame */
   #showTime(frame) {
     const { player, time, input } = this;
-    const { fps } = player.manifest ?? { fps: 30 };
-    const text = positionText(frame, player.numFrames, fps, player.live);
+    const { manifest, numFrames, live } = player;
+    const isAtEdge = live && !isBehind(manifest, numFrames, frame);
+    const text = isAtEdge ? "" : positionText(frame, numFrames, manifest?.fps ?? 30, live);
     if (time.textContent === text) return; // setting the same text again would cost a layout
     time.textContent = text;
-    input.setAttribute("aria-valuetext", text);
+    input.setAttribute("aria-valuetext", text || "Live");
   }
 
   /** Colours the track: the part before the thumb, the loaded ranges, and the rest. */
@@ -138,11 +148,9 @@ export class Scrubber {
     const share = (/** @type {number} */ frame) =>
       `${((100 * Math.max(0, Math.min(frame, numFrames - 1))) / Math.max(1, numFrames - 1)).toFixed(2)}%`;
     const frame = Number(input.value);
-    /** @type {[number, number][]} */
-    const ranges = /** @type {any} */ (state).bufferedRanges ?? [[frame, state.endFrame]];
     const stops = [`var(--played) ${share(frame)}`];
     let at = frame;
-    for (const [first, end] of ranges) {
+    for (const [first, end] of state.bufferedRanges) {
       if (end - 1 <= at) continue;
       const begin = Math.max(first, at);
       stops.push(`var(--rest) ${share(at)} ${share(begin)}`);

@@ -1,3 +1,5 @@
+import { node } from "./nodes.js";
+
 /** Permissions of an embedding frame: sound, full screen, headsets, copying, sharing, phone orientation. */
 const ALLOW =
   "autoplay; fullscreen; xr-spatial-tracking; clipboard-write; web-share; gyroscope; accelerometer";
@@ -64,6 +66,29 @@ export class Sharing {
     await this.#copy(code, "Embed code copied");
   }
 
+  /** Saves the picture that shows, as the viewer sees it, without the controls. */
+  async savePicture() {
+    const { element } = this;
+    const { player } = element;
+    if (!player?.manifest || player.shownFrame < 0) return;
+    const title = player.manifest.title || "picture";
+    const name = `${title.replace(/[^\p{L}\p{N}._-]+/gu, "-")}-${player.shownFrame}.png`;
+    const blob = await new Promise((done) => player.canvas.toBlob(done, "image/png"));
+    if (!(blob instanceof Blob)) return this.hint("This picture could not be saved");
+    const url = URL.createObjectURL(blob);
+    node("a", { href: url, download: name }).click();
+    URL.revokeObjectURL(url);
+  }
+
+  async openPictureInPicture() {
+    try {
+      await this.element.requestPictureInPicture();
+    } catch (error) {
+      console.warn("swings: no picture in picture:", error);
+      this.hint("This browser does not open a picture in picture now");
+    }
+  }
+
   /**
    * @param {string} text
    * @param {string} done
@@ -72,8 +97,9 @@ export class Sharing {
     try {
       await navigator.clipboard.writeText(text);
       this.hint(done);
-    } catch {
-      this.hint(text, 10_000); // the browser forbids copying; the user can copy the shown text by hand
+    } catch (error) {
+      console.info("swings: the browser does not let the page copy:", error);
+      this.hint(text, 10_000); // the user can copy the shown text by hand
     }
   }
 }

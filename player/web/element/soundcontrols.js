@@ -1,5 +1,4 @@
-import { drawn } from "./icons.js";
-import { node } from "./nodes.js";
+import { drawn, node } from "./nodes.js";
 
 const SPEAKER = "M3 9v6h4l5 5V4L7 9z";
 const ICONS = {
@@ -8,7 +7,7 @@ const ICONS = {
 };
 
 export const SOUND_STYLE = /* css */ `
-.volume { width: clamp(64px, 6cqw, 140px); height: var(--button); margin: 0; accent-color: var(--accent); cursor: pointer; }
+.row .volume { width: clamp(64px, 6cqw, 140px); height: var(--button); }
 .unmute {
   position: absolute; right: 12px; top: 12px; min-height: max(36px, var(--least)); padding: 0 1em;
   background: #e8e8ea; color: #111; font-weight: 600; --icon: 1.5em;
@@ -28,7 +27,7 @@ export class SoundControls {
     this.mute = node("button", { class: "mute" });
     this.mute.addEventListener("click", () => this.toggle());
     const range = { type: "range", min: "0", max: "1", step: "0.05", "aria-label": "Volume" };
-    this.volume = node("input", { class: "volume wide", ...range });
+    this.volume = node("input", { class: "volume slider", ...range });
     this.volume.addEventListener("input", () => {
       element.volume = this.volume.valueAsNumber;
       element.muted = false;
@@ -64,7 +63,11 @@ export class SoundControls {
     mute.hidden = volume.hidden = !isThere;
     unmute.hidden = !isThere || !this.isBlocked;
     const label = isSilent ? "Unmute" : "Mute";
-    volume.value = String(element.muted ? 0 : element.volume);
+    const heard = element.muted ? 0 : element.volume;
+    volume.value = String(heard);
+    const end = `${100 * heard}%`;
+    const track = `linear-gradient(to right, var(--played) ${end}, var(--rest) ${end})`;
+    volume.style.setProperty("--track", track);
     if (mute.getAttribute("aria-label") === label) return;
     mute.replaceChildren(drawn(isSilent ? ICONS.silent : ICONS.heard));
     mute.setAttribute("aria-label", label);

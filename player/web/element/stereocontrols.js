@@ -1,6 +1,8 @@
 /** The commands for side-by-side pictures and VR. */
 export class StereoControls {
   #isStarting = false;
+  /** Whether there is a headset that this page may use. */
+  isThere = false;
 
   /**
    * @param {import("./webplayer.js").WebPlayer} player
@@ -27,10 +29,13 @@ export class StereoControls {
    */
   watch(report, signal) {
     const look = async () => {
-      const isThere = await hasHeadset();
-      report(isThere);
+      this.isThere = await hasHeadset();
+      report(this.isThere);
+      if (!this.isThere) return;
       // A session has to begin within the click that requests it, so the code is loaded in advance.
-      if (isThere) await import("./extras.js");
+      await import("./extras.js").catch((error) =>
+        console.warn("swings: the code for headsets could not be loaded:", error),
+      );
     };
     navigator.xr?.addEventListener("devicechange", look, { signal });
     look();
@@ -64,7 +69,9 @@ export class StereoControls {
 async function hasHeadset() {
   try {
     return (await navigator.xr?.isSessionSupported("immersive-vr")) ?? false;
-  } catch {
-    return false; // in a frame whose page does not allow WebXR
+  } catch (error) {
+    // A frame whose page does not allow WebXR is no failure.
+    console.info("swings: this page may not use a headset:", error);
+    return false;
   }
 }

@@ -32,11 +32,12 @@ export class Storyboard {
     if (!manifest?.storyboard || live) return;
     if (this.layout === null) {
       const layout = (this.layout = storyboardLayout(numFrames, manifest.fps));
-      pictureUrl(base, manifest.storyboard, files)
-        .catch(() => null)
-        .then((url) => {
+      pictureUrl(base, manifest.storyboard, files).then(
+        (url) => {
           if (url !== null && this.layout === layout) this.image.src = url;
-        });
+        },
+        (error) => console.warn("swings: the pictures over the scrub bar are missing:", error),
+      );
     }
     this.#show();
   }

@@ -123,6 +123,11 @@ export class StreamSession extends EventTarget {
     this.workers?.post({ kind: "scrub", frame });
   }
 
+  /** Whether the stream is one picture, without time. */
+  get isStill() {
+    return this.manifest !== null && !this.live && this.numFrames === 1;
+  }
+
   /** Seeks forward to the edge of a live stream. */
   seekEdge() {
     const edge = edgeFrame(this.manifest, this.numFrames);

@@ -1,24 +1,13 @@
 import { PLAYER_VERSION } from "../constants.js";
 import { pictureUrl } from "../source/pictures.js";
-import { Bar } from "./bar.js";
-import { BarVisibility } from "./barvisibility.js";
-import { CameraControls } from "./cameracontrols.js";
-import { choicesOf } from "./choices.js";
-import { commandsOf } from "./commands.js";
-import { Failure } from "./failure.js";
-import { FullScreen } from "./fullscreen.js";
 import { hasGyroscope } from "./gyroscope.js";
 import { Hints } from "./hints.js";
-import { keysOf, listenToKeys } from "./keys.js";
 import { LazyPart } from "./lazypart.js";
-import { LiveBadge } from "./livebadge.js";
 import { MediaInterface } from "./mediainterface.js";
 import { prefersStill } from "./motion.js";
 import { node } from "./nodes.js";
 import { Overlay } from "./overlay.js";
 import { NETWORK } from "./readiness.js";
-import { Scrubber } from "./scrubber.js";
-import { StereoControls } from "./stereocontrols.js";
 import { STYLE } from "./style.js";
 import { WebPlayer } from "./webplayer.js";
 
@@ -29,7 +18,7 @@ const LONG_MS = 10_000;
  *
  * Attributes: `src`, `autoplay`, `loop`, `preload`, `start` (seconds), `view` (as in a share link),
  * `poster`, `muted`, `interpolate`, `link` (the page that share links open), `max-gaussians`,
- * `other-hosts`, `buffer-mb`. docs/EMBED.md describes them all, and the scripting interface.
+ * `other-hosts`, `buffer-mb`, `gestures`. docs/EMBED.md describes them all, and the scripting interface.
  */
 export class SwingsPlayerElement extends MediaInterface {
   /** Version of the player. */
@@ -44,16 +33,8 @@ export class SwingsPlayerElement extends MediaInterface {
   });
   #overlay = new Overlay(() => this.play());
   #hints = new Hints();
-  #failure = new Failure(() => this.retry());
-  #sharing = new LazyPart(
-    async () => {
-      const { Sharing } = await import("./extras.js");
-      return new Sharing(this, (message, forMs) => this.#hints.say(message, forMs));
-    },
-    () => this.#notLoaded(),
-  );
-  /** Everything that is shown only while the player works. */
-  #controls = node("div", { class: "controls" });
+  /** Holds what is shown only while the player works. */
+  #place = node("div", { class: "controls" });
   #frame = node(
     "div",
     { class: "frame" },
@@ -61,13 +42,12 @@ export class SwingsPlayerElement extends MediaInterface {
     node("div", {}, this.#canvas),
     ...this.#overlay.parts,
     this.#hints.root,
-    this.#controls,
-    this.#failure.root,
+    this.#place,
   );
-  /** @type {ReturnType<SwingsPlayerElement["build"]> | null} */
-  #parts = null;
-  /** @type {CameraControls | null} */
-  #camera = null;
+  /** @type {LazyPart<import("./controls.js").Controls> | null} null while the element is in no page */
+  #controls = null;
+  /** @type {LazyPart<import("./tracks.js").Tracks> | null} */
+  #tracks = null;
   #stopListening = () => {};
   #isLooping = false;
   /** Whether there was no play or seek yet. */
@@ -84,21 +64,23 @@ export class SwingsPlayerElement extends MediaInterface {
   }
 
   connectedCallback() {
-    this.player = new WebPlayer(this.#canvas);
+    const player = new WebPlayer(this.#canvas);
+    this.player = player;
     const listening = new AbortController();
-    this.#listen(this.player, listening.signal);
     this.#stopListening = () => listening.abort();
-    this.#showMotion(this.player);
+    this.#loadParts(player, listening.signal);
+    this.#listen(player, listening.signal);
+    this.#showMotion(player);
     this.load();
+    // Only now: the first requests of the stream go ahead of it.
+    this.#controls?.use();
   }
 
   disconnectedCallback() {
     this.#stopListening();
-    this.#parts?.fullScreen.leave();
-    this.#parts?.panels.part?.statistics.close();
-    this.#parts?.scrubber.close();
-    this.#parts = null;
-    this.#controls.replaceChildren();
+    this.#controls = null;
+    this.#tracks = null;
+    this.#place.replaceChildren();
     this.leave();
   }
 
@@ -122,7 +104,7 @@ export class SwingsPlayerElement extends MediaInterface {
     if (player === null) return;
     player.close();
     this.#isFresh = true;
-    this.#failure.clear();
+    this.#controls?.part?.failure.clear();
     this.#hints.clear();
     this.#overlay.setPoster(this.getAttribute("poster"));
     this.#show(player);
@@ -144,60 +126,45 @@ export class SwingsPlayerElement extends MediaInterface {
   }
 
   /**
-   * Builds the controls of `player`.
    * @param {WebPlayer} player
-   * @param {AbortSignal} signal ends their listening
+   * @param {AbortSignal} signal
    */
-  build(player, signal) {
-    const hints = this.#hints;
-    const onStopped = (/** @type {boolean} */ hasStopped) => {
-      const isSaid = hasStopped && this.error === null;
-      hints.hold("stopped", isSaid ? "The stream has stopped; it may go on" : "");
-      visibility.wake();
-      this.#show(player);
-    };
-    const stereo = new StereoControls(player, (message) => hints.say(message, LONG_MS));
-    const notLoaded = () => this.#notLoaded();
-    const panels = new LazyPart(async () => {
-      const { Panels } = await import("./extras.js");
-      const wake = () => visibility.wake();
-      const made = new Panels(player, bar.menuButton, choices, commands, actions, wake);
-      if (!signal.aborted) made.addTo(this.#controls);
-      return made;
-    }, notLoaded);
-    const tracks = new LazyPart(async () => {
-      const { Tracks } = await import("./tracks.js");
-      return new Tracks(this, player, this.#controls, actions, hints, panels, signal);
-    }, notLoaded);
-    const scrubber = new Scrubber(player, signal);
-    const live = new LiveBadge(player, onStopped, signal);
-    const commands = commandsOf(this, stereo, this.#sharing, panels);
-    for (const command of commands) {
-      const { run } = command;
-      command.run = () => {
-        run();
-        bar.showToggles();
-      };
-    }
-    const choices = choicesOf(this);
-    const openMenu = (/** @type {number | null} */ at) =>
-      panels.use(({ menu }) => (at === null ? menu.toggle() : menu.open(at)));
-    const bar = new Bar(
-      { scrubber, badge: live.root, openMenu },
-      choices,
-      commands,
-      () => this.togglePlaying(),
-      () => this.toggleFullScreen(),
+  #loadParts(player, signal) {
+    const [canvas, frame, place, hints] = [this.#canvas, this.#frame, this.#place, this.#hints];
+    const changed = () => this.#show(player);
+    const controls = new LazyPart(
+      async () => {
+        const { Controls } = await import("./controls.js");
+        if (signal.aborted) return null;
+        return new Controls(
+          { element: this, player, canvas, frame, place, hints, changed },
+          signal,
+        );
+      },
+      (error) => {
+        console.warn(
+          "swings: the controls could not be loaded; their next use tries again:",
+          error,
+        );
+        const { message } = this.error ?? {};
+        const text = "The controls could not be loaded; check the network and tap to try again";
+        hints.say(message ?? text, LONG_MS);
+      },
     );
-    live.root.addEventListener("click", () => this.goLive());
-    const plays = () => !this.paused && !live.hasStopped;
-    const isInUse = () => panels.part?.isInUse || scrubber.isScrubbing;
-    const visibility = new BarVisibility(this.#frame, this.#canvas, plays, isInUse);
-    const fullScreen = new FullScreen(this, () => this.#fullScreenChanged(), signal);
-    const actions = keysOf(this, player, commands);
-    stereo.watch((isThere) => (bar.headset.hidden = !isThere), signal);
-    this.#controls.replaceChildren(bar.root);
-    return { scrubber, bar, panels, tracks, visibility, fullScreen, actions, live };
+    this.#controls = controls;
+    this.#tracks = new LazyPart(
+      async () => {
+        const { Tracks } = await import("./tracks.js");
+        if (signal.aborted) return null;
+        const tracks = new Tracks(this, player, place, hints, signal);
+        controls.use((part) => tracks.addTo(part));
+        return tracks;
+      },
+      (error) => {
+        console.warn("swings: the code for sound and captions could not be loaded:", error);
+        hints.say("Sound and captions could not be loaded; check the network", LONG_MS);
+      },
+    );
   }
 
   /**
@@ -205,21 +172,16 @@ export class SwingsPlayerElement extends MediaInterface {
    * @param {AbortSignal} signal
    */
   #listen(player, signal) {
-    const parts = this.build(player, signal);
-    this.#parts = parts;
-    const { bar, panels, visibility } = parts;
-    const hints = this.#hints;
     const of = (/** @type {string} */ type, /** @type {(event: Event) => void} */ action) =>
       player.addEventListener(type, action, { signal });
     of("opened", () => this.#opened(player));
     of("state", () => this.#show(player));
     of("shown", () => this.#show(player));
     of("failed", (event) => this.fail(detailOf(event)));
-    of("trouble", (event) => hints.hold("trouble", detailOf(event)));
-    of("headset", () => bar.showToggles());
+    of("trouble", (event) => this.#hints.hold("trouble", detailOf(event)));
     of("select", () => this.togglePlaying());
     this.follow(player, signal);
-    const on = (/** @type {string} */ type, /** @type {(event: Event) => void} */ action) =>
+    const on = (/** @type {string} */ type, /** @type {(event: any) => void} */ action) =>
       this.addEventListener(type, action, { signal });
     for (const type of ["play", "pause", "ended", "suspend"]) on(type, () => this.#show(player));
     on("play", () => (this.#isFresh = false));
@@ -227,23 +189,12 @@ export class SwingsPlayerElement extends MediaInterface {
       if (player.shownFrame >= 0) this.#isFresh = false; // the seek to a link's start time does not count
     });
     on("loadedmetadata", () => (this.#isFresh = this.paused));
-    for (const type of ["ratechange", "layerschange"]) on(type, () => bar.showChoices());
-    on("pointerdown", (event) => {
-      this.#frame.classList.remove("tabbed");
-      const menu = panels.part?.menu;
-      if (!menu?.isOpen) return;
-      const path = event.composedPath();
-      if (!path.includes(menu.root) && !path.includes(menu.button)) menu.close(false);
+    // Keys that are pressed before the controls are there wait for them.
+    on("keydown", (/** @type {KeyboardEvent} */ event) => {
+      const [target] = event.composedPath();
+      this.#controls?.use((controls) => controls.press(event, target));
     });
-    // The focus ring shows after Tab, but not after any other key.
-    on("keyup", (event) => {
-      if (/** @type {KeyboardEvent} */ (event).key === "Tab") this.#frame.classList.add("tabbed");
-    });
-    on("gesturehint", (event) => hints.say(detailOf(event)));
-    visibility.listen(this, () => this.toggleFullScreen(), signal);
-    listenToKeys(this, parts.actions, () => parts.fullScreen.leave(), signal);
-    this.#camera = new CameraControls(this, this.#canvas, player, signal);
-    this.#camera.gyroscope.addEventListener("change", () => bar.showToggles(), { signal });
+    on("pointerdown", () => this.#controls?.use());
   }
 
   /** @param {WebPlayer} player */
@@ -252,8 +203,8 @@ export class SwingsPlayerElement extends MediaInterface {
     if (!this.#overlay.hasPoster && manifest.poster) {
       this.#showPoster(player, manifest.poster);
     }
-    this.#parts?.bar.showChoices();
-    const tracks = this.#parts?.tracks;
+    this.#controls?.part?.opened();
+    const tracks = this.#tracks;
     if (manifest.sound || manifest.captions || tracks?.part) tracks?.use((part) => part.open());
     // With reduced motion, the viewer starts playback and every round of the loop.
     this.#setLoop(this.loop && !prefersStill());
@@ -264,9 +215,12 @@ export class SwingsPlayerElement extends MediaInterface {
    * @param {string} path
    */
   async #showPoster(player, path) {
-    const url = await pictureUrl(player.base, path, player.files).catch(() => null);
-    if (url !== null && player === this.player && !this.#overlay.hasPoster)
-      this.#overlay.setPoster(url);
+    try {
+      const url = await pictureUrl(player.base, path, player.files);
+      if (player === this.player && !this.#overlay.hasPoster) this.#overlay.setPoster(url);
+    } catch (error) {
+      console.warn("swings: the poster could not be loaded:", error);
+    }
   }
 
   /**
@@ -275,8 +229,10 @@ export class SwingsPlayerElement extends MediaInterface {
    */
   #conditionOf(player) {
     if (this.error !== null) return "failed";
+    if (this.networkState === NETWORK.EMPTY) return "empty";
     // With `preload`, it may be that nothing is fetched before playback is started.
     if (player.shownFrame < 0) return this.networkState === NETWORK.IDLE ? "start" : "loading";
+    if (player.isStill) return "still";
     if (this.ended) return "ended";
     if (this.paused) return this.#isFresh ? "start" : "paused";
     return player.state.waiting ? "waiting" : "playing";
@@ -285,11 +241,11 @@ export class SwingsPlayerElement extends MediaInterface {
   /** @param {WebPlayer} player */
   #show(player) {
     const condition = this.#conditionOf(player);
-    const isWaiting = player.state.waiting && !this.#parts?.live.hasStopped;
+    const controls = this.#controls?.part;
+    const isWaiting = player.state.waiting && !controls?.live.hasStopped;
     this.#overlay.show(condition, player.shownFrame >= 0, isWaiting);
     if (this.#frame.dataset.condition !== condition) this.#frame.dataset.condition = condition;
-    this.#parts?.bar.showPlaying(!this.paused);
-    this.#parts?.scrubber.show();
+    controls?.show();
   }
 
   togglePlaying() {
@@ -316,6 +272,12 @@ export class SwingsPlayerElement extends MediaInterface {
     player.seekEdge();
   }
 
+  toggleFlying() {
+    const { player } = this;
+    player?.motion?.fly(!player.motion.isFlying);
+    player?.moved();
+  }
+
   resetView() {
     this.player?.motion?.reset();
     this.player?.moved();
@@ -328,6 +290,9 @@ export class SwingsPlayerElement extends MediaInterface {
 
   /** Flies to a camera of the rig. @param {number} index into `cameras` */
   flyToCamera(index) {
+    if (!Number.isInteger(index)) {
+      throw new RangeError(`flyToCamera: ${index} is not the index of a camera`);
+    }
     this.player?.flyToCamera(index);
   }
 
@@ -338,7 +303,7 @@ export class SwingsPlayerElement extends MediaInterface {
 
   /** Whether the device's gyroscope turns the camera. */
   get isGyroscopeOn() {
-    return this.#camera?.gyroscope.isOn ?? false;
+    return this.#controls?.part?.camera.gyroscope.isOn ?? false;
   }
 
   /**
@@ -346,28 +311,21 @@ export class SwingsPlayerElement extends MediaInterface {
    * @returns {Promise<boolean>} whether it is on
    */
   async toggleGyroscope() {
-    return (await this.#camera?.gyroscope.toggle()) ?? false;
+    await this.#controls?.use(({ camera }) => camera.gyroscope.toggle());
+    return this.isGyroscopeOn;
   }
 
   toggleFullScreen() {
-    this.#parts?.fullScreen.toggle();
-  }
-
-  #fullScreenChanged() {
-    this.#parts?.bar.showFull(this.#parts.fullScreen.isOn);
+    this.#controls?.use(({ fullScreen }) => fullScreen.toggle());
   }
 
   /** Copies a link that opens the page at the current time and view. */
-  copyLink() {
-    return this.#sharing.use((sharing) => sharing.copyLink());
-  }
-
-  #notLoaded() {
-    this.#hints.say("This could not be loaded; check the network and try again", LONG_MS);
+  async copyLink() {
+    await this.#controls?.use(({ sharing }) => sharing.use((part) => part.copyLink()));
   }
 
   toggleStats() {
-    this.#parts?.panels.use(({ statistics }) => statistics.toggle());
+    this.#controls?.use(({ panels }) => panels.use(({ statistics }) => statistics.toggle()));
   }
 
   /** Opens the stream again after a failure, at the time, rate and view it had. */
@@ -383,16 +341,18 @@ export class SwingsPlayerElement extends MediaInterface {
   #setLoop(loop) {
     this.#isLooping = loop;
     this.player?.setLoop(loop);
-    this.#parts?.bar.showToggles();
+    this.#controls?.part?.bar.showToggles();
   }
 
   /** @override @param {string} message */
   fail(message) {
-    this.#failure.show(message, this.player !== null);
     this.#hints.clear();
     super.fail(message);
     this.#overlay.show("failed", this.#overlay.condition !== "loading", false);
     this.#frame.dataset.condition = "failed";
+    this.#controls?.use(({ failure }) => {
+      if (this.error !== null) failure.show(this.error.message);
+    });
   }
 }
 

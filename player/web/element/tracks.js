@@ -4,6 +4,7 @@
  */
 
 import { CAPTIONS_STYLE, CaptionsControls } from "./captionscontrols.js";
+import { addStyle } from "./nodes.js";
 import { SoundPlay } from "../sound/soundplay.js";
 import { SOUND_STYLE, SoundControls } from "./soundcontrols.js";
 
@@ -21,13 +22,11 @@ export class Tracks {
   /**
    * @param {import("./swingsplayer.js").SwingsPlayerElement} element
    * @param {import("./webplayer.js").WebPlayer} player
-   * @param {HTMLElement} place the element that holds the controls and the bar
-   * @param {import("./keys.js").KeyAction[]} actions
+   * @param {HTMLElement} place the element that holds the controls
    * @param {import("./hints.js").Hints} hints
-   * @param {import("./lazypart.js").LazyPart<import("./panels.js").Panels>} panels with the key list, once loaded
    * @param {AbortSignal} signal ends sound, captions and listening
    */
-  constructor(element, player, place, actions, hints, panels, signal) {
+  constructor(element, player, place, hints, signal) {
     this.element = element;
     this.player = player;
     this.hints = hints;
@@ -36,27 +35,28 @@ export class Tracks {
     this.controls = controls;
     controls.unblock = () => this.sound?.unblock();
     this.captions = new CaptionsControls(player, (message) => this.#say(message), signal);
-    if (signal.aborted) return; // `place` holds the controls of the next player by now
-    const root = place.getRootNode();
-    if (root instanceof ShadowRoot && !root.adoptedStyleSheets.includes(SHEET))
-      root.adoptedStyleSheets.push(SHEET);
-    place.querySelector(".play")?.after(controls.mute, controls.volume);
-    place.querySelector(".space")?.after(this.captions.button);
+    addStyle(place, SHEET);
     place.prepend(this.captions.text);
     place.append(controls.unmute);
-    actions.push({
-      keys: ["m"],
-      label: "Mute or unmute",
-      run: () => this.sound && controls.toggle(),
-    });
-    actions.push({ keys: ["shift+c"], label: "Captions", run: () => this.captions.next() });
-    panels.part?.keyList.fill(actions);
     element.addEventListener("volumechange", () => this.#show(), { signal });
     element.addEventListener("emptied", () => this.open(), { signal });
     // Safari lets sound begin only during a user gesture.
     const press = () => !element.muted && this.sound?.unblock();
     for (const type of ["click", "keydown"]) element.addEventListener(type, press, { signal });
     signal.addEventListener("abort", () => this.#close());
+  }
+
+  /** Adds what belongs in the bar, the menu and the list of keys. @param {import("./controls.js").Controls} to */
+  addTo({ bar, choices, commands, actions }) {
+    const { controls, captions } = this;
+    bar.playButton.after(controls.mute, controls.volume);
+    bar.row.querySelector(".space")?.after(captions.button);
+    choices.push(captions.choice);
+    const mute = { name: "mute", label: "Mute", key: "m", run: () => controls.toggle() };
+    const isOn = () => controls.isSilent;
+    commands.unshift({ ...mute, isOn, isThere: () => this.sound !== null });
+    actions.push({ keys: ["m"], label: "Mute or unmute", run: () => this.sound && mute.run() });
+    actions.push({ keys: ["c"], label: "Captions", run: () => captions.next() });
   }
 
   /** @param {string} message */

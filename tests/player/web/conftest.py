@@ -11,7 +11,12 @@ from tests.support.web.chromium import Page, running_chromium, why_not
 from tests.support.web.nodeprocess import NODE
 from tests.support.web.site import Site, player_host, write_streams
 
-ENDS_OF_HOSTS = "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE"
+ENDS_OF_HOSTS = (
+    "ERR_CONNECTION_REFUSED",
+    "ERR_CONNECTION_RESET",
+    "ERR_EMPTY_RESPONSE",
+    "there is no motion between frames, its code is missing",
+)
 """Complaints about a test's own host, which may end before its page does."""
 
 NO_GESTURE = "AudioContext was not allowed to start"

@@ -74,7 +74,7 @@ def test_links_and_embed_code_lead_to_the_page_beside_it(page: Page, site: Site)
     """The frame has the permissions of the server's page and docs/EMBED.md."""
     mine = '<script type="module" src="player/player.js"></script><swings-player src="clip">'
     page.open(site.write_page("mine.html", mine), 640, 480)
-    page.wait("player.shownFrame >= 0")
+    page.wait("player.shownFrame >= 0 && part('.bar')")
     check_link(page, f"{site.url}/player/watch.html")
     page.run("part('.more').click()")
     page.wait("part('[data-name=embed]')")

@@ -14,6 +14,7 @@ from codec.tools.static import export_static
 from codec.tools.streamcaptions import add_captions
 from tests.codec.tools.test_streamsound import VTT
 from tests.support.hosted_streams import write_stream
+from tests.support.sounding import add_clicks
 from tests.support.web.chromium import Page
 from tests.support.web.site import player_host, watch
 
@@ -25,6 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("captions")
     stream = write_stream(folder / "trained", 90)
     export_static(stream, folder / "bare")
+    add_clicks(stream, (0, 45))
     (folder / "in.vtt").write_text(VTT)
     (folder / "de.vtt").write_text(VTT.replace("Two", "Zwei"))
     add_captions(stream, folder / "in.vtt", Captions("en", "English"))
@@ -52,14 +54,14 @@ def test_they_show_in_the_language_that_a_viewer_chooses(page: Page, url: str) -
     assert page.value("part('.cc').getAttribute('aria-label')") == "Captions: English"
     assert page.axe("swings-player") == []
     page.run("element.focus()")
-    page.press("Shift+C")
+    page.press("c")
     page.wait(f"{SHOWN} === '- Zwei\\n- lines'")
     assert page.value("part('.captions').lang") == "de"
     page.run("element.currentTime = 0.75")
     page.wait(f"{SHOWN} === 'Good day & night\\n- Zwei\\n- lines'")
     page.run("element.currentTime = 2.5")
     page.wait(f"{SHOWN} === ''")
-    page.press("Shift+C")
+    page.press("c")
     page.wait("part('.cc').getAttribute('aria-pressed') === 'false'")
     page.run("element.currentTime = 0.75")
     page.wait("!element.seeking && player.shownFrame === 23")
@@ -78,7 +80,7 @@ def test_the_language_stays_for_the_next_stream_and_one_without_has_no_button(
     assert page.value(SHOWN) == "", "nothing of a stream that is closed"
     assert page.value("part('.cc').checkVisibility()") is False
     page.run("element.src = '../bare'")
-    page.wait("player.manifest && player.shownFrame >= 0")
+    page.wait("player.manifest && player.shownFrame >= 0 && part('.bar')")
     page.wait("!part('.cc').checkVisibility()")
     assert page.value(SHOWN) == ""
     page.run("element.src = '../static'")
@@ -111,3 +113,54 @@ def test_what_cannot_be_read_is_one_sentence(page: Page, url: str, folder: Path)
     opened(page, url, "wrong")
     page.wait(f"{note}.startsWith('The captions of this stream cannot be shown: ')")
     assert page.value("element.error") is None
+
+
+def test_a_long_caption_uses_the_width(page: Page, url: str) -> None:
+    opened(page, url, "static&t=1.5")
+    page.wait("part('.captions')")
+    page.run("part('.captions').textContent = 'all the words of it '.repeat(30)")
+    assert page.value("part('.captions').offsetWidth") == pytest.approx(0.86 * 640, abs=1)
+
+
+ROW = """
+for (let i = 0; i < 2; i++) await new Promise(requestAnimationFrame);
+const row = part(".row");
+const seen = [...row.children].filter((one) => one.checkVisibility() && one.className !== "space");
+const boxes = seen.map((one) => one.getBoundingClientRect());
+const middles = boxes.map(({ top, bottom }) => Math.round(top + bottom) / 2);
+return {
+  fits: row.scrollWidth <= row.clientWidth && new Set(middles).size === 1,
+  order: boxes.every(({ left }, n) => n === 0 || left >= boxes[n - 1].right),
+  names: seen.map((one) => one.classList[0]),
+};
+"""
+"""What a row of buttons shows, and whether it is one row."""
+
+
+@pytest.mark.parametrize("touch", [False, True])
+def test_the_bar_is_one_row_at_any_width(page: Page, url: str, touch: bool) -> None:
+    """With sound, captions and the LIVE badge; what has no room is in the menu."""
+    address = f"{url}/player/watch.html?src=../static&autoplay=0&t=1.5"
+    page.open(address, 900, 405, touch, options={"isMobile": touch})
+    page.wait("part('.cc').checkVisibility() && part('.mute').checkVisibility()")
+    page.run("player.live = true; player.dispatch('state')")
+    found = {}
+    for width_px in range(900, 300, -20):
+        page.resize(width_px, 405)
+        found[width_px] = page.run(ROW)
+    assert [width for width, row in found.items() if not (row["fits"] and row["order"])] == []
+    assert {"volume", "mute", "cc", "share", "reset", "rate"} <= {*found[900]["names"]}
+    least = {"play", "badge", "share", "more", "full"}
+    assert [(w, r["names"]) for w, r in found.items() if not least <= {*r["names"]}] == []
+    page.run("part('.more').click()")
+    page.wait("part('[data-name=rate]')")
+    in_menu = page.value(
+        "[...element.shadowRoot.querySelectorAll('.menu button')].map((one) => one.dataset.name)"
+    )
+    assert {"rate", "reset", "captions"} <= {*in_menu}
+    assert {*in_menu} & {*found[320]["names"]} == set()
+    page.resize(304, 171)
+    page.wait("part('.large').checkVisibility()")
+    boxes = [page.value(f"part('{name}').getBoundingClientRect()") for name in (".large", ".bar")]
+    assert boxes[0]["top"] >= 0
+    assert boxes[0]["bottom"] <= boxes[1]["top"]

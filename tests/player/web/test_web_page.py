@@ -13,6 +13,7 @@ from PIL import Image
 from codec.files import write_atomic
 from codec.stream import StreamReader
 from codec.tools.static import export_static
+from scripts import webbundle
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.web import nodeprocess
 from tests.support.web.chromium import Page
@@ -65,6 +66,23 @@ def test_a_poster_shows_until_the_first_frame_and_may_be_missing(
         assert page.value("part('.poster').naturalWidth") == 64
         watch(page, f"{address}/bare")
         page.wait("part('.poster').hidden")
+
+
+def test_without_the_code_of_its_controls_a_player_plays(
+    page: Page, site: Site, tmp_path: Path
+) -> None:
+    """A key tries again to load it, and is not lost."""
+    page.expect("404", "controls could not be loaded")
+    shutil.copytree(webbundle.WEB / "bundle", tmp_path / "player")
+    (tmp_path / "long").symlink_to(site.folder / "long")
+    controls = (tmp_path / "player" / "controls.js").rename(tmp_path / "controls.js")
+    with player_host(tmp_path) as url:
+        page.open(f"{url}/player/watch.html?src=../long", 160, 120)
+        page.wait(f"state.frame > 5 && {SOFT_NOTE}.includes('could not be loaded')")
+        assert page.value("part('.bar')") is None
+        controls.rename(tmp_path / "player" / "controls.js")
+        page.press("k")
+        page.wait("element.paused && part('.bar').checkVisibility()")
 
 
 @pytest.mark.parametrize(

@@ -134,8 +134,8 @@ class Reached:
 
 
 def within(condition: str) -> Step:
-    """Waits until the player is in this condition."""
-    return "wait", f"part('.frame').dataset.condition === '{condition}'"
+    """Waits until the player is in this condition, and has its controls."""
+    return "wait", f"part('.bar') && part('.frame').dataset.condition === '{condition}'"
 
 
 def shows(part: str) -> Step:
@@ -171,7 +171,7 @@ STATES = {
         AT_1, [*PAUSED, ("run", "player.dispatchEvent(new Event('contextlost'))")]
     ),
     "menu": State(AT_1, MENU),
-    "speed": State(AT_1, [*MENU, *clicks("[data-name=rate]")]),
+    "speed": State(AT_1, [*MENU, ("run", "(part('[data-name=rate]') ?? part('.rate')).click()")]),
     "keys": State(AT_1, [*PAUSED, ("press", "?"), shows("dialog")]),
     "statistics": State(AT_1, [*PAUSED, ("press", "i"), shows(".stats")]),
     "preview": State(AT_1, [*PAUSED, ("run", SCRUB), shows(".tile")]),

@@ -64,9 +64,10 @@ def watch(
     scripts: tuple[Path, ...] = (),
     **more: object,
 ) -> None:
-    """Opens a page with a player, and waits for its first frame. more: arguments of `Page.open`."""
+    """Opens a page with a player, and waits for its first frame and its controls. more: arguments
+    of `Page.open`."""
     page.open(address, width_px, height_px, scripts=(*scripts, PIXELS), **more)  # type: ignore[arg-type]
-    page.wait("player.shownFrame >= 0")
+    page.wait("player.shownFrame >= 0 && part('.bar')")
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,7 +65,7 @@ def test_a_stream_that_grows_plays_at_its_edge_until_it_ends(
     watch(page, url, 480, 320)
     assert page.value("player.shownFrame") >= 45  # 90 less 45
     page.run(WATCH_FRAMES)
-    page.wait("part('.badge').classList.contains('on')")
+    page.wait("part('.badge')?.hidden === false")
     assert not page.value(BEHIND)
     publisher.publish(4)
     page.wait("player.numFrames === 150 && player.shownFrame >= 90")
@@ -87,7 +87,7 @@ def test_a_stream_that_grows_plays_at_its_edge_until_it_ends(
     page.run(WATCH_FRAMES)
     publisher.finish()
     page.run("player.setRate(4)")
-    page.wait("!player.live && !part('.badge').classList.contains('on')")
+    page.wait("!player.live && part('.badge').hidden")
     page.wait(f"player.shownFrame === {NUM_FRAMES - 1} && !state.playing")
     frames = page.value("framesShown")
     assert frames == sorted(frames)
@@ -125,7 +125,7 @@ def test_a_start_that_is_asked_for_is_where_it_starts(
     publisher.publish(12)
     watch(page, f"{url}&autoplay=0{query}")
     page.wait(f"player.shownFrame === {first}")
-    page.wait(BEHIND if first == 0 else "part('.badge').matches('.on')")
+    page.wait(BEHIND if first == 0 else "part('.badge').hidden === false")
 
 
 def test_a_stream_of_whole_slices_grows_too(

@@ -124,7 +124,7 @@ def test_a_page_plays_its_sound_and_shows_its_captions(page: Page, root: Path) -
         watch(page, f"{host.url}/player/watch.html?src=../packed.swings", scripts=(TAP,))
         page.wait("clicks.length >= 4")
         page.run("element.focus()")
-        page.press("Shift+C")
+        page.press("c")
         page.wait("part('.captions').textContent === 'Here'")
         ours = [asked for path, asked in host.asked if path.startswith("/packed")]
         assert ours

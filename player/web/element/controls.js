@@ -1,0 +1,175 @@
+/**
+ * The controls of a player: everything that a viewer can press, and the panel for failures. This code is
+ * loaded after the first requests of a stream, and its bundle is a separate file, so that it does not delay
+ * the first picture.
+ */
+
+import { Bar } from "./bar.js";
+import { BarVisibility } from "./barvisibility.js";
+import { CameraControls } from "./cameracontrols.js";
+import { choicesOf } from "./choices.js";
+import { commandsOf } from "./commands.js";
+import { CONTROLS_STYLE } from "./controlsstyle.js";
+import { Failure } from "./failure.js";
+import { FullScreen } from "./fullscreen.js";
+import { keysOf, pressKey } from "./keys.js";
+import { LazyPart } from "./lazypart.js";
+import { LiveBadge } from "./livebadge.js";
+import { addStyle } from "./nodes.js";
+import { Scrubber } from "./scrubber.js";
+import { StereoControls } from "./stereocontrols.js";
+
+const LONG_MS = 10_000;
+
+/** Shared by all elements, which may be created and removed many times. */
+const SHEET = new CSSStyleSheet();
+SHEET.replaceSync(CONTROLS_STYLE);
+
+/**
+ * What an element gives to its controls.
+ * @typedef {object} Surroundings
+ * @property {import("./swingsplayer.js").SwingsPlayerElement} element
+ * @property {import("./webplayer.js").WebPlayer} player
+ * @property {HTMLCanvasElement} canvas
+ * @property {HTMLElement} frame holds everything
+ * @property {HTMLElement} place for the controls, within the frame
+ * @property {import("./hints.js").Hints} hints
+ * @property {() => void} changed called when the element's condition may have changed
+ */
+
+export class Controls {
+  /**
+   * @param {Surroundings} surroundings
+   * @param {AbortSignal} signal ends them
+   */
+  constructor({ element, player, canvas, frame, place, hints, changed }, signal) {
+    this.element = element;
+    this.player = player;
+    this.frame = frame;
+    addStyle(frame, SHEET);
+    const notLoaded = (/** @type {unknown} */ error) => {
+      console.warn("swings: a part of the controls could not be loaded:", error);
+      hints.say("This could not be loaded; check the network and try again", LONG_MS);
+    };
+    this.failure = new Failure(() => element.retry());
+    /** @type {LazyPart<import("./sharing.js").Sharing>} */
+    this.sharing = new LazyPart(async () => {
+      const { Sharing } = await import("./extras.js");
+      return new Sharing(element, (message, forMs) => hints.say(message, forMs));
+    }, notLoaded);
+    /** @type {LazyPart<import("./panels.js").Panels>} */
+    this.panels = new LazyPart(async () => {
+      const { Panels } = await import("./extras.js");
+      if (signal.aborted) return null;
+      return new Panels(player, place, { bar: this.bar, choices, commands, actions }, () =>
+        this.visibility.wake(),
+      );
+    }, notLoaded);
+    const stereo = new StereoControls(player, (message) => hints.say(message, LONG_MS));
+    this.scrubber = new Scrubber(player, signal);
+    this.live = new LiveBadge(
+      player,
+      (hasStopped) => {
+        const isSaid = hasStopped && element.error === null;
+        hints.hold("stopped", isSaid ? "The stream has stopped; it may go on" : "");
+        this.visibility.wake();
+        changed();
+      },
+      signal,
+    );
+    this.live.root.addEventListener("click", () => element.goLive());
+    const commands = (this.commands = commandsOf(element, stereo, this.sharing, this.panels));
+    for (const command of commands) {
+      const { run } = command;
+      command.run = () => {
+        run();
+        this.bar.showToggles();
+      };
+    }
+    const choices = (this.choices = choicesOf(element));
+    this.fullScreen = new FullScreen(
+      element,
+      () => this.bar.showFull(this.fullScreen.isOn),
+      signal,
+    );
+    this.bar = new Bar(this.scrubber, this.live.root, choices, commands, {
+      togglePlaying: () => element.togglePlaying(),
+      toggleFullScreen: () => this.fullScreen.toggle(),
+      openMenu: (opener, at) => this.panels.use(({ menu }) => menu.openFor(opener, at)),
+    });
+    this.bar.follow(signal);
+    const plays = () => player.isStill || (!element.paused && !this.live.hasStopped);
+    const isInUse = () => this.panels.part?.isInUse || this.scrubber.isScrubbing;
+    this.visibility = new BarVisibility(frame, canvas, plays, isInUse);
+    this.visibility.listen(element, () => this.fullScreen.toggle(), signal);
+    const actions = (this.actions = keysOf(element, player, commands));
+    this.camera = new CameraControls(element, canvas, player, signal);
+    const { headset } = this.bar;
+    stereo.watch((isThere) => (headset.hidden = !isThere), signal);
+    this.#listen(hints, signal);
+    place.append(this.bar.root);
+    frame.append(this.failure.root);
+    signal.addEventListener("abort", () => this.#close());
+    this.opened();
+    this.bar.showFull(false);
+    this.show();
+    this.visibility.wake();
+  }
+
+  /**
+   * @param {import("./hints.js").Hints} hints
+   * @param {AbortSignal} signal
+   */
+  #listen(hints, signal) {
+    const { element, player, bar, frame } = this;
+    const on = (/** @type {string} */ type, /** @type {(event: any) => void} */ action) =>
+      element.addEventListener(type, action, { signal });
+    player.addEventListener("headset", () => bar.showToggles(), { signal });
+    this.camera.gyroscope.addEventListener("change", () => bar.showToggles(), { signal });
+    for (const type of ["ratechange", "layerschange"]) on(type, () => bar.showChoices());
+    on("pointerdown", (event) => {
+      frame.classList.remove("tabbed");
+      const path = event.composedPath();
+      const menu = this.panels.part?.menu;
+      if (menu && !path.includes(menu.root) && !path.includes(menu.opener)) menu.close(false);
+    });
+    // The focus ring shows after Tab, but not after any other key.
+    on("keyup", ({ key }) => {
+      if (key === "Tab") frame.classList.add("tabbed");
+    });
+    on("gesturehint", ({ detail }) => hints.say(detail));
+  }
+
+  /** Called when a stream is open. */
+  opened() {
+    const { player, frame, bar } = this;
+    frame.classList.toggle("still", player.isStill);
+    bar.showChoices();
+    bar.showToggles();
+  }
+
+  /** Shows the state of the player. */
+  show() {
+    const { element, bar, scrubber, frame } = this;
+    const isLargeShown = /start|ended/.test(frame.dataset.condition ?? "");
+    bar.showPlaying(!element.paused, isLargeShown);
+    scrubber.show();
+  }
+
+  /**
+   * Runs the action of a key that was pressed.
+   * @param {KeyboardEvent} event
+   * @param {EventTarget} target the innermost one, which an event does not tell later
+   */
+  press(event, target) {
+    if (event.key === "Escape") this.fullScreen.leave();
+    else pressKey(this.actions, event, target);
+  }
+
+  #close() {
+    this.fullScreen.leave();
+    this.panels.part?.statistics.close();
+    this.scrubber.close();
+    this.failure.root.remove();
+  }
+}
