@@ -18,6 +18,12 @@ LEAST_SPREAD = 1e-6
 """See `closest_point`. Forward-facing rigs are out before it counts; what it still stops is a rig
 whose cameras face each other along one line."""
 
+LEAST_TURN = 0.01
+"""Least mean squared sine between the right axes of a rig that tell what is level: some 6 degrees."""
+
+MOST_LEAN = np.cos(np.radians(45))
+"""Cosine of the angle by which the tops of a rig's pictures may lean on average."""
+
 NEAR_FRACTION = 0.35
 """Near plane of an inward rig, in distances from its nearest camera to the centre. Cameras of a
 dome sit in its wall, so Gaussians of the wall would stand right before a held-out camera and hide
@@ -47,17 +53,25 @@ def closest_point(cameras: Sequence[Camera], least_spread: float) -> Doubles | N
     return point if float(depths.min()) > 0 else None
 
 
-def mean_up(cameras: Sequence[Camera]) -> Doubles:
-    """(3,) unit vector in the world: where the tops of the cameras' pictures point on average.
+def rig_up(cameras: Sequence[Camera]) -> Doubles:
+    """(3,) unit vector in the world that points up.
 
-    Where they cancel out, it is the direction of the first camera.
+    It is the direction most square to the right axes of all cameras: whoever films holds a camera
+    level, though he tilts it. Where that says nothing, it is the mean of the tops of the pictures:
+    if all cameras look the same way, or lie on their side. Where those cancel out, the first one's.
     """
     tops = -np.array([camera.down for camera in cameras])
-    up: Doubles = tops.mean(axis=0)
-    if not float(np.linalg.norm(up)) > 1e-3:
-        up = tops[0]
-    unit: Doubles = up / np.linalg.norm(up)
-    return unit
+    mean: Doubles = tops.mean(axis=0)
+    if not float(np.linalg.norm(mean)) > 1e-3:
+        mean = tops[0]
+    mean = mean / np.linalg.norm(mean)
+    rights = np.array([camera.right for camera in cameras])  # (C, 3)
+    # v^T (r r^T) v is the squared cosine between v and r.
+    squares, directions = np.linalg.eigh(rights.T @ rights / len(cameras))
+    up: Doubles = directions[:, 0] * np.sign(directions[:, 0] @ mean)
+    if squares[1] * squares[2] < LEAST_TURN or up @ mean < MOST_LEAN:
+        return mean
+    return up
 
 
 def rig_centre(cameras: Sequence[Camera]) -> Doubles | None:

@@ -19,7 +19,7 @@ from codec.console import say
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.pose import quat_of
-from codec.rig import mean_up
+from codec.rig import rig_up
 from codec.splats import SH_C0, Splats
 from player.config import PlayConfig
 from player.view.path import scene_centre
@@ -143,7 +143,7 @@ class ViserView:
 
     def _add_cameras(self, first: Camera) -> None:
         manifest, server = self._scene.manifest, self._server
-        centre, up = scene_centre(manifest), mean_up(manifest.cameras)
+        centre, up = scene_centre(manifest), rig_up(manifest.cameras)
         server.scene.set_up_direction(up)
         start = server.initial_camera
         start.position, start.up = first.position, -first.down

@@ -9,7 +9,7 @@ import numpy as np
 
 from codec.camera import Camera
 from codec.pose import Doubles, world_to_camera
-from codec.rig import mean_up
+from codec.rig import rig_up
 from codec.stream.manifest import Manifest
 
 from .path import scene_centre, turned
@@ -72,4 +72,4 @@ class View:
 
 
 def view_of(manifest: Manifest) -> View:
-    return View(scene_centre(manifest), mean_up(manifest.cameras))
+    return View(scene_centre(manifest), rig_up(manifest.cameras))

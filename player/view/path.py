@@ -18,7 +18,7 @@ from codec.camera import MAX_IMAGE_PX, Camera
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.pose import Doubles, rotation_about, world_to_camera
-from codec.rig import closest_point, mean_up
+from codec.rig import closest_point, rig_up
 from codec.stream.manifest import Manifest
 
 from .keyframes import read_keyframes
@@ -80,7 +80,7 @@ def orbit(manifest: Manifest, start: Camera, frames: FrameRange, arc_rad: float)
 
     arc_rad: 2 pi goes once around; less swings half of it to either side.
     """
-    centre, axis = scene_centre(manifest), mean_up(manifest.cameras)
+    centre, axis = scene_centre(manifest), rig_up(manifest.cameras)
     period = frames.count or max(1, round(ENDLESS_TURN_S * manifest.fps))
     whole = arc_rad >= 2 * math.pi - 1e-9
 
@@ -151,5 +151,5 @@ def camera_path(text: str, manifest: Manifest, size: Size | None, frames: FrameR
         degrees = _degrees(rest) if rest else 360.0
         return orbit(manifest, start, frames, math.radians(degrees))
     if text.endswith(".json") and kind != "camera":
-        return read_keyframes(Path(text), start, mean_up(manifest.cameras))
+        return read_keyframes(Path(text), start, rig_up(manifest.cameras))
     return lambda frame: start

@@ -19,7 +19,7 @@ from matplotlib.ticker import FuncFormatter
 from codec.camera import Camera
 from codec.files import replacing
 from codec.pose import Doubles
-from codec.rig import mean_up, rig_centre
+from codec.rig import rig_up, rig_centre
 from trainer.capture.capture import Capture
 
 from .labelfont import OWN_FAMILY, families_for
@@ -107,13 +107,13 @@ def _draw(capture: Capture, labels: Sequence[str], name: str, path: Path) -> Non
 def drawn_axes(cameras: Sequence[Camera]) -> Doubles:
     """(3, 3) rows to draw along: across, away and up, each an axis of the capture or its opposite.
 
-    Up is the one nearest to `mean_up`, across the first of the other two; together they are
+    Up is the one nearest to `rig_up`, across the first of the other two; together they are
     right-handed.
     """
-    tops = mean_up(cameras)
-    vertical = int(np.argmax(np.abs(tops)))
+    level = rig_up(cameras)
+    vertical = int(np.argmax(np.abs(level)))
     up = np.zeros(3)
-    up[vertical] = 1.0 if tops[vertical] > 0 else -1.0
+    up[vertical] = 1.0 if level[vertical] > 0 else -1.0
     across = np.eye(3)[1 if vertical == 0 else 0]
     return np.stack([across, np.cross(up, across), up])
 
@@ -137,10 +137,10 @@ def _title(capture: Capture, name: str, axes_of_view: Doubles) -> str:
     rate = "" if capture.fps is None else f" at {capture.fps:g} per second"
     points = f"{len(capture.points)} points" if capture.points is not None else "no points"
     title = f"{name}: {len(cameras)} cameras, {capture.num_frames} frames{rate}, {points}"
-    tilt_rad = float(np.arccos(np.clip(mean_up(cameras) @ axes_of_view[2], -1, 1)))
+    tilt_rad = float(np.arccos(np.clip(rig_up(cameras) @ axes_of_view[2], -1, 1)))
     if tilt_rad > TILT_RAD:
         title += (
-            f"\nthe tops of the pictures point {np.degrees(tilt_rad):.0f} degrees off "
+            f"\nup, as the cameras are held, is {np.degrees(tilt_rad):.0f} degrees off "
             f"{axis_name(axes_of_view[2])}"
         )
     return title

@@ -7,8 +7,8 @@ import { CameraMotion } from "../view/cameramotion.js";
 import { cameraKeys, liftCameraKey } from "../view/camerakeys.js";
 import { deviceTurn, turnBetween } from "../view/deviceturn.js";
 import { between } from "../view/flight.js";
-import { poseOf, worldToCamera } from "../view/pose.js";
-import { add, cross, dot, length, subtract, times } from "../view/vectors.js";
+import { poseOf, rigUp, worldToCamera } from "../view/pose.js";
+import { add, cross, dot, length, subtract, times, turned } from "../view/vectors.js";
 import { camera, law, manifestOf, near, posed, Random } from "./support.mjs";
 
 /** The point at which the rings look. */
@@ -126,6 +126,48 @@ for (const made of RIGS) {
     }
   });
 }
+
+test("up is what a rig holds level", () => {
+  const held = (...anglesDeg) => {
+    const [yaw, pitch, roll] = anglesDeg.map((angle) => angle * RAD_PER_DEG);
+    const turn = (axis) =>
+      turned(turned(turned(axis, [0, 0, 1], roll), [1, 0, 0], pitch), [0, 1, 0], yaw);
+    const [right, down, forward] = [turn([1, 0, 0]), turn([0, 1, 0]), turn([0, 0, 1])];
+    return { position: [0, 0, 0], right, down, forward };
+  };
+  for (const [heldDeg, up] of [
+    // tests/codec/test_camera.py has the same
+    [
+      [
+        [0, -20, 1],
+        [30, -25, -2],
+        [65, -10, 0],
+        [90, -30, 1],
+      ],
+      [-0.0069, -1, -0.0026],
+    ],
+    [
+      [
+        [0, -20, 0],
+        [1, -20, 0],
+      ],
+      [0.003, -0.9397, 0.342],
+    ],
+    [
+      [
+        [0, 0, 90],
+        [90, 0, 90],
+        [180, 0, 90],
+      ],
+      [0, 0, -1],
+    ],
+  ])
+    near(rigUp(heldDeg.map((angles) => held(...angles))), up, 1e-4);
+  // A half ring that looks down, as most captures have it.
+  const half = [0, 1, 2, 3, 4].map((n) => held(45 * n - 90, -25, 0));
+  near(rigUp(half), [0, -1, 0], 1e-9);
+  assert.ok(half.reduce((sum, { down }) => sum + down[2], 0) < -1, "their tops lean");
+});
 
 test("a rig of one side ends at its sides", () => {
   assert.equal(boundsOf(ring()).heading, null);

@@ -5,7 +5,7 @@
  * they look at. All cameras of the rig lie within the bounds.
  */
 
-import { meanUp, poseOf } from "./pose.js";
+import { rigUp, poseOf } from "./pose.js";
 import { sceneCentre } from "./scenecentre.js";
 import { add, cross, dot, length, subtract, times } from "./vectors.js";
 
@@ -52,7 +52,7 @@ const NEAREST_SHARE = 0.1;
 export function boundsOf({ cameras, bounds, defaultCamera }) {
   const poses = cameras.map(poseOf);
   const centre = sceneCentre(poses, bounds);
-  const up = meanUp(poses);
+  const up = rigUp(poses);
   const north = levelOf(poseOf(defaultCamera), up);
   const distances = poses
     .map(({ position }) => length(subtract(position, centre)))

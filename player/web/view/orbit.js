@@ -1,5 +1,5 @@
 import { framed } from "./framing.js";
-import { meanUp, poseOf, worldToCamera } from "./pose.js";
+import { rigUp, poseOf, worldToCamera } from "./pose.js";
 import { sceneCentre } from "./scenecentre.js";
 import { axesOf, normalised, quaternionOf } from "./turn.js";
 import { add, length, subtract, times, turned } from "./vectors.js";
@@ -42,7 +42,7 @@ export class Orbit {
     this.home = { pose: poseOf(defaultCamera), centre: sceneCentre(poses, bounds) };
     this.base = this.home.pose;
     this.centre = this.home.centre;
-    this.up = meanUp(poses);
+    this.up = rigUp(poses);
   }
 
   reset() {

@@ -1,4 +1,10 @@
-import { add, dot, length, subtract, times } from "./vectors.js";
+import { add, cross, dot, length, subtract, times, unit } from "./vectors.js";
+
+/** See codec/rig.py. */
+const LEAST_TURN = 0.01;
+const MOST_LEAN = Math.SQRT1_2;
+/** Keeps the sum of the squares invertible where all right axes lie in one plane. */
+const TINY = 1e-9;
 
 /** @typedef {import("./vectors.js").Vector} Vector */
 
@@ -52,11 +58,30 @@ export function fitted(camera, widthPx, heightPx) {
   };
 }
 
-/** The mean up direction of the cameras' pictures. @param {Pose[]} poses */
-export function meanUp(poses) {
-  const up = [0, 1, 2].map((axis) => -poses.reduce((sum, { down }) => sum + down[axis], 0));
-  const size = Math.hypot(...up);
-  return size > 1e-3 * poses.length ? times(up, 1 / size) : times(poses[0].down, -1);
+/**
+ * The direction that is up for a rig: the one most square to all right axes, or where those say nothing
+ * the mean of the tops of the pictures (codec/rig.py, rig_up).
+ * @param {Pose[]} poses
+ * @returns {Vector}
+ */
+export function rigUp(poses) {
+  const sum = (/** @type {(pose: Pose) => number} */ of) =>
+    poses.reduce((total, pose) => total + of(pose), 0) / poses.length;
+  const axes = [0, 1, 2];
+  const tops = axes.map((axis) => sum(({ down }) => -down[axis]));
+  const mean = unit(length(tops) > 1e-3 ? tops : times(poses[0].down, -1));
+  const [a, b, c] = axes.map((i) =>
+    axes.map((j) => sum(({ right }) => right[i] * right[j]) + (i === j ? TINY : 0)),
+  );
+  // The adjugate of a matrix is its inverse times a number: each round brings `up` nearer to the
+  // direction of the smallest eigenvalue.
+  const adjugate = [cross(b, c), cross(c, a), cross(a, b)];
+  let up = mean;
+  for (let round = 0; round < 40; round++) up = unit(axes.map((axis) => dot(adjugate[axis], up)));
+  const least = dot(up, [dot(a, up), dot(b, up), dot(c, up)]);
+  // The three eigenvalues have the sum 1: this is the product of the two larger ones.
+  const turn = adjugate[0][0] + adjugate[1][1] + adjugate[2][2] - least * (1 - least);
+  return turn < LEAST_TURN || dot(up, mean) < MOST_LEAN ? mean : up;
 }
 
 /**

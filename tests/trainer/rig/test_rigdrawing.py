@@ -105,7 +105,7 @@ def test_its_numbers_are_the_captures_in_an_unknown_unit_and_a_tilt_is_told(tmp_
         replace(c, camera=replace(c.camera, w2c=c.camera.w2c @ tilt)) for c in capture.cameras
     )
     texts = texts_of(replace(capture, cameras=cameras), tmp_path / "rig.png")
-    assert re.search(r"the tops of the pictures point [2-4]\d degrees off -y", texts)
+    assert re.search(r"up, as the cameras are held, is 35 degrees off -y", texts)
 
 
 def named(capture: Capture, names: list[str]) -> Capture:
