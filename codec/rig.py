@@ -19,7 +19,7 @@ LEAST_SPREAD = 1e-6
 whose cameras face each other along one line."""
 
 LEAST_TURN = 0.01
-"""Least mean squared sine between the right axes of a rig that tell what is level: some 6 degrees."""
+"""Least mean squared sine between right axes of a rig that tell what is level: 6 degrees."""
 
 MOST_LEAN = np.cos(np.radians(45))
 """Cosine of the angle by which the tops of a rig's pictures may lean on average."""

@@ -15,7 +15,15 @@ from typing import Any
 from aiohttp import HttpVersion11, web
 
 from codec.errors import SwingsError
-from server.abr.clientstatus import FRAME_HEADER, MAX_BODY_BYTES, PLAY_HEADER, RATE_HEADER
+from server.abr.clientstatus import (
+    FRAME_HEADER,
+    LIVE_HEADER,
+    MAX_BODY_BYTES,
+    NUM_FRAMES_HEADER,
+    PLAY_HEADER,
+    RATE_HEADER,
+    REPORT_HEADER,
+)
 
 from .answers.call import Answer, Call
 from .clients.connection import ClientConnection, Clients, connection_of
@@ -325,7 +333,19 @@ def _common_fields(cors_origin: str) -> dict[str, str]:
     # Without the second field, aiohttp names itself and the version of Python.
     fields = {"X-Content-Type-Options": "nosniff", "Server": "swings"}
     if cors_origin:
-        exposed = f"ETag, Content-Range, Accept-Ranges, Retry-After, {PLAY_HEADER}, {RATE_HEADER}"
+        exposed = ", ".join(
+            (
+                "ETag",
+                "Content-Range",
+                "Accept-Ranges",
+                "Retry-After",
+                PLAY_HEADER,
+                RATE_HEADER,
+                REPORT_HEADER,
+                NUM_FRAMES_HEADER,
+                LIVE_HEADER,
+            )
+        )
         fields |= {
             "Access-Control-Allow-Origin": cors_origin,
             "Access-Control-Expose-Headers": exposed,

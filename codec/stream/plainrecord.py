@@ -83,6 +83,11 @@ class PlainRecordEncoder:
         return self._gzip.compress(body) + self._gzip.flush(flush)
 
 
+def plain_bytes(record: Record) -> int:
+    """Bytes of the record in the body as its reader gets it, without the body's coding."""
+    return sum(len(data) if size is None else size for data, size in _pieces(record))
+
+
 def inflates_whole(data: bytes, entries: Sequence[ChunkEntry]) -> bool:
     """Whether the object `data` is one zstd stream that a browser takes as `Content-Encoding:
     zstd`. entries: its table."""

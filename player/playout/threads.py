@@ -30,8 +30,8 @@ from .timeline import FrameRecord
 
 Floats = npt.NDArray[np.float32]
 
-STATUS_LEAST_S, STATUS_MOST_S = 0.1, 1.0
-"""Seconds between two status reports: at least, after a change; and at most."""
+STATUS_LEAST_S = 0.1
+"""Least time between two status reports, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ def render_thread(
 
 def status_thread(source: Source, events: Events) -> None:
     """Sends the server the state of the playback, as long as it listens."""
-    while (status := events.client_status(STATUS_LEAST_S, STATUS_MOST_S)) is not None:
+    while (status := events.client_status(STATUS_LEAST_S, source.report_s)) is not None:
         if not source.send_status(status):
             break
 

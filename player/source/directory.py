@@ -20,7 +20,7 @@ from server.abr.clientstatus import ClientStatus
 
 from .segmentreader import SegmentReader
 from .sizelimits import SizeLimits
-from .source import NO_PLAY, Packets, check_frames, check_layers
+from .source import NO_PLAY, REPORT_S, Packets, check_frames, check_layers
 
 log = logging.getLogger(__name__)
 
@@ -89,6 +89,10 @@ class DirectorySource:
             if self._stopped.wait(POLL_S):
                 raise StoppedError(f"{self.name}: stopped")
         return False
+
+    @property
+    def report_s(self) -> float:
+        return REPORT_S
 
     def send_status(self, status: ClientStatus) -> bool:
         return False

@@ -36,7 +36,7 @@ from server.abr.session import Finished, WaitForFrames, WaitUntil
 from .hostedindex import MAX_HOSTED_INDEX_BYTES, REPLACED, HostedIndex
 from .hostedplay import Ask, HostedPlay, Wait
 from .segmentreader import SegmentReader
-from .source import LastPlay, Packets, check_frames, check_layers
+from .source import REPORT_S, LastPlay, Packets, check_frames, check_layers
 
 log = logging.getLogger(__name__)
 
@@ -329,6 +329,10 @@ class HostedSource:
         if manifest.with_live(False).to_json() != self.manifest.with_live(False).to_json():
             raise CorruptError(f"{self.name}: {REPLACED}")
         self.manifest = manifest
+
+    @property
+    def report_s(self) -> float:
+        return REPORT_S
 
     def send_status(self, status: ClientStatus) -> bool:
         self._status = status

@@ -11,6 +11,7 @@ import re
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
@@ -38,17 +39,22 @@ from player.network.idle import IdleLimit
 from player.network.retry import Retry, RetryConfig
 from server.abr.clientstatus import (
     FRAME_HEADER,
+    NUM_FRAMES_HEADER,
     PLAY_HEADER,
     RATE_HEADER,
+    REPORT_HEADER,
     TOKEN,
     ClientStatus,
+    ReceivedPoints,
+    parse_frame,
     parse_rate,
+    parse_report_s,
 )
 
 from .hostedindex import REPLACED
 from .playreceiver import PlayReceiver
 from .sizelimits import SizeLimits
-from .source import NO_PLAY, LastPlay, Packets, check_frames, check_layers
+from .source import NO_PLAY, REPORT_S, LastPlay, Packets, check_frames, check_layers
 
 LOOK_S = 5.0
 """How often it is looked whether the playback is paused while nothing comes, seconds."""
@@ -91,6 +97,9 @@ class ServedSource:
         self._token = last_play.token  # an older server gives none
         self._rate_bps = last_play.rate_bps  # only `send_status` changes it
         self._ended_play = ""
+        self._received = ReceivedPoints()
+        self.report_s = REPORT_S
+        self._told_frames = 0  # only `send_status` changes it
         self._reported_frame: int | None = None  # the next one to show, as last reported
         self._identity = b""  # only `send_status` changes it
         self._idle = IdleLimit(fetcher.config.idle_s, time.monotonic())
@@ -117,7 +126,7 @@ class ServedSource:
 
     @property
     def num_frames(self) -> int:
-        return max(self._num_frames, self._receiver.next_birth)
+        return max(self._num_frames, self._told_frames, self._receiver.next_birth)
 
     @property
     def received_bytes(self) -> int:
@@ -130,7 +139,7 @@ class ServedSource:
 
     def _connect(self, frame: int) -> StartRecord:
         """Asks for the slices that show from `frame` on; gives the first record."""
-        url = f"{self._url}/play?from={frame}&layers={self._asked_layers}"
+        url = f"{self._url}/play?from={frame}&layers={self._asked_layers}&reports=1"
         if self._asked.end is not None:
             url += f"&until={self._asked.end}"
         self._disconnect()
@@ -140,6 +149,7 @@ class ServedSource:
             headers[FRAME_HEADER] = str(self._reported_frame)
         self._response = response = self._fetcher.open(url, headers)
         self._parser, self._waiting = RecordParser(), []
+        self._received = ReceivedPoints()
         self._idle.useful(time.monotonic())
         if response.status != 200:
             raise self._refusal(response)
@@ -149,6 +159,7 @@ class ServedSource:
             )
         token = response.headers.get(PLAY_HEADER, "")
         self._token = token if re.fullmatch(TOKEN, token) else ""
+        self._set_report_s(response)
         record = self._next_record()
         if not isinstance(record, StartRecord):
             raise CorruptError(f"{self.name}: the response does not begin with a start record")
@@ -227,6 +238,7 @@ class ServedSource:
             piece = self._response.read(min(left_s, LOOK_S))
             if piece is not None:
                 idle.received(len(piece))
+                self._received.add(time.monotonic(), len(piece))
                 return piece
             if self._paused and not idle.num_bytes:
                 idle.useful(time.monotonic())  # a paused player needs no data
@@ -301,6 +313,7 @@ class ServedSource:
         if status.frame is not None:
             self._reported_frame = status.frame
         self._paused = status.paused
+        status = replace(status, received=self._received.take())
         if token and token != self._ended_play:
             try:
                 answer = self._status_fetcher.post(f"{self._url}/play/{token}", status.to_json())
@@ -312,11 +325,17 @@ class ServedSource:
                 return True  # lost; the next report supersedes it
             rate_bps = parse_rate(answer.headers.get(RATE_HEADER, ""))
             self._rate_bps = rate_bps or self._rate_bps
+            self._set_report_s(answer)
+            # More than what came: a play is sent a few seconds ahead, and less while it is paused.
+            self._told_frames = parse_frame(answer.headers.get(NUM_FRAMES_HEADER, "")) or 0
             if answer.status == 404:
                 self._ended_play = token  # the connection broke, and another play may follow
             elif answer.status == 405:
                 return False
         return bool(token)
+
+    def _set_report_s(self, response: Response) -> None:
+        self.report_s = parse_report_s(response.headers.get(REPORT_HEADER, "")) or REPORT_S
 
     def interrupt(self) -> None:
         self._fetcher.interrupt()

@@ -103,6 +103,9 @@ class LastPlay:
 
 NO_PLAY = LastPlay()
 
+REPORT_S = 1.0
+"""The longest time between two status reports, where the server asks for no other, seconds."""
+
 
 class Source(Protocol):
     """A stream from one frame on. One thread iterates; `send_status` and `interrupt` may come from
@@ -151,6 +154,11 @@ class Source(Protocol):
 
     def packets(self) -> Iterator[Packets]:
         """All that shows in `frames`, and nothing else."""
+        ...
+
+    @property
+    def report_s(self) -> float:
+        """The longest time between two status reports, seconds."""
         ...
 
     def send_status(self, status: ClientStatus) -> bool:

@@ -6,6 +6,7 @@ though not always true."""
 from __future__ import annotations
 
 import json
+import threading
 from dataclasses import dataclass
 
 from codec.errors import InvalidError
@@ -22,7 +23,22 @@ RATE_HEADER = "Swings-Rate"
 """In the answer to a status report: the estimated rate of the link, bits per second. In a request
 for a play: the last such rate, for a server that has lost it."""
 
+REPORT_HEADER = "Swings-Report-Ms"
+"""In the response of a play, and in the answers to its status reports: the time after which the
+server wants the next one, where it measures by them, milliseconds."""
+
+NUM_FRAMES_HEADER = "Swings-Frames"
+"""In the answer to a status report: how many frames the stream has."""
+
+LIVE_HEADER = "Swings-Live"
+"""The same: 1 if more frames may follow, 0 if not."""
+
 MOST_RATE_BPS = 10**12
+
+MAX_POINTS = 24
+"""Most points in `ClientStatus.received`."""
+
+MAX_POINT = 2**53 - 1
 
 TOKEN = "[A-Za-z0-9_-]{1,64}"
 """Regular expression of a token."""
@@ -34,7 +50,9 @@ MAX_FRAME = 2**31 - 1
 
 MAX_BUFFER_S = 86_400
 
-_KEYS = ("frame", "buffer_s", "paused", "busy")
+MAX_REPORT_MS = 10_000
+
+_KEYS = ("frame", "buffer_s", "paused", "busy", "received")
 
 
 def parse_rate(text: str) -> float | None:
@@ -51,6 +69,13 @@ def parse_frame(text: str) -> int | None:
     return int(text) if int(text) <= MAX_FRAME else None
 
 
+def parse_report_s(text: str) -> float | None:
+    """The seconds between two reports that the value of a REPORT_HEADER wants; None for none."""
+    if not (text.isascii() and text.isdigit() and len(text) <= 5):
+        return None
+    return min(int(text), MAX_REPORT_MS) / 1e3 or None
+
+
 @dataclass(frozen=True, slots=True)
 class ClientStatus:
     """A client's report of its playback."""
@@ -63,6 +88,9 @@ class ClientStatus:
     """Whether its time stands still."""
     busy: bool = False
     """Whether it does not read, for reasons of its own."""
+    received: tuple[tuple[int, int], ...] = ()
+    """When it had how much of the play's body: milliseconds of its own clock, and bytes without the
+    content coding; the last one is the newest."""
 
     def __post_init__(self) -> None:
         frame, buffer_s = self.frame, self.buffer_s
@@ -78,10 +106,20 @@ class ClientStatus:
         for key in ("paused", "busy"):
             if type(getattr(self, key)) is not bool:
                 raise InvalidError(f"{key} is neither true nor false")
+        if len(self.received) > MAX_POINTS:
+            raise InvalidError(f"received has more than {MAX_POINTS} points")
+        for point in self.received:
+            if not (
+                len(point) == 2
+                and all(type(number) is int and 0 <= number <= MAX_POINT for number in point)
+            ):
+                raise InvalidError("received is not a list of pairs of milliseconds and bytes")
 
     def to_json(self) -> bytes:
         fields = {key: getattr(self, key) for key in _KEYS}
-        return json.dumps({key: v for key, v in fields.items() if v is not None}).encode()
+        return json.dumps(
+            {key: v for key, v in fields.items() if v is not None and v != ()}
+        ).encode()
 
     @classmethod
     def from_json(cls, data: bytes) -> ClientStatus:
@@ -99,4 +137,33 @@ class ClientStatus:
                 raise InvalidError(f"unknown key {key[:40]!a}; the keys are {', '.join(_KEYS)}")
             if value[key] is None:
                 raise InvalidError(f"{key} is null; leave it out")
-        return cls(**value)
+        received = value.pop("received", [])
+        if not (isinstance(received, list) and all(isinstance(one, list) for one in received)):
+            raise InvalidError("received is not a list of pairs of milliseconds and bytes")
+        return cls(**value, received=tuple(map(tuple, received)))
+
+
+class ReceivedPoints:
+    """When a client had how much of a play's body, for `ClientStatus.received`.
+
+    One thread adds, another one takes.
+    """
+
+    def __init__(self) -> None:
+        self._points: list[tuple[int, int]] = []
+        self._num_bytes = 0
+        self._lock = threading.Lock()
+
+    def add(self, now_s: float, num_bytes: int) -> None:
+        """`num_bytes` more have come."""
+        with self._lock:
+            self._num_bytes += num_bytes
+            self._points.append((round(1e3 * now_s), self._num_bytes))
+            if len(self._points) > MAX_POINTS:
+                del self._points[:-1:2]  # every other one; the newest stays
+
+    def take(self) -> tuple[tuple[int, int], ...]:
+        """What was added since the last time."""
+        with self._lock:
+            points, self._points = self._points, []
+        return tuple(points)

@@ -147,6 +147,9 @@ class PlaySession:
         self._begins = True  # whether the link had nothing to carry before what comes next
         self._underway: deque[_Underway] = deque()
         self._least_latency_s: float | None = None
+        self.report_s = 0.0
+        """How late an acknowledgement may be told: the time between two reports of a client that
+        acknowledges by them; 0 where the kernel acknowledges."""
         self._resting = False
         self._paused_frame: int | None = None  # what a paused client will show next
         self._paused_until_s = -math.inf
@@ -192,6 +195,18 @@ class PlaySession:
         self._came_s = now_s if gone > 0 else self._came_s
         while self._underway and self._underway[0].end_byte < self.acked_bytes + 0.5:
             self.clock.ready_until(self._underway.popleft().end_frame, now_s)
+
+    def doubt(self, now_s: float, acked_bytes: float) -> None:
+        """The client has only `acked_bytes`: what was acknowledged beyond them went to something
+        that stands in between, and so nothing that was measured holds."""
+        self.acked_bytes = min(self.acked_bytes, acked_bytes)
+        self._acked_s = self._came_s = self._counted_s = now_s
+        self._estimator = RateEstimator(self._config.estimator)
+        self._known = False
+        self._least_latency_s = None
+        self._begins = True
+        self._underway.clear()
+        self._underway.append(_Underway(self.sent_bytes, self.holding.end_frame, now_s))
 
     def on_status(self, now_s: float, status: ClientStatus) -> None:
         """Applies a status report of the client, as far as it is plausible."""
@@ -325,5 +340,9 @@ class PlaySession:
         if rate_bps is None:
             known = self._first_rate_bps * config.queue_s / 8 if self._known else 0.0
             return max(known, config.first_bytes + self.acked_bytes)
-        held_s = config.queue_s + (self._least_latency_s or 0.0)
+        latency_s = self._least_latency_s or 0.0
+        held_s = config.queue_s + latency_s
+        if self.report_s:
+            # The next report is sent after this time, or once the last one is answered.
+            held_s += max(self.report_s, latency_s)
         return max(config.first_bytes, rate_bps * held_s / 8)

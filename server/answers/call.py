@@ -17,6 +17,10 @@ Answer = AnyResponse | Coroutine[Any, Any, AnyResponse]
 """The result of a handler: a response, or a coroutine that returns one."""
 
 
+_OF_PROXIES = ("X-Forwarded-For", "Forwarded", "Via")
+"""Fields that proxies add to a request."""
+
+
 @dataclass(frozen=True, slots=True)
 class Call:
     """One request to one route."""
@@ -29,6 +33,11 @@ class Call:
     """Whether the connection is a proxy's that is trusted."""
     names: Mapping[str, str]
     """The parts of the path by the names that the route gives them, as they were sent."""
+
+    @property
+    def is_proxied(self) -> bool:
+        """Whether something between the client and this server takes in what is sent to it."""
+        return any(name in self.request.fields for name in _OF_PROXIES)
 
     def name(self, key: str) -> str:
         """A part of the path, with its %XX read."""

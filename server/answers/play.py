@@ -27,12 +27,14 @@ from server.abr.clientstatus import (
     FRAME_HEADER,
     PLAY_HEADER,
     RATE_HEADER,
+    REPORT_HEADER,
     ClientStatus,
     parse_frame,
     parse_rate,
 )
 from server.abr.decisioncontext import SendSlices, SendSnapshots
 from server.abr.fixedlayers import FixedLayers
+from server.abr.receipts import MOST_BEHIND_BYTES, REPORT_S, Receipts
 from server.abr.session import (
     Finished,
     PlaySession,
@@ -86,6 +88,8 @@ MAX_LOOK_S = 2.0
 
 MAX_PAUSE_S = 0.5
 """Longest time in which a play does not look around, seconds."""
+
+REPORT_MS = str(round(1000 * REPORT_S))
 
 TCP_INFO_S = 1.0
 """How often a play asks the kernel about its connection, for the log, seconds: a connection that
@@ -144,6 +148,7 @@ class _Play:
         self._address = call.address
         self.fields = {"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store"}
         self.fields[PLAY_HEADER] = token
+        self._receipts = Receipts() if query.reports else None
         self._plain: PlainRecordEncoder | None = None
         if query.plain:
             codings = accepted_codings(call.request.joined("Accept-Encoding"))
@@ -172,12 +177,16 @@ class _Play:
             frame = query.from_frame if next_frame is None else next_frame
             self._session.on_status(now_s, ClientStatus(frame, paused=query.paused))
         self._limited_s = now_s
+        if call.is_proxied and self._receipts is not None:
+            self._session.report_s = REPORT_S
+            self.fields[REPORT_HEADER] = REPORT_MS
         self._outcome = ""
         self._sent_slices = 0
         self._sent_layers = 0
         self._tcp_info = TcpInfo()
         self._tcp_info_s = now_s  # when it is due
         self._entry = state.plays.begin(token, stream.name)
+        self._entry.report_s = self._session.report_s
         state.metrics.active_plays.set(len(state.plays))
 
     async def run(self, writer: BodyWriter) -> None:
@@ -218,6 +227,8 @@ class _Play:
         self._writer.hold_at_most(self._state.config.send_queue_bytes)
         view = self._stream.view
         start = StartRecord(self._from_frame, view.num_frames, view.manifest_json)
+        if self._receipts is not None:
+            self._receipts.sent(len(encode_record(start)), 0)
         await self._writer.write(self._encode(start))
         try:
             outcome, last = await self._send_slices()
@@ -269,10 +280,19 @@ class _Play:
     def _update_session(self, now_s: float) -> None:
         """Passes the acknowledged bytes and the client's newest status to the session."""
         session, entry = self._session, self._entry
-        queued = self._writer.queued_bytes()
-        session.acknowledge(self._clock(), session.sent_bytes - queued)
-        entry.rate_bps = session.rate_bps
         status = entry.pop_status()
+        took_bytes = session.sent_bytes - self._writer.queued_bytes()
+        if self._receipts is not None and status is not None:
+            came = self._receipts.take(status.received, self._clock())
+            if not session.report_s and took_bytes - self._receipts.came_bytes > MOST_BEHIND_BYTES:
+                session.report_s = entry.report_s = REPORT_S
+                session.doubt(self._clock(), self._receipts.came_bytes)
+            elif session.report_s:
+                for at_s, came_bytes in came:
+                    session.acknowledge(at_s, came_bytes)
+        if not session.report_s:
+            session.acknowledge(self._clock(), took_bytes)
+        entry.rate_bps = session.rate_bps
         if status is not None:
             session.on_status(self._clock(), status)
         if now_s >= self._tcp_info_s:
@@ -288,6 +308,7 @@ class _Play:
         first, end = send.births.start, send.births.start + len(coded)
         sent = SendSlices(range(first, end), send.first_layer, send.end_layer)
         self._session.sent_slices(sent, [len(one.data) for one in coded], self._clock())
+        self._note(coded)
         await self._write(coded)
         self._sent_slices += 0 if send.first_layer else len(coded)
         self._sent_layers += (send.end_layer - send.first_layer) * len(coded)
@@ -304,8 +325,15 @@ class _Play:
             end = first + len(coded.parts)
             one = SendSnapshots(frame, first, end)
             self._session.sent(one, len(coded.data), self._clock())
+            self._note([coded])
             await self._write([coded])
             first = end
+
+    def _note(self, coded: Sequence[CodedRecord]) -> None:
+        """Notes what goes out, for what the client will say of it."""
+        if self._receipts is not None:
+            for one in coded:
+                self._receipts.sent(one.body_bytes, len(one.data))
 
     async def _write(self, coded: Sequence[CodedRecord]) -> None:
         """Writes records of the same parts, short ones together."""

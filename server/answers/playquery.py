@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from server.abr.clientstatus import MAX_FRAME
 from server.exchange.errors import RequestError
 
+_KEYS = ("from", "until", "layers", "plain", "paused", "reports")
+
 LIVE = "live"
 """In place of the first frame: the newest that can be begun with."""
 
@@ -28,6 +30,8 @@ class PlayQuery:
     """Whether packets come as what is in them, see codec.stream.plainrecord."""
     paused: bool = False
     """Whether the client begins with a still picture."""
+    reports: bool = False
+    """Whether the client's status reports say what it has received."""
 
 
 def parse_query(
@@ -41,13 +45,12 @@ def parse_query(
     RequestError 400 with the allowed values."""
     values: dict[str, str] = {}
     for key, value in pairs:
-        if key not in ("from", "until", "layers", "plain", "paused") or key in values:
+        if key not in _KEYS or key in values:
             raise RequestError(
-                400,
-                f"{key[:40]!r}: play accepts only from, until, layers, plain and paused, each once",
+                400, f"{key[:40]!r}: play accepts only {', '.join(_KEYS)}, each once"
             )
         values[key] = value
-    plain, paused = (_flag(key, values.get(key, "0")) for key in ("plain", "paused"))
+    flags = [_flag(key, values.get(key, "0")) for key in ("plain", "paused", "reports")]
     text = values.get("from", "0")
     from_frame = edge_frame if text == LIVE else _number("from", text)
     # A live stream may be joined before it has its first segment.
@@ -60,11 +63,11 @@ def parse_query(
         raise RequestError(400, f"until={until_frame} must be greater than from={from_frame}")
     layers = values.get("layers", "auto")
     if layers == "auto":
-        return PlayQuery(from_frame, until_frame, None, plain, paused)
+        return PlayQuery(from_frame, until_frame, None, *flags)
     fixed = num_layers if layers == "all" else _number("layers", layers)
     if not 1 <= fixed <= num_layers:
         raise RequestError(400, f"layers={fixed}: give auto, all or 1 to {num_layers}")
-    return PlayQuery(from_frame, until_frame, fixed, plain, paused)
+    return PlayQuery(from_frame, until_frame, fixed, *flags)
 
 
 def _number(key: str, text: str) -> int:

@@ -10,7 +10,13 @@ from collections.abc import Coroutine
 from typing import Any
 
 from codec.errors import InvalidError
-from server.abr.clientstatus import RATE_HEADER, ClientStatus
+from server.abr.clientstatus import (
+    LIVE_HEADER,
+    NUM_FRAMES_HEADER,
+    RATE_HEADER,
+    REPORT_HEADER,
+    ClientStatus,
+)
 from server.exchange.errors import RequestError
 from server.exchange.response import Response
 from server.operate.workers.playmessage import PlayAnswer, PlayQuestion, worker_of
@@ -65,7 +71,8 @@ def _report(state: ServerState, token: str, stream: str, body: bytes) -> PlayAns
         status = ClientStatus.from_json(body)
     except InvalidError as error:
         return PlayAnswer(StatusOutcome.REFUSED, problem=str(error))
-    return PlayAnswer(plays.report(token, stream, status), entry.rate_bps)
+    outcome = plays.report(token, stream, status)
+    return PlayAnswer(outcome, entry.rate_bps, report_s=entry.report_s)
 
 
 def _response(call: Call, answer: PlayAnswer) -> Response:
@@ -77,4 +84,12 @@ def _response(call: Call, answer: PlayAnswer) -> Response:
     fields = {"Cache-Control": "no-store"}
     if answer.rate_bps is not None:
         fields[RATE_HEADER] = str(round(answer.rate_bps))
+    if answer.report_s:
+        fields[REPORT_HEADER] = str(round(1000 * answer.report_s))
+    # A play is sent a few seconds ahead, and no further while it is paused: only here its client
+    # learns where the live edge is.
+    stream = call.state.library.streams.get(call.name("stream"))
+    if stream is not None:
+        fields[NUM_FRAMES_HEADER] = str(stream.num_frames)
+        fields[LIVE_HEADER] = str(int(stream.live))
     return Response(204, fields)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from codec.errors import CodecError
 from codec.stream.manifest import MASKS, Part, snapshot_part
-from codec.stream.plainrecord import PlainRecordEncoder
+from codec.stream.plainrecord import PlainRecordEncoder, plain_bytes
 from codec.stream.playrecord import SliceRecord, SnapshotRecord, encode_record
 from server.abr.decisioncontext import SendSlices
 from server.library import ServedStream
@@ -26,6 +26,8 @@ class CodedRecord:
     parts: tuple[Part, ...]
     packet_bytes: tuple[int, ...]
     """Bytes of the packets of each part."""
+    body_bytes: int
+    """Bytes of it as its reader gets them, without the coding of the response."""
 
 
 class RecordCache:
@@ -113,4 +115,5 @@ def _coded(
     packets: list[bytes],
 ) -> CodedRecord:
     data = encode_record(record) if plain is None else plain.encode(record)
-    return CodedRecord(data, tuple(parts), tuple(map(len, packets)))
+    body_bytes = len(data) if plain is None else plain_bytes(record)
+    return CodedRecord(data, tuple(parts), tuple(map(len, packets)), body_bytes)

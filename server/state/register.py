@@ -32,6 +32,8 @@ class RegisteredPlay:
     stream: str
     rate_bps: float | None = None
     """The newest estimate of its client's throughput."""
+    report_s: float = 0.0
+    """The time after which the next report is wanted, where the play goes by them."""
     status: ClientStatus | None = None
     """Its client's status, if reported since the last `pop_status`."""
 

@@ -16,7 +16,13 @@ from codec.stream.playrecord import (
     Record,
     RecordParser,
 )
-from server.abr.clientstatus import PLAY_HEADER, ClientStatus
+from server.abr.clientstatus import (
+    MAX_POINTS,
+    PLAY_HEADER,
+    REPORT_HEADER,
+    ClientStatus,
+    parse_report_s,
+)
 from server.answers.call import Call
 from server.answers.play import play
 from server.exchange.request import Request
@@ -88,18 +94,61 @@ class Played:
         self.client = client
         self.task = asyncio.ensure_future(response.produce(client))
         self._token = response.fields[PLAY_HEADER]
+        self._wanted = response.fields.get(REPORT_HEADER, "")
+
+    @property
+    def report_s(self) -> float:
+        entry = self.state.plays.find(self._token, "long")
+        return (entry and entry.report_s) or parse_report_s(self._wanted) or 1.0
 
     def report(self, status: ClientStatus) -> None:
         self.state.plays.report(self._token, "long", status)
 
 
-async def began(root: Path, query: str, rate: float, config: ServerConfig) -> Played:
+class BehindProxy(Client):
+    """What is sent to it is taken at once by something that hands it on at the rate."""
+
+    def __init__(self, rate: float) -> None:
+        super().__init__(rate)
+        self._came: list[tuple[float, int]] = []  # when how many bytes have come
+        self._sent = 0
+        self.behind_bytes = 0.0
+        """The most that the proxy held."""
+
+    async def write(self, data: bytes) -> None:
+        self.records += [(now_s(), record) for record in self._parser.feed(data)]
+        for first in range(0, len(data), 4096):
+            piece = min(4096, len(data) - first)
+            self._sent += piece
+            self._last_s = max(self._last_s, now_s()) + piece / self._rate
+            self._came.append((self._last_s, self._sent))
+        self.behind_bytes = max(self.behind_bytes, (self._last_s - now_s()) * self._rate)
+
+    def queued_bytes(self) -> int:
+        return 0
+
+    async def report(self, played: Played) -> None:
+        """Reports as the server wants it, with a clock of its own, for as long as it plays."""
+        reported = 0
+        while not played.task.done():
+            await passes(played.report_s)
+            came = sum(at_s <= now_s() for at_s, _ in self._came)
+            points = [(round(1e3 * (50 + at_s)), n) for at_s, n in self._came[reported:came]]
+            if came:
+                frame = round((now_s() - self._came[0][0]) * FPS)
+                played.report(ClientStatus(frame, received=tuple(points[-MAX_POINTS:])))
+            reported = came
+
+
+async def began(
+    root: Path, query: str, rate: float | Client, config: ServerConfig, **fields: str
+) -> Played:
     state = ServerState(Library(root, 1.0), config)
     (name,) = state.library.streams
     path = f"/v1/streams/{name}/play"
-    request = Request("GET", path, query, "h", CIMultiDict())
+    request = Request("GET", path, query, "h", CIMultiDict(fields))
     response = await play(Call(state, request, "192.0.2.1", False, {"stream": name}))
-    return Played(state, response, Client(rate))
+    return Played(state, response, rate if isinstance(rate, Client) else Client(rate))
 
 
 def mean_layers(records: Iterable[Record]) -> float:
@@ -118,6 +167,30 @@ async def test_a_slow_reader_gets_fewer_layers_than_a_fast_one(
     assert played.client.births == list(range(NUM_FRAMES))
     assert records[-1] == EndRecord(NUM_FRAMES)
     assert least < mean_layers(records) <= most
+
+
+@pytest.mark.parametrize(
+    "fields", [{"X-Forwarded-For": "192.0.2.7"}, {"Via": "1.1 box"}, {}], ids=str
+)
+@in_virtual_time
+async def test_what_a_proxy_has_taken_is_not_taken_for_the_link(
+    tmp_path: Path, fields: dict[str, str]
+) -> None:
+    """The slow link of above: what the client says counts, not what left the server at once. A
+    tunnel that adds no field to the request is known by that, once too much went into it."""
+    make_stream(tmp_path / "long", 3 * NUM_FRAMES, slice_size=200, fps=FPS)
+    client = BehindProxy(260_000)
+    played = await began(tmp_path, "reports=1", client, quick_config(), **fields)
+    reports = asyncio.ensure_future(client.report(played))
+    await played.task
+    await reports
+    assert client.births == list(range(3 * NUM_FRAMES))
+    if fields:
+        shown = slices_of(record for _, record in client.records)
+        assert 1.2 < mean_layers(one for one in shown if one.birth > 2 * NUM_FRAMES) <= 1.8
+        assert client.behind_bytes < 100_000
+    else:  # 5.4 MB, of all layers throughout, where no report is believed
+        assert client.behind_bytes < 2_000_000
 
 
 @in_virtual_time

@@ -19,7 +19,7 @@ from matplotlib.ticker import FuncFormatter
 from codec.camera import Camera
 from codec.files import replacing
 from codec.pose import Doubles
-from codec.rig import rig_up, rig_centre
+from codec.rig import rig_centre, rig_up
 from trainer.capture.capture import Capture
 
 from .labelfont import OWN_FAMILY, families_for

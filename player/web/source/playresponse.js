@@ -20,6 +20,9 @@ export class GoneError extends Error {
 const GONE = "The network is gone";
 const BUSY = "The server is busy";
 
+/** Most points of a report: when how much had come. */
+const MOST_POINTS = 24;
+
 /**
  * Parameters of a /play request.
  * @typedef {object} PlayQuery
@@ -42,6 +45,11 @@ export class PlayResponse {
     const { body } = response;
     if (body === null) throw new GoneError(GONE);
     this.token = response.headers.get("Swings-Play");
+    /** Time after which the server wants the next status report; 0: it does not say. */
+    this.reportMs = Number(response.headers.get("Swings-Report-Ms"));
+    this.bodyBytes = 0;
+    /** @type {[number, number][]} [ms, bytes of the body] since the last report */
+    this.points = [];
     this.abort = abort;
     this.reader = body.getReader();
     this.parser = new RecordParser();
@@ -93,6 +101,7 @@ export class PlayResponse {
       }
       if (piece.done) return null;
       this.uncountedBytes += piece.value.length;
+      this.#note(piece.value.length);
       this.records = this.parser.feed(piece.value);
     }
     if (onBytes) {
@@ -100,6 +109,20 @@ export class PlayResponse {
       this.uncountedBytes = 0;
     }
     return this.records.shift() ?? null;
+  }
+
+  /** @param {number} numBytes that have come now */
+  #note(numBytes) {
+    this.bodyBytes += numBytes;
+    const nowMs = Math.round(performance.now());
+    const newest = this.points.push([nowMs, this.bodyBytes]) - 1;
+    if (newest < MOST_POINTS) return;
+    this.points = this.points.filter((_, n) => n % 2 === newest % 2);
+  }
+
+  /** The points since the last time, for a status report. */
+  takePoints() {
+    return this.points.splice(0);
   }
 
   close() {

@@ -36,6 +36,9 @@ export class ServedPlay {
     this.nextFrame = firstFrame;
     this.paused = false;
     this.reportedS = -Infinity;
+    /** Whether the answer to a report is awaited. */
+    this.isReporting = false;
+    this.reportTimer = 0;
     /** @type {number | null} the server's estimate of the link's throughput */
     this.rateBps = null;
     /** @type {unknown} */
@@ -79,25 +82,44 @@ export class ServedPlay {
     const isPaused = paused || isEarly;
     this.nextFrame = isEarly ? this.firstFrame : frame;
     this.moveOn();
-    const nowS = this.nowS();
     const periodS = REPORT_S / Math.max(1, rate);
-    if (isPaused === this.paused && nowS - this.reportedS < periodS) return;
+    if (isPaused === this.paused && this.nowS() - this.reportedS < periodS) return;
     this.paused = isPaused;
-    this.reportedS = nowS;
     this.#postReport();
   }
 
+  /** Reports what has come as often as the server wants to know it, where it measures by that. */
+  #reportReceived() {
+    const { response } = this;
+    if (!response?.reportMs || response.points.length === 0 || this.isReporting) return;
+    clearTimeout(this.reportTimer);
+    const waitMs = response.reportMs - 1000 * (this.nowS() - this.reportedS);
+    if (waitMs <= 0) this.#postReport();
+    // The server may wait for this report before it sends anything more.
+    else this.reportTimer = setTimeout(() => this.#reportReceived(), waitMs);
+  }
+
   async #postReport() {
-    const token = this.response?.token;
-    if (!token) return;
-    const body = JSON.stringify({ frame: this.nextFrame, paused: this.paused });
+    const { response, stream } = this;
+    this.reportedS = this.nowS();
+    if (!response?.token) return;
+    const received = response.takePoints();
+    const body = JSON.stringify({ frame: this.nextFrame, paused: this.paused, received });
+    this.isReporting = true;
     try {
-      const answer = await fetch(`${this.stream.base}play/${token}`, { method: "POST", body });
-      const rateBps = Number(answer.headers.get("Swings-Rate"));
-      if (rateBps > 0) this.rateBps = this.stream.rateBps = rateBps;
+      const url = `${stream.base}play/${response.token}`;
+      const { headers } = await fetch(url, { method: "POST", body });
+      const rateBps = Number(headers.get("Swings-Rate"));
+      if (rateBps > 0) this.rateBps = stream.rateBps = rateBps;
+      response.reportMs = Number(headers.get("Swings-Report-Ms"));
+      // More than what was sent: a play goes a few seconds ahead, and no further while it is paused.
+      const numFrames = Number(headers.get("Swings-Frames"));
+      if (numFrames > 0) stream.grow(numFrames, headers.get("Swings-Live") === "1");
     } catch {
       // Ignored: if the server is unreachable, the response breaks off as well.
     }
+    this.isReporting = false;
+    this.#reportReceived();
   }
 
   /**
@@ -268,6 +290,7 @@ export class ServedPlay {
     const { stream } = this;
     for (;;) {
       const record = await response.next((numBytes) => (stream.fetcher.receivedBytes += numBytes));
+      this.#reportReceived();
       if (this.isClosed || record === null) return false;
       if (record.kind === "end") {
         if (gap.untilFrame === undefined) stream.grow(record.numFrames, false);
@@ -355,6 +378,7 @@ export class ServedPlay {
 
   close() {
     this.isClosed = true;
+    clearTimeout(this.reportTimer);
     this.onData = () => {};
     this.patience.isOver = true;
     this.moveOn();

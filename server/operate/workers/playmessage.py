@@ -82,9 +82,12 @@ class PlayAnswer:
     """The estimate of the client's link, where there is one."""
     problem: str = ""
     """Why the report was refused."""
+    report_s: float = 0.0
+    """The time after which the play wants the next report, where it goes by them."""
 
     def pack(self) -> bytes:
-        packed: bytes = msgpack.packb((self.outcome, self.rate_bps, self.problem[:500]))
+        fields = (self.outcome, self.rate_bps, self.problem[:500], self.report_s)
+        packed: bytes = msgpack.packb(fields)
         return packed
 
     @classmethod
