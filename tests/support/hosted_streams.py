@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -160,8 +160,8 @@ def static_host(
 class ServerProcess:
     """swings-serve as a process that can be killed and restarted at the same port."""
 
-    def __init__(self, root: Path, port: int = 0) -> None:
-        command = [sys.executable, "-m", "server", str(root), "--port", str(port), *IDLE]
+    def __init__(self, root: Path, port: int = 0, words: Sequence[str] = ()) -> None:
+        command = [sys.executable, "-m", "server", str(root), "--port", str(port), *IDLE, *words]
         self.process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         ready = self.process.stdout.readline()
@@ -177,8 +177,8 @@ class ServerProcess:
 
 
 @contextlib.contextmanager
-def served(root: Path) -> Iterator[ServerProcess]:
-    server = ServerProcess(root)
+def served(root: Path, *words: str) -> Iterator[ServerProcess]:
+    server = ServerProcess(root, words=words)
     try:
         yield server
     finally:

@@ -3,6 +3,7 @@ status that a player reports."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from typing import Any
@@ -30,7 +31,14 @@ from player.playout.timeline import Playout
 from player.source.opener import Opener
 from player.source.served import ServedSource
 from player.source.source import LastPlay
-from server.abr.clientstatus import FRAME_HEADER, PLAY_HEADER, RATE_HEADER, ClientStatus
+from server.abr.clientstatus import (
+    FRAME_HEADER,
+    NUM_FRAMES_HEADER,
+    PLAY_HEADER,
+    RATE_HEADER,
+    REPORT_HEADER,
+    ClientStatus,
+)
 from tests.player.network.webhosts import HOLD, NO_ANSWER, ScriptedHost, script
 from tests.support.delivery.assembled import assembled
 from tests.support.delivery.playrecords import records_from_0
@@ -119,7 +127,7 @@ def test_a_new_connection_asks_for_what_is_missing_only() -> None:
         births, asked = births_from(*answers)
         assert births == [*range(1 - SWIN_SIZE, end)]
         froms = (0, *[again] * (len(answers) - 1))
-        assert asked == [f"/v1/streams/s/play?from={n}&layers=auto" for n in froms]
+        assert asked == [f"/v1/streams/s/play?from={n}&layers=auto&reports=1" for n in froms]
 
 
 @pytest.mark.parametrize(
@@ -197,7 +205,7 @@ def test_a_new_connection_is_told_at_once_how_the_playback_stands(
 ) -> None:
     """Otherwise the server would assume that the player waits for its first picture, although it
     has seconds of media, and send it few layers."""
-    monkeypatch.setattr("player.playout.threads.STATUS_MOST_S", 1e6)  # no report but that one
+    monkeypatch.setattr("player.source.served.REPORT_S", 1e6)  # no report but that one
     cut = answer(start(), *ALL[:4]).replace(HEAD, NAMED)
     again = answer(start(), *ALL).replace(HEAD, NAMED.replace(b"abc-_1", b"abc-_2")) + HOLD
     heard = b"HTTP/1.1 204 Heard\r\nConnection: close\r\n\r\n"
@@ -226,10 +234,16 @@ def test_a_new_connection_names_the_last_play_the_next_frame_and_the_rate(
     said: bytes, sent: str
 ) -> None:
     cut = answer(start(), *ALL[:3]).replace(HEAD, NAMED)
-    heard = b"HTTP/1.1 204 Heard\r\n%s: %s\r\nConnection: close\r\n\r\n"
-    heard %= RATE_HEADER.encode(), said
+    heard = b"HTTP/1.1 204 Heard\r\n%s: %s\r\n%s: 300\r\n%s: 50\r\nConnection: close\r\n\r\n"
+    names = RATE_HEADER, NUM_FRAMES_HEADER, REPORT_HEADER
+    heard %= names[0].encode(), said, names[1].encode(), names[2].encode()
     with played(cut, heard, NO_INDEX, answer(start(), *ALL)) as (host, source):
+        assert source.report_s == 1
         assert source.send_status(ClientStatus(2))
+        assert (source.report_s, source.num_frames) == (0.05, 300)
+        body = json.loads(host.requests[1].partition(b"\r\n\r\n")[2])
+        (_, num_bytes) = body["received"][-1]
+        assert num_bytes <= len(cut) - len(NAMED)
         packets = source.packets()
         for _ in range(4):
             next(packets)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from codec.tools.static import export_static
-from tests.support.hosted_streams import write_stream
+from tests.support.hosted_streams import served, write_stream
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 from tests.support.suite.once import made_once
@@ -126,6 +126,37 @@ def test_a_start_that_is_asked_for_is_where_it_starts(
     watch(page, f"{url}&autoplay=0{query}")
     page.wait(f"player.shownFrame === {first}")
     page.wait(BEHIND if first == 0 else "part('.badge').hidden === false")
+
+
+AWAY: dict[str, tuple[Callable[[Page], object], Callable[[Page], object]]] = {
+    "paused": (lambda page: page.press("k"), lambda page: page.click("swings-player .badge")),
+    "wound back": (lambda page: page.press("Home"), lambda page: page.press("End")),
+    "hidden": (lambda page: page.run(HIDE, True), lambda page: page.run(HIDE, False)),
+}
+HIDE = """
+Object.defineProperty(document, "hidden", { get: () => value, configurable: true });
+document.dispatchEvent(new Event("visibilitychange"));
+"""
+
+
+@pytest.mark.parametrize("away", AWAY)
+def test_a_play_knows_the_live_edge_however_long_its_viewer_was_away(
+    page: Page, made: Path, tmp_path: Path, away: str
+) -> None:
+    """A play is sent a second ahead here: what has become of the stream, only reports can tell."""
+    leave, come_back = AWAY[away]
+    publisher = Publisher(made / "static", tmp_path / "live")
+    publisher.publish(4)
+    with served(tmp_path, "--max-lead-s", "1") as server:
+        watch(page, f"{server.url}/watch/live", 480, 320)
+        page.click("swings-player canvas")
+        page.wait(f"player.shownFrame >= 15 && state.playing && !{BEHIND}")
+        leave(page)
+        publisher.publish(7)
+        page.wait("player.numFrames === 165")
+        come_back(page)
+        page.wait(f"player.shownFrame >= 120 && state.playing && !{BEHIND}")
+        assert page.value(NOTE) == ""
 
 
 def test_a_stream_of_whole_slices_grows_too(
