@@ -25,7 +25,7 @@ from player.playout.threads import Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.cpu import CpuRenderer
 from player.source.directory import DirectorySource
-from player.source.source import NO_PLAY, Packets
+from player.source.source import NO_PLAY, REPORT_S, Packets
 from server.abr.clientstatus import ClientStatus
 from tests.player.playout.conducted import AT_ONCE, FOLLOWED, World
 from tests.support.hosted_streams import SWIN_SIZE, small_manifest, write_stream
@@ -80,6 +80,8 @@ class ListSource:
         if self._silent:
             self._stopped.wait()
             raise StoppedError("stopped")
+
+    report_s = REPORT_S
 
     def send_status(self, status: ClientStatus) -> bool:
         self.heard.append(status)
