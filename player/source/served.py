@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import random
 import re
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
@@ -39,13 +40,13 @@ from player.network.idle import IdleLimit
 from player.network.retry import Retry, RetryConfig
 from server.abr.clientstatus import (
     FRAME_HEADER,
+    MAX_POINTS,
     NUM_FRAMES_HEADER,
     PLAY_HEADER,
     RATE_HEADER,
     REPORT_HEADER,
     TOKEN,
     ClientStatus,
-    ReceivedPoints,
     parse_frame,
     parse_rate,
     parse_report_s,
@@ -64,6 +65,32 @@ MAX_REFUSAL_BYTES = 1 << 16
 
 STATUS_FETCH = FetchConfig(connect_timeout_s=5.0, idle_s=5.0)
 """Limits of a status report: an older one is not worth waiting for."""
+
+
+class ReceivedPoints:
+    """When a client had how much of a play's body, for `ClientStatus.received`.
+
+    One thread adds, another one takes.
+    """
+
+    def __init__(self) -> None:
+        self._points: list[tuple[int, int]] = []
+        self._num_bytes = 0
+        self._lock = threading.Lock()
+
+    def add(self, now_s: float, num_bytes: int) -> None:
+        """`num_bytes` more have come."""
+        with self._lock:
+            self._num_bytes += num_bytes
+            self._points.append((round(1e3 * now_s), self._num_bytes))
+            if len(self._points) > MAX_POINTS:
+                del self._points[:-1:2]  # every other one; the newest stays
+
+    def take(self) -> tuple[tuple[int, int], ...]:
+        """What was added since the last time."""
+        with self._lock:
+            points, self._points = self._points, []
+        return tuple(points)
 
 
 class ServedSource:

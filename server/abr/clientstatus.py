@@ -6,7 +6,6 @@ though not always true."""
 from __future__ import annotations
 
 import json
-import threading
 from dataclasses import dataclass
 
 from codec.errors import InvalidError
@@ -141,29 +140,3 @@ class ClientStatus:
         if not (isinstance(received, list) and all(isinstance(one, list) for one in received)):
             raise InvalidError("received is not a list of pairs of milliseconds and bytes")
         return cls(**value, received=tuple(map(tuple, received)))
-
-
-class ReceivedPoints:
-    """When a client had how much of a play's body, for `ClientStatus.received`.
-
-    One thread adds, another one takes.
-    """
-
-    def __init__(self) -> None:
-        self._points: list[tuple[int, int]] = []
-        self._num_bytes = 0
-        self._lock = threading.Lock()
-
-    def add(self, now_s: float, num_bytes: int) -> None:
-        """`num_bytes` more have come."""
-        with self._lock:
-            self._num_bytes += num_bytes
-            self._points.append((round(1e3 * now_s), self._num_bytes))
-            if len(self._points) > MAX_POINTS:
-                del self._points[:-1:2]  # every other one; the newest stays
-
-    def take(self) -> tuple[tuple[int, int], ...]:
-        """What was added since the last time."""
-        with self._lock:
-            points, self._points = self._points, []
-        return tuple(points)

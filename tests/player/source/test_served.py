@@ -29,10 +29,11 @@ from player.playout.queues import Events
 from player.playout.threads import Threads
 from player.playout.timeline import Playout
 from player.source.opener import Opener
-from player.source.served import ServedSource
+from player.source.served import ReceivedPoints, ServedSource
 from player.source.source import LastPlay
 from server.abr.clientstatus import (
     FRAME_HEADER,
+    MAX_POINTS,
     NUM_FRAMES_HEADER,
     PLAY_HEADER,
     RATE_HEADER,
@@ -265,3 +266,14 @@ def test_a_loop_names_the_play_before() -> None:
         first, second = (request for request in host.requests if request.startswith(b"GET "))
         assert PLAY_HEADER.encode() not in first
         assert f"{PLAY_HEADER}: abc-_1".encode() in second
+
+
+def test_points_are_thinned_out_and_the_newest_stays() -> None:
+    points = ReceivedPoints()
+    for number in range(1000):
+        points.add(number / 1000, 10)
+    taken = points.take()
+    assert len(taken) <= MAX_POINTS
+    assert taken[-1] == (999, 10_000)
+    assert all(num_bytes == 10 * (at_ms + 1) for at_ms, num_bytes in taken)
+    assert points.take() == ()

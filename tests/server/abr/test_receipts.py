@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from server.abr.clientstatus import MAX_POINT, MAX_POINTS, ReceivedPoints
+from server.abr.clientstatus import MAX_POINT
 from server.abr.decisioncontext import Send
 from server.abr.fixedlayers import FixedLayers
 from server.abr.receipts import Receipts
@@ -72,14 +72,3 @@ def test_a_link_that_turns_out_to_be_something_in_between_is_measured_anew() -> 
     for step in range(1, 40):
         session.acknowledge(0.2 + step / 50, 30_000 + 5_000 * step)
     assert session.rate_bps == pytest.approx(8 * 5_000 * 50, rel=0.1)
-
-
-def test_points_are_thinned_out_and_the_newest_stays() -> None:
-    points = ReceivedPoints()
-    for number in range(1000):
-        points.add(number / 1000, 10)
-    taken = points.take()
-    assert len(taken) <= MAX_POINTS
-    assert taken[-1] == (999, 10_000)
-    assert all(num_bytes == 10 * (at_ms + 1) for at_ms, num_bytes in taken)
-    assert points.take() == ()
