@@ -51,9 +51,9 @@ def test_bytes_and_times_are_those_of_the_sender() -> None:
     came = receipts.take([(1_000_000, 50), (1_000_200, 250), (1_000_300, 350)], 7.4)
     # A report that was longer on its way says as well when things came.
     came += receipts.take([(1_000_600, 550)], 8.0)
-    times_s, num_bytes = zip(*came, strict=True)
+    times_s, found_bytes = zip(*came, strict=True)
     assert times_s == pytest.approx((7.3, 7.4, 7.7))
-    assert num_bytes == (50, 75, 200)
+    assert list(found_bytes) == [50, 75, 200]
 
 
 def test_a_link_that_turns_out_to_be_something_in_between_is_measured_anew() -> None:
