@@ -265,6 +265,36 @@ def test_it_is_asked_once_for_every_slice_as_a_reader_has_it(tmp_path: Path) -> 
             assert same_splats(found.splats, wanted.splats)
 
 
+def test_with_a_temporal_layer_too_it_goes_on_and_what_is_told_is_what_shows(
+    tmp_path: Path,
+) -> None:
+    told: dict[int, list[Splats]] = {}
+
+    def quality(birth: int, slices: Sequence[Slice]) -> list[float]:
+        told[birth] = [part.splats for part in slices]
+        return [float(birth)] * len(slices)
+
+    updates = patternless_updates(small_layout(1, (5, 3), 0, 8), 19, calm=3)
+    manifest = slots_manifest(small_layout(1, (5, 3), 0, 8, 4))
+    for name, stops in (("whole", []), ("stopped", [7, 12])):
+        writer = StreamWriter.create(tmp_path / name, manifest, quality=quality)
+        for stop in [*stops, len(updates)]:
+            for update in updates[writer.next_birth : stop]:
+                writer.append(update)
+            if stop < len(updates):
+                writer.abort()
+                writer = StreamWriter.resume(tmp_path / name, quality=quality)
+        writer.close()
+    assert files_of(tmp_path / "stopped") == files_of(tmp_path / "whole")
+    reader = StreamReader(tmp_path / "whole")
+    assert [record.psnr_db[0] for record in reader.records] == [3.5, 11.5, 17]
+    assert sorted(told) == list(range(19))
+    # Nothing after a segment is known when its record is written.
+    for frame in (frame for frame in told if frame // 4 % 2 == 0 and frame < 16):
+        for layers, found in enumerate(told[frame], start=1):
+            assert same_splats(found, reader.slice(frame, layers).splats)
+
+
 @pytest.mark.parametrize("birth", [1, 3, 9])
 def test_a_quality_that_raises_leaves_nothing(tmp_path: Path, birth: int) -> None:
     fail = True
