@@ -286,7 +286,15 @@ def test_with_a_temporal_layer_too_it_goes_on_and_what_is_told_is_what_shows(
                 writer = StreamWriter.resume(tmp_path / name, quality=quality)
         writer.close()
     assert files_of(tmp_path / "stopped") == files_of(tmp_path / "whole")
-    reader = StreamReader(tmp_path / "whole")
+    with StreamWriter.create(
+        tmp_path / "plain", slots_manifest(small_layout(1, (5, 3), 0, 8))
+    ) as plain:
+        for update in updates:
+            plain.append(update)
+    reader, simple = StreamReader(tmp_path / "whole"), StreamReader(tmp_path / "plain")
+    assert verify_stream(tmp_path / "whole").temporal_period == 4
+    for frame in [*range(19), 7, 3]:
+        assert same_splats(reader.active_splats(frame, 3), simple.active_splats(frame, 2))
     assert [record.psnr_db[0] for record in reader.records] == [3.5, 11.5, 17]
     assert sorted(told) == list(range(19))
     # Nothing after a segment is known when its record is written.
