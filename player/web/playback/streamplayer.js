@@ -110,21 +110,23 @@ export class StreamPlayer {
     const stepped = isScrubbed ? null : this.playback.stepTo(first);
     if (stepped !== null) {
       this.round.feed.advance(this.playback.nextFrame, this.rate);
-      if (!this.round.source.moveTo(first, true)) this.round.replaceSource(this.#newSource(first));
+      if (!this.round.source.moveTo(first, "step"))
+        this.round.replaceSource(this.#newSource(first));
       this.show(stepped);
-    } else this.#replaceRound(this.#newRound(first, this.round));
+    } else this.#replaceRound(this.#newRound(first, "seek"));
     this.reportPosition();
     this.wake();
   }
 
   /**
    * @param {number} firstFrame
-   * @param {Round | null} [before] a round whose source is reused, if it can continue at `firstFrame`
+   * @param {"seek" | "loop" | null} [how] null: this round's source goes on, so the new one needs its own
+   * @returns {Round}
    */
-  #newRound(firstFrame, before = null) {
+  #newRound(firstFrame, how = null) {
     const { stream, mostLayers } = this;
-    const goesOn = before !== null && before.source.moveTo(firstFrame, false);
-    const source = goesOn ? before.detach() : this.#newSource(firstFrame);
+    const goesOn = how !== null && this.round.source.moveTo(firstFrame, how);
+    const source = goesOn ? this.round.detach() : this.#newSource(firstFrame);
     source.onData = () => this.wake();
     const round = new Round(stream, source, firstFrame, mostLayers, this.rate);
     round.feed.onData = () => this.wake();
@@ -158,7 +160,8 @@ export class StreamPlayer {
   #prepareRound() {
     const { loop, playing, playback, stream } = this;
     const restS = (stream.numFrames - playback.nextFrame) / (playback.fps * this.rate);
-    const isDue = loop && playing && !stream.manifest.live && restS < NEXT_ROUND_S;
+    const isDue =
+      loop && playing && stream.numFrames > 1 && !stream.manifest.live && restS < NEXT_ROUND_S;
     if (!isDue || !this.round.source.isDone || this.scrubber.isActive) {
       if (!loop) this.#dropNextRound();
       return;
@@ -166,21 +169,21 @@ export class StreamPlayer {
     this.nextRound ??= this.#newRound(0);
     this.nextRound.source.reportPosition(playback.nextFrame - stream.numFrames, false, this.rate);
     if (this.nextRound.failure !== null) throw this.nextRound.failure;
-    this.nextRound.source.step();
   }
 
   /** Called when the last frame shows: starts the next round, or ends playback. */
   #end() {
+    const { fps, numFrames } = this.playback;
     if (!this.loop) {
       this.playing = false;
       this.playback.setPlaying(false);
       this.outlet.post({ kind: "ended" });
       return;
     }
-    const { fps, numFrames } = this.playback;
+    if (numFrames === 1) return; // it stays
     const seamS = this.playback.dueS ?? nowS();
     if (this.zeroS !== null) this.zeroS += numFrames / (fps * this.rate);
-    const round = this.nextRound ?? this.#newRound(0);
+    const round = this.nextRound ?? this.#newRound(0, "loop");
     this.nextRound = null;
     round.playback.notBeforeS = seamS;
     round.playback.waiting = false;
@@ -261,7 +264,8 @@ export class StreamPlayer {
       if (this.scrubber.isActive) return this.#postLine();
       const { cache, numFrames, manifest } = this.stream;
       cache.setPlayhead(playback.nextFrame, this.loop && !manifest.live ? numFrames : null);
-      const waitS = round.source.step();
+      // A prepared round follows one that has all it needs, and what that began would be aborted.
+      const waitS = ((playing && this.nextRound) || round).source.step();
       const beganMs = performance.now();
       const shown = playback.tick(nowS());
       if (shown !== null) {
@@ -298,8 +302,9 @@ export class StreamPlayer {
   /** Reports the position to the source. */
   reportPosition() {
     const { playback, playing, round } = this;
-    const frame = playing ? playback.nextFrame : playback.frame;
-    round.source.reportPosition(frame, !playing, this.rate);
+    const moves = playing && !playback.hasEnded;
+    const frame = moves ? playback.nextFrame : playback.frame;
+    round.source.reportPosition(frame, !moves, this.rate);
   }
 
   /** Posts the state to the page, ten times a second at most. */

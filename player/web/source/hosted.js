@@ -2,6 +2,7 @@ import { CODERS, MAX_MANIFEST_BYTES } from "../constants.js";
 import { corrupt } from "../format/bytes/errors.js";
 import { checkGaussians, objectPath, readManifest } from "../format/manifest.js";
 import { readObject } from "../format/objecttable.js";
+import { RateEstimator } from "./estimator.js";
 import { SourceError } from "./fetcher.js";
 import { follow } from "./follow.js";
 import { GrowingIndex } from "./growingindex.js";
@@ -26,8 +27,7 @@ export class HostedStream {
     this.manifest = manifest;
     this.cache = new SegmentCache(manifest, bufferBytes);
     this.index = new GrowingIndex(`${base}index.bin`, fetcher, manifest);
-    /** @type {number | null} the last play's estimate of the link's throughput */
-    this.rateBps = null;
+    this.estimator = new RateEstimator();
   }
 
   /**

@@ -1,4 +1,3 @@
-import { RateEstimator } from "./estimator.js";
 import { LayerRule } from "./layerrule.js";
 
 /** Assumed throughput of a link before the first estimate. */
@@ -7,6 +6,11 @@ const FIRST_RATE_BPS = 4e6;
 const QUEUE_S = 0.2;
 const QUEUE_BYTES = 32 * 1024;
 const STEP_S = 0.1;
+
+/**
+ * A request under way.
+ * @typedef {{ segment: number, leftBytes: number, abort: AbortController }} Coming
+ */
 
 /** One play of a hosted stream: fetches what the rule chooses into the stream's cache. */
 export class HostedPlay {
@@ -17,23 +21,18 @@ export class HostedPlay {
   constructor(stream, { firstFrame, mostLayers, nowS }) {
     this.stream = stream;
     this.nowS = nowS;
-    const { cache, manifest, records } = stream;
-    /** @type {import("./layerrule.js").IsHere} */
-    const isHere = ({ segment, numFrames }, part) => cache.hasObject(segment, part, numFrames);
-    this.rule = new LayerRule(manifest, records, firstFrame, mostLayers, isHere);
-    this.abort = new AbortController();
-    this.estimator = new RateEstimator();
+    this.mostLayers = mostLayers;
+    /** @type {Map<string, Coming>} by segment and part */
+    this.coming = new Map();
+    this.rule = this.#ruleFrom(firstFrame);
     this.nextFrame = firstFrame;
     this.paused = false;
     this.rate = 1;
-    this.queuedBytes = 0;
     this.comeBytes = 0;
     this.measuredS = nowS();
     /** @type {unknown} */
     this.failure = null;
     this.isClosed = false;
-    /** Number of objects that were requested and have not arrived. */
-    this.underway = 0;
     /** Whether nothing more will be requested. */
     this.isDone = false;
     /** @type {() => void} called when data has arrived or a request has failed */
@@ -42,7 +41,23 @@ export class HostedPlay {
 
   /** Estimated throughput of the link, bits per second; null while unknown. */
   get rateBps() {
-    return this.estimator.rateBps ?? this.stream.rateBps;
+    return this.stream.estimator.rateBps;
+  }
+
+  /** Number of bytes that were requested and have not arrived. */
+  get queuedBytes() {
+    let sum = 0;
+    for (const { leftBytes } of this.coming.values()) sum += leftBytes;
+    return sum;
+  }
+
+  /** @param {number} firstFrame */
+  #ruleFrom(firstFrame) {
+    const { cache, manifest, records } = this.stream;
+    /** @type {import("./layerrule.js").IsHere} */
+    const isHere = ({ segment, numFrames }, part) =>
+      cache.hasObject(segment, part, numFrames) || this.coming.has(`${segment}/${part}`);
+    return new LayerRule(manifest, records, firstFrame, this.mostLayers, isHere);
   }
 
   /**
@@ -57,13 +72,28 @@ export class HostedPlay {
   }
 
   /**
-   * Continues from another frame, see SourcePlay.
+   * Continues from another frame, see SourcePlay. What is under way is kept, except that a seek waits for
+   * no other segment than its own.
    * @param {number} frame
-   * @param {boolean} isStep
+   * @param {import("./source.js").Move} how
    */
-  moveTo(frame, isStep) {
-    // A join may need further objects, which only a new play requests.
-    return isStep && frame >= this.nextFrame;
+  moveTo(frame, how) {
+    if (this.isClosed) return false;
+    if (how === "step") return true;
+    const target = this.stream.cache.segmentOf(frame);
+    if (how === "seek") this.#abort(({ segment }) => segment !== target);
+    this.rule = this.#ruleFrom(frame);
+    this.nextFrame = frame;
+    return true;
+  }
+
+  /** @param {(coming: Coming) => boolean} isUnwanted */
+  #abort(isUnwanted) {
+    for (const [name, coming] of this.coming) {
+      if (!isUnwanted(coming)) continue;
+      this.coming.delete(name);
+      coming.abort.abort();
+    }
   }
 
   /** Requests the objects that the rule chooses now; returns the maximum seconds until the next call. */
@@ -76,12 +106,11 @@ export class HostedPlay {
       if (queuedBytes > Math.max(QUEUE_BYTES, (rateBps * QUEUE_S) / 8)) return STEP_S;
       const segment = this.rule.choose({ nextFrame, paused, rateBps, queuedBytes, rate });
       if (segment === null) {
-        this.isDone = this.underway === 0 && this.rule.isAtEnd;
+        this.isDone = this.coming.size === 0 && this.rule.isAtEnd;
         return STEP_S;
       }
       if (!this.stream.cache.hasRoomFor(segment)) return STEP_S;
       const parts = this.rule.parts(segment);
-      this.queuedBytes += this.rule.bytes(segment, parts);
       this.rule.add(segment);
       for (const part of parts) this.#fetch(this.stream.records[segment], part);
     }
@@ -91,8 +120,7 @@ export class HostedPlay {
   #measure() {
     const nowS = this.nowS();
     if (this.queuedBytes > 0 || this.comeBytes > 0) {
-      this.estimator.add(this.comeBytes, nowS - this.measuredS);
-      this.queuedBytes -= this.comeBytes;
+      this.stream.estimator.add(this.comeBytes, nowS - this.measuredS);
       this.comeBytes = 0;
     }
     this.measuredS = nowS;
@@ -103,26 +131,29 @@ export class HostedPlay {
    * @param {string} part
    */
   async #fetch(record, part) {
-    const { cache } = this.stream;
+    const name = `${record.segment}/${part}`;
+    const abort = new AbortController();
+    const leftBytes = this.rule.bytes(record.segment, [part]);
+    const coming = { segment: record.segment, leftBytes, abort };
+    this.coming.set(name, coming);
     const count = (/** @type {number} */ numBytes) => {
+      coming.leftBytes -= numBytes;
       this.comeBytes += numBytes;
       this.onData();
     };
-    this.underway += 1;
     try {
-      const packets = await this.stream.object(record, part, count, this.abort.signal);
-      cache.addObject(record, part, packets);
+      const packets = await this.stream.object(record, part, count, abort.signal);
+      this.stream.cache.addObject(record, part, packets);
     } catch (error) {
-      if (!this.isClosed) this.failure ??= error;
+      if (!abort.signal.aborted) this.failure ??= error;
     }
-    this.underway -= 1;
+    if (this.coming.get(name) === coming) this.coming.delete(name);
     this.onData();
   }
 
   close() {
     this.isClosed = true;
     this.onData = () => {};
-    this.abort.abort();
-    this.stream.rateBps = this.rateBps;
+    this.#abort(() => true);
   }
 }

@@ -125,15 +125,15 @@ export class ServedPlay {
   /**
    * Continues from another frame, see SourcePlay.
    * @param {number} frame
-   * @param {boolean} isStep
+   * @param {import("./source.js").Move} how
    */
-  moveTo(frame, isStep) {
+  moveTo(frame, how) {
     const { stream, mostLayers, firstFrame, endBirth } = this;
     const { cache } = stream;
-    if (this.isClosed || frame < firstFrame || frame >= endBirth) return false;
+    if (this.isClosed || how === "loop" || frame < firstFrame || frame >= endBirth) return false;
     const segment = cache.segmentOf(frame);
     const isHere = cache.hasAllChanges(segment, stream.framesIn(segment), mostLayers);
-    const missing = isStep ? [] : cache.missingSnapshots(segment, mostLayers);
+    const missing = how === "step" ? [] : cache.missingSnapshots(segment, mostLayers);
     if (!isHere || (missing.length > 0 && !stream.hasObjects)) return false;
     for (let next = segment + 1; next < cache.segmentOf(endBirth); next++) {
       if (!cache.isComplete(next, stream.framesIn(next), mostLayers)) return false;

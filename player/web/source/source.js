@@ -13,6 +13,8 @@ import { ServedStream } from "./served.js";
  * @property {() => number} nowS clock, seconds
  */
 
+/** @typedef {"step" | "seek" | "loop"} Move "step": the frame continues the current picture */
+
 /**
  * One play, from a frame on: fetches missing data into the stream's cache.
  * @typedef {object} SourcePlay
@@ -20,8 +22,8 @@ import { ServedStream } from "./served.js";
  *   call
  * @property {(frame: number, paused: boolean, rate: number) => void} reportPosition reports the frame
  *   that shows next, or during a pause the current one; -n if n other frames show before frame 0
- * @property {(frame: number, isStep: boolean) => boolean} moveTo continues from another frame, unless
- *   that needs a new play; returns whether it does. isStep: the frame continues the current picture.
+ * @property {(frame: number, how: Move) => boolean} moveTo continues from another frame, unless
+ *   that needs a new play; returns whether it does
  * @property {number | null} rateBps estimated throughput of the link
  * @property {unknown} failure the error that ended the play; null if there is none
  * @property {() => void} onData called when data has arrived or a request has failed

@@ -1,0 +1,73 @@
+/** Stills and loops: what a player asks its host for, round after round. */
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { readManifest } from "../format/manifest.js";
+import { readIndex } from "../format/streamindex.js";
+import { StreamPlayer } from "../playback/streamplayer.js";
+import { Fetcher } from "../source/fetcher.js";
+import { HostedStream } from "../source/hosted.js";
+import { filesOf } from "./support.mjs";
+import { VirtualHost } from "./virtualhost.mjs";
+
+/** Three layers, three segments of five frames, 0.6 s. */
+const FILES = filesOf("far-gzip");
+const MANIFEST = readManifest(FILES["manifest.json"]);
+const RECORDS = readIndex(FILES["index.bin"], MANIFEST);
+
+/** A player of `records`, whose host answers after `delayS`. */
+function playing(context, records, delayS, start = {}) {
+  const host = new VirtualHost(context, (path) => new Response(FILES[path]), delayS);
+  const fetcher = new Fetcher();
+  const stream = new HostedStream("http://host/", fetcher, MANIFEST, false);
+  stream.index.records = records;
+  const posted = [];
+  const shown = [];
+  const outlet = {
+    post: (message) => posted.push(message),
+    show: ({ frame }) => shown.push(frame),
+    fail: (error) => assert.fail(error),
+  };
+  const player = new StreamPlayer(stream, fetcher, outlet, start);
+  player.setPlaying(true);
+  const isBusy = () => player.round.feed.isRunning || player.nextRound?.feed.isRunning;
+  const until = (isOver) => host.until(isOver, isBusy);
+  const ended = () => posted.filter(({ kind }) => kind === "ended").length;
+  return { player, host, shown, until, ended };
+}
+
+const isUpper = (path) => /[1-9]$/.test(path);
+
+for (const loop of [false, true]) {
+  test(`one frame shows and stays, ${loop ? "as in" : "without"} a loop`, async (context) => {
+    const records = [{ ...RECORDS[0], numFrames: 1 }];
+    const delayS = (path) => (isUpper(path) ? 0.5 : 0.1);
+    const { player, host, until, ended } = playing(context, records, delayS, { loop });
+    await until(() => player.playback.play.layers === 3);
+    const beganMs = host.nowMs;
+    await until(() => host.nowMs >= beganMs + 3000);
+    assert.ok(host.asked.length <= 20);
+    assert.deepEqual(host.asked.sort(), [...new Set(host.asked)].sort(), "each once");
+    assert.deepEqual(host.aborted, []);
+    assert.deepEqual([ended(), player.playing], loop ? [0, true] : [1, false]);
+    assert.deepEqual([player.playback.frame, player.playback.waiting], [0, false]);
+    if (loop) player.loop = false;
+    else player.setPlaying(true);
+    await until(() => ended() === (loop ? 1 : 2));
+    assert.equal(host.asked.length, new Set(host.asked).size, "played again from what is here");
+    player.close();
+  });
+}
+
+test("layers that take longer to come than a round are waited for over rounds", async (context) => {
+  const delayS = (path) => (isUpper(path) ? 1.7 : 0.02);
+  const { player, host, shown, until, ended } = playing(context, RECORDS, delayS, { loop: true });
+  const first = player.round;
+  await until(() => player.playback.play.layers === 3 && player.playback.frame > 9);
+  assert.ok(player.round !== first && shown.filter((frame) => frame === 0).length > 2);
+  await until(() => host.nowMs >= 9000);
+  assert.deepEqual(host.aborted, []);
+  assert.equal(host.asked.length, new Set(host.asked).size, "each once");
+  assert.deepEqual([ended(), player.playback.stalls], [0, 0]);
+  player.close();
+});

@@ -1,0 +1,58 @@
+/** A static host and a clock that exist only in the test: nothing takes real time. */
+import { settled } from "./support.mjs";
+
+const STEP_MS = 10;
+
+/** Replaces the clock, the timers and `fetch` until the test ends. */
+export class VirtualHost {
+  /**
+   * @param {import("node:test").TestContext} context
+   * @param {(path: string) => Response} answer
+   * @param {(path: string) => number} delayS time until the answer
+   */
+  constructor(context, answer, delayS) {
+    this.nowMs = 0;
+    this.asked = [];
+    this.aborted = [];
+    this.waiting = new Set();
+    context.mock.timers.enable({ apis: ["setTimeout"] });
+    context.mock.method(performance, "now", () => this.nowMs);
+    context.mock.method(globalThis, "fetch", (url, { signal } = {}) => {
+      const path = new URL(url).pathname.slice(1);
+      this.asked.push(path);
+      return new Promise((resolve, reject) => {
+        const one = {
+          dueMs: this.nowMs + 1000 * delayS(path),
+          come: () => resolve(answer(path)),
+        };
+        this.waiting.add(one);
+        signal?.addEventListener("abort", () => {
+          if (this.waiting.delete(one)) this.aborted.push(path);
+          reject(signal.reason);
+        });
+      });
+    });
+    this.timers = context.mock.timers;
+  }
+
+  /**
+   * Lets time pass until `isOver`.
+   * @param {() => boolean} isOver
+   * @param {() => boolean} isBusy whether something is under way that takes no virtual time
+   */
+  async until(isOver, isBusy, mostS = 60) {
+    for (const endMs = this.nowMs + 1000 * mostS; !isOver(); ) {
+      if (this.nowMs >= endMs) throw new Error(`nothing in ${mostS} s`);
+      this.nowMs += STEP_MS;
+      for (const one of this.waiting) {
+        if (one.dueMs > this.nowMs) continue;
+        this.waiting.delete(one);
+        one.come();
+      }
+      await settled();
+      this.timers.tick(STEP_MS);
+      do await settled();
+      while (isBusy());
+    }
+  }
+}
