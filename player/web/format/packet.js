@@ -5,6 +5,9 @@ import { corrupt, FormatError, unsupported } from "./bytes/errors.js";
 
 const LEAST_BYTES = 18;
 
+/** The layer of a part; 0 for the masks. @param {string} part */
+export const layerOf = (part) => Number(part.replace(/\D+/, ""));
+
 /**
  * Maximum size of the chunk in a packet.
  * @param {import("./manifest.js").Manifest} manifest
@@ -12,8 +15,8 @@ const LEAST_BYTES = 18;
  */
 export function limitBytes({ layout }, part) {
   if (part === "masks") return layout.maxMaskBytes;
-  if (part.startsWith("snapshot-")) return layout.maxSnapshotBytes(Number(part.slice(9)));
-  return layout.maxChangeBytes(Number(part));
+  if (part.startsWith("snapshot-")) return layout.maxSnapshotBytes(layerOf(part));
+  return layout.maxChangeBytes(layerOf(part));
 }
 
 /** @param {Uint8Array} packet */

@@ -1,4 +1,5 @@
-import { inflatePacket, isGzip, limitBytes } from "../format/packet.js";
+import { FormatError } from "../format/bytes/errors.js";
+import { inflatePacket, isGzip, layerOf, limitBytes } from "../format/packet.js";
 
 /** Seconds of media that are inflated ahead. */
 const AHEAD_S = 1;
@@ -102,7 +103,7 @@ export class ChunkFeed {
     const isSnapshot = part.startsWith("snapshot-");
     // The first frame of the segment that is joined needs its snapshots only.
     if (birth === this.startFrame && !isSnapshot) return;
-    if (part !== "masks" && Number(part.replace("snapshot-", "")) >= this.numLayers) return;
+    if (layerOf(part) >= this.numLayers) return;
     this.queue.push({ birth, part, packet });
   }
 
@@ -114,7 +115,10 @@ export class ChunkFeed {
         const batch = this.queue.splice(0, BATCH);
         const chunks = await Promise.all(batch.map((arrived) => this.#inflated(arrived)));
         if (this.isClosed) return;
-        for (const [n, { birth, part }] of batch.entries()) this.#pass(birth, part, chunks[n]);
+        for (const [n, { birth, part }] of batch.entries()) {
+          const chunk = chunks[n];
+          if (chunk !== null) this.#pass(birth, part, chunk);
+        }
         this.onData();
       }
     } catch (error) {
@@ -125,9 +129,16 @@ export class ChunkFeed {
     }
   }
 
-  /** @param {Arrived} arrived @returns {Uint8Array | Promise<Uint8Array>} */
-  #inflated({ part, packet }) {
-    return isGzip(packet) ? inflatePacket(packet, limitBytes(this.manifest, part)) : packet;
+  /** The chunk of a packet; null if it is damaged, and is of a layer above 0. @param {Arrived} arrived */
+  async #inflated({ birth, part, packet }) {
+    try {
+      return isGzip(packet) ? await inflatePacket(packet, limitBytes(this.manifest, part)) : packet;
+    } catch (error) {
+      const layer = layerOf(part);
+      if (layer === 0 || !(error instanceof FormatError)) throw error;
+      this.play.lose(birth, layer, error);
+      return null;
+    }
   }
 
   /**
@@ -136,7 +147,7 @@ export class ChunkFeed {
    * @param {Uint8Array} chunk
    */
   #pass(birth, part, chunk) {
-    const layer = Number(part.replace("snapshot-", ""));
+    const layer = layerOf(part);
     if (part === "masks") this.play.addMask(birth, chunk);
     else if (part.startsWith("snapshot-")) this.play.addSnapshot(birth, layer, chunk);
     else this.play.addChange(birth, layer, chunk);

@@ -19,6 +19,8 @@ export class Round {
     this.stream = stream;
     this.source = source;
     this.chunks = new StreamPlay(manifest);
+    this.chunks.onLost = (birth, layer, why) =>
+      this.source.lose?.(cache.segmentOf(birth), layer, why);
     this.feed = new ChunkFeed(cache, this.chunks, manifest, firstFrame, numLayers, rate);
     this.playback = new Playback(this.chunks, manifest.fps, numFrames, firstFrame);
     this.playback.live = manifest.live;

@@ -19,6 +19,8 @@ export class StreamPlay {
     this.snapshots = new Map();
     /** Number of chunks that were refused and so are missing in their layers. */
     this.refused = 0;
+    /** @type {(birth: number, layer: number, why: unknown) => void} called for each of them */
+    this.onLost = () => {};
     /** Whether a late chunk has changed the current frame since the whole frame was last returned. */
     this.isLate = false;
   }
@@ -59,7 +61,7 @@ export class StreamPlay {
    */
   addChange(birth, layer, chunk) {
     if (this.frame === null || birth > this.frame) this.#row(this.changes, birth)[layer] = chunk;
-    else this.#tryLate(() => this.decoder.late(birth, layer, chunk));
+    else this.#tryLate(birth, layer, () => this.decoder.late(birth, layer, chunk));
   }
 
   /**
@@ -70,7 +72,7 @@ export class StreamPlay {
   addSnapshot(frame, layer, chunk) {
     if (this.frame === null || frame > this.frame) this.#row(this.snapshots, frame)[layer] = chunk;
     else if (frame === this.layout.segmentStart(this.frame)) {
-      this.#tryLate(() => this.decoder.load(chunk, layer, frame));
+      this.#tryLate(frame, layer, () => this.decoder.load(chunk, layer, frame));
     }
   }
 
@@ -159,7 +161,7 @@ export class StreamPlay {
     const taken = changes.map((change, layer) => {
       const takes = () =>
         this.decoder.takes(birth, mask, layer, /** @type {Uint8Array} */ (change));
-      return change !== null && this.#try(takes) ? change : null;
+      return change !== null && this.#try(birth, layer, takes) ? change : null;
     });
     return this.decoder.apply(birth, mask, taken, ahead);
   }
@@ -170,23 +172,42 @@ export class StreamPlay {
     for (const [layer, chunk] of chunks.entries()) {
       if (chunk === null || (this.frame !== null && !this.#lacksAnything(layer))) continue;
       if (layer === 0 && this.frame === null) this.decoder.load(chunk, layer, frame);
-      else this.#try(() => this.decoder.load(chunk, layer, frame));
+      else this.#try(frame, layer, () => this.decoder.load(chunk, layer, frame));
     }
     for (const known of this.snapshots.keys()) if (known <= frame) this.snapshots.delete(known);
   }
 
-  /** @param {() => boolean} action returns whether it changed the current frame */
-  #tryLate(action) {
-    if (this.#try(action)) this.isLate = true;
+  /**
+   * Notes that a chunk is damaged.
+   * @param {number} birth
+   * @param {number} layer
+   * @param {unknown} why
+   */
+  lose(birth, layer, why) {
+    this.refused += 1;
+    this.onLost(birth, layer, why);
   }
 
-  /** @param {() => boolean} action */
-  #try(action) {
+  /**
+   * @param {number} birth
+   * @param {number} layer
+   * @param {() => boolean} action returns whether it changed the current frame
+   */
+  #tryLate(birth, layer, action) {
+    if (this.#try(birth, layer, action)) this.isLate = true;
+  }
+
+  /**
+   * @param {number} birth
+   * @param {number} layer
+   * @param {() => boolean} action
+   */
+  #try(birth, layer, action) {
     try {
       return action();
     } catch (error) {
       if (!(error instanceof FormatError)) throw error;
-      this.refused += 1;
+      this.lose(birth, layer, error);
       return false;
     }
   }

@@ -1,3 +1,4 @@
+import { layerOf } from "../format/packet.js";
 import { LayerRule } from "./layerrule.js";
 
 /** Assumed throughput of a link before the first estimate. */
@@ -87,6 +88,18 @@ export class HostedPlay {
     return true;
   }
 
+  /**
+   * Goes on without a layer of a segment; the next one begins with its snapshot.
+   * @param {number} segment
+   * @param {number} layer
+   * @param {unknown} why
+   */
+  lose(segment, layer, why) {
+    console.warn(`Segment ${segment} lacks layer ${layer}: ${why}`);
+    const part = this.rule.lose(segment, layer);
+    if (part !== null) this.#fetch(this.stream.records[segment + 1], part);
+  }
+
   /** @param {(coming: Coming) => boolean} isUnwanted */
   #abort(isUnwanted) {
     for (const [name, coming] of this.coming) {
@@ -132,6 +145,9 @@ export class HostedPlay {
    */
   async #fetch(record, part) {
     const name = `${record.segment}/${part}`;
+    const layer = layerOf(part);
+    const { absent, cache } = this.stream;
+    if (absent.has(name)) return this.lose(record.segment, layer, absent.get(name));
     const abort = new AbortController();
     const leftBytes = this.rule.bytes(record.segment, [part]);
     const coming = { segment: record.segment, leftBytes, abort };
@@ -143,9 +159,14 @@ export class HostedPlay {
     };
     try {
       const packets = await this.stream.object(record, part, count, abort.signal);
-      this.stream.cache.addObject(record, part, packets);
+      cache.addObject(record, part, packets);
     } catch (error) {
-      if (!abort.signal.aborted) this.failure ??= error;
+      if (abort.signal.aborted) return;
+      if (layer === 0) this.failure ??= error;
+      else {
+        absent.set(name, error);
+        this.lose(record.segment, layer, error);
+      }
     }
     if (this.coming.get(name) === coming) this.coming.delete(name);
     this.onData();

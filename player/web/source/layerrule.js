@@ -48,6 +48,8 @@ export class LayerRule {
     this.first = this.#segmentOf(firstFrame);
     /** @type {Map<number, number>} by segment, the number of its layers that were requested */
     this.levels = new Map();
+    /** Layers that segments lack, although they were requested: segment and layer. */
+    this.lost = new Set();
   }
 
   /**
@@ -100,7 +102,22 @@ export class LayerRule {
 
   /** Whether the next layer of a segment continues the previous segment's. @param {number} segment */
   #follows(segment) {
-    return segment !== this.first && this.#level(segment - 1) > this.#level(segment);
+    const layer = this.#level(segment);
+    const isThere = this.#level(segment - 1) > layer && !this.lost.has(`${segment - 1}/${layer}`);
+    return segment !== this.first && isThere;
+  }
+
+  /**
+   * Notes that a segment lacks a layer that was requested; returns the part of the next segment that is
+   * needed for this, if that segment was requested already.
+   * @param {number} segment
+   * @param {number} layer
+   */
+  lose(segment, layer) {
+    this.lost.add(`${segment}/${layer}`);
+    const part = `snapshot-${layer}`;
+    const isLate = this.#level(segment + 1) > layer;
+    return isLate && !this.isHere(this.records[segment + 1], part) ? part : null;
   }
 
   /**

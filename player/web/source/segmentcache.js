@@ -1,3 +1,5 @@
+import { layerOf } from "../format/packet.js";
+
 /** Limit of the cache unless a page sets another one. */
 const DEFAULT_BUFFER_BYTES = 64e6;
 
@@ -93,7 +95,7 @@ export class SegmentCache {
    * @param {Map<number, Uint8Array>} packets by birth
    */
   addObject({ firstFrame, numFrames }, part, packets) {
-    const layer = Number(part.replace("snapshot-", ""));
+    const layer = layerOf(part);
     if (part.startsWith("snapshot-")) {
       const packet = packets.get(firstFrame);
       if (packet !== undefined) this.addSnapshot(firstFrame, layer, packet);

@@ -24,6 +24,8 @@ import { ServedStream } from "./served.js";
  *   that shows next, or during a pause the current one; -n if n other frames show before frame 0
  * @property {(frame: number, how: Move) => boolean} moveTo continues from another frame, unless
  *   that needs a new play; returns whether it does
+ * @property {(segment: number, layer: number, why: unknown) => void} [lose] notes that a layer of a segment
+ *   is damaged
  * @property {number | null} rateBps estimated throughput of the link
  * @property {unknown} failure the error that ended the play; null if there is none
  * @property {() => void} onData called when data has arrived or a request has failed

@@ -7,33 +7,37 @@ import { readIndex } from "../format/streamindex.js";
 import { StreamPlayer } from "../playback/streamplayer.js";
 import { Fetcher } from "../source/fetcher.js";
 import { HostedStream } from "../source/hosted.js";
-import { filesOf } from "./support.mjs";
+import { filesOf, HOLES } from "./support.mjs";
 import { VirtualHost } from "./virtualhost.mjs";
 
 /** Three layers, three segments of five frames, 0.6 s. */
 const FILES = filesOf("far-gzip");
 const MANIFEST = readManifest(FILES["manifest.json"]);
 const RECORDS = readIndex(FILES["index.bin"], MANIFEST);
+const NUM_FRAMES = RECORDS.reduce((sum, { numFrames }) => sum + numFrames, 0);
+
+const answered = (path) => new Response(FILES[path]);
 
 /** A player of `records`, whose host answers after `delayS`. */
-function playing(context, records, delayS, start = {}) {
-  const host = new VirtualHost(context, (path) => new Response(FILES[path]), delayS);
+function playing(context, records, delayS, start = {}, answer = answered) {
+  const host = new VirtualHost(context, answer, delayS);
   const fetcher = new Fetcher();
   const stream = new HostedStream("http://host/", fetcher, MANIFEST, false);
   stream.index.records = records;
   const posted = [];
   const shown = [];
+  const failures = [];
   const outlet = {
     post: (message) => posted.push(message),
     show: ({ frame }) => shown.push(frame),
-    fail: (error) => assert.fail(error),
+    fail: (error) => failures.push(error),
   };
   const player = new StreamPlayer(stream, fetcher, outlet, start);
   player.setPlaying(true);
   const isBusy = () => player.round.feed.isRunning || player.nextRound?.feed.isRunning;
-  const until = (isOver) => host.until(isOver, isBusy);
+  const until = (isOver) => host.until(() => failures.length > 0 || isOver(), isBusy);
   const ended = () => posted.filter(({ kind }) => kind === "ended").length;
-  return { player, host, shown, until, ended };
+  return { player, host, shown, failures, until, ended };
 }
 
 const isUpper = (path) => /[1-9]$/.test(path);
@@ -71,3 +75,35 @@ test("layers that take longer to come than a round are waited for over rounds", 
   assert.deepEqual([ended(), player.playback.stalls], [0, 0]);
   player.close();
 });
+
+const damaged = {
+  missing: () => new Response("gone", { status: 404 }),
+  cut: (bytes) => new Response(bytes.slice(0, -3)),
+  flipped: (bytes) => new Response(bytes.map((one, at) => (at === bytes.length - 9 ? one ^ 1 : one))),
+};
+
+for (const { part, fault, layers } of HOLES) {
+  test(`${part} ${fault}: ${layers ?? "the play ends"}`, async (context) => {
+    context.mock.method(console, "warn", () => {});
+    const answer = (path) =>
+      path === `segments/${part}` ? damaged[fault](FILES[path]) : answered(path);
+    const { player, host, shown, failures, until, ended } = playing(
+      ...[context, RECORDS, () => 0.02, {}, answer],
+    );
+    const found = [3, 3, 3];
+    const note = () => {
+      const { frame, play } = player.playback;
+      const segment = Math.floor(frame / MANIFEST.segmentFrames);
+      if (shown.length > 0) found[segment] = Math.min(found[segment], play.layers);
+      return ended() > 0;
+    };
+    await until(note);
+    if (layers === null) assert.match(String(failures), /^(Source|Format)Error/);
+    else {
+      assert.deepEqual(failures, []);
+      assert.deepEqual([found, shown], [layers, [...Array(NUM_FRAMES).keys()]]);
+      assert.equal(host.asked.filter((path) => path === `segments/${part}`).length, 1);
+    }
+    player.close();
+  });
+}

@@ -139,3 +139,8 @@ export function posed(position, target, down = [0, 1, 0]) {
   const right = unit(cross(down, forward));
   return { position, right, down: cross(forward, right), forward };
 }
+
+/** Objects that a host lacks or has damaged, and the layers that a player shows of each segment then. */
+export const HOLES = JSON.parse(
+  readFileSync(new URL("../../../tests/player/source/holes.json", import.meta.url), "utf8"),
+);
