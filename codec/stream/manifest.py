@@ -77,6 +77,11 @@ def is_snapshot(part: Part) -> bool:
     return type(part) is str and part != MASKS
 
 
+def layer_of(part: Part) -> int:
+    """The layer that `part` belongs to; 0 for the masks."""
+    return part if isinstance(part, int) else int(part.partition("-")[2] or 0)
+
+
 def object_name(segment: int, part: Part) -> str:
     """Where the object of (segment, part) lies in a stream's folder.
 

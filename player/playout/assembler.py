@@ -6,15 +6,19 @@ broken packet is a CodecError that names where it came from.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import logging
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from codec.errors import CodecError, CorruptError
 from codec.slice import Slice
 from codec.slots.slotdecoder import Ahead, SlotDecoder
-from codec.stream.manifest import MASKS, Manifest, Part, snapshot_part
+from codec.stream.manifest import MASKS, Manifest, Part, layer_of, snapshot_part
 from codec.stream.object import packet_content
 from player.source.source import Blame, Packets, SlicePackets, SnapshotPackets
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
@@ -29,11 +33,15 @@ class Assembler:
     """The slots of a playback: first the whole slices of its first window, then slices that change
     rows. Layers that are missing are hidden."""
 
-    def __init__(self, manifest: Manifest, num_layers: int, first_frame: int) -> None:
-        """num_layers: the most that arrive."""
+    def __init__(
+        self, manifest: Manifest, num_layers: int, first_frame: int, mends: bool = False
+    ) -> None:
+        """num_layers: the most that arrive. mends: whether what is damaged above layer 0 counts as
+        missing."""
         self._manifest = manifest
         self._decoder = SlotDecoder(manifest.slot_layout, num_layers)
         self._first_frame = first_frame
+        self._mends = mends
 
     def assemble(
         self,
@@ -87,8 +95,9 @@ class Assembler:
             parts.append((MASKS, one.mask))
         for part, packet in parts:
             if part not in gathered.parts:
-                gathered.parts[part] = self._content(packet, part, one.blame)
-                gathered.blames[part] = one.blame
+                with self._mending(part):
+                    gathered.parts[part] = self._content(packet, part, one.blame)
+                    gathered.blames[part] = one.blame
 
     def _content(self, packet: bytes, part: Part, blame: Blame) -> bytes:
         try:
@@ -100,21 +109,36 @@ class Assembler:
         for one in snapshots:
             for layer, packet in enumerate(one.packets, one.first_layer):
                 part = snapshot_part(layer)
-                content = self._content(packet, part, one.blame)
-                try:
-                    self._decoder.load(content, layer, one.frame)
-                except CodecError as error:
-                    raise one.blame(error, part) from error
+                with self._mending(part):
+                    content = self._content(packet, part, one.blame)
+                    try:
+                        self._decoder.load(content, layer, one.frame)
+                    except CodecError as error:
+                        raise one.blame(error, part) from error
 
     def _late(self, birth: int, gathered: _Gathered) -> None:
         for layer in range(self._decoder.num_layers):
             change = gathered.parts.get(layer)
             if change is None:
                 continue
-            try:
-                self._decoder.late(birth, layer, change)
-            except CodecError as error:
-                raise gathered.blames[layer](error, layer) from error
+            with self._mending(layer):
+                try:
+                    self._decoder.late(birth, layer, change)
+                except CodecError as error:
+                    raise gathered.blames[layer](error, layer) from error
+
+    @contextmanager
+    def _mending(self, part: Part) -> Iterator[None]:
+        """Goes on after an error in `part`, if it may be missing."""
+        try:
+            yield
+        except CodecError as error:
+            self._check_mends(error, part)
+
+    def _check_mends(self, error: CodecError, part: Part) -> None:
+        if not self._mends or layer_of(part) == 0:
+            raise error
+        log.warning("%s; the layer is missing for a while", error)
 
     def _apply(
         self, birth: int, gathered: _Gathered, with_motion: bool, ahead: Iterable[Packets]
@@ -123,13 +147,21 @@ class Assembler:
         if MASKS not in parts:
             raise CorruptError(f"the slice born at {birth} is due, but its mask has not arrived")
 
-        def blamed(error: CodecError, layer: int | None) -> CodecError:
-            part: Part = MASKS if layer is None else layer
-            return gathered.blames[part](error, part)
+        at_fault: Part = MASKS
 
-        changes = self._changes(parts)
-        later = None if changes[-1] is not None and self._has_all_layers else self._read(ahead)
-        return self._decoder.apply(birth, parts[MASKS], changes, blamed, with_motion, later)
+        def blamed(error: CodecError, layer: int | None) -> CodecError:
+            nonlocal at_fault
+            at_fault = MASKS if layer is None else layer
+            return gathered.blames[at_fault](error, at_fault)
+
+        while True:
+            changes = self._changes(parts)
+            later = None if changes[-1] is not None and self._has_all_layers else self._read(ahead)
+            try:
+                return self._decoder.apply(birth, parts[MASKS], changes, blamed, with_motion, later)
+            except CodecError as error:
+                self._check_mends(error, at_fault)
+                del parts[at_fault]
 
     @property
     def _has_all_layers(self) -> bool:

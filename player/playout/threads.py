@@ -145,7 +145,8 @@ class Threads:
     def update(self, renderer: Renderer) -> Handoff:
         """Starts update_thread; gives where it hands over its frames. Call it once."""
         source = self._source
-        assembler = Assembler(source.manifest, source.num_layers, source.frames.first)
+        first = source.frames.first
+        assembler = Assembler(source.manifest, source.num_layers, first, mends=source.adaptive)
         self._start(
             "update",
             self._then_ended(update_thread),

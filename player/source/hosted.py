@@ -21,6 +21,7 @@ from codec.stream.manifest import (
     MAX_MANIFEST_BYTES,
     Manifest,
     Part,
+    layer_of,
     object_name,
 )
 from codec.stream.packedlayout import PackedLayout, read_layout
@@ -270,14 +271,30 @@ class HostedSource:
     def _read_spans(self, play: HostedPlay, open_spans: dict[Ask, Span]) -> None:
         """Takes in what has come."""
         for ask, span in list(open_spans.items()):
-            pieces = span.collect()
-            if pieces and span.is_whole:
-                play.comes_whole(ask, time.monotonic())
-            for first_byte, data in pieces:
-                play.come(ask, span.name, first_byte, data)
-            if span.ended:
-                play.ended(ask)
-                open_spans.pop(ask).close()
+            if ask not in open_spans:
+                continue  # its layer was lost meanwhile
+            try:
+                self._read_span(play, ask, span)
+            except (FetchError, CodecError) as error:
+                layer = layer_of(ask.part)
+                if layer == 0:
+                    raise
+                log.warning("%s: layer %d of segment %d: %s", self.name, layer, ask.segment, error)
+                for lost in {ask, *play.lose(ask.segment, layer, time.monotonic())}:
+                    if lost in open_spans:
+                        open_spans.pop(lost).close()
+            else:
+                if span.ended:
+                    open_spans.pop(ask).close()
+
+    def _read_span(self, play: HostedPlay, ask: Ask, span: Span) -> None:
+        pieces = span.collect()
+        if pieces and span.is_whole:
+            play.comes_whole(ask, time.monotonic())
+        for first_byte, data in pieces:
+            play.come(ask, span.name, first_byte, data)
+        if span.ended:
+            play.ended(ask)
 
     def _explained(self, error: SwingsError) -> SwingsError:
         """Another error where the host has another stream by now."""

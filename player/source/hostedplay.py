@@ -97,6 +97,9 @@ class HostedPlay:
         self._pieces: dict[tuple[int, Part], PartialObject] = {}
         self._given: dict[tuple[int, Part], set[int]] = {}
         """Births that were chosen, by segment and part: none is handed over twice."""
+        self._lost: set[tuple[int, int]] = set()
+        """Layers that segments lack, as the host lacks or has damaged an object: (segment,
+        layer)."""
         self._wanted: list[_Wanted] = []
         """In the order in which it was chosen."""
         self._chosen: list[Send] = []
@@ -157,12 +160,44 @@ class HostedPlay:
                 parts = (snapshot_part(layer),)
             elif layer == 0:
                 parts = (MASKS, layer)
-            for run in self._fresh(segment, parts[-1], births):
+            fresh = self._fresh(segment, parts[-1], births)
+            if (segment, layer) in self._lost:
+                continue  # the session need not know: the next segment comes with its snapshot
+            if (segment - 1, layer) in self._lost and isinstance(send, SendSlices):
+                num_bytes += self._want_snapshot(segment, layer)
+            for run in fresh:
                 wanted = _Wanted(send, segment, parts, layer, run)
                 self._wanted.append(wanted)
                 num_bytes += self._ask(wanted)
         # It hears of what is here or underway already, too: that was chosen.
         self.session.sent(send, num_bytes, now_s)
+
+    def _want_snapshot(self, segment: int, layer: int) -> int:
+        """Asks for the snapshot of a layer, unless it was chosen before; gives its bytes."""
+        frame, part = self._records[segment].first_frame, snapshot_part(layer)
+        num_bytes = 0
+        for births in self._fresh(segment, part, range(frame, frame + 1)):
+            send = SendSnapshots(frame, layer, layer + 1)
+            wanted = _Wanted(send, segment, (part,), layer, births)
+            self._wanted.insert(0, wanted)  # before the changes that need it
+            num_bytes += self._ask(wanted)
+        return num_bytes
+
+    def lose(self, segment: int, layer: int, now_s: float) -> list[Ask]:
+        """Goes on without a layer above 0 of a segment; the next one begins with its snapshot.
+        Gives the requests that are not needed any more. Raises a CodecError."""
+        self._lost.add((segment, layer))
+        lost = [one for one in self._wanted if (one.segment, one.layer) == (segment, layer)]
+        self._wanted = [one for one in self._wanted if one not in lost]
+        asks = [ask for wanted in lost for ask in wanted.asks]
+        self._unsent = deque(ask for ask in self._unsent if ask not in asks)
+        come_bytes = sum(ask.come_bytes for ask in asks)
+        self._ended_bytes += come_bytes
+        self.session.lost(sum(ask.num_bytes for ask in asks) - come_bytes)
+        if self._given.get((segment + 1, layer)):
+            send = SendSnapshots(self._records[segment + 1].first_frame, layer, layer + 1)
+            self.session.sent(send, self._want_snapshot(segment + 1, layer), now_s)
+        return asks
 
     def _by_segment(self, send: Send) -> list[Send]:
         """The decision, segment by segment: simultaneous requests share the link, and later
@@ -304,6 +339,7 @@ class HostedPlay:
             del self._pieces[key]
         for key in [key for key in self._given if key[0] < segment]:
             del self._given[key]
+        self._lost = {lost for lost in self._lost if lost[0] >= segment - 1}
 
 
 def _blame(objects: dict[Part, PartialObject], birth: int) -> Blame:

@@ -261,6 +261,12 @@ class PlaySession:
         self.sent_bytes += num_bytes
         self._underway.append(_Underway(self.sent_bytes, self.holding.end_frame, now_s))
 
+    def lost(self, num_bytes: float) -> None:
+        """So many of the sent bytes will never arrive."""
+        self.sent_bytes -= num_bytes
+        for one in self._underway:
+            one.end_byte = min(one.end_byte, self.sent_bytes)
+
     def sent_slices(self, send: SendSlices, num_bytes: Sequence[int], now_s: float) -> None:
         """`send` went out, slice after slice, with so many bytes each."""
         if send.first_layer:

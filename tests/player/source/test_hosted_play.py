@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -13,8 +16,9 @@ from hypothesis import strategies as st
 
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
+from codec.splats import Splats
 from codec.stream import StreamReader
-from codec.stream.manifest import MASKS, Part, snapshot_part
+from codec.stream.manifest import MASKS, Part, layer_of, snapshot_part
 from player.playout.assembler import Assembler
 from player.playout.timeline import FrameRecord, Playout
 from player.source.hostedplay import Ask, HostedPlay
@@ -22,8 +26,10 @@ from player.source.opener import opened
 from player.source.partialobject import PartialObject
 from player.source.source import Packets, SlicePackets
 from server.abr.clientstatus import ClientStatus
+from server.abr.holding import Holding
 from server.abr.playout import PlayoutConfig
 from server.abr.session import Finished
+from tests.support.commands import ROOT
 from tests.support.delivery.assembled import check_packets
 from tests.support.drawn import same_splats
 from tests.support.slots.slot_streams import Shown, write_busy_stream
@@ -42,9 +48,16 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> StreamReader:
 class MadeLink:
     """The host of a stream behind a link, one request after another."""
 
-    def __init__(self, reader: StreamReader, play: HostedPlay, knows_ranges: bool = True) -> None:
+    def __init__(
+        self,
+        reader: StreamReader,
+        play: HostedPlay,
+        knows_ranges: bool = True,
+        hole: tuple[str, str] = ("", ""),
+    ) -> None:
+        """hole: an object that the host lacks or has damaged, and how."""
         self._reader, self._play = reader, play
-        self._knows_ranges = knows_ranges
+        self._knows_ranges, self._hole = knows_ranges, hole
         self._open: list[tuple[Ask, int]] = []
         self.asked: list[Ask] = []
         self.now_s = 0.0
@@ -63,6 +76,15 @@ class MadeLink:
         while self._open and left:
             ask, at = self._open.pop(0)
             data = self._reader.read_object(ask.segment, ask.part).data
+            if f"{ask.segment}/{ask.part}" == self._hole[0]:
+                try:
+                    self._take_damaged(ask, data)
+                except CorruptError:
+                    if layer_of(ask.part) == 0:
+                        raise
+                    lost = play.lose(ask.segment, layer_of(ask.part), self.now_s)
+                    self._open = [one for one in self._open if one[0] not in lost]
+                continue
             end = min(ask.end_byte, at + left)
             play.come(ask, "host", at, data[at:end])
             left -= end - at
@@ -72,6 +94,17 @@ class MadeLink:
                 self._open.insert(0, (ask, end))
         self.now_s += STEP_S
         return [*found, *play.packets()]
+
+    def _take_damaged(self, ask: Ask, data: bytes) -> None:
+        fault = self._hole[1]
+        if fault == "missing":
+            raise CorruptError("HTTP 404")
+        if fault == "flipped":
+            data = data[:-9] + bytes([data[-9] ^ 1]) + data[-8:]
+        self._play.come(ask, "host", ask.first_byte, data[ask.first_byte : ask.end_byte])
+        if fault == "cut":
+            raise CorruptError("the response ended early")
+        self._play.ended(ask)
 
 
 def need_bps(reader: StreamReader, num_frames: int = NUM_FRAMES) -> float:
@@ -166,6 +199,61 @@ def test_a_play_with_a_known_rate_asks_for_layer_0_of_its_frame_and_no_more_yet(
         asked.append(decision)
     # Layer 0 of a segment is two objects; more requests at once would share the link badly.
     assert [(ask.segment, ask.part) for ask in asked] == [(3, "snapshot-0"), (3, MASKS), (3, 0)]
+
+
+HOLES: list[dict[str, Any]] = json.loads(Path(__file__).with_name("holes.json").read_text())
+"""What a host lacks or has damaged, and the layers that segments show then; the browser's tests read
+it, too."""
+
+
+@pytest.mark.parametrize("hole", HOLES, ids=lambda hole: f"{hole['part']}-{hole['fault']}")
+def test_a_hole_above_layer_0_costs_its_layer_for_its_segment(hole: dict[str, Any]) -> None:
+    reader = StreamReader(ROOT / "conformance" / "streams" / "far-gzip")
+    manifest, last = reader.manifest, reader.records[-1]
+    end = last.first_frame + last.num_frames
+    play = HostedPlay(manifest, reader.records, FrameRange(0, end), 0.0)
+    link = MadeLink(reader, play, hole=(hole["part"], hole["fault"]))
+    here = Holding(play.media, 0)
+
+    def watch() -> None:
+        link.over = False
+        while not link.over:
+            for one in link.packets(1e8):
+                one.add_to(here)
+
+    if hole["layers"] is None:
+        with pytest.raises(CorruptError):
+            watch()
+        return
+    watch()
+    ends = [record.first_frame + record.num_frames - 1 for record in reader.records]
+    assert [here.whole_layers(frame) for frame in ends] == hole["layers"]
+
+
+def test_a_damaged_packet_above_layer_0_counts_as_missing_in_an_adaptive_play() -> None:
+    path = ROOT / "conformance" / "streams" / "far-gzip"
+    with opened(str(path)) as source:
+        packets = list(source.packets())
+
+    def shown(spoiled: bytes | None, mends: bool) -> list[Splats]:
+        assembler, shown = Assembler(source.manifest, 3, 0, mends), Shown(source.manifest)
+        found = []
+        for frame in range(12):
+            used = [one for one in packets if one.first_frame == frame]
+            if frame == 6:
+                assert isinstance(used[0], SlicePackets)
+                kept = used[0].packets if spoiled is None else (used[0].packets[0], spoiled)
+                used[0] = replace(used[0], packets=kept[: 1 if spoiled == b"gone" else None])
+            found.append(shown.after(assembler.assemble(frame, used), frame))
+        return found
+
+    change = next(one for one in packets if one.first_frame == 6).packets[1]
+    spoiled = change[:-9] + bytes([change[-9] ^ 1]) + change[-8:]
+    without, whole = shown(b"gone", True), shown(None, True)
+    assert not same_splats(without[6], whole[6])
+    assert all(map(same_splats, shown(spoiled, True), without))
+    with pytest.raises(CorruptError):
+        shown(spoiled, False)
 
 
 # --- one object

@@ -169,6 +169,18 @@ def test_a_host_that_lacks_a_file_is_passed_over(root: Path, tmp_path: Path) -> 
             check_all(root, f"{poor.url}/s")
 
 
+def test_a_play_goes_on_without_a_file_above_layer_0(root: Path, tmp_path: Path) -> None:
+    shutil.copytree(root / "s", tmp_path / "s")
+    (tmp_path / "s" / "segments" / "1" / "2").unlink()
+    with range_host(tmp_path) as host:
+        check_all(root, f"{host.url}/s", adaptive=True)
+        with pytest.raises(FetchError):
+            check_all(root, f"{host.url}/s")
+        (tmp_path / "s" / "segments" / "1" / "0").unlink()
+        with pytest.raises(FetchError):
+            check_all(root, f"{host.url}/s", adaptive=True)
+
+
 def test_several_servers_of_one_stream(root: Path) -> None:
     with served(root) as first, served(root) as second:
         name = f"{first.url}/watch/s,{second.url}"
