@@ -79,7 +79,8 @@ test("layers that take longer to come than a round are waited for over rounds", 
 const damaged = {
   missing: () => new Response("gone", { status: 404 }),
   cut: (bytes) => new Response(bytes.slice(0, -3)),
-  flipped: (bytes) => new Response(bytes.map((one, at) => (at === bytes.length - 9 ? one ^ 1 : one))),
+  flipped: (bytes) =>
+    new Response(bytes.map((one, at) => (at === bytes.length - 9 ? one ^ 1 : one))),
 };
 
 for (const { part, fault, layers } of HOLES) {

@@ -202,8 +202,8 @@ def test_a_play_with_a_known_rate_asks_for_layer_0_of_its_frame_and_no_more_yet(
 
 
 HOLES: list[dict[str, Any]] = json.loads(Path(__file__).with_name("holes.json").read_text())
-"""What a host lacks or has damaged, and the layers that segments show then; the browser's tests read
-it, too."""
+"""What a host lacks or has damaged, and the layers that segments show then; the browser's tests
+read it, too."""
 
 
 @pytest.mark.parametrize("hole", HOLES, ids=lambda hole: f"{hole['part']}-{hole['fault']}")
