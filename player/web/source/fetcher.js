@@ -26,6 +26,11 @@ export function delayS(tries) {
   return mostS * (0.5 + 0.5 * Math.random());
 }
 
+/** Ends a response that is not read, so that its host stops sending. @param {Response} response */
+export function discard({ body }) {
+  body?.cancel().catch(() => {}); // it may have broken off itself
+}
+
 /** The error for a host that works, but refuses this page (CORS). @param {string} url */
 export function refusal(url) {
   return new SourceError(
@@ -40,7 +45,7 @@ export function refusal(url) {
 export class Fetcher {
   /**
    * @param {object} [options]
-   * @param {number} [options.giveUpS] seconds without success after which it gives up
+   * @param {number} [options.giveUpS] seconds without new bytes after which it gives up
    * @param {(message: string | null) => void} [options.onTrouble] called with a description of the
    *   problem, and with null when it is over
    */
@@ -66,12 +71,18 @@ export class Fetcher {
         `A page may not read ${url}; play it from a web server (docs/EMBED.md)`,
       );
     }
-    const beganS = performance.now() / 1000;
+    let goodMs = performance.now();
+    let most = 0;
+    let answers = false;
     for (let tries = 1; ; tries++) {
       let came = 0;
       const count = (/** @type {number} */ numBytes) => {
         came += numBytes;
         this.receivedBytes += numBytes;
+        if (came > most) {
+          most = came;
+          goodMs = performance.now();
+        }
         onBytes(numBytes);
       };
       try {
@@ -83,11 +94,12 @@ export class Fetcher {
         init.signal?.throwIfAborted();
         // Without a network, fetch throws a TypeError.
         if (!(error instanceof TypeError)) throw error;
-        const isPassing = error instanceof PassingTrouble;
-        if (!isPassing && tries >= TRIES_BEFORE_DOUBT && (await this.isRefused(url))) {
-          throw refusal(url);
+        if (tries >= TRIES_BEFORE_DOUBT && !(error instanceof PassingTrouble)) {
+          if (answers) throw refusal(url);
+          answers = await this.isRefused(url);
+          if (answers) continue; // once more, since the network may be back
         }
-        if (performance.now() / 1000 - beganS > this.giveUpS) {
+        if (performance.now() - goodMs > 1000 * this.giveUpS) {
           throw new SourceError(`${url} cannot be reached; check the network and try again`);
         }
         this.onTrouble("The network is gone; trying again");
@@ -152,9 +164,14 @@ export class Fetcher {
    */
   async #once(url, limitBytes, onBytes, init, check) {
     const response = await fetchOnce(url, init);
-    if (response.status >= 500) throw new PassingTrouble(`HTTP ${response.status}`);
-    if (!response.ok) throw new SourceError(`${url}: HTTP ${response.status}`);
-    check(response);
+    try {
+      if (response.status >= 500) throw new PassingTrouble(`HTTP ${response.status}`);
+      if (!response.ok) throw new SourceError(`${url}: HTTP ${response.status}`);
+      check(response);
+    } catch (error) {
+      discard(response);
+      throw error;
+    }
     /** @type {Uint8Array[]} */
     const pieces = [];
     let size = 0;

@@ -154,7 +154,7 @@ export class HostedPlay {
     this.coming.set(name, coming);
     const count = (/** @type {number} */ numBytes) => {
       coming.leftBytes -= numBytes;
-      this.comeBytes += numBytes;
+      if (numBytes > 0) this.comeBytes += numBytes; // what broke off has come, too
       this.onData();
     };
     try {

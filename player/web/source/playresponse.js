@@ -2,7 +2,7 @@ import { corrupt } from "../format/bytes/errors.js";
 import { RecordParser } from "../format/playrecord.js";
 import { playUrl } from "./addresses.js";
 import { fetchOnce } from "./early/earlyresponses.js";
-import { delayS, refusal, SourceError, TRIES_BEFORE_DOUBT } from "./fetcher.js";
+import { delayS, discard, refusal, SourceError, TRIES_BEFORE_DOUBT } from "./fetcher.js";
 
 /** The server is unreachable or overloaded; it may be back soon. */
 export class GoneError extends Error {
@@ -79,11 +79,10 @@ export class PlayResponse {
     } catch {
       throw new GoneError(GONE);
     }
-    if (response.status >= 500) {
-      throw new GoneError(BUSY, Number(response.headers.get("Retry-After")) || 0);
-    }
-    if (!response.ok) throw new SourceError(`${base}: HTTP ${response.status}`);
-    return new PlayResponse(response, abort);
+    if (response.ok) return new PlayResponse(response, abort);
+    discard(response);
+    if (response.status < 500) throw new SourceError(`${base}: HTTP ${response.status}`);
+    throw new GoneError(BUSY, Number(response.headers.get("Retry-After")) || 0);
   }
 
   /**
@@ -160,6 +159,7 @@ export class ServerRetry {
     this.why = GONE;
     this.tries = 0;
     this.sinceMs = 0;
+    this.answers = false;
     /** Whether the caller has ended, so that no further try is made. */
     this.isOver = false;
   }
@@ -168,6 +168,7 @@ export class ServerRetry {
   reset() {
     if (this.tries > 0) this.fetcher.onTrouble(null);
     this.tries = 0;
+    this.answers = false;
   }
 
   /**
@@ -197,8 +198,11 @@ export class ServerRetry {
     const { fetcher, base, why } = this;
     if (this.tries === 0) this.sinceMs = performance.now();
     this.tries += 1;
-    const isDoubtful = why === GONE && this.tries >= TRIES_BEFORE_DOUBT;
-    if (isDoubtful && (await fetcher.isRefused(base))) throw refusal(base);
+    if (why === GONE && this.tries >= TRIES_BEFORE_DOUBT) {
+      if (this.answers) throw refusal(base);
+      this.answers = await fetcher.isRefused(base);
+      if (this.answers) return; // once more, since the network may be back
+    }
     if (performance.now() - this.sinceMs > 1000 * fetcher.giveUpS) {
       throw new SourceError(
         why === GONE

@@ -6,6 +6,7 @@ import { Fetcher, SourceError } from "../source/fetcher.js";
 import { GrowingIndex } from "../source/growingindex.js";
 import { edgeFrame, followPeriodS, isBehind } from "../source/liveedge.js";
 import { objectUrl } from "../source/objecturl.js";
+import { openPlay } from "../source/playresponse.js";
 import { openSource } from "../source/source.js";
 import { answering, filesOf, joined, manifestBytes, manifestOf, recordOf } from "./support.mjs";
 
@@ -206,7 +207,7 @@ test("a host that answers other pages only is told from a network that is gone",
     /^SourceError: http:.*host answers, but does not let/,
   );
   const get = ["GET", undefined];
-  assert.deepEqual(modes, [get, get, get, ["HEAD", "no-cors"]]);
+  assert.deepEqual(modes, [get, get, get, ["HEAD", "no-cors"], get]);
   assert.deepEqual(troubles, [GONE, GONE]);
   isThere = false;
   await assert.rejects(fetcher.get(URL_, 10), /cannot be reached/);
@@ -214,6 +215,65 @@ test("a host that answers other pages only is told from a network that is gone",
   fetcher.receivedBytes = 1;
   await assert.rejects(fetcher.get(URL_, 10), /cannot be reached/);
   assert.ok(!String(modes).includes("HEAD"), "it has answered this page before");
+});
+
+test("a network that returns when the host is looked for is no refusal", async (context) => {
+  const { fetcher } = trying(context);
+  let isThere = false;
+  answering(context, (_, { method = "GET" }) => {
+    if (method === "HEAD") isThere = true;
+    else if (!isThere) throw new TypeError("no network");
+    return new Response("bytes");
+  });
+  assert.equal((await fetcher.get(URL_, 10)).length, 5);
+});
+
+/** A response whose body has more than is read, and which notes that it was ended. */
+function endless(status, cancelled, headers = {}) {
+  const pull = (controller) => controller.enqueue(new Uint8Array(1000));
+  const body = new ReadableStream({ pull, cancel: () => cancelled.push(status) });
+  return new Response(body, { status, headers });
+}
+
+test("what a refusing host goes on sending is ended", async (context) => {
+  const { fetcher } = trying(context, 0);
+  const cancelled = [];
+  let status = 404;
+  answering(context, () => endless(status, cancelled, { "Content-Range": "bytes 4-6/99" }));
+  const place = { first: 5, size: 3 };
+  const cases = [
+    [404, () => fetcher.get(URL_, 10), /HTTP 404/],
+    [200, () => fetcher.range(URL_, place), /does not send parts/],
+    [206, () => fetcher.range(URL_, place), /another part/],
+    [500, () => fetcher.get(URL_, 10), /cannot be reached/],
+    [403, () => openPlay(BASE, { fromFrame: 0 }), /HTTP 403/],
+    [503, () => openPlay(BASE, { fromFrame: 0 }), /busy/],
+  ];
+  for (const [answer, ask, why] of cases) {
+    cancelled.length = 0;
+    status = answer;
+    await assert.rejects(async () => {
+      for (;;) await ask();
+    }, why);
+    assert.ok(cancelled.length > 0 && cancelled.every((one) => one === answer), `${answer}`);
+  }
+});
+
+test("a minute without success begins with the last byte that was new", async (context) => {
+  const { fetcher, waitsMs } = trying(context, 1);
+  let nowMs = 0;
+  context.mock.method(performance, "now", () => nowMs);
+  answering(context, () => {
+    let pulls = 0;
+    const pull = (controller) => {
+      nowMs += 700;
+      if (pulls++ < 2) controller.enqueue(new Uint8Array(3));
+      else controller.error(new TypeError("broken"));
+    };
+    return new Response(new ReadableStream({ pull }));
+  });
+  await assert.rejects(fetcher.get(URL_, 10), /cannot be reached/);
+  assert.equal(waitsMs.length, 1, "once more after what had gone well for longer than a second");
 });
 
 test("what is refused, too long or no address of the web is not asked for twice", async (context) => {
