@@ -1,5 +1,14 @@
 /** Seconds of media that must have arrived before playback begins, or continues after a stall. */
 const LEAD_S = 0.1;
+/**
+ * The same after a second stall within CALM_S of playback, or after the first one over a link that carries
+ * less than layer 0; it doubles with each further one.
+ */
+const LONGER_LEAD_S = 1;
+const LONGEST_LEAD_S = 4;
+/** A live stream would fall behind its edge. */
+const LONGEST_LIVE_LEAD_S = 2;
+const CALM_S = 20;
 
 /** Period at which late data is shown during a pause; each time the whole picture is sent again. */
 const REFINE_S = 0.2;
@@ -52,6 +61,13 @@ export class Playback {
     /** Whether playback waits for missing data. */
     this.waiting = true;
     this.stalls = 0;
+    this.leadS = LEAD_S;
+    /** When playback went on after the last stall. */
+    this.resumedS = -Infinity;
+    /** The first frame that has not arrived; endFrame goes not as far ahead. Set by the caller. */
+    this.heldFrame = firstFrame;
+    /** Whether the link carries less than layer 0. Set by the caller. */
+    this.isLinkThin = false;
     this.refinedS = -Infinity;
     this.lateS = LATE_S;
   }
@@ -100,8 +116,14 @@ export class Playback {
     }
     const stepS = 1 / (this.fps * this.rate);
     if (this.dueS === null) {
-      this.waiting = !this.#hasLead();
-      if (this.waiting) return null;
+      const isCalm = nowS - this.resumedS > CALM_S;
+      if (isCalm && !this.waiting) this.leadS = LEAD_S;
+      if (!this.#hasLead()) {
+        this.waiting = true;
+        return null;
+      }
+      if (this.waiting && this.stalls > 0) this.resumedS = nowS;
+      this.waiting = false;
       this.dueS = nowS + stepS;
       return null;
     }
@@ -109,9 +131,7 @@ export class Playback {
     let shown = null;
     while (this.dueS <= nowS && !this.hasEnded) {
       if (this.nextFrame >= this.endFrame) {
-        this.stalls += 1;
-        this.waiting = true;
-        this.dueS = null;
+        this.#stall(nowS);
         break;
       }
       shown = this.#advance(shown);
@@ -119,6 +139,21 @@ export class Playback {
       this.dueS += stepS;
     }
     return shown;
+  }
+
+  /** @param {number} nowS */
+  #stall(nowS) {
+    this.stalls += 1;
+    this.waiting = true;
+    this.dueS = null;
+    const isAgain = this.isLinkThin || nowS - this.resumedS <= CALM_S;
+    const most = this.live ? LONGEST_LIVE_LEAD_S : LONGEST_LEAD_S;
+    this.leadS = isAgain ? Math.min(most, Math.max(LONGER_LEAD_S, 2 * this.leadS)) : LEAD_S;
+  }
+
+  /** Whether playback stalls and waits for a longer lead again and again. */
+  get isStuttering() {
+    return this.waiting && this.leadS > LONGER_LEAD_S;
   }
 
   /**
@@ -213,8 +248,12 @@ export class Playback {
 
   /** Whether enough data has arrived to continue playback. */
   #hasLead() {
-    const lead = this.nextFrame + Math.ceil(LEAD_S * this.fps);
-    return this.endFrame >= (this.live ? lead : Math.min(this.numFrames, lead));
+    const isPast = (/** @type {number} */ end, /** @type {number} */ leadS) => {
+      const lead = this.nextFrame + Math.ceil(leadS * this.fps);
+      return end >= (this.live ? lead : Math.min(this.numFrames, lead));
+    };
+    const held = Math.max(this.endFrame, this.heldFrame);
+    return isPast(this.endFrame, LEAD_S) && isPast(held, this.leadS);
   }
 
   /** Updates endFrame, the end of the frames that can be played without a gap. */

@@ -15,6 +15,9 @@ const NEXT_ROUND_S = 5;
 
 const nowS = () => performance.now() / 1000;
 
+/** @param {number} bps */
+const mbit = (bps) => Number((bps / 1e6).toPrecision(2));
+
 /**
  * Receivers of the player's messages.
  * @typedef {object} Outlet
@@ -58,6 +61,8 @@ export class StreamPlayer {
     /** Number of the last line that was reported to the page. */
     this.line = 0;
     this.isClosed = false;
+    /** @type {"unknown" | "said" | "known"} whether the viewer was told that the link is too thin */
+    this.thinLink = "unknown";
     /** @type {number | undefined} */
     this.timer = undefined;
     /** @type {Round | null} the next round of a loop, begun ahead */
@@ -185,7 +190,8 @@ export class StreamPlayer {
     if (this.zeroS !== null) this.zeroS += numFrames / (fps * this.rate);
     const round = this.nextRound ?? this.#newRound(0, "loop");
     this.nextRound = null;
-    round.playback.notBeforeS = seamS;
+    const { leadS, resumedS } = this.playback;
+    Object.assign(round.playback, { leadS, resumedS, notBeforeS: seamS });
     round.playback.waiting = false;
     this.#replaceRound(round);
     this.reportPosition();
@@ -265,6 +271,7 @@ export class StreamPlayer {
       const { cache, numFrames, manifest } = this.stream;
       cache.setPlayhead(playback.nextFrame, this.loop && !manifest.live ? numFrames : null);
       // A prepared round follows one that has all it needs, and what that began would be aborted.
+      this.#noteLink();
       const waitS = ((playing && this.nextRound) || round).source.step();
       const beganMs = performance.now();
       const shown = playback.tick(nowS());
@@ -285,6 +292,35 @@ export class StreamPlayer {
       this.close();
       this.outlet.fail(error);
     }
+  }
+
+  /**
+   * Tells the playback what has arrived and whether the link is too thin, and once the viewer, while it
+   * stutters for this reason.
+   */
+  #noteLink() {
+    const { playback, round, rate } = this;
+    const { cache } = this.stream;
+    const { endFrame } = round;
+    // What has no room will not arrive.
+    playback.heldFrame = cache.hasRoomFor(cache.segmentOf(endFrame)) ? endFrame : Infinity;
+    const needBps = rate * cache.baseBps(playback.frame);
+    const rateBps = round.source.rateBps ?? Infinity;
+    playback.isLinkThin = rateBps < needBps;
+    if (playback.isStuttering && playback.isLinkThin && this.thinLink === "unknown") {
+      this.thinLink = "said";
+      this.#postTrouble(
+        `This connection carries ${mbit(rateBps)} of the ${mbit(needBps)} Mbit/s that this video needs`,
+      );
+    } else if (this.thinLink === "said" && !playback.waiting) {
+      this.thinLink = "known";
+      this.#postTrouble(null);
+    }
+  }
+
+  /** @param {string | null} message */
+  #postTrouble(message) {
+    this.outlet.post({ kind: "trouble", message });
   }
 
   /** @param {import("./playback.js").Shown} shown */

@@ -28,6 +28,8 @@ export class HostedStream {
     this.cache = new SegmentCache(manifest, bufferBytes);
     this.index = new GrowingIndex(`${base}index.bin`, fetcher, manifest);
     this.estimator = new RateEstimator();
+    /** Least time to the first byte of an object; Infinity while unknown. */
+    this.roundTripS = Infinity;
     /** @type {Map<string, unknown>} errors of objects of layers above 0, by segment and part */
     this.absent = new Map();
   }

@@ -3,14 +3,20 @@ import { LayerRule } from "./layerrule.js";
 
 /** Assumed throughput of a link before the first estimate. */
 const FIRST_RATE_BPS = 4e6;
-/** Maximum amount of requested data in flight, in seconds of the link. */
-const QUEUE_S = 0.2;
+/**
+ * Requested data in flight beyond what a round trip takes, in seconds of the link: what is needed first
+ * comes later by that, so the most needs a buffer.
+ */
+const LEAST_QUEUE_S = 0.05;
+const MOST_QUEUE_S = 0.2;
 const QUEUE_BYTES = 32 * 1024;
 const STEP_S = 0.1;
+/** Sooner answers come from a cache, or from a host so near that the round trip does not matter. */
+const LEAST_ROUND_TRIP_S = 0.02;
 
 /**
- * A request under way.
- * @typedef {{ segment: number, leftBytes: number, abort: AbortController }} Coming
+ * A request under way. The link is busy with it from `beginsS` on: when its first byte came, or could have.
+ * @typedef {{ segment: number, leftBytes: number, abort: AbortController, beginsS: number }} Coming
  */
 
 /** One play of a hosted stream: fetches what the rule chooses into the stream's cache. */
@@ -29,8 +35,9 @@ export class HostedPlay {
     this.nextFrame = firstFrame;
     this.paused = false;
     this.rate = 1;
-    this.comeBytes = 0;
     this.measuredS = nowS();
+    /** Seconds of the last measured time in which the link was busy. */
+    this.busyS = 0;
     /** @type {unknown} */
     this.failure = null;
     this.isClosed = false;
@@ -50,6 +57,15 @@ export class HostedPlay {
     let sum = 0;
     for (const { leftBytes } of this.coming.values()) sum += leftBytes;
     return sum;
+  }
+
+  /** Amount of requested data in flight, in seconds of the link: a round trip, and less if little is here. */
+  get #queueS() {
+    const { cache, estimator, manifest, roundTripS } = this.stream;
+    const first = Math.max(0, this.nextFrame);
+    const bufferS = (cache.endOf(first, first + manifest.fps) - first) / manifest.fps;
+    const queueS = Math.min(MOST_QUEUE_S, Math.max(LEAST_QUEUE_S, bufferS / 4));
+    return queueS + (estimator.rateBps && roundTripS < Infinity ? roundTripS : 0);
   }
 
   /** @param {number} firstFrame */
@@ -116,7 +132,7 @@ export class HostedPlay {
       const { nextFrame, paused, queuedBytes, rate } = this;
       const rateBps = this.rateBps ?? FIRST_RATE_BPS;
       this.isDone = false;
-      if (queuedBytes > Math.max(QUEUE_BYTES, (rateBps * QUEUE_S) / 8)) return STEP_S;
+      if (queuedBytes > Math.max(QUEUE_BYTES, (rateBps * this.#queueS) / 8)) return STEP_S;
       const segment = this.rule.choose({ nextFrame, paused, rateBps, queuedBytes, rate });
       if (segment === null) {
         this.isDone = this.coming.size === 0 && this.rule.isAtEnd;
@@ -129,14 +145,17 @@ export class HostedPlay {
     }
   }
 
-  /** Updates the throughput estimate with the bytes that arrived since the last call. */
-  #measure() {
+  /** Updates the throughput estimate with bytes that arrived now. @param {number} [numBytes] */
+  #measure(numBytes = 0) {
     const nowS = this.nowS();
-    if (this.queuedBytes > 0 || this.comeBytes > 0) {
-      this.stream.estimator.add(this.comeBytes, nowS - this.measuredS);
-      this.comeBytes = 0;
+    let restS = 0;
+    if (nowS > this.measuredS) {
+      const begins = [...this.coming.values()].map(({ beginsS }) => beginsS);
+      restS = this.busyS = Math.max(0, nowS - Math.max(this.measuredS, Math.min(...begins)));
+      this.measuredS = nowS;
     }
-    this.measuredS = nowS;
+    // What arrives after a rest of the link says nothing about its rate.
+    if (this.busyS > 0) this.stream.estimator.add(numBytes, restS);
   }
 
   /**
@@ -150,11 +169,21 @@ export class HostedPlay {
     if (absent.has(name)) return this.lose(record.segment, layer, absent.get(name));
     const abort = new AbortController();
     const leftBytes = this.rule.bytes(record.segment, [part]);
-    const coming = { segment: record.segment, leftBytes, abort };
+    const askedS = this.nowS();
+    const beginsS = askedS + this.stream.roundTripS;
+    const coming = { segment: record.segment, leftBytes, abort, beginsS };
     this.coming.set(name, coming);
+    let isFirst = true;
     const count = (/** @type {number} */ numBytes) => {
       coming.leftBytes -= numBytes;
-      if (numBytes > 0) this.comeBytes += numBytes; // what broke off has come, too
+      if (numBytes > 0) this.#measure(numBytes); // what broke off has come, too
+      if (isFirst) {
+        const tookS = this.nowS() - askedS;
+        coming.beginsS = Math.min(coming.beginsS, askedS + tookS);
+        if (tookS > LEAST_ROUND_TRIP_S)
+          this.stream.roundTripS = Math.min(this.stream.roundTripS, tookS);
+      }
+      isFirst = false;
       this.onData();
     };
     try {

@@ -4,6 +4,8 @@ const PLAN = {
   safety: 0.9,
   /** Seconds of layer 0 that are requested before other layers. */
   baseS: 9,
+  /** The same if the link carries much more than layer 0. */
+  leastBaseS: 3,
   /** Maximum seconds of layer 0 ahead. */
   mostS: 15,
   /** Share of a segment's duration by which a layer above 0 may arrive late. */
@@ -67,8 +69,10 @@ export class LayerRule {
     // A still picture gets all layers first, however long they take.
     const isStill = paused && base > current && this.#level(current) < this.mostLayers;
     if (isStill) return current;
-    if (wantsBase && startS(base) < PLAN.baseS) return base;
     const plannedBps = (PLAN.safety * rateBps) / rate; // per second of the stream
+    const isFresh = -startS(this.first) < PLAN.leastBaseS;
+    const baseS = isFresh && wantsBase ? this.#baseS(base, plannedBps) : PLAN.baseS;
+    if (wantsBase && startS(base) < baseS) return base;
     const lateS = (PLAN.lateShare * segmentFrames) / fps;
     for (let layer = 1; layer < this.mostLayers; layer++) {
       for (let segment = current; segment < base; segment++) {
@@ -141,10 +145,29 @@ export class LayerRule {
    * @param {number} plannedBps
    */
   #carries(segment, plannedBps) {
-    const layers = Array.from({ length: this.#level(segment) + 1 }, (_, layer) => `${layer}`);
+    return PLAN.riseShare * this.#needBps(segment, this.#level(segment) + 1) <= plannedBps;
+  }
+
+  /**
+   * Seconds of layer 0 that are requested before other layers; fewer if twice its rate is a small share of
+   * the link, as it can be fetched soon then.
+   * @param {number} segment
+   * @param {number} plannedBps
+   */
+  #baseS(segment, plannedBps) {
+    const share = Math.min(1, (2 * this.#needBps(segment, 1)) / plannedBps);
+    return Math.max(PLAN.leastBaseS, PLAN.baseS * share ** 2);
+  }
+
+  /**
+   * Bits per second of the stream that some layers of a segment need.
+   * @param {number} segment
+   * @param {number} numLayers
+   */
+  #needBps(segment, numLayers) {
+    const layers = Array.from({ length: numLayers }, (_, layer) => `${layer}`);
     const bits = 8 * this.bytes(segment, ["masks", ...layers]);
-    const { numFrames } = this.records[segment];
-    return PLAN.riseShare * bits * this.manifest.fps <= plannedBps * numFrames;
+    return (bits * this.manifest.fps) / this.records[segment].numFrames;
   }
 
   /** @param {number} frame */

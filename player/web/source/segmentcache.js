@@ -41,6 +41,7 @@ export class SegmentCache {
   constructor({ segmentFrames, numLayers, fps }, limitBytes = DEFAULT_BUFFER_BYTES) {
     this.segmentFrames = segmentFrames;
     this.numLayers = numLayers;
+    this.fps = fps;
     this.limitBytes = limitBytes;
     this.numBytes = 0;
     /** @type {Map<number, HeldSegment>} the least recently used first */
@@ -213,6 +214,18 @@ export class SegmentCache {
       }
     }
     return found;
+  }
+
+  /**
+   * Bits per second that masks and layer 0 of the segment of a frame take; 0 if none of it is cached.
+   * @param {number} frame
+   */
+  baseBps(frame) {
+    const held = this.#held(frame);
+    const packets = [...(held?.masks ?? []), ...(held?.changes[0] ?? [])];
+    const numFrames = held?.changes[0].filter((packet) => packet !== null).length;
+    const numBytes = packets.reduce((sum, packet) => sum + (packet?.length ?? 0), 0);
+    return numFrames ? (8 * numBytes * this.fps) / numFrames : 0;
   }
 
   /**

@@ -60,12 +60,27 @@ test("a fast link brings every layer once, and snapshots at the start alone", ()
 });
 
 test("nine seconds of layer 0 come first, then other layers, and fifteen seconds at most", () => {
-  const [asked] = chosen([at(0)]);
-  assert.deepEqual(asked.slice(0, 3), ["0/snapshot-0", "0/masks", "0/0"]);
-  const layers = asked.filter((name) => /\/\d$/.test(name));
-  const wanted = ["0", "1", "2"].flatMap((part) => range(9, part));
-  assert.deepEqual(layers.slice(0, 27), wanted);
-  assert.deepEqual(ofPart(asked, "0"), range(15, "0"));
+  const base = 8 * (LAYER_BYTES[0] + MASKS_BYTES);
+  // A play that begins over a link that carries far more is content with three.
+  const cases = [
+    [9, at(0, { rateBps: 2.2 * base })],
+    [5, at(0, { rateBps: 3 * base })],
+    [3, at(0)],
+    [9, at(90)],
+  ];
+  for (const [seconds, state] of cases) {
+    const [asked] = chosen([state]);
+    const current = state.nextFrame / 30;
+    assert.deepEqual(
+      asked.slice(0, 3),
+      ["snapshot-0", "masks", "0"].map((part) => `${current}/${part}`),
+    );
+    const layers = asked.filter((name) => /\/\d$/.test(name));
+    const wanted = Array.from({ length: seconds }, (_, n) => `${current + n}/0`);
+    assert.deepEqual(layers.slice(0, seconds), wanted);
+    assert.match(layers[seconds], /\/1$/);
+    assert.equal(ofPart(asked, "0").length, 15);
+  }
 });
 
 test("the next round of a loop is asked for before it begins", () => {
@@ -146,6 +161,7 @@ for (const rateBps of [1e6, 1e9]) {
       records: INDEX,
       estimator: { rateBps, add() {} },
       absent: new Map(),
+      roundTripS: Infinity,
       cache: new SegmentCache(STREAM),
       async object({ segment }, part) {
         asked.push(`${segment}/${part}`);
@@ -174,7 +190,10 @@ for (const rateBps of [1e6, 1e9]) {
 test("a try that breaks off is measured, and is under way again", () => {
   let count;
   const estimator = new RateEstimator();
-  const stream = { ...{ manifest: STREAM, records: INDEX, estimator, absent: new Map() } };
+  const stream = {
+    ...{ manifest: STREAM, records: INDEX, estimator, absent: new Map() },
+    roundTripS: Infinity,
+  };
   stream.cache = new SegmentCache(STREAM);
   stream.object = (_record, _part, onBytes) => {
     count ??= onBytes;

@@ -116,6 +116,66 @@ test("a frame that is missing is a stall until a tenth of a second has come", ()
   assert.equal(cut.stalls, 1);
 });
 
+/** The leads that are waited for after stalls that begin after `runsS` of playback each, seconds. */
+function leads(runsS, { isLive = false, isThin = false } = {}) {
+  const { play, playback } = made({ fps: 16, numFrames: 16_000, end: 1 });
+  playback.live = isLive;
+  playback.setPlaying(true);
+  let nowS = 0;
+  const waited = () => {
+    const first = playback.nextFrame;
+    playback.isLinkThin = isThin;
+    for (;;) {
+      play.end += 1;
+      assert.equal(playback.tick((nowS += 1 / 16)) ?? null, null);
+      if (!playback.waiting) return (play.end - first) / 16;
+    }
+  };
+  playback.tick(nowS);
+  const found = [waited()];
+  for (const runS of runsS) {
+    const endS = nowS + runS;
+    while (nowS < endS) {
+      play.end = playback.nextFrame + 16;
+      playback.tick((nowS += 1 / 16));
+    }
+    play.end = playback.endFrame;
+    while (!playback.waiting) playback.tick((nowS += 1 / 16));
+    found.push(waited());
+  }
+  return found;
+}
+
+test("the more often playback stalls, the more is waited for, and less again after a calm", () => {
+  const one = 2 / 16; // two frames are the tenth of a second
+  assert.deepEqual(leads([3, 3, 3, 3, 3]), [one, one, 1, 2, 4, 4]);
+  assert.deepEqual(leads([3, 19, 21, 3]), [one, one, 1, one, 1]);
+  assert.deepEqual(leads([3, 3, 3, 3], { isLive: true }), [one, one, 1, 2, 2]);
+  assert.deepEqual(leads([3, 3, 3], { isThin: true }), [one, 1, 2, 4]);
+});
+
+test("what is not decoded yet counts as a longer lead, and a pause of a calm play as none", () => {
+  const { play, playback } = running({ fps: 16, end: 3 });
+  playback.isLinkThin = true;
+  playback.tick(1.25);
+  assert.deepEqual([playback.stalls, playback.leadS, playback.isStuttering], [1, 1, false]);
+  play.end = 5;
+  playback.tick(2);
+  assert.equal(playback.waiting, true);
+  playback.heldFrame = 19;
+  playback.tick(3);
+  assert.deepEqual([playback.waiting, playback.resumedS], [false, 3]);
+  playback.tick(3.25);
+  assert.deepEqual([playback.leadS, playback.isStuttering], [2, true]);
+  playback.setPlaying(false);
+  playback.tick(4);
+  assert.equal(playback.isStuttering, false);
+  playback.setPlaying(true);
+  play.end = 7;
+  playback.tick(24);
+  assert.deepEqual([playback.leadS, playback.waiting], [0.1, false], "20 s after it went on");
+});
+
 test("at the end of a stream no lead is needed, and nothing is due after it", () => {
   const { playback } = made({ fps: 16, numFrames: 2 });
   playback.setPlaying(true);

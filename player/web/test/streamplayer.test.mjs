@@ -33,11 +33,12 @@ function playing(context, records, delayS, start = {}, answer = answered) {
     fail: (error) => failures.push(error),
   };
   const player = new StreamPlayer(stream, fetcher, outlet, start);
+  context.after(() => player.close());
   player.setPlaying(true);
   const isBusy = () => player.round.feed.isRunning || player.nextRound?.feed.isRunning;
   const until = (isOver) => host.until(() => failures.length > 0 || isOver(), isBusy);
   const ended = () => posted.filter(({ kind }) => kind === "ended").length;
-  return { player, host, shown, failures, until, ended };
+  return { player, host, posted, shown, failures, until, ended };
 }
 
 const isUpper = (path) => /[1-9]$/.test(path);
@@ -59,7 +60,6 @@ for (const loop of [false, true]) {
     else player.setPlaying(true);
     await until(() => ended() === (loop ? 1 : 2));
     assert.equal(host.asked.length, new Set(host.asked).size, "played again from what is here");
-    player.close();
   });
 }
 
@@ -73,7 +73,6 @@ test("layers that take longer to come than a round are waited for over rounds", 
   assert.deepEqual(host.aborted, []);
   assert.equal(host.asked.length, new Set(host.asked).size, "each once");
   assert.deepEqual([ended(), player.playback.stalls], [0, 0]);
-  player.close();
 });
 
 const damaged = {
@@ -105,6 +104,24 @@ for (const { part, fault, layers } of HOLES) {
       assert.deepEqual([found, shown], [layers, [...Array(NUM_FRAMES).keys()]]);
       assert.equal(host.asked.filter((path) => path === `segments/${part}`).length, 1);
     }
-    player.close();
   });
 }
+
+test("that a link is too thin is said once, with both rates", async (context) => {
+  const delayS = (path) => (/[12].0$/.test(path) ? 2 : 0.02);
+  const start = { mostLayers: 1 };
+  const { player, host, posted, until, ended } = playing(...[context, RECORDS, delayS, start]);
+  player.stream.estimator = { rateBps: 400, add() {} };
+  for (let round = 1; round <= 2; round++) {
+    await until(() => player.playback.frame > 0 && !player.playback.hasEnded);
+    // It has stalled before.
+    Object.assign(player.playback, { leadS: 1, resumedS: host.nowMs / 1000 });
+    await until(() => ended() === round);
+    player.stream.cache.segments.delete(1);
+    player.setPlaying(true);
+  }
+  const said = posted.filter(({ kind }) => kind === "trouble").map(({ message }) => message);
+  const first = "This connection carries 0.0004 of the 0.019 Mbit/s that this video needs";
+  assert.deepEqual(said, [first, null]);
+  assert.equal(player.playback.stalls, 2);
+});
