@@ -50,8 +50,9 @@ if TYPE_CHECKING:
     from player.sound.soundplayer import SoundPlayer
     from player.sound.soundtrack import SoundTrack
 
-WINDOW_PLAYOUT = PlayoutConfig(conceal_s=0.15)
-"""A picture that stands still for a moment is hardly seen; one that is late from then on is."""
+WINDOW_PLAYOUT = PlayoutConfig(longest_lead_s=4.0, conceal_s=0.15)
+"""A link that is too slow plays in few long pieces rather than many short ones. A picture that
+stands still for a moment is hardly seen; one that is late from then on is."""
 
 Floats = npt.NDArray[np.float32]
 

@@ -35,8 +35,13 @@ SESSION = SessionConfig(run_s=0.1, queue_s=0.04, first_bytes=16 << 10)
 then, too, less may be before it on a slow one."""
 
 MOST_ASKS = 3
+MOST_FAR_ASKS = 8
 """So many requests may be open, each on a connection of its own, before another one is made: they
-share the link, and what is needed first comes later."""
+share the link, and what is needed first comes later. Far away, where objects are shorter than the
+round trip, more of them fill the link."""
+
+ASK_S = 0.04
+"""The round trip for which there is one request more, seconds."""
 
 
 @dataclass(slots=True, eq=False)
@@ -115,6 +120,11 @@ class HostedPlay:
     def _open_asks(self) -> list[Ask]:
         return [ask for wanted in self._wanted for ask in wanted.asks]
 
+    @property
+    def _most_asks(self) -> int:
+        latency_s = self.session.least_latency_s or 0.0
+        return min(MOST_FAR_ASKS, MOST_ASKS + int(latency_s / ASK_S))
+
     def next(self, now_s: float) -> Ask | Wait:
         """The next request, or what to wait for: WaitForAck means an open request. Raises a
         CodecError."""
@@ -128,7 +138,7 @@ class HostedPlay:
             if self._unsent:
                 return self._unsent.popleft()
             # Nor is more chosen before it is known where all lies that was.
-            if len(self._open_asks) >= MOST_ASKS or any(map(self._lacks, self._wanted)):
+            if len(self._open_asks) >= self._most_asks or any(map(self._lacks, self._wanted)):
                 return WaitForAck()
             if not self._chosen:
                 if self._would_delay_the_start(now_s):

@@ -11,6 +11,10 @@ from dataclasses import dataclass
 
 from codec.errors import InvalidError
 
+LONGER_LEAD_S = 1.0
+CALM_S = 20.0
+"""For `PlayoutConfig.longest_lead_s`."""
+
 
 @dataclass(frozen=True, slots=True)
 class PlayoutConfig:
@@ -22,12 +26,16 @@ class PlayoutConfig:
     resume_lead_s: float = 0.1
     """The same after a stall: otherwise a link too slow for layer 0 would show each frame as it
     arrives."""
+    longest_lead_s: float = 0.0
+    """The most that is waited for after stalls that follow each other within CALM_S of playback,
+    LONGER_LEAD_S first and then twice as much each time; half of it where the end is not known, as
+    a live stream would fall behind. 0 waits for resume_lead_s always."""
     conceal_s: float = 0.0
     """Seconds that the picture may freeze while the media time runs on. If the late frame arrives
     in that time, playback skips to the current frame without delay. If not, playback stalls."""
 
     def __post_init__(self) -> None:
-        for name in ("start_lead_s", "resume_lead_s", "conceal_s"):
+        for name in ("start_lead_s", "resume_lead_s", "longest_lead_s", "conceal_s"):
             if not 0 <= getattr(self, name) <= 60:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must be in 0..60")
 
@@ -75,6 +83,8 @@ class PlayoutClock:
         """The first frame that cannot show yet."""
         self._here_frame = first_frame
         """The first frame that is not there; those before it may still wait for a lead."""
+        self._lead_s = 0.0  # that the last stall waited for
+        self._resumed_s = -math.inf  # when it ended
         self.stalls = 0
         self.stalled_s = 0.0
         """Seconds of the stalls that are over."""
@@ -158,12 +168,23 @@ class PlayoutClock:
         elif self.stalled(now_s):
             if self._conceals(now_s):
                 return
-            if not self._has_lead(self.end_frame, self._config.resume_lead_s):
+            lead_s = self._resume_lead_s
+            if not self._has_lead(self.end_frame, lead_s):
                 return
+            self._lead_s, self._resumed_s = lead_s, now_s
             self.stalls += 1
             self.stalled_s += now_s - self.due_s(self.end_frame)
             self._bases.append((self.end_frame, now_s))
         self.end_frame = self._here_frame
+
+    @property
+    def _resume_lead_s(self) -> float:
+        """The lead that the stall waits for that is under way."""
+        config = self._config
+        if self.due_s(self.end_frame) - self._resumed_s > CALM_S:
+            return config.resume_lead_s
+        longest_s = config.longest_lead_s * (0.5 if self.until_frame is None else 1.0)
+        return max(config.resume_lead_s, min(longest_s, max(LONGER_LEAD_S, 2 * self._lead_s)))
 
     def _conceals(self, now_s: float) -> bool:
         """Goes on as if nothing had been missing, where that lasted no longer than it may."""

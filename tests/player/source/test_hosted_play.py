@@ -21,13 +21,13 @@ from codec.stream import StreamReader
 from codec.stream.manifest import MASKS, Part, layer_of, snapshot_part
 from player.playout.assembler import Assembler
 from player.playout.timeline import FrameRecord, Playout
+from player.run.playback import WINDOW_PLAYOUT
 from player.source.hostedplay import Ask, HostedPlay
 from player.source.opener import opened
 from player.source.partialobject import PartialObject
 from player.source.source import Packets, SlicePackets
 from server.abr.clientstatus import ClientStatus
 from server.abr.holding import Holding
-from server.abr.playout import PlayoutConfig
 from server.abr.session import Finished
 from tests.support.commands import ROOT
 from tests.support.delivery.assembled import check_packets
@@ -54,11 +54,14 @@ class MadeLink:
         play: HostedPlay,
         knows_ranges: bool = True,
         hole: tuple[str, str] = ("", ""),
+        round_trip_s: float = 0.0,
     ) -> None:
         """hole: an object that the host lacks or has damaged, and how."""
+        self._round_trip_s = round_trip_s
         self._reader, self._play = reader, play
         self._knows_ranges, self._hole = knows_ranges, hole
         self._open: list[tuple[Ask, int]] = []
+        self._begins_s: dict[Ask, float] = {}
         self.asked: list[Ask] = []
         self.now_s = 0.0
 
@@ -70,10 +73,11 @@ class MadeLink:
                 play.comes_whole(decision, self.now_s)
             self.asked.append(decision)
             self._open.append((decision, decision.first_byte))
+            self._begins_s[decision] = self.now_s + self._round_trip_s
         self.over = isinstance(decision, Finished) and not self._open
         found += play.packets()
         left = round(rate_bps * STEP_S / 8)
-        while self._open and left:
+        while self._open and left and self._begins_s[self._open[0][0]] <= self.now_s:
             ask, at = self._open.pop(0)
             data = self._reader.read_object(ask.segment, ask.part).data
             if f"{ask.segment}/{ask.part}" == self._hole[0]:
@@ -141,12 +145,15 @@ def test_on_a_link_that_carries_it_all_comes_once_and_in_time(
 
 
 def watched(
-    reader: StreamReader, steps: list[tuple[float, float]], knows_ranges: bool = True
+    reader: StreamReader,
+    steps: list[tuple[float, float]],
+    knows_ranges: bool = True,
+    round_trip_s: float = 0.0,
 ) -> tuple[list[FrameRecord], Playout]:
     """A window's play over a link. steps: seconds, and what it carries as a share of the stream."""
     play = HostedPlay(reader.manifest, reader.records, FrameRange(0, NUM_FRAMES), 0.0)
-    link = MadeLink(reader, play, knows_ranges)
-    playout = Playout(reader.manifest, 0, NUM_FRAMES, config=PlayoutConfig(conceal_s=0.15))
+    link = MadeLink(reader, play, knows_ranges, round_trip_s=round_trip_s)
+    playout = Playout(reader.manifest, 0, NUM_FRAMES, config=WINDOW_PLAYOUT)
     ends_s, frames = [*itertools.accumulate(seconds for seconds, _ in steps)], list[FrameRecord]()
     while not frames or frames[-1].frame < NUM_FRAMES - 1:
         step = next(n for n, end_s in enumerate(ends_s) if link.now_s < end_s)
@@ -188,6 +195,21 @@ def test_layers_follow_the_link_without_a_stall(
     for begin_s, end_s, least, most in laws:
         part = [one.layers for one in frames if begin_s <= one.shown_s - first_s < end_s]
         assert least <= fmean(part) <= most
+
+
+def test_a_far_host_is_asked_for_more_at_once(reader: StreamReader) -> None:
+    # A segment lasts for less than two round trips.
+    frames, playout = watched(reader, [(60.0, 3.0)], round_trip_s=0.4)
+    assert playout.totals.stalls == 0
+    assert fmean(one.layers for one in frames if one.shown_s > 1.5) > 2.5
+
+
+def test_a_link_that_is_too_slow_plays_in_few_pieces(reader: StreamReader) -> None:
+    base_bytes = sum(record.object_bytes[0] + record.side_bytes[0] for record in reader.records)
+    share = 0.3 * 8 * FPS * base_bytes / NUM_FRAMES / need_bps(reader)
+    frames, playout = watched(reader, [(60.0, share)])
+    assert [one.frame for one in frames] == list(range(NUM_FRAMES))
+    assert playout.totals.stalls <= 3
 
 
 def test_a_play_with_a_known_rate_asks_for_layer_0_of_its_frame_and_no_more_yet(

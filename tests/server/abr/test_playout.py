@@ -79,6 +79,32 @@ def test_a_stall_ends_with_a_lead() -> None:
     assert (clock.end_frame, clock.stalls) == (5, 2)
 
 
+@pytest.mark.parametrize(
+    ("until_frame", "plays_s", "leads_s"),
+    [
+        (10_000, [3, 3, 3, 3, 3], [0.1, 1, 2, 4, 4]),
+        (10_000, [3, 19, 21, 3], [0.1, 1, 0.1, 1]),
+        (None, [3, 3, 3, 3], [0.1, 1, 2, 2]),
+    ],
+)
+def test_stalls_that_follow_each_other_wait_for_more(
+    until_frame: int | None, plays_s: list[int], leads_s: list[float]
+) -> None:
+    config = PlayoutConfig(start_lead_s=0, longest_lead_s=4)
+    clock = PlayoutClock(0, 10.0, config, until_frame)
+    clock.ready_until(1, now_s := 0.0)
+    found = []
+    for play_s in plays_s:
+        clock.ready_until(clock.next_frame(now_s) + 10 * play_s, now_s)
+        now_s = clock.due_s(clock.end_frame) + 1.0
+        end, stalls = clock.end_frame, clock.stalls
+        while clock.stalls == stalls:
+            end, now_s = end + 1, now_s + 0.1
+            clock.ready_until(end, now_s)
+        found.append((end - clock.next_frame(now_s)) / 10)
+    assert found == leads_s
+
+
 def test_who_shows_knows_better_than_a_lead() -> None:
     clock = PlayoutClock(0, 10.0, PlayoutConfig(start_lead_s=0, resume_lead_s=1.0))
     clock.ready_until(1, 0.0)
