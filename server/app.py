@@ -26,6 +26,7 @@ from server.abr.clientstatus import (
 )
 
 from .answers.call import Answer, Call
+from .answers.pages import refused_page
 from .clients.connection import ClientConnection, Clients, connection_of
 from .clients.http import http_server
 from .clients.reply import CLOSED, KEPT, StreamedBody, send
@@ -245,6 +246,8 @@ class Application:
         """The response that says `error`."""
         if isinstance(error, RequestError):
             exchange.note = str(error)
+            if isinstance(error, AccessError) and _is_for_a_person(exchange.request):
+                return refused_page(error.has_expired)
             return error_response(error.status, str(error), error.headers)
         self._report(exchange, error)
         if isinstance(error, SwingsError | OSError):
@@ -293,16 +296,29 @@ class Application:
         log.event("request", **fields)
 
 
+class AccessError(RequestError):
+    """The path of a request is not signed, or not any more."""
+
+    def __init__(self, reason: Reason) -> None:
+        super().__init__(403, f"access denied: {reason}")
+        self.has_expired = reason is Reason.EXPIRED
+
+
+def _is_for_a_person(request: Request | None) -> bool:
+    """Whether a browser shows the answer; programs ask for no HTML."""
+    return request is not None and "text/html" in request.fields.get("Accept", "")
+
+
 def _granted_path(path: str, signer: Signer) -> tuple[str, int | None]:
     """The path without its signature, and when that expires, in Unix seconds; None for a path that
-    has none. Raises RequestError 403 for one that needs another."""
+    has none. Raises AccessError for one that needs another."""
     if path.startswith("/t/"):
         grant = signer.verify(path, time.time())
         if isinstance(grant, Grant):
             return grant.path, grant.expiry_s
-        raise RequestError(403, f"access denied: {grant}")
+        raise AccessError(grant)
     if needs_signature(path):
-        raise RequestError(403, f"access denied: {Reason.UNSIGNED}")
+        raise AccessError(Reason.UNSIGNED)
     return path, None
 
 

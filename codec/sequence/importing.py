@@ -159,6 +159,12 @@ def facing_camera(lower: Doubles, upper: Doubles) -> Camera:
     )
 
 
+def _title_of(source: Path) -> str:
+    """The name of a file or folder, a file's without suffixes such as `.compressed.ply`."""
+    path = source.resolve()
+    return path.name if path.is_dir() else path.stem.removesuffix(".compressed")
+
+
 def make_manifest(
     survey: Survey,
     options: ImportOptions,
@@ -317,7 +323,7 @@ def import_stream(
             survey.take(file, options.kept(splats))
             progress(number + 1, num_steps, f"looked at file {number + 1} of {len(files)}")
         survey.warn_of_odd_files()
-        title = source.resolve().name if options.title is None else options.title
+        title = _title_of(source) if options.title is None else options.title
         rank = RANKS[_known(options.rank)]
         plan = make_plan(survey, options, options.kept(read_frame(files[0])))
         filler, lattices = SlotFiller(plan, rank), plan.lattices

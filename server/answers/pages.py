@@ -13,7 +13,8 @@ from codec.stream.pictures import picture_path, picture_size_px
 from server.exchange.errors import RequestError
 from server.exchange.response import Response, json_response
 from server.html import gallery, htmlpage, watchpage
-from server.html.gallery import Card, card_html, front_page, missing_page
+from server.html.gallery import Card, card_html, front_page
+from server.html.htmlpage import message_page
 from server.html.watchpage import WatchedStream, watch_page
 from server.library import ServedStream
 from server.operate.prometheus import CONTENT_TYPE
@@ -42,6 +43,17 @@ def _text(text: str) -> Response:
     return Response(200, {"Content-Type": "text/plain; charset=utf-8"}, text.encode())
 
 
+def refused_page(has_expired: bool) -> Response:
+    """What a person sees of a link without permission."""
+    if has_expired:
+        page = message_page("This link has expired", "Ask whoever sent it for a new one.")
+    else:
+        text = "Ask whoever runs this server for one. A link that was cut short does not open."
+        page = message_page("This page opens with a link made for it", text)
+    response = _page(page, htmlpage.SECURITY, 403)
+    return Response(403, {**response.fields, "Cache-Control": "no-store"}, response.body)
+
+
 def _origin(call: Call) -> str:
     """scheme://host of this server as the client calls it."""
     scheme = call.state.scheme
@@ -59,7 +71,13 @@ def _about(stream: ServedStream) -> str:
     """The stream in a few figures, for people."""
     manifest = stream.view.manifest
     layers = "1 layer" if manifest.num_layers == 1 else f"{manifest.num_layers} layers"
-    return f"{manifest.num_gs:,} Gaussians, {layers}, {stream.fps:g} fps"
+    about = f"{manifest.num_gs:,} Gaussians, {layers}"
+    return about if _is_still(stream) else f"{about}, {stream.fps:g} fps"
+
+
+def _is_still(stream: ServedStream) -> bool:
+    """Whether it is one picture, without time."""
+    return stream.num_frames == 1 and not stream.live
 
 
 def _streams(call: Call) -> list[ServedStream]:
@@ -75,7 +93,7 @@ def _card(stream: ServedStream) -> str:
             stream.name,
             _title(stream),
             picture_path(stream.view.manifest.poster),
-            seconds if math.isfinite(seconds) else None,
+            seconds if math.isfinite(seconds) and not _is_still(stream) else None,
             stream.live,
             _about(stream),
         )
@@ -104,7 +122,9 @@ def watch(call: Call) -> Response:
     try:
         stream = call.stream()
     except RequestError as error:
-        return _page(missing_page("../"), htmlpage.SECURITY, error.status)
+        there = 'It may have been removed or renamed. See <a href="../">all streams</a>.'
+        page = message_page("There is no such stream", there)
+        return _page(page, htmlpage.SECURITY, error.status)
     player = call.state.web_player
     # An address that needs a signature is not one to be passed on.
     page = watch_page(_watched(stream, origin), player, shared=call.state.signer is None)

@@ -51,9 +51,6 @@ _NONE = """<main><div class="head"><h1>No streams yet</h1></div>
 _BROKEN = """<details class="broken"><summary>{count} cannot be played</summary>
 <ul>{rows}</ul></details>"""
 
-_MISSING = """<main><h1>Stream not found</h1>
-<p>See <a href="{front}">all streams</a>.</p></main>"""
-
 _STYLE = f"{STYLE}\n{read_text('gallery.css')}"
 _SCRIPT = read_text("gallery.js")
 
@@ -74,7 +71,7 @@ class Card:
     title: str
     poster: str | None = None
     seconds: float | None = None
-    """How long it plays; None where this is not known."""
+    """How long it plays; None where this is not known, and for one picture."""
     live: bool = False
     about: str = ""
 
@@ -96,11 +93,6 @@ def front_page(cards: Sequence[str], broken: Mapping[str, str], origin: str) -> 
         script=f"\n<script>{_SCRIPT}</script>" if many else "",
     )
     return page("swings", body, style=_STYLE)
-
-
-def missing_page(front: str) -> str:
-    """The page for a URL that names no stream. front: URL of the front page."""
-    return page("swings", _MISSING.format(front=front))
 
 
 def card_html(card: Card) -> str:

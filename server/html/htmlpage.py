@@ -45,6 +45,15 @@ _PAGE = """<!doctype html>
 """
 
 
+_MESSAGE = """<main class="message"><h1>{heading}</h1>
+<p class="quiet">{text}</p></main>"""
+
+
+def message_page(heading: str, text: str) -> str:
+    """A page that says one thing. heading: plain text; text: HTML."""
+    return page(heading, _MESSAGE.format(heading=escape(heading), text=text))
+
+
 def page(title: str, body: str, head: str = "", style: str = STYLE) -> str:
     """A whole page. title: plain text; head, body: HTML, the first with a line end behind each
     element; style: CSS."""

@@ -20,12 +20,12 @@ _BODY = """<header>{back}<h1>{title}</h1></header>
 _BACK = '<a href="../"><span aria-hidden="true">&lsaquo; </span>Streams</a>'
 
 _MORE = """<button popovertarget="embed">Embed</button>
-<button popovertarget="desktop">Download</button>
+<button popovertarget="desktop">On a desktop</button>
 <div popover id="embed"><h2>Embed this stream</h2>
 <pre id="code">{embed}</pre><button data-copy="code">Copy</button></div>
 <div popover id="desktop"><h2>Play in a window</h2>
 <pre id="play">swings-play {url}</pre><button data-copy="play">Copy</button>
-<h2>Download as a video file</h2>
+<h2>Save a video of it</h2>
 <pre id="save">swings-play {url} --capture {name}.mp4</pre>
 <button data-copy="save">Copy</button></div>"""
 

@@ -42,6 +42,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("root")
     make_stream(folder / "walk", 12, title="A <walk> & back")
     make_stream(folder / "dance.2", 3)
+    make_stream(folder / "still", 1)
     return folder
 
 
@@ -57,16 +58,19 @@ async def site(root: Path) -> AsyncIterator[Site]:
 async def test_the_list_and_the_front_page_name_every_stream(site: Site) -> None:
     server, client = site
     listed = (await fetch(client, "/v1/streams")).json()["streams"]
-    assert [one["name"] for one in listed] == ["dance.2", "walk"]
-    assert (listed[1]["num_frames"], listed[1]["num_layers"]) == (12, 4)
-    assert (await fetch(client, listed[1]["manifest"])).json()["title"] == "A <walk> & back"
+    assert [one["name"] for one in listed] == ["dance.2", "still", "walk"]
+    assert (listed[2]["num_frames"], listed[2]["num_layers"]) == (12, 4)
+    assert (await fetch(client, listed[2]["manifest"])).json()["title"] == "A <walk> & back"
     front = await fetch(client, "/")
     assert front.headers["Content-Type"].startswith("text/html")
     assert front.headers["Referrer-Policy"] == "no-referrer"
     policy = front.headers["Content-Security-Policy"].split("; ")
     assert {"base-uri 'none'", "form-action 'none'", "frame-ancestors 'none'"} <= set(policy)
     links = re.findall('class="card" href="([^"]*)"', front.text)
-    assert links == ["watch/walk", "watch/dance.2"]  # by title
+    assert links == ["watch/walk", "watch/dance.2", "watch/still"]  # by title
+    still = front.text.partition('"watch/still"')[2]
+    assert "32 Gaussians, 4 layers</span>" in still
+    assert "tag" not in still
     for text in ("A &lt;walk&gt; &amp; back", "32 Gaussians, 4 layers, 30 fps", server.url):
         assert text in front.text
     assert "<walk>" not in front.text
@@ -110,8 +114,8 @@ async def test_a_card_that_cannot_be_made_shows_its_name_among_the_others(
 
     monkeypatch.setattr(pages, "_about", about)
     front = await fetch(site[1], "/")
-    assert re.findall('href="watch/([^"]*)"', front.text) == ["walk", "dance.2"]
-    assert front.text.count("what it has") == 1
+    assert re.findall('href="watch/([^"]*)"', front.text) == ["walk", "dance.2", "still"]
+    assert front.text.count("what it has") == 2
     assert '<span class="title">walk</span>' in front.text
     assert "only the name of walk" in caplog.text
 

@@ -12,8 +12,10 @@ export class BarVisibility {
    * @param {HTMLElement} canvas
    * @param {() => boolean} plays
    * @param {() => boolean} isInUse whether a part of the bar is in use
+   * @param {(isIdle: boolean) => void} changed called when the bar was hidden or shown
    */
-  constructor(frame, canvas, plays, isInUse) {
+  constructor(frame, canvas, plays, isInUse, changed) {
+    this.changed = changed;
     this.frame = frame;
     this.canvas = canvas;
     this.plays = plays;
@@ -58,7 +60,7 @@ export class BarVisibility {
 
   /** Shows the bar for some time. */
   wake() {
-    this.frame.classList.remove("idle");
+    this.#setIdle(false);
     clearTimeout(this.#timer);
     this.#timer = setTimeout(() => this.#rest(), IDLE_MS);
   }
@@ -71,6 +73,12 @@ export class BarVisibility {
   #rest() {
     if (!this.plays()) return;
     if (this.isInUse()) this.wake();
-    else this.frame.classList.add("idle");
+    else this.#setIdle(true);
+  }
+
+  /** @param {boolean} isIdle */
+  #setIdle(isIdle) {
+    this.frame.classList.toggle("idle", isIdle);
+    this.changed(isIdle);
   }
 }

@@ -15,9 +15,12 @@ import { FullScreen } from "./fullscreen.js";
 import { keysOf, pressKey } from "./keys.js";
 import { LazyPart } from "./lazypart.js";
 import { LiveBadge } from "./livebadge.js";
+import { hintToLook } from "./lookhint.js";
+import { prefersStill } from "./motion.js";
 import { addStyle } from "./nodes.js";
 import { Scrubber } from "./scrubber.js";
 import { StereoControls } from "./stereocontrols.js";
+import { Turntable } from "../view/turntable.js";
 
 const LONG_MS = 10_000;
 
@@ -35,6 +38,7 @@ SHEET.replaceSync(CONTROLS_STYLE);
  * @property {HTMLElement} place for the controls, within the frame
  * @property {import("./hints.js").Hints} hints
  * @property {() => void} changed called when the element's condition may have changed
+ * @property {(isIdle: boolean) => void} setIdle called when the bar was hidden or shown
  */
 
 export class Controls {
@@ -42,10 +46,11 @@ export class Controls {
    * @param {Surroundings} surroundings
    * @param {AbortSignal} signal ends them
    */
-  constructor({ element, player, canvas, frame, place, hints, changed }, signal) {
+  constructor({ element, player, canvas, frame, place, hints, changed, setIdle }, signal) {
     this.element = element;
     this.player = player;
     this.frame = frame;
+    this.signal = signal;
     addStyle(frame, SHEET);
     const notLoaded = (/** @type {unknown} */ error) => {
       console.warn("swings: a part of the controls could not be loaded:", error);
@@ -100,13 +105,14 @@ export class Controls {
     this.bar.follow(signal);
     const plays = () => player.isStill || (!element.paused && !this.live.hasStopped);
     const isInUse = () => this.panels.part?.isInUse || this.scrubber.isScrubbing;
-    this.visibility = new BarVisibility(frame, canvas, plays, isInUse);
+    this.visibility = new BarVisibility(frame, canvas, plays, isInUse, setIdle);
     this.visibility.listen(element, () => this.fullScreen.toggle(), signal);
     const actions = (this.actions = keysOf(element, player, commands));
     this.camera = new CameraControls(element, canvas, player, signal);
     const { headset } = this.bar;
     stereo.watch((isThere) => (headset.hidden = !isThere), signal);
     this.#listen(hints, signal);
+    hintToLook(player, hints, signal);
     place.append(this.bar.root);
     frame.append(this.failure.root);
     signal.addEventListener("abort", () => this.#close());
@@ -142,10 +148,31 @@ export class Controls {
 
   /** Called when a stream is open. */
   opened() {
-    const { player, frame, bar } = this;
+    const { element, player, frame, bar } = this;
     frame.classList.toggle("still", player.isStill);
     bar.showChoices();
     bar.showToggles();
+    if (player.isStill && !prefersStill() && !element.hasAttribute("view")) this.#turnSlowly();
+  }
+
+  /** Turns a model until the viewer does something. */
+  #turnSlowly() {
+    const { element, player } = this;
+    if (player.motion === null) return;
+    const turntable = new Turntable(player.motion);
+    const ending = new AbortController();
+    const signal = AbortSignal.any([this.signal, ending.signal]);
+    for (const type of ["pointerdown", "wheel", "keydown", "emptied"]) {
+      element.addEventListener(type, () => ending.abort(), { signal });
+    }
+    const step = (/** @type {number} */ nowMs) => {
+      if (signal.aborted) return;
+      requestAnimationFrame(step);
+      if (player.shownFrame < 0 || !player.sight.isSeen) return;
+      turntable.step(nowMs);
+      player.moved();
+    };
+    requestAnimationFrame(step);
   }
 
   /** Shows the state of the player. */

@@ -26,7 +26,7 @@ export const OVERLAY_STYLE = /* css */ `
 @keyframes appear { to { visibility: visible; } }
 @keyframes turn { to { transform: rotate(1turn); } }
 .note.soft {
-  position: absolute; inset-inline: 0; top: max(12px, env(safe-area-inset-top)); margin-inline: auto;
+  position: absolute; inset-inline: 0; top: max(12px, env(safe-area-inset-top), var(--messages-top, 0px)); margin-inline: auto;
   width: fit-content; max-width: min(80%, 40em); box-sizing: border-box;
   padding: 4px 12px; border-radius: 8px; background: var(--panel); text-align: center;
   overflow-wrap: anywhere; pointer-events: none;

@@ -48,6 +48,7 @@ export class SwingsPlayerElement extends MediaInterface {
   #controls = null;
   /** @type {LazyPart<import("./tracks.js").Tracks> | null} */
   #tracks = null;
+  #internals = this.attachInternals();
   #stopListening = () => {};
   #isLooping = false;
   /** Whether there was no play or seek yet. */
@@ -132,14 +133,13 @@ export class SwingsPlayerElement extends MediaInterface {
   #loadParts(player, signal) {
     const [canvas, frame, place, hints] = [this.#canvas, this.#frame, this.#place, this.#hints];
     const changed = () => this.#show(player);
+    const setIdle = (/** @type {boolean} */ isIdle) => this.#setIdle(isIdle);
+    const surroundings = { player, canvas, frame, place, hints, changed, setIdle };
     const controls = new LazyPart(
       async () => {
         const { Controls } = await import("./controls.js");
         if (signal.aborted) return null;
-        return new Controls(
-          { element: this, player, canvas, frame, place, hints, changed },
-          signal,
-        );
+        return new Controls({ element: this, ...surroundings }, signal);
       },
       (error) => {
         console.warn(
@@ -246,6 +246,13 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#overlay.show(condition, player.shownFrame >= 0, isWaiting);
     if (this.#frame.dataset.condition !== condition) this.#frame.dataset.condition = condition;
     controls?.show();
+  }
+
+  /** Lets the style of a page follow the bar: `swings-player:state(idle)`. @param {boolean} isIdle */
+  #setIdle(isIdle) {
+    if (!CSS.supports("selector(:state(idle))")) return;
+    if (isIdle) this.#internals.states.add("idle");
+    else this.#internals.states.delete("idle");
   }
 
   togglePlaying() {

@@ -9,6 +9,7 @@ import { deviceTurn, turnBetween } from "../view/deviceturn.js";
 import { between } from "../view/flight.js";
 import { poseOf, rigUp, worldToCamera } from "../view/pose.js";
 import { add, cross, dot, length, subtract, times, turned } from "../view/vectors.js";
+import { Turntable } from "../view/turntable.js";
 import { camera, law, manifestOf, near, posed, Random } from "./support.mjs";
 
 /** The point at which the rings look. */
@@ -374,4 +375,23 @@ test("a phone that is turned", () => {
   near(turned([0, 0, 0], [30, 90, 0]), [0, 90 * RAD_PER_DEG]);
   // Held sideways, the same turn has other angles; here the top of the phone points left.
   near(turned([90, 0, -90], [120, 0, -90]), [30 * RAD_PER_DEG, 0]);
+});
+
+test("a model turns slowly all around, and before a rig the camera sways within its bounds", () => {
+  for (const [scene, isFree] of [
+    [model(), true],
+    [wall(), false],
+  ]) {
+    const motion = new CameraMotion(scene);
+    const turntable = new Turntable(motion);
+    const turns = [];
+    for (let ms = 0; ms <= 30_000; ms += 20) {
+      turntable.step(ms);
+      turns.push(motion.orbit.turnRad);
+    }
+    near([turns[50]], [isFree ? 0.25 : 0.15 * Math.sin(0.25 / 0.15)], 1e-6);
+    near([Math.max(...turns)], [isFree ? 7.5 : 0.15], 1e-3);
+    turntable.step(90_000); // a page that was hidden does not jump
+    assert.ok(Math.abs(motion.orbit.turnRad - turns.at(-1)) <= 0.025 + 1e-9);
+  }
 });

@@ -56,7 +56,7 @@ def test_a_still_model(tmp_path: Path) -> None:
     made = import_stream(tmp_path / "model.ply", tmp_path / "stream", OPTIONS)
     manifest = made.manifest
     assert (manifest.swin_size, manifest.num_gs, manifest.sh_degree) == (1, 300, 2)
-    assert (manifest.title, manifest.live, made.num_frames) == ("model.ply", False, 1)
+    assert (manifest.title, manifest.live, made.num_frames) == ("model", False, 1)
     reader = StreamReader(tmp_path / "stream")
     assert reader.num_frames == 1
     found = by_position(reader.active_splats(0, 4))

@@ -92,15 +92,17 @@ def test_cards_are_found_and_sorted(page: Page, server: ServerProcess) -> None:
 
 
 def test_the_page_of_a_stream(page: Page, server: ServerProcess) -> None:
-    page.open(f"{server.url}/watch/s3?autoplay=0", 390, 844, touch=True)
-    page.wait("player.shownFrame >= 0")
+    address = f"{server.url}/watch/s3?autoplay=0"
+    page.open(address, 390, 844, touch=True)
+    page.wait("player.shownFrame >= 0 && part('.share').checkVisibility()")
     assert page.axe() == []
+    assert page.value("[element.clientWidth, element.clientHeight]") == [390, 844]
+    page.click("header a")
+    page.wait("location.pathname === '/'")
+    page.open(address, 1000, 700)
     page.click("button[popovertarget=embed]")
     page.wait("document.querySelector('#embed').matches(':popover-open')")
     assert page.axe() == []
-    page.press("Escape")
-    page.click("header a")
-    page.wait("location.pathname === '/'")
 
 
 def test_in_a_frame_the_player_is_alone(page: Page, server: ServerProcess) -> None:

@@ -116,6 +116,33 @@ def test_a_failure_is_a_sentence_and_may_be_tried_again(desk: Reached) -> None:
     assert page.value("part('.bar').checkVisibility() && element.error === null")
 
 
+def test_a_still_has_no_time_and_turns_until_it_is_touched(desk: Reached) -> None:
+    page = desk.page
+    desk.watch("src=../model")
+    desk.do(within("still"))
+    names = "[...part('.row').children].filter((one) => one.checkVisibility())"
+    assert page.value(f"{names}.map((one) => one.className)") == [
+        "space", "share", "reset", "quality", "more", "full",
+    ]  # fmt: skip
+    assert not page.value("part('.scrub').checkVisibility() || part('.large').checkVisibility()")
+    page.wait("Number(element.view.split(',')[0]) > 0.05")
+    page.drag((300, 100), (301, 100))
+    page.wait_until_still("element.view")
+    page.press("k")
+    desk.watch("src=../model", options={"reducedMotion": "reduce"})
+    desk.do(within("still"))
+    page.wait_until_still("element.view")
+    assert page.value("element.view") == "0,0,1,0,0"
+
+
+def test_a_first_visit_is_told_once_that_one_may_look_around(desk: Reached) -> None:
+    note = "part('.note.soft').textContent"
+    for told in "Drag to look around", "":
+        desk.watch("src=../static", options={"locale": "en-GB"})
+        desk.page.wait("state.frame > 5 && part('.bar')")
+        assert desk.page.value(note) == told
+
+
 def test_the_menu_by_keys(phone: Reached) -> None:
     page = phone.page
     phone.watch("src=../static&autoplay=0&loop=0")

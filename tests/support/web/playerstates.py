@@ -79,6 +79,7 @@ def write_hosted(folder: Path) -> None:
     write_poster(stream, render_splats)
     write_storyboard(stream, render_splats)
     export_static(stream, folder / "static")
+    export_static(write_stream(folder / "one", 1, cameras=ring_of_cameras()), folder / "model")
     export_static(write_stream(folder / "bare", 30), folder / "exported")
     Publisher(folder / "exported", folder / "live").publish(2)
 
@@ -159,6 +160,7 @@ STATES = {
     "start": State(START, [within("start")]),
     "loading": State(START, LOADING),
     "playing": State("src=../static&t=0.5", [within("playing")]),
+    "still": State("src=../model", [within("still")]),
     "idle": State("src=../static", [("wait", "getComputedStyle(part('.bar')).opacity === '0'")]),
     "paused": State(AT_1, PAUSED),
     "ended": State("src=../static&loop=0&t=3.5", [within("ended")]),

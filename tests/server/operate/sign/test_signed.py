@@ -107,6 +107,9 @@ def test_what_is_not_signed_for_it_is_403_in_one_line(port: int, signer: Signer)
         message = json.loads(answer.body)["error"]
         assert "\n" not in message
         assert len(message) < 120
+        shown = ask(port, path, {"Accept": "text/html,*/*;q=0.8"})
+        assert (shown.status, shown.headers["cache-control"]) == (403, "no-store")
+        assert (b"<h1>This link has expired</h1>" in shown.body) is path.startswith(late)
     for path in ("/healthz", "/readyz"):
         assert ask(port, path).status == 200
     for path in (f"{STREAM}/manifest.json", f"{good}{STREAM}/play"):
