@@ -6,6 +6,8 @@ import { createInterface } from "node:readline";
 
 import * as playwright from "playwright-core";
 
+import { NAMES } from "./names.mjs";
+
 /**
  * Starts a browser; nothing else does. Another kind needs its arguments here, and its path in
  * tests/support/web/chromium.py.
@@ -20,13 +22,6 @@ async function launch(/** @type {"chromium"} */ kind, /** @type {string} */ exec
 const [kind, executablePath, boundS, keeps] = process.argv.slice(2);
 const BOUND_MS = 1000 * Number(boundS);
 const browser = await launch(/** @type {"chromium"} */ (kind), executablePath);
-/** Names that the code of `run` and `wait` may use. */
-const NAMES = `
-  const element = document.querySelector("swings-player");
-  const player = element?.player;
-  const state = player?.state;
-  const part = (selector) => element?.shadowRoot?.querySelector(selector);
-`;
 /** @type {import("playwright-core").Page} */
 let page;
 /** @type {import("playwright-core").Page | import("playwright-core").Frame} the page, or a frame in it */
