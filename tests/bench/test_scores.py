@@ -3,8 +3,7 @@ swings-eval, and their tables and plots show them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -15,7 +14,7 @@ from PIL import Image
 from rich.console import Console, RenderableType
 
 from bench import dropping, flip, ghost
-from bench.dropping import BY_CONTRIBUTION, BY_OPACITY, LAYERS, DroppingConfig, Outcome
+from bench.dropping import BY_CONTRIBUTION, BY_OPACITY, LAYERS, DroppingConfig
 from bench.flip import FlipConfig, flip_map
 from bench.ghost import GhostConfig, excess, left_and_around
 from bench.network import shown
@@ -42,14 +41,14 @@ PLANES: dict[str, dict[str, Any]] = {
 none."""
 
 
-def write_scored(path: Path, swin_size: int = 2, **changes: object) -> tuple[Path, Path]:
+def write_scored(path: Path, **changes: object) -> tuple[Path, Path]:
     """Writes a stream of FRAMES frames and two layers, and its capture, whose camera 1 is held out;
     returns the folders of both. changes: fields of the manifest."""
     capture, stream = path / "capture", path / "stream"
     path.mkdir(exist_ok=True)
     write_dynamic3dgs(capture, num_cameras=4, num_frames=FRAMES)
     cameras = tuple(c.camera for c in open_capture(capture).cameras)
-    layout = small_layout(swin_size, (60, 40), 0, 4)
+    layout = small_layout(2, (60, 40), 0, 4)
     changes = {"cameras": cameras, "default_camera": cameras[0].name, **changes}
     write_busy_stream(stream, FRAMES, layout, **changes)
     return stream, capture
@@ -245,16 +244,10 @@ def test_ghosts_of_a_stream_are_searched_and_drawn(
 # --- dropping ---
 
 
-def dropping_of(stream: Path, capture: Path) -> DroppingConfig:
-    plots = stream.parent / "plots"
-    return DroppingConfig(
-        stream, capture, plots / "a.png", plots / "a.jpg", every=2, views=2, frame=3
-    )
-
-
-@pytest.mark.parametrize("swin_size", [1, 2])
-def test_dropping_is_measured_and_drawn(swin_size: int, tmp_path: Path) -> None:
-    config = dropping_of(*write_scored(tmp_path, swin_size))
+def test_dropping_is_measured_and_drawn(scored: tuple[Path, Path], tmp_path: Path) -> None:
+    plots = tmp_path / "plots"
+    outputs = plots / "a.png", plots / "a.jpg"
+    config = DroppingConfig(*scored, *outputs, every=2, views=2, frame=3)
     found = dropping.measure(config)
     layers = evaluate_stream(EvaluateConfig(config.stream, config.capture, every=2)).layers
     of_layers = [(score.psnr_db, score.bytes_per_frame) for score in reversed(layers)]
@@ -278,35 +271,10 @@ def test_dropping_is_measured_and_drawn(swin_size: int, tmp_path: Path) -> None:
     dropping.draw(found, config.out)
     dropping.draw_sheet(found, config.sheet)
     assert config.out.read_bytes().startswith(b"\x89PNG")
+    with open_held_out(*scored) as held_out:
+        names = [view.camera.name for view in dropping.training_views(held_out)]
+    assert names == ["cam00", "cam02", "cam03"]
     with Image.open(config.sheet) as sheet:
         assert sheet.format == "JPEG"
         assert 1280 <= sheet.width <= 1600
     assert config.sheet.stat().st_size < 600_000
-
-
-def test_no_held_out_camera_ranks(scored: tuple[Path, Path]) -> None:
-    with open_held_out(*scored) as held_out:
-        names = [view.camera.name for view in dropping.training_views(held_out)]
-    assert names == ["cam00", "cam02", "cam03"]
-
-
-def test_what_as_many_bytes_give_lies_between_the_points() -> None:
-    nothing = np.zeros((1, 1, 3), np.uint8)
-    line = [Outcome(BY_OPACITY, "", 1, n, db, nothing, db) for n, db in ((400, 30), (100, 20))]
-    wanted = {400: 30, 200: 25, 100: 20, 99: None, 401: None}
-    assert {n: dropping.at_same_bytes(line, n) for n in wanted} == pytest.approx(wanted)
-
-
-WRONG: Sequence[tuple[dict[str, Any], str]] = (
-    ({"shares": ()}, "at least one share"),
-    ({"shares": (0.5, 1.1)}, "at most 1"),
-    ({"views": 0}, "views 0"),
-    ({"every": 0}, "every 0"),
-    ({"frame": FRAMES}, f"frames 0:{FRAMES}, not {FRAMES}"),
-    ({"camera": "cam00"}, "'cam00' is not held out; choose cam01"),
-)
-
-
-def test_options_out_of_their_bounds_are_refused(scored: tuple[Path, Path]) -> None:
-    for changes, message in WRONG:
-        refused(InvalidError, message, dropping.measure, replace(dropping_of(*scored), **changes))

@@ -1,4 +1,4 @@
-"""swings-stream info: counts and bytes of slots, their plot, and updates read back."""
+"""swings-stream info: counts and bytes of slots, and their plot."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import pytest
 from PIL import Image
 
 from codec.errors import CodecError, CorruptError, InvalidError
-from codec.slots.slotstate import holds
-from codec.slots.update import KEPT, NEW, PREDICTED, Update
+from codec.slots.update import Update
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import describe, summarise
 from codec.tools.plot import (
@@ -22,10 +21,8 @@ from codec.tools.plot import (
     played_bands,
     slot_bands,
 )
-from codec.tools.recordedupdates import recorded_slices, recorded_update
 from codec.tools.slotcensus import count_slots
 from tests.support.commands import run, run_ok
-from tests.support.drawn import same_splats
 from tests.support.hostile import refused
 from tests.support.slots.folder import slots_manifest, write_slots
 from tests.support.slots.updates import Model, small_layout
@@ -135,36 +132,6 @@ def test_what_is_drawn(stream: Path, updates: list[Update], tmp_path: Path) -> N
     for colour in (*STATUS_COLOURS.values(), JOIN_COLOUR):
         rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
         assert (drawn == rgb).all(axis=2).sum() > 20, colour
-
-
-@pytest.mark.parametrize("swin_size", [1, 3])
-def test_updates_come_back(swin_size: int, tmp_path: Path) -> None:
-    layout = small_layout(swin_size, (20, 10), 0, 4)
-    written = write_slots(tmp_path, NUM_FRAMES, layout)
-    assert any((update.statuses == PREDICTED).any() for update in written)
-    assert any(len(update.escapes) for update in written)
-    assert any(update.start_offsets.any() for update in written) == (swin_size > 1)
-    births = []
-    reader = StreamReader(tmp_path)
-    for birth, decoder, statuses in recorded_slices(reader):
-        assert decoder.frame == max(birth, 0)
-        found = recorded_update(decoder, birth, statuses)
-        found.check(layout)
-        births.append(birth)
-        if birth <= 0:
-            lane = decoder.lanes[layout.lane(birth)]
-            held = np.concatenate([holds(slots.conditions) for slots in lane])
-            assert (statuses == np.where(held, NEW, KEPT)).all()
-            continue
-        update = written[len(births) - 1]
-        inside = ~update.escaped
-        assert (found.statuses == update.statuses).all()
-        assert (found.start_offsets == update.start_offsets).all()
-        assert (found.escaped == update.escaped).all()
-        assert (found.states.positions[inside] == update.states.positions[inside]).all()
-        assert (found.states.attributes[inside] == update.states.attributes[inside]).all()
-        assert same_splats(found.escapes, update.escapes)
-    assert births == list(reader.births)
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The paper's quantisation, and its ablation, one attribute at a time, on real files."""
+"""The ablation of the paper's quantisation on real files."""
 
 from __future__ import annotations
 
@@ -11,18 +11,17 @@ import pytest
 
 from codec.errors import InvalidError
 from codec.lattice.lattice import Lattice
-from codec.pose import Doubles
 from codec.rig import rig_centre
 from codec.slice import Slice
-from codec.splats import Floats, Splats
+from codec.splats import Splats
 from codec.stream import StreamWriter
 from tests.support.commands import run_ok
+from tests.support.hostile import refused
 from tests.support.tiny_capture import seen_by, write_dynamic3dgs
 from tests.support.tiny_stream import tiny_manifest
 from tests.support.trained_like import trained_like_splats
 from trainer.score.ablation import CASES, ablate_quantisation, quantise_case
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
-from trainer.score.papercoding import quantise_attribute
 
 FRAMES, SWIN, SLOTS = 3, 2, (30, 30)
 SLICE_SIZE = sum(SLOTS)
@@ -80,42 +79,17 @@ def test_every_case_quantises_what_it_says_and_scores_like_a_stream_of_it(tmp_pa
     table = run_ok(*words, "--every", 3)
     assert all(case in table for case in CASES)
     quantised = write_stream(tmp_path / "quantised", capture, exact=False)
-    with pytest.raises(InvalidError, match=r"is quantised already.*--raw-stream"):
-        ablate_quantisation(EvaluateConfig(quantised, capture))
+    says = r"is quantised already.*--raw-stream"
+    refused(InvalidError, says, ablate_quantisation, EvaluateConfig(quantised, capture))
 
 
-FIELDS = {
-    "means": "means", "rotation": "quats", "scale": "log_scales", "feat": "sh",
-    "opacity": "logit_opacities",
-}  # fmt: skip
-"""The field of each column of the paper's Table 6."""
-
-
-def half_error(values: Floats) -> Doubles:
-    """Half the distance between neighbouring fp16 at `values`: 11 bits, down to 2^-24."""
-    bound: Doubles = np.maximum(2.0**-11 * np.abs(values.astype(np.float64)), 2.0**-25)
-    return bound
-
-
-def error(found: Floats, expected: Floats) -> Doubles:
-    difference: Doubles = np.abs(found.astype(np.float64) - expected)
-    return difference
-
-
-@pytest.mark.parametrize("attribute", FIELDS)
-def test_one_attribute_at_a_time_is_within_its_bit_depth(attribute: str) -> None:
+def test_numbers_have_the_paper_s_bits() -> None:
     splats = trained_like_splats(200, sh_degree=2)
-    found = quantise_attribute(splats, attribute)
-    for name in FIELDS.values():
-        ours, given = getattr(found, name), getattr(splats, name)
-        assert np.array_equal(ours, given) == (name != FIELDS[attribute])
-        if name in ("means", "log_scales", "sh"):
-            assert (error(ours, given) <= half_error(given)).all()
-    if attribute == "rotation":
-        units = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
-        assert (error(found.quats, units) <= 1 / 128 + 1e-6).all()
-    assert (error(found.opacities, splats.opacities) <= 1 / 510 + 3e-7).all()
-    if attribute in ("means", "scale", "feat"):
-        getattr(splats, FIELDS[attribute]).flat[7] = 65520
-        with pytest.raises(InvalidError, match="does not fit fp16"):
-            quantise_attribute(splats, attribute)
+    found = quantise_case(splats, "all")
+    for name in ("means", "log_scales", "sh"):
+        assert (getattr(found, name) == getattr(splats, name).astype(np.float16)).all()
+    units = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
+    assert np.abs(found.quats - units).max() <= 1 / 128 + 1e-6
+    assert np.abs(found.opacities - splats.opacities).max() <= 1 / 510 + 3e-7
+    splats.means[7] = 65520
+    refused(InvalidError, "does not fit fp16", quantise_case, splats, "means")
