@@ -16,8 +16,8 @@ from codec.foreign.ksplat import HEADER, HEADER_BYTES, SECTION, SECTION_BYTES
 from codec.foreign.sog import META, encode_sog
 from codec.foreign.spz import encode_spz
 from codec.splats import Splats
-from tests.support import handmade_sequences as made
 
+from . import handmade as made
 from .foreign import PICTURES
 
 

@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import struct
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from codec.errors import CodecError, InvalidError
-from codec.foreign.fourdgs import FourdgsReader
+from codec.errors import InvalidError
 from codec.interop import splat4dexport
 from codec.interop.formats import SplatFormat, write_splats
 from codec.interop.sequences import SequenceFormat
 from codec.sequence.importing import ImportOptions, import_stream
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
-from tests.support import handmade_sequences as made
 from tests.support.alike import largest_errors
 from tests.support.commands import run_ok
-from tests.support.hostile import within_bytes
 from tests.support.slots.rotating import figure, turned
 
 fourdgs: Any = None
@@ -59,14 +54,3 @@ def test_a_stream_there_and_back(format: SequenceFormat, tmp_path: Path) -> None
     for frame in range(len(FRAMES)):
         a, b = (reader.active_splats(frame, 4) for reader in (before, after))
         assert (largest_errors(b, a) < (1.5, 0.2, 0.15, 0.03, 0.06)).all()
-
-
-def test_what_a_few_bytes_claim_costs_no_memory(tmp_path: Path) -> None:
-    many, path = 1 << 24, tmp_path / "a.4dgs"
-    constant = struct.pack("<BBBBBIQ", 13, 1, 2, 0, 1, many, 9) + zlib.compress(b"\0")
-    huge = struct.pack("<2d2I", 0, 1, 0, 1) + made.text("deflate")
-    huge += struct.pack("<Q", 1 << 29) + made.block(zlib.compress(bytes(1 << 20)))
-    for state in (made.keyframe(0, 1, many, constant), made.record(5, huge)):
-        path.write_bytes(made.fourdgs(made.header(), made.grids(), made.windows((0, 10)), state))
-        with within_bytes(8 << 20), pytest.raises(CodecError, match="claims to decompress"):
-            FourdgsReader(path).read(0, many)

@@ -31,9 +31,6 @@ from tests.support.slots.rotating import figure, turned
 from tests.support.slots.slot_streams import gaussians
 from tests.support.trained_like import trained_like_splats
 
-NUM_FRAMES, NUM_GS = 16, 2000
-
-
 PAGE = (ROOT / "docs" / "SEQUENCES.md").read_text(encoding="utf-8")
 COMMANDS = re.findall(r"^ {4}(swings-.*)$", PAGE, re.MULTILINE)
 

@@ -1,4 +1,4 @@
-"""Small handmade .4dgs and .splat4d files; test_fuzz.py changes every part of them."""
+"""Small handmade .4dgs and .splat4d files, for the seeds of fuzz/foreignseed.py."""
 
 from __future__ import annotations
 
