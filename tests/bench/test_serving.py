@@ -28,21 +28,13 @@ def nothing(pid: int) -> ExitStack:
 
 def test_plays_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
     figures = measure_plays(2, 400, 0.1, 0.5, two_cores(), (), nothing)
-    assert (figures.clients, figures.double) == (2, 0)
+    assert (figures.clients, figures.failed, figures.missing, figures.double) == (2, 0, 0, 0)
+    assert 0 < figures.head_ms.p50 <= figures.record_ms.p50 <= figures.picture_ms.p50
+    assert figures.layers > 1
     show_plays(figures)
     printed = capsys.readouterr().out
     for column in ("2 plays", "first picture, ms", "slices late, ms", "missing", "% of a core"):
         assert column in printed
-
-
-@pytest.mark.realtime
-def test_every_slice_of_every_play_comes_once() -> None:
-    figures = measure_plays(8, 4000, 0.5, 4.0, two_cores(), (), nothing)
-    assert (figures.clients, figures.failed, figures.missing, figures.double) == (8, 0, 0, 0)
-    assert 0 < figures.head_ms.p50 <= figures.record_ms.p50 <= figures.picture_ms.p50
-    assert figures.layers > 1
-    assert 0 < figures.server_share < 1
-    assert figures.server_rss_bytes > 10_000_000
 
 
 @pytest.mark.realtime

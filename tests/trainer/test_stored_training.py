@@ -73,17 +73,6 @@ def test_the_commands_of_the_manual_write_the_bytes_of_folders(
     assert f"{train[2]} is not empty" in again.stderr
 
 
-def test_killed_runs_go_on(s3: S3Server, whole: dict[str, bytes], tmp_path: Path) -> None:
-    url, work = f"s3://{BUCKET}/killed/show", tmp_path / "work"
-    done = run_until(signal.SIGKILL, 3, CAPTURE, url, "--work", work, *SETTINGS)
-    assert done.returncode == -signal.SIGKILL, done.stderr
-    assert verify_stream(url).num_frames == 2
-    assert s3.files("killed/show").keys() < whole.keys()
-    # Its settings are in the work folder, so that no option has to be repeated.
-    run_ok("swings-train", CAPTURE, url, "--work", work, "--resume")
-    assert s3.files("killed/show") == whole
-
-
 def test_a_store_that_goes_in_the_middle_is_an_error_and_resume_goes_on(
     s3: S3Server, whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

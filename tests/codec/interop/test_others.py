@@ -248,7 +248,7 @@ def test_the_spz_of_gsply_is_read_alike(version: int, sh_degree: int, tmp_path: 
 
 @needs_splat_transform
 @degrees
-@pytest.mark.parametrize("kind", ["spz", "sog", "glb"])
+@pytest.mark.parametrize("kind", ["spz", "sog", "glb", "compressed.ply"])
 def test_what_splat_transform_writes_is_read(kind: str, sh_degree: int, tmp_path: Path) -> None:
     path, splats = exported(tmp_path, sh_degree, SplatFormat.PLY)
     found = read_splats(transformed(path, tmp_path / f"theirs.{kind}"))
@@ -261,6 +261,10 @@ def test_what_splat_transform_writes_is_read(kind: str, sh_degree: int, tmp_path
             assert_within_sog(found, splats, 2)  # it truncates where others round
         case "glb":
             assert_same_shown(found, splats)
+        case "compressed.ply":  # by either reader
+            back = transformed(tmp_path / "theirs.compressed.ply", tmp_path / "back.ply")
+            for a, b in zip(found.arrays, read_splats(back).arrays, strict=True):
+                assert np.abs(a - b).max() < 0.001
 
 
 def assert_same_shown(found: Splats, wanted: Splats) -> None:

@@ -19,13 +19,12 @@ from tests.support.tiny_models import (
     write_transforms,
 )  # fmt: skip
 from trainer.capture.lens import Lens
-from trainer.synth.film import Scene, Studio, VideoWriter, make_scene
+from trainer.synth.film import Scene, Studio, make_scene
 from trainer.synth.scene import UP, camera_rig
 
 Picture = npt.NDArray[np.uint8]
 
 WIDTH_PX, HEIGHT_PX = SIZE_PX = 128, 72
-NUM_FRAMES = 2
 FINER = 3
 """Scale at which distorted pictures are filmed before they are reduced."""
 
@@ -42,12 +41,12 @@ class Footage:
 
 @cache
 def room() -> Scene:
-    return make_scene(NUM_FRAMES, 30.0, 0)
+    return make_scene(2, 30.0, 0)
 
 
-def filmed(camera: Camera, num_frames: int = 1) -> list[Picture]:
-    studio = Studio(room(), camera)
-    return [studio.film(frame)[0] for frame in range(num_frames)]
+def filmed(camera: Camera) -> list[Picture]:
+    """The picture of each frame, of which there is one."""
+    return [Studio(room(), camera).film(0)[0]]
 
 
 def points_seen(cameras: Sequence[Camera], count: int) -> tuple[Doubles, Picture]:
@@ -96,32 +95,6 @@ def distorted(camera: Camera, lens: Lens) -> Picture:
     return bent_picture
 
 
-def write_portrait(root: Path) -> Footage:
-    """nerfstudio: a video for each camera, each with its own intrinsics, one in portrait format."""
-    cameras = camera_rig(10, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
-    for i, camera in enumerate(cameras):
-        focal_px = camera.fx_px * (1 + 0.01 * i)
-        own = replace(
-            camera, fx_px=focal_px, fy_px=focal_px, cx_px=camera.cx_px + i % 5 - 2,
-            cy_px=camera.cy_px + i % 3 - 1,
-        )  # fmt: skip
-        if i == 5:
-            longer_px = focal_px * WIDTH_PX / HEIGHT_PX  # so that it sees the same as the others
-            own = replace(
-                own, width_px=HEIGHT_PX, height_px=WIDTH_PX, fx_px=longer_px, fy_px=longer_px,
-                cx_px=own.cy_px, cy_px=own.cx_px,
-            )  # fmt: skip
-        cameras[i] = own
-    pictures = [filmed(camera, NUM_FRAMES) for camera in cameras]
-    (root / "videos").mkdir(parents=True)
-    for camera, of_camera in zip(cameras, pictures, strict=True):
-        with VideoWriter(root / "videos" / f"{camera.name}.mp4", camera, 25.0) as video:
-            for picture in of_camera:
-                video.write(picture)
-    write_transforms(root, transforms_of(cameras, [[f"videos/{c.name}.mp4"] for c in cameras]))
-    return Footage(cameras, pictures)
-
-
 def write_radial(root: Path) -> Footage:
     """COLMAP in text, without a rate: SIMPLE_RADIAL lenses, a camera of another size, a world that
     is scaled, turned and moved."""
@@ -148,9 +121,18 @@ def write_radial(root: Path) -> Footage:
 
 
 def write_distant(root: Path) -> Footage:
-    """nerfstudio: four cameras far apart, with radial and tangential distortion as in OpenCV."""
+    """nerfstudio: four cameras far apart, each with its own intrinsics, one of them upright, with
+    radial and tangential distortion as in OpenCV."""
     lens = Lens(k1=-0.12, k2=0.03, p1=0.002, p2=-0.0015)
     cameras = camera_rig(4, WIDTH_PX, HEIGHT_PX, float(np.radians(160)))
+    for i, camera in enumerate(cameras):
+        focal_px, cx_px, cy_px = camera.fx_px * (1 + 0.02 * i), camera.cx_px + i - 2, camera.cy_px
+        own = replace(camera, fx_px=focal_px, fy_px=focal_px, cx_px=cx_px, cy_px=cy_px + i % 2)
+        cameras[i] = own
+        if i == 2:
+            cameras[i] = replace(
+                own, width_px=HEIGHT_PX, height_px=WIDTH_PX, cx_px=own.cy_px, cy_px=own.cx_px
+            )
     paths = write_pictures(root, cameras, 1, False, lambda i, _: distorted(cameras[i], lens))
     terms = {"k1": lens.k1, "k2": lens.k2, "p1": lens.p1, "p2": lens.p2}
     write_transforms(root, transforms_of(cameras, paths) | terms | {"fps": 30})

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from codec.errors import SwingsError
 from tests.support.footage.checking import all_said, checked, said
-from tests.support.footage.rebuilt import Footage, write_distant, write_portrait, write_radial
+from tests.support.footage.rebuilt import Footage, write_distant, write_radial
 from tests.support.hostile import refused
 from tests.support.tiny_capture import picture_of, tiny_rig, write_dynamic3dgs, write_dynerf
 from tests.support.tiny_models import write_model, write_pictures
@@ -102,15 +102,6 @@ def likeness_db(shown: Picture, truth: Picture) -> float:
     return float(-10 * np.log10(np.square((a - b) / 255).mean()))
 
 
-def test_videos_of_cameras_with_lenses_of_their_own_one_of_them_upright(tmp_path: Path) -> None:
-    footage = write_portrait(tmp_path)
-    check_pictures(open_capture(tmp_path), footage, 45)
-    lines = checked(tmp_path)
-    assert said(lines, "size") == "128x72 px (9), 72x128 px (1)"
-    assert said(lines, "frames") == "2 at 25 per second: 0.1 s"
-    assert not all_said(lines, "warning")
-
-
 def test_a_radial_lens_in_a_world_of_any_unit(tmp_path: Path) -> None:
     root = tmp_path / "c"
     footage = write_radial(root)
@@ -130,11 +121,15 @@ def test_a_radial_lens_in_a_world_of_any_unit(tmp_path: Path) -> None:
     assert said(checked(root, fps=12.5), "frames").startswith("1 at 12.5 per second")
 
 
-def test_four_distant_cameras_warn(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_four_distant_cameras_with_their_own_lenses_warn(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     root = tmp_path / "c"
     footage = write_distant(root)
     check_pictures(open_capture(root), footage, 31)
-    few, distant, *more = all_said(checked(root), "warning")
+    lines = checked(root)
+    assert said(lines, "size") == "128x72 px (3), 72x128 px (1)"
+    few, distant, *more = all_said(lines, "warning")
     assert few.startswith("few cameras: 3 to train on")
     assert distant.startswith("distant cameras: cam")
     assert len(more) <= 1
