@@ -186,18 +186,16 @@ class HostedSource:
         kept = self._cache.get(sha256) if self._cache else None
         if kept is not None:
             return CheckedObject.check(self._mirrors.url(reference), kept, manifest, record, part)
-        found = self._mirrors.get(reference, size)
-        if found.pieced and hashlib.sha256(found.data).digest() != sha256:
-            # Its pieces do not belong together. A whole answer is not requested again.
-            found = self._mirrors.get(reference, size)
-        data = bytes(found.data)
         try:
+            found = self._mirrors.get(reference, size)
+            if found.pieced and hashlib.sha256(found.data).digest() != sha256:
+                # Its pieces do not belong together. A whole answer is not requested again.
+                found = self._mirrors.get(reference, size)
+            data = bytes(found.data)
             name = self._mirrors.name(reference) if self._is_packed else found.url
             checked = CheckedObject.check(name, data, manifest, record, part)
-        except CorruptError as error:
-            if self._index.is_replaced(self._mirrors):
-                raise CorruptError(f"{self.name}: {REPLACED}") from error
-            raise
+        except (FetchError, CorruptError) as error:
+            raise self._explained(error) from error
         if self._cache:
             self._cache.put(sha256, data)
         return checked

@@ -67,7 +67,6 @@ export class WebPlayer extends StreamSession {
     on("gone", () => {
       if (this.workers === null) return; // the next start gets another context
       this.dispatch("trouble");
-      this.stopWorkers();
       this.fail("The graphics device was lost and did not come back; try again");
     });
   }
@@ -193,7 +192,6 @@ export class WebPlayer extends StreamSession {
       view.show(manifest, workers);
     } catch (error) {
       if (!(error instanceof RendererError)) throw error;
-      this.stopWorkers();
       this.fail(error.message);
       return;
     }
@@ -216,6 +214,7 @@ export class WebPlayer extends StreamSession {
   /** @override @param {string} message */
   fail(message) {
     this.#hasFailed = true;
+    this.#release();
     super.fail(message);
   }
 

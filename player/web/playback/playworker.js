@@ -14,16 +14,23 @@ let sorter = null;
 let start = {};
 /** @type {(() => void) | null} creates the player, for an open stream that fetches no frames yet */
 let release = null;
+/** URL of the stream. */
+let base = "";
 
 /** @param {unknown} error */
 function fail(error) {
   // `instanceof` would fail: a bundle and the code loaded later do not share a class.
   const isOurs = error instanceof Error && /^(Source|Format)Error$/.test(error.name);
   const message = error instanceof Error ? error.message : String(error);
+  // Viewers are not told what is wrong with the bytes: a message that has an address is a detail.
+  const place =
+    isOurs && error.name === "FormatError" && !/https?:/.test(message) ? `${base}: ` : "";
   scope.postMessage({
     kind: "failed",
-    message: isOurs ? message : `The player failed: ${message}`,
+    message: isOurs ? place + message : `The player failed: ${message}`,
   });
+  release = null;
+  player?.close();
   if (!isOurs) throw error;
 }
 
@@ -38,7 +45,8 @@ function fail(error) {
  */
 
 /** @param {Opening} opening */
-async function open({ base, maxGaussians, otherHosts, bufferBytes, isHeld }) {
+async function open({ maxGaussians, otherHosts, bufferBytes, isHeld, ...opening }) {
+  base = opening.base;
   const onTrouble = (/** @type {string | null} */ message) =>
     scope.postMessage({ kind: "trouble", message });
   const fetcher = new Fetcher({ onTrouble });

@@ -39,7 +39,7 @@ export class Scrubber {
     if (this.isRunning) return;
     this.isRunning = true;
     const { signal } = this.abort;
-    while (this.isActive && this.target !== null && this.target !== this.shown) {
+    while (!signal.aborted && this.target !== null && this.target !== this.shown) {
       const segment = this.target;
       try {
         if (this.stream.cache.snapshot(segment, 0) === null) {
@@ -47,14 +47,16 @@ export class Scrubber {
           await this.stream.fetchSnapshot(segment, 0, signal);
         }
         await this.#showSegment(segment, signal);
-      } catch {
-        // There is no picture of this segment; the next target may have one.
+      } catch (error) {
+        if (signal.aborted) break;
+        // The next target may have a picture.
+        console.warn(`There is no picture of segment ${segment}: ${error}`);
       }
       if (this.target === segment) this.target = null;
     }
     this.isRunning = false;
     // Scrubbing was ended and begun again meanwhile.
-    if (this.isActive && this.abort.signal !== signal) this.#run();
+    if (this.isActive && signal.aborted) this.#run();
   }
 
   /** @param {number} segment @param {AbortSignal} signal */

@@ -290,7 +290,7 @@ export class StreamPlayer {
       this.timer = setTimeout(() => this.step(), 1000 * restS);
     } catch (error) {
       this.close();
-      this.outlet.fail(error);
+      this.stream.explain(error).then((why) => this.outlet.fail(why));
     }
   }
 

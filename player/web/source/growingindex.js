@@ -1,6 +1,10 @@
 import { MAX_INDEX_BYTES } from "../constants.js";
+import { FormatError } from "../format/bytes/errors.js";
 import { readIndex, recordBytes } from "../format/streamindex.js";
-import { SourceError } from "./fetcher.js";
+import { Fetcher, SourceError } from "./fetcher.js";
+
+/** Another stream is at the URL of the one that plays. */
+export const REPLACED = "This video was replaced";
 
 /** The index of a stream that may grow. */
 export class GrowingIndex {
@@ -34,12 +38,30 @@ export class GrowingIndex {
     const first = isRange ? known : 0;
     const found = readIndex(bytes, manifest, first);
     if (known >= 0 && !isSame(found[known - first], records[known])) {
-      throw new SourceError(`${url} now belongs to another stream; reload the page`);
+      throw new SourceError(REPLACED);
     }
     const fresh = found.slice(known + 1 - first);
     records.push(...fresh);
     return fresh;
   }
+}
+
+/**
+ * The error to report for `error` of a stream: that it was replaced, if it was.
+ * @param {GrowingIndex} index
+ * @param {unknown} error
+ */
+export async function explained({ url, manifest, records }, error) {
+  // Where there is no network, `error` says so already.
+  const now = new GrowingIndex(url, new Fetcher({ giveUpS: 0 }), manifest);
+  try {
+    await now.refresh();
+  } catch (other) {
+    // A stream of other layers has records of another size.
+    return other instanceof FormatError ? new SourceError(REPLACED) : error;
+  }
+  const last = records.length - 1;
+  return isSame(now.records[last], records[last]) ? error : new SourceError(REPLACED);
 }
 
 /** @param {Uint8Array} bytes */

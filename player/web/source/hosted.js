@@ -5,7 +5,7 @@ import { readObject } from "../format/objecttable.js";
 import { RateEstimator } from "./estimator.js";
 import { SourceError } from "./fetcher.js";
 import { follow } from "./follow.js";
-import { GrowingIndex } from "./growingindex.js";
+import { explained, GrowingIndex } from "./growingindex.js";
 import { HostedPlay } from "./hostedplay.js";
 import { followPeriodS } from "./liveedge.js";
 import { objectUrl } from "./objecturl.js";
@@ -86,6 +86,11 @@ export class HostedStream {
     const part = `snapshot-${layer}`;
     const packets = await this.object(record, part, () => {}, signal);
     this.cache.addObject(record, part, packets);
+  }
+
+  /** The error to report for `error`. @param {unknown} error */
+  async explain(error) {
+    return explained(this.index, error);
   }
 
   /** Follows the stream while it grows. @param {() => void} onGrown */

@@ -3,6 +3,7 @@ import { corrupt } from "../format/bytes/errors.js";
 import { checkGaussians, readManifest } from "../format/manifest.js";
 import { readIndex } from "../format/streamindex.js";
 import { SourceError } from "./fetcher.js";
+import { REPLACED } from "./growingindex.js";
 import { HostedStream } from "./hosted.js";
 
 /** @typedef {import("../format/packedlayout.js").Place} Place */
@@ -64,6 +65,11 @@ export class PackedStream extends HostedStream {
     return new PackedStream(url, fetcher, layout, fileBytes, bufferBytes);
   }
 
+  /** @override Another file is noticed by its size. @param {unknown} error */
+  async explain(error) {
+    return error;
+  }
+
   /** @override */
   get files() {
     return this.layout.files;
@@ -79,8 +85,7 @@ export class PackedStream extends HostedStream {
   async objectBytes(record, part, onBytes, signal) {
     const place = this.layout.object(record, part);
     const { bytes, fileBytes } = await this.fetcher.range(this.base, place, onBytes, { signal });
-    if (this.fileBytes !== fileBytes)
-      throw new SourceError(`${this.base} is now another file; reload the page`);
+    if (this.fileBytes !== fileBytes) throw new SourceError(REPLACED);
     return { url: `${this.base}, segment ${record.segment}, ${part},`, bytes };
   }
 }

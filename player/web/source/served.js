@@ -4,6 +4,7 @@ import { readObject } from "../format/objecttable.js";
 import { limitBytes } from "../format/packet.js";
 import { FIRST_PLAY } from "./addresses.js";
 import { SourceError } from "./fetcher.js";
+import { REPLACED } from "./growingindex.js";
 import { openPlay, ServerRetry } from "./playresponse.js";
 import { SegmentCache } from "./segmentcache.js";
 import { ServedPlay } from "./servedplay.js";
@@ -27,6 +28,7 @@ export class ServedStream {
     this.base = base;
     this.fetcher = fetcher;
     this.manifest = readManifest(first.start.manifest);
+    this.description = describe(first.start.manifest);
     this.numFrames = first.start.numFrames;
     this.cache = new SegmentCache(this.manifest, bufferBytes);
     /** Whether the server's objects have a form that this browser can read. */
@@ -134,6 +136,16 @@ export class ServedStream {
     }
   }
 
+  /** Throws a SourceError if a play is of another stream. @param {Uint8Array} manifest of its start */
+  checkSame(manifest) {
+    if (describe(manifest) !== this.description) throw new SourceError(REPLACED);
+  }
+
+  /** The error to report for `error`. @param {unknown} error */
+  async explain(error) {
+    return error;
+  }
+
   /** Calls `onGrown` when a play reports that the stream has grown. @param {() => void} onGrown */
   async follow(onGrown) {
     this.onGrown = onGrown;
@@ -150,4 +162,9 @@ export class ServedStream {
     this.manifest = { ...this.manifest, live };
     this.onGrown();
   }
+}
+
+/** A manifest but for its `live`, which changes. @param {Uint8Array} manifest as JSON */
+function describe(manifest) {
+  return new TextDecoder().decode(manifest).replace(/"live": *(true|false)/, "");
 }

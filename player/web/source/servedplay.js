@@ -277,6 +277,7 @@ export class ServedPlay {
     const query = { fromFrame, untilFrame, layers, lastToken, rateBps, paused, nextFrame };
     const { signal } = this.abort;
     const { response, start } = await this.patience.begin(() => openPlay(base, query, signal));
+    stream.checkSame(start.manifest);
     stream.grow(start.numFrames, stream.manifest.live);
     return response;
   }

@@ -45,6 +45,7 @@ import { ServedStream } from "./served.js";
  * @property {(request: PlayRequest) => SourcePlay} play
  * @property {(segment: number, layer: number, signal: AbortSignal) => Promise<unknown>} fetchSnapshot
  *   fetches a snapshot into the cache
+ * @property {(error: unknown) => Promise<unknown>} explain the error to report for an error of a play
  * @property {(onGrown: () => void) => Promise<void>} follow calls `onGrown` when there are more frames,
  *   or when the stream has ended; rejects if the source fails
  */

@@ -89,6 +89,15 @@ for (const url of ["http://host/many/", "http://host/watch/many/"]) {
   });
 }
 
+test("a server whose stream is another one by now is noticed by its manifest", async (context) => {
+  answering(context, () => new Response(startRecord(manifestBytes({ live: true }))));
+  const stream = await openSource("http://host/watch/clip/", new Fetcher());
+  stream.checkSame(manifestBytes({ live: false }));
+  const replaced = new SourceError("This video was replaced");
+  assert.throws(() => stream.checkSame(manifestBytes({ title: "another one" })), replaced);
+  stream.first.close();
+});
+
 const MANIFEST = manifestOf();
 const row = (segment) => recordOf(MANIFEST, segment);
 
@@ -121,7 +130,7 @@ for (const hasRanges of [true, false]) {
     const others = Array.from({ length: known }, (_, segment) => recordOf(MANIFEST, segment, 2));
     for (const bad of [good.slice(0, 3 * row(0).length), new Uint8Array(0), joined(others)]) {
       bytes = bad;
-      await assert.rejects(index.refresh(), /another stream/);
+      await assert.rejects(index.refresh(), /This video was replaced/);
       assert.equal(index.records.length, known, "what is known stays");
     }
     bytes = joined([good, row(known).slice(0, 100)]);

@@ -34,6 +34,7 @@ function playing(context, records, delayS, start = {}, answer = answered) {
   };
   const player = new StreamPlayer(stream, fetcher, outlet, start);
   context.after(() => player.close());
+  context.mock.method(console, "warn", () => {});
   player.setPlaying(true);
   const isBusy = () => player.round.feed.isRunning || player.nextRound?.feed.isRunning;
   const until = (isOver) => host.until(() => failures.length > 0 || isOver(), isBusy);
@@ -84,7 +85,6 @@ const damaged = {
 
 for (const { part, fault, layers } of HOLES) {
   test(`${part} ${fault}: ${layers ?? "the play ends"}`, async (context) => {
-    context.mock.method(console, "warn", () => {});
     const answer = (path) =>
       path === `segments/${part}` ? damaged[fault](FILES[path]) : answered(path);
     const { player, host, shown, failures, until, ended } = playing(
@@ -124,4 +124,31 @@ test("that a link is too thin is said once, with both rates", async (context) =>
   const first = "This connection carries 0.0004 of the 0.019 Mbit/s that this video needs";
   assert.deepEqual(said, [first, null]);
   assert.equal(player.playback.stalls, 2);
+});
+
+test("a stream that was replaced is named, whatever its bytes look like", async (context) => {
+  const other = filesOf("temporal-gzip");
+  let files = FILES;
+  const answer = (path) => new Response(files[path] ?? "", { status: path in files ? 200 : 404 });
+  const { player, failures, until } = playing(context, RECORDS, () => 0.1, {}, answer);
+  await until(() => player.playback.frame === 4);
+  player.stream.cache.segments.clear();
+  files = other;
+  player.seek(0, 1);
+  await until(() => false);
+  assert.deepEqual(failures.map(String), ["SourceError: This video was replaced"]);
+});
+
+test("scrubbing that ends and begins during a request shows the picture of the new place", async (context) => {
+  const { player, host, shown, until } = playing(context, RECORDS, () => 0.3);
+  player.setPlaying(false);
+  await until(() => shown.length > 0);
+  player.stream.cache.segments.clear();
+  shown.length = 0;
+  player.scrub(9);
+  await until(() => host.waiting.size > 0);
+  player.scrubber.end();
+  player.scrub(9);
+  await until(() => shown.length > 0);
+  assert.deepEqual(shown, [10]);
 });

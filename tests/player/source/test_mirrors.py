@@ -20,6 +20,7 @@ from player.source.source import Packets, SlicePackets
 from tests.support.delivery.assembled import assembled, check_packets, checked
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.hosted_streams import (
+    SLICE_SIZE,
     SWIN_SIZE,
     ServerProcess,
     random_slice,
@@ -246,14 +247,16 @@ def test_a_stream_that_was_replaced_is_not_mixed_with_the_old_one(
     tmp_path: Path, adaptive: bool
 ) -> None:
     write_stream(tmp_path / "s", NUM_FRAMES)
-    write_stream(tmp_path / "new", NUM_FRAMES, seed=10_000)
+    # In larger objects: the answers are longer than the index says.
+    write_stream(tmp_path / "new", NUM_FRAMES, 2 * SLICE_SIZE, seed=10_000)
     came = list[Packets]()
     with (
         static_host(tmp_path) as host,
         opened(f"{host}/s", config=QUICK, adaptive=adaptive) as source,
     ):
         packets = source.packets()
-        came.append(next(packets))
+        if adaptive:
+            came.append(next(packets))
         shutil.copytree(tmp_path / "s", tmp_path / "old")
         shutil.rmtree(tmp_path / "s")
         (tmp_path / "new").rename(tmp_path / "s")
