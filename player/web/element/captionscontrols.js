@@ -109,7 +109,7 @@ export class CaptionsControls {
     this.text.lang = language;
     try {
       const bytes = await fileBytes(
-        new Fetcher(),
+        new Fetcher({ credentials: this.player.source?.credentials }),
         this.#base,
         file,
         this.player.files,

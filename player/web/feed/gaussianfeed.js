@@ -1,10 +1,11 @@
+import { folderUrl } from "../source/addresses.js";
 import { startWorker } from "../playback/startworker.js";
 import { copyRows, emptyScene } from "./scene.js";
 
 /** @typedef {import("./scene.js").SceneGaussians} SceneGaussians */
 
 /**
- * The description of an open stream: its manifest, and its number of frames.
+ * The description of an open stream: its manifest, and its number of frames so far.
  * @typedef {Omit<import("../format/manifest.js").Manifest, "layout"> & { numFrames: number }} FeedStream
  */
 
@@ -17,7 +18,8 @@ import { copyRows, emptyScene } from "./scene.js";
  *     // and for each picture:
  *     const slots = feed.take();
  *
- * Events: `ended`, `trouble` and `failed` (detail: a message, or null when the trouble is over).
+ * It plays while the page is visible. Events: `grown` (a live stream has more frames, or has ended),
+ * `ended`, `trouble` and `failed` (detail: a message, or null when the trouble is over).
  */
 export class GaussianFeed extends EventTarget {
   /** @type {FeedStream | null} null until it is open */
@@ -29,18 +31,21 @@ export class GaussianFeed extends EventTarget {
   /** Whether `gaussians` still belong to a frame before the last seek. */
   isSeeking = false;
   #seeks = 0;
+  #wantsPlaying = false;
+  #onVisibility = () => this.#applyPlaying();
   /** @type {(import("./scene.js").SceneChange & { seeks: number }) | null} */
   #change = null;
 
   /**
-   * Opens the stream whose folder is at `src`.
+   * Opens the stream whose folder, or file, is at `src`.
    * @param {string} src
-   * @param {{ maxGaussians?: number, otherHosts?: boolean }} [options] maxGaussians: `opened` rejects
-   *   for a larger stream; 2^22 by default. otherHosts: the stream's objects may be on other hosts.
+   * @param {{ maxGaussians?: number, otherHosts?: boolean, credentials?: RequestCredentials }} [options]
+   *   maxGaussians: `opened` rejects for a larger stream; 2^22 by default. otherHosts: the stream's objects
+   *   may be on other hosts. credentials: whether requests carry cookies, see `fetch`
    */
-  constructor(src, { maxGaussians, otherHosts } = {}) {
+  constructor(src, { maxGaussians, otherHosts, credentials } = {}) {
     super();
-    const base = new URL(src.endsWith("/") ? src : `${src}/`, document.baseURI).href;
+    const base = folderUrl(src, document.baseURI);
     const channel = new MessageChannel();
     this.player = startWorker(new URL("../playback/playworker.js", import.meta.url));
     this.keeper = startWorker(new URL("./feedworker.js", import.meta.url));
@@ -52,17 +57,22 @@ export class GaussianFeed extends EventTarget {
       );
       this.player.onmessage = ({ data }) => {
         if (data.kind === "opened") resolve(this.#open(data, channel.port2));
-        else if (data.kind !== "state") this.#say(data.kind, data.message);
+        else if (data.kind === "grown") this.#grow(data);
+        else if (data.kind === "failed") this.#fail(data.message);
+        else if (data.kind === "ended" || data.kind === "trouble")
+          this.#say(data.kind, data.message);
+        if (data.kind === "ended") this.#wantsPlaying = false;
       };
     });
     // A page that does not await the promise gets the event `failed`.
     this.opened.catch(() => {});
     for (const worker of [this.player, this.keeper]) {
       worker.onerror = ({ message }) =>
-        this.#say("failed", `The player failed: ${message ?? "one of its scripts was not loaded"}`);
+        this.#fail(`The player failed: ${message ?? "one of its scripts was not loaded"}`);
     }
+    document.addEventListener("visibilitychange", this.#onVisibility);
     const { port1 } = channel;
-    const wish = { base, maxGaussians, otherHosts };
+    const wish = { base, maxGaussians, otherHosts, credentials };
     this.player.postMessage({ kind: "open", ...wish, port: port1 }, [port1]);
   }
 
@@ -90,11 +100,23 @@ export class GaussianFeed extends EventTarget {
 
   /** Starts playback; after the end, from the first frame. Throws an error before the stream is open. */
   play() {
-    this.#post({ kind: "play", playing: true });
+    this.#play(true);
   }
 
   pause() {
-    this.#post({ kind: "play", playing: false });
+    this.#play(false);
+  }
+
+  /** @param {boolean} playing */
+  #play(playing) {
+    this.#checkOpen();
+    this.#wantsPlaying = playing;
+    this.#applyPlaying();
+  }
+
+  #applyPlaying() {
+    const playing = this.#wantsPlaying && !document.hidden;
+    this.player.postMessage({ kind: "play", playing });
   }
 
   /** @param {number} frame */
@@ -122,6 +144,7 @@ export class GaussianFeed extends EventTarget {
 
   /** Ends the play and its workers. */
   close() {
+    document.removeEventListener("visibilitychange", this.#onVisibility);
     this.player.terminate();
     this.keeper.terminate();
   }
@@ -138,11 +161,27 @@ export class GaussianFeed extends EventTarget {
     return this.stream;
   }
 
+  /** @param {{ numFrames: number, live: boolean }} data */
+  #grow({ numFrames, live }) {
+    if (this.stream !== null) Object.assign(this.stream, { numFrames, live });
+    this.#say("grown");
+  }
+
+  /** @param {string} message */
+  #fail(message) {
+    this.close();
+    this.#say("failed", message);
+  }
+
   /** @param {object} message */
   #post(message) {
+    this.#checkOpen();
+    this.player.postMessage(message);
+  }
+
+  #checkOpen() {
     if (this.stream === null)
       throw new Error("the stream is not open yet; await feed.opened first");
-    this.player.postMessage(message);
   }
 
   /**

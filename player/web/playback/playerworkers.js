@@ -10,6 +10,7 @@ import { startWorker } from "./startworker.js";
  * @property {string} base URL of its folder, with a trailing slash
  * @property {number | null} maxGaussians
  * @property {boolean} otherHosts
+ * @property {RequestCredentials} [credentials] whether requests carry cookies, see `fetch`
  * @property {number} [bufferBytes] limit for the received data that is kept
  * @property {boolean} isHeld whether to fetch no frame until the stream plays or seeks
  */
@@ -53,7 +54,9 @@ export class PlayerWorkers {
     }
     // A stream that is opened again at a frame was played or sought before.
     const isHeld = source.isHeld && start.frame === null;
-    const early = offerEarly(firstUrls(source.base), this.#opening.signal);
+    // The page's own requests are sent without other credentials.
+    const urls = source.credentials === undefined ? firstUrls(source.base) : [];
+    const early = offerEarly(urls, this.#opening.signal);
     const ports = [port1, ...early.map(({ port }) => port)];
     this.player.postMessage({ kind: "open", ...source, isHeld, start, early, port: port1 }, ports);
   }

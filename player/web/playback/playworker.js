@@ -40,16 +40,17 @@ function fail(error) {
  * @property {string} base
  * @property {number} [maxGaussians]
  * @property {boolean} [otherHosts]
+ * @property {RequestCredentials} [credentials]
  * @property {number} [bufferBytes]
  * @property {boolean} [isHeld] whether to fetch no frame until the stream plays or seeks
  */
 
 /** @param {Opening} opening */
-async function open({ maxGaussians, otherHosts, bufferBytes, isHeld, ...opening }) {
+async function open({ maxGaussians, otherHosts, credentials, bufferBytes, isHeld, ...opening }) {
   base = opening.base;
   const onTrouble = (/** @type {string | null} */ message) =>
     scope.postMessage({ kind: "trouble", message });
-  const fetcher = new Fetcher({ onTrouble });
+  const fetcher = new Fetcher({ onTrouble, credentials });
   try {
     const most = maxGaussians ?? null;
     const stream = await openSource(base, fetcher, most, otherHosts ?? false, bufferBytes);

@@ -220,7 +220,7 @@ export class SoundPlay extends EventTarget {
     this.#gain = gain;
     const { player } = this;
     const { base, manifest, source, files } = player;
-    const fetcher = new Fetcher();
+    const fetcher = new Fetcher({ credentials: source?.credentials });
     const isServed = servedBase(base) !== null;
     const urlOf = (/** @type {number} */ segment, /** @type {string} */ part) =>
       isServed

@@ -9,14 +9,28 @@ export function isPacked(url) {
 }
 
 /**
- * The URL of a stream's folder, with a trailing slash, or of a packed stream.
+ * The URL of a stream's folder, whose path ends with a slash, or of a packed stream; with its query, an
+ * access token for example.
  * @param {string} src as in the element's attribute
  * @param {string} page URL that `src` is relative to
  */
 export function folderUrl(src, page) {
-  const url = new URL(src, page).href;
-  if (isPacked(url)) return url;
-  return new URL(src.endsWith("/") ? src : `${src}/`, page).href;
+  const url = new URL(src, page);
+  url.hash = "";
+  if (!isPacked(url.href) && !url.pathname.endsWith("/")) url.pathname += "/";
+  return url.href;
+}
+
+/**
+ * The URL of a file of the stream at `base`, which gets the query of `base` unless it is on another host.
+ * @param {string} path relative to the manifest
+ * @param {string} base
+ */
+export function fileUrl(path, base) {
+  const url = new URL(path, base);
+  const { origin, search } = new URL(base);
+  if (url.origin === origin && url.search === "") url.search = search;
+  return url.href;
 }
 
 /**
@@ -55,5 +69,5 @@ export function firstUrls(url) {
   const served = servedBase(url);
   if (served !== null) return [playUrl(served, FIRST_PLAY)];
   if (isPacked(url)) return [];
-  return [`${url}manifest.json`, `${url}index.bin`];
+  return ["manifest.json", "index.bin"].map((name) => fileUrl(name, url));
 }

@@ -48,11 +48,22 @@ export class Fetcher {
    * @param {number} [options.giveUpS] seconds without new bytes after which it gives up
    * @param {(message: string | null) => void} [options.onTrouble] called with a description of the
    *   problem, and with null when it is over
+   * @param {RequestCredentials} [options.credentials] whether requests carry cookies, see `fetch`
    */
-  constructor({ giveUpS = 60, onTrouble = () => {} } = {}) {
+  constructor({ giveUpS = 60, onTrouble = () => {}, credentials } = {}) {
     this.giveUpS = giveUpS;
+    this.credentials = credentials;
     this.onTrouble = onTrouble;
     this.receivedBytes = 0;
+  }
+
+  /**
+   * Sends a request without retries; rejects as `fetch` does.
+   * @param {string} url
+   * @param {RequestInit} [init]
+   */
+  fetch(url, init) {
+    return fetchOnce(url, { credentials: this.credentials, ...init });
   }
 
   /**
@@ -163,7 +174,7 @@ export class Fetcher {
    * @param {(response: Response) => void} check
    */
   async #once(url, limitBytes, onBytes, init, check) {
-    const response = await fetchOnce(url, init);
+    const response = await this.fetch(url, init);
     try {
       if (response.status >= 500) throw new PassingTrouble(`HTTP ${response.status}`);
       if (!response.ok) throw new SourceError(`${url}: HTTP ${response.status}`);

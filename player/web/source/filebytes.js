@@ -1,3 +1,4 @@
+import { fileUrl } from "./addresses.js";
 import { SourceError } from "./fetcher.js";
 
 /**
@@ -11,7 +12,7 @@ import { SourceError } from "./fetcher.js";
  * @param {RequestInit} [init]
  */
 export async function fileBytes(fetcher, base, path, files, mostBytes, init) {
-  if (files === null) return fetcher.get(base + path, mostBytes, undefined, init);
+  if (files === null) return fetcher.get(fileUrl(path, base), mostBytes, undefined, init);
   if (!Object.hasOwn(files, path)) throw new SourceError(`${base} holds no ${path}`);
   const { size } = files[path];
   if (!(size > 0 && size <= mostBytes))

@@ -51,9 +51,13 @@ export class GrowingIndex {
  * @param {GrowingIndex} index
  * @param {unknown} error
  */
-export async function explained({ url, manifest, records }, error) {
+export async function explained({ url, fetcher, manifest, records }, error) {
   // Where there is no network, `error` says so already.
-  const now = new GrowingIndex(url, new Fetcher({ giveUpS: 0 }), manifest);
+  const now = new GrowingIndex(
+    url,
+    new Fetcher({ giveUpS: 0, credentials: fetcher.credentials }),
+    manifest,
+  );
   try {
     await now.refresh();
   } catch (other) {

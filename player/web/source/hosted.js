@@ -2,6 +2,7 @@ import { CODERS, MAX_MANIFEST_BYTES } from "../constants.js";
 import { corrupt } from "../format/bytes/errors.js";
 import { checkGaussians, objectPath, readManifest } from "../format/manifest.js";
 import { readObject } from "../format/objecttable.js";
+import { fileUrl } from "./addresses.js";
 import { RateEstimator } from "./estimator.js";
 import { SourceError } from "./fetcher.js";
 import { follow } from "./follow.js";
@@ -26,7 +27,7 @@ export class HostedStream {
     this.fetcher = fetcher;
     this.manifest = manifest;
     this.cache = new SegmentCache(manifest, bufferBytes);
-    this.index = new GrowingIndex(`${base}index.bin`, fetcher, manifest);
+    this.index = new GrowingIndex(fileUrl("index.bin", base), fetcher, manifest);
     this.estimator = new RateEstimator();
     /** Least time to the first byte of an object; Infinity while unknown. */
     this.roundTripS = Infinity;
@@ -156,6 +157,6 @@ export class HostedStream {
 async function fetchManifest(base, fetcher) {
   const init = /** @type {RequestInit} */ ({ cache: "no-cache" });
   return readManifest(
-    await fetcher.get(`${base}manifest.json`, MAX_MANIFEST_BYTES, undefined, init),
+    await fetcher.get(fileUrl("manifest.json", base), MAX_MANIFEST_BYTES, undefined, init),
   );
 }

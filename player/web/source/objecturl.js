@@ -1,4 +1,5 @@
 import { corrupt } from "../format/bytes/errors.js";
+import { fileUrl } from "./addresses.js";
 import { SourceError } from "./fetcher.js";
 
 /**
@@ -9,14 +10,14 @@ import { SourceError } from "./fetcher.js";
  * @param {boolean} otherHosts
  */
 export function objectUrl(base, path, otherHosts) {
-  const name = `${base}manifest.json`;
+  const name = new URL("manifest.json", base).href;
   let url;
   try {
     url = new URL(path, base);
   } catch {
     throw corrupt(`${name}: object_url gives ${path.slice(0, 200)}, which is not a URL`);
   }
-  if (url.origin === new URL(base).origin) return url.href;
+  if (url.origin === new URL(base).origin) return fileUrl(path, base);
   if (!/^https?:$/.test(url.protocol))
     throw corrupt(`${name}: object_url gives ${url.href.slice(0, 200)}, which is not on the web`);
   if (!otherHosts) {

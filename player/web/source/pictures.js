@@ -1,3 +1,5 @@
+import { fileUrl } from "./addresses.js";
+
 /** The pictures that a manifest names: the poster and the storyboard. */
 
 /**
@@ -10,7 +12,7 @@
  */
 export async function pictureUrl(base, path, places) {
   if (places === null) {
-    return new URL(path.split("/").map(encodeURIComponent).join("/"), base).href;
+    return fileUrl(path.split("/").map(encodeURIComponent).join("/"), base);
   }
   if (!Object.hasOwn(places, path)) return null;
   const { first, size } = places[path];

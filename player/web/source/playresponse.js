@@ -1,7 +1,6 @@
 import { corrupt } from "../format/bytes/errors.js";
 import { RecordParser } from "../format/playrecord.js";
 import { playUrl } from "./addresses.js";
-import { fetchOnce } from "./early/earlyresponses.js";
 import { delayS, discard, refusal, SourceError, TRIES_BEFORE_DOUBT } from "./fetcher.js";
 
 /** The server is unreachable or overloaded; it may be back soon. */
@@ -60,11 +59,12 @@ export class PlayResponse {
 
   /**
    * Sends the request. Rejects with a GoneError, or with a SourceError if trying again would not help.
+   * @param {import("./fetcher.js").Fetcher} fetcher
    * @param {string} base URL of the stream, with a trailing slash
    * @param {PlayQuery} query
    * @param {AbortSignal} [signal] aborts the request and the response
    */
-  static async open(base, query, signal) {
+  static async open(fetcher, base, query, signal) {
     const { lastToken, rateBps, nextFrame } = query;
     const url = playUrl(base, query);
     const abort = new AbortController();
@@ -75,7 +75,7 @@ export class PlayResponse {
     if (typeof nextFrame === "number") headers.set("Swings-Frame", String(nextFrame));
     let response;
     try {
-      response = await fetchOnce(url, { headers, signal: abort.signal, cache: "no-store" });
+      response = await fetcher.fetch(url, { headers, signal: abort.signal, cache: "no-store" });
     } catch {
       throw new GoneError(GONE);
     }
@@ -133,13 +133,14 @@ export class PlayResponse {
 
 /**
  * Opens a play, and reads its start record. Rejects like PlayResponse.open.
+ * @param {import("./fetcher.js").Fetcher} fetcher
  * @param {string} base
  * @param {PlayQuery} query
  * @param {AbortSignal} [signal] aborts the play
  * @returns {Promise<OpenedPlay>}
  */
-export async function openPlay(base, query, signal) {
-  const response = await PlayResponse.open(base, query, signal);
+export async function openPlay(fetcher, base, query, signal) {
+  const response = await PlayResponse.open(fetcher, base, query, signal);
   const start = await response.next();
   if (start === null) throw new GoneError(GONE);
   if (start.kind !== "start") throw corrupt("play: the first record is not a start record");

@@ -53,7 +53,7 @@ export class ServedStream {
   static async open(base, fetcher, maxGaussians = null, bufferBytes) {
     const retry = new ServerRetry(fetcher, base);
     for (;;) {
-      const opened = await retry.begin(() => openPlay(base, FIRST_PLAY));
+      const opened = await retry.begin(() => openPlay(fetcher, base, FIRST_PLAY));
       const stream = new ServedStream(base, fetcher, opened, bufferBytes);
       try {
         checkGaussians(stream.manifest, maxGaussians, base);
@@ -127,7 +127,7 @@ export class ServedStream {
    */
   async #playSnapshot(frame, signal) {
     const query = { fromFrame: frame, untilFrame: frame + 1, layers: 1, paused: true };
-    const { response } = await openPlay(this.base, query, signal);
+    const { response } = await openPlay(this.fetcher, this.base, query, signal);
     for (;;) {
       const record = await response.next((numBytes) => (this.fetcher.receivedBytes += numBytes));
       if (record === null || record.kind === "end" || record.kind === "error") return;

@@ -108,7 +108,7 @@ export class ServedPlay {
     this.isReporting = true;
     try {
       const url = `${stream.base}play/${response.token}`;
-      const { headers } = await fetch(url, { method: "POST", body });
+      const { headers } = await stream.fetcher.fetch(url, { method: "POST", body });
       const rateBps = Number(headers.get("Swings-Rate"));
       if (rateBps > 0) this.rateBps = stream.rateBps = rateBps;
       response.reportMs = Number(headers.get("Swings-Report-Ms"));
@@ -276,7 +276,9 @@ export class ServedPlay {
     const nextFrame = fromFrame > this.nextFrame ? this.nextFrame : null;
     const query = { fromFrame, untilFrame, layers, lastToken, rateBps, paused, nextFrame };
     const { signal } = this.abort;
-    const { response, start } = await this.patience.begin(() => openPlay(base, query, signal));
+    const { response, start } = await this.patience.begin(() =>
+      openPlay(stream.fetcher, base, query, signal),
+    );
     stream.checkSame(start.manifest);
     stream.grow(start.numFrames, stream.manifest.live);
     return response;

@@ -3,6 +3,8 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { Fetcher, SourceError } from "../source/fetcher.js";
+import { fileUrl, folderUrl } from "../source/addresses.js";
+import { fileBytes } from "../source/filebytes.js";
 import { GrowingIndex } from "../source/growingindex.js";
 import { edgeFrame, followPeriodS, isBehind } from "../source/liveedge.js";
 import { objectUrl } from "../source/objecturl.js";
@@ -34,6 +36,35 @@ test("an object of another origin is refused unless it is allowed", () => {
     refused("data:text/plain,0", /is not on the web/);
     refused("file:///etc/0", /is not on the web/);
   }
+});
+
+test("the query of a stream's address goes with every file of its host, and its cookies if wanted", async (context) => {
+  const page = "http://page/shows/";
+  for (const [src, url] of [
+    ["clip", `${page}clip/`],
+    ["clip/", `${page}clip/`],
+    ["/clip?token=a%2Fb#part", "http://page/clip/?token=a%2Fb"],
+    ["clip.swings?token=a", `${page}clip.swings?token=a`],
+    ["http://host/watch/clip?t=3", "http://host/watch/clip/?t=3"],
+  ])
+    assert.equal(folderUrl(src, page), url);
+  const base = folderUrl("http://host/clip?token=a", page);
+  assert.equal(fileUrl("poster.jpg?b", base), "http://host/clip/poster.jpg?b");
+  assert.equal(objectUrl(base, "http://other/0/0", true), "http://other/0/0");
+  const files = filesOf("one-lane-gzip");
+  const asked = [];
+  answering(context, (url, { credentials }) => {
+    asked.push([url, credentials]);
+    return new Response(files[new URL(url).pathname.replace("/clip/", "")]);
+  });
+  const stream = await openSource(base, new Fetcher({ credentials: "include" }));
+  await stream.object(stream.records[0], "0", () => {});
+  await fileBytes(stream.fetcher, base, "manifest.json", null, 1e6);
+  const paths = ["manifest.json", "index.bin", "segments/0/0", "manifest.json"];
+  assert.deepEqual(
+    asked,
+    paths.map((path) => [`http://host/clip/${path}?token=a`, "include"]),
+  );
 });
 
 test("what the manifest's address decides, the fetched stream obeys", async (context) => {
@@ -255,8 +286,8 @@ test("what a refusing host goes on sending is ended", async (context) => {
     [200, () => fetcher.range(URL_, place), /does not send parts/],
     [206, () => fetcher.range(URL_, place), /another part/],
     [500, () => fetcher.get(URL_, 10), /cannot be reached/],
-    [403, () => openPlay(BASE, { fromFrame: 0 }), /HTTP 403/],
-    [503, () => openPlay(BASE, { fromFrame: 0 }), /busy/],
+    [403, () => openPlay(fetcher, BASE, { fromFrame: 0 }), /HTTP 403/],
+    [503, () => openPlay(fetcher, BASE, { fromFrame: 0 }), /busy/],
   ];
   for (const [answer, ask, why] of cases) {
     cancelled.length = 0;
