@@ -36,7 +36,7 @@ export function useDevice(user, isPressed = false) {
   if (isAsked && !isPressed && isActive === wasActive) return;
   isAsked = true;
   wasActive = isActive;
-  device.resume().catch(() => {});
+  device.resume().catch((error) => console.debug(`Sound cannot start yet: ${error}`));
 }
 
 /** @param {object} user a player that is silent now */
@@ -45,7 +45,7 @@ export function leaveDevice(user) {
   clearTimeout(timer);
   timer = setTimeout(() => {
     isAsked = false;
-    context?.suspend().catch(() => {});
+    context?.suspend().catch((error) => console.debug(`Sound does not rest: ${error}`));
   }, REST_MS);
 }
 

@@ -29,6 +29,8 @@ export class HostedStream {
     this.cache = new SegmentCache(manifest, bufferBytes);
     this.index = new GrowingIndex(fileUrl("index.bin", base), fetcher, manifest);
     this.estimator = new RateEstimator();
+    /** Whether the last play is paused. */
+    this.isPaused = false;
     /** Least time to the first byte of an object; Infinity while unknown. */
     this.roundTripS = Infinity;
     /** @type {Map<string, unknown>} errors of objects of layers above 0, by segment and part */

@@ -84,7 +84,7 @@ export class HostedPlay {
    */
   reportPosition(frame, paused, rate) {
     this.nextFrame = frame;
-    this.paused = paused;
+    this.paused = this.stream.isPaused = paused;
     this.rate = rate;
   }
 

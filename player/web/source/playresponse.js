@@ -8,9 +8,10 @@ export class GoneError extends Error {
   /**
    * @param {string} message
    * @param {number} afterS minimum seconds before the next try
+   * @param {unknown} [cause]
    */
-  constructor(message, afterS = 0) {
-    super(message);
+  constructor(message, afterS = 0, cause) {
+    super(message, { cause });
     this.name = "GoneError";
     this.afterS = afterS;
   }
@@ -76,8 +77,8 @@ export class PlayResponse {
     let response;
     try {
       response = await fetcher.fetch(url, { headers, signal: abort.signal, cache: "no-store" });
-    } catch {
-      throw new GoneError(GONE);
+    } catch (error) {
+      throw new GoneError(GONE, 0, error);
     }
     if (response.ok) return new PlayResponse(response, abort);
     discard(response);
@@ -95,8 +96,8 @@ export class PlayResponse {
       let piece;
       try {
         piece = await this.reader.read();
-      } catch {
-        throw new GoneError(GONE);
+      } catch (error) {
+        throw new GoneError(GONE, 0, error);
       }
       if (piece.done) return null;
       this.uncountedBytes += piece.value.length;
@@ -186,6 +187,7 @@ export class ServerRetry {
       } catch (error) {
         if (!(error instanceof GoneError) || this.isOver) throw error;
         this.why = error.message;
+        console.debug(`${this.base}: ${this.why}`, error.cause);
         await this.wait(error.afterS);
       }
     }

@@ -115,8 +115,9 @@ export class ServedPlay {
       // More than what was sent: a play goes a few seconds ahead, and no further while it is paused.
       const numFrames = Number(headers.get("Swings-Frames"));
       if (numFrames > 0) stream.grow(numFrames, headers.get("Swings-Live") === "1");
-    } catch {
-      // Ignored: if the server is unreachable, the response breaks off as well.
+    } catch (error) {
+      // If the server is unreachable, the response breaks off as well, which is reported.
+      console.debug(`A report of the position did not arrive: ${error}`);
     }
     this.isReporting = false;
     this.#reportReceived();

@@ -5,12 +5,21 @@ import { test } from "node:test";
 import { Fetcher, SourceError } from "../source/fetcher.js";
 import { fileUrl, folderUrl } from "../source/addresses.js";
 import { fileBytes } from "../source/filebytes.js";
+import { follow } from "../source/follow.js";
 import { GrowingIndex } from "../source/growingindex.js";
 import { edgeFrame, followPeriodS, isBehind } from "../source/liveedge.js";
 import { objectUrl } from "../source/objecturl.js";
 import { openPlay } from "../source/playresponse.js";
 import { openSource } from "../source/source.js";
-import { answering, filesOf, joined, manifestBytes, manifestOf, recordOf } from "./support.mjs";
+import {
+  answering,
+  filesOf,
+  joined,
+  manifestBytes,
+  manifestOf,
+  recordOf,
+  settled,
+} from "./support.mjs";
 
 const BASE = "http://host:8000/away/";
 
@@ -168,6 +177,27 @@ for (const hasRanges of [true, false]) {
     assert.deepEqual(await index.refresh(), [], "a record that is being written");
   });
 }
+
+test("a live stream is looked for once a segment, and less often while it is paused", async (context) => {
+  context.mock.timers.enable({ apis: ["setTimeout"] });
+  const stream = { manifest: { live: true, fps: 30, segmentFrames: 15 }, isPaused: false };
+  let looks = 0;
+  stream.refresh = async () => (looks++, false);
+  follow(stream, assert.fail);
+  const inTenSeconds = async () => {
+    looks = 0;
+    for (let n = 0; n < 20; n++) {
+      context.mock.timers.tick(500);
+      await settled();
+    }
+    return looks;
+  };
+  assert.equal(await inTenSeconds(), 20);
+  stream.isPaused = true;
+  assert.equal(await inTenSeconds(), 4);
+  stream.isPaused = false;
+  assert.equal(await inTenSeconds(), 20);
+});
 
 test("the edge is a segment behind what comes while one waits", () => {
   for (const lengths of ["15 30", "1 30", "50 25", "200 10"]) {

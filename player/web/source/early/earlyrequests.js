@@ -54,7 +54,8 @@ async function send({ response, abort }, port) {
     const { status, headers, body } = await response;
     const head = { status, headers: [...headers] };
     port.postMessage({ ...head, body }, body === null ? [] : [body]);
-  } catch {
+  } catch (error) {
+    console.debug(`An early request is of no use: ${error}`);
     // Without a network, or in a browser that cannot transfer streams, the worker sends its own request.
     abort.abort();
     port.postMessage(null);
