@@ -300,13 +300,13 @@ export class StreamPlayer {
    */
   #noteLink() {
     const { playback, round, rate } = this;
-    const { cache } = this.stream;
+    const { cache, numFrames } = this.stream;
     const { endFrame } = round;
     // What has no room will not arrive.
     playback.heldFrame = cache.hasRoomFor(cache.segmentOf(endFrame)) ? endFrame : Infinity;
     const needBps = rate * cache.baseBps(playback.frame);
     const rateBps = round.source.rateBps ?? Infinity;
-    playback.isLinkThin = rateBps < needBps;
+    playback.isLinkThin = rateBps < needBps && endFrame < numFrames; // at a live edge none is missing
     if (playback.isStuttering && playback.isLinkThin && this.thinLink === "unknown") {
       this.thinLink = "said";
       this.#postTrouble(

@@ -190,7 +190,7 @@ export class HostedPlay {
       const packets = await this.stream.object(record, part, count, abort.signal);
       cache.addObject(record, part, packets);
     } catch (error) {
-      if (abort.signal.aborted) return;
+      if (abort.signal.aborted || this.failure !== null) return;
       if (layer === 0) this.failure ??= error;
       else {
         absent.set(name, error);
