@@ -110,6 +110,7 @@ def test_a_file_that_was_altered(page: Page, site: Site, name: str, kind: str) -
     else:
         data[40:] = rng.randbytes(len(data) - 40)
     (altered / name).write_bytes(data)
+    page.expect("lacks layer 1")  # which is a warning
     page.open(site.address(altered.name, ""), 160, 120)
     page.wait(f"{NOTE} !== '' || state.frame > 20")
     assert "player failed" not in page.value(NOTE)
