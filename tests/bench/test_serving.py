@@ -10,6 +10,7 @@ from contextlib import ExitStack
 import pytest
 
 from bench.serve.heldplays import measure_plays, show_plays
+from bench.serve.killedworkers import KillConfig, measure_kills, show_kills
 from bench.serve.livelatency import measure_live
 from bench.serve.objectrate import cases_of, measure_objects
 from bench.serve.processes import two_cores
@@ -35,6 +36,15 @@ def test_plays_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
     printed = capsys.readouterr().out
     for column in ("2 plays", "first picture, ms", "slices late, ms", "missing", "% of a core"):
         assert column in printed
+
+
+def test_killed_workers_cost_their_clients_no_slice(capsys: pytest.CaptureFixture[str]) -> None:
+    figures = measure_kills(KillConfig(2, 1.0, clients=4, frame_bytes=400, arrive_s=0.3))
+    assert (figures.clients, figures.kills) == (4, 2)
+    assert (figures.lost, figures.missing, figures.double, figures.broken) == (0, 0, 0, 0)
+    assert set(figures.reports) <= {"204", "404", "0"}
+    show_kills(figures)
+    assert "2 kills, 4 clients" in capsys.readouterr().out
 
 
 @pytest.mark.realtime

@@ -18,6 +18,7 @@ from typing import Any
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.support.commands import command, environment
+from tests.support.server.running_server import Answer
 from tests.support.waiting import BOUND_S, wait_until
 
 LAST = "the-last-request"
@@ -96,18 +97,9 @@ def logged_process(words: Sequence[str], folder: Path, **options: Any) -> Iterat
             process.wait()
 
 
-@dataclass(frozen=True)
-class Answer:
-    """One response."""
-
-    status: int
-    headers: dict[str, str]
-    """Headers by lower-case name; the last of several lines."""
-    body: bytes
-
-
 def answers_of(data: bytes) -> tuple[list[Answer], bytes]:
-    """The responses in `data`, none of them to a HEAD, and what is left that is not a whole one."""
+    """The responses in `data`, none of them to a HEAD, with the last line of each header by its
+    lower-case name; and what is left that is not a whole response."""
     answers: list[Answer] = []
     while data:
         head, found, rest = data.partition(b"\r\n\r\n")

@@ -12,7 +12,6 @@ import pytest
 from tests.server.hostile.requestcases import CASES, OBJECT, Case
 from tests.server.hostile.serverprocess import (
     SECRET,
-    Answer,
     ServerProcess,
     answers_of,
     ask,
@@ -20,6 +19,7 @@ from tests.server.hostile.serverprocess import (
     server_process,
 )
 from tests.support.hosted_streams import write_stream
+from tests.support.server.running_server import Answer
 from tests.support.waiting import wait_until
 
 

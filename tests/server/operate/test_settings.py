@@ -23,6 +23,7 @@ from server.operate.overload import OverloadConfig
 from server.operate.settings import settings_of, settings_parser, settings_text
 from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.state.config import ServerConfig
+from tests.support.hostile import refused
 
 
 def twice(word: str) -> int:
@@ -98,10 +99,9 @@ def test_every_kind_of_setting_can_stand_everywhere() -> None:
     ],
 )
 def test_a_bad_setting_names_the_variable(variable: str, value: str, message: str) -> None:
-    with pytest.raises(InvalidError) as raised:
-        read("r", **{variable: value})
-    assert message in str(raised.value)
-    assert "\n" not in str(raised.value)
+    raised = refused(InvalidError, "", read, "r", **{variable: value})
+    assert message in str(raised)
+    assert "\n" not in str(raised)
 
 
 def test_values_that_go_together_are_judged_together() -> None:
@@ -111,9 +111,8 @@ def test_values_that_go_together_are_judged_together() -> None:
 
 
 def test_settings_are_called_what_the_help_calls_them(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        read("--help", NONSENSE="1")
-    assert ended.value.code == 0
+    ended = refused(SystemExit, "", read, "--help", NONSENSE="1")
+    assert ended.code == 0
     flags = set(re.findall(r"--([a-z][a-z0-9.-]+)", capsys.readouterr().out))
     flags = {flag for flag in flags if not flag.startswith("no-")} - {"help"}
     names = {one.flag for one in settings_of("X", Command).values()}
@@ -131,9 +130,8 @@ def variables_of(text: str) -> dict[str, str]:
 def test_the_settings_printed_give_them_again(capsys: pytest.CaptureFixture[str]) -> None:
     flags = ["r", "--host", "a\"\\'b $c", "--max-plays", "7", "--overload.shed-from", "0.125"]
     given = {"STYLE": "json", "DOUBLED": "4", "CORS_ORIGIN": "", "SPREAD": "1"}
-    with pytest.raises(SystemExit) as ended:
-        read(*flags, "--check-config", **given)
-    assert ended.value.code == 0
+    ended = refused(SystemExit, "", read, *flags, "--check-config", **given)
+    assert ended.code == 0
     printed = capsys.readouterr().out
     assert "SWINGS_SERVE_OVERLOAD_SHED_FROM=0.125\n" in printed
     assert "# SWINGS_SERVE_KEY_FILE is not set\n" in printed
@@ -188,5 +186,4 @@ def test_any_text_is_printed_on_one_line_that_is_read_again_or_refused(text: str
 def test_configs_that_make_no_sense_are_refused(
     config: Callable[..., object], wrong: dict[str, float]
 ) -> None:
-    with pytest.raises(InvalidError, match=next(iter(wrong))):
-        config(**wrong)
+    refused(InvalidError, next(iter(wrong)), config, **wrong)

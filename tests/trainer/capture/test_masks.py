@@ -15,9 +15,11 @@ from PIL import Image
 from codec.camera import Camera
 from tests.support import tiny_models
 from tests.support.footage.checking import checked
+from tests.support.hostile import refused
 from tests.support.tiny_capture import (
     HEIGHT_PX,
     WIDTH_PX,
+    refusal,
     tiny_rig,
     write_dynamic3dgs,
     write_dynerf,
@@ -63,14 +65,6 @@ def expect(root: Path, camera_index: int, drawn_frames: Sequence[int] = range(NU
         assert np.array_equal(got, grey_of(camera_index, drawn) >= 128)
 
 
-def refusal(ask: Callable[[], object]) -> str:
-    with pytest.raises(CaptureError) as caught:
-        ask()
-    message = str(caught.value)
-    assert "\n" not in message
-    return message
-
-
 def mirrored(root: Path, picture: str, name_of: Callable[[Path], str]) -> Path:
     below = Path(picture).relative_to(Path(picture).parts[0])
     return root / "masks" / below.parent / name_of(below)
@@ -91,20 +85,20 @@ def test_colmap_masks_that_cannot_be_used(tmp_path: Path) -> None:
     paths = write_colmap(tmp_path)
     assert not masked_cameras(tmp_path)
     (tmp_path / "masks").mkdir()
-    assert "masks: has no mask of a picture in frames/" in refusal(lambda: open_capture(tmp_path))
+    assert "masks: has no mask of a picture in frames/" in refusal(tmp_path)
     files = [mirrored(tmp_path, path, lambda p: p.name + ".png") for path in paths[2]]
     for frame, file in enumerate(files):
         save_mask(file, 2, frame)
     files[2].write_bytes(b"none")
     capture = open_capture(tmp_path)
-    assert "frame_09/cam02.png.png: not a mask" in refusal(lambda: mask(capture, 2, 2))
-    assert "frame_09/cam02.png.png: not a mask" in refusal(lambda: checked(tmp_path))
+    refused(CaptureError, "frame_09/cam02.png.png: not a mask", mask, capture, 2, 2)
+    refused(CaptureError, "frame_09/cam02.png.png: not a mask", checked, tmp_path)
     Image.fromarray(np.minimum(grey_of(2, 1), 1)).save(files[1])
-    assert "its brightest pixel is 1 of 255" in refusal(lambda: mask(capture, 2, 1))
+    refused(CaptureError, "its brightest pixel is 1 of 255", mask, capture, 2, 1)
     Image.fromarray(np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8)).save(files[1])
     assert not mask(capture, 2, 1).any()
     files[1].unlink()
-    said = refusal(lambda: open_capture(tmp_path))
+    said = refusal(tmp_path)
     assert "frame_08/cam02.png.png: is missing; a camera with masks needs one for every" in said
 
 
@@ -123,15 +117,15 @@ def test_nerfstudio_has_a_mask_for_each_entry(tmp_path: Path) -> None:
     assert masked_cameras(tmp_path) == ["cam01"]
     expect(tmp_path, 1)
     (tmp_path / "m/2.png").unlink()
-    assert "m/2.png: is missing; a mask_path" in refusal(lambda: open_capture(tmp_path))
+    assert "m/2.png: is missing; a mask_path" in refusal(tmp_path)
     del value["frames"][NUM_FRAMES + 1]["mask_path"]
     write_transforms(tmp_path, value)
-    said = refusal(lambda: open_capture(tmp_path))
+    said = refusal(tmp_path)
     assert "images/cam01/0008.png has no mask_path" in said
     for bad, why in ((7, "mask_path is '7', not a path"), ("../x.png", "not a path inside")):
         value["frames"][NUM_FRAMES + 1]["mask_path"] = bad
         write_transforms(tmp_path, value)
-        assert why in refusal(lambda: open_capture(tmp_path))
+        assert why in refusal(tmp_path)
 
 
 @pytest.mark.parametrize("form", ["pictures", "listed", "videos"])
@@ -216,22 +210,20 @@ def test_a_folder_of_masks_that_cannot_be_used(tmp_path: Path, layout: str) -> N
     write_layout(root, layout)
     folder = root / "masks/cam01"
 
-    def said() -> str:
-        return refusal(lambda: open_capture(root))
-
     folder.mkdir(parents=True)
-    assert ("masks: has no mask" if is_colmap else "masks/cam01: holds no numbered") in said()
+    says = "masks: has no mask" if is_colmap else "masks/cam01: holds no numbered"
+    assert says in refusal(root)
     save_mask(folder / "0.png", 1, 0)
     save_mask(folder / "2.png", 1, 2, slice(1, None))
-    assert "masks/cam01: frame 1 is missing before frame 2" in said()
+    assert "masks/cam01: frame 1 is missing before frame 2" in refusal(root)
     save_mask(folder / "1.png", 1, 1)
     capture = open_capture(root)
-    assert "masks/cam01/2.png: is 63x36 px" in refusal(lambda: mask(capture, 1, 2))
+    refused(CaptureError, "masks/cam01/2.png: is 63x36 px", mask, capture, 1, 2)
     (folder / "2.png").unlink()
-    assert "masks/cam01: has 2 masks, 0.png to 1.png, for 3 frames; give one" in said()
+    assert "masks/cam01: has 2 masks, 0.png to 1.png, for 3 frames; give one" in refusal(root)
     save_mask(folder / "2.png", 1, 2)
     save_mask(folder / "0.png", 1, 0, slice(1, None))
-    assert "masks/cam01/0.png: is 63x36 px; its picture has 64x36 px" in said()
+    assert "masks/cam01/0.png: is 63x36 px; its picture has 64x36 px" in refusal(root)
     shutil.rmtree(folder)
     (root / "masks/README.txt").write_text("By hand.")  # a plain file beside masks is none
     assert is_colmap or not masked_cameras(root)  # colmap refuses a masks folder without masks
@@ -239,7 +231,7 @@ def test_a_folder_of_masks_that_cannot_be_used(tmp_path: Path, layout: str) -> N
     (root / "masks/kamera").mkdir()
     assert masked_cameras(root) == ["cam02"]
     save_mask(root / "masks/kamera/0.png", 1, 0)
-    assert "masks/kamera: is not the name of a camera (cam00, cam01, cam02" in said()
+    assert "masks/kamera: is not the name of a camera (cam00, cam01, cam02" in refusal(root)
 
 
 @pytest.mark.parametrize("layout", ["colmap", "colmap by camera", "nerfstudio"])
@@ -258,7 +250,7 @@ def test_masks_of_a_camera_without_a_pose_are_left_out(tmp_path: Path, layout: s
     assert masked_cameras(tmp_path) == ["cam00", "cam01"]
     expect(tmp_path, 1)
     save_mask(tmp_path / "masks/cam09/0007.png", 1, 0)  # a camera without pictures
-    assert "masks/cam09: is not the name" in refusal(lambda: open_capture(tmp_path))
+    assert "masks/cam09: is not the name" in refusal(tmp_path)
 
 
 def test_the_segmentation_of_a_data_set_is_no_mask(tmp_path: Path) -> None:

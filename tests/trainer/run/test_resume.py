@@ -173,9 +173,7 @@ def test_a_finished_run_resumes_with_success(capture: Path, moments: Path, tmp_p
 
 def test_resuming_something_else_is_refused(capture: Path, moments: Path, tmp_path: Path) -> None:
     def refusal(*words: object) -> str:
-        with pytest.raises(SwingsError) as caught:
-            train_here(*words)
-        return str(caught.value)
+        return str(refused(SwingsError, "", train_here, *words))
 
     stream, take = tmp_path / "stream", tmp_path / "take"
     assert "nothing to resume" in refusal(capture, stream, *SETTINGS, "--resume")

@@ -13,6 +13,7 @@ from server.operate.sign.keyfile import add_key, read_keys
 from server.operate.sign.nginxlink import nginx_secrets, sign_for_nginx
 from server.operate.sign.signing import ALL, Grant, Signer
 from tests.support.commands import run, run_ok
+from tests.support.hostile import refused
 
 SECRET = "0123456789abcdef" * 2
 INNER = ("/watch/walk", "/v1/streams/walk/manifest.json")
@@ -46,10 +47,8 @@ def test_a_new_key_comes_first_and_the_others_stay(tmp_path: Path) -> None:
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o666])
 def test_a_file_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> None:
     path = keys_of(tmp_path / "keys", f"a:{SECRET}\n", mode)
-    with pytest.raises(InvalidError, match="chmod 600"):
-        read_keys(path)
-    with pytest.raises(InvalidError, match="chmod 600"):
-        add_key(path)
+    refused(InvalidError, "chmod 600", read_keys, path)
+    refused(InvalidError, "chmod 600", add_key, path)
 
 
 def test_a_missing_file_is_named_with_what_makes_it(tmp_path: Path) -> None:
@@ -75,15 +74,13 @@ def test_what_is_not_a_file_of_keys_is_named_without_its_secrets(
     tmp_path: Path, text: str, word: str
 ) -> None:
     path = keys_of(tmp_path / "keys", text)
-    with pytest.raises(InvalidError, match=word) as raised:
-        read_keys(path)
-    assert SECRET not in str(raised.value)
+    raised = refused(InvalidError, word, read_keys, path)
+    assert SECRET not in str(raised)
 
 
 def test_a_fifo_does_not_hold_it_up(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "keys", 0o600)
-    with pytest.raises(InvalidError, match="regular file"):
-        read_keys(tmp_path / "keys")
+    refused(InvalidError, "regular file", read_keys, tmp_path / "keys")
 
 
 def test_the_command_prints_urls_that_the_server_grants(tmp_path: Path) -> None:
@@ -120,8 +117,7 @@ def test_the_command_signs_for_nginx_with_secrets_that_are_not_the_keys(tmp_path
     out = run_ok("swings-sign", path, "--nginx-secrets")
     assert out == "".join(f"key={kid} {nginx_secrets(keys)[kid]};\n" for kid in "ba")
     assert len({*nginx_secrets(keys).values(), *(key.hex() for key in keys.values())}) == 4
-    with pytest.raises(InvalidError, match="one stream"):
-        sign_for_nginx(keys, ALL, 2_000_000_000)
+    refused(InvalidError, "one stream", sign_for_nginx, keys, ALL, 2_000_000_000)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import pytest
 
-from bench.serve.killedworkers import KillConfig, measure_kills
 from codec.stream.playrecord import EndRecord, ErrorRecord, Record
 from server.abr.clientstatus import PLAY_HEADER, RATE_HEADER
 from server.errors import ServerError
@@ -289,22 +288,3 @@ def test_under_load_all_workers_know_the_tokens_of_all_and_no_others(
                 assert answer_of(one, f"long/play{query}", token).status == 503
             for token in (before, after):
                 assert answer_of(one, f"long/play{query}", token).status == 200
-
-
-@pytest.mark.realtime
-def test_killed_workers_cost_their_clients_a_moment_and_the_others_nothing() -> None:
-    """50 clients lose no slice, and not the quality that they had. `scripts/bench serve --parts
-    kills` kills 100 workers."""
-    seen = measure_kills(KillConfig(kills=15, every_s=1.5, max_lead_s=2.0))
-    assert (seen.clients, seen.kills) == (50, 15)
-    assert seen.victims > 100
-    assert seen.lost == 0
-    assert (seen.missing, seen.double) == (0, 0)
-    assert seen.refused == 0
-    assert seen.stalls == 0
-    assert seen.resume_ms.p99 < 1000
-    # Where a client comes back it is sent a picture first, a few slices with one layer.
-    assert seen.after > seen.before - 0.5
-    assert seen.broken == 0
-    assert seen.gap_ms.p99 < 1000
-    assert set(seen.reports) <= {"204", "404", "0"}
