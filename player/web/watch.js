@@ -43,8 +43,9 @@ document.addEventListener("click", async ({ target }) => {
   try {
     await navigator.clipboard.writeText(source.textContent ?? "");
     button.textContent = "Copied";
-  } catch {
-    getSelection()?.selectAllChildren(source); // a page without TLS has no clipboard
+  } catch (error) {
+    console.info("swings: this page has no clipboard, as pages without TLS:", error);
+    getSelection()?.selectAllChildren(source);
   }
 });
 // Forwards keys, so that they work without a click. Focusing the player at once would draw a focus ring.

@@ -52,6 +52,7 @@ button[aria-pressed="true"]::after {
   border-radius: 12px; background: #1c1c20; text-align: center;
 }
 .failure p { margin: 0 0 1em; overflow-wrap: anywhere; }
+.failure:has(.retry[hidden]):has(details[hidden]) p { margin: 0; }
 .failure .sentence { font-size: 1.25em; }
 .failure .retry { min-height: max(36px, var(--least)); padding: 0 1.4em; background: #e8e8ea; color: #111; font-weight: 600; }
 .failure .retry:hover { background: #fff; }

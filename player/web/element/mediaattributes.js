@@ -97,6 +97,7 @@ export class MediaAttributes extends HTMLElement {
    * Dispatches an event once the current script has finished, as media elements do.
    * @param {string} type
    * @param {() => void} [then] runs after the event's listeners
+   * @protected
    */
   queueEvent(type, then) {
     queueMicrotask(() => {

@@ -230,7 +230,7 @@ export class MediaInterface extends PictureInterface {
     else this.#open();
   }
 
-  /** Loads the same stream again, and continues at the same time, rate and view. */
+  /** @protected Loads the same stream again, and continues at the same time, rate and view. */
   reload() {
     this.#keepPlace();
     this.load();
@@ -243,18 +243,19 @@ export class MediaInterface extends PictureInterface {
     this.#left = { src: this.#currentSrc, timeS, rate: this.#rate, view };
   }
 
-  /** Called before a stream is opened, now or at `play()`: the element shows its poster. */
+  /** @protected Called before a stream is opened, now or at `play()`: the element shows its poster. */
   prepare() {}
 
   /**
    * Opens the stream of `src`.
    * @param {boolean} isHeld whether to fetch only the stream's description until `play()` or a seek
+   * @protected
    */
   openStream(isHeld) {
     void isHeld;
   }
 
-  /** Called when the element is removed from its page: disposes of the player, but keeps the place. */
+  /** @protected Called when the element is removed from its page: disposes of the player, but keeps the place. */
   leave() {
     const { player } = this;
     this.#keepPlace();
@@ -264,13 +265,13 @@ export class MediaInterface extends PictureInterface {
     this.#unload();
   }
 
-  /** Called when `preload` has changed: opens a stream that was waiting for it. */
+  /** @protected Called when `preload` has changed: opens a stream that was waiting for it. */
   preloadChanged() {
     const waits = this.networkState === NETWORK.IDLE && !this.#isOpening;
     if (waits && this.preload !== "none") this.#open();
   }
 
-  /** Reports that the stream cannot be played. @param {string} message */
+  /** @protected Reports that the stream cannot be played. @param {string} message */
   fail(message) {
     const isOpen = this.readyState > READY.NOTHING;
     this.error = { code: isOpen ? ERROR.DECODE : ERROR.SRC_NOT_SUPPORTED, message };
@@ -283,6 +284,7 @@ export class MediaInterface extends PictureInterface {
    * Dispatches the events of a player as DOM events.
    * @param {WebPlayer} player
    * @param {AbortSignal} signal ends the listening
+   * @protected
    */
   follow(player, signal) {
     const on = (/** @type {string} */ type, /** @type {() => void} */ action) =>

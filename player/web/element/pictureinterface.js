@@ -64,7 +64,7 @@ export class PictureInterface extends MediaAttributes {
     return opening;
   }
 
-  /** Keeps the player drawing off screen while a capture or picture in picture uses its pictures. */
+  /** @protected Keeps the player drawing off screen while a capture or picture in picture uses its pictures. */
   keepDrawing() {
     if (this.#capture?.isLive) this.#release ??= this.player?.keepAlive() ?? null;
     else {
@@ -73,7 +73,7 @@ export class PictureInterface extends MediaAttributes {
     }
   }
 
-  /** Updates the size of the picture, or notes that there is none. */
+  /** @protected Updates the size of the picture, or notes that there is none. */
   measure() {
     const { player } = this;
     const before = this.#sizePx;
@@ -84,13 +84,13 @@ export class PictureInterface extends MediaAttributes {
     }
   }
 
-  /** Runs the frame callbacks; a frame is drawn in this task. @param {number} timeS of the frame */
+  /** @protected Runs the frame callbacks; a frame is drawn in this task. @param {number} timeS of the frame */
   runFrameCallbacks(timeS) {
     const [width, height] = this.#sizePx;
     queueMicrotask(() => this.#frameCallbacks.run(timeS, width, height, performance.now()));
   }
 
-  /** Ends all captures of this player. */
+  /** @protected Ends all captures of this player. */
   endCapture() {
     this.#capture?.close();
     this.#capture = null;

@@ -38,6 +38,7 @@ canvas { touch-action: pan-y; cursor: grab; outline: none; }
 canvas:active { cursor: grabbing; }
 .idle canvas { cursor: none; }
 :is([data-condition="failed"], [data-condition="empty"]) canvas { pointer-events: none; }
+[data-condition="empty"] canvas { visibility: hidden; }
 button, summary { border: 0; border-radius: 6px; color: inherit; font: inherit; cursor: pointer; }
 button { background: none; }
 :is(button, summary):hover { background: rgb(255 255 255 / 0.14); }

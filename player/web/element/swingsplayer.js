@@ -99,7 +99,7 @@ export class SwingsPlayerElement extends MediaInterface {
     player.view.interpolates = this.interpolate;
   }
 
-  /** @override */
+  /** @protected @override */
   prepare() {
     const { player } = this;
     if (player === null) return;
@@ -111,7 +111,7 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#show(player);
   }
 
-  /** @override @param {boolean} isHeld */
+  /** @protected @override @param {boolean} isHeld */
   openStream(isHeld) {
     const { player } = this;
     if (player === null) return;
@@ -352,7 +352,7 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#controls?.part?.bar.showToggles();
   }
 
-  /** @override @param {string} message */
+  /** @protected @override @param {string} message */
   fail(message) {
     this.#hints.clear();
     super.fail(message);

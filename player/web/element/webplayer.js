@@ -24,7 +24,7 @@ export class WebPlayer extends StreamSession {
   /** Whether `open` starts the workers even if the canvas is not in view. */
   preloads = false;
   isParked = false;
-  /** Whether the stream has failed, so that nothing runs until `open` or `retry`. */
+  /** Whether the stream has failed, so that nothing runs until `open`. */
   #hasFailed = false;
   /** Whether a live stream was at its edge when the player went out of view. */
   #wasAtEdge = false;
@@ -91,15 +91,6 @@ export class WebPlayer extends StreamSession {
     const bufferBytes = bufferMb === null ? undefined : 1e6 * bufferMb;
     this.source = { base, maxGaussians, otherHosts, credentials, bufferBytes, isHeld };
     if (this.preloads) this.#start();
-    this.#followSight();
-  }
-
-  /** Opens the stream again after `failed`, at the frame that was shown. */
-  retry() {
-    if (this.source === null) return;
-    this.#release();
-    this.#hasFailed = false;
-    this.#start();
     this.#followSight();
   }
 

@@ -1,36 +1,37 @@
+/** Names of the player's workers; a bundler may add a hash. */
+const WORKERS = /\/(play|sort|feed)worker[^/]*\.js$/;
+/** Key of the policy in the page: a second copy of this code must not create one with the same name. */
+const POLICY = Symbol.for("swings-worker");
+
 /**
  * Starts one of the player's workers. It works from any origin, although a page may not directly start
- * a worker of another origin.
+ * a worker of another origin, and also on pages whose content security policy requires Trusted Types and
+ * lists the allowed policies.
  * @param {URL} url of the module in the sources; in a bundle, the workers are in the same folder
  */
 export function startWorker(url) {
   const name = /** @type {string} */ (url.pathname.split("/").pop());
   // @ts-ignore scripts/webbundle defines it
   const module = typeof SWINGS_BUNDLE === "undefined" ? url : new URL(name, import.meta.url);
-  if (module.origin === globalThis.origin) return moduleWorker(module.href);
-  const script = `import ${JSON.stringify(module.href)};`;
-  if (globalThis.origin === "null") {
-    // For a page from a file or in a sandbox, Chromium does not run modules from blobs.
-    return moduleWorker(`data:text/javascript,${encodeURIComponent(script)}`);
-  }
-  const blobUrl = URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
-  const worker = moduleWorker(blobUrl);
-  URL.revokeObjectURL(blobUrl);
+  const page = /** @type {any} */ (globalThis);
+  page[POLICY] ??= page.trustedTypes?.createPolicy("swings-worker", { createScriptURL: startable });
+  const script = page[POLICY]?.createScriptURL(module.href) ?? startable(module.href);
+  const worker = new Worker(script, { type: "module" });
+  if (String(script).startsWith("blob:")) URL.revokeObjectURL(String(script));
   return worker;
 }
 
-/** Key of the policy in the page: a second copy of this code must not create one with the same name. */
-const POLICY = Symbol.for("swings-worker");
-
 /**
- * Starts a module worker, also on pages whose content security policy requires Trusted Types and lists
- * the allowed policies.
- * @param {string} url
+ * The URL at which this page may start a worker's module. Any script of the page can reach the policy, so it
+ * serves the player's workers only.
+ * @param {string} module
  */
-function moduleWorker(url) {
-  const page = /** @type {any} */ (globalThis);
-  page[POLICY] ??= page.trustedTypes?.createPolicy("swings-worker", {
-    createScriptURL: (/** @type {string} */ own) => own,
-  });
-  return new Worker(page[POLICY]?.createScriptURL(url) ?? url, { type: "module" });
+function startable(module) {
+  const { origin, pathname } = new URL(module);
+  if (!WORKERS.test(pathname)) throw new TypeError(`${module} is no worker of swings-player`);
+  if (origin === globalThis.origin) return module;
+  const script = `import ${JSON.stringify(module)};`;
+  // For a page from a file or in a sandbox, Chromium does not run modules from blobs.
+  if (globalThis.origin === "null") return `data:text/javascript,${encodeURIComponent(script)}`;
+  return URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
 }

@@ -15,8 +15,6 @@ import { add, length, subtract, times, turned } from "./vectors.js";
  */
 
 export const TURN_RAD_PER_PX = 0.005;
-/** Factor for the distance to the scene's centre per step of the wheel. */
-const ZOOM_PER_STEP = 0.9;
 const LEAST_ZOOM = 0.02;
 const MOST_ZOOM = 50;
 /** Links may come from anywhere; larger numbers would leave floats no digits for the scene. */
@@ -69,15 +67,6 @@ export class Orbit {
     this.centre = add(this.centre, byM);
   }
 
-  /**
-   * Turns the camera so that the near side of the scene follows the pointer.
-   * @param {number} rightPx
-   * @param {number} downPx
-   */
-  dragTurn(rightPx, downPx) {
-    this.turn(-rightPx * TURN_RAD_PER_PX, -downPx * TURN_RAD_PER_PX);
-  }
-
   /** @param {number} leftRad @param {number} upRad */
   turn(leftRad, upRad) {
     this.turnRad += leftRad;
@@ -91,11 +80,6 @@ export class Orbit {
    */
   dragPan(rightPx, downPx, focalPx) {
     this.pan = [this.pan[0] + rightPx / focalPx, this.pan[1] + downPx / focalPx];
-  }
-
-  /** Zooms in by a number of wheel steps. @param {number} steps */
-  approach(steps) {
-    this.scale(ZOOM_PER_STEP ** steps);
   }
 
   /** Multiplies the distance to the centre by `factor`. @param {number} factor */

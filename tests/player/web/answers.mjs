@@ -27,7 +27,7 @@ import { oggOf } from "../../../player/web/sound/ogg.js";
 import { checkSpan, readSoundObject } from "../../../player/web/sound/soundobject.js";
 import { placeAt, readSources } from "../../../player/web/sound/soundsource.js";
 import { Timeline } from "../../../player/web/sound/timeline.js";
-import { Orbit } from "../../../player/web/view/orbit.js";
+import { Orbit, TURN_RAD_PER_PX } from "../../../player/web/view/orbit.js";
 import { nearOf } from "../../../player/web/view/pose.js";
 import { storyboardLayout } from "../../../player/web/format/storyboard.js";
 import { readIndex } from "../../../player/web/format/streamindex.js";
@@ -279,9 +279,9 @@ const ANSWERS = {
     const read = readManifest(unhex(manifest));
     let orbit = new Orbit(read);
     for (const [what, ...args] of moves) {
-      if (what === "turn") orbit.dragTurn(args[0], args[1]);
+      if (what === "turn") orbit.turn(-TURN_RAD_PER_PX * args[0], -TURN_RAD_PER_PX * args[1]);
       else if (what === "pan") orbit.dragPan(args[0], args[1], args[2]);
-      else orbit.approach(args[0]);
+      else orbit.scale(0.9 ** args[0]);
     }
     if (again) {
       const { text } = orbit;

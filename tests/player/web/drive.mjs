@@ -22,6 +22,9 @@ async function launch(/** @type {"chromium"} */ kind, /** @type {string} */ exec
 const [kind, executablePath, boundS, keeps] = process.argv.slice(2);
 const BOUND_MS = 1000 * Number(boundS);
 const browser = await launch(/** @type {"chromium"} */ (kind), executablePath);
+/** Runs before all else in a page: the person has been there, so the hint of a first visit is over. */
+const RETURNING =
+  'try { localStorage["swings-player-looked"] ??= "1" } catch { /* a page without storage has no hint */ }';
 /** @type {import("playwright-core").Page} */
 let page;
 /** @type {import("playwright-core").Page | import("playwright-core").Frame} the page, or a frame in it */
@@ -51,6 +54,7 @@ const ACTIONS = {
     } else {
       await ACTIONS.close({});
       const context = await browser.newContext({ viewport, hasTouch: touch, ...options });
+      await context.addInitScript(RETURNING);
       if (!keeps) for (const path of scripts) await context.addInitScript({ path });
       page = await context.newPage();
       page.on("pageerror", (error) => complaints.push(`${error.stack}`));

@@ -86,7 +86,7 @@ def test_a_lost_context_keeps_its_picture_and_plays_on(opened: Page) -> None:
     before = canvas_of(page)
     page.run("window.limitMs = 1e6")  # it comes back, even on a slow machine
     page.run(LOSE)
-    page.run("player.orbit.dragTurn(50, 0); player.moved()")
+    page.run("player.motion.dragTurn(50, 0, 0); player.moved()")
     page.wait(f"{NOTE}.includes('waiting for it')")
     np.testing.assert_array_equal(held_picture_of(page), before)
     page.run("player.orbit.reset(); extension.restoreContext()")
@@ -113,7 +113,7 @@ def test_a_context_that_does_not_come_back(opened: Page) -> None:
     page.run(LOSE)
     page.wait("element.error.message.includes('did not come back')")
     np.testing.assert_array_equal(held_picture_of(page), before)
-    page.run("player.retry()")
+    page.run("element.retry()")
     page.wait("player.renderer.numDrawn > 0")
     assert page.value("player.shownFrame") == 30
     np.testing.assert_array_equal(canvas_of(page), before)
@@ -130,7 +130,7 @@ player.view.loop.stop();
 player.view.isEmpty = true;
 player.resend();
 block(value); // the sorter answers
-player.orbit.dragTurn(5, 0);
+player.motion.dragTurn(5, 0, 0);
 player.view.loop.flush(); // asks for another order
 block(value); // the sorter answers again
 await new Promise((resolve) => setTimeout(resolve, 50)); // both answers arrive

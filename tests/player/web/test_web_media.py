@@ -7,6 +7,10 @@ import pytest
 from tests.support.web.chromium import Page
 from tests.support.web.site import Site
 
+OVER_PICTURE = """[".ring", ".large", ".bar"].filter(
+  (name) => part(name)?.checkVisibility({ visibilityProperty: true }),
+)"""
+
 MAKE = """
 await import("/player/player.js");
 const made = document.createElement("swings-player");
@@ -127,16 +131,18 @@ def test_what_a_script_can_do(empty: Page) -> None:
     # The stream has ended: playing starts with a seek to the first frame.
     assert (found[:2], found[-1]) == (["seeking", "play"], "pause")
 
+    page.run("element.removeAttribute('src'); element.load()")
+    held = "[player.workers, player.source, element.networkState, element.currentSrc]"
+    assert page.value(held) == [None, None, 0, ""]
+    page.wait("part('.frame').dataset.condition === 'empty' && heard.includes('emptied')")
+    assert page.value(f"({OVER_PICTURE})") == []
+
     page.run("element.src = '../nothing'")
     page.wait("heard.includes('error')")
     assert "HTTP 404" in page.value("element.error.message")
-    refused = "try { element.playbackRate = 0 } catch (e) { return e.name }"
-    assert page.run(refused) == "RangeError"
-
-
-OVER_PICTURE = """[".ring", ".large", ".bar"].filter(
-  (name) => part(name)?.checkVisibility({ visibilityProperty: true }),
-)"""
+    for change in "element.playbackRate = 0", "element.flyToCamera(NaN)":
+        refused = f"try {{ {change} }} catch (e) {{ return e.name }}"
+        assert page.run(refused) == "RangeError"
 
 
 @pytest.mark.parametrize("preload", ["none", "metadata"])

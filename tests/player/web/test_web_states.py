@@ -58,6 +58,8 @@ def test_no_state_has_a_fault_that_axe_finds(desk: Reached, state: str) -> None:
     desk.page.expect("404")
     desk.reach(STATES[state])
     check_accessible(desk.page)
+    # Another try does not bring WebGL2.
+    assert desk.page.value("part('.retry').checkVisibility()") is state.startswith("failed")
 
 
 def test_a_tap_on_a_hidden_bar_shows_it_and_presses_nothing(phone: Reached) -> None:
@@ -87,6 +89,8 @@ def test_the_large_button_plays_and_plays_again(desk: Reached) -> None:
     desk.watch("src=../static&autoplay=0&loop=0&t=3.6")
     desk.do(within("start"))
     check_accessible(page)
+    stops = "[...element.shadowRoot.querySelectorAll('button')].filter((one) => one.tabIndex >= 0)"
+    assert page.value(f"{stops}.filter((one) => one.ariaLabel === 'Play').length") == 1
     page.click("swings-player .large")
     desk.do(within("ended"))
     check_accessible(page)
@@ -136,11 +140,12 @@ def test_a_still_has_no_time_and_turns_until_it_is_touched(desk: Reached) -> Non
 
 
 def test_a_first_visit_is_told_once_that_one_may_look_around(desk: Reached) -> None:
-    note = "part('.note.soft').textContent"
-    for told in "Drag to look around", "":
-        desk.watch("src=../static", options={"locale": "en-GB"})
+    forget = "delete localStorage['swings-player-looked'];"
+    for before, told in (forget, "Drag to look around"), ("", ""):
+        desk.watch("src=../static", before)
         desk.page.wait("state.frame > 5 && part('.bar')")
-        assert desk.page.value(note) == told
+        assert desk.page.value("part('.note.soft').textContent") == told
+    assert desk.page.value("localStorage['swings-player-looked']") == "1"
 
 
 def test_the_menu_by_keys(phone: Reached) -> None:
@@ -174,6 +179,19 @@ def test_the_menu_by_keys(phone: Reached) -> None:
     assert page.value("element.shadowRoot.activeElement.className") == "more"
     assert page.value("part('.menu').hidden")
     assert page.value("player.shownFrame") == 0  # the player left the arrows to the menu
+
+
+def test_the_menu_saves_the_picture(desk: Reached) -> None:
+    page = desk.page
+    desk.watch("src=../static&autoplay=0&t=1")
+    page.wait("player.shownFrame === 30 && part('.bar')")
+    page.run("URL.createObjectURL = (blob) => { window.saved = blob; return 'data:,'; }")
+    page.run("document.createElement = ((make) => (tag) => (window.made = make(tag)))"
+             "(document.createElement.bind(document))")  # fmt: skip
+    desk.do(*clicks(".more"), *clicks("[data-name=save]"))
+    page.wait("window.saved?.type === 'image/png' && made.download === 'picture-30.png'")
+    size = "const { width, height } = await createImageBitmap(saved); return [width, height]"
+    assert page.run(size) == page.value("[player.canvas.width, player.canvas.height]")
 
 
 def test_the_keys_of_the_player(desk: Reached) -> None:
@@ -272,6 +290,10 @@ def test_two_copies_of_the_code_share_the_policy_of_trusted_types(page: Page, ho
     feed = "const { GaussianFeed } = await import('./web/feed/gaussianfeed.js');"  # another copy
     code = f"{feed} return (await new GaussianFeed('static').opened).numFrames"
     assert page.run(code) == NUM_FRAMES
+    for url in "https://other.example/evil.js", f"{hosts.url}/static/manifest.json":
+        steal = "window[Symbol.for('swings-worker')].createScriptURL(value)"
+        code = f"try {{ {steal}; }} catch (error) {{ return error.name; }}"
+        assert page.run(code, url) == "TypeError"
 
 
 def test_a_retry_keeps_time_rate_and_view(desk: Reached) -> None:

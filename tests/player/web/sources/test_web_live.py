@@ -67,6 +67,7 @@ def test_a_stream_that_grows_plays_at_its_edge_until_it_ends(
     page.run(WATCH_FRAMES)
     page.wait("part('.badge')?.hidden === false")
     assert not page.value(BEHIND)
+    page.wait("part('.time').textContent === ''")  # the badge says it
     publisher.publish(4)
     page.wait("player.numFrames === 150 && player.shownFrame >= 90")
     frames = page.value("framesShown")
