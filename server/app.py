@@ -22,6 +22,7 @@ from server.abr.clientstatus import (
     NUM_FRAMES_HEADER,
     PLAY_HEADER,
     RATE_HEADER,
+    RECEIVED_HEADER,
     REPORT_HEADER,
 )
 
@@ -358,6 +359,7 @@ def _common_fields(cors_origin: str) -> dict[str, str]:
                 PLAY_HEADER,
                 RATE_HEADER,
                 REPORT_HEADER,
+                RECEIVED_HEADER,
                 NUM_FRAMES_HEADER,
                 LIVE_HEADER,
             )

@@ -284,6 +284,7 @@ class _Play:
         took_bytes = session.sent_bytes - self._writer.queued_bytes()
         if self._receipts is not None and status is not None:
             came = self._receipts.take(status.received, self._clock())
+            entry.received_bytes = self._receipts.came_bytes
             if not session.report_s and took_bytes - self._receipts.came_bytes > MOST_BEHIND_BYTES:
                 session.report_s = entry.report_s = REPORT_S
                 session.doubt(self._clock(), self._receipts.came_bytes)

@@ -14,6 +14,7 @@ from server.abr.clientstatus import (
     LIVE_HEADER,
     NUM_FRAMES_HEADER,
     RATE_HEADER,
+    RECEIVED_HEADER,
     REPORT_HEADER,
     ClientStatus,
 )
@@ -72,7 +73,9 @@ def _report(state: ServerState, token: str, stream: str, body: bytes) -> PlayAns
     except InvalidError as error:
         return PlayAnswer(StatusOutcome.REFUSED, problem=str(error))
     outcome = plays.report(token, stream, status)
-    return PlayAnswer(outcome, entry.rate_bps, report_s=entry.report_s)
+    return PlayAnswer(
+        outcome, entry.rate_bps, report_s=entry.report_s, received_bytes=entry.received_bytes
+    )
 
 
 def _response(call: Call, answer: PlayAnswer) -> Response:
@@ -86,6 +89,8 @@ def _response(call: Call, answer: PlayAnswer) -> Response:
         fields[RATE_HEADER] = str(round(answer.rate_bps))
     if answer.report_s:
         fields[REPORT_HEADER] = str(round(1000 * answer.report_s))
+    if answer.received_bytes:
+        fields[RECEIVED_HEADER] = str(round(answer.received_bytes))
     # A play is sent a few seconds ahead, and no further while it is paused: only here its client
     # learns where the live edge is.
     stream = call.state.library.streams.get(call.name("stream"))

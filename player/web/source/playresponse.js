@@ -48,6 +48,10 @@ export class PlayResponse {
     /** Time after which the server wants the next status report; 0: it does not say. */
     this.reportMs = Number(response.headers.get("Swings-Report-Ms"));
     this.bodyBytes = 0;
+    /** `bodyBytes` as of the last report of the position. */
+    this.reportedBytes = 0;
+    /** What of it is a part of the fetcher's `receivedBytes`. */
+    this.countedBytes = 0;
     /** @type {[number, number][]} [ms, bytes of the body] since the last report */
     this.points = [];
     this.abort = abort;
@@ -55,7 +59,6 @@ export class PlayResponse {
     this.parser = new RecordParser();
     /** @type {import("../constants.js").PlayRecord[]} parsed, but not returned yet */
     this.records = [];
-    this.uncountedBytes = 0;
   }
 
   /**
@@ -88,10 +91,10 @@ export class PlayResponse {
 
   /**
    * The next record; null at the end of the body. Rejects with a GoneError, or with a FormatError.
-   * @param {(numBytes: number) => void} [onBytes] called with the number of decoded bytes not yet reported
+   * @param {() => void} [onBytes] called when `bodyBytes` may have grown
    * @returns {Promise<import("../constants.js").PlayRecord | null>}
    */
-  async next(onBytes) {
+  async next(onBytes = () => {}) {
     while (this.records.length === 0) {
       let piece;
       try {
@@ -100,14 +103,10 @@ export class PlayResponse {
         throw new GoneError(GONE, 0, error);
       }
       if (piece.done) return null;
-      this.uncountedBytes += piece.value.length;
       this.#note(piece.value.length);
       this.records = this.parser.feed(piece.value);
     }
-    if (onBytes) {
-      onBytes(this.uncountedBytes);
-      this.uncountedBytes = 0;
-    }
+    onBytes();
     return this.records.shift() ?? null;
   }
 
@@ -122,6 +121,7 @@ export class PlayResponse {
 
   /** The points since the last time, for a status report. */
   takePoints() {
+    this.reportedBytes = this.bodyBytes;
     return this.points.splice(0);
   }
 

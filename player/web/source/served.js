@@ -39,6 +39,8 @@ export class ServedStream {
     this.lastToken = first.response.token;
     /** @type {number | null} the server's last reported estimate of the link's throughput */
     this.rateBps = null;
+    /** Bytes on the network for each byte of a play, which has a content coding. */
+    this.networkShare = 1;
     this.onGrown = () => {};
   }
 
@@ -129,7 +131,7 @@ export class ServedStream {
     const query = { fromFrame: frame, untilFrame: frame + 1, layers: 1, paused: true };
     const { response } = await openPlay(this.fetcher, this.base, query, signal);
     for (;;) {
-      const record = await response.next((numBytes) => (this.fetcher.receivedBytes += numBytes));
+      const record = await response.next(() => this.count(response));
       if (record === null || record.kind === "end" || record.kind === "error") return;
       if (record.kind !== "snapshot" || record.frame !== frame || record.firstLayer > 0) continue;
       this.cache.addSnapshot(frame, 0, record.packets[0]);
@@ -144,6 +146,13 @@ export class ServedStream {
   /** The error to report for `error`. @param {unknown} error */
   async explain(error) {
     return error;
+  }
+
+  /** Adds what has come of a response to the received bytes. @param {PlayResponse} response */
+  count(response) {
+    const numBytes = Math.round(response.bodyBytes * this.networkShare);
+    this.fetcher.receivedBytes += numBytes - response.countedBytes;
+    response.countedBytes = numBytes;
   }
 
   /** Calls `onGrown` when a play reports that the stream has grown. @param {() => void} onGrown */

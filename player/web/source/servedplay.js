@@ -103,6 +103,7 @@ export class ServedPlay {
     const { response, stream } = this;
     this.reportedS = this.nowS();
     if (!response?.token) return;
+    const { reportedBytes } = response;
     const received = response.takePoints();
     const body = JSON.stringify({ frame: this.nextFrame, paused: this.paused, received });
     this.isReporting = true;
@@ -111,6 +112,9 @@ export class ServedPlay {
       const { headers } = await stream.fetcher.fetch(url, { method: "POST", body });
       const rateBps = Number(headers.get("Swings-Rate"));
       if (rateBps > 0) this.rateBps = stream.rateBps = rateBps;
+      const networkBytes = Number(headers.get("Swings-Received"));
+      if (networkBytes > 0 && reportedBytes > 0) stream.networkShare = networkBytes / reportedBytes;
+      stream.count(response);
       response.reportMs = Number(headers.get("Swings-Report-Ms"));
       // More than what was sent: a play goes a few seconds ahead, and no further while it is paused.
       const numFrames = Number(headers.get("Swings-Frames"));
@@ -293,7 +297,7 @@ export class ServedPlay {
   async #receiveAll(response, gap) {
     const { stream } = this;
     for (;;) {
-      const record = await response.next((numBytes) => (stream.fetcher.receivedBytes += numBytes));
+      const record = await response.next(() => stream.count(response));
       this.#reportReceived();
       if (this.isClosed || record === null) return false;
       if (record.kind === "end") {

@@ -138,6 +138,28 @@ test("a server whose stream is another one by now is noticed by its manifest", a
   stream.first.close();
 });
 
+test("what a play received is counted as on the network, once the server has said it", async (context) => {
+  const start = startRecord(manifestBytes());
+  answering(context, (_, { method }) => {
+    if (method === "POST") return new Response(null, { headers: { "Swings-Received": "40" } });
+    const body = new ReadableStream({ start: (controller) => controller.enqueue(start) });
+    return new Response(body, { headers: { "Swings-Play": "a" } });
+  });
+  const { fetcher } = trying(context);
+  const stream = await openSource("http://host/watch/clip/", fetcher);
+  let nowS = 0;
+  const play = stream.play({ firstFrame: 0, mostLayers: 3, nowS: () => nowS });
+  await settled();
+  const counts = [];
+  for (nowS = 2; nowS < 6; nowS += 2) {
+    play.reportPosition(0, false, 1);
+    await settled();
+    counts.push(fetcher.receivedBytes);
+  }
+  assert.deepEqual(counts, [start.length, 40]);
+  play.close();
+});
+
 const MANIFEST = manifestOf();
 const row = (segment) => recordOf(MANIFEST, segment);
 

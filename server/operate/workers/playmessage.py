@@ -10,7 +10,7 @@ import hmac
 import re
 import secrets
 from base64 import urlsafe_b64encode
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 import msgpack
 
@@ -84,9 +84,17 @@ class PlayAnswer:
     """Why the report was refused."""
     report_s: float = 0.0
     """The time after which the play wants the next report, where it goes by them."""
+    received_bytes: float = 0.0
+    """Bytes of the play that its client has received, by its reports."""
 
     def pack(self) -> bytes:
-        fields = (self.outcome, self.rate_bps, self.problem[:500], self.report_s)
+        fields = (
+            self.outcome,
+            self.rate_bps,
+            self.problem[:500],
+            self.report_s,
+            self.received_bytes,
+        )
         packed: bytes = msgpack.packb(fields)
         return packed
 
