@@ -10,7 +10,7 @@ import hmac
 import re
 import secrets
 from base64 import urlsafe_b64encode
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 
 import msgpack
 
