@@ -227,6 +227,7 @@ def test_any_worker_tells_what_all_have_counted_the_dead_ones_too(
         assert figures(server.port)["swings_shed_layers",] == 0
         begin(stack, server.port, PLAY)
         wait_until(lambda: figures(server.port)["swings_active_plays",] == 1)
+        wait_until(lambda: len(server.events("worker_ready")) == 2)
         for line in server.events("worker_ready"):
             os.kill(line["pid"], signal.SIGKILL)
         wait_until(lambda: len(server.events("worker_ready")) == 4)
