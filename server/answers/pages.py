@@ -26,6 +26,8 @@ log = logging.getLogger(__name__)
 NO_REFERRER = {"Referrer-Policy": "no-referrer"}
 """A page's own URL may hold its signature."""
 
+_PREFIX = re.compile(r"(/[A-Za-z0-9._~-]{1,80}){1,8}")
+
 REVALIDATE = {"Cache-Control": "no-cache"}
 
 
@@ -55,12 +57,15 @@ def refused_page(has_expired: bool) -> Response:
 
 
 def _origin(call: Call) -> str:
-    """scheme://host of this server as the client calls it."""
+    """scheme://host of this server as the client calls it, with the path at which a proxy has it."""
     scheme = call.state.scheme
     said = call.request.fields.get("X-Forwarded-Proto", "")
     if said in ("http", "https") and call.peer_is_proxy:
         scheme = said
-    return f"{scheme}://{call.request.host}"
+    prefix = call.request.fields.get("X-Forwarded-Prefix", "").rstrip("/")
+    if not (call.peer_is_proxy and _PREFIX.fullmatch(prefix)):
+        prefix = ""
+    return f"{scheme}://{call.request.host}{prefix}"
 
 
 def _title(stream: ServedStream) -> str:
@@ -116,7 +121,7 @@ def front(call: Call) -> Response:
     return _page(page, gallery.SECURITY)
 
 
-def watch(call: Call) -> Response:
+async def watch(call: Call) -> Response:
     """The browser player with one stream, under the address that swings-play takes too."""
     origin = _origin(call)
     try:
@@ -127,7 +132,11 @@ def watch(call: Call) -> Response:
         return _page(page, htmlpage.SECURITY, error.status)
     player = call.state.web_player
     # An address that needs a signature is not one to be passed on.
-    page = watch_page(_watched(stream, origin), player, shared=call.state.signer is None)
+    watched = _watched(stream, origin)
+    path = picture_path(stream.view.manifest.poster) or ""
+    if stream.live and not await asyncio.to_thread(stream.has_picture, path):
+        watched = replace(watched, poster="")  # it is drawn at the end
+    page = watch_page(watched, player, shared=call.state.signer is None)
     return _page(page, watchpage.security(player))
 
 

@@ -147,6 +147,7 @@ class _Play:
         self._token = token = make_token(state.number, state.play_secret, time.time())
         self._address = call.address
         self.fields = {"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store"}
+        self.fields["X-Accel-Buffering"] = "no"  # nginx passes each slice on at once
         self.fields[PLAY_HEADER] = token
         self._receipts = Receipts() if query.reports else None
         self._plain: PlainRecordEncoder | None = None

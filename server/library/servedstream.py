@@ -158,6 +158,10 @@ class ServedStream:
             return None
         return self._storage.read(path, MAX_CAPTIONS_BYTES)
 
+    def has_picture(self, path: str) -> bool:
+        """Whether there is a picture at `path`. Blocks."""
+        return bool(path) and self._storage.stamp(path) is not None
+
     def read_picture(self, path: str) -> bytes | None:
         """The picture at `path`; None while there is none, and for a path that the manifest does
         not name. Blocks."""

@@ -86,6 +86,28 @@ async def test_a_poster_of_any_name_shows_on_the_front_page(tmp_path: Path) -> N
         assert (found.status, found.headers["Content-Type"]) == (200, "image/png")
 
 
+@pytest.mark.parametrize(
+    ("prefix", "below"),
+    [("/video", "/video"), ("/a/b/", "/a/b"), ("", ""), ("//x", ""), ("/<", "")],
+)
+async def test_what_chats_show_is_where_the_proxy_has_it_and_no_picture_before_it_is_drawn(
+    tmp_path: Path, prefix: str, below: str
+) -> None:
+    stream = stream_with_poster(tmp_path, "walk", "poster.jpg")
+    manifest = stream / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"live": false', '"live": true'))
+    async with served(tmp_path) as (server, client):
+        for drawn in (False, True):
+            if drawn:
+                (stream / "poster.jpg").write_bytes(b"\xff\xd8\xff and so on")
+            page = await fetch(client, "/watch/walk", X_Forwarded_Prefix=prefix)
+            urls = dict(re.findall('property="og:(url|image)" content="([^"]*)"', page.text))
+            assert urls["url"] == f"{server.url}{below}/watch/walk"
+            picture = f"{server.url}{below}/v1/streams/walk/poster.jpg"
+            assert urls.get("image") == (picture if drawn else None)
+            assert ("poster=" in page.text) == drawn
+
+
 async def test_a_stream_of_hardly_any_frames_a_second_leaves_the_front_page_alone(
     tmp_path: Path,
 ) -> None:
