@@ -2,8 +2,12 @@
 
 const TIME = "(?:(\\d{2,}):)?([0-5]\\d):([0-5]\\d)\\.(\\d{3})";
 const TIMING = new RegExp(`^[ \\t]*${TIME}[ \\t]*-->[ \\t]*${TIME}(?:[ \\t].*)?$`);
-/** @type {Record<string, string>} */
-const NAMED = { amp: "&", lt: "<", gt: ">", nbsp: "\u00a0", lrm: "\u200e", rlm: "\u200f" };
+/** Named escapes and what they stand for. */
+const known = new Map(
+  Object.entries({ amp: "&", lt: "<", gt: ">", nbsp: "\u00a0", lrm: "\u200e", rlm: "\u200f" }),
+);
+/** HTML has 2,231 names. A file of others would keep the page busy for seconds. */
+const MOST_KNOWN = 4096;
 
 /**
  * A text that shows from `startS` until before `endS`.
@@ -47,7 +51,7 @@ function plain(text) {
     .replace(/<[^>]*>?/g, "")
     .replace(/&(?:#(\d+)|#x([\da-f]+)|[a-z][a-z\d]*);/gi, (escape, ten, sixteen) => {
       if (ten || sixteen) return character(parseInt(ten ?? sixteen, ten ? 10 : 16));
-      return NAMED[escape.slice(1, -1)] ?? named(escape);
+      return known.get(escape.slice(1, -1)) ?? named(escape);
     });
 }
 
@@ -59,8 +63,10 @@ function character(code) {
 
 /** Resolves a named escape with the browser's caption parser, which runs no code. @param {string} escape */
 function named(escape) {
-  if (typeof VTTCue === "undefined") return escape;
-  return new VTTCue(0, 1, escape).getCueAsHTML().textContent ?? escape;
+  if (typeof VTTCue === "undefined" || known.size >= MOST_KNOWN) return escape;
+  const text = new VTTCue(0, 1, escape).getCueAsHTML().textContent ?? escape;
+  known.set(escape.slice(1, -1), text);
+  return text;
 }
 
 /** The text that shows at a time, one cue below the other. @param {Cue[]} cues @param {number} timeS */

@@ -10,6 +10,23 @@ import { readCues, textAt } from "../captions/webvtt.js";
 import { ByteReader } from "../format/bytes/bytereader.js";
 import { readMap } from "../format/bytes/msgpack.js";
 
+test("a browser is asked for each named escape once, and for no endless number of them", (t) => {
+  let asked = 0;
+  globalThis.VTTCue = class {
+    constructor(...[, , text]) {
+      asked += 1;
+      this.getCueAsHTML = () => ({ textContent: text === "&eacute;" ? "\u00e9" : text });
+    }
+  };
+  t.after(() => delete globalThis.VTTCue);
+  const cue = (text) => readCues(`WEBVTT\n\n00:00.000 --> 00:01.000\n${text}`)?.[0].text;
+  assert.equal(cue("&eacute;".repeat(1000)), "\u00e9".repeat(1000));
+  assert.equal(asked, 1);
+  const hostile = Array.from({ length: 20_000 }, (_, n) => `&n${n};`).join("");
+  assert.equal(cue(hostile), hostile);
+  assert.ok(asked < 5000);
+});
+
 test("the texts and times of WebVTT", () => {
   const cues = (...lines) => readCues(["WEBVTT", ...lines].join("\n"));
   const cue = { startS: 1.5, endS: 3723.004, text: "a" };
