@@ -7,11 +7,13 @@ import signal
 import sys
 import threading
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from codec.console import run_command
+from codec.errors import InvalidError
 
 from .listener import bind, url_of
 from .operate.settings import settings_parser
@@ -19,13 +21,19 @@ from .serving import Service
 from .state.config import ServerConfig
 
 
+SAMPLE = Path(__file__).with_name("sample") / "walk.swings"
+"""Two seconds of a synthetic scene, in less than a megabyte."""
+
+
 @dataclass(frozen=True, slots=True)
 class ServeCommand:
     """Serve one stream, or a folder of streams."""
 
-    root: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="ROOT")]]
+    root: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="ROOT")]] = ""
     """Folder of one stream, its .swings file, or a folder of several of them; or the URL of one of
     these in an object store: s3://BUCKET/PATH."""
+    sample: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Serve the sample that swings brings along, in place of ROOT, and print where to watch it."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 for all IPv4 addresses, :: for all IPv4 and IPv6 addresses."""
     port: int = 8080
@@ -41,12 +49,16 @@ class ServeCommand:
 
 
 def run(command: ServeCommand) -> None:
+    if bool(command.root) == command.sample:
+        raise InvalidError("give the ROOT of your streams, or --sample to see one")
+    root = str(SAMPLE) if command.sample else command.root
     listener = bind(command.host, command.port)
     url = url_of(listener, "http" if command.server.tls_cert is None else "https")
-    service = Service(command.root, command.server, listener)
+    service = Service(root, command.server, listener)
     if command.end_with_stdin:
         threading.Thread(target=_end_with_stdin, daemon=True).start()
-    service.run(ready=lambda: print(f"serving {url}", flush=True))
+    watch = f"\nwatch it in a browser: {url}/watch/{SAMPLE.stem}" if command.sample else ""
+    service.run(ready=lambda: print(f"serving {url}{watch}", flush=True))
 
 
 def _end_with_stdin() -> None:

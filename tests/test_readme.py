@@ -129,7 +129,7 @@ ELSEWHERE = {
 }
 """Tests that run the programs of commands with placeholders, or that take long."""
 
-SERVED = {"swings-serve my-stream", "swings-play http://127.0.0.1:8080"}
+SERVED = {"swings-serve my-stream", "swings-serve --sample", "swings-play http://127.0.0.1:8080"}
 SITE = {
     "swings-stream export my-stream site/stream --static",
     "cp -r player/web site/player",
@@ -174,7 +174,7 @@ def run_words(folder: Path, words: str) -> str:
 
 def test_every_command_of_the_pages_has_a_test() -> None:
     bare = {w for w in COMMANDS if w.startswith("pip ") or w in ENTRY}
-    bare |= {w for w in COMMANDS if re.fullmatch(r"scripts/(test|check|bench( NAME)?)", w)}
+    bare |= {w for w in COMMANDS if re.fullmatch(r"scripts/(setup|test|check|bench( NAME)?)", w)}
     assert set(COMMANDS) - bare == {*MADE, *chain(*ELSEWHERE.values()), *SERVED, *SITE, *NOT_RUN}
     assert len(COMMANDS) > 30
     assert all((ROOT / "tests" / file).is_file() for file in ELSEWHERE)
@@ -227,8 +227,9 @@ def stop_a_run(folder: Path) -> None:
     assert StreamReader(folder / "my-stream").manifest.live
 
 
-def test_what_is_served_can_be_played(folder: Path) -> None:
-    with serving(folder / "my-stream") as url:
+@pytest.mark.parametrize("root", ["my-stream", "--sample"])
+def test_what_is_served_can_be_played(folder: Path, root: str) -> None:
+    with serving(root if root.startswith("-") else folder / root) as url:
         run_words(folder, f"swings-play {url} --capture served.mp4 {PLAYED}")
     assert (folder / "served.mp4").stat().st_size > 0
 

@@ -103,9 +103,12 @@ def started(command: list[str], proxy: Proxy, log: Path, **more: str) -> Iterato
 
 
 @contextlib.contextmanager
-def nginx(backend: int, folder: Path, root: Path = Path("/nowhere")) -> Iterator[Proxy]:
+def nginx(
+    backend: int, folder: Path, root: Path = Path("/nowhere"), tls: bool = True
+) -> Iterator[Proxy]:
     """Runs nginx with TLS in front of the server at port `backend`. root: folder of the streams
-    that it sends from disk itself, with the secrets in `folder`/swings-secrets.map."""
+    that it sends from disk itself, with the secrets in `folder`/swings-secrets.map. tls: False for
+    clients behind an emulated link."""
     port, plain_port = free_port(), free_port()
     certificate, key = make_certificate(folder / "tls")
     user = {r"^user www-data;": "user root;" if os.getuid() == 0 else ""}
@@ -118,7 +121,7 @@ def nginx(backend: int, folder: Path, root: Path = Path("/nowhere")) -> Iterator
             r"/var/log/nginx": str(folder),
             r"/var/cache/nginx": str(folder / "cache"),
             r"listen 80;": f"listen 127.0.0.1:{plain_port};",
-            r"listen 443 ssl": f"listen 127.0.0.1:{port} ssl",
+            r"listen 443 ssl http2": f"listen 127.0.0.1:{port}{' ssl http2' if tls else ''}",
             r"/etc/nginx/swings-secrets": f"{folder}/swings-secrets",
             r"/srv/swings": str(root),
             r"/etc/letsencrypt/live/video.example.org/fullchain.pem": str(certificate),
@@ -138,7 +141,7 @@ def nginx(backend: int, folder: Path, root: Path = Path("/nowhere")) -> Iterator
     assert program is not None
     command = [program, "-c", str(config), "-e", str(folder / "start.log")]
     subprocess.run([*command, "-t"], check=True, capture_output=True)
-    with started(command, Proxy(port, tls=True), folder / "out.log") as proxy:
+    with started(command, Proxy(port, tls), folder / "out.log") as proxy:
         yield proxy
 
 

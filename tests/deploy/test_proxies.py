@@ -10,6 +10,7 @@ import subprocess
 import time
 from base64 import urlsafe_b64encode
 from collections.abc import Iterator
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from codec.stream.playrecord import (
     SliceRecord,
     StartRecord,
 )
+from server.__main__ import SAMPLE
 from server.operate.sign.keyfile import add_key, read_keys
 from server.operate.sign.nginxlink import sign_for_nginx
 from server.operate.sign.signing import Signer
@@ -336,3 +338,27 @@ def test_the_server_learns_the_clients_address_and_no_lies(name: str, tmp_path: 
             assert headers["x-forwarded-for"] == "127.0.0.1", path
             assert headers["x-forwarded-proto"] == ("https" if proxy.tls else "http")
             assert headers["host"] == f"127.0.0.1:{proxy.port}"
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("path", ["/watch/walk", "/v1/streams/walk/manifest.json"])
+def test_a_slow_viewer_gets_as_many_layers_as_without_it(
+    name: str, path: str, tmp_path: Path
+) -> None:
+    """By plays, and by objects: 3 Mbit/s and 20 ms, four times the sample of two seconds."""
+
+    def played(url: str) -> tuple[float, int]:
+        how = ["--link", "3M,20ms", "--loop", "4", "--size", "64x36", "--renderer", "cpu"]
+        files = "--capture", tmp_path / "x.mp4", "--report", tmp_path / "x.json"
+        run_ok("swings-play", url, *how, *files)
+        report = json.loads((tmp_path / "x.json").read_text())
+        layers = [frame["layers"] for frame in report["frames"]]
+        return sum(layers) / len(layers), report["totals"]["stalls"]
+
+    with serving(SAMPLE.parent) as url:
+        layers, stalls = played(url + path)
+        start = partial(nginx, tls=False) if name == "nginx" else caddy
+        with start(int(url.rpartition(":")[2]), tmp_path) as proxy:
+            found, found_stalls = played(f"http://127.0.0.1:{proxy.port}{path}")
+    assert found >= 0.9 * layers
+    assert found_stalls <= stalls
