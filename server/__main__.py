@@ -7,7 +7,6 @@ import signal
 import sys
 import threading
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -17,12 +16,8 @@ from codec.errors import InvalidError
 
 from .listener import bind, url_of
 from .operate.settings import settings_parser
-from .serving import Service
+from .serving import SAMPLE, Service
 from .state.config import ServerConfig
-
-
-SAMPLE = Path(__file__).with_name("sample") / "walk.swings"
-"""Two seconds of a synthetic scene, in less than a megabyte."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 
 STDERR = 2
 
+SAMPLE = Path(__file__).with_name("sample") / "walk.swings"
+"""Two seconds of a synthetic scene in less than a megabyte: something to see before a training."""
+
 
 @dataclass(frozen=True, slots=True)
 class Service:

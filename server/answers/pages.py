@@ -57,7 +57,7 @@ def refused_page(has_expired: bool) -> Response:
 
 
 def _origin(call: Call) -> str:
-    """scheme://host of this server as the client calls it, with the path at which a proxy has it."""
+    """scheme://host of this server as the client calls it, and the path where a proxy has it."""
     scheme = call.state.scheme
     said = call.request.fields.get("X-Forwarded-Proto", "")
     if said in ("http", "https") and call.peer_is_proxy:

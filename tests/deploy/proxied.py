@@ -10,7 +10,7 @@ import shutil
 import socket
 import ssl
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,6 +77,9 @@ class Proxy:
             return response.status, response.headers, response.read()
         finally:
             connection.close()
+
+
+Start = Callable[..., contextlib.AbstractContextManager[Proxy]]
 
 
 @contextlib.contextmanager

@@ -7,13 +7,14 @@ import re
 import socket
 import ssl
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from tests.deploy.proxied import Proxy, caddy, need, nginx
+from tests.deploy.proxied import Proxy, Start, caddy, need, nginx
 from tests.server.hostile.requestcases import smuggling
 from tests.server.hostile.serverprocess import server_process
 from tests.support.hosted_streams import write_stream
@@ -36,7 +37,10 @@ def targets_of_caddy(folder: Path) -> Counter[str]:
     return Counter(record["request"]["uri"] for record in records if "request" in record)
 
 
-PROXIES = {"nginx": (nginx, targets_of_nginx), "caddy": (caddy, targets_of_caddy)}
+PROXIES: dict[str, tuple[Start, Callable[[Path], Counter[str]]]] = {
+    "nginx": (nginx, targets_of_nginx),
+    "caddy": (caddy, targets_of_caddy),
+}
 
 
 def send(proxy: Proxy, sent: bytes, wait_s: float = WAIT_S) -> None:

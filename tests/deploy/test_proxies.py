@@ -25,11 +25,11 @@ from codec.stream.playrecord import (
     SliceRecord,
     StartRecord,
 )
-from server.__main__ import SAMPLE
 from server.operate.sign.keyfile import add_key, read_keys
 from server.operate.sign.nginxlink import sign_for_nginx
 from server.operate.sign.signing import Signer
-from tests.deploy.proxied import Proxy, caddy, free_port, need, nginx
+from server.serving import SAMPLE
+from tests.deploy.proxied import Proxy, Start, caddy, free_port, need, nginx
 from tests.support.commands import run_ok, serving
 from tests.support.hosted_streams import (
     SEGMENT_FRAMES,
@@ -39,7 +39,7 @@ from tests.support.hosted_streams import (
     write_stream,
 )
 
-PROXIES = {"nginx": nginx, "caddy": caddy}
+PROXIES: dict[str, Start] = {"nginx": nginx, "caddy": caddy}
 FRAMES = 20
 OBJECT = "/v1/streams/walk/segments/1/2"
 
