@@ -253,8 +253,8 @@ class HostedSource:
 
     def _hear(self, play: HostedPlay) -> None:
         status, self._status = self._status, None
-        if status is not None:
-            play.session.on_status(time.monotonic(), status)
+        if status is not None and (said := play.note_status(time.monotonic(), status)):
+            log.warning("%s: %s", self.name, said)
 
     def _ask(self, play: HostedPlay, open_spans: dict[Ask, Span]) -> Wait:
         """Sends the requests that are worth it now."""

@@ -15,6 +15,7 @@ from codec.framerange import FrameRange
 from codec.stream.index import SegmentRecord
 from codec.stream.manifest import MASKS, Manifest, Part, is_snapshot, snapshot_part
 from player.network.diskcache import DiskCache
+from server.abr.clientstatus import ClientStatus
 from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
 from server.abr.media import RecordedMedia
 from server.abr.session import (
@@ -39,6 +40,10 @@ MOST_FAR_ASKS = 8
 """So many requests may be open, each on a connection of its own, before another one is made: they
 share the link, and what is needed first comes later. Far away, where objects are shorter than the
 round trip, more of them fill the link."""
+
+STANDS_STILL = 3
+"""So many reports of a picture that waits for data make a link too slow, if it carries less than
+layer 0."""
 
 ASK_S = 0.04
 """The round trip for which there is one request more, seconds."""
@@ -110,6 +115,7 @@ class HostedPlay:
         self._chosen: list[Send] = []
         """Decisions of the session, of one segment each, that were not requested yet."""
         self._unsent: deque[Ask] = deque()
+        self._stood_still = 0
         self._ended_bytes = 0
         """Bytes of requests that were answered whole."""
 
@@ -149,6 +155,23 @@ class HostedPlay:
                 self._forget()
                 self._chosen = self._by_segment(decision)
             self._want(self._chosen.pop(0), now_s)
+
+    def note_status(self, now_s: float, status: ClientStatus) -> str:
+        """Applies a status report of the player. Gives what to tell the viewer of a link that is
+        too slow, once; else nothing."""
+        self.session.on_status(now_s, status)
+        rate_bps, media = self.session.rate_bps, self.media
+        if rate_bps is None or status.paused or status.buffer_s != 0.0 or not media.num_frames:
+            return ""
+        frame = min(status.frame or 0, media.num_frames - 1)
+        need_bps = 8 * media.fps * media.sizes(frame).layer_bytes[0]
+        if rate_bps >= need_bps:
+            return ""
+        self._stood_still += 1
+        if self._stood_still != STANDS_STILL:
+            return ""
+        carried, needed = (f"{bps / 1e6:.2g}" for bps in (rate_bps, need_bps))
+        return f"this connection carries {carried} of the {needed} Mbit/s that this video needs"
 
     def _would_delay_the_start(self, now_s: float) -> bool:
         """Whether another request would take too much of the link from those that the first picture

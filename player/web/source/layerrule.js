@@ -62,6 +62,7 @@ export class LayerRule {
     const { fps, segmentFrames } = this.manifest;
     const current = Math.max(this.first, this.#segmentOf(nextFrame));
     for (const known of this.levels.keys()) if (known < current - 1) this.levels.delete(known);
+    for (const name of this.lost) if (parseInt(name, 10) < current - 1) this.lost.delete(name);
     const startS = (/** @type {number} */ segment) => (segment * segmentFrames - nextFrame) / fps;
     let base = current;
     while (this.#level(base) > 0) base += 1;

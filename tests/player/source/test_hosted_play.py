@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -149,8 +150,10 @@ def watched(
     steps: list[tuple[float, float]],
     knows_ranges: bool = True,
     round_trip_s: float = 0.0,
+    said: list[str] | None = None,
 ) -> tuple[list[FrameRecord], Playout]:
-    """A window's play over a link. steps: seconds, and what it carries as a share of the stream."""
+    """A window's play over a link. steps: seconds, and what it carries as a share of the stream.
+    said: gets what the viewer is told."""
     play = HostedPlay(reader.manifest, reader.records, FrameRange(0, NUM_FRAMES), 0.0)
     link = MadeLink(reader, play, knows_ranges, round_trip_s=round_trip_s)
     playout = Playout(reader.manifest, 0, NUM_FRAMES, config=WINDOW_PLAYOUT)
@@ -161,8 +164,9 @@ def watched(
             playout.push(one, link.now_s)
         while (due := playout.pop_due(link.now_s)) is not None:
             frames.append(due.record)
-        place_s = playout.place(link.now_s)
-        play.session.on_status(link.now_s, ClientStatus(*place_s))
+        told = play.note_status(link.now_s, ClientStatus(*playout.place(link.now_s)))
+        if told and said is not None:
+            said.append(told)
     return frames, playout
 
 
@@ -207,9 +211,14 @@ def test_a_far_host_is_asked_for_more_at_once(reader: StreamReader) -> None:
 def test_a_link_that_is_too_slow_plays_in_few_pieces(reader: StreamReader) -> None:
     base_bytes = sum(record.object_bytes[0] + record.side_bytes[0] for record in reader.records)
     share = 0.3 * 8 * FPS * base_bytes / NUM_FRAMES / need_bps(reader)
-    frames, playout = watched(reader, [(60.0, share)])
+    said = list[str]()
+    frames, playout = watched(reader, [(60.0, share)], said=said)
     assert [one.frame for one in frames] == list(range(NUM_FRAMES))
     assert playout.totals.stalls <= 3
+    assert len(said) == 1
+    assert re.match(
+        r"this connection carries \S+ of the \S+ Mbit/s that this video needs$", said[0]
+    )
 
 
 def test_a_play_with_a_known_rate_asks_for_layer_0_of_its_frame_and_no_more_yet(

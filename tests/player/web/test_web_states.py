@@ -110,6 +110,7 @@ def test_a_failure_is_a_sentence_and_may_be_tried_again(desk: Reached) -> None:
     sentence = page.value("part('.sentence').textContent")
     assert sentence == "This video does not exist, or is not here any more."
     assert "HTTP 404" in page.value("part('.failure .note').textContent")
+    assert page.value("player.workers === null"), "its workers and their memory are free"
     assert not page.value("part('.bar').checkVisibility()")
     check_accessible(page)
     desk.do(*clicks("summary"))
