@@ -16,6 +16,7 @@ export const CAPTIONS_STYLE = /* css */ `
   overflow-wrap: anywhere; pointer-events: none; unicode-bidi: plaintext;
 }
 .captions:empty { display: none; }
+@container (max-height: 260px) { .captions { bottom: calc(var(--least) + 28px); padding-block: 0; } }
 @media (forced-colors: active) { .captions { border: 1px solid CanvasText; background: Canvas; color: CanvasText; } }
 `;
 

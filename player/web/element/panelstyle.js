@@ -24,6 +24,8 @@ kbd {
   padding: 1px 6px; border: 1px solid rgb(255 255 255 / 0.35); border-radius: 4px;
   font: inherit; font-size: 0.9em; color: #d6d6dc;
 }
+/* A low player has no room for both. */
+@container (max-height: 260px) { .menu { --under: 4px; } }
 @media (pointer: coarse) { .menu kbd { display: none; } }
 .keylist {
   box-sizing: border-box; width: min(92vw, 46rem); max-height: 88vh; padding: 1.2rem 1.6rem;

@@ -118,8 +118,9 @@ def test_what_cannot_be_read_is_one_sentence(page: Page, url: str, folder: Path)
 def test_a_long_caption_uses_the_width(page: Page, url: str) -> None:
     opened(page, url, "static&t=1.5")
     page.wait("part('.captions')")
-    page.run("part('.captions').textContent = 'all the words of it '.repeat(30)")
-    assert page.value("part('.captions').offsetWidth") == pytest.approx(0.86 * 640, abs=1)
+    fill = "part('.captions').textContent = 'all the words of it '.repeat(30);"
+    width_px = page.run(f"{fill} return part('.captions').offsetWidth")
+    assert width_px == pytest.approx(0.86 * 640, abs=1)
 
 
 ROW = """
