@@ -121,11 +121,6 @@ def test_a_folder_gives_no_file_from_elsewhere(name: str, tmp_path: Path) -> Non
     refused(UnsupportedError, "is not the name of a file beside", read_splats, tmp_path)
 
 
-def test_a_folder_cannot_claim_more_than_its_files_hold(tmp_path: Path) -> None:
-    (tmp_path / "meta.json").write_text(json.dumps(META | {"count": 1 << 24}))
-    refused(CorruptError, "claims to decompress", read_splats, tmp_path)
-
-
 @given(drawn_splats(max_count=40))
 @settings(max_examples=60, deadline=None)
 def test_a_few_gaussians_lose_little(splats: Splats) -> None:

@@ -81,13 +81,6 @@ def test_spz_by_hand(data: bytes) -> None:
     assert splats.sh[0, 1:].tolist() == [[0, 1, -127 / 128], [-0.5, -0.5, -0.5], [-0.5, -0.5, -0.5]]
 
 
-def test_spz_2_keeps_the_rotation_in_three_bytes() -> None:
-    splats = decode_any(legacy(2, bytes([255, 127, 128]) + bytes([128, 128, 0])))
-    small = 0.5 / 127.5
-    assert splats.quats[0] == pytest.approx([0, 1, small, -small], abs=1e-6)
-    assert splats.quats[1] == pytest.approx([0, small, -small, 1], abs=3e-5)
-
-
 def test_spz_1_keeps_half_floats() -> None:
     positions = np.array([[1, -1, 0.5], [-2, 0.1, 65504]], "<f2")
     data = legacy(2, FIRST_THREE)

@@ -17,7 +17,6 @@ from codec.lattice.quantise import (
     MAX_COARSENESS,
     MAX_LOGIT,
     MIN_COARSENESS,
-    from_luma,
     layer_coarseness,
     opacity_logits,
     position_step_m,
@@ -136,12 +135,6 @@ def test_canonical_form(quat: tuple[float, ...], log_scale: tuple[float, ...], n
     expected = covariances(log_scales.astype(float), quats.astype(float))
     actual = covariances(found_scales, found_quats)
     assert np.abs(actual - expected).max() <= 1e-5 * np.exp(2 * log_scales.max())
-
-
-@given(st.tuples(numbers, numbers, numbers))
-def test_luma_has_an_inverse(rgb: tuple[float, ...]) -> None:
-    y, co, cg = to_luma(np.array(rgb)).astype(np.float32)
-    assert from_luma(y, co, cg) == pytest.approx(rgb, abs=1e-6)
 
 
 @pytest.mark.parametrize("levels", [2, 3, 225, 256])

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
-import sys
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +29,7 @@ from codec.stream import StreamReader
 from codec.stream.layers import Rank
 from codec.tools.audit import verify_stream
 from player.streamcommand import draw_poster
-from tests.support.commands import ROOT, run, run_ok
+from tests.support.commands import run, run_ok
 from tests.support.deforming import Deforming
 from tests.support.hostile import file_limit, refused
 from tests.support.trained_like import trained_like_splats
@@ -256,35 +253,6 @@ def test_memory_does_not_grow_with_the_frames(tmp_path: Path) -> None:
         tracemalloc.stop()
     assert peaks[1] - peaks[0] < 2 * first.stat().st_size
     assert sum(file.stat().st_size for file in folder.iterdir()) > 40 * first.stat().st_size
-
-
-KILLED = """
-import os, sys
-from pathlib import Path
-from codec.console import ending_by_signals
-from codec.sequence.importing import ImportOptions, import_stream
-
-def die(done, total, what):
-    if what.startswith("wrote frame 9 "):
-        os.kill(os.getpid(), int(sys.argv[3]))
-
-with ending_by_signals():
-    import_stream(Path(sys.argv[1]), Path(sys.argv[2]), ImportOptions(fps=30), progress=die)
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_killed_import_leaves_no_stream(tmp_path: Path, number: signal.Signals) -> None:
-    folder, out = moving(tmp_path / "seq", 12), tmp_path / "s"
-    words = [sys.executable, "-c", KILLED, str(folder), str(out), str(int(number))]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == (-number if number == signal.SIGKILL else 1), done.stderr
-    assert not out.exists()
-    left = {"seq"} if number == signal.SIGTERM else {"seq", ".s.tmp"}
-    assert {path.name for path in tmp_path.iterdir()} == left
-    import_stream(folder, out, OPTIONS)
-    assert verify_stream(out).num_frames == 12
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["s", "seq"]
 
 
 COUNT = 400

@@ -121,6 +121,8 @@ def test_the_first_of_several_damaged_files_is_named(stream: Path) -> None:
     found(stream, "segments/0/1")
     (stream / "segments/0/0").unlink()
     refused(CodecError, r"segments/0/0 is missing", verify_stream, stream)
+    (stream / "index.bin").unlink()
+    refused(CodecError, r"stream.*index\.bin", verify_stream, stream)
 
 
 @pytest.mark.parametrize(
@@ -207,29 +209,6 @@ def test_what_a_faulty_writer_would_do_is_named(updates: Path, tmp_path: Path) -
     put_packets(updates, 0, MASKS, masks)
     put_packets(updates, 0, 1, packets_of(updates, 0, 1)[1:])
     refused_window(r"segments/0/1: .*it is missing, but the mask declares")
-
-
-@pytest.mark.parametrize(
-    ("name", "old", "new"),
-    [
-        ("manifest.json", b'"segment_frames": 4', b'"segment_frames": 5'),
-        ("manifest.json", b'"fps": 25.0', b'"fps": "x"'),
-        ("index.bin", b"", None),
-    ],
-)
-def test_an_altered_file(stream: Path, name: str, old: bytes, new: bytes | None) -> None:
-    path = stream / name
-    data = path.read_bytes()
-    path.unlink()
-    if new is not None:
-        path.write_bytes(data.replace(old, new))
-    error: CodecError = refused(CodecError, "", verify_stream, stream)
-    message = str(error)
-    assert str(stream) in message
-    # A contradictory manifest is reported at the first file that is compared with it.
-    assert name.split("/")[0] in message or name == "manifest.json"
-    assert "\n" not in message
-    assert new != b'"fps": "x"' or "fps is missing or of the wrong type" in message
 
 
 FRAMES = 7

@@ -283,15 +283,6 @@ def test_no_plan_is_better_than_the_one_it_follows(
     assert followed == pytest.approx(best, abs=1e-6)
 
 
-def test_it_pays_to_rise_where_the_layers_can_be_kept() -> None:
-    # Three layers need 320 kbit/s, the rise to them 320 kbit.
-    slots = group(snapshot_bytes=(50e3, 20e3, 20e3))
-    stay = group(snapshot_bytes=(50e3, 20e3, 20e3), can_rise=False)
-    assert best_plan(situation((slots, stay, stay, stay)), 400e3, 25.0, QOE) == 3
-    assert best_plan(situation((slots, stay, stay, stay), lead_s=0.1), 400e3, 25.0, QOE) == 1
-    assert best_plan(situation((stay, slots, stay, stay)), 400e3, 25.0, QOE) == 1
-
-
 def predictions(rates_bps: list[float]) -> list[float]:
     rule, now = RobustMpcRule(RobustMpcConfig(past=3)), situation()
     return [rule._rate_bps(later(now, 0.5, rate_bps)) for rate_bps in rates_bps]
