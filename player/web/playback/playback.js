@@ -64,8 +64,11 @@ export class Playback {
     this.leadS = LEAD_S;
     /** When playback went on after the last stall. */
     this.resumedS = -Infinity;
-    /** The first frame that has not arrived; endFrame goes not as far ahead. Set by the caller. */
-    this.heldFrame = firstFrame;
+    /**
+     * The first frame that has not arrived; endFrame goes not as far ahead. Set by a caller that knows it:
+     * otherwise no lead is longer than the first one.
+     */
+    this.heldFrame = Infinity;
     /** Whether the link carries less than layer 0. Set by the caller. */
     this.isLinkThin = false;
     this.refinedS = -Infinity;

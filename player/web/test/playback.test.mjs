@@ -127,6 +127,7 @@ function leads(runsS, { isLive = false, isThin = false } = {}) {
     playback.isLinkThin = isThin;
     for (;;) {
       play.end += 1;
+      playback.heldFrame = play.end;
       assert.equal(playback.tick((nowS += 1 / 16)) ?? null, null);
       if (!playback.waiting) return (play.end - first) / 16;
     }
@@ -156,7 +157,7 @@ test("the more often playback stalls, the more is waited for, and less again aft
 
 test("what is not decoded yet counts as a longer lead, and a pause of a calm play as none", () => {
   const { play, playback } = running({ fps: 16, end: 3 });
-  playback.isLinkThin = true;
+  Object.assign(playback, { isLinkThin: true, heldFrame: 3 });
   playback.tick(1.25);
   assert.deepEqual([playback.stalls, playback.leadS, playback.isStuttering], [1, 1, false]);
   play.end = 5;
@@ -318,7 +319,7 @@ function lived(speed, delayS, beganS) {
   for (; !playback.hasEnded; ticks++) {
     const nowS = beganS + ticks / 61;
     assert.ok(nowS < beganS + 40, "it ends");
-    play.end = playback.numFrames = known(nowS);
+    play.end = playback.heldFrame = playback.numFrames = known(nowS);
     playback.live = known(nowS) < numFrames;
     const shown = playback.tick(nowS);
     if (shown !== null) frames.push(shown.frame);
