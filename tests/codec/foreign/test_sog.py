@@ -26,7 +26,6 @@ from tests.support.drawn import angles_rad, drawn_splats, same_splats
 from tests.support.hostile import refused, within_bytes
 from tests.support.trained_like import trained_like_splats
 
-HALF = np.sqrt(0.5)
 BOOK = [(i - 128) / 16 for i in range(256)]
 PIXELS = {
     # Two Gaussians in the upper row, nothing in the lower.
@@ -82,23 +81,6 @@ def bundled(
 
 def changed(**parts: object) -> bytes:
     return bundled(files_of(META | parts))
-
-
-@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
-def test_sog_by_hand(method: int) -> None:
-    splats = decode_any(bundled(files_of(META), method))
-    share = 0x8000 / 65535
-    last = [np.expm1(1), np.expm1(3), np.expm1(2)]
-    assert splats.means[0] == pytest.approx([-np.expm1(1), last[1], np.expm1(-2 + 4 * share)])
-    assert splats.means[1] == pytest.approx(last)
-    assert splats.log_scales.tolist() == [[0, -1, -8], [127 / 16, 1, 0]]
-    # 252: w is left out, and x, y, z follow; 255: z is left out, and w, x, y follow.
-    assert splats.quats[0] == pytest.approx([HALF, HALF, 0, 0], abs=0.004)
-    assert splats.quats[1] == pytest.approx([0, HALF, -HALF, 0], abs=0.06)
-    assert splats.opacities == pytest.approx([254.75 / 255, 0.2], abs=1e-6)
-    assert splats.sh[:, 0].tolist() == [[0, 1, -1], [-8, 127 / 16, 0]]
-    assert splats.sh[0, 1:].tolist() == [[1, 0, 0], [0, 2, 0], [0, 0, 4]]
-    assert splats.sh[1, 1:].tolist() == [[0, 0, 1]] * 3
 
 
 def test_a_folder_of_these_files_is_the_same_model(tmp_path: Path) -> None:

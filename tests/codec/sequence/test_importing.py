@@ -31,7 +31,7 @@ from codec.tools.audit import verify_stream
 from player.streamcommand import draw_poster
 from tests.support.commands import run, run_ok
 from tests.support.deforming import Deforming
-from tests.support.hostile import file_limit, refused
+from tests.support.hostile import refused
 from tests.support.trained_like import trained_like_splats
 
 OPTIONS = ImportOptions(fps=30)
@@ -229,15 +229,6 @@ def test_the_commands(tmp_path: Path) -> None:
         assert all(text in done.stderr for text in says)
         assert status == 1 or "none.ply" not in done.stderr
     assert not (tmp_path / "other").exists()
-
-
-@pytest.mark.skipif(not Path("/proc").exists(), reason="needs Linux: RLIMIT_FSIZE")
-def test_a_full_disk_is_told_by_the_name_of_the_file_that_has_no_room(tmp_path: Path) -> None:
-    folder = moving(tmp_path / "seq", 2, 3000)
-    with file_limit(9000), pytest.raises(OSError, match="File too large") as caught:
-        import_stream(folder, tmp_path / "s", OPTIONS)
-    assert f"{tmp_path}/s/segments/0/" in str(caught.value)
-    assert [path.name for path in tmp_path.iterdir()] == ["seq"]
 
 
 def test_memory_does_not_grow_with_the_frames(tmp_path: Path) -> None:

@@ -14,13 +14,7 @@ from codec.errors import CodecError, CorruptError, InvalidError
 from codec.slots.update import Update
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import describe, summarise
-from codec.tools.plot import (
-    JOIN_COLOUR,
-    STATUS_COLOURS,
-    draw_stream,
-    played_bands,
-    slot_bands,
-)
+from codec.tools.plot import JOIN_COLOUR, STATUS_COLOURS, draw_stream, played_bands, slot_bands
 from codec.tools.slotcensus import count_slots
 from tests.support.commands import run, run_ok
 from tests.support.hostile import refused

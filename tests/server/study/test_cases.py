@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import random
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,7 @@ from codec.errors import InvalidError
 from codec.stream import StreamReader, StreamWriter
 from server.abr.link.link import Link, LinkStep
 from server.abr.media import segment_sizes
-from server.study.cases import LOAD_WINDOW, Case, at_load
+from server.study.cases import LOAD_WINDOW, at_load
 from server.study.looped import LoopedMedia, open_media
 from server.study.plays import Rules, run_play
 from server.study.simulate.generate import GeneratorConfig, generate
@@ -94,10 +93,7 @@ def link_of(*steps: tuple[float, float]) -> Link:
     return Link([LinkStep(duration_s, rate_bps, 0.02) for duration_s, rate_bps in steps])
 
 
-@given(
-    rates=st.lists(st.floats(1e3, 1e8), min_size=1, max_size=8),
-    load=st.floats(0.1, 10),
-)
+@given(rates=st.lists(st.floats(1e3, 1e8), min_size=1, max_size=8), load=st.floats(0.1, 10))
 def test_a_load_is_the_mean_over_what_is_needed(rates: list[float], load: float) -> None:
     trace = Trace("t", link_of(*((7.0, rate) for rate in rates)))
     link = at_load(trace, load, MEDIA).link
@@ -117,21 +113,11 @@ def test_a_silent_trace_and_a_load_out_of_reach_are_refused() -> None:
     refused(InvalidError, "load is 0", at_load, Trace("t", link_of((9, 1e6))), 0.0, MEDIA)
 
 
-PLAYED = replace(MEDIA, num_frames=240)
-TRACE = Trace(
-    "uneven", Link([LinkStep(2, 8e6, 0.02), LinkStep(1.5, 0.2e6, 0.04), LinkStep(3, 5e6, 0.02)])
-)
-RULES = Rules()
-
-
-def case_of(load: float) -> Case:
-    return at_load(TRACE, load, PLAYED)
-
-
 def test_a_play_that_does_not_end_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("server.study.plays.MOST_S", 4.0)
+    case = at_load(Trace("uneven", link_of((9, 1e6), (3, 2e5))), 0.5, MEDIA)
     with pytest.raises(InvalidError, match=r"trace uneven at load 0\.5: bola has shown"):
-        run_play(PLAYED, case_of(0.5), "bola", RULES)
+        run_play(MEDIA, case, "bola", Rules())
 
 
 FRAMES, FPS, SEGMENT = 14, 25.0, 4

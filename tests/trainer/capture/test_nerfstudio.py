@@ -69,18 +69,6 @@ def test_pictures_as_written(tmp_path: Path, form: str) -> None:
             assert np.array_equal(picture, picture_of(index, frame))
 
 
-def test_opengl_axes(tmp_path: Path) -> None:
-    # At (1, 2, 3), looking along the world's -z with y up: the identity in OpenGL.
-    pose = np.eye(4)
-    pose[:3, 3] = 1, 2, 3
-    write_nerfstudio(tmp_path)
-    edit(tmp_path, lambda v: v["frames"][0].update(transform_matrix=pose[:3].tolist()))
-    camera = open_capture(tmp_path).cameras[0].camera
-    assert np.allclose(camera.position, (1, 2, 3))
-    assert np.allclose(camera.forward, (0, 0, -1))
-    assert np.allclose(camera.w2c[1, :3], (0, -1, 0))
-
-
 def test_distortion_is_taken_out_of_pictures_and_videos(tmp_path: Path) -> None:
     lens = Lens(k1=-0.1, k2=0.02, k3=0.001, p1=0.002, p2=-0.001)
     terms = {"k1": -0.1, "k2": 0.02, "k3": 0.001, "p1": 0.002, "p2": -0.001, "k4": 0.0}

@@ -109,7 +109,10 @@ def play_through(
         return None
     assert clock.started_s is not None
     psnr_db = [frame.psnr_db for frame in shown]
-    return score(psnr_db, media.fps, clock.started_s, clock.stalled_s, clock.stalls, qoe)
+    found = score(psnr_db, media.fps, clock.started_s, clock.stalled_s, clock.stalls, qoe)
+    assert sum(db < found.low_psnr_db for db in psnr_db) <= 0.05 * len(psnr_db)
+    assert sum(db <= found.low_psnr_db for db in psnr_db) > 0.05 * len(psnr_db) - 1e-9
+    return found
 
 
 RULES = (SessionConfig(), QoeConfig())
