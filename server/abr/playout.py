@@ -28,8 +28,8 @@ class PlayoutConfig:
     arrives."""
     longest_lead_s: float = 0.0
     """The most that is waited for after stalls that follow each other within CALM_S of playback,
-    LONGER_LEAD_S first and then twice as much each time; half of it where the end is not known, as
-    a live stream would fall behind. 0 waits for resume_lead_s always."""
+    LONGER_LEAD_S first and then twice as much each time. 0 waits for resume_lead_s always, and so
+    does a live stream, whose next frames may not exist yet."""
     conceal_s: float = 0.0
     """Seconds that the picture may freeze while the media time runs on. If the late frame arrives
     in that time, playback skips to the current frame without delay. If not, playback stalls."""
@@ -181,10 +181,11 @@ class PlayoutClock:
     def _resume_lead_s(self) -> float:
         """The lead that the stall waits for that is under way."""
         config = self._config
-        if self.due_s(self.end_frame) - self._resumed_s > CALM_S:
+        is_calm = self.due_s(self.end_frame) - self._resumed_s > CALM_S
+        if is_calm or self.until_frame is None:
             return config.resume_lead_s
-        longest_s = config.longest_lead_s * (0.5 if self.until_frame is None else 1.0)
-        return max(config.resume_lead_s, min(longest_s, max(LONGER_LEAD_S, 2 * self._lead_s)))
+        longer_s = min(config.longest_lead_s, max(LONGER_LEAD_S, 2 * self._lead_s))
+        return max(config.resume_lead_s, longer_s)
 
     def _conceals(self, now_s: float) -> bool:
         """Goes on as if nothing had been missing, where that lasted no longer than it may."""

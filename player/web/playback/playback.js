@@ -251,12 +251,12 @@ export class Playback {
 
   /** Whether enough data has arrived to continue playback. */
   #hasLead() {
-    const isPast = (/** @type {number} */ end, /** @type {number} */ leadS) => {
-      const lead = this.nextFrame + Math.ceil(leadS * this.fps);
-      return end >= (this.live ? lead : Math.min(this.numFrames, lead));
-    };
-    const held = Math.max(this.endFrame, this.heldFrame);
-    return isPast(this.endFrame, LEAD_S) && isPast(held, this.leadS);
+    const { numFrames, endFrame } = this;
+    const after = (/** @type {number} */ leadS) => this.nextFrame + Math.ceil(leadS * this.fps);
+    const least = this.live ? after(LEAD_S) : Math.min(numFrames, after(LEAD_S));
+    // A longer lead is for the link: frames that do not exist yet are not waited for.
+    const held = Math.max(endFrame, this.heldFrame);
+    return endFrame >= least && held >= Math.min(numFrames, after(this.leadS));
   }
 
   /** Updates endFrame, the end of the frames that can be played without a gap. */

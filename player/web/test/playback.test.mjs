@@ -153,6 +153,12 @@ test("the more often playback stalls, the more is waited for, and less again aft
   assert.deepEqual(leads([3, 19, 21, 3]), [one, one, 1, one, 1]);
   assert.deepEqual(leads([3, 3, 3, 3], { isLive: true }), [one, one, 1, 2, 2]);
   assert.deepEqual(leads([3, 3, 3], { isThin: true }), [one, 1, 2, 4]);
+  const { play, playback } = running({ fps: 16, end: 3, numFrames: 3 });
+  Object.assign(playback, { live: true, isLinkThin: true });
+  playback.tick(1.25);
+  play.end = playback.heldFrame = playback.numFrames = 5;
+  playback.tick(2);
+  assert.deepEqual([playback.leadS, playback.waiting], [1, false], "no more frames exist");
 });
 
 test("what is not decoded yet counts as a longer lead, and a pause of a calm play as none", () => {

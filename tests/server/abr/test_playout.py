@@ -84,7 +84,7 @@ def test_a_stall_ends_with_a_lead() -> None:
     [
         (10_000, [3, 3, 3, 3, 3], [0.1, 1, 2, 4, 4]),
         (10_000, [3, 19, 21, 3], [0.1, 1, 0.1, 1]),
-        (None, [3, 3, 3, 3], [0.1, 1, 2, 2]),
+        (None, [3, 3, 3, 3], [0.1, 0.1, 0.1, 0.1]),
     ],
 )
 def test_stalls_that_follow_each_other_wait_for_more(
