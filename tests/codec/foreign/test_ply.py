@@ -23,8 +23,6 @@ from tests.support.drawn import drawn_splats, same_splats
 from tests.support.hostile import refused
 from tests.support.trained_like import trained_like_splats
 
-HALF = np.sqrt(0.5)
-
 
 def header(*elements: str, layout: str = "binary_little_endian") -> bytes:
     return "\n".join(["ply", f"format {layout} 1.0", *elements, "end_header", ""]).encode()
