@@ -47,6 +47,8 @@ export class LiveBadge {
       player.addEventListener(type, () => this.#show(), { signal });
     }
     signal.addEventListener("abort", () => clearTimeout(this.#timer));
+    watch(); // the stream may be open already
+    this.#show();
   }
 
   /** @param {boolean} hasStopped */

@@ -53,10 +53,9 @@ export class Scrubber {
       if (event.pointerType === "mouse") this.#hover(event.offsetX);
     });
     this.input.addEventListener("pointerleave", () => (this.preview.hidden = !this.#scrubbing));
-    for (const type of ["opened", "grown"]) {
-      const fit = () => (this.input.max = String(Math.max(0, player.numFrames - 1)));
-      player.addEventListener(type, fit, { signal });
-    }
+    const fit = () => (this.input.max = String(Math.max(0, player.numFrames - 1)));
+    fit(); // the stream may be open already
+    for (const type of ["opened", "grown"]) player.addEventListener(type, fit, { signal });
     player.addEventListener("opened", () => this.#storyboard?.clear(), { signal });
   }
 

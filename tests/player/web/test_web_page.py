@@ -17,7 +17,7 @@ from scripts import webbundle
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.web import nodeprocess
 from tests.support.web.chromium import Page
-from tests.support.web.site import SLOW_DOWN, Site, player_host, watch
+from tests.support.web.site import LONG_FRAMES, SLOW_DOWN, Site, player_host, watch
 
 NOTE = "part('.note:not(.soft)').textContent"
 SOFT_NOTE = "part('.note.soft').textContent"
@@ -83,6 +83,7 @@ def test_without_the_code_of_its_controls_a_player_plays(
         controls.rename(tmp_path / "player" / "controls.js")
         page.press("k")
         page.wait("element.paused && part('.bar').checkVisibility()")
+        assert page.value("part('.scrub').max") == f"{LONG_FRAMES - 1}"
 
 
 @pytest.mark.parametrize(

@@ -276,7 +276,7 @@ def page_under(hosts: Hosts, trusted_types: str, more: str) -> str:
 
 def test_under_trusted_types(page: Page, hosts: Hosts) -> None:
     page.open(page_under(hosts, "'none'", "<swings-player>"))
-    page.wait("player")
+    page.wait("part('.more')")
     page.press("Tab")
     page.run("part('.more').click()")
     page.wait("part('[data-name=keys]')")
