@@ -171,6 +171,8 @@ def test_each_slice_is_decoded_once(finished: Path, monkeypatch: pytest.MonkeyPa
 
 def test_arguments_out_of_range(finished: Path) -> None:
     reader = StreamReader(finished)
+    named = (finished / name for name in ("manifest.json", "index.bin"))
+    assert reader.overhead_bytes == sum(path.stat().st_size for path in named)
     wrong: list[Callable[[], object]] = [
         lambda: reader.slice(NUM_FRAMES, 1),
         lambda: reader.slice(-3, 1),
