@@ -69,23 +69,22 @@ class PlainRecordEncoder:
         """The record's bytes in the body, all that a reader needs to take it; last: with the end of
         the body. Raises InvalidError if no reader would take them, and CorruptError for a packet
         that is not one."""
+        return self.encode_sized(record, last)[0]
+
+    def encode_sized(self, record: Record, last: bool = False) -> tuple[bytes, int]:
+        """The same, and the record's bytes as its reader gets them, without the body's coding."""
         pieces = _pieces(record)
+        plain_bytes = sum(len(data) if size is None else size for data, size in pieces)
         if self._zstd is not None:
-            return b"".join(
-                self._zstd.compress(data) if size is None else data for data, size in pieces
-            )
+            coded = (self._zstd.compress(data) if size is None else data for data, size in pieces)
+            return b"".join(coded), plain_bytes
         body = b"".join(
             data if size is None else zstd.decompress(data, size) for data, size in pieces
         )
         if self._gzip is None:
-            return body
+            return body, plain_bytes
         flush = zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH
-        return self._gzip.compress(body) + self._gzip.flush(flush)
-
-
-def plain_bytes(record: Record) -> int:
-    """Bytes of the record in the body as its reader gets it, without the body's coding."""
-    return sum(len(data) if size is None else size for data, size in _pieces(record))
+        return self._gzip.compress(body) + self._gzip.flush(flush), plain_bytes
 
 
 def inflates_whole(data: bytes, entries: Sequence[ChunkEntry]) -> bool:

@@ -87,7 +87,7 @@ class ReceivedPoints:
                 del self._points[:-1:2]  # every other one; the newest stays
 
     def take(self) -> tuple[tuple[int, int], ...]:
-        """What was added since the last time."""
+        """The points added since the last call."""
         with self._lock:
             points, self._points = self._points, []
         return tuple(points)
@@ -354,7 +354,8 @@ class ServedSource:
             self._rate_bps = rate_bps or self._rate_bps
             self._set_report_s(answer)
             # More than what came: a play is sent a few seconds ahead, and less while it is paused.
-            self._told_frames = parse_frame(answer.headers.get(NUM_FRAMES_HEADER, "")) or 0
+            told_frames = parse_frame(answer.headers.get(NUM_FRAMES_HEADER, "")) or 0
+            self._told_frames = max(self._told_frames, told_frames)
             if answer.status == 404:
                 self._ended_play = token  # the connection broke, and another play may follow
             elif answer.status == 405:

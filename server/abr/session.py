@@ -246,7 +246,8 @@ class PlaySession:
             if gone_bytes <= 0:
                 return
             self._begins = False
-            took_s = now_s - sent_s
+            # A client's report may say of a byte that it came before this link was doubted.
+            took_s = max(0.0, now_s - sent_s)
             self._least_latency_s = min(took_s, self._least_latency_s or took_s)
             # It carries at least what came since something came, pauses and all.
             since_s = self._came_s

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from codec.errors import CodecError
 from codec.stream.manifest import MASKS, Part, snapshot_part
-from codec.stream.plainrecord import PlainRecordEncoder, plain_bytes
+from codec.stream.plainrecord import PlainRecordEncoder
 from codec.stream.playrecord import SliceRecord, SnapshotRecord, encode_record
 from server.abr.decisioncontext import SendSlices
 from server.library import ServedStream
@@ -114,6 +114,9 @@ def _coded(
     parts: list[Part],
     packets: list[bytes],
 ) -> CodedRecord:
-    data = encode_record(record) if plain is None else plain.encode(record)
-    body_bytes = len(data) if plain is None else plain_bytes(record)
+    if plain is None:
+        data = encode_record(record)
+        body_bytes = len(data)
+    else:
+        data, body_bytes = plain.encode_sized(record)
     return CodedRecord(data, tuple(parts), tuple(map(len, packets)), body_bytes)

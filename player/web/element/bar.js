@@ -4,7 +4,7 @@ import { node } from "./nodes.js";
 /** @typedef {import("./commands.js").Command} Command */
 /** @typedef {import("./menu.js").Choice} Choice */
 
-/** What leaves a row without room for everything, the first one first; the menu has most of these then. */
+/** Parts that leave a row without room for all, in this order; the menu has most of them then. */
 const DROPPED_FIRST = "volume rate reset quality cc headset mute time share".split(" ");
 
 /**

@@ -61,7 +61,7 @@ export function listenToGestures(surface, player, signal) {
     hasAll = ownsAllGestures(hostOf(surface));
     surface.style.touchAction = hasAll ? "none" : "pan-y";
   };
-  // What a page loads later may make it scroll.
+  // A page may begin to scroll once more of it is loaded.
   const resizing = new ResizeObserver(lookAtPage);
   for (const one of [surface, document.documentElement, document.body]) resizing.observe(one);
   const changing = new MutationObserver(lookAtPage);

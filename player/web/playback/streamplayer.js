@@ -302,7 +302,7 @@ export class StreamPlayer {
     const { playback, round, rate } = this;
     const { cache, numFrames } = this.stream;
     const { endFrame } = round;
-    // What has no room will not arrive.
+    // Frames for which there is no room will not arrive.
     playback.heldFrame = cache.hasRoomFor(cache.segmentOf(endFrame)) ? endFrame : Infinity;
     const needBps = rate * cache.baseBps(playback.frame);
     const rateBps = round.source.rateBps ?? Infinity;

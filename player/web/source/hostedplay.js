@@ -154,7 +154,7 @@ export class HostedPlay {
       restS = this.busyS = Math.max(0, nowS - Math.max(this.measuredS, Math.min(...begins)));
       this.measuredS = nowS;
     }
-    // What arrives after a rest of the link says nothing about its rate.
+    // Bytes that arrive after a rest of the link say nothing about its rate.
     if (this.busyS > 0) this.stream.estimator.add(numBytes, restS);
   }
 

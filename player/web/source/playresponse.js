@@ -50,7 +50,7 @@ export class PlayResponse {
     this.bodyBytes = 0;
     /** `bodyBytes` as of the last report of the position. */
     this.reportedBytes = 0;
-    /** What of it is a part of the fetcher's `receivedBytes`. */
+    /** The bytes of it that are a part of the fetcher's `receivedBytes`. */
     this.countedBytes = 0;
     /** @type {[number, number][]} [ms, bytes of the body] since the last report */
     this.points = [];
