@@ -6,7 +6,7 @@ import { createInterface } from "node:readline";
 
 import * as playwright from "playwright-core";
 
-import { NAMES } from "./names.mjs";
+import { NAMES, waitFor } from "./names.mjs";
 
 /**
  * Starts a browser; nothing else does. Another kind needs its arguments here, and its path in
@@ -118,17 +118,7 @@ const ACTIONS = {
     const text = JSON.stringify(value ?? null);
     return scene.evaluate(`(async (value) => {${NAMES}{${code}}})(${text})`);
   },
-  /** Waits until the expression is true; an error means that it is not yet. */
-  async wait({ code, timeoutS }) {
-    const text = `(() => {${NAMES} try { return Boolean(${code}) } catch (e) { return e.message } })()`;
-    const endMs = performance.now() + 1000 * timeoutS;
-    for (;;) {
-      const found = await scene.evaluate(text);
-      if (found === true) return;
-      if (performance.now() > endMs) throw new Error(`${found} after ${timeoutS} s: ${code}`);
-      await new Promise((resolve) => setTimeout(resolve, 30));
-    }
-  },
+  wait: ({ code, timeoutS }) => waitFor((text) => scene.evaluate(text), code, timeoutS),
   async press({ key }) {
     await page.keyboard.press(key);
   },

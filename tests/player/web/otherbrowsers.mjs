@@ -7,7 +7,7 @@ import { createInterface } from "node:readline";
 
 import puppeteer from "puppeteer-core";
 
-import { NAMES } from "./names.mjs";
+import { NAMES, waitFor } from "./names.mjs";
 
 /** @typedef {"run" | "wait" | "press" | "drag" | "click"} Question */
 
@@ -177,16 +177,7 @@ const ACTIONS = {
   rest: () => browser.open("about:blank", 320, 240),
   run: ({ code, value }) =>
     browser.evaluate(`(async (value) => {${NAMES}{${code}}})(${JSON.stringify(value ?? null)})`),
-  async wait({ code, timeoutS }) {
-    const text = `(() => {${NAMES} try { return Boolean(${code}) } catch (e) { return e.message } })()`;
-    const endMs = performance.now() + 1000 * timeoutS;
-    for (;;) {
-      const found = await browser.evaluate(text);
-      if (found === true) return;
-      if (performance.now() > endMs) throw new Error(`${found} after ${timeoutS} s: ${code}`);
-      await new Promise((resolve) => setTimeout(resolve, 50));
-    }
-  },
+  wait: ({ code, timeoutS }) => waitFor((text) => browser.evaluate(text), code, timeoutS),
   press: ({ key }) => browser.press(key),
   drag: ({ fromPx, toPx }) => browser.drag(fromPx, toPx),
   takeComplaints: () => browser.complaints.splice(0),
