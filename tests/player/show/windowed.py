@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import glfw
-import moderngl
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -16,6 +15,7 @@ from player.config import PlayConfig
 from player.playout.conductor import Conductor
 from player.report.playsummary import PlaySummary
 from player.run.playback import play
+from player.show.glwindow import GlWindow
 from player.show.overlay import BAR_PX
 
 Pixels = npt.NDArray[np.uint8]
@@ -36,13 +36,12 @@ class Person:
         self._acts: Acts = iter(())
         for name in ("cursor_pos", "mouse_button", "scroll", "key"):
             self._note_callback(patch, name)
-        poll, swap, show = glfw.poll_events, glfw.swap_buffers, player.show.window.show_window
+        poll, swap, show = glfw.poll_events, GlWindow.swap, player.show.window.show_window
 
-        def swap_buffers(window: Any) -> None:
-            self.window = window
-            width, height = glfw.get_framebuffer_size(window)
-            screen = moderngl.get_context().screen
-            data = screen.read((0, 0, width, height), components=3, alignment=1)
+        def swap_buffers(window: GlWindow) -> None:
+            self.window = window.handle
+            width, height = window.size_px
+            data = window.context.screen.read((0, 0, width, height), components=3, alignment=1)
             self.pictures.append(np.frombuffer(data, np.uint8).reshape(height, width, 3)[::-1])
             swap(window)
 
@@ -55,7 +54,7 @@ class Person:
             self.conductor = conductor
             return show(window, poster, conductor, *more, **named)
 
-        patch.setattr(glfw, "swap_buffers", swap_buffers)
+        patch.setattr(GlWindow, "swap", swap_buffers)
         patch.setattr(glfw, "poll_events", poll_events)
         patch.setattr(glfw, "get_key", lambda _, key: int(("key", key) in self._held))
         patch.setattr(glfw, "get_mouse_button", lambda _, which: int(which in self._held))
