@@ -6,6 +6,11 @@ const SENTENCES = /** @type {[RegExp, string][]} */ ([
   [/HTTP (404|410)\b/, "This video does not exist, or is not here any more."],
   [/HTTP 5\d\d\b/, "The host of this video has a problem. Try again in a while."],
   [/does not let pages of other hosts/, "The host of this video does not let this page show it."],
+  [
+    /does not answer|cannot be reached/,
+    "The host of this video cannot be reached. Check the network and try again.",
+  ],
+  [/damaged on the server/, "This video is damaged on its server."],
   [/https?:|file:/, "This video cannot be played."],
 ]);
 

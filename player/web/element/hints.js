@@ -47,6 +47,7 @@ export class Hints {
 
   #show() {
     const [condition = ""] = this.#conditions.values();
-    this.root.textContent = this.#brief || condition;
+    const text = this.#brief || condition;
+    if (this.root.textContent !== text) this.root.textContent = text;
   }
 }

@@ -53,6 +53,8 @@ export class SwingsPlayerElement extends MediaInterface {
   #isLooping = false;
   /** Whether there was no play or seek yet. */
   #isFresh = true;
+  /** What hinders the player; "" if nothing does. */
+  #trouble = "";
 
   constructor() {
     super();
@@ -107,6 +109,7 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#isFresh = true;
     this.#controls?.part?.failure.clear();
     this.#hints.clear();
+    this.#trouble = "";
     this.#overlay.setPoster(this.getAttribute("poster"));
     this.#show(player);
   }
@@ -179,7 +182,10 @@ export class SwingsPlayerElement extends MediaInterface {
     of("state", () => this.#show(player));
     of("shown", () => this.#show(player));
     of("failed", (event) => this.fail(detailOf(event)));
-    of("trouble", (event) => this.#hints.hold("trouble", detailOf(event)));
+    of("trouble", (event) => {
+      this.#trouble = detailOf(event);
+      this.#show(player);
+    });
     of("select", () => this.togglePlaying());
     this.follow(player, signal);
     const on = (/** @type {string} */ type, /** @type {(event: any) => void} */ action) =>
@@ -245,6 +251,9 @@ export class SwingsPlayerElement extends MediaInterface {
     const controls = this.#controls?.part;
     const isWaiting = player.state.waiting && !controls?.live.hasStopped;
     this.#overlay.show(condition, player.shownFrame >= 0, isWaiting);
+    // While the picture goes on, nobody needs to know.
+    const hurts = player.state.waiting || player.isSeeking || player.shownFrame < 0;
+    this.#hints.hold("trouble", hurts ? this.#trouble : "");
     if (this.#frame.dataset.condition !== condition) this.#frame.dataset.condition = condition;
     controls?.show();
   }
@@ -355,6 +364,7 @@ export class SwingsPlayerElement extends MediaInterface {
   /** @protected @override @param {string} message */
   fail(message) {
     this.#hints.clear();
+    this.#trouble = "";
     super.fail(message);
     this.#overlay.show("failed", this.#overlay.condition !== "loading", false);
     this.#frame.dataset.condition = "failed";

@@ -154,6 +154,11 @@ export class Playback {
     this.leadS = isAgain ? Math.min(most, Math.max(LONGER_LEAD_S, 2 * this.leadS)) : LEAD_S;
   }
 
+  /** Whether a frame shows, and playback waits for no data. */
+  get canGoOn() {
+    return this.isJoined && !this.waiting;
+  }
+
   /** Whether playback stalls and waits for a longer lead again and again. */
   get isStuttering() {
     return this.waiting && this.leadS > LONGER_LEAD_S;

@@ -266,7 +266,8 @@ export class StreamPlayer {
   step() {
     const { round, playback, playing } = this;
     try {
-      if (round.failure !== null) throw round.failure;
+      // What has arrived is played first.
+      if (round.failure !== null && !playback.canGoOn) throw round.failure;
       if (this.scrubber.isActive) return this.#postLine();
       const { cache, numFrames, manifest } = this.stream;
       cache.setPlayhead(playback.nextFrame, this.loop && !manifest.live ? numFrames : null);
@@ -280,7 +281,8 @@ export class StreamPlayer {
         this.show(shown);
       }
       round.feed.advance(playback.nextFrame, this.rate);
-      if (shown !== null || !playing) this.reportPosition();
+      // Also while it waits: an answer shows that the host is there.
+      if (shown !== null || !playing || playback.waiting) this.reportPosition();
       this.#postLine();
       this.#prepareRound();
       this.postState();

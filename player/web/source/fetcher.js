@@ -1,4 +1,5 @@
 import { fetchOnce } from "./early/earlyresponses.js";
+import { delayS, Gate, rest } from "./gate.js";
 
 /** A stream cannot be fetched; the message gives the remedy. */
 export class SourceError extends Error {
@@ -12,19 +13,21 @@ export class SourceError extends Error {
 /** A failure that may be over at the next try. */
 class PassingTrouble extends TypeError {}
 
-const FIRST_DELAY_S = 0.25;
-/** Well below the buffered time, so that a returning network is noticed before playback stalls. */
-const LONGEST_DELAY_S = 1;
+export const GONE = "The network is gone";
+export const SILENT = "The host does not answer";
+
+/** The host is connected, but sends nothing. */
+export class SilentError extends PassingTrouble {
+  constructor() {
+    super(SILENT);
+  }
+}
+
+/** Seconds without a byte from the host after which a request is sent again. */
+const SILENT_S = 15;
 
 /** Number of failures of a host before checking whether it only refuses this page (CORS). */
 export const TRIES_BEFORE_DOUBT = 3;
-
-/** Seconds to wait after try number `tries`. @param {number} tries from 1 on */
-export function delayS(tries) {
-  const mostS = Math.min(LONGEST_DELAY_S, FIRST_DELAY_S * 2 ** (tries - 1));
-  // Random, so that clients that lost a server together do not return all at once.
-  return mostS * (0.5 + 0.5 * Math.random());
-}
 
 /** Ends a response that is not read, so that its host stops sending. @param {Response} response */
 export function discard({ body }) {
@@ -32,7 +35,7 @@ export function discard({ body }) {
 }
 
 /** The error for a host that works, but refuses this page (CORS). @param {string} url */
-export function refusal(url) {
+function refusal(url) {
   return new SourceError(
     `${new URL(url).origin} answers, but does not let pages of other hosts read ${url}; ` +
       "configure that host to send the header Access-Control-Allow-Origin (docs/EMBED.md)",
@@ -55,15 +58,69 @@ export class Fetcher {
     this.credentials = credentials;
     this.onTrouble = onTrouble;
     this.receivedBytes = 0;
+    /** Whether the last thing that `get` has said is a problem. */
+    this.hasTrouble = false;
+    this.gate = new Gate();
+    this.heardMs = -Infinity;
+  }
+
+  /** To be called when something has come from the host. */
+  heard() {
+    this.heardMs = performance.now();
   }
 
   /**
-   * Sends a request without retries; rejects as `fetch` does.
+   * Calls `onSilence` once nothing has come from the host for SILENT_S, although it was asked.
+   * @param {() => void} onSilence
+   * @returns {() => void} ends the watch
+   */
+  watch(onSilence) {
+    const beganMs = performance.now();
+    /** @type {number | undefined} */
+    let timer;
+    const look = () => {
+      const endMs = Math.max(beganMs, this.heardMs) + 1000 * SILENT_S;
+      const restMs = endMs - performance.now();
+      if (restMs > 0) timer = setTimeout(look, restMs);
+      else onSilence();
+    };
+    look();
+    return () => clearTimeout(timer);
+  }
+
+  /**
+   * Sends a request at once; rejects as `fetch` does.
    * @param {string} url
    * @param {RequestInit} [init]
    */
-  fetch(url, init) {
+  send(url, init) {
     return fetchOnce(url, { credentials: this.credentials, ...init });
+  }
+
+  /**
+   * Sends a request without retries, in its turn if the network is gone; rejects as `fetch` does, and with a
+   * SilentError.
+   * @param {string} url
+   * @param {RequestInit} [init]
+   */
+  async fetch(url, init = {}) {
+    const { gate } = this;
+    const isTrial = await gate.enter();
+    const silence = new AbortController();
+    const stop = this.watch(() => silence.abort(new SilentError()));
+    const signals = init.signal ? [init.signal, silence.signal] : [silence.signal];
+    try {
+      const signal = AbortSignal.any(signals);
+      const response = await this.send(url, { ...init, signal });
+      this.heard();
+      gate.leave(isTrial, true);
+      return response;
+    } catch (error) {
+      gate.leave(isTrial, init.signal?.aborted ? null : false);
+      throw silence.signal.aborted ? silence.signal.reason : error;
+    } finally {
+      stop();
+    }
   }
 
   /**
@@ -84,12 +141,14 @@ export class Fetcher {
     }
     let goodMs = performance.now();
     let most = 0;
-    let answers = false;
+    /** @type {SourceError | null} */
+    let refused = null;
     for (let tries = 1; ; tries++) {
       let came = 0;
       const count = (/** @type {number} */ numBytes) => {
         came += numBytes;
         this.receivedBytes += numBytes;
+        this.heard();
         if (came > most) {
           most = came;
           goodMs = performance.now();
@@ -98,7 +157,8 @@ export class Fetcher {
       };
       try {
         const bytes = await this.#once(url, limitBytes, count, init, check);
-        if (tries > 1) this.onTrouble(null);
+        if (this.hasTrouble) this.onTrouble(null);
+        this.hasTrouble = false;
         return bytes;
       } catch (error) {
         onBytes(-came);
@@ -106,16 +166,18 @@ export class Fetcher {
         // Without a network, fetch throws a TypeError.
         if (!(error instanceof TypeError)) throw error;
         if (tries >= TRIES_BEFORE_DOUBT && !(error instanceof PassingTrouble)) {
-          if (answers) throw refusal(url);
-          answers = await this.isRefused(url);
-          if (answers) continue; // once more, since the network may be back
+          if (refused) throw refused;
+          refused = await this.findRefusal(url);
+          if (refused) continue; // once more, since the network may be back
         }
         if (performance.now() - goodMs > 1000 * this.giveUpS) {
           throw new SourceError(`${url} cannot be reached; check the network and try again`);
         }
-        this.onTrouble("The network is gone; trying again");
+        const why = error instanceof SilentError ? SILENT : GONE;
+        this.hasTrouble = true;
+        this.onTrouble(`${why}; trying again`);
       }
-      await new Promise((resolve) => setTimeout(resolve, 1000 * delayS(tries)));
+      await rest(delayS(tries));
     }
   }
 
@@ -152,18 +214,21 @@ export class Fetcher {
   }
 
   /**
-   * Whether a host of another origin is reachable, but does not let this page read its responses. To a
-   * page, this looks like a missing network.
+   * The reason why a host that is reachable cannot be read; null if there is none. To a page, such a host
+   * looks like a missing network.
    * @param {string} url
    */
-  async isRefused(url) {
-    if (this.receivedBytes > 0 || new URL(url).origin === globalThis.origin) return false;
-    try {
-      await fetch(url, { method: "HEAD", mode: "no-cors" });
-      return true;
-    } catch {
-      return false;
-    }
+  async findRefusal(url) {
+    if (this.receivedBytes > 0) return null;
+    const ask = (/** @type {RequestInit} */ how) =>
+      fetch(url, { method: "HEAD", ...how }).catch(() => null);
+    if (new URL(url).origin !== globalThis.origin && (await ask({ mode: "no-cors" })))
+      return refusal(url);
+    if ((await ask({ redirect: "manual" }))?.type === "opaqueredirect")
+      return new SourceError(
+        `${url} leads to an address that cannot be reached, or back to itself`,
+      );
+    return null;
   }
 
   /**
@@ -187,16 +252,26 @@ export class Fetcher {
     const pieces = [];
     let size = 0;
     const reader = /** @type {ReadableStream<Uint8Array>} */ (response.body).getReader();
-    for (;;) {
-      const { done, value } = await reader.read();
-      if (done) break;
-      size += value.length;
-      if (size > limitBytes) {
-        await reader.cancel();
-        throw new SourceError(`${url} has more than ${limitBytes} bytes; this is not a stream`);
+    let isSilent = false;
+    const stop = this.watch(() => {
+      isSilent = true;
+      reader.cancel().catch(() => {}); // ends the read that waits; it may have broken off itself
+    });
+    try {
+      for (;;) {
+        const { done, value } = await reader.read();
+        if (isSilent) throw new SilentError();
+        if (done) break;
+        size += value.length;
+        if (size > limitBytes) {
+          await reader.cancel();
+          throw new SourceError(`${url} has more than ${limitBytes} bytes; this is not a stream`);
+        }
+        pieces.push(value);
+        onBytes(value.length);
       }
-      pieces.push(value);
-      onBytes(value.length);
+    } finally {
+      stop();
     }
     const bytes = new Uint8Array(size);
     let at = 0;

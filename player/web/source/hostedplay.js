@@ -128,6 +128,7 @@ export class HostedPlay {
   /** Requests the objects that the rule chooses now; returns the maximum seconds until the next call. */
   step() {
     this.#measure();
+    if (this.failure !== null) return STEP_S;
     for (;;) {
       const { nextFrame, paused, queuedBytes, rate } = this;
       const rateBps = this.rateBps ?? FIRST_RATE_BPS;

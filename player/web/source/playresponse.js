@@ -1,7 +1,8 @@
 import { corrupt } from "../format/bytes/errors.js";
 import { RecordParser } from "../format/playrecord.js";
 import { playUrl } from "./addresses.js";
-import { delayS, discard, refusal, SourceError, TRIES_BEFORE_DOUBT } from "./fetcher.js";
+import { discard, GONE, SILENT, SilentError, SourceError, TRIES_BEFORE_DOUBT } from "./fetcher.js";
+import { delayS, rest } from "./gate.js";
 
 /** The server is unreachable or overloaded; it may be back soon. */
 export class GoneError extends Error {
@@ -17,8 +18,10 @@ export class GoneError extends Error {
   }
 }
 
-const GONE = "The network is gone";
 const BUSY = "The server is busy";
+
+/** A server that reports the same error in so many answers in a row is believed. */
+const MOST_REPORTS = 3;
 
 /** Most points of a report: when how much had come. */
 const MOST_POINTS = 24;
@@ -81,7 +84,7 @@ export class PlayResponse {
     try {
       response = await fetcher.fetch(url, { headers, signal: abort.signal, cache: "no-store" });
     } catch (error) {
-      throw new GoneError(GONE, 0, error);
+      throw new GoneError(error instanceof SilentError ? SILENT : GONE, 0, error);
     }
     if (response.ok) return new PlayResponse(response, abort);
     discard(response);
@@ -125,7 +128,9 @@ export class PlayResponse {
     return this.points.splice(0);
   }
 
+  /** Ends the response; `next` gives null from now on. */
   close() {
+    this.reader.cancel().catch(() => {}); // it may have broken off itself
     this.abort.abort();
   }
 }
@@ -142,8 +147,13 @@ export class PlayResponse {
  */
 export async function openPlay(fetcher, base, query, signal) {
   const response = await PlayResponse.open(fetcher, base, query, signal);
-  const start = await response.next();
-  if (start === null) throw new GoneError(GONE);
+  let why = GONE;
+  const stop = fetcher.watch(() => {
+    why = SILENT;
+    response.close();
+  });
+  const start = await response.next().finally(stop);
+  if (start === null) throw new GoneError(why);
   if (start.kind !== "start") throw corrupt("play: the first record is not a start record");
   return { response, start };
 }
@@ -159,9 +169,12 @@ export class ServerRetry {
     this.base = base;
     /** The reason of the last failure. */
     this.why = GONE;
+    /** Number of times in a row that the server has reported it. */
+    this.reports = 0;
     this.tries = 0;
     this.sinceMs = 0;
-    this.answers = false;
+    /** @type {SourceError | null} */
+    this.refused = null;
     /** Whether the caller has ended, so that no further try is made. */
     this.isOver = false;
   }
@@ -170,7 +183,19 @@ export class ServerRetry {
   reset() {
     if (this.tries > 0) this.fetcher.onTrouble(null);
     this.tries = 0;
-    this.answers = false;
+    this.reports = 0;
+    this.refused = null;
+  }
+
+  /**
+   * Notes an error that the server reports. Throws a SourceError if it does so again and again.
+   * @param {string} message
+   */
+  noteReport(message) {
+    const why = `The server reports: ${message}`;
+    this.reports = why === this.why ? this.reports + 1 : 1;
+    this.why = why;
+    if (this.reports >= MOST_REPORTS) throw new SourceError(`${this.base}: ${why}`);
   }
 
   /**
@@ -202,9 +227,9 @@ export class ServerRetry {
     if (this.tries === 0) this.sinceMs = performance.now();
     this.tries += 1;
     if (why === GONE && this.tries >= TRIES_BEFORE_DOUBT) {
-      if (this.answers) throw refusal(base);
-      this.answers = await fetcher.isRefused(base);
-      if (this.answers) return; // once more, since the network may be back
+      if (this.refused) throw this.refused;
+      this.refused = await fetcher.findRefusal(base);
+      if (this.refused) return; // once more, since the network may be back
     }
     if (performance.now() - this.sinceMs > 1000 * fetcher.giveUpS) {
       throw new SourceError(
@@ -215,6 +240,6 @@ export class ServerRetry {
     }
     fetcher.onTrouble(`${why}; trying again`);
     const restS = Math.max(delayS(this.tries), Math.min(leastS, fetcher.giveUpS));
-    await new Promise((resolve) => setTimeout(resolve, 1000 * restS));
+    await rest(restS);
   }
 }

@@ -150,6 +150,7 @@ export class ServedStream {
 
   /** Adds what has come of a response to the received bytes. @param {PlayResponse} response */
   count(response) {
+    this.fetcher.heard();
     const numBytes = Math.round(response.bodyBytes * this.networkShare);
     this.fetcher.receivedBytes += numBytes - response.countedBytes;
     response.countedBytes = numBytes;

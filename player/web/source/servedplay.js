@@ -1,5 +1,6 @@
 import { corrupt } from "../format/bytes/errors.js";
 import { isGzip, limitBytes } from "../format/packet.js";
+import { SILENT } from "./fetcher.js";
 import { GoneError, openPlay, ServerRetry } from "./playresponse.js";
 import { AHEAD_S } from "./segmentcache.js";
 
@@ -107,9 +108,16 @@ export class ServedPlay {
     const received = response.takePoints();
     const body = JSON.stringify({ frame: this.nextFrame, paused: this.paused, received });
     this.isReporting = true;
+    const silence = new AbortController();
+    const stop = stream.fetcher.watch(() => {
+      silence.abort();
+      this.patience.why = SILENT;
+      response.close(); // so that the play is opened again
+    });
     try {
       const url = `${stream.base}play/${response.token}`;
-      const { headers } = await stream.fetcher.fetch(url, { method: "POST", body });
+      const { signal } = silence;
+      const { headers } = await stream.fetcher.send(url, { method: "POST", body, signal });
       const rateBps = Number(headers.get("Swings-Rate"));
       if (rateBps > 0) this.rateBps = stream.rateBps = rateBps;
       const networkBytes = Number(headers.get("Swings-Received"));
@@ -123,6 +131,7 @@ export class ServedPlay {
       // If the server is unreachable, the response breaks off as well, which is reported.
       console.debug(`A report of the position did not arrive: ${error}`);
     }
+    stop();
     this.isReporting = false;
     this.#reportReceived();
   }
@@ -174,6 +183,7 @@ export class ServedPlay {
         }
       } catch (error) {
         if (!(error instanceof GoneError)) throw error;
+        patience.why = error.message;
       } finally {
         stream.lastToken = this.response.token;
         this.response = null;
@@ -306,7 +316,7 @@ export class ServedPlay {
         return true;
       }
       if (record.kind === "error") {
-        this.patience.why = `The server reports: ${record.message}`;
+        this.patience.noteReport(record.message);
         return false;
       }
       if (record.kind !== "start") this.#cacheRecord(record);

@@ -99,6 +99,22 @@ export function recordOf(manifest, segment, hash = 1) {
   return row;
 }
 
+/** A record of a play in msgpack: of short texts, small numbers, and bytes with a size of 16 bits. */
+export function playRecord(fields) {
+  const text = (one) => [0xa0 + one.length, ...Buffer.from(one)];
+  const coded = (one) => {
+    if (typeof one === "number") return [one];
+    if (typeof one === "string") return text(one);
+    return [0xc5, one.length >> 8, one.length & 255, ...one];
+  };
+  const pairs = Object.entries(fields).flatMap(([name, one]) => [...text(name), ...coded(one)]);
+  const body = Buffer.from([0x80 + Object.keys(fields).length, ...pairs]);
+  return Buffer.concat([Buffer.from(Uint32Array.of(body.length).buffer), body]);
+}
+
+export const startRecord = (manifest) =>
+  playRecord({ kind: "start", from: 0, num_frames: 1, manifest });
+
 export const joined = (parts) => Uint8Array.from(Buffer.concat(parts));
 
 /** The files of a stream of the conformance suite, by path. */
