@@ -42,6 +42,9 @@ SHEET.replaceSync(CONTROLS_STYLE);
  */
 
 export class Controls {
+  /** @type {import("./slideshow.js").SlideShow | null} */
+  #slides = null;
+
   /**
    * @param {Surroundings} surroundings
    * @param {AbortSignal} signal ends them
@@ -155,6 +158,30 @@ export class Controls {
     if (player.isStill && !prefersStill() && !element.hasAttribute("view")) this.#turnSlowly();
   }
 
+  /** Shows why the stream cannot be played. @param {string} message */
+  fail(message) {
+    this.failure.show(message);
+    const { manifest, live } = this.player;
+    if (this.failure.isFinal && manifest?.storyboard && !live) this.#showSlides();
+  }
+
+  async #showSlides() {
+    try {
+      const { SlideShow } = await import("./extras.js");
+      if (!this.failure.isFinal || this.#slides !== null) return; // another stream was opened
+      this.#slides = new SlideShow(this.player);
+      this.failure.root.before(this.#slides.root);
+    } catch (error) {
+      console.warn("swings: the pictures of the stream could not be loaded:", error);
+    }
+  }
+
+  clearFailure() {
+    this.failure.clear();
+    this.#slides?.close();
+    this.#slides = null;
+  }
+
   /** Turns a model until the viewer does something. */
   #turnSlowly() {
     const { element, player } = this;
@@ -197,6 +224,7 @@ export class Controls {
     this.fullScreen.leave();
     this.panels.part?.statistics.close();
     this.scrubber.close();
+    this.clearFailure();
     this.failure.root.remove();
   }
 }

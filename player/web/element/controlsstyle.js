@@ -51,6 +51,10 @@ button[aria-pressed="true"]::after {
   width: min(88%, 34em); max-height: 92%; overflow: auto; padding: 1.4em;
   border-radius: 12px; background: #1c1c20; text-align: center;
 }
+.slides { position: absolute; inset: 0; display: grid; place-items: center; background: #000; }
+.slides:has(.tile[hidden]) { background: none; }
+.slides .tile { width: min(100cqw, 100cqh * var(--aspect)); }
+.failure.final { top: auto; bottom: 12px; translate: -50% 0; width: auto; max-width: 88%; padding: 0.8em 1.4em; }
 .failure p { margin: 0 0 1em; overflow-wrap: anywhere; }
 .failure:has(.retry[hidden]):has(details[hidden]) p { margin: 0; }
 .failure .sentence { font-size: 1.25em; }

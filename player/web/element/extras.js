@@ -6,4 +6,5 @@
 export { Headset } from "../stereo/headset.js";
 export { Panels } from "./panels.js";
 export { Sharing } from "./sharing.js";
+export { SlideShow } from "./slideshow.js";
 export { Storyboard } from "./storyboard.js";

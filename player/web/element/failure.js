@@ -29,6 +29,9 @@ export function sentenceOf(message) {
 
 /** The panel that shows why playback failed, with a button to try again and the folded details. */
 export class Failure {
+  /** Whether another try would not help: a browser without WebGL2 will not have it then. */
+  isFinal = false;
+
   /** @param {() => void} retry */
   constructor(retry) {
     this.sentence = node("p", { class: "sentence" });
@@ -45,14 +48,16 @@ export class Failure {
     const sentence = sentenceOf(message);
     this.sentence.textContent = sentence;
     this.details.textContent = message;
-    // A browser without WebGL2 will not have it at the next try.
-    this.retryButton.hidden = NO_WEBGL.test(message);
+    this.isFinal = NO_WEBGL.test(message);
+    this.retryButton.hidden = this.isFinal;
+    this.root.classList.toggle("final", this.isFinal);
     this.fold.hidden = sentence === message || sentence === `${message}.`;
     this.fold.open = false;
     this.root.hidden = false;
   }
 
   clear() {
+    this.isFinal = false;
     this.details.textContent = "";
     this.root.hidden = true;
   }

@@ -53,7 +53,9 @@ export class Storyboard {
     style.backgroundImage = `url("${image.src}")`;
     style.backgroundSize = `${100 * columns}% ${100 * rows}%`;
     style.backgroundPosition = `${share(tile % columns, columns)} ${share(Math.floor(tile / columns), rows)}`;
-    style.aspectRatio = `${image.naturalWidth / columns} / ${image.naturalHeight / rows}`;
+    const aspect = (image.naturalWidth * rows) / (image.naturalHeight * columns);
+    style.aspectRatio = `${aspect}`;
+    style.setProperty("--aspect", `${aspect}`);
     root.hidden = false;
   }
 }

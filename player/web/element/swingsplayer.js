@@ -107,7 +107,7 @@ export class SwingsPlayerElement extends MediaInterface {
     if (player === null) return;
     player.close();
     this.#isFresh = true;
-    this.#controls?.part?.failure.clear();
+    this.#controls?.part?.clearFailure();
     this.#hints.clear();
     this.#trouble = "";
     this.#overlay.setPoster(this.getAttribute("poster"));
@@ -207,9 +207,7 @@ export class SwingsPlayerElement extends MediaInterface {
   /** @param {WebPlayer} player */
   #opened(player) {
     const { manifest } = player;
-    if (!this.#overlay.hasPoster && manifest.poster) {
-      this.#showPoster(player, manifest.poster);
-    }
+    this.#offerPoster(player);
     this.#controls?.part?.opened();
     const tracks = this.#tracks;
     if (manifest.sound || manifest.captions || tracks?.part) tracks?.use((part) => part.open());
@@ -217,13 +215,12 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#setLoop(this.loop && !prefersStill());
   }
 
-  /**
-   * @param {WebPlayer} player
-   * @param {string} path
-   */
-  async #showPoster(player, path) {
+  /** Shows the stream's own poster if the page has none. @param {WebPlayer} player */
+  async #offerPoster(player) {
+    const { poster } = player.manifest;
+    if (this.#overlay.hasPoster || !poster) return;
     try {
-      const url = await pictureUrl(player.base, path, player.files);
+      const url = await pictureUrl(player.base, poster, player.files);
       if (player === this.player && !this.#overlay.hasPoster) this.#overlay.setPoster(url);
     } catch (error) {
       console.warn("swings: the poster could not be loaded:", error);
@@ -368,8 +365,9 @@ export class SwingsPlayerElement extends MediaInterface {
     super.fail(message);
     this.#overlay.show("failed", this.#overlay.condition !== "loading", false);
     this.#frame.dataset.condition = "failed";
-    this.#controls?.use(({ failure }) => {
-      if (this.error !== null) failure.show(this.error.message);
+    if (this.player?.manifest) this.#offerPoster(this.player);
+    this.#controls?.use((controls) => {
+      if (this.error !== null) controls.fail(this.error.message);
     });
   }
 }
