@@ -122,12 +122,22 @@ for (const url of ["http://host/many/", "http://host/watch/many/"]) {
 }
 
 test("a server whose stream is another one by now is noticed by its manifest", async (context) => {
-  answering(context, () => new Response(startRecord(manifestBytes({ live: true }))));
+  let manifest = { live: true };
+  answering(context, () => {
+    const start = (controller) => controller.enqueue(startRecord(manifestBytes(manifest)));
+    return new Response(new ReadableStream({ start }));
+  });
   const stream = await openSource("http://host/watch/clip/", new Fetcher());
-  stream.checkSame(manifestBytes({ live: false }));
-  const replaced = new SourceError("This video was replaced");
-  assert.throws(() => stream.checkSame(manifestBytes({ title: "another one" })), replaced);
   stream.first.close();
+  const failures = [];
+  for (const [firstFrame, changes] of [{ live: false }, { title: "another one" }].entries()) {
+    manifest = changes;
+    const play = stream.play({ firstFrame: firstFrame + 1, mostLayers: 3, nowS: () => 0 });
+    await settled();
+    failures.push(String(play.failure));
+    play.close();
+  }
+  assert.deepEqual(failures, ["null", "SourceError: This video was replaced"]);
 });
 
 test("what a play received is counted as on the network, once the server has said it", async (context) => {
