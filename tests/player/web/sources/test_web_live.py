@@ -131,7 +131,7 @@ def test_a_start_that_is_asked_for_is_where_it_starts(
 
 AWAY: dict[str, tuple[Callable[[Page], object], Callable[[Page], object]]] = {
     "paused": (lambda page: page.press("k"), lambda page: page.click("swings-player .badge")),
-    "wound back": (lambda page: page.press("Home"), lambda page: page.press("End")),
+    "wound back": (lambda page: [*map(page.press, ("k", "Home"))], lambda page: page.press("End")),
     "hidden": (lambda page: page.run(HIDE, True), lambda page: page.run(HIDE, False)),
 }
 HIDE = """
