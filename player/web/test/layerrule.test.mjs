@@ -230,6 +230,7 @@ test("a seek aborts what it does not need and keeps what it does, and that is no
   const firstFrame = 1;
   const play = stream.play({ firstFrame, mostLayers: STREAM.numLayers, nowS: () => 0 });
   play.step();
+  await settled();
   assert.equal(play.moveTo(STREAM.segmentFrames + 1, "seek"), true);
   play.step();
   await settled();
