@@ -1,6 +1,7 @@
 import { MAX_CAPTIONS_BYTES } from "../constants.js";
 import { readCues, textAt } from "../captions/webvtt.js";
 import { readCaptionTracks } from "../captions/captiontracks.js";
+import { TextTracks } from "../captions/texttracks.js";
 import { Fetcher } from "../source/fetcher.js";
 import { fileBytes } from "../source/filebytes.js";
 import { drawn, node } from "./nodes.js";
@@ -30,16 +31,18 @@ export class CaptionsControls {
   #language = null;
   /** @type {import("../captions/webvtt.js").Cue[]} */
   #cues = [];
-  #base = "";
   /** Counts choices: captions that were requested for an earlier choice are not shown. */
   #choices = 0;
+  /** @type {Map<number, Promise<import("../captions/webvtt.js").Cue[]>>} by track: what was fetched */
+  #fetched = new Map();
 
   /**
    * @param {import("./webplayer.js").WebPlayer} player
+   * @param {HTMLVideoElement} holder of the text tracks that scripts see
    * @param {(message: string) => void} say
    * @param {AbortSignal} signal ends the listening
    */
-  constructor(player, say, signal) {
+  constructor(player, holder, say, signal) {
     this.player = player;
     this.say = say;
     this.button = node(
@@ -50,6 +53,9 @@ export class CaptionsControls {
     this.button.addEventListener("click", () => this.next());
     this.text = node("div", { class: "captions", part: "captions" });
     player.addEventListener("shown", () => this.#show(), { signal });
+    const need = (/** @type {number} */ at) =>
+      this.#cuesOf(at).catch((error) => console.warn("swings: a script gets no captions:", error));
+    this.textTracks = new TextTracks(holder, (at) => this.#offer(at), need, signal);
   }
 
   /**
@@ -58,9 +64,11 @@ export class CaptionsControls {
    */
   open(captions) {
     this.#tracks = [];
+    this.#fetched.clear();
+    this.textTracks.open([]);
     this.#choose(-1);
     if (captions !== undefined) this.#tracks = readCaptionTracks(captions);
-    this.#base = this.player.base;
+    this.textTracks.open(this.#tracks);
     this.#choose(this.#tracks.findIndex(({ language }) => language === this.#language));
   }
 
@@ -105,26 +113,42 @@ export class CaptionsControls {
     const label = at < 0 ? "Captions" : `Captions: ${this.#tracks[at].label}`;
     button.setAttribute("aria-label", label);
     button.title = `${label} (C)`;
+    this.textTracks.show(at);
     if (at < 0) return;
-    const { file, language } = this.#tracks[at];
-    this.text.lang = language;
+    this.text.lang = this.#tracks[at].language;
     try {
-      const bytes = await fileBytes(
-        new Fetcher({ credentials: this.player.source?.credentials }),
-        this.#base,
-        file,
-        this.player.files,
-        MAX_CAPTIONS_BYTES,
-      );
-      const cues = readCues(new TextDecoder().decode(bytes));
+      const cues = await this.#cuesOf(at);
       if (choice !== this.#choices) return;
-      if (cues === null) throw new Error(`${file} is not WebVTT`);
       this.#cues = cues;
       this.#show();
     } catch (error) {
       if (choice !== this.#choices) return;
       this.say(`The captions cannot be shown: ${error instanceof Error ? error.message : error}`);
     }
+  }
+
+  /** The cues of a track, fetched once unless that fails. @param {number} at */
+  #cuesOf(at) {
+    const known = this.#fetched.get(at);
+    if (known !== undefined) return known;
+    const fetching = this.#fetch(at);
+    this.#fetched.set(at, fetching);
+    fetching.then(
+      (cues) => this.#fetched.get(at) === fetching && this.textTracks.fill(at, cues),
+      () => this.#fetched.get(at) === fetching && this.#fetched.delete(at), // who asked reports it
+    );
+    return fetching;
+  }
+
+  /** @param {number} at */
+  async #fetch(at) {
+    const { base, files, source } = this.player;
+    const { file } = this.#tracks[at];
+    const fetcher = new Fetcher({ credentials: source?.credentials });
+    const bytes = await fileBytes(fetcher, base, file, files, MAX_CAPTIONS_BYTES);
+    const cues = readCues(new TextDecoder().decode(bytes));
+    if (cues === null) throw new Error(`${file} is not WebVTT`);
+    return cues;
   }
 
   #show() {

@@ -48,6 +48,7 @@ export class SwingsPlayerElement extends MediaInterface {
   #controls = null;
   /** @type {LazyPart<import("./tracks.js").Tracks> | null} */
   #tracks = null;
+  #textHolder = node("video");
   #internals = this.attachInternals();
   #stopListening = () => {};
   #isLooping = false;
@@ -160,7 +161,7 @@ export class SwingsPlayerElement extends MediaInterface {
       async () => {
         const { Tracks } = await import("./tracks.js");
         if (signal.aborted) return null;
-        const tracks = new Tracks(this, player, place, hints, signal);
+        const tracks = new Tracks(this, player, place, hints, this.#textHolder, signal);
         controls.use((part) => tracks.addTo(part));
         return tracks;
       },
@@ -260,6 +261,11 @@ export class SwingsPlayerElement extends MediaInterface {
     if (!CSS.supports("selector(:state(idle))")) return;
     if (isIdle) this.#internals.states.add("idle");
     else this.#internals.states.delete("idle");
+  }
+
+  /** The captions of the stream, which a script shows by their `mode`. @returns {TextTrackList} */
+  get textTracks() {
+    return this.#textHolder.textTracks;
   }
 
   togglePlaying() {

@@ -5,6 +5,7 @@
 
 import { CAPTIONS_STYLE, CaptionsControls } from "./captionscontrols.js";
 import { addStyle } from "./nodes.js";
+import { RemoteControl } from "./remotecontrol.js";
 import { SoundPlay } from "../sound/soundplay.js";
 import { SOUND_STYLE, SoundControls } from "./soundcontrols.js";
 
@@ -24,9 +25,10 @@ export class Tracks {
    * @param {import("./webplayer.js").WebPlayer} player
    * @param {HTMLElement} place the element that holds the controls
    * @param {import("./hints.js").Hints} hints
+   * @param {HTMLVideoElement} textHolder of the text tracks that scripts see
    * @param {AbortSignal} signal ends sound, captions and listening
    */
-  constructor(element, player, place, hints, signal) {
+  constructor(element, player, place, hints, textHolder, signal) {
     this.element = element;
     this.player = player;
     this.hints = hints;
@@ -34,7 +36,9 @@ export class Tracks {
     const controls = new SoundControls(element);
     this.controls = controls;
     controls.unblock = () => this.sound?.unblock();
-    this.captions = new CaptionsControls(player, (message) => this.#say(message), signal);
+    const say = (/** @type {string} */ message) => this.#say(message);
+    this.captions = new CaptionsControls(player, textHolder, say, signal);
+    this.remote = new RemoteControl(element, player, signal);
     addStyle(place, SHEET);
     place.prepend(this.captions.text);
     place.append(controls.unmute);
@@ -89,6 +93,7 @@ export class Tracks {
       this.#say(/** @type {CustomEvent<string>} */ (event).detail),
     );
     this.#show();
+    this.remote.show(); // it may play already
   }
 
   #show() {

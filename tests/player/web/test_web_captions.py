@@ -87,6 +87,32 @@ def test_the_language_stays_for_the_next_stream_and_one_without_has_no_button(
     page.wait(f"{SHOWN} !== ''")
 
 
+CHROME = """
+await import("/npm/media-chrome/dist/index.js");
+document.body.innerHTML = `<media-controller>
+  <swings-player slot="media" src="../static" start="1.5"></swings-player>
+  <media-captions-button></media-captions-button>
+</media-controller>`;
+"""
+MODES = "[...element.textTracks].map(({ mode, language }) => `${language} ${mode}`).join()"
+
+
+def test_other_controls_and_scripts_show_them(page: Page, url: str) -> None:
+    opened(page, url, "bare")
+    page.run(CHROME)
+    page.wait("player?.shownFrame === 45 && element.textTracks.length === 2")
+    page.run("document.querySelector('media-captions-button').click()")
+    page.wait(f"{SHOWN} === '- Two\\n- lines' && {MODES} === 'en showing,de disabled'")
+    texts = "[...element.textTracks[0].cues].map(({ text }) => text)"
+    assert "Good day & night" in page.value(texts)
+    page.run("element.textTracks[1].mode = 'showing'")
+    page.wait(f"{SHOWN} === '- Zwei\\n- lines' && {MODES} === 'en disabled,de showing'")
+    page.run("part('.cc').click(); element.textTracks[0].mode = 'hidden'")
+    page.wait(f"{SHOWN} === '' && {MODES} === 'en hidden,de disabled'")
+    page.run("element.src = '../bare'")
+    page.wait("element.textTracks.length === 0")
+
+
 def test_named_characters_are_those_of_browsers(page: Page, url: str, folder: Path) -> None:
     path = folder / "static" / "captions-de.vtt"
     written = path.read_text()
