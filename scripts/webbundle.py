@@ -23,6 +23,7 @@ MODULES = {
     "smoothing.js": "element/smoothing.js",
     "packedlayout.js": "format/packedlayout.js",
     "passing.js": "format/slots/passing.js",
+    "ply.js": "format/ply.js",
 }
 """Each module of the bundle and its entry point in the sources."""
 
@@ -33,6 +34,7 @@ LATER = {
     "smoothing.js",
     "packedlayout.js",
     "passing.js",
+    "ply.js",
 }
 """Modules that are loaded after the first requests, or when a viewer or a stream needs them."""
 

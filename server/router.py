@@ -16,9 +16,11 @@ from server.abr.clientstatus import TOKEN
 
 from .answers import objects, pages
 from .answers.call import Answer, Call
+from .answers.download import download
 from .answers.play import play
 from .answers.statusreport import answer_status
 from .exchange.errors import RequestError
+from .html.watchpage import DOWNLOAD_NAME
 
 _NUMBER = "0|[1-9][0-9]{0,8}"
 
@@ -64,6 +66,7 @@ ROUTES: Sequence[Route] = (
     Route(f"{_STREAM}/play", ("GET",), play),
     Route(f"{_STREAM}/{MANIFEST_NAME}", _READ, objects.manifest),
     Route(f"{_STREAM}/{INDEX_NAME}", _READ, objects.index),
+    Route(f"{_STREAM}/{DOWNLOAD_NAME}", _READ, download),
     Route(f"{_STREAM}/oembed.json", _READ, pages.oembed),
     Route("/", _READ, pages.front),
     Route("/watch/{stream}", _READ, pages.watch),

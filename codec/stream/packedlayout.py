@@ -7,8 +7,9 @@ so no two files can overlap, and a reader needs nothing but the first bytes.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -166,7 +167,7 @@ class PackedLayout:
         self,
         head: PackedHead,
         manifest: Manifest,
-        records: list[SegmentRecord],
+        records: Sequence[SegmentRecord],
         tracks: bytes = b"",
     ) -> None:
         """tracks: the table of a stream with sound or captions. Raises CorruptError if it is wrong,
@@ -256,13 +257,16 @@ class PackedLayout:
             if name == path:
                 return at, size_bytes
             at += size_bytes
+        found = self.address(path)
+        return None if found is None else self.object(*found)
+
+    def address(self, path: str) -> tuple[int, Part] | None:
+        """Segment and part of the object at `path`; None if there is none."""
         folder, _, rest = path.partition("/")
         number, _, name = rest.partition("/")
         part: Part = int(name) if _is_number(name) else name
         is_here = _is_number(number) and int(number) < len(self.records) and part in self._column
-        if folder != SEGMENTS_NAME or not is_here:
-            return None
-        return self.object(int(number), part)
+        return (int(number), part) if folder == SEGMENTS_NAME and is_here else None
 
     def files(self) -> Iterator[tuple[str, int, int]]:
         """All files in order: path, where its bytes begin, and their number."""
@@ -276,16 +280,24 @@ class PackedLayout:
     def structure(self, crc32_of: Callable[[str], int]) -> Iterator[tuple[int, bytes]]:
         """All that makes a ZIP file of the files, in order: places and bytes. crc32_of: gives the
         CRC-32 of the file at a path; it is called for each file, in order."""
-        entries = []
-        for path, at, size_bytes in self.files():
-            extra = self.head.extra if path == MANIFEST_NAME else b""
-            header_at = at - local_bytes(path, len(extra))
-            entries.append(ZipEntry(path, size_bytes, crc32_of(path), header_at))
-            yield header_at, local_header(entries[-1], extra)
+        checksums = array("I")  # of a long stream too many for an object each
+        for entry, extra in self._entries():
+            checksums.append(crc32_of(entry.name))
+            header = local_header(replace(entry, crc32=checksums[-1]), extra)
+            yield entry.header_at, header
         at = self.directory_at
+        pairs = zip(self._entries(), checksums, strict=True)
+        entries = (replace(entry, crc32=crc32) for (entry, _), crc32 in pairs)
         for piece in directory(entries, at):
             yield at, piece
             at += len(piece)
+
+    def _entries(self) -> Iterator[tuple[ZipEntry, bytes]]:
+        """The entries of the ZIP file in order, without their checksums, each with the extra field
+        of its local header."""
+        for path, at, size_bytes in self.files():
+            extra = self.head.extra if path == MANIFEST_NAME else b""
+            yield ZipEntry(path, size_bytes, 0, at - local_bytes(path, len(extra))), extra
 
 
 ReadRange = Callable[[int, int], tuple[bytes, int]]

@@ -15,7 +15,8 @@ from server.state.serverstate import ServerState
 
 Answer = AnyResponse | Coroutine[Any, Any, AnyResponse]
 """The result of a handler: a response, or a coroutine that returns one."""
-
+RETRY_AFTER_S = 5
+"""Seconds after which a refused client may ask again."""
 
 _OF_PROXIES = ("X-Forwarded-For", "Forwarded", "Via")
 """Fields that proxies add to a request."""
@@ -38,6 +39,30 @@ class Call:
     def is_proxied(self) -> bool:
         """Whether something between the client and this server takes in what is sent to it."""
         return any(name in self.request.fields for name in _OF_PROXIES)
+
+    def check_room(self, continues: bool = False) -> None:
+        """Raises RequestError 503 unless one more play may begin. continues: see
+        `Overload.accepts_plays`."""
+        state = self.state
+        if state.stopping.is_set():
+            raise RequestError(503, "the server is stopping", {"Retry-After": str(RETRY_AFTER_S)})
+        if not state.overload.accepts_plays(len(state.plays), continues):
+            state.metrics.refused.add(1, "play_load")
+            message = f"the server is full, with {len(state.plays)} plays; try again later"
+            after_s = max(RETRY_AFTER_S, state.overload.retry_after_s)
+            raise RequestError(503, message, {"Retry-After": str(after_s)})
+
+    def take_place(self) -> None:
+        """Takes a play's place for the client, which `give_back_place` gives back. Raises
+        RequestError 429."""
+        refusal = self.state.play_admission.admit(self.address)
+        if refusal is not None:
+            self.state.metrics.refused.add(1, f"play_{refusal}")
+            message = "too many plays from this address; try again later"
+            raise RequestError(429, message, {"Retry-After": str(RETRY_AFTER_S)})
+
+    def give_back_place(self) -> None:
+        self.state.play_admission.release(self.address)
 
     def name(self, key: str) -> str:
         """A part of the path, with its %XX read."""

@@ -145,7 +145,8 @@ def _watched(stream: ServedStream, origin: str) -> WatchedStream:
     camera = manifest.camera()
     aspect = camera.width_px / camera.height_px
     poster = quote(picture_path(manifest.poster) or "")
-    return WatchedStream(stream.name, _title(stream), _about(stream), origin, aspect, poster)
+    title, about = _title(stream), _about(stream)
+    return WatchedStream(stream.name, title, about, origin, aspect, poster, is_live=stream.live)
 
 
 async def oembed(call: Call) -> Response:

@@ -44,7 +44,6 @@ from server.abr.session import (
 )
 from server.abr.sweep import Sweep
 from server.exchange.content import accepted_codings
-from server.exchange.errors import RequestError
 from server.exchange.response import BodyWriter, Facts, StreamedResponse
 from server.exchange.tcpinfo import TcpInfo
 from server.library import ServedStream
@@ -56,9 +55,6 @@ from .playquery import PlayQuery, parse_query
 from .statusreport import ask_rate_bps
 
 log = logging.getLogger(__name__)
-
-RETRY_AFTER_S = 5
-"""Seconds after which a client that was refused may try again."""
 
 SNAPSHOTS_BYTES = 1 << 20
 """Bytes of snapshots after which a record ends, and the next layer goes into another one."""
@@ -108,26 +104,16 @@ async def play(call: Call) -> StreamedResponse:
     # A segment's start: there all that shows can be had at once.
     edge_frame = records[-1].first_frame if records else 0
     query = parse_query(asked, stream.num_frames, stream.live, num_layers, edge_frame)
-    if state.stopping.is_set():
-        raise RequestError(503, "the server is stopping", {"Retry-After": str(RETRY_AFTER_S)})
     # A returning client names its previous play and that play's rate. The worker of that play may
     # know a newer rate, but may have died: ask it only if nothing is known locally.
     fields, now_s = call.request.fields, asyncio.get_running_loop().time()
     token = fields.get(PLAY_HEADER, "")
     continues = is_issued(token, state.play_secret, time.time())
-    if not state.overload.accepts_plays(len(state.plays), continues):
-        state.metrics.refused.add(1, "play_load")
-        message = f"the server is full, with {len(state.plays)} plays; try again later"
-        after_s = max(RETRY_AFTER_S, state.overload.retry_after_s)
-        raise RequestError(503, message, {"Retry-After": str(after_s)})
+    call.check_room(continues)
     rate_bps = state.plays.rate_bps(token, now_s)
     rate_bps = rate_bps or parse_rate(fields.get(RATE_HEADER, ""))
     rate_bps = rate_bps or await ask_rate_bps(state, token, now_s)
-    refusal = state.play_admission.admit(call.address)
-    if refusal is not None:
-        state.metrics.refused.add(1, f"play_{refusal}")
-        message = "too many plays from this address; try again later"
-        raise RequestError(429, message, {"Retry-After": str(RETRY_AFTER_S)})
+    call.take_place()
     # From here on nothing may wait before the body is made: its end gives the place free.
     running = _Play(call, stream, query, rate_bps)
     return StreamedResponse(running.fields, running.run, facts=running.facts)
@@ -145,7 +131,7 @@ class _Play:
         policy = Sweep() if layers is None else FixedLayers(layers)
         # A status report may arrive at another worker, which finds this worker by the token.
         self._token = token = make_token(state.number, state.play_secret, time.time())
-        self._address = call.address
+        self._give_back_place = call.give_back_place
         self.fields = {"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store"}
         self.fields["X-Accel-Buffering"] = "no"  # nginx passes each slice on at once
         self.fields[PLAY_HEADER] = token
@@ -206,7 +192,7 @@ class _Play:
         """Gives the place free."""
         plays, metrics = self._state.plays, self._state.metrics
         plays.end(self._token, self._clock())
-        self._state.play_admission.release(self._address)
+        self._give_back_place()
         metrics.active_plays.set(len(plays))
         metrics.plays.add(1, outcome)
         self._outcome = outcome

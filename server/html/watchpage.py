@@ -5,16 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from html import escape
 
+from codec.stream.packedlayout import PACKED_SUFFIX
+
 from .htmlpage import STYLE, hash_source, page, read_text
 from .webplayer import WebPlayer
 
 _STYLE = f"{STYLE}\n{read_text('watch.css')}"
 
 _BODY = """<header>{back}<h1>{title}</h1></header>
-<main><swings-player src="{stream}"{poster}>{picture}</swings-player></main>
+<main><swings-player src="{stream}"{poster}{download}>{picture}</swings-player></main>
 <script>{script}</script>
 <noscript><p>This page needs JavaScript. On a desktop: swings-play {url}</p></noscript>
-<footer><p class="quiet">{about}</p>{more}</footer>
+<footer><p class="quiet">{about}</p>{link}{more}</footer>
 <script type="module" src="{player}"></script>"""
 
 _BACK = '<a href="../"><span aria-hidden="true">&lsaquo; </span>Streams</a>'
@@ -48,6 +50,9 @@ _SHARED = """<meta name="description" content="{about}">
 <link rel="alternate" type="application/json+oembed" href="{oembed}" title="{title}">
 """
 
+DOWNLOAD_NAME = f"stream{PACKED_SUFFIX}"
+"""The name under which a stream is one file, beside its manifest."""
+
 WIDTH_PX = 720
 """Width of the frame in the code to embed a stream."""
 
@@ -69,6 +74,7 @@ class WatchedStream:
     """Path of the poster behind the stream's URL, quoted; empty where it has none."""
     poster_px: tuple[int, int] | None = None
     """Width and height of the poster; None where they are not known."""
+    is_live: bool = False
 
     @property
     def url(self) -> str:
@@ -96,6 +102,7 @@ def watch_page(stream: WatchedStream, player: WebPlayer, shared: bool) -> str:
     leads elsewhere than below its own."""
     data = f"../v1/streams/{stream.name}"
     poster = f"{data}/{stream.poster}" if stream.poster else ""
+    file = "" if stream.is_live else f"{data}/{DOWNLOAD_NAME}"
     modules = [f"../web/{name}" for name in player.modules]
     head = "".join(f'<link rel="modulepreload" href="{url}">\n' for url in modules)
     more = _MORE.format(embed=escape(frame_html(stream)), url=stream.url, name=stream.name)
@@ -104,6 +111,8 @@ def watch_page(stream: WatchedStream, player: WebPlayer, shared: bool) -> str:
         title=escape(stream.title),
         stream=f"{data}/",
         poster=f' poster="{poster}"' if poster else "",
+        download=f' download="{file}"' if file else "",
+        link=f'<a href="{file}" download>Download</a>' if file else "",
         picture=f'<img src="{poster}" alt="" fetchpriority="high">' if poster else "",
         script=player.page_script,
         url=stream.url,

@@ -27,6 +27,7 @@ _MODULES = (
     "smoothing.js",
     "packedlayout.js",
     "passing.js",
+    "ply.js",
 )
 
 

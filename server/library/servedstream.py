@@ -13,6 +13,7 @@ from codec.stream.manifest import Part, object_name
 from codec.stream.pictures import read_picture
 from codec.stream.reader import read_stream_file
 from codec.stream.sound import MAX_SOUND_BYTES, SoundObject
+from codec.stream.streampacker import StreamPacker
 from server.abr.media import SegmentSizes, segment_sizes
 
 from .growth import LIVE_POLL_S, Growth
@@ -147,6 +148,12 @@ class ServedStream:
     def sound_stamp(self, segment: int, name: str) -> Stamp | None:
         """What changes when another sound takes the name. Blocks. Raises UnreadableError."""
         return self._storage.stamp(object_name(segment, name))
+
+    def packer(self) -> StreamPacker:
+        """The stream as one file, if it is finished. Blocks. Raises a CodecError."""
+        view = self.view
+        arguments = view.manifest, view.manifest_json, view.records, view.index_data
+        return StreamPacker(self._storage, *arguments)
 
     def read_captions(self, path: str) -> bytes | None:
         """The file of captions at `path`; None for one that the manifest does not name, or that is

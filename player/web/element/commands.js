@@ -1,3 +1,5 @@
+import { isPacked } from "../source/addresses.js";
+
 /**
  * An action of the player that has a button in the bar, an entry in the menu or a key.
  * @typedef {object} Command
@@ -78,10 +80,23 @@ export function commandsOf(element, stereo, sharing, panels) {
       run: () => sharing.use((part) => part.openPictureInPicture()),
     },
     {
+      name: "download",
+      label: "Download the video",
+      key: "",
+      isThere: () => fileOf(element) !== null,
+      run: () => sharing.use((part) => part.download(fileOf(element) ?? "")),
+    },
+    {
       name: "save",
-      label: "Save this picture",
+      label: "Download this picture",
       key: "",
       run: () => sharing.use((part) => part.savePicture()),
+    },
+    {
+      name: "save-frame",
+      label: "Download this frame as PLY",
+      key: "",
+      run: () => sharing.use((part) => part.saveFrame()),
     },
     {
       name: "embed",
@@ -114,6 +129,18 @@ export function commandsOf(element, stereo, sharing, panels) {
       isOn: () => stereo.isWorn,
     },
   ];
+}
+
+/**
+ * URL of the stream as one file; null if it has none, or none yet.
+ * @param {import("./swingsplayer.js").SwingsPlayerElement} element
+ */
+function fileOf(element) {
+  const { currentSrc, player } = element;
+  if (!player?.manifest || player.live) return null;
+  const url = element.getAttribute("download");
+  if (url !== null) return new URL(url, document.baseURI).href;
+  return isPacked(currentSrc) ? currentSrc : null;
 }
 
 /**

@@ -18,7 +18,10 @@ const ICONS = {
   "side-by-side": "M3 6h8v12H3zm2 2v8h4V8zm8-2h8v12h-8zm2 2v8h4V8z",
   fly: "M21 3L3 10.5l6.5 3L12.5 21zM9.6 11.6l6.2-3.4-5 5z",
   pip: "M3 5h18v14H3zm2 2v10h14V7zm6 4h7v5h-7z",
-  save: "M11 4h2v8h3.5L12 17l-4.5-5H11zM4 18h16v2H4z",
+  save: "M4 4h16v16H4zm2 2v9l3.5-4 3 3.5 2-2L18 16V6zm8.5 1.5a1.8 1.8 0 1 1 0 3.6 1.8 1.8 0 0 1 0-3.6z",
+  download: "M11 4h2v8h3.5L12 17l-4.5-5H11zM4 18h16v2H4z",
+  "save-frame":
+    "M7 4a3 3 0 1 1 0 6 3 3 0 0 1 0-6zm10 1a4 4 0 1 1 0 8 4 4 0 0 1 0-8zM9 13a4 4 0 1 1 0 8 4 4 0 0 1 0-8zm8 3a2 2 0 1 1 0 4 2 2 0 0 1 0-4z",
   embed: "M9 7l-5 5 5 5-1.5 1.5L1 12l6.5-6.5zm6 0l5 5-5 5 1.5 1.5L23 12l-6.5-6.5z",
   gyroscope: "M7 2h10v20H7zm2 3v13h6V5zM2 9l3-3v2.5h1v1H5V12zm20 6l-3 3v-2.5h-1v-1h1V12z",
   interpolate: "M3 8h4v8H3zm7 0h1v8h-1zm3 0h1v8h-1zm4 0h4v8h-4z",

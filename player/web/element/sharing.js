@@ -68,16 +68,42 @@ export class Sharing {
 
   /** Saves the picture that shows, as the viewer sees it, without the controls. */
   async savePicture() {
-    const { element } = this;
-    const { player } = element;
+    const { player } = this.element;
     if (!player?.manifest || player.shownFrame < 0) return;
-    const title = player.manifest.title || "picture";
-    const name = `${title.replace(/[^\p{L}\p{N}._-]+/gu, "-")}-${player.shownFrame}.png`;
-    const blob = await new Promise((done) => player.canvas.toBlob(done, "image/png"));
-    if (!(blob instanceof Blob)) return this.hint("This picture could not be saved");
-    const url = URL.createObjectURL(blob);
-    node("a", { href: url, download: name }).click();
+    const { shownFrame } = player;
+    const file = await new Promise((done) => player.canvas.toBlob(done, "image/png"));
+    this.#save(file, shownFrame, "png");
+  }
+
+  /** Saves the Gaussians of the frame that shows, as the worker has them. */
+  saveFrame() {
+    const { player } = this.element;
+    if (!player?.manifest || player.shownFrame < 0) return;
+    const came = (/** @type {any} */ { detail }) => this.#save(detail?.file, detail?.frame, "ply");
+    player.addEventListener("ply", came, { once: true });
+    player.requestPly();
+  }
+
+  /**
+   * @param {Blob | null | undefined} file
+   * @param {number} frame
+   * @param {string} suffix
+   */
+  #save(file, frame, suffix) {
+    if (!file) return this.hint("This could not be saved");
+    const title = this.element.player?.manifest?.title || "frame";
+    const url = URL.createObjectURL(file);
+    this.download(url, `${title.replace(/[^\p{L}\p{N}._-]+/gu, "-")}-${frame}.${suffix}`);
     URL.revokeObjectURL(url);
+  }
+
+  /**
+   * Saves what is at `url`.
+   * @param {string} url
+   * @param {string} [name] of the file; by default as its server, or the URL, has it
+   */
+  download(url, name = "") {
+    node("a", { href: url, download: name }).click();
   }
 
   async openPictureInPicture() {

@@ -157,6 +157,11 @@ export class StreamSession extends EventTarget {
     this.workers?.post({ kind: "resend" });
   }
 
+  /** Makes the worker send the current frame as a file, in an event `ply`; see StreamPlayer. */
+  requestPly() {
+    this.workers?.post({ kind: "ply" });
+  }
+
   /** @param {any} data */
   #onMessage(data) {
     switch (data.kind) {

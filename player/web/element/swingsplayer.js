@@ -18,7 +18,7 @@ const LONG_MS = 10_000;
  *
  * Attributes: `src`, `autoplay`, `loop`, `preload`, `start` (seconds), `view` (as in a share link),
  * `poster`, `muted`, `interpolate`, `link` (the page that share links open), `max-gaussians`,
- * `other-hosts`, `crossorigin`, `buffer-mb`, `gestures`. docs/EMBED.md describes them all, and the scripting interface.
+ * `other-hosts`, `crossorigin`, `buffer-mb`, `gestures`, `download`. docs/EMBED.md describes them all, and the scripting interface.
  */
 export class SwingsPlayerElement extends MediaInterface {
   /** Version of the player. */

@@ -129,6 +129,9 @@ scope.onmessage = ({ data }) => {
     case "follow":
       player?.follow(data);
       break;
+    case "ply":
+      player?.postPly();
+      break;
     case "resend":
       player?.resend();
       break;

@@ -337,6 +337,18 @@ export class StreamPlayer {
     if (this.playback.isJoined) this.show(this.playback.resend());
   }
 
+  /** Posts the current frame as a PLY file; null if that is not possible. */
+  async postPly() {
+    try {
+      const { framePly } = await import("../format/ply.js");
+      const { frame, play } = this.playback;
+      this.outlet.post({ kind: "ply", message: { frame, file: framePly(play.decoder) } });
+    } catch (error) {
+      console.warn("swings: the frame could not be written:", error);
+      this.outlet.post({ kind: "ply", message: null });
+    }
+  }
+
   /** Reports the position to the source. */
   reportPosition() {
     const { playback, playing, round } = this;

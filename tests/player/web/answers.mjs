@@ -7,6 +7,7 @@ import { createInterface } from "node:readline";
 import { copyRows, emptyScene, Scene } from "../../../player/web/feed/scene.js";
 import { FormatError } from "../../../player/web/format/bytes/errors.js";
 import { readManifest } from "../../../player/web/format/manifest.js";
+import { framePly } from "../../../player/web/format/ply.js";
 import { openSource } from "../../../player/web/source/source.js";
 import { readObject } from "../../../player/web/format/objecttable.js";
 import { inflatePacket } from "../../../player/web/format/packet.js";
@@ -192,6 +193,9 @@ const ANSWERS = {
     if (period > 1) layout.Decoder = made(SlotDecoder, FormatError);
     decoder = new (layout.Decoder ?? SlotDecoder)(layout, numLayers ?? undefined);
     return null;
+  },
+  async ply() {
+    return hex(new Uint8Array(await framePly(decoder).arrayBuffer()));
   },
   load({ bytes }) {
     return decoder.load(unhex(bytes));

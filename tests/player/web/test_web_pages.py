@@ -100,6 +100,11 @@ def test_the_page_of_a_stream(page: Page, server: ServerProcess) -> None:
     page.click("header a")
     page.wait("location.pathname === '/'")
     page.open(address, 1000, 700)
+    links = "[document.querySelector('footer a').href, element.getAttribute('download')]"
+    assert (
+        page.value(f"{links}.map((link) => new URL(link, document.baseURI).pathname)")
+        == ["/v1/streams/s3/stream.swings"] * 2
+    )
     page.click("button[popovertarget=embed]")
     page.wait("document.querySelector('#embed').matches(':popover-open')")
     assert page.axe() == []

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from codec.errors import CodecError
+from codec.foreign.ply import encode_ply
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotlayout import SlotLayout
+from codec.stream.reader import StreamReader
 from tests.goldens.folder import StreamFolder
 from tests.goldens.statehash import state_sha256
 from tests.goldens.suite import FOLDER, read_order, read_table
@@ -41,6 +43,8 @@ def test_a_stream_of_the_conformance_suite(browser: BrowserCode, row: dict[str, 
                 changes = [stream.chunks(at, f"{layer}")[frame] for layer in layers]
                 slots.apply(frame, stream.chunks(at, "masks")[frame], changes)
             assert row["state_sha256"][frame][num_layers - 1] in (None, state_sha256(slots.held()))
+        shown = StreamReader(stream.folder).active_splats(frame, num_layers)
+        assert bytes.fromhex(browser.ask("ply")) == encode_ply(shown)
 
 
 @pytest.mark.parametrize("row", ORDERS)

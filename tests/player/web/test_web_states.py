@@ -190,17 +190,24 @@ def test_the_menu_by_keys(phone: Reached) -> None:
     assert page.value("player.shownFrame") == 0  # the player left the arrows to the menu
 
 
-def test_the_menu_saves_the_picture(desk: Reached) -> None:
+def test_the_menu_saves_the_picture_the_frame_and_the_stream(desk: Reached) -> None:
     page = desk.page
     desk.watch("src=../static&autoplay=0&t=1")
     page.wait("player.shownFrame === 30 && part('.bar')")
+    page.run("element.setAttribute('download', 'one.swings')")
+    page.run("HTMLAnchorElement.prototype.click = () => {}")
     page.run("URL.createObjectURL = (blob) => { window.saved = blob; return 'data:,'; }")
     page.run("document.createElement = ((make) => (tag) => (window.made = make(tag)))"
              "(document.createElement.bind(document))")  # fmt: skip
     desk.do(*clicks(".more"), *clicks("[data-name=save]"))
-    page.wait("window.saved?.type === 'image/png' && made.download === 'picture-30.png'")
+    page.wait("window.saved?.type === 'image/png' && made.download === 'frame-30.png'")
     size = "const { width, height } = await createImageBitmap(saved); return [width, height]"
     assert page.run(size) == page.value("[player.canvas.width, player.canvas.height]")
+    desk.do(*clicks(".more"), *clicks("[data-name=save-frame]"))
+    page.wait("made.download === 'frame-30.ply'")
+    assert page.run("return (await saved.text()).slice(0, 4)") == "ply\n"
+    desk.do(*clicks(".more"), *clicks("[data-name=download]"))
+    page.wait("made.href === new URL('one.swings', document.baseURI).href")
 
 
 def test_the_keys_of_the_player(desk: Reached) -> None:

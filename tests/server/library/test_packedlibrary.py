@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import shutil
+from http.client import IncompleteRead
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -16,6 +18,7 @@ from codec.tools.packing import pack_stream, unpack_stream
 from codec.tools.streamcaptions import add_captions
 from server.library import Library
 from tests.support.hosted_streams import served, write_stream
+from tests.support.server.running_server import live_stream
 from tests.support.sounding import add_clicks
 from tests.support.stores.s3_server import BUCKET, S3Server
 from tests.support.tiny_stream import files_of
@@ -60,6 +63,30 @@ def test_a_packed_stream_is_served_like_its_folder(
         for name in ("segments/9/0", "segments/0/audio-other", "captions-fr.vtt", ".tracks"):
             assert fetch(f"{base}/{name}")[0] == 404
         assert fetch(f"{server.url}/watch/talk")[0] == 200
+        assert fetch(f"{base}/stream.swings") == (200, (tmp_path / "talk.swings").read_bytes())
+
+
+def test_a_stream_is_downloaded_as_one_file(stream: Path, tmp_path: Path) -> None:
+    """Whole as `swings-stream pack` writes it, or broken off; and only if it is finished."""
+    root = tmp_path / "root"
+    shutil.copytree(stream, root / "s")
+    pack_stream(stream, tmp_path / "wanted.swings")
+    wanted = (tmp_path / "wanted.swings").read_bytes()
+    live_stream(root / "live", 8)
+    with served(root) as server:
+        base = f"{server.url}/v1/streams"
+        for method, body in (("HEAD", b""), ("GET", wanted)):
+            asked = Request(f"{base}/s/stream.swings", method=method)
+            with urlopen(asked, timeout=BOUND_S) as response:
+                assert response.read() == body
+                assert response.headers["Content-Length"] == str(len(wanted))
+                assert response.headers["Content-Disposition"].endswith('"s.swings"')
+        status, why = fetch(f"{base}/live/stream.swings")
+        assert (status, b"when it is finished" in why) == (404, True)
+        damaged = root / "s" / "segments" / "2" / "0"
+        damaged.write_bytes(damaged.read_bytes()[::-1])
+        with pytest.raises((IncompleteRead, ConnectionError)):
+            fetch(f"{base}/s/stream.swings")
 
 
 def test_a_folder_comes_before_a_file_of_its_name(stream: Path, tmp_path: Path) -> None:

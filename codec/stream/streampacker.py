@@ -1,0 +1,125 @@
+"""A stream as one file, piece by piece: for a disk, or for a client that downloads it.
+
+Rule: little is held at a time, and no byte is given that was not checked: what has changed since
+the beginning ends the packing with an error.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from codec.errors import CodecError, CorruptError, InvalidError
+from codec.storage.storage import Storage
+
+from .captions import MAX_CAPTIONS_BYTES
+from .index import INDEX_NAME, SegmentRecord
+from .integrity import check_index_end, check_object_bytes
+from .manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest, Part, object_name
+from .object import MAX_OBJECT_BYTES
+from .packedlayout import PackedHead, PackedLayout, picture_paths
+from .packedtracks import TRACKS_NAME, TrackSizes
+from .pictures import read_picture
+from .reader import read_stream_file
+from .sound import MAX_SOUND_BYTES, checked_object, first_sample
+
+
+class StreamPacker:
+    """A stream that becomes one file. Its methods block."""
+
+    def __init__(
+        self,
+        storage: Storage,
+        manifest: Manifest,
+        manifest_json: bytes,
+        records: Sequence[SegmentRecord],
+        index: bytes,
+    ) -> None:
+        """Raises InvalidError for a stream that is live or has no frames, a CodecError for one that
+        is damaged."""
+        if manifest.live:
+            raise InvalidError(f"{storage.name} is live; pack it when it is finished")
+        if not records:
+            raise InvalidError(f"{storage.name} has no frames; there is nothing to pack")
+        self._storage = storage
+        self._manifest = manifest
+        self._records = records
+        try:
+            check_index_end(len(index), manifest, len(records))
+        except CodecError as error:
+            raise error.within(storage.place(INDEX_NAME)) from error
+        paths = picture_paths(manifest)
+        found = {path: read_picture(storage, path) for path in paths if path}
+        pictures = {path: data for path, data in found.items() if data}
+        captions = {
+            each.file_name: read_stream_file(storage, each.file_name, MAX_CAPTIONS_BYTES)
+            for each in manifest.captions
+        }
+        tracks = self._tracks([*map(len, captions.values())])
+        self._files = {MANIFEST_NAME: manifest_json, INDEX_NAME: index, TRACKS_NAME: tracks}
+        """The small files, by path."""
+        self._files |= {**pictures, **captions}
+        poster_bytes, storyboard_bytes = (len(pictures.get(path or "", b"")) for path in paths)
+        head = PackedHead(
+            len(manifest_json), len(index), poster_bytes, storyboard_bytes, len(tracks)
+        )
+        self.layout = PackedLayout(head, manifest, records, tracks)
+
+    def _tracks(self, captions: list[int]) -> bytes:
+        """The table of sizes."""
+        sources = [source.part for source in self._manifest.sound]
+        sizes = dict(self._storage.sizes(SEGMENTS_NAME)) if sources else {}
+        sound = np.zeros((len(self._records), len(sources)), np.int64)
+        for segment, column in np.ndindex(*sound.shape):
+            path = object_name(segment, sources[column])
+            # Where there is none, reading it says so.
+            sound[segment, column] = sizes.get(path) or len(self._sound(segment, sources[column]))
+        return TrackSizes(tuple(captions), sound).to_bytes()
+
+    def pieces(self) -> Iterator[bytes]:
+        """All bytes of the file, in order. Raises a CodecError where the stream is damaged, or is
+        not what it was at the beginning any more."""
+        content, sizes = b"", (size_bytes for _, _, size_bytes in self.layout.files())
+
+        def checksum(path: str) -> int:
+            nonlocal content
+            content = self.read(path)
+            if len(content) != next(sizes):
+                raise CorruptError(f"{self._storage.place(path)} has changed meanwhile")
+            return zlib.crc32(content)
+
+        for _, piece in self.layout.structure(checksum):
+            yield piece
+            yield content
+            content = b""
+
+    def read(self, path: str) -> bytes:
+        """The file at `path`, which the stream has. Raises a CodecError."""
+        if path in self._files:
+            return self._files[path]
+        segment, part = self.layout.address(path) or (0, 0)
+        if part not in self._manifest.parts:
+            return self._sound(segment, part)
+        # The hash is enough: what is in it stays as it is.
+        data = read_stream_file(self._storage, path, MAX_OBJECT_BYTES)
+        record, number = self._records[segment], self._manifest.part_number(part)
+        try:
+            check_object_bytes(data, record, number)
+        except CodecError as error:
+            raise error.within(self._storage.place(path)) from error
+        return data
+
+    def _sound(self, segment: int, part: Part) -> bytes:
+        """An object of sound, if it is one of its source and segment."""
+        path, record = object_name(segment, part), self._records[segment]
+        source = next(each for each in self._manifest.sound if each.part == part)
+        data = read_stream_file(self._storage, path, MAX_SOUND_BYTES)
+        frames = record.first_frame, record.first_frame + record.num_frames
+        begin, stop = (first_sample(frame, self._manifest.fps) for frame in frames)
+        try:
+            checked_object(data, source, begin, stop)
+        except CodecError as error:
+            raise error.within(self._storage.place(path)) from error
+        return data
