@@ -6,6 +6,7 @@ import asyncio
 import logging
 import math
 import re
+from collections import Counter
 from dataclasses import replace
 from urllib.parse import parse_qsl, quote
 
@@ -89,14 +90,17 @@ def _streams(call: Call) -> list[ServedStream]:
     return [stream for _, stream in sorted(call.state.library.streams.items())]
 
 
-def _card(stream: ServedStream) -> str:
+def _card(stream: ServedStream, titles: Counter[str]) -> str:
     """The card of `stream`; its name alone if the rest cannot be shown, so that one stream never
-    takes the page of all from the others."""
+    takes the page of all from the others. titles: how many streams have each."""
     try:
         seconds = stream.num_frames / stream.fps
+        title = _title(stream)
+        if titles[title] > 1 and title != stream.name:
+            title = f"{title} ({stream.name})"
         card = Card(
             stream.name,
-            _title(stream),
+            title,
             picture_path(stream.view.manifest.poster),
             seconds if math.isfinite(seconds) and not _is_still(stream) else None,
             stream.live,
@@ -116,7 +120,8 @@ def _place(stream: ServedStream) -> tuple[bool, list[tuple[int, str]]]:
 
 def front(call: Call) -> Response:
     streams = sorted(_streams(call), key=_place)
-    cards = [_card(stream) for stream in streams]
+    titles = Counter(map(_title, streams))
+    cards = [_card(stream, titles) for stream in streams]
     page = front_page(cards, call.state.library.broken, _origin(call))
     return _page(page, gallery.SECURITY)
 

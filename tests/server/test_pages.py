@@ -76,6 +76,15 @@ async def test_the_list_and_the_front_page_name_every_stream(site: Site) -> None
     assert "<walk>" not in front.text
 
 
+async def test_cards_of_equal_titles_show_the_names_of_their_streams(tmp_path: Path) -> None:
+    for name in ("take-1", "take-2", "Walk"):
+        make_stream(tmp_path / name, 1, title="Walk")
+    async with served(tmp_path) as (_, client):
+        front = await fetch(client, "/")
+    titles = re.findall('class="title">([^<]*)', front.text)
+    assert sorted(titles) == ["Walk", "Walk (take-1)", "Walk (take-2)"]
+
+
 async def test_a_poster_of_any_name_shows_on_the_front_page(tmp_path: Path) -> None:
     name = 'a "b" & <c>?.png'
     stream = stream_with_poster(tmp_path, "walk", name)

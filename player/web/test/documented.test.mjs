@@ -1,0 +1,24 @@
+/** What docs/EMBED.md quotes, the player says. */
+import assert from "node:assert/strict";
+import { readdirSync, readFileSync } from "node:fs";
+import { test } from "node:test";
+
+const WEB = new URL("../", import.meta.url);
+
+test("the messages that the documentation quotes are those of the player", () => {
+  const sources = readdirSync(WEB, { recursive: true })
+    .filter((path) => /^(element|source)\/.*\.js$/.test(path))
+    .map((path) => readFileSync(new URL(path, WEB), "utf8").replace(/["`] \+\s+["`]/g, ""))
+    .join("\n");
+  const text = readFileSync(new URL("../../docs/EMBED.md", WEB), "utf8");
+  const cells = text.split("## If it does not play")[1].matchAll(/^\| (.*?) \|/gm);
+  const quotes = [...cells].flatMap(([, cell]) =>
+    [...cell.matchAll(/"([^"]+)"/g)].map(([, one]) => one),
+  );
+  assert.ok(quotes.length >= 7);
+  for (const quote of quotes) {
+    // Capitals stand for an address; what follows a semicolon may be added elsewhere.
+    for (const piece of quote.split(/\b(?:HOST|URL)\b|\.\.\.|;/).map((one) => one.trim()))
+      assert.ok(sources.includes(piece), `no message has: ${piece}`);
+  }
+});
