@@ -46,6 +46,7 @@ async def test_a_status_report_is_accepted_or_refused_in_one_line(
             token = response.headers[PLAY_HEADER]
             assert len(token) >= 22  # 128 bits
             assert PLAY_HEADER in response.headers["Access-Control-Expose-Headers"]
+            assert response.headers["X-Accel-Buffering"] == "no"  # nginx passes it on at once
             url = f"/v1/streams/long/play/{token}"
             assert await post(url, ClientStatus(1, 0.5, paused=True).to_json()) == (204, "")
             assert await post(url, b'{"buffer_s": 2}') == (204, "")
