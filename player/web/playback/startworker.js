@@ -1,7 +1,9 @@
 /** Names of the player's workers; a bundler may add a hash. */
 const WORKERS = /\/(play|sort|feed)worker[^/]*\.js$/;
+/** Where this code is from. */
+const HOME = new URL(import.meta.url).origin;
 /** Key of the policy in the page: a second copy of this code must not create one with the same name. */
-const POLICY = Symbol.for("swings-worker");
+const POLICY = Symbol.for(`swings-worker ${HOME}`);
 
 /**
  * Starts one of the player's workers. It works from any origin, although a page may not directly start
@@ -23,12 +25,13 @@ export function startWorker(url) {
 
 /**
  * The URL at which this page may start a worker's module. Any script of the page can reach the policy, so it
- * serves the player's workers only.
+ * serves the player's workers only, from this page's origin and from that of this code.
  * @param {string} module
  */
 function startable(module) {
   const { origin, pathname } = new URL(module);
-  if (!WORKERS.test(pathname)) throw new TypeError(`${module} is no worker of swings-player`);
+  const isOurs = WORKERS.test(pathname) && [globalThis.origin, HOME].includes(origin);
+  if (!isOurs) throw new TypeError(`${module} is no worker of swings-player`);
   if (origin === globalThis.origin) return module;
   const script = `import ${JSON.stringify(module)};`;
   // For a page from a file or in a sandbox, Chromium does not run modules from blobs.

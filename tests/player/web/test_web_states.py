@@ -306,8 +306,9 @@ def test_two_copies_of_the_code_share_the_policy_of_trusted_types(page: Page, ho
     feed = "const { GaussianFeed } = await import('./web/feed/gaussianfeed.js');"  # another copy
     code = f"{feed} return (await new GaussianFeed('static').opened).numFrames"
     assert page.run(code) == NUM_FRAMES
-    for url in "https://other.example/evil.js", f"{hosts.url}/static/manifest.json":
-        steal = "window[Symbol.for('swings-worker')].createScriptURL(value)"
+    others = "https://other.example/evil.js", "https://other.example/playworker.js"
+    for url in *others, f"{hosts.url}/static/manifest.json":
+        steal = "window[Symbol.for('swings-worker ' + origin)].createScriptURL(value)"
         code = f"try {{ {steal}; }} catch (error) {{ return error.name; }}"
         assert page.run(code, url) == "TypeError"
 
