@@ -184,7 +184,9 @@ def test_the_bar_is_one_row_at_any_width(page: Page, url: str, touch: bool) -> N
     in_menu = page.value(
         "[...element.shadowRoot.querySelectorAll('.menu button')].map((one) => one.dataset.name)"
     )
-    assert {"rate", "reset", "captions"} <= {*in_menu}
+    wanted = {"rate", "reset", "captions", "views", "pip"} | (set() if touch else {"fly"})
+    assert wanted <= {*in_menu}
+    assert "loop" not in in_menu, "of what is live"
     assert {*in_menu} & {*found[320]["names"]} == set()
     page.resize(304, 171)
     page.wait("part('.large').checkVisibility()")
