@@ -15,12 +15,15 @@ from bench.serve.livelatency import measure_live
 from bench.serve.objectrate import cases_of, measure_objects
 from bench.serve.processes import two_cores
 
-pytestmark = pytest.mark.skipif(
-    not sys.platform.startswith("linux")
-    or (os.cpu_count() or 1) < 2
-    or not shutil.which("taskset"),
-    reason="it needs Linux, two cores and taskset",
-)
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.skipif(
+        not sys.platform.startswith("linux")
+        or (os.cpu_count() or 1) < 2
+        or not shutil.which("taskset"),
+        reason="it needs Linux, two cores and taskset",
+    ),
+]
 
 
 def nothing(pid: int) -> ExitStack:
@@ -47,7 +50,6 @@ def test_killed_workers_cost_their_clients_no_slice(capsys: pytest.CaptureFixtur
     assert "2 kills, 4 clients" in capsys.readouterr().out
 
 
-@pytest.mark.realtime
 def test_a_live_stream_reaches_who_follows_it() -> None:
     figures = measure_live(3, 4000, 6.0, two_cores(), ())
     assert figures.segments >= 3 * 5
@@ -55,7 +57,6 @@ def test_a_live_stream_reaches_who_follows_it() -> None:
     assert -20 < figures.first_ms.p50 <= figures.last_ms.p50 < 3000
 
 
-@pytest.mark.realtime
 def test_objects_are_measured_beside_others() -> None:
     for program in ("nginx", "wrk"):
         if not shutil.which(program) and not shutil.which(program, path="/usr/sbin"):
