@@ -56,6 +56,15 @@ const onItsSide = () =>
   filmed(...RING.map((pose) => ({ ...pose, right: pose.down, down: times(pose.right, -1) })));
 const RIGS = [ring, dome, wall, outward, model, onItsSide];
 
+test("in a room one cannot go far behind the cameras", () => {
+  const { cameras } = ring(); // 4 m from the middle
+  const farthestM = (half) => {
+    const bounds = [-half, half].map((x) => add(SCENE, [x, x, x]));
+    return boundsOf({ cameras, bounds, defaultCamera: cameras[0] }).distanceM[1];
+  };
+  assert.deepEqual([2, 5].map(farthestM).map((x) => x.toFixed(2)), ["6.00", "4.40"]);
+});
+
 /** A camera, and ways to move it through its keys and through pictures of its time. */
 function moving(scene = ring(), isReduced = false) {
   const motion = new CameraMotion(scene, () => isReduced);

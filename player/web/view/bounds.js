@@ -24,6 +24,8 @@ const MORE_ASIDE_RAD = 40 * RAD_PER_DEG;
 const OPEN_GAP_RAD = 170 * RAD_PER_DEG;
 /** Maximum distance to the centre, as a multiple of the farthest camera's distance. */
 const FARTHEST_SHARE = 1.5;
+/** The same if most cameras stand in what was filmed: behind the walls of a room there is fog. */
+const FARTHEST_INSIDE_SHARE = 1.1;
 /** If the vertical part of a camera's right axis exceeds this, the camera lies on its side. */
 const LIES = Math.SQRT1_2;
 /** Limit of the looked-at point's height above or below the centre, as a share of the typical distance. */
@@ -58,12 +60,15 @@ export function boundsOf({ cameras, bounds, defaultCamera }) {
     .map(({ position }) => length(subtract(position, centre)))
     .sort((a, b) => a - b);
   const halfDiagonalM = length(subtract(bounds[1], bounds[0])) / 2;
+  const isInside = (/** @type {Pose} */ { position }) =>
+    position.every((x, axis) => bounds[0][axis] <= x && x <= bounds[1][axis]);
+  const areInside = 2 * poses.filter(isInside).length > poses.length;
   const medianM = distances[distances.length >> 1];
   const scaleM = medianM > 1e-3 * halfDiagonalM ? medianM : halfDiagonalM || 1;
   /** @type {[number, number]} */
   const distanceM = [
     Math.min(NEAREST_SHARE * scaleM, distances[0]),
-    FARTHEST_SHARE * Math.max(scaleM, ...distances),
+    (areInside ? FARTHEST_INSIDE_SHARE : FARTHEST_SHARE) * Math.max(scaleM, ...distances),
   ];
   const pitches = poses.map((pose) => pitchOf(pose, up));
   // The single camera of an imported model gives no information about the model's other sides.
