@@ -62,7 +62,10 @@ test("in a room one cannot go far behind the cameras", () => {
     const bounds = [-half, half].map((x) => add(SCENE, [x, x, x]));
     return boundsOf({ cameras, bounds, defaultCamera: cameras[0] }).distanceM[1];
   };
-  assert.deepEqual([2, 5].map(farthestM).map((x) => x.toFixed(2)), ["6.00", "4.40"]);
+  assert.deepEqual(
+    [2, 5].map(farthestM).map((x) => x.toFixed(2)),
+    ["6.00", "4.40"],
+  );
 });
 
 /** A camera, and ways to move it through its keys and through pictures of its time. */
