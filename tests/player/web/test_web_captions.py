@@ -187,6 +187,8 @@ def test_the_bar_is_one_row_at_any_width(page: Page, url: str, touch: bool) -> N
     wanted = {"rate", "reset", "captions", "views", "pip"} | (set() if touch else {"fly"})
     assert wanted <= {*in_menu}
     assert "loop" not in in_menu, "of what is live"
+    foreign = "select, input[type=range]:not(.slider)"
+    assert page.value(f"element.shadowRoot.querySelector('{foreign}')") is None
     assert {*in_menu} & {*found[320]["names"]} == set()
     page.resize(304, 171)
     page.wait("part('.large').checkVisibility()")
