@@ -10,6 +10,7 @@ import { GrowingIndex } from "../source/growingindex.js";
 import { edgeFrame, followPeriodS, isBehind } from "../source/liveedge.js";
 import { objectUrl } from "../source/objecturl.js";
 import { openPlay } from "../source/playresponse.js";
+import { PackedStream } from "../source/packed.js";
 import { openSource } from "../source/source.js";
 import {
   answering,
@@ -201,6 +202,14 @@ for (const hasRanges of [true, false]) {
     assert.deepEqual(await index.refresh(), [], "a record that is being written");
   });
 }
+
+test("a packed stream that is another file by now is named as such", async (context) => {
+  const reply = { status: 206, headers: { "Content-Range": "bytes 0-2/98" } };
+  answering(context, () => new Response("abc", reply));
+  const layout = { manifest: MANIFEST, records: [], object: () => ({ first: 0, size: 3 }) };
+  const stream = new PackedStream("http://host/clip.swings", new Fetcher(), layout, 99);
+  await assert.rejects(stream.objectBytes(null, "0", assert.ok), /^SourceError: This video was/);
+});
 
 test("a live stream is looked for once a segment, and less often while it is paused", async (context) => {
   context.mock.timers.enable({ apis: ["setTimeout"] });
