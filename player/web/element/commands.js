@@ -23,6 +23,7 @@ import { isPacked } from "../source/addresses.js";
  */
 export function commandsOf(element, stereo, sharing, panels) {
   const hasTime = () => !element.player?.isStill;
+  const canLoop = () => hasTime() && !element.player?.live;
   return [
     {
       name: "share",
@@ -44,8 +45,8 @@ export function commandsOf(element, stereo, sharing, panels) {
       name: "loop",
       label: "Loop",
       key: "o",
-      isThere: () => hasTime() && !element.player?.live,
-      run: () => element.toggleLoop(),
+      isThere: canLoop,
+      run: () => canLoop() && element.toggleLoop(),
       isOn: () => element.isLooping,
     },
     {

@@ -3,7 +3,7 @@ import { corrupt } from "../format/bytes/errors.js";
 import { checkGaussians, objectPath, readManifest } from "../format/manifest.js";
 import { readObject } from "../format/objecttable.js";
 import { fileUrl } from "./addresses.js";
-import { RateEstimator } from "./estimator.js";
+import { RateEstimator, watchCache } from "./estimator.js";
 import { SourceError } from "./fetcher.js";
 import { follow } from "./follow.js";
 import { explained, GrowingIndex } from "./growingindex.js";
@@ -29,6 +29,7 @@ export class HostedStream {
     this.cache = new SegmentCache(manifest, bufferBytes);
     this.index = new GrowingIndex(fileUrl("index.bin", base), fetcher, manifest);
     this.estimator = new RateEstimator();
+    watchCache((numBytes) => this.estimator.remove(numBytes));
     /** Whether the last play is paused. */
     this.isPaused = false;
     /** Least time to the first byte of an object; Infinity while unknown. */

@@ -430,3 +430,23 @@ test("a part of a file is what was asked for, and tells the size of the file", a
   reply = { status: 200 };
   await assert.rejects(range(), /does not send parts of a file/);
 });
+
+test("bytes from the browser's cache say nothing of the link", async (context) => {
+  let report;
+  context.mock.method(globalThis, "PerformanceObserver", function (callback) {
+    report = (entries) => callback({ getEntries: () => entries });
+    this.observe = () => {};
+  });
+  const files = filesOf("one-lane-gzip");
+  answering(context, (url) => new Response(files[url.slice(BASE.length)]));
+  const { estimator } = await openSource(BASE, new Fetcher());
+  estimator.add(1e6, 0.01);
+  const fromCache = [0, 300].map((transferSize) => ({ transferSize, encodedBodySize: 5e5 }));
+  report([...fromCache, { transferSize: 5300, encodedBodySize: 5000 }]);
+  assert.equal(estimator.rateBps, 8e8, "the rest of what is cached comes as fast");
+  estimator.add(10e3, 0.1);
+  assert.equal(estimator.rateBps, 8e8);
+  estimator.add(10e3, 0.1);
+  const around = estimator.rateBps / 1e6;
+  assert.ok(around > 0.7 && around < 0.9, "at once that of the link");
+});

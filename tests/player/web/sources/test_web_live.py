@@ -75,6 +75,11 @@ def test_a_stream_that_grows_plays_at_its_edge_until_it_ends(
     page.wait("Number(part('.scrub').max) >= 149 && part('.scrub').value >= 90")
     page.run("element.focus()")
     page.click("swings-player canvas")
+    page.press("o")
+    page.run("part('.more').click()")
+    page.wait("part('[data-name=statistics]')")
+    assert page.value("!element.loop && part('[data-name=loop]') === null")
+    page.run("part('.more').click(); element.focus()")
     for way in ("badge", "key"):
         if page.value("state.playing"):
             page.press("k")
