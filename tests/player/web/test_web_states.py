@@ -61,13 +61,10 @@ def test_no_state_has_a_fault_that_axe_finds(desk: Reached, state: str) -> None:
     # Another try does not bring WebGL2; its pictures show one after the other.
     assert desk.page.value("part('.retry').checkVisibility()") is state.startswith("failed")
     if state == "no-webgl":
-        box = "part('.slides .tile').getBoundingClientRect()"
-        desk.page.wait(f"{box}.height === 360")
+        desk.page.wait("part('.slides .tile').offsetHeight === 360")
         place = "part('.slides .tile').style.backgroundPosition"
-        first = desk.page.value(place)
-        desk.page.wait(f"{place} !== {first!r}")
-        over = desk.page.value("part('.failure').getBoundingClientRect().top")
-        assert over > 250, "the sentence is below the picture's middle"
+        desk.page.wait(f"{place} !== {desk.page.value(place)!r}")
+        assert desk.page.value("part('.failure').getBoundingClientRect().top > 250")
 
 
 def test_a_tap_on_a_hidden_bar_shows_it_and_presses_nothing(phone: Reached) -> None:
