@@ -24,6 +24,8 @@ MODULES = {
     "packedlayout.js": "format/packedlayout.js",
     "passing.js": "format/slots/passing.js",
     "ply.js": "format/ply.js",
+    "gaussianfeed.js": "feed/gaussianfeed.js",
+    "feedworker.js": "feed/feedworker.js",
 }
 """Each module of the bundle and its entry point in the sources."""
 
@@ -35,8 +37,10 @@ LATER = {
     "packedlayout.js",
     "passing.js",
     "ply.js",
+    "gaussianfeed.js",
+    "feedworker.js",
 }
-"""Modules that are loaded after the first requests, or when a viewer or a stream needs them."""
+"""Modules that are loaded after the first requests, or when a viewer, stream or page needs them."""
 
 PAGE_SCRIPT, PAGE_SOURCE = "page.js", "watch.js"
 """The script that pages contain inline, so that it sends the first requests at once."""

@@ -300,7 +300,7 @@ def test_two_copies_of_the_code_share_the_policy_of_trusted_types(page: Page, ho
     more = '<swings-player src="static"></swings-player>'
     page.open(page_under(hosts, "swings-worker", more), 160, 120)
     page.wait("player.shownFrame === 0")
-    feed = "const { GaussianFeed } = await import('./web/feed/gaussianfeed.js');"  # another copy
+    feed = "const { GaussianFeed } = await import('./player/gaussianfeed.js');"  # another copy
     code = f"{feed} return (await new GaussianFeed('static').opened).numFrames"
     assert page.run(code) == NUM_FRAMES
     others = "https://other.example/evil.js", "https://other.example/playworker.js"
