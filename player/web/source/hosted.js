@@ -10,6 +10,7 @@ import { explained, GrowingIndex } from "./growingindex.js";
 import { HostedPlay } from "./hostedplay.js";
 import { followPeriodS } from "./liveedge.js";
 import { objectUrl } from "./objecturl.js";
+import { RequestWindow } from "./requestwindow.js";
 import { SegmentCache } from "./segmentcache.js";
 
 /** A stream of files on any static host. It fetches whole objects, see LayerRule. */
@@ -32,8 +33,7 @@ export class HostedStream {
     watchCache((numBytes) => this.estimator.remove(numBytes));
     /** Whether the last play is paused. */
     this.isPaused = false;
-    /** Least time to the first byte of an object; Infinity while unknown. */
-    this.roundTripS = Infinity;
+    this.window = new RequestWindow();
     /** @type {Map<string, unknown>} errors of objects of layers above 0, by segment and part */
     this.absent = new Map();
   }

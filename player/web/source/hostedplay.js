@@ -11,8 +11,6 @@ const LEAST_QUEUE_S = 0.05;
 const MOST_QUEUE_S = 0.2;
 const QUEUE_BYTES = 32 * 1024;
 const STEP_S = 0.1;
-/** Sooner answers come from a cache, or from a host so near that the round trip does not matter. */
-const LEAST_ROUND_TRIP_S = 0.02;
 
 /**
  * A request under way. The link is busy with it from `beginsS` on: when its first byte came, or could have.
@@ -61,11 +59,11 @@ export class HostedPlay {
 
   /** Amount of requested data in flight, in seconds of the link: a round trip, and less if little is here. */
   get #queueS() {
-    const { cache, estimator, manifest, roundTripS } = this.stream;
+    const { cache, estimator, manifest, window } = this.stream;
     const first = Math.max(0, this.nextFrame);
     const bufferS = (cache.endOf(first, first + manifest.fps) - first) / manifest.fps;
     const queueS = Math.min(MOST_QUEUE_S, Math.max(LEAST_QUEUE_S, bufferS / 4));
-    return queueS + (estimator.rateBps && roundTripS < Infinity ? roundTripS : 0);
+    return queueS + (estimator.rateBps && window.roundTripS < Infinity ? window.roundTripS : 0);
   }
 
   /** @param {number} firstFrame */
@@ -116,6 +114,22 @@ export class HostedPlay {
     if (part !== null) this.#fetch(this.stream.records[segment + 1], part);
   }
 
+  /**
+   * Goes on without a layer of a segment that was over when an object of it came: the layer begins again
+   * with the first snapshot that can be here in time.
+   * @param {number} segment
+   * @param {number} layer
+   */
+  #miss(segment, layer) {
+    const { cache, manifest, records } = this.stream;
+    const soonFrame = this.nextFrame + this.stream.window.waitS * this.rate * manifest.fps;
+    const last = Math.max(segment, cache.segmentOf(soonFrame));
+    let lost = segment;
+    let part = this.rule.lose(lost, layer);
+    while (part !== null && lost < last) part = this.rule.lose(++lost, layer);
+    if (part !== null) this.#fetch(records[lost + 1], part);
+  }
+
   /** @param {(coming: Coming) => boolean} isUnwanted */
   #abort(isUnwanted) {
     for (const [name, coming] of this.coming) {
@@ -131,10 +145,13 @@ export class HostedPlay {
     if (this.failure !== null) return STEP_S;
     for (;;) {
       const { nextFrame, paused, queuedBytes, rate } = this;
+      const { mostRequests, waitS } = this.stream.window;
       const rateBps = this.rateBps ?? FIRST_RATE_BPS;
       this.isDone = false;
+      if (this.coming.size >= mostRequests) return STEP_S;
       if (queuedBytes > Math.max(QUEUE_BYTES, (rateBps * this.#queueS) / 8)) return STEP_S;
-      const segment = this.rule.choose({ nextFrame, paused, rateBps, queuedBytes, rate });
+      const state = { nextFrame, paused, rateBps, queuedBytes, waitS, rate };
+      const segment = this.rule.choose(state);
       if (segment === null) {
         this.isDone = this.coming.size === 0 && this.rule.isAtEnd;
         return STEP_S;
@@ -167,11 +184,12 @@ export class HostedPlay {
     const name = `${record.segment}/${part}`;
     const layer = layerOf(part);
     const { absent, cache } = this.stream;
+    const { rule } = this;
     if (absent.has(name)) return this.lose(record.segment, layer, absent.get(name));
     const abort = new AbortController();
     const leftBytes = this.rule.bytes(record.segment, [part]);
     const askedS = this.nowS();
-    const beginsS = askedS + this.stream.roundTripS;
+    const beginsS = askedS + this.stream.window.roundTripS;
     const coming = { segment: record.segment, leftBytes, abort, beginsS };
     this.coming.set(name, coming);
     let isFirst = true;
@@ -181,8 +199,7 @@ export class HostedPlay {
       if (isFirst) {
         const tookS = this.nowS() - askedS;
         coming.beginsS = Math.min(coming.beginsS, askedS + tookS);
-        if (tookS > LEAST_ROUND_TRIP_S)
-          this.stream.roundTripS = Math.min(this.stream.roundTripS, tookS);
+        this.stream.window.addFirstByte(tookS);
       }
       isFirst = false;
       this.onData();
@@ -190,6 +207,8 @@ export class HostedPlay {
     try {
       const packets = await this.stream.object(record, part, count, abort.signal);
       cache.addObject(record, part, packets);
+      const isLate = this.nextFrame >= record.firstFrame + record.numFrames;
+      if (isLate && layer > 0 && rule === this.rule) this.#miss(record.segment, layer);
     } catch (error) {
       if (abort.signal.aborted || this.failure !== null) return;
       if (layer === 0) this.failure ??= error;

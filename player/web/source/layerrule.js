@@ -4,8 +4,10 @@ const PLAN = {
   safety: 0.9,
   /** Seconds of layer 0 that are requested before other layers. */
   baseS: 9,
-  /** The same if the link carries much more than layer 0. */
+  /** The same at the beginning, if the link carries much more than layer 0. */
   leastBaseS: 3,
+  /** Seconds by which it grows in a second of the stream, beside the layers that show already. */
+  baseGrowth: 0.5,
   /** Maximum seconds of layer 0 ahead. */
   mostS: 15,
   /** Share of a segment's duration by which a layer above 0 may arrive late. */
@@ -21,6 +23,7 @@ const PLAN = {
  * @property {boolean} paused
  * @property {number} rateBps estimated throughput of the link
  * @property {number} queuedBytes requested, but not received
+ * @property {number} waitS seconds from a request to its first byte
  * @property {number} rate playback rate; 1 is normal speed
  */
 
@@ -58,7 +61,7 @@ export class LayerRule {
    * The segment for which one more layer should be requested now; null if there is none.
    * @param {PlaybackState} state
    */
-  choose({ nextFrame, paused, rateBps, queuedBytes, rate }) {
+  choose({ nextFrame, paused, rateBps, queuedBytes, waitS, rate }) {
     const { fps, segmentFrames } = this.manifest;
     const current = Math.max(this.first, this.#segmentOf(nextFrame));
     for (const known of this.levels.keys()) if (known < current - 1) this.levels.delete(known);
@@ -71,16 +74,17 @@ export class LayerRule {
     const isStill = paused && base > current && this.#level(current) < this.mostLayers;
     if (isStill) return current;
     const plannedBps = (PLAN.safety * rateBps) / rate; // per second of the stream
-    const isFresh = -startS(this.first) < PLAN.leastBaseS;
-    const baseS = isFresh && wantsBase ? this.#baseS(base, plannedBps) : PLAN.baseS;
-    if (wantsBase && startS(base) < baseS) return base;
+    const playedS = Math.max(0, -startS(this.first) - PLAN.leastBaseS);
+    const baseS = (wantsBase ? this.#baseS(base, plannedBps) : 0) + PLAN.baseGrowth * playedS;
+    if (wantsBase && startS(base) < Math.min(baseS, PLAN.baseS)) return base;
     const lateS = (PLAN.lateShare * segmentFrames) / fps;
     for (let layer = 1; layer < this.mostLayers; layer++) {
       for (let segment = current; segment < base; segment++) {
         if (this.#level(segment) !== layer) continue;
         const missingBytes = this.bytes(segment, this.parts(segment));
         if (missingBytes === 0) return segment;
-        const comesS = (8 * (queuedBytes + missingBytes)) / plannedBps;
+        const beginsS = Math.max(waitS, (8 * queuedBytes) / plannedBps);
+        const comesS = beginsS + (8 * missingBytes) / plannedBps;
         if (!paused && comesS > startS(segment) + lateS) continue;
         if (this.#follows(segment) || this.#carries(segment, plannedBps)) return segment;
       }

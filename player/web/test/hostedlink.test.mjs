@@ -34,6 +34,11 @@ for (const [mbit, rttS, { allByS, mostStalls = 0, of = LONG, ...how }] of LINKS)
     const found = await watched({ rateBps: 1e6 * mbit, rttS, ...of, ...how });
     const all = found.shown.find(({ layers }) => layers === of.layerBytes.length);
     if (allByS !== undefined) assert.ok(all !== undefined && all.atS <= allByS, `at ${all?.atS} s`);
+    if (allByS !== undefined) {
+      const later = found.shown.filter(({ atS }) => atS > 5).map(({ layers }) => layers);
+      const mean = later.reduce((sum, layers) => sum + layers, 0) / later.length;
+      assert.ok(mean > 0.95 * of.layerBytes.length, `${mean} layers after 5 s`);
+    }
     assert.ok(found.stalls <= mostStalls, `${found.stalls} stalls`);
     // A far host is as far as its connections carry, which is less than the link.
     assert.ok(found.rateBps < 1.05e6 * mbit, `${found.rateBps} bit/s`);

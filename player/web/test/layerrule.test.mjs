@@ -10,6 +10,7 @@ import { Fetcher } from "../source/fetcher.js";
 import { HostedStream } from "../source/hosted.js";
 import { HostedPlay } from "../source/hostedplay.js";
 import { LayerRule } from "../source/layerrule.js";
+import { RequestWindow } from "../source/requestwindow.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { answering, filesOf, manifestOf, settled } from "./support.mjs";
 
@@ -30,7 +31,7 @@ const RECORDS = Array.from({ length: NUM_SEGMENTS }, (_, segment) => ({
 
 /** How things stand: a fast link at `nextFrame`, unless `changes` says otherwise. */
 const at = (nextFrame, changes = {}) => ({
-  ...{ nextFrame, rateBps: 100 * NEED_BPS, paused: false, queuedBytes: 0, rate: 1 },
+  ...{ nextFrame, rateBps: 100 * NEED_BPS, paused: false, queuedBytes: 0, waitS: 0, rate: 1 },
   ...changes,
 });
 
@@ -66,7 +67,9 @@ test("nine seconds of layer 0 come first, then other layers, and fifteen seconds
     [9, at(0, { rateBps: 2.2 * base })],
     [5, at(0, { rateBps: 3 * base })],
     [3, at(0)],
-    [9, at(90)],
+    [3, at(90)],
+    [6, at(270)],
+    [9, at(450)],
   ];
   for (const [seconds, state] of cases) {
     const [asked] = chosen([state]);
@@ -161,7 +164,7 @@ for (const rateBps of [1e6, 1e9]) {
       records: INDEX,
       estimator: { rateBps, add() {} },
       absent: new Map(),
-      roundTripS: Infinity,
+      window: new RequestWindow(),
       cache: new SegmentCache(STREAM),
       async object({ segment }, part) {
         asked.push(`${segment}/${part}`);
@@ -194,7 +197,7 @@ test("a try that breaks off is measured, and is under way again", () => {
   const records = INDEX.map((one) => ({ ...one, objectBytes: one.objectBytes.map(large) }));
   const stream = {
     ...{ manifest: STREAM, records, estimator, absent: new Map() },
-    roundTripS: Infinity,
+    window: new RequestWindow(),
   };
   stream.cache = new SegmentCache(STREAM);
   stream.object = (_record, _part, onBytes) => {

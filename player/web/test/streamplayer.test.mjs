@@ -94,7 +94,8 @@ for (const { part, fault, layers } of HOLES) {
     const note = () => {
       const { frame, play } = player.playback;
       const segment = Math.floor(frame / MANIFEST.segmentFrames);
-      if (shown.length > 0) found[segment] = Math.min(found[segment], play.layers);
+      // With the first picture not all objects are under way yet.
+      if (frame > 2) found[segment] = Math.min(found[segment], play.layers);
       return ended() > 0;
     };
     await until(note);

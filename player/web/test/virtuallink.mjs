@@ -2,6 +2,7 @@
 import { Playback } from "../playback/playback.js";
 import { RateEstimator } from "../source/estimator.js";
 import { HostedPlay } from "../source/hostedplay.js";
+import { RequestWindow } from "../source/requestwindow.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { manifestOf, settled } from "./support.mjs";
 
@@ -97,7 +98,7 @@ export async function watched({
     cache,
     estimator: new RateEstimator(),
     absent: new Map(),
-    roundTripS: Infinity,
+    window: new RequestWindow(),
   };
   stream.object = async (record, part, onBytes, signal) => {
     await link.get(objectBytes[manifest.parts.indexOf(part)], onBytes, signal);
@@ -137,7 +138,9 @@ export async function watched({
     play.step();
     for (let s = 0; s < 90; s++)
       for (let l = 0; l < numLayers; l++)
-        if (!come.get(`${s}/${l}`) && hasLayer(s, l)) come.set(`${s}/${l}`, true);
+        // What comes when its segment is over does not show, and what follows on it neither.
+        if (playback.nextFrame < (s + 1) * segmentFrames && hasLayer(s, l))
+          come.set(`${s}/${l}`, true);
     playback.heldFrame = cache.endOf(playback.nextFrame, 900);
     playback.isLinkThin = (play.rateBps ?? Infinity) < 24 * (layerBytes[0] + masksBytes);
     const one = playback.tick(link.nowS);
