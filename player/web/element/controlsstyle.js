@@ -54,7 +54,7 @@ button[aria-pressed="true"]::after {
 .slides { position: absolute; inset: 0; display: grid; place-items: center; background: #000; }
 .slides:has(.tile[hidden]) { background: none; }
 .slides .tile { width: min(100cqw, 100cqh * var(--aspect)); }
-.failure.final { top: auto; bottom: 12px; translate: -50% 0; width: auto; max-width: 88%; padding: 0.8em 1.4em; }
+.failure.final { inset: auto 0 12px; translate: none; width: fit-content; max-width: 88%; margin-inline: auto; padding: 0.8em 1.4em; }
 .failure p { margin: 0 0 1em; overflow-wrap: anywhere; }
 .failure:has(.retry[hidden]):has(details[hidden]) p { margin: 0; }
 .failure .sentence { font-size: 1.25em; }

@@ -32,6 +32,12 @@ export class Round {
     return this.source.failure ?? this.feed.failure;
   }
 
+  /** Whether frames may still show, also after a failure. */
+  get canGoOn() {
+    const { playback, feed, source } = this;
+    return playback.canGoOn || feed.isRunning || source.isFetching;
+  }
+
   /** The first frame that cannot show before more data is received. */
   get endFrame() {
     const { playback, stream } = this;

@@ -266,8 +266,6 @@ export class StreamPlayer {
   step() {
     const { round, playback, playing } = this;
     try {
-      // What has arrived is played first.
-      if (round.failure !== null && !playback.canGoOn) throw round.failure;
       if (this.scrubber.isActive) return this.#postLine();
       const { cache, numFrames, manifest } = this.stream;
       cache.setPlayhead(playback.nextFrame, this.loop && !manifest.live ? numFrames : null);
@@ -281,6 +279,8 @@ export class StreamPlayer {
         this.show(shown);
       }
       round.feed.advance(playback.nextFrame, this.rate);
+      // What has arrived is played first.
+      if (round.failure !== null && !round.canGoOn) throw round.failure;
       // Also while it waits: an answer shows that the host is there.
       if (shown !== null || !playing || playback.waiting) this.reportPosition();
       this.#postLine();

@@ -50,6 +50,10 @@ export class HostedPlay {
     return this.stream.estimator.rateBps;
   }
 
+  get isFetching() {
+    return this.coming.size > 0;
+  }
+
   /** Number of bytes that were requested and have not arrived. */
   get queuedBytes() {
     let sum = 0;
@@ -93,7 +97,7 @@ export class HostedPlay {
    * @param {import("./source.js").Move} how
    */
   moveTo(frame, how) {
-    if (this.isClosed) return false;
+    if (this.isClosed || this.failure !== null) return false;
     if (how === "step") return true;
     const target = this.stream.cache.segmentOf(frame);
     if (how === "seek") this.#abort(({ segment }) => segment !== target);
@@ -210,9 +214,9 @@ export class HostedPlay {
       const isLate = this.nextFrame >= record.firstFrame + record.numFrames;
       if (isLate && layer > 0 && rule === this.rule) this.#miss(record.segment, layer);
     } catch (error) {
-      if (abort.signal.aborted || this.failure !== null) return;
+      if (abort.signal.aborted) return;
       if (layer === 0) this.failure ??= error;
-      else {
+      else if (this.failure === null) {
         absent.set(name, error);
         this.lose(record.segment, layer, error);
       }

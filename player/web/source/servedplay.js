@@ -67,6 +67,10 @@ export class ServedPlay {
     this.onData();
   }
 
+  get isFetching() {
+    return this.response !== null;
+  }
+
   step() {
     return REPORT_S;
   }
@@ -144,7 +148,8 @@ export class ServedPlay {
   moveTo(frame, how) {
     const { stream, mostLayers, firstFrame, endBirth } = this;
     const { cache } = stream;
-    if (this.isClosed || how === "loop" || frame < firstFrame || frame >= endBirth) return false;
+    if (this.isClosed || this.failure !== null || how === "loop") return false;
+    if (frame < firstFrame || frame >= endBirth) return false;
     const segment = cache.segmentOf(frame);
     const isHere = cache.hasAllChanges(segment, stream.framesIn(segment), mostLayers);
     const missing = how === "step" ? [] : cache.missingSnapshots(segment, mostLayers);

@@ -28,6 +28,7 @@ import { ServedStream } from "./served.js";
  *   is damaged
  * @property {number | null} rateBps estimated throughput of the link
  * @property {unknown} failure the error that ended the play; null if there is none
+ * @property {boolean} isFetching whether anything is under way, also after a failure
  * @property {() => void} onData called when data has arrived or a request has failed
  * @property {boolean} isDone whether nothing more will be requested
  * @property {() => void} close aborts all requests

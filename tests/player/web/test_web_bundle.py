@@ -16,6 +16,7 @@ from server.html.watchpage import WatchedStream, frame_html
 from server.html.webplayer import WebPlayer
 from tests.server.hostile.serverprocess import ServerProcess, server_process
 from tests.support.hosted_streams import write_stream
+from tests.support.waiting import wait_until
 from tests.support.web.chromium import Page
 from tests.support.web.site import Site
 
@@ -106,6 +107,7 @@ def test_a_page_of_the_server_starts_with_few_requests(page: Page, tmp_path: Pat
     with server_process(root, tmp_path) as server:
         page.open(f"http://127.0.0.1:{server.port}/watch/walk?autoplay=0", 160, 120)
         page.wait("player.shownFrame >= 0")
+        wait_until(lambda: "/v1/streams/walk/play" in requests_of(server))
         cold = requests_of(server)
         page.reopen()
         page.wait("player.shownFrame >= 0")
