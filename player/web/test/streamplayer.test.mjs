@@ -115,6 +115,17 @@ for (const { part, fault, layers } of HOLES) {
   });
 }
 
+test("a seek goes past what is missing, while what is before it plays", async (context) => {
+  const answer = (path) => (path === "segments/1/0" ? damaged.missing() : answered(path));
+  const { player, shown, failures, until, ended } = playing(
+    ...[context, RECORDS, () => 0.02, {}, answer],
+  );
+  await until(() => player.round.source.failure !== null && shown.length > 0);
+  player.seek(2 * MANIFEST.segmentFrames, 1);
+  await until(() => ended() > 0);
+  assert.deepEqual([failures, shown.at(-1)], [[], NUM_FRAMES - 1]);
+});
+
 test("that a link is too thin is said once, with both rates", async (context) => {
   const delayS = (path) => (/[12].0$/.test(path) ? 2 : 0.02);
   const start = { mostLayers: 1 };
