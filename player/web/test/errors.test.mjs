@@ -3,6 +3,7 @@ import assert from "node:assert/strict";
 import { readdirSync, readFileSync } from "node:fs";
 import { test } from "node:test";
 
+import { sentenceOf } from "../element/failure.js";
 import { Smoothing } from "../element/smoothing.js";
 
 const WEB = new URL("../", import.meta.url);
@@ -25,4 +26,20 @@ test("a device that refuses motion between frames is named, and shows each frame
     assert.equal(mock.callCount(), isLost ? 0 : 1);
   }
   assert.match(String(mock.calls[0].arguments[0]), /no motion between frames/);
+});
+
+test("viewers get a sentence without addresses", () => {
+  const gone = "The host of this video cannot be reached. Check the network and try again.";
+  for (const [message, sentence] of [
+    ["http://host/0/0 cannot be reached; check the network and try again", gone],
+    ["http://host/v1/streams/clip/: The host does not answer", gone],
+    [
+      "http://host/clip/: The server reports: this stream is damaged on the server",
+      "This video is damaged on its server.",
+    ],
+    ["http://host/0/0: HTTP 404", "This video does not exist, or is not here any more."],
+    ["http://host/: manifest: fps is 0", "This video cannot be played."],
+    ["This video was replaced", "This video was replaced."],
+  ])
+    assert.equal(sentenceOf(message), sentence);
 });
