@@ -250,7 +250,8 @@ export class SwingsPlayerElement extends MediaInterface {
     const isWaiting = player.state.waiting && !controls?.live.hasStopped;
     this.#overlay.show(condition, player.shownFrame >= 0, isWaiting);
     // While the picture goes on, nobody needs to know.
-    const hurts = player.state.waiting || player.isSeeking || player.shownFrame < 0;
+    const isStanding = player.state.waiting || player.isSeeking || player.isDeviceLost;
+    const hurts = isStanding || player.shownFrame < 0;
     this.#hints.hold("trouble", hurts ? this.#trouble : "");
     if (this.#frame.dataset.condition !== condition) this.#frame.dataset.condition = condition;
     controls?.show();

@@ -175,8 +175,13 @@ export class WebPlayer extends StreamSession {
     if (!isSeen && this.workers !== null) keepWaiting(this);
   }
 
+  /** Whether the graphics device was lost, and nothing can be drawn. */
+  get isDeviceLost() {
+    return this.view.painter.context.isLost;
+  }
+
   #updateMayPlay() {
-    this.allow(this.sight.isSeen && !this.view.painter.context.isLost);
+    this.allow(this.sight.isSeen && !this.isDeviceLost);
   }
 
   /** @override @param {boolean} isFirst */
