@@ -88,14 +88,14 @@ def test_another_number_of_layers_does_not_begin_anew(page: Page, server: Server
     page.run(
         "window.shown = []; element.playbackRate = 3; element.layers = value;"
         "player.addEventListener('shown', () => shown.push(player.shownFrame))",
-        NUM_LAYERS,  # on a busy machine the server's choice may be another
+        2,  # all three would leave the choice to the server, which goes by a busy machine
     )
-    page.wait(f"state.frame > 30 && state.layers === {NUM_LAYERS}")
+    page.wait("state.frame > 30 && state.layers === 2")
     many = page.value("player.renderer.numDrawn")
     page.run(choose, 1)
     page.wait(f"player.renderer.numDrawn < {many} / 1.5 && state.layers === 1")
-    page.run(choose, NUM_LAYERS)
-    page.wait(f"player.renderer.numDrawn > {many} / 1.5 && state.layers === {NUM_LAYERS}")
+    page.run(choose, 2)
+    page.wait(f"player.renderer.numDrawn > {many} / 1.5 && state.layers === 2")
     for frame, after in pairwise(page.value("shown")):
         assert frame < after or (frame > LONG_FRAMES - 90 and after < 90), "a loop, if anything"
 
