@@ -74,10 +74,11 @@ function firstSegment(bytes) {
 }
 
 /**
+ * Whether a segment is the one that it was.
  * @param {import("../format/streamindex.js").SegmentRecord | undefined} found
  * @param {import("../format/streamindex.js").SegmentRecord} known
  */
-function isSame(found, known) {
+export function isSame(found, known) {
   const [hash] = found?.objectSha256 ?? [];
   return hash !== undefined && hash.every((byte, i) => byte === known.objectSha256[0][i]);
 }

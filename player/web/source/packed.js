@@ -1,9 +1,9 @@
 import { FIRST_PACKED_BYTES } from "../constants.js";
-import { corrupt } from "../format/bytes/errors.js";
+import { corrupt, FormatError } from "../format/bytes/errors.js";
 import { checkGaussians, readManifest } from "../format/manifest.js";
 import { readIndex } from "../format/streamindex.js";
-import { SourceError } from "./fetcher.js";
-import { REPLACED } from "./growingindex.js";
+import { Fetcher, SourceError } from "./fetcher.js";
+import { isSame, REPLACED } from "./growingindex.js";
 import { HostedStream } from "./hosted.js";
 
 /** @typedef {import("../format/packedlayout.js").Place} Place */
@@ -65,9 +65,17 @@ export class PackedStream extends HostedStream {
     return new PackedStream(url, fetcher, layout, fileBytes, bufferBytes);
   }
 
-  /** @override Another file is noticed by its size. @param {unknown} error */
+  /** @override A file of another size is noticed at once, one of the same size here. @param {unknown} error */
   async explain(error) {
-    return error;
+    const known = this.layout.records;
+    try {
+      const fetcher = new Fetcher({ giveUpS: 0, credentials: this.fetcher.credentials });
+      const { layout } = await PackedStream.open(this.base, fetcher, Infinity);
+      const last = known.length - 1;
+      return isSame(layout.records[last], known[last]) ? error : new SourceError(REPLACED);
+    } catch (other) {
+      return other instanceof FormatError ? new SourceError(REPLACED) : error;
+    }
   }
 
   /** @override */

@@ -10,6 +10,7 @@ import { GrowingIndex } from "../source/growingindex.js";
 import { edgeFrame, followPeriodS, isBehind } from "../source/liveedge.js";
 import { objectUrl } from "../source/objecturl.js";
 import { openPlay } from "../source/playresponse.js";
+import { FormatError } from "../format/bytes/errors.js";
 import { PackedStream } from "../source/packed.js";
 import { openSource } from "../source/source.js";
 import {
@@ -209,6 +210,27 @@ test("a packed stream that is another file by now is named as such", async (cont
   const layout = { manifest: MANIFEST, records: [], object: () => ({ first: 0, size: 3 }) };
   const stream = new PackedStream("http://host/clip.swings", new Fetcher(), layout, 99);
   await assert.rejects(stream.objectBytes(null, "0", assert.ok), /^SourceError: This video was/);
+});
+
+test("a packed stream that is another file of the same size is named as such", async (context) => {
+  const records = [1, 2].map((n) => ({ objectSha256: [Uint8Array.of(n)] }));
+  const layout = { manifest: MANIFEST, records };
+  const stream = new PackedStream("http://host/clip.swings", new Fetcher(), layout, 99);
+  const why = new FormatError("of the object");
+  const found = [];
+  for (const now of [
+    records,
+    [...records].reverse(),
+    new FormatError("no head"),
+    new Error("gone"),
+  ]) {
+    context.mock.method(PackedStream, "open", async () => {
+      if (now instanceof Error) throw now;
+      return { layout: { records: now } };
+    });
+    found.push((await stream.explain(why)) === why ? "as it was" : "replaced");
+  }
+  assert.deepEqual(found, ["as it was", "replaced", "replaced", "as it was"]);
 });
 
 test("a live stream is looked for once a segment, and less often while it is paused", async (context) => {
