@@ -3,6 +3,7 @@ scene is."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,6 +24,9 @@ LEAST_TURN = 0.01
 
 MOST_LEAN = np.cos(np.radians(45))
 """Cosine of the angle by which the tops of a rig's pictures may lean on average."""
+
+SAME_SUM = 1.001
+"""Ratio of two sums of distances that count as equal: poses are rounded."""
 
 NEAR_FRACTION = 0.35
 """Near plane of an inward rig, in distances from its nearest camera to the centre. Cameras of a
@@ -85,6 +89,17 @@ def rig_centre(cameras: Sequence[Camera]) -> Doubles | None:
     if norm > 0 and float((axes @ mean).min()) >= norm * np.cos(FORWARD_FACING_RAD):
         return None
     return closest_point(cameras, LEAST_SPREAD)
+
+
+def central_camera(cameras: Sequence[Camera]) -> int:
+    """The index of the camera that shows a scene best at first: of those with the commonest size of
+    picture, the one with the least sum of distances to the others, and of equals the first."""
+    sizes = [(camera.width_px, camera.height_px) for camera in cameras]
+    commonest = Counter(sizes).most_common(1)[0][0]
+    chosen = [index for index, size in enumerate(sizes) if size == commonest]
+    positions = np.array([cameras[index].position for index in chosen])
+    sums = np.linalg.norm(positions[:, None] - positions[None], axis=2).sum(axis=1)
+    return chosen[int(np.argmax(sums <= SAME_SUM * sums.min()))]
 
 
 def rig_depths(

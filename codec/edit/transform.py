@@ -118,10 +118,16 @@ class Transform(Edit):
         mapped = self._places(corners)
         sound = tuple(replace(one, keys=tuple(map(self._key, one.keys))) for one in source.sound)
         (x, y, z), (u, v, w) = mapped.min(axis=0).tolist(), mapped.max(axis=0).tolist()
+        view, focus = source.view, source.focus
+        if focus is not None:
+            (a, b, c), *_ = self._places(np.array([focus])).tolist()
+            focus = a, b, c
         return replace(
             source,
             lattice=self._lattices,
             cameras=cameras,
+            view=None if view is None else self._camera(view),
+            focus=focus,
             bounds=((x, y, z), (u, v, w)),
             near_m=source.near_m * scale,
             camera_near_m=tuple(near_m * scale for near_m in source.camera_near_m),

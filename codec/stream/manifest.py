@@ -145,6 +145,10 @@ class Manifest:
     temporal_period: int = 1
     """Every so many frames the slots go on; the others are in the temporal layer, the last one. 1
     without it."""
+    view: Camera | None = None
+    """What a player starts from where that is no camera of the capture: an edit chose it."""
+    focus: Point | None = None
+    """The middle of what moves, metres: what is to be in a picture too narrow for all."""
 
     def __post_init__(self) -> None:
         _ = self.slot_layout  # has rules of its own
@@ -176,6 +180,8 @@ class Manifest:
             raise InvalidError("manifest: bounds are not two corners of three numbers")
         if (corners[0] > corners[1]).any():
             raise InvalidError("manifest: the lower corner of the bounds is above the upper one")
+        if self.focus is not None and not np.isfinite(self.focus).all():
+            raise InvalidError("manifest: focus holds a number that is not finite")
 
     def _check_cameras(self) -> None:
         if not 1 <= len(self.cameras) <= MAX_CAMERAS:
@@ -187,7 +193,7 @@ class Manifest:
             raise InvalidError(f"manifest: no camera is called {self.default_camera[:80]!r}")
 
     def _check_texts(self) -> None:
-        names = (camera.name for camera in self.cameras)
+        names = (camera.name for camera in (*self.cameras, *filter(None, (self.view,))))
         pictures = {"poster": self.poster or "", "storyboard": self.storyboard or ""}
         for text in (*pictures.values(), self.object_url, self.title, *names):
             if len(text) > MAX_TEXT_CHARS:
@@ -266,7 +272,10 @@ class Manifest:
         return window_births(0, self.swin_size).start
 
     def camera(self, name: str | None = None) -> Camera:
-        """The camera called `name`, or the default one. Raises InvalidError if there is none."""
+        """The camera called `name`, or the one that a player starts from. Raises InvalidError if
+        there is none."""
+        if name is None and self.view is not None:
+            return self.view
         wanted = self.default_camera if name is None else name
         for camera in self.cameras:
             if camera.name == wanted:
@@ -369,6 +378,8 @@ class Manifest:
             "bounds": [list(corner) for corner in self.bounds],
             "cameras": [camera.to_json() for camera in self.cameras],
             "default_camera": self.default_camera,
+            **({} if self.view is None else {"view": self.view.to_json()}),
+            **({} if self.focus is None else {"focus": list(self.focus)}),
             "live": self.live,
             "poster": self.poster,
             **({} if self.storyboard is None else {"storyboard": self.storyboard}),
@@ -436,18 +447,27 @@ def _temporal_period(value: Mapping[str, Any]) -> int:
     return period
 
 
+def _view(value: Mapping[str, Any]) -> Camera | None:
+    """The camera of the key `view`, which may be missing."""
+    if "view" not in value:
+        return None
+    return Camera.from_json(typed(value, "view", dict))
+
+
+def _point(value: object, what: str) -> Point:
+    if type(value) is not list or len(value) != 3:
+        raise CorruptError(f"manifest: {what} is not three numbers")
+    x, y, z = (number(x, what) for x in value)
+    return x, y, z
+
+
 def _from_value(value: Mapping[str, Any]) -> Manifest:
     slots, lattices = typed(value, "slots", list), typed(value, "lattice", list)
     if any(type(count) is not int for count in slots):
         raise CorruptError("manifest: slots holds something that is not an integer")
     if len(slots) != len(lattices):
         raise CorruptError(f"manifest: {len(lattices)} lattices for {len(slots)} layers")
-    corners = []
-    for corner in typed(value, "bounds", list):
-        if type(corner) is not list or len(corner) != 3:
-            raise CorruptError("manifest: a corner of bounds is not three numbers")
-        x, y, z = (number(x, "bounds") for x in corner)
-        corners.append((x, y, z))
+    corners = [_point(corner, "a corner of bounds") for corner in typed(value, "bounds", list)]
     if len(corners) != 2:
         raise CorruptError("manifest: bounds are not two corners")
     cameras = typed(value, "cameras", list)
@@ -475,6 +495,8 @@ def _from_value(value: Mapping[str, Any]) -> Manifest:
         camera_near_m=_camera_depths(value),
         captions=captions_of(value),
         temporal_period=_temporal_period(value),
+        view=_view(value),
+        focus=None if "focus" not in value else _point(value["focus"], "focus"),
     )
     num_gs = typed(value, "num_gs", int)
     if num_gs != manifest.num_gs:

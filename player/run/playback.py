@@ -16,6 +16,7 @@ from codec.camera import Camera
 from codec.files import write_atomic
 from codec.framerange import FrameRange
 from codec.progressline import Counter, counted
+from codec.stream.views import scene_centre
 from player.config import NO_CAPTIONS, PlayConfig
 from player.link.linkprocess import LinkProcess
 from player.playout.clock import Clock
@@ -39,7 +40,7 @@ from player.source.locate import check_url, is_url
 from player.source.opener import Opener
 from player.source.preview import Preview
 from player.source.source import Source
-from player.view.path import CameraPath, Size, scene_centre
+from player.view.path import CameraPath, Size
 from player.view.pathrecorder import PathRecorder
 from server.abr.link.link import Link
 from server.abr.playout import PlayoutConfig

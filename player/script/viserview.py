@@ -21,8 +21,8 @@ from codec.framerange import FrameRange
 from codec.pose import quat_of
 from codec.rig import rig_up
 from codec.splats import SH_C0, Splats
+from codec.stream.views import scene_centre
 from player.config import PlayConfig
-from player.view.path import scene_centre
 
 from .openscene import Scene
 

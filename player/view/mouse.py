@@ -11,8 +11,7 @@ from codec.camera import Camera
 from codec.pose import Doubles, world_to_camera
 from codec.rig import rig_up
 from codec.stream.manifest import Manifest
-
-from .path import scene_centre, turned
+from codec.stream.views import LEAST_ZOOM, MOST_ZOOM, Orbit, scene_centre
 
 TURN_RAD_PER_PX = 0.005
 TURN_RAD_PER_STEP = 0.05
@@ -37,13 +36,10 @@ class View:
 
     def applied(self, camera: Camera) -> Camera:
         """`camera` as the user wants it."""
-        seen = turned(camera, self.centre, self.up, self.turn_rad)
-        seen = turned(seen, self.centre, seen.right, self.tilt_rad)
-        away = seen.position - self.centre
-        distance_m = float(np.linalg.norm(away)) * self.zoom
-        place = self.centre + away * self.zoom
-        place = place - distance_m * (self.pan[0] * seen.right + self.pan[1] * seen.down)
-        return replace(seen, w2c=world_to_camera(seen.w2c[:3, :3], place + self.flown))
+        way = Orbit(self.centre, self.up, self.turn_rad, self.tilt_rad, self.zoom, self.pan)
+        seen = way.applied(camera)
+        place = seen.position + self.flown
+        return replace(seen, w2c=world_to_camera(seen.w2c[:3, :3], place))
 
     def drag_turn(self, right_px: float, down_px: float) -> None:
         """The near side of the scene follows the mouse."""
@@ -56,7 +52,7 @@ class View:
 
     def scroll(self, right_steps: float, up_steps: float) -> None:
         """A wheel comes nearer; two fingers on a touchpad also turn."""
-        self.zoom = min(max(self.zoom * ZOOM_PER_STEP**up_steps, 0.02), 50.0)
+        self.zoom = min(max(self.zoom * ZOOM_PER_STEP**up_steps, LEAST_ZOOM), MOST_ZOOM)
         self.turn_rad -= right_steps * TURN_RAD_PER_STEP
 
     def fly(self, camera: Camera, right: float, down: float, forward: float) -> None:

@@ -9,17 +9,15 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
 
 from codec.camera import MAX_IMAGE_PX, Camera
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
-from codec.pose import Doubles, rotation_about, world_to_camera
-from codec.rig import closest_point, rig_up
+from codec.rig import rig_up
 from codec.stream.manifest import Manifest
+from codec.stream.views import scene_centre, turned
 
 from .keyframes import read_keyframes
 
@@ -33,10 +31,6 @@ ENDLESS_TURN_S = 10.0
 
 MAX_UNASKED_PX = 4096
 """Longest side of a picture without a requested size, in pixels."""
-
-LEAST_SPREAD = 1e-3
-"""See `closest_point`. Cameras whose axes spread less (1.8 degrees) look the same way: where these
-cross is chance, and the middle of the scene is the better centre."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,23 +50,6 @@ class Size:
         if not (1 <= size.width_px <= MAX_IMAGE_PX and 1 <= size.height_px <= MAX_IMAGE_PX):
             raise InvalidError(f"size {text!r} is not within 1..{MAX_IMAGE_PX} pixels")
         return size
-
-
-def turned(camera: Camera, centre: Doubles, axis: Doubles, angle_rad: float) -> Camera:
-    """`camera` carried around the line through `centre` along the unit vector `axis`."""
-    turn = rotation_about(axis, angle_rad)
-    position = centre + turn @ (camera.position - centre)
-    return replace(camera, w2c=world_to_camera(camera.w2c[:3, :3] @ turn.T, position))
-
-
-def scene_centre(manifest: Manifest) -> Doubles:
-    """(3,) what an orbit turns around: where the capture's cameras look, or the bounds' middle."""
-    lower, upper = np.array(manifest.bounds, np.float64)
-    point = closest_point(manifest.cameras, LEAST_SPREAD)
-    if point is not None and (lower <= point).all() and (point <= upper).all():
-        return point
-    middle: Doubles = (lower + upper) / 2
-    return middle
 
 
 def orbit(manifest: Manifest, start: Camera, frames: FrameRange, arc_rad: float) -> CameraPath:

@@ -105,6 +105,9 @@ def _manifests(value: dict[str, Any]) -> Iterator[Row]:
     mirrored = [-camera["w2c"][0], *camera["w2c"][1:]]
     yield row("a camera that is mirrored", CORRUPT, cameras=[camera | {"w2c": mirrored}])
     yield row("a camera without a focal length", CORRUPT, cameras=[camera | {"fx_px": 0}])
+    yield row("a view without a focal length", CORRUPT, view=camera | {"fx_px": 0})
+    yield row("a focus of two numbers", CORRUPT, focus=[1, 2])
+    yield row("a view and a focus", TAKEN, view=camera, focus=[1, 2.5, 3])
     yield row("an object URL without {layer}", CORRUPT, object_url="segments/{segment}")
     yield row("an object URL of three", CORRUPT, object_url="{segment}/{layer}/{other}")
     yield row("a title of 2001 characters", CORRUPT, title="x" * 2001)

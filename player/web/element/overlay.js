@@ -18,6 +18,10 @@ export class Overlay {
     this.poster = node("img", { class: "poster", alt: "", hidden: true });
     // The poster that a stream names may be missing.
     this.poster.addEventListener("error", () => (this.poster.hidden = true));
+    this.poster.addEventListener("load", () => {
+      const { naturalWidth, naturalHeight, style } = this.poster;
+      style.setProperty("--aspect", `${naturalWidth / naturalHeight}`);
+    });
     const ring = node("span", { class: "ring" });
     const label = node("span", { class: "label" }, "Loading");
     this.spinner = node("div", { class: "spinner", role: "status", hidden: true }, ring, label);
@@ -30,6 +34,11 @@ export class Overlay {
   setPoster(url) {
     this.poster.hidden = !url;
     if (url) this.poster.src = url;
+  }
+
+  /** Lays the poster as the first picture will lie. @param {number} share of the width, where what matters is */
+  setFocus(share) {
+    this.poster.style.setProperty("--focus", share.toFixed(3));
   }
 
   get hasPoster() {

@@ -2,7 +2,17 @@
 export const OVERLAY_STYLE = /* css */ `
 /* In a low player, the bar leaves the middle of what is above it. */
 .large, .spinner { --at: calc((100% - var(--under, 0px)) / 2); }
-.poster { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: contain; pointer-events: none; transition: opacity 0.3s; }
+/* It lies as the first picture will, see view/framing.js; but a mean of two lengths is no square root. */
+.poster {
+  --ratio: var(--aspect, 1.778);
+  --high: min(100cqh, max(75cqh, 50cqh + 50cqw / var(--ratio)));
+  --wide: min(100cqw, var(--high) * var(--ratio));
+  --whole: calc(var(--high) * var(--ratio));
+  position: absolute; inset-inline: 0; top: calc((100cqh - var(--high)) / 4); margin-inline: auto;
+  width: var(--wide); height: var(--high); object-fit: cover;
+  object-position: clamp(var(--wide) - var(--whole), var(--wide) / 2 - var(--focus, 0.5) * var(--whole), 0px) 0;
+  pointer-events: none; transition: opacity 0.3s;
+}
 .poster.gone { opacity: 0; }
 .large {
   --size: clamp(64px, 9cqmin, 120px);

@@ -1,5 +1,6 @@
 import { PLAYER_VERSION } from "../constants.js";
 import { pictureUrl } from "../source/pictures.js";
+import { shareAt } from "../view/framing.js";
 import { hasGyroscope } from "./gyroscope.js";
 import { Hints } from "./hints.js";
 import { LazyPart } from "./lazypart.js";
@@ -207,7 +208,8 @@ export class SwingsPlayerElement extends MediaInterface {
 
   /** @param {WebPlayer} player */
   #opened(player) {
-    const { manifest } = player;
+    const { manifest, orbit } = player;
+    if (orbit !== null) this.#overlay.setFocus(shareAt(manifest.defaultCamera, orbit.focus));
     this.#offerPoster(player);
     this.#controls?.part?.opened();
     const tracks = this.#tracks;

@@ -44,7 +44,8 @@ const { fround } = Math;
  * @property {number[]} cameraNearM metres, at each camera; empty if it is `nearM` at all cameras
  * @property {number[][]} bounds lower and upper corner, metres
  * @property {import("./camera.js").Camera[]} cameras
- * @property {import("./camera.js").Camera} defaultCamera
+ * @property {import("./camera.js").Camera} defaultCamera what a player starts from
+ * @property {number[] | null} focus the middle of what moves, metres
  * @property {boolean} live
  * @property {string | null} poster
  * @property {string | null} storyboard
@@ -93,6 +94,7 @@ export function readManifest(bytes) {
   const defaultCamera = cameras.find((camera) => camera.name === name);
   if (defaultCamera === undefined)
     throw corrupt(`manifest: no camera is named ${name.slice(0, 80)}`);
+  const { view, focus } = /** @type {Record<string, unknown>} */ (value);
   return {
     version,
     fps: readFps(value),
@@ -106,7 +108,8 @@ export function readManifest(bytes) {
     cameraNearM: readCameraNearM(value, cameras.length),
     bounds: readBounds(value),
     cameras,
-    defaultCamera,
+    defaultCamera: view === undefined ? defaultCamera : readCamera(view),
+    focus: focus === undefined ? null : readPoint(focus, "focus"),
     live: boolean(field(value, "live"), "live"),
     poster: readPicture(field(value, "poster"), "poster"),
     storyboard: readStoryboard(value),
@@ -253,10 +256,13 @@ function readCameraNearM(value, numCameras) {
   return list(found, least, numCameras, key).map((depth) => positive(number(depth, key), key));
 }
 
+/** @param {unknown} value @param {string} what */
+const readPoint = (value, what) => list(value, 3, 3, what).map((x) => number(x, what));
+
 /** @param {unknown} value */
 function readBounds(value) {
   const corners = list(field(value, "bounds"), 2, 2, "bounds").map((corner) =>
-    list(corner, 3, 3, "a corner of bounds").map((x) => number(x, "bounds")),
+    readPoint(corner, "a corner of bounds"),
   );
   if (corners[0].some((lower, axis) => lower > corners[1][axis])) {
     throw corrupt("manifest: the lower corner of the bounds is above the upper one");

@@ -12,6 +12,7 @@ import { add, length, subtract, times, turned } from "./vectors.js";
  * @property {import("../format/camera.js").Camera[]} cameras
  * @property {import("../format/camera.js").Camera} defaultCamera
  * @property {number[][]} bounds lower and upper corner, metres
+ * @property {number[] | null} [focus] metres
  */
 
 export const TURN_RAD_PER_PX = 0.005;
@@ -34,13 +35,15 @@ export class Orbit {
   pan = [0, 0];
 
   /** @param {OrbitScene} scene */
-  constructor({ cameras, bounds, defaultCamera }) {
+  constructor({ cameras, bounds, defaultCamera, focus }) {
     const poses = cameras.map(poseOf);
     /** The pose and centre that a reset returns to. */
     this.home = { pose: poseOf(defaultCamera), centre: sceneCentre(poses, bounds) };
     this.base = this.home.pose;
     this.centre = this.home.centre;
     this.up = rigUp(poses);
+    /** What a picture that is too narrow for all of a view shows. */
+    this.focus = focus ?? this.home.centre;
   }
 
   reset() {
@@ -110,7 +113,7 @@ export class Orbit {
    * @param {number} heightPx
    */
   camera(start, widthPx, heightPx) {
-    const lens = framed(start, this.home.centre, widthPx, heightPx);
+    const lens = framed(start, this.focus, widthPx, heightPx);
     return { ...lens, w2c: worldToCamera(this.pose) };
   }
 

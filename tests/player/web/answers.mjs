@@ -292,7 +292,7 @@ const ANSWERS = {
       orbit = new Orbit(read);
       orbit.text = text;
     }
-    return orbit.camera(read.defaultCamera, widthPx, heightPx);
+    return { ...orbit.camera(read.defaultCamera, widthPx, heightPx), text: orbit.text };
   },
   /** The objects of a stream as they come, and the other files of a packed one but manifest and index. */
   async allObjects({ url }) {

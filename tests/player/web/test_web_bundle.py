@@ -105,8 +105,10 @@ def test_a_page_of_the_server_starts_with_few_requests(page: Page, tmp_path: Pat
     write_stream(root / "walk", 20, poster="poster.jpg")
     shutil.copy(webbundle.ROOT / "docs" / "watch.jpg", root / "walk" / "poster.jpg")
     with server_process(root, tmp_path) as server:
-        page.open(f"http://127.0.0.1:{server.port}/watch/walk?autoplay=0", 160, 120)
+        page.open(f"http://127.0.0.1:{server.port}/watch/walk?autoplay=0", 120, 200)
         page.wait("player.shownFrame >= 0")
+        high = page.value("part('.poster').clientHeight / part('.frame').clientHeight")
+        assert high == pytest.approx(0.75, abs=0.01)  # as high as the picture in test_web_view.py
         wait_until(lambda: "/v1/streams/walk/play" in requests_of(server))
         cold = requests_of(server)
         page.reopen()

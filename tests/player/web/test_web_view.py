@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from codec.stream.manifest import Manifest
+from codec.stream.manifest import Manifest, Point
+from codec.stream.views import view_from_text
 from player.view.mouse import view_of
 from tests.support.hosted_streams import small_manifest
 from tests.support.web.browsercode import BrowserCode
@@ -54,6 +55,8 @@ def test_the_camera(browser: BrowserCode, manifest: Manifest, again: bool) -> No
         w2c = np.array(found["w2c"]).reshape(4, 4)
         scale = 2e-3 * max(1, float(np.abs(expected.w2c).max()))
         np.testing.assert_allclose(w2c, expected.w2c, atol=scale if again else 1e-9)
+        same = view_from_text(found["text"], manifest)
+        np.testing.assert_allclose(same.w2c, expected.w2c, atol=scale)
         # The portrait picture of a phone is four thirds as high as the view.
         camera = manifest.camera()
         assert found["fxPx"] == pytest.approx(camera.fx_px * 844 / camera.height_px * 3 / 4)
@@ -62,25 +65,27 @@ def test_the_camera(browser: BrowserCode, manifest: Manifest, again: bool) -> No
 
 
 @pytest.mark.parametrize(
-    ("width_px", "x_m", "scale", "middle_px"),
+    ("width_px", "x_m", "focus", "shown"),
     [
-        (128, 0.0, 2, 64),
-        (200, 0.5, 2, 100),
-        (98, 0.0, 1.75, 49),
-        (60, 0.0, 1.5, 30),
-        (60, -0.5, 1.5, 41.25),
-        (60, 3.0, 1.5, 12),
+        (128, 0.0, None, (2, 64)),
+        (200, 0.5, None, (2, 100)),
+        (98, 0.0, None, (1.75, 49)),
+        (60, 0.0, None, (1.5, 30)),
+        (60, -0.5, None, (1.5, 41.25)),
+        (60, 3.0, None, (1.5, 12)),
+        (60, 3.0, (-0.5, 1.0, 4.0), (1.5, 41.25)),
     ],
-    ids=["the same shape", "wider", "halfway", "narrow", "beside the middle", "at the edge"],
+    ids=["the same shape", "wider", "halfway", "narrow", "beside", "at the edge", "what moves"],
 )
-def test_a_narrow_picture_shows_what_the_rig_looks_at(
-    browser: BrowserCode, width_px: int, x_m: float, scale: float, middle_px: float
+def test_a_narrow_picture_shows_what_the_rig_looks_at_or_what_moves(
+    browser: BrowserCode, width_px: int, x_m: float, focus: Point | None, shown: tuple[float, float]
 ) -> None:
     """x_m: place of the scene's centre, 4 m ahead. The camera's pictures have 64x48 pixels."""
+    scale, middle_px = shown
     made = small_manifest()
     camera = replace(made.cameras[0], w2c=np.eye(4))
     bounds = ((x_m - 2, -2.0, 2.0), (x_m + 2, 2.0, 6.0))
-    manifest = replace(made, cameras=(camera,), bounds=bounds)
+    manifest = replace(made, cameras=(camera,), bounds=bounds, focus=focus)
     found = moved(browser, manifest, width_px, 96, moves=[], again=False)
     assert found["fxPx"] == pytest.approx(scale * camera.fx_px)
     assert found["cxPx"] == pytest.approx(middle_px)

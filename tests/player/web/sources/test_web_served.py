@@ -32,7 +32,6 @@ from tests.support.web.chromium import Page
 from tests.support.web.site import (
     LINKS,
     LONG_FRAMES,
-    NUM_LAYERS,
     SLOW_DOWN,
     WHOLE_FRAMES,
     Site,
