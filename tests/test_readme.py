@@ -85,6 +85,8 @@ MADE = {
     "swings-stream edit colour my-stream my-graded --exposure 0.5 --white 0.9 0.8 0.7 "
     "--gain 1 1 0.95": "my-graded/index.bin",
     "swings-stream edit floaters my-stream my-clean": "my-clean/index.bin",
+    "swings-stream edit view my-stream my-better --view=-0.6,0.2,0.8,0,0 --title Fox": "my-better",
+    "swings-stream edit view my-stream my-front --camera cam03": "my-front/index.bin",
     "swings-stream edit trim my-stream my-part --frames 10:30": "my-part/index.bin",
     "swings-stream edit join my-intro my-film --then my-stream": "my-film/index.bin",
     "swings-play my-stream": "played.mp4",

@@ -14,9 +14,10 @@ from .floaters import FloaterOptions, Floaters
 from .recolour import Colour, ColourOptions
 from .rewrite import Edited, Progress, no_progress, open_source, rewrite
 from .transform import Transform, TransformOptions
+from .view import View, ViewOptions
 from .walk import Walk
 
-Options = CropOptions | TransformOptions | ColourOptions | FloaterOptions
+Options = CropOptions | TransformOptions | ColourOptions | FloaterOptions | ViewOptions
 """Options of an edit that `edit_stream` applies to every frame."""
 
 
@@ -42,6 +43,8 @@ def edit_stream(
             return rewrite(reader, out, Crop(options), draw, progress)
         case ColourOptions():
             return rewrite(reader, out, Colour(options, manifest), draw, progress)
+        case ViewOptions():
+            return rewrite(reader, out, View(options), draw, progress)
         case TransformOptions():
             transform = Transform(options, manifest)
             made = rewrite(reader, out, transform, draw, progress)

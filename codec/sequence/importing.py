@@ -31,12 +31,14 @@ from codec.slots.slotlayout import (
     MAX_TEMPORAL_PERIOD,
 )
 from codec.splats import MAX_SH_DEGREE, Splats
+from codec.stream.finishing import finish_pictures
 from codec.stream.layers import RANKS, Rank, split_counts, split_layers
 from codec.stream.manifest import MAX_FPS, MIN_FPS, Manifest, Point
 from codec.stream.pictures import Draw
-from codec.stream.poster import POSTER_NAME, write_poster
+from codec.stream.poster import POSTER_NAME
 from codec.stream.reader import StreamReader
-from codec.stream.storyboard import STORYBOARD_NAME, write_storyboard
+from codec.stream.storyboard import STORYBOARD_NAME
+from codec.stream.views import Orbit
 from codec.stream.wholeslice import whole_update
 from codec.stream.writer import StreamWriter
 
@@ -48,6 +50,9 @@ from .survey import Survey, read_frame
 
 WIDTH_PX, HEIGHT_PX = 1280, 720
 VERTICAL_FOV_RAD = math.radians(50)
+VIEW_TURN_RAD, VIEW_TILT_RAD = math.radians(35), math.radians(15)
+"""Turn about the vertical and height from which a model is seen at first: at three quarters, since
+many are flat from the front."""
 NEAR_SHARE = 0.01
 """Nearest depth drawn, as a share of the bounds' half diagonal: one may walk into the model."""
 SHARES = (0.35, 0.15, 0.2, 0.3)
@@ -175,6 +180,8 @@ def make_manifest(
     """The manifest of a stream of what `survey` found."""
     lower, upper = survey.box
     camera = facing_camera(lower, upper)
+    up = -camera.down
+    aside = Orbit((lower + upper) / 2, up, VIEW_TURN_RAD, -VIEW_TILT_RAD)
     fps = STILL_FPS if options.fps is None else options.fps
     return Manifest(
         fps=fps,
@@ -188,6 +195,7 @@ def make_manifest(
         bounds=(_point(lower), _point(upper)),
         cameras=(camera,),
         default_camera=camera.name,
+        view=replace(aside.applied(camera), name="view"),
         live=True,
         title=title,
         capture_frame=options.frames.first,
@@ -337,7 +345,7 @@ def import_stream(
         if draw is not None:
             manifest = replace(manifest, poster=POSTER_NAME, storyboard=STORYBOARD_NAME)
             lower, upper = survey.box
-            cameras = cameras_around(manifest.camera(), (lower + upper) / 2)
+            cameras = cameras_around(manifest.cameras[0], (lower + upper) / 2)
             score = ImportScore(draw, cameras, manifest.near_m, SEGMENT_FRAMES, options.temporal)
         with StreamWriter.create(folder, manifest, quality=score) as writer:
             for birth, file in enumerate(files):
@@ -355,14 +363,12 @@ def import_stream(
                 num_done = len(files) + WRITE_STEPS * (birth + 1)
                 progress(num_done, num_steps, f"wrote frame {birth + 1} of {len(files)}")
         first_bytes = sum(StreamReader(folder, max_gaussians=None).records[0].side_bytes[1:])
-        if draw is not None:
-            write_poster(folder, draw)
-            write_storyboard(folder, draw)
+        manifest = writer.manifest if draw is None else finish_pictures(folder, draw)
     errors = filler.errors
     if is_still and survey.num_gs and not options.exact:
         errors = np.max([steps_of(lattice) for lattice in lattices], axis=0) / 2
     return Imported(
-        writer.manifest,
+        manifest,
         len(files),
         writer.bytes_written,
         writer.played_bytes,

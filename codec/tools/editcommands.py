@@ -14,6 +14,7 @@ from codec.edit.floaters import FloaterOptions
 from codec.edit.recolour import ColourOptions
 from codec.edit.rewrite import Edited
 from codec.edit.transform import TransformOptions
+from codec.edit.view import ViewOptions
 from codec.framerange import FRAMES, FrameRange
 from codec.progressline import counted
 from codec.stream.pictures import Draw
@@ -70,6 +71,14 @@ class Floaters(_Job):
 
 
 @dataclass(frozen=True, slots=True)
+class View(_Job):
+    """Choose the view that the stream opens with, which its poster shows as well, or its title.
+    Segments are copied byte for byte."""
+
+    options: Annotated[ViewOptions, tyro.conf.arg(name="")] = field(default_factory=ViewOptions)
+
+
+@dataclass(frozen=True, slots=True)
 class Trim(_Job):
     """Keep a range of frames. Segments whose frames keep their numbers are copied byte for byte."""
 
@@ -95,12 +104,12 @@ class Temporal(_Job):
     """2 moves every second frame, 4 three of four, up to 8; 1 removes the layer."""
 
 
-Edits = Crop | Transform | Colour | Floaters | Trim | Join | Temporal
+Edits = Crop | Transform | Colour | Floaters | View | Trim | Join | Temporal
 
 
 @dataclass(frozen=True, slots=True)
 class Edit:
-    """Edit a whole stream without training: crop, transform, colour, floaters, trim, join,
+    """Edit a whole stream without training: crop, transform, colour, floaters, view, trim, join,
     temporal."""
 
     edit: Annotated[Edits, tyro.conf.arg(name="")]

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.serve.hotspots import hotspots_of
 from bench.serve.playfigures import PlayFigures, Seen, Shape, figures_of, live_latency_s
 from bench.serve.playload import Body
 from codec.stream.playrecord import SliceRecord, encode_record
@@ -153,13 +152,3 @@ def test_a_body_in_chunks_is_read_in_any_pieces(chunks: list[int], reads: list[i
         reader.feed(memoryview(piece), got)
     assert bytes(got) == body
     assert msgpack.unpackb(bytes(got[4 : len(records[0])]))["birth"] == 0
-
-
-def test_hotspots_are_counted_where_they_are_and_in_all_that_lead_there() -> None:
-    lines = ["process 7;a;b;c 6", "process 7;a;b 2", "process 7;a;c;a 2", "process 7 5", "x y"]
-    spots = {spot.function: spot for spot in hotspots_of(lines, 9)}
-    assert {name: (s.own, s.within) for name, s in spots.items()} == {
-        "c": (0.6, 0.8),
-        "b": (0.2, 0.8),
-        "a": (0.2, 1.0),
-    }

@@ -8,6 +8,7 @@ from dataclasses import replace
 from codec.errors import InvalidError
 from codec.storage.openstorage import open_growing
 from codec.stream import StreamReader
+from codec.stream.finishing import focus_of
 from codec.stream.index import SegmentRecord, parse_index, record_bytes
 from codec.stream.manifest import Manifest, object_name
 from codec.stream.poster import write_poster
@@ -84,7 +85,8 @@ class Joiner:
         """Marks the stream as finished; all tasks are done."""
         assert self._manifest is not None
         assert not self._waiting
-        finished = self._manifest.with_live(False)
+        focus = focus_of(StreamReader(self._run.config.target, max_gaussians=None))
+        finished = replace(self._manifest, live=False, focus=focus)
         write_poster(self._run.config.target, render_splats)
         write_storyboard(self._run.config.target, render_splats)
         self._files.finish(finished.to_json())

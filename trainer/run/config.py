@@ -141,6 +141,9 @@ class TrainConfig:
     picks a free port. The server ends with the run. It logs to serve.log in the work folder."""
     title: str = ""
     """Title of the stream; by default the name of the capture's folder."""
+    default_camera: str | None = None
+    """Name of the camera that the stream opens with, and whose view its poster shows; by default
+    the most central of those to train on with the commonest size of picture."""
     cache_bytes: int = DEFAULT_MAX_BYTES
     """Largest size of the decoded pictures held in memory, bytes."""
     fit: Annotated[FitConfig, tyro.conf.arg(name="")] = field(default_factory=FitConfig)

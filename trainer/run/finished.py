@@ -5,9 +5,8 @@ from __future__ import annotations
 from rich.console import Console
 
 from codec.stream import StreamReader
+from codec.stream.finishing import finish_pictures
 from codec.stream.manifest import Manifest
-from codec.stream.poster import write_poster
-from codec.stream.storyboard import write_storyboard
 from player.render.cpu import render_splats
 
 from .checkpoint import CHECKPOINT_NAME
@@ -33,8 +32,7 @@ def finish_outputs(config: TrainConfig) -> Manifest | None:
     checkpoint = config.work_folder / CHECKPOINT_NAME
     if checkpoint.exists():
         for target in run_targets(config):
-            write_poster(target, render_splats)
-            write_storyboard(target, render_splats)
+            finish_pictures(target, render_splats)
         checkpoint.unlink()
     return readers[0].manifest
 

@@ -16,10 +16,10 @@ from codec.slots.update import Update
 from codec.splats import Splats
 from codec.storage.openstorage import Target, is_url, open_growing, open_storage
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.finishing import finish_pictures
 from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest
 from codec.stream.poster import POSTER_NAME, write_poster
-from codec.stream.storyboard import write_storyboard
 from codec.stream.writer import SHAPE
 from player.render.cpu import render_splats
 from trainer.pictures.framecache import FrameCache
@@ -214,8 +214,7 @@ def open_outputs(
             outputs.open(())
         yield outputs
     for writer in outputs.writers:  # again: now there is all of the stream to choose from
-        write_poster(writer.target, render_splats)
-        write_storyboard(writer.target, render_splats)
+        finish_pictures(writer.target, render_splats)
 
 
 def write_snapshot(

@@ -16,6 +16,7 @@ from codec.framerange import FrameRange
 from codec.interop.formats import read_splats
 from codec.lattice.lattice import Lattice
 from codec.lattice.quantise import layer_coarseness
+from codec.rig import central_camera
 from codec.sequence.numberedfiles import FPS_NAME
 from codec.splats import Splats
 from codec.stream.layers import RANKS, split_layers
@@ -99,6 +100,7 @@ def prepare(config: TrainConfig) -> Prepared:
     initial = None
     if not config.resume:  # the stream has both
         fps_of(capture, config)
+        first_camera(config, capture)
         initial = _given_gaussians(config)
     picked = config.fit.backend(config.backend, config.torch_device)
     scale = training_scale(config, capture)
@@ -260,6 +262,22 @@ def layer_slots(shares: Sequence[float], slice_size: int) -> tuple[int, ...]:
     return slots
 
 
+def first_camera(config: TrainConfig, capture: Capture) -> str:
+    """The name of the camera that the stream opens with: as configured, else the most central one
+    that is trained on. Raises InvalidError."""
+    cameras = [c.camera for c in capture.cameras]
+    names = [camera.name for camera in cameras]
+    if config.default_camera is None:
+        trained = [cameras[i] for i in capture.training]
+        return trained[central_camera(trained)].name
+    if config.default_camera not in names:
+        raise InvalidError(
+            f"--default-camera {config.default_camera[:80]}: {capture.root} has no such camera; it "
+            f"has {', '.join(names[:20])}{', ...' if len(names) > 20 else ''}"
+        )
+    return config.default_camera
+
+
 def make_manifest(
     config: TrainConfig, prepared: Prepared, cache: FrameCache, gaussians: Splats
 ) -> Manifest:
@@ -291,7 +309,7 @@ def make_manifest(
             (float(high[0]), float(high[1]), float(high[2])),
         ),
         cameras=cameras,
-        default_camera=cameras[capture.watching[0]].name,
+        default_camera=first_camera(config, capture),
         live=True,
         poster=POSTER_NAME,
         storyboard=STORYBOARD_NAME,

@@ -13,6 +13,7 @@ from codec.files import write_atomic
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import MASKS, Manifest
+from codec.stream.views import view_from_text
 from codec.tools.audit import verify_stream
 from codec.tools.cutting import join, set_temporal_layer, trim_stream
 from tests.support.commands import run, run_ok
@@ -188,6 +189,13 @@ def test_one_edit_after_another(stream: Path, tmp_path: Path) -> None:
     count = 2 * NUM_FRAMES - SEGMENT_FRAMES
     assert told[0].endswith(f": {count} frames in 4 segments, 2 copied byte for byte")
     assert verify_stream(tmp_path / "both").num_frames == count
+    told = edit("view", tmp_path / "both", "seen", "--view=0.5,-0.1,0.8,0,0", "--title", "Seen")
+    assert told[0].endswith(f": {count} frames in 4 segments, 4 copied byte for byte")
+    edit("view", tmp_path / "seen", "again", "--camera", made.cameras[-1].name)
+    seen, again = (StreamReader(tmp_path / name).manifest for name in ("seen", "again"))
+    assert (seen.camera().w2c == view_from_text("0.5,-0.1,0.8,0,0", made).w2c).all()
+    assert (seen.title, again.title, again.view) == ("Seen", "Seen", None)
+    assert again.camera().name == made.cameras[-1].name
     for name, file in (("poster", "poster.jpg"), ("storyboard", "storyboard.webp")):
         assert getattr(StreamReader(tmp_path / "both").manifest, name) == file
         assert (tmp_path / "both" / file).is_file()

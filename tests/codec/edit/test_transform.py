@@ -15,6 +15,7 @@ from codec.edit.fitting import first_segment_bytes, fitted
 from codec.edit.recolour import ColourOptions
 from codec.edit.rewrite import coder_of_stream
 from codec.edit.transform import Transform, TransformOptions
+from codec.edit.view import ViewOptions
 from codec.errors import SwingsError
 from codec.pose import Doubles, rotation_about
 from codec.similarity import harmonics
@@ -83,6 +84,10 @@ NAN, INFINITE = float("nan"), float("inf")
         (CropOptions(sphere=(0, 0, 0, 0)), "radius"),
         *((TransformOptions(scale=scale), "scale|finite") for scale in (0, NAN, 1e-9)),
         (TransformOptions(move=(INFINITE, 0, 0)), "scale|finite"),
+        *((ViewOptions(view=text), "five or ten") for text in ("", "1,2", "nan,0,1,0,0", "0," * 9)),
+        (ViewOptions(camera="nobody"), "no camera is called"),
+        (ViewOptions(camera="front", view="0,0,1,0,0"), "cannot be combined"),
+        (ViewOptions(), "nothing to change"),
         *((ColourOptions(gain=gain), "") for gain in ((0, 1, 1), (1, INFINITE, 1))),
     ],
 )

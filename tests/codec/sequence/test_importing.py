@@ -17,6 +17,8 @@ from codec.interop.formats import SplatFormat, read_splats, write_splats
 from codec.lattice.lattice import Lattice
 from codec.sequence.errorbound import HOLD, KINDS, ErrorBound, steps_of
 from codec.sequence.importing import (
+    VIEW_TILT_RAD,
+    VIEW_TURN_RAD,
     WRITE_STEPS,
     Imported,
     ImportOptions,
@@ -28,6 +30,7 @@ from codec.splats import Splats
 from codec.stream import StreamReader
 from codec.stream.layers import Rank
 from codec.tools.audit import verify_stream
+from player.render.cpu import render_splats
 from player.streamcommand import draw_poster
 from tests.support.commands import run, run_ok
 from tests.support.deforming import Deforming
@@ -86,10 +89,33 @@ def test_the_default_camera_sees_the_whole_model_from_outside() -> None:
     for pixels, size_px in ((u_px, camera.width_px), (v_px, camera.height_px)):
         assert (pixels >= 0).all()
         assert (pixels <= size_px).all()
+    # At three quarters, beside a camera that is level, by which the horizon goes.
+    front = manifest.cameras[0]
+    assert front.down == pytest.approx((0, 1, 0))
+    assert camera.forward @ front.forward == pytest.approx(
+        np.cos(VIEW_TURN_RAD) * np.cos(VIEW_TILT_RAD)
+    )
     middle = (lower + upper) / 2 - camera.position
     assert middle / np.linalg.norm(middle) == pytest.approx(camera.forward)
     inside = ((splats.means >= lower) & (splats.means <= upper)).all(axis=1)
     assert 0.9 < inside.mean() < 1  # floaters are outside
+
+
+def test_the_focus_is_the_middle_of_what_moves(tmp_path: Path) -> None:
+    room = trained_like_splats(100)
+    place = room.means[:20].mean(axis=0)
+    for name, speed_m in (("still", 0.0), ("moving", 0.05)):
+        take = tmp_path / name
+        take.mkdir()
+        for frame in range(13):
+            means = room.means.copy()
+            means[:20] = place + 0.1 * means[:20]
+            means[:20, 0] += speed_m * (frame - 6)
+            write_splats(take / f"{frame}.ply", Splats(means, *room.arrays[1:]), SplatFormat.PLY)
+        import_stream(take, tmp_path / f"{name}-s", ImportOptions(fps=30.0), render_splats)
+    still, moving = (StreamReader(tmp_path / f"{name}-s").manifest for name in ("still", "moving"))
+    assert still.focus is None
+    np.testing.assert_allclose(np.array(moving.focus), 1.1 * place, atol=0.1)
 
 
 def test_a_folder_is_a_sequence_in_order_of_number(

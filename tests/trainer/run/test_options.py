@@ -47,6 +47,7 @@ def test_runs_go_on_from_given_gaussians_of_a_higher_degree(capture: Path, tmp_p
 def test_what_cannot_begin_is_refused_before_any_write(capture: Path, tmp_path: Path) -> None:
     for option, value, message in (
         ("--initial", "none.ply", r"none\.ply"),
+        ("--default-camera", "nobody", "has no such camera; it has cam00, "),
         ("--genesis-iterations", 0, "see --initial"),
         ("--log", "nowhere/log.jsonl", "nowhere is not a folder"),
     ):
