@@ -16,10 +16,11 @@ from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.pose import Doubles, look_at
+from codec.stream.views import scene_centre
 from player.view.keyframes import read_keyframes
 from player.view.moment import Moment
 from player.view.mouse import view_of
-from player.view.path import Size, camera_path, scene_centre
+from player.view.path import Size, camera_path
 from tests.support.hosted_streams import ring_of_cameras, small_manifest
 
 MANIFEST = small_manifest()
