@@ -89,12 +89,10 @@ def test_the_default_camera_sees_the_whole_model_from_outside() -> None:
     for pixels, size_px in ((u_px, camera.width_px), (v_px, camera.height_px)):
         assert (pixels >= 0).all()
         assert (pixels <= size_px).all()
-    # At three quarters, beside a camera that is level, by which the horizon goes.
-    front = manifest.cameras[0]
+    front = manifest.cameras[0]  # level: the horizon goes by it
     assert front.down == pytest.approx((0, 1, 0))
-    assert camera.forward @ front.forward == pytest.approx(
-        np.cos(VIEW_TURN_RAD) * np.cos(VIEW_TILT_RAD)
-    )
+    cosine = np.cos(VIEW_TURN_RAD) * np.cos(VIEW_TILT_RAD)
+    assert camera.forward @ front.forward == pytest.approx(cosine)
     middle = (lower + upper) / 2 - camera.position
     assert middle / np.linalg.norm(middle) == pytest.approx(camera.forward)
     inside = ((splats.means >= lower) & (splats.means <= upper)).all(axis=1)
