@@ -262,7 +262,7 @@ def all_options() -> frozenset[str]:
     """All options in the help texts."""
     told = ""
     subcommands = [["swings-stream", name] for name in ("info", "verify", "import", "export")]
-    kinds = ("crop", "transform", "colour", "floaters", "trim", "join", "temporal")
+    kinds = ("crop", "transform", "colour", "floaters", "view", "trim", "join", "temporal")
     subcommands += [["swings-stream", "edit", kind] for kind in kinds]
     subcommands += [["swings-stream", "audio", kind] for kind in ("add", "remove", "extract")]
     subcommands += [["swings-stream", "captions", kind] for kind in ("add", "remove")]
