@@ -7,7 +7,7 @@ const PLAN = {
   /** The same at the beginning, if the link carries much more than layer 0. */
   leastBaseS: 3,
   /** Seconds by which it grows in a second of the stream, beside the layers that show already. */
-  baseGrowth: 0.5,
+  baseGrowth: 2,
   /** Maximum seconds of layer 0 ahead. */
   mostS: 15,
   /** Share of a segment's duration by which a layer above 0 may arrive late. */

@@ -68,7 +68,7 @@ test("nine seconds of layer 0 come first, then other layers, and fifteen seconds
     [5, at(0, { rateBps: 3 * base })],
     [3, at(0)],
     [3, at(90)],
-    [6, at(270)],
+    [5, at(120)],
     [9, at(450)],
   ];
   for (const [seconds, state] of cases) {
