@@ -33,10 +33,8 @@ from trainer.score.truth import open_held_out
 
 FRAMES = 6
 PLANES: dict[str, dict[str, Any]] = {
-    "every": {"near_m": 6.9},
-    "own": {"camera_near_m": (6.9,) * 4},
-    "none": {},
-}
+    "every": {"near_m": 6.9}, "own": {"camera_near_m": (6.9,) * 4}, "none": {},
+}  # fmt: skip
 """Changes of a manifest: one near plane for every view, the same plane as each camera's own, and
 none."""
 

@@ -28,8 +28,8 @@ ENTRY = {
 
 
 def command(name: str, *arguments: object) -> list[str]:
-    """The command line of console script `name`; the script need not be installed."""
-    module, function = ENTRY[name].split(":")
+    """The command line of console script, or entry point, `name`; it need not be installed."""
+    module, function = ENTRY.get(name, name).split(":")
     code = f"import sys; from {module} import {function} as main; sys.exit(main())"
     return [sys.executable, "-c", code, *map(str, arguments)]
 
@@ -51,7 +51,7 @@ def run(
     server = command_server(os.getpid())
     argv, words = command(name, *arguments), [*map(str, arguments)]
     if server.suits(variables):
-        return server.run(ENTRY[name], argv, words, variables, timeout_s, folder, limits)
+        return server.run(ENTRY.get(name, name), argv, words, variables, timeout_s, folder, limits)
     assert not limits
     return subprocess.run(
         argv, cwd=folder, env=variables, capture_output=True, text=True, timeout=timeout_s

@@ -39,8 +39,8 @@ def run_until(
     number: signal.Signals, frame: int, *words: object
 ) -> subprocess.CompletedProcess[str]:
     """Runs `swings-train WORDS` in a process that gets the signal within the window of `frame`."""
-    commands.ENTRY["signalled"] = "tests.support.trainings:train_signalled"
-    return commands.run("signalled", int(number), frame, *words)
+    entry = "tests.support.trainings:train_signalled"
+    return commands.run(entry, int(number), frame, *words)
 
 
 def train_signalled() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterator
 
 import pytest
@@ -10,7 +11,7 @@ from tests.player.show.windowed import Person
 from tests.support.screen.xserver import x_server
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="session")  # what drew on a server that has ended cannot go on
 def display() -> Iterator[str]:
     with x_server() as name:
         yield name
@@ -19,4 +20,5 @@ def display() -> Iterator[str]:
 @pytest.fixture
 def person(display: str, monkeypatch: pytest.MonkeyPatch) -> Person:
     monkeypatch.setenv("DISPLAY", display)
+    ctypes.CDLL("libEGL.so.1").eglReleaseThread()  # GLX refuses a thread that draws by EGL
     return Person(monkeypatch)

@@ -15,6 +15,7 @@ ENDS_OF_HOSTS = (
     "ERR_CONNECTION_REFUSED",
     "ERR_CONNECTION_RESET",
     "ERR_EMPTY_RESPONSE",
+    "ERR_SOCKET_NOT_CONNECTED",
     "there is no motion between frames, its code is missing",
 )
 """Complaints about a test's own host, which may end before its page does."""
