@@ -31,8 +31,8 @@ export class ServedStream {
     this.description = describe(first.start.manifest);
     this.numFrames = first.start.numFrames;
     this.cache = new SegmentCache(this.manifest, bufferBytes);
-    /** Whether the server's objects have a form that this browser can read. */
-    this.hasObjects = true;
+    /** @type {boolean | null} whether the server's objects have a form that this browser can read, if known */
+    this.hasObjects = null;
     /** @type {PlayResponse | null} the first response, for a play that begins at the same frame */
     this.first = first.response;
     /** @type {string | null} token of the last play, by which the server finds what it knows of the link */
@@ -96,7 +96,7 @@ export class ServedStream {
    */
   async fetchSnapshot(segment, layer, signal) {
     const frame = segment * this.manifest.segmentFrames;
-    if (this.hasObjects) {
+    if (this.hasObjects !== false) {
       const packet = await this.#snapshotObject(segment, layer, signal);
       if (packet !== null) this.cache.addSnapshot(frame, layer, packet);
       this.hasObjects = packet !== null;

@@ -171,7 +171,7 @@ export class ServedPlay {
         await this.#position();
         continue;
       }
-      if (gap.snapshots.length > 0 && stream.hasObjects) {
+      if (gap.snapshots.length > 0 && stream.hasObjects !== false) {
         await this.#fetchSnapshots(this.#segmentOf(gap.fromFrame), gap.snapshots);
         if (stream.hasObjects) continue;
       }

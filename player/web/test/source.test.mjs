@@ -12,6 +12,7 @@ import { objectUrl } from "../source/objecturl.js";
 import { openPlay } from "../source/playresponse.js";
 import { FormatError } from "../format/bytes/errors.js";
 import { PackedStream } from "../source/packed.js";
+import { ServedStream } from "../source/served.js";
 import { openSource } from "../source/source.js";
 import {
   answering,
@@ -473,4 +474,28 @@ test("bytes from the browser's cache say nothing of the link", async (context) =
   estimator.add(10e3, 0.1);
   const around = estimator.rateBps / 1e6;
   assert.ok(around > 0.7 && around < 0.9, "at once that of the link");
+});
+
+test("the first seek into what came without snapshots opens a play, which brings those of all layers", () => {
+  const numFrames = 3 * manifestOf({}).segmentFrames;
+  const start = { manifest: manifestBytes({}), numFrames };
+  const stream = new ServedStream(BASE, new Fetcher(), { response: { token: "t" }, start });
+  const { cache, manifest } = stream;
+  for (let birth = 0; birth < numFrames; birth++) {
+    cache.addMask(birth, Uint8Array.of(1));
+    for (let layer = 0; layer < manifest.numLayers; layer++)
+      cache.addChange(birth, layer, Uint8Array.of(1));
+  }
+  const play = stream.play({ firstFrame: 0, mostLayers: manifest.numLayers, nowS: () => 0 });
+  play.endBirth = numFrames;
+  stream.fetchSnapshot = async () => true;
+  const frame = manifest.segmentFrames;
+  assert.equal(
+    play.moveTo(frame, "seek"),
+    false,
+    "perhaps only snapshots of layer 0 can be fetched",
+  );
+  stream.hasObjects = true;
+  assert.equal(play.moveTo(frame, "seek"), true);
+  play.close();
 });
