@@ -1,4 +1,4 @@
-"""What is added to a stream once all of it is known: the focus of its views, and its pictures."""
+"""Adds to a stream what depends on all of it: the focus of its views, and its pictures."""
 
 from __future__ import annotations
 

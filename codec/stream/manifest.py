@@ -146,7 +146,7 @@ class Manifest:
     """Every so many frames the slots go on; the others are in the temporal layer, the last one. 1
     without it."""
     view: Camera | None = None
-    """What a player starts from where that is no camera of the capture: an edit chose it."""
+    """The camera that a player starts from in place of `default_camera`, chosen by an edit."""
     focus: Point | None = None
     """The middle of what moves, metres: what is to be in a picture too narrow for all."""
 

@@ -55,7 +55,7 @@ export class SwingsPlayerElement extends MediaInterface {
   #isLooping = false;
   /** Whether there was no play or seek yet. */
   #isFresh = true;
-  /** What hinders the player; "" if nothing does. */
+  /** The trouble that the player has, as a sentence; "" without any. */
   #trouble = "";
 
   constructor() {

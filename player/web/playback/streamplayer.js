@@ -279,7 +279,7 @@ export class StreamPlayer {
         this.show(shown);
       }
       round.feed.advance(playback.nextFrame, this.rate);
-      // What has arrived is played first.
+      // Play first what has arrived.
       if (round.failure !== null && !round.canGoOn) throw round.failure;
       // Also while it waits: an answer shows that the host is there.
       if (shown !== null || !playing || playback.waiting) this.reportPosition();

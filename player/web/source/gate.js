@@ -44,7 +44,7 @@ export class Gate {
    */
   leave(isTrial, isAnswered) {
     if (isAnswered) this.#tries = 0;
-    // Of the requests that were under way when the network went, the first one closes the gate.
+    // The first of the requests that were under way when the network went closes the gate.
     else if (isAnswered === false && (isTrial || this.#tries === 0)) {
       this.#tries += 1;
       this.#openMs = performance.now() + 1000 * delayS(this.#tries);

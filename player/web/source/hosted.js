@@ -3,14 +3,13 @@ import { corrupt } from "../format/bytes/errors.js";
 import { checkGaussians, objectPath, readManifest } from "../format/manifest.js";
 import { readObject } from "../format/objecttable.js";
 import { fileUrl } from "./addresses.js";
-import { RateEstimator, watchCache } from "./estimator.js";
+import { RateEstimator, RequestWindow, watchCache } from "./estimator.js";
 import { SourceError } from "./fetcher.js";
 import { follow } from "./follow.js";
 import { explained, GrowingIndex } from "./growingindex.js";
 import { HostedPlay } from "./hostedplay.js";
 import { followPeriodS } from "./liveedge.js";
 import { objectUrl } from "./objecturl.js";
-import { RequestWindow } from "./requestwindow.js";
 import { SegmentCache } from "./segmentcache.js";
 
 /** A stream of files on any static host. It fetches whole objects, see LayerRule. */

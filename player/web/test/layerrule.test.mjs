@@ -5,12 +5,11 @@ import { test } from "node:test";
 import { readObject } from "../format/objecttable.js";
 import { readManifest } from "../format/manifest.js";
 import { readIndex } from "../format/streamindex.js";
-import { RateEstimator } from "../source/estimator.js";
+import { RateEstimator, RequestWindow } from "../source/estimator.js";
 import { Fetcher } from "../source/fetcher.js";
 import { HostedStream } from "../source/hosted.js";
 import { HostedPlay } from "../source/hostedplay.js";
 import { LayerRule } from "../source/layerrule.js";
-import { RequestWindow } from "../source/requestwindow.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { answering, filesOf, manifestOf, settled } from "./support.mjs";
 

@@ -1,8 +1,7 @@
 /** A player of a static host over a link of a given rate and round trip, in time that does not pass. */
 import { Playback } from "../playback/playback.js";
-import { RateEstimator } from "../source/estimator.js";
+import { RateEstimator, RequestWindow } from "../source/estimator.js";
 import { HostedPlay } from "../source/hostedplay.js";
-import { RequestWindow } from "../source/requestwindow.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { manifestOf, settled } from "./support.mjs";
 

@@ -42,7 +42,7 @@ export class Orbit {
     this.base = this.home.pose;
     this.centre = this.home.centre;
     this.up = rigUp(poses);
-    /** What a picture that is too narrow for all of a view shows. */
+    /** The point that a picture too narrow for the whole view shows. */
     this.focus = focus ?? this.home.centre;
   }
 
