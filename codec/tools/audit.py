@@ -133,8 +133,8 @@ def _mean_psnr_db(records: list[SegmentRecord], num_layers: int) -> float | None
 
 
 QUALITY_NOTE = (
-    "             Bytes count the objects only; dB was recorded in writing, from one held-out\n"
-    "             camera a frame, in turn. swings-eval adds manifest and index, and scores all\n"
+    "             Bytes count the objects only; dB was recorded in writing, from the held-out\n"
+    "             cameras in turn. swings-eval adds manifest and index, and scores all\n"
     "             held-out cameras in every frame"
 )
 """Why the figures of the layers are not quite those of swings-eval."""

@@ -13,18 +13,24 @@ from trainer.pictures.framecache import FrameCache
 
 from .picture import score_splats
 
+MOST_CAMERAS = 8
+"""Maximum cameras that are scored: where none is held out, all training cameras watch."""
+
 
 class QualityMeter:
-    """Scores every frame of one stream with 1, 2, ... layers, as it will be decoded.
+    """Scores the frames of one stream with 1, 2, ... layers, as it will be decoded.
 
-    The capture's `watching` cameras take turns, one for a frame: so much the index knows. The
-    first frame is scored from all of them, so that `mean_db` is about all from the beginning.
+    The capture's `watching` cameras take turns, one for a frame. In each segment, all of them have
+    the same number of turns, or else the mean over a segment, which the index holds, would be about
+    whose turn it was: frames that remain are not scored, and where there are more cameras than
+    frames, the first frame is scored from all. So is frame 0, for `mean_db`.
     """
 
     def __init__(self, cache: FrameCache, manifest: Manifest) -> None:
         self._cache = cache
         self._manifest = manifest
-        self._cameras = cache.capture.watching
+        watching = cache.capture.watching
+        self._cameras = watching[:: -(-len(watching) // MOST_CAMERAS)]
         # One window for each number of layers.
         self._windows: list[deque[Slice]] = [
             deque(maxlen=manifest.swin_size) for _ in manifest.layers
@@ -47,16 +53,32 @@ class QualityMeter:
 
     def __call__(self, frame: int, slices: Sequence[Slice]) -> list[float] | None:
         """PSNR in dB of `frame`, in which `slices` are born: the same slice with 1, 2, ... layers;
-        None before frame 0, and where no pixel of the camera counts."""
+        None before frame 0, where no pixel of the camera counts, and where no camera has its
+        turn."""
         for window, slice in zip(self._windows, slices, strict=True):
             window.append(slice)
         if frame < 0:
             return None
-        turn = frame % len(self._cameras)
+        cameras = self._turn(frame)
         if not self._newest_db:
-            for camera in (*self._cameras[:turn], *self._cameras[turn + 1 :]):
-                self._score(camera, frame, self._windows[-1:])
-        return self._score(self._cameras[turn], frame, self._windows)
+            for camera in self._cameras:
+                if camera not in cameras:
+                    self._score(camera, frame, self._windows[-1:])
+        scores_db = [self._score(camera, frame, self._windows) for camera in cameras]
+        found = [score for score in scores_db if score is not None]
+        return [fmean(column) for column in zip(*found, strict=True)] if found else None
+
+    def _turn(self, frame: int) -> Sequence[int]:
+        """The cameras from which a frame is scored."""
+        segment_frames = self._manifest.segment_frames
+        place = frame % segment_frames
+        num_frames = min(segment_frames, len(self._cache.frames) - (frame - place))
+        rounds = num_frames // len(self._cameras)
+        if rounds == 0:
+            return self._cameras if place == 0 else ()
+        if place >= rounds * len(self._cameras):
+            return ()
+        return (self._cameras[place % len(self._cameras)],)
 
     def _score(
         self, camera: int, frame: int, windows: Sequence[deque[Slice]]
