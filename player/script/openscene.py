@@ -151,8 +151,8 @@ class Scene:
                 raise error.within(self._web.place(INDEX_NAME)) from error
 
     def frames(self, first: int = 0, end: int | None = None) -> range:
-        """The numbers of the frames first..end-1, by default to the last one there is. Raises
-        InvalidError unless all are there, and at least one."""
+        """The numbers of the frames first..end-1, as far as there are any. Raises InvalidError
+        if there is none."""
         self._check_open()
         return FrameRange(first, end).of(self.num_frames, self.name)
 

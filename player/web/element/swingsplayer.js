@@ -77,8 +77,6 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#listen(player, listening.signal);
     this.#showMotion(player);
     this.load();
-    // Only now: the first requests of the stream go ahead of it.
-    this.#controls?.use();
   }
 
   disconnectedCallback() {
@@ -86,6 +84,7 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#controls = null;
     this.#tracks = null;
     this.#place.replaceChildren();
+    delete this.#frame.dataset.condition;
     this.leave();
   }
 
@@ -188,6 +187,7 @@ export class SwingsPlayerElement extends MediaInterface {
       this.#trouble = detailOf(event);
       this.#show(player);
     });
+    of("awaited", (event) => this.#renewPoster(detailOf(event)));
     of("select", () => this.togglePlaying());
     this.follow(player, signal);
     const on = (/** @type {string} */ type, /** @type {(event: any) => void} */ action) =>
@@ -230,6 +230,14 @@ export class SwingsPlayerElement extends MediaInterface {
     }
   }
 
+  /** Shows the poster of a stream without frames as it is now. @param {string | null} url */
+  #renewPoster(url) {
+    if (url === null || url !== this.poster) return;
+    const now = new URL(url);
+    now.searchParams.set("at", String(Date.now())); // past the browser's cache
+    this.#overlay.setPoster(now.href);
+  }
+
   /**
    * @param {WebPlayer} player
    * @returns {import("./overlay.js").Condition}
@@ -255,7 +263,11 @@ export class SwingsPlayerElement extends MediaInterface {
     const isStanding = player.state.waiting || player.isSeeking || player.isDeviceLost;
     const hurts = isStanding || player.shownFrame < 0;
     this.#hints.hold("trouble", hurts ? this.#trouble : "");
-    if (this.#frame.dataset.condition !== condition) this.#frame.dataset.condition = condition;
+    if (this.#frame.dataset.condition !== condition) {
+      this.#frame.dataset.condition = condition;
+      // Only now: what the first picture needs goes ahead of the controls.
+      if (condition !== "loading") this.#controls?.use();
+    }
     controls?.show();
   }
 

@@ -50,7 +50,9 @@ async function open({ maxGaussians, otherHosts, credentials, bufferBytes, isHeld
   base = opening.base;
   const onTrouble = (/** @type {string | null} */ message) =>
     scope.postMessage({ kind: "trouble", message });
-  const fetcher = new Fetcher({ onTrouble, credentials });
+  const onAwaited = (/** @type {string | null} */ message) =>
+    scope.postMessage({ kind: "awaited", message });
+  const fetcher = new Fetcher({ onTrouble, onAwaited, credentials });
   try {
     const most = maxGaussians ?? null;
     const stream = await openSource(base, fetcher, most, otherHosts ?? false, bufferBytes);

@@ -1,4 +1,5 @@
 import { fetchOnce } from "./early/earlyresponses.js";
+import { fileUrl } from "./addresses.js";
 import { delayS, Gate, rest } from "./gate.js";
 
 /** A stream cannot be fetched; the message gives the remedy. */
@@ -51,17 +52,30 @@ export class Fetcher {
    * @param {number} [options.giveUpS] seconds without new bytes after which it gives up
    * @param {(message: string | null) => void} [options.onTrouble] called with a description of the
    *   problem, and with null when it is over
+   * @param {(picture: string | null) => void} [options.onAwaited] called again and again while a stream
+   *   has no frames, with the URL of its poster
    * @param {RequestCredentials} [options.credentials] whether requests carry cookies, see `fetch`
    */
-  constructor({ giveUpS = 60, onTrouble = () => {}, credentials } = {}) {
+  constructor({ giveUpS = 60, onTrouble = () => {}, onAwaited = () => {}, credentials } = {}) {
     this.giveUpS = giveUpS;
     this.credentials = credentials;
     this.onTrouble = onTrouble;
+    this.onAwaited = onAwaited;
     this.receivedBytes = 0;
     /** Whether the last thing that `get` has said is a problem. */
     this.hasTrouble = false;
     this.gate = new Gate();
     this.heardMs = -Infinity;
+  }
+
+  /**
+   * To be called while a stream has no frames.
+   * @param {string} base
+   * @param {import("../format/manifest.js").Manifest} manifest
+   */
+  awaitFrames(base, { poster }) {
+    this.onTrouble("This stream has no frames yet; it starts when the first frames arrive");
+    this.onAwaited(poster ? fileUrl(poster, base) : null);
   }
 
   /** To be called when something has come from the host. */

@@ -53,7 +53,7 @@ export class HostedStream {
     await stream.index.refresh();
     if (stream.numFrames > 0) return stream;
     while (stream.manifest.live && stream.numFrames === 0) {
-      fetcher.onTrouble("This stream has no frames yet; it starts when the first frames arrive");
+      fetcher.awaitFrames(base, stream.manifest);
       await new Promise((resolve) => setTimeout(resolve, 1000 * followPeriodS(stream.manifest)));
       await stream.refresh();
     }

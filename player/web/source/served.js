@@ -66,7 +66,7 @@ export class ServedStream {
       if (stream.numFrames > 0) return stream;
       stream.first?.close();
       if (!stream.manifest.live) throw new SourceError(`${base} ended before its first frame`);
-      fetcher.onTrouble("This stream has no frames yet; it starts when the first frames arrive");
+      fetcher.awaitFrames(base, stream.manifest);
       await new Promise((resolve) => setTimeout(resolve, 1000 * RETRY_S));
     }
   }

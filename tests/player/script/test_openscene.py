@@ -235,7 +235,7 @@ def test_what_is_not_there_gets_one_line(library: Path, server: ServerProcess) -
         calls: list[tuple[Callable[[], object], str]] = [
             *((lambda f=f: scene.splats(f), f"33 frames; there is no frame {f}") for f in (-1, 33)),
             (lambda: scene.render(33), "has 33 frames; there is no frame 33"),
-            *((lambda s=s: scene.frames(*s), "whole has frames 0:33") for s in ((30, 34), (-1, 3))),
+            *((lambda s=s: scene.frames(*s), "whole has frames 0:33") for s in ((-1, 3),)),
             *((lambda s=s: scene.frames(*s), "whole has frames 0:33") for s in ((33,), (5, 5))),
             (lambda: scene.render(5, "nobody"), "no camera is called 'nobody'; there are c0, c1"),
             (lambda: closed.splats(3), "whole: the scene is closed; open it again"),

@@ -21,7 +21,8 @@ class Publisher:
         self.num_segments = 0
         (folder / SEGMENTS_NAME).mkdir(parents=True)
         write_atomic(folder / INDEX_NAME, b"")
-        write_atomic(folder / MANIFEST_NAME, self._source.manifest.with_live(True).to_json())
+        self.manifest = self._source.manifest.with_live(True)
+        write_atomic(folder / MANIFEST_NAME, self.manifest.to_json())
 
     def publish(self, count: int = 1) -> None:
         """Appends the next segments."""

@@ -1,6 +1,6 @@
 /**
- * Requests that a page sends while the player itself is still being loaded. This module runs in the page;
- * the worker's part is in earlyresponses.js.
+ * Requests that are sent while the player, or its worker, is still being loaded. This module runs in the
+ * page; the worker's part is in earlyresponses.js.
  */
 
 /**
@@ -21,11 +21,14 @@ export function requestEarly(url) {
   const abort = new AbortController();
   const response = fetch(url, { cache: "no-store", signal: abort.signal });
   response.catch(() => {}); // the worker tries again, and reports errors
-  requests.set(url, { response, abort });
+  const request = { response, abort };
+  requests.set(url, request);
+  return request;
 }
 
 /**
- * Offers the early responses for `urls` to a worker; each one can be used once.
+ * Offers early responses for `urls` to a worker; each one can be used once. What the page has not requested
+ * yet is requested now.
  * @param {string[]} urls
  * @param {AbortSignal} signal aborts them
  * @returns {EarlyOffer[]} to be posted, with their ports transferred
@@ -33,8 +36,7 @@ export function requestEarly(url) {
 export function offerEarly(urls, signal) {
   const offers = [];
   for (const url of urls) {
-    const request = requests.get(url);
-    if (request === undefined) continue;
+    const request = requests.get(url) ?? requestEarly(url);
     requests.delete(url);
     const { port1, port2 } = new MessageChannel();
     signal.addEventListener("abort", () => request.abort.abort());

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
+from codec.files import write_atomic
+from codec.stream.manifest import MANIFEST_NAME
 from codec.tools.static import export_static
 from tests.support.hosted_streams import served, write_stream
 from tests.support.slots.slot_streams import write_busy_stream
@@ -97,11 +101,17 @@ def test_a_stream_that_grows_plays_at_its_edge_until_it_ends(
 
 
 def test_a_stream_is_waited_for_before_it_begins_and_while_there_is_no_network(
-    page: Page, publisher: Publisher, url: str
+    page: Page, publisher: Publisher, url: str, tmp_path: Path
 ) -> None:
     page.expect("ERR_INTERNET_DISCONNECTED")
+    manifest = replace(publisher.manifest, poster="poster.png")
+    write_atomic(tmp_path / "live" / MANIFEST_NAME, manifest.to_json())
     page.open(url, 160, 120)
     page.wait(f"{NOTE}.includes('has no frames yet')")
+    page.run("element.poster = new URL('../live/poster.png', location).href")
+    for width_px in (8, 16):  # a training renews it
+        Image.new("RGB", (width_px, 8)).save(tmp_path / "live" / "poster.png")
+        page.wait(f"part('.poster').naturalWidth === {width_px}")
     publisher.publish(3)
     page.wait(f"player.shownFrame >= 0 && {NOTE} === ''")
     page.run(WATCH_FRAMES)
