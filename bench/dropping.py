@@ -32,6 +32,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from bench.dropped import Drop, contributions, lives_of, opacities, places, write_kept
 from codec.camera import Camera
 from codec.console import run_command
 from codec.errors import InvalidError
@@ -39,7 +40,6 @@ from codec.files import replacing
 from codec.lattice.lattice import Bytes
 from codec.stream import StreamReader
 from trainer.pictures.shot import Shot
-from trainer.score.dropped import Drop, contributions, lives_of, opacities, places, write_kept
 from trainer.score.picture import Floats, captured, displayed
 from trainer.score.traffic import traffic
 from trainer.score.truth import ScoredCameras, open_held_out

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from bench.recordedupdates import recorded_slices, recorded_update
 from codec.lattice.lattice import Bytes, Flags
 from codec.slice import active_splats
 from codec.slots.update import ENDED, KEPT, NEW
 from codec.stream import StreamReader, StreamWriter
-from codec.tools.recordedupdates import recorded_slices, recorded_update
 from trainer.step.contribution import summed_contribution
 from trainer.step.raster import Parameters, View
 
