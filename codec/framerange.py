@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 from .console import option
 from .errors import InvalidError
+
+_log = logging.getLogger(__name__)
 
 MAX_DIGITS = 18
 """Digits read of a frame number: a number of thousands of them is not even converted."""
@@ -42,12 +45,16 @@ class FrameRange:
         return frames
 
     def of(self, num_frames: int, name: object) -> range:
-        """The frames as a range of the `num_frames` that `name` has. Raises InvalidError if it
-        lacks one of them."""
-        frames = range(self.first, num_frames if self.end is None else self.end)
-        if not frames or frames[0] < 0 or frames[-1] >= num_frames:
+        """The frames as a range of the `num_frames` that `name` has; a warning says if these end
+        before. Raises InvalidError if none is left."""
+        end = num_frames if self.end is None else min(self.end, num_frames)
+        if not 0 <= self.first < end:
             raise InvalidError(f"frames {self}: {name} has frames 0:{num_frames}")
-        return frames
+        if self.end is not None and end < self.end:
+            _log.warning(
+                f"frames {self}: {name} has frames 0:{num_frames}; {self.first}:{end} are taken"
+            )
+        return range(self.first, end)
 
 
 FRAMES = option("A:B", FrameRange.parse)

@@ -106,6 +106,10 @@ class ProgressLine:
         if self._live is None and self._now_s() >= self._due_s:
             self._write()
 
+    def say(self, text: str) -> None:
+        """Writes a line that stays, above that of the stage."""
+        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+
     def _drawn(self) -> Table:
         grid = Table.grid(padding=(0, 1, 0, 0))
         if (stage := self._stage) is not None:

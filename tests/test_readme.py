@@ -53,7 +53,7 @@ WORDS = written_words()
 COMMANDS = sorted({words for words in WORDS if IS_COMMAND.match(words)})
 
 TINY = "--num-gs 60 --genesis-iterations 4 --settle-rounds 1 --window-iterations 1"
-TRAIN = "swings-train my-capture my-stream --frames 0:60 --scale 0.5"
+TRAIN = "swings-train my-capture my-stream"
 PLAYED = "--renderer cpu --size 64x36"
 BESIDES = {
     "swings-synth my-capture": "--frames 2 --cameras 5 --width-px 32 --height-px 32 --points 50",

@@ -6,8 +6,10 @@ import io
 
 from PIL import Image
 
+from codec.splats import Splats
 from codec.storage.openstorage import Target, open_growing
 
+from .manifest import Manifest
 from .pictures import Draw, pixels_of
 from .reader import StreamReader
 from .writer import SHAPE
@@ -33,7 +35,11 @@ def write_poster(stream: Target, draw: Draw) -> None:
     if manifest.poster != POSTER_NAME or not reader.num_frames:
         return
     frame = reader.num_frames - 1 if manifest.live else 0
-    splats = reader.active_splats(frame, manifest.num_layers)
+    put_poster(stream, manifest, reader.active_splats(frame, manifest.num_layers), draw)
+
+
+def put_poster(stream: Target, manifest: Manifest, splats: Splats, draw: Draw) -> None:
+    """Puts a poster that shows `splats` beside a stream."""
     camera = manifest.camera()
     scale = min(1.0, MAX_WIDTH_PX / camera.width_px, MAX_HEIGHT_PX / camera.height_px)
     sides_px = (max(1, round(camera.width_px * scale)), max(1, round(camera.height_px * scale)))

@@ -78,17 +78,7 @@ def _summary(reader: StreamReader) -> StreamSummary:
     duration_s = reader.num_frames / manifest.fps
     records = reader.records
     census = count_slots(reader)
-    sizes = [_played_bytes(records, n) for n in range(1, manifest.num_layers + 1)]
-    layers = tuple(
-        LayerSummary(
-            n,
-            sum(manifest.layers[:n]),
-            size,
-            size * 8 / duration_s if duration_s else 0.0,
-            _mean_psnr_db(records, n),
-        )
-        for n, size in enumerate(sizes, start=1)
-    )
+    layers = layer_summaries(reader)
     gaussians = int(census.brought.sum())
     return StreamSummary(
         title=manifest.title,
@@ -105,10 +95,27 @@ def _summary(reader: StreamReader) -> StreamSummary:
         segment_frames=manifest.segment_frames,
         temporal_period=manifest.temporal_period,
         size_bytes=reader.overhead_bytes + sum(sum(r.part_bytes) for r in records),
-        played_bytes=reader.overhead_bytes + sizes[-1],
-        bytes_per_gaussian=sizes[-1] / gaussians if gaussians else 0.0,
+        played_bytes=reader.overhead_bytes + layers[-1].size_bytes,
+        bytes_per_gaussian=layers[-1].size_bytes / gaussians if gaussians else 0.0,
         layers=layers,
         slots=summarise_slots(reader, census),
+    )
+
+
+def layer_summaries(reader: StreamReader) -> tuple[LayerSummary, ...]:
+    """The summary of one layer, of two, ... of all of a stream, from its index alone."""
+    manifest, records = reader.manifest, reader.records
+    duration_s = reader.num_frames / manifest.fps
+    sizes = [_played_bytes(records, n) for n in range(1, manifest.num_layers + 1)]
+    return tuple(
+        LayerSummary(
+            n,
+            sum(manifest.layers[:n]),
+            size,
+            size * 8 / duration_s if duration_s else 0.0,
+            _mean_psnr_db(records, n),
+        )
+        for n, size in enumerate(sizes, start=1)
     )
 
 

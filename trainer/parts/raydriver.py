@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import logging
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -24,7 +25,7 @@ from codec.stream.manifest import Manifest
 from codec.stream.writer import SHAPE
 from trainer.run.capturesound import CaptureSound, capture_sound
 from trainer.run.config import TrainConfig
-from trainer.run.finished import finish_outputs, show_finished
+from trainer.run.finished import finish_outputs, show_finished, show_result
 from trainer.run.outputs import check_targets
 from trainer.run.prepare import Prepared, fps_of, prepare
 from trainer.run.runlog import LOG_NAME, RunLog
@@ -88,6 +89,7 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
         run = plan(afresh, prepared)
     fps = partial(fps_of, prepared.capture, afresh)
     sound = capture_sound(afresh, prepared.capture, prepared.frames, fps)
+    begin_s = time.monotonic()
     try:
         with open_cluster(address, config.worker_cpus, console) as ray:
             for doubt in () if config.resume else prepared.doubts:
@@ -98,11 +100,13 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
             with ProgressLine(console) as line, RunLog(log_path, config.tensorboard) as runlog:
                 monitor = JoinMonitor(line, runlog, len(prepared.frames))
                 draw = partial(draw_joined, config, prepared)
-                return _train(run, sound, files, resumed, ray, monitor, draw)
+                manifest = _train(run, sound, files, resumed, ray, monitor, draw)
     except KeyboardInterrupt:
         with suppress(OSError):  # the terminal may be gone
             console.print("stopped; --resume continues from there", highlight=False)
         raise
+    show_result(config, time.monotonic() - begin_s, console)
+    return manifest
 
 
 def _begin(run: Run, files: GrowingPlace, resume: bool) -> bool:

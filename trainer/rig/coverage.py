@@ -16,7 +16,7 @@ from codec.rig import rig_centre
 from trainer.capture.capture import Capture
 from trainer.capture.points import in_view
 
-UNSEEN_SHARE = 0.1
+UNSEEN_SHARE = 0.05
 """Share of a held-out picture that no training camera sees, from which on there is a warning."""
 
 GRID = 24

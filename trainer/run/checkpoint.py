@@ -13,7 +13,7 @@ import stat
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
-from codec.files import open_without_waiting, replacing
+from codec.files import open_without_waiting, replacing, write_atomic
 from codec.lattice.lattice import States
 from codec.slice import Slice
 from codec.slots.update import Update
@@ -32,6 +32,9 @@ from trainer.fit.observer import Observer, Progress
 
 CHECKPOINT_NAME = ".checkpoint.npz"
 """In the stream's folder; readers of a stream ignore names that begin with a dot."""
+
+SETTINGS_NAME = ".settings.json"
+"""Beside the checkpoint, from before the first one: the options of the run."""
 
 VERSION = 4
 
@@ -169,11 +172,28 @@ def _opened(path: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
         raise CheckpointError(f"{path} is damaged ({error}); train anew") from error
 
 
-def read_options(path: Path) -> dict[str, Any]:
-    """The configuration of the run whose checkpoint is at `path`. Raises CheckpointError."""
-    with _opened(path) as (_, head):
-        options: dict[str, Any] = head["options"]
+def write_settings(work: Path, options: Mapping[str, Any]) -> None:
+    """Keeps the options of a run that begins in the folder `work`."""
+    write_atomic(work / SETTINGS_NAME, json.dumps(options, indent=1).encode())
+
+
+def read_options(work: Path) -> dict[str, Any] | None:
+    """The options of the run that was stopped in the folder `work`; None if there is none. Raises
+    CheckpointError or ValueError for files that are damaged."""
+    if (work / CHECKPOINT_NAME).exists():
+        with _opened(work / CHECKPOINT_NAME) as (_, head):
+            options: dict[str, Any] = head["options"]
+            return options
+    with suppress(OSError):  # a folder without such a run, or none at all
+        options = json.loads((work / SETTINGS_NAME).read_bytes())
         return options
+    return None
+
+
+def forget_run(work: Path) -> None:
+    """Removes what a finished run does not need."""
+    for name in (CHECKPOINT_NAME, SETTINGS_NAME):
+        (work / name).unlink(missing_ok=True)
 
 
 def load_checkpoint(path: Path, settings: Mapping[str, Any]) -> Checkpoint:

@@ -54,9 +54,9 @@ class TrainConfig:
     """Range of frames of the capture to train, A:B, A included, B not."""
     scale: float = 1.0
     """Size of the training pictures relative to the capture's, above 0 to 1."""
-    longest_px: int | None = None
+    longest_px: int | None = 640
     """Longest side of the training pictures, pixels: those of a larger capture are scaled down to
-    it. Unlimited by default."""
+    it. None for no limit."""
     fps: float | None = None
     """Frames per second, if no file of the capture gives them, or to override them."""
     near_m: float | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -29,12 +30,14 @@ from .checkpoint import (
     Checkpoint,
     GenesisKeeper,
     KeepTimer,
+    forget_run,
     load_checkpoint,
     save_checkpoint,
+    write_settings,
 )
 from .config import TrainConfig
-from .finished import finish_outputs, show_finished
-from .liveview import LiveView
+from .finished import finish_outputs, show_finished, show_result
+from .liveview import LiveView, Preview
 from .monitor import Monitor
 from .outputs import (
     bare_targets,
@@ -109,8 +112,11 @@ def train_stream(
     _announce(start, console)
     clear_bare(start.bare)
     config.work_folder.mkdir(parents=True, exist_ok=True)
+    begin_s = time.monotonic()
     with view or nullcontext():
-        return _train(start, console, [*observers, *([view] if view else [])])
+        manifest = _train(start, console, [*observers, *([view] if view else [])])
+    show_result(config, time.monotonic() - begin_s, console)
+    return manifest
 
 
 def _live_view(config: TrainConfig, console: Console) -> LiveView | None:
@@ -160,12 +166,15 @@ def _announce(start: _Start, console: Console) -> None:
     """Says where the run is computed, and what makes its result doubtful."""
     prepared = start.prepared
     console.print(f"backend: {prepared.picked.why}", highlight=False, markup=False, soft_wrap=True)
+    if prepared.scale < 1:
+        width_px, height_px = prepared.size_px
+        scaled = f"pictures: scaled to {width_px}x{height_px} pixels; for another size --longest-px"
+        console.print(scaled, highlight=False, markup=False, soft_wrap=True)
     if prepared.memory is not None:
         console.print(prepared.memory, highlight=False, markup=False, soft_wrap=True)
     if start.bare:
         log_to.warning(
-            f"{start.config.target} was stopped before its first checkpoint; training starts anew, "
-            "with the settings given now"
+            f"{start.config.target} was stopped before its first checkpoint; training starts anew"
         )
     if start.found is None:
         for doubt in prepared.doubts:
@@ -176,6 +185,8 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
     """Trains all windows from the start, or from the checkpoint on."""
     config, prepared, found = start.config, start.prepared, start.found
     options = config_to_json(replace(config, resume=False))
+    if found is None:
+        write_settings(config.work_folder, options)
     progress = _Progress(len(prepared.frames))
     with telling_where_it_stopped(progress, console), ExitStack() as stack:
         cache = stack.enter_context(
@@ -193,11 +204,16 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
         elif has_manifest(config.target):
             manifest = StreamReader(config.target, max_gaussians=None).manifest
         line = ProgressLine(console)
-        monitor = Monitor(line, log, config.fit, len(prepared.frames))
+        monitor = Monitor(line, log, config.fit, len(prepared.frames), size_px=prepared.size_px)
         trainer = Trainer(
             config.fit, pictures, initial, prepared.training_planes, prepared.far_m,
             prepared.picked.backend,
-            (monitor, GenesisKeeper(lambda: keep(), KeepTimer(KEEP_S)), *observers),
+            (
+                monitor, GenesisKeeper(lambda: keep(), KeepTimer(KEEP_S)),
+                *([Preview(config.target, manifest, lambda frame: trainer.shown(frame))]
+                  if config.serve is not None and manifest is not None else []),
+                *observers,
+            ),
             None if config.whole_slices or manifest is None
             else manifest.slot_layout.without_temporal(),
             prepared.search_from_m,
@@ -247,5 +263,5 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
             monitor.frame_finished(frame, shown, outputs.played_bytes, outputs.quality)
             if asked.is_set() and not progress.is_finished:
                 raise KeyboardInterrupt
-    start.checkpoint.unlink()
+    forget_run(config.work_folder)
     return outputs.manifest

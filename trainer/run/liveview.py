@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 
 from codec.errors import InvalidError, SwingsError
+from codec.splats import Splats
 from codec.storage.openstorage import Target, open_growing
-from codec.stream.manifest import MANIFEST_NAME
+from codec.stream.manifest import MANIFEST_NAME, Manifest
+from codec.stream.poster import put_poster
 from codec.stream.writer import SHAPE
-from trainer.fit.observer import Observer
+from player.render.cpu import render_splats
+from trainer.fit.observer import Observer, Progress
 
 SERVE_LOG_NAME = "serve.log"
 """The server's log, in the work folder."""
+
+PREVIEW_S = 3.0
+"""From one picture of the scene to the next, before the stream has frames."""
 
 CLOSE_S = 5.0
 """Time for the server to end by itself."""
@@ -36,6 +44,34 @@ def watch_name(target: Target) -> str:
             "digits, '.', '_' and '-'"
         )
     return name
+
+
+class Preview(Observer):
+    """Draws the scene as the stream's poster, which the page of a stream without frames shows:
+    from the first Gaussians on until the first segment is written."""
+
+    def __init__(
+        self,
+        target: Target,
+        manifest: Manifest,
+        shown: Callable[[int], Splats],
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """shown: the Gaussians of a frame as they are now."""
+        self._target, self._manifest, self._shown, self._now_s = target, manifest, shown, now_s
+        self._last_s = -math.inf
+
+    def window_begun(self, first_frame: int, done: int) -> None:
+        self._draw_if_due(first_frame)
+
+    def progressed(self, progress: Progress) -> None:
+        self._draw_if_due(progress.first_frame)
+
+    def _draw_if_due(self, frame: int) -> None:
+        is_due = self._now_s() - self._last_s >= PREVIEW_S
+        if frame < self._manifest.segment_frames and is_due:
+            put_poster(self._target, self._manifest, self._shown(frame), render_splats)
+            self._last_s = self._now_s()
 
 
 class LiveView(Observer, AbstractContextManager["LiveView"]):

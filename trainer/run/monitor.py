@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from codec.progressline import ProgressLine
+from codec.progressline import ProgressLine, clock
 from trainer.fit.config import FitConfig
 from trainer.fit.observer import Observer
 from trainer.fit.observer import Progress as FitProgress
@@ -24,6 +24,13 @@ class _Mark:
     iterations: int
 
 
+LONG_S = 3600.0
+"""Estimated time of a run from which on a line says how to shorten it."""
+
+SURE_S = 30.0
+"""Time after which the estimate is good enough for that."""
+
+
 class Monitor(Observer):
     """Shows all iterations of the run on a progress line, and logs every finished frame."""
 
@@ -34,8 +41,11 @@ class Monitor(Observer):
         config: FitConfig,
         num_frames: int,
         now_s: Callable[[], float] = time.monotonic,
+        size_px: tuple[int, int] = (0, 0),
     ) -> None:
+        """size_px: width and height of the largest training pictures."""
         self._line, self._log, self._config, self._now_s = line, log, config, now_s
+        self._size_px, self._is_long = size_px, False
         self._num_frames = num_frames
         self._total = self._before(num_frames)
         self._loss = 0.0
@@ -70,6 +80,14 @@ class Monitor(Observer):
             left_s=elapsed_s / done * (self._total - iterations) if done else None,
         )
         self._line.show(self._status.stage())
+        whole_s = elapsed_s + (self._status.left_s or 0)
+        if not self._is_long and elapsed_s > SURE_S and whole_s > LONG_S:
+            self._is_long = True
+            width_px, height_px = self._size_px
+            self._line.say(
+                f"at {width_px}x{height_px} pixels this takes about {clock(whole_s)}; "
+                f"--longest-px {max(self._size_px) // 2} takes about a quarter"
+            )
 
     def frame_finished(
         self, frame: int, gaussians: int, played_bytes: int, meter: QualityMeter

@@ -14,12 +14,12 @@ from codec.files import temporary_beside
 from codec.slice import Slice
 from codec.slots.update import Update
 from codec.splats import Splats
-from codec.storage.openstorage import Target, is_url, open_growing, open_storage
+from codec.storage.openstorage import Target, is_url, open_growing
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.finishing import finish_pictures
 from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest
-from codec.stream.poster import POSTER_NAME, write_poster
+from codec.stream.poster import write_poster
 from codec.stream.writer import SHAPE
 from player.render.cpu import render_splats
 from trainer.pictures.framecache import FrameCache
@@ -28,7 +28,7 @@ from trainer.score.picture import captured, displayed
 from trainer.score.sheet import comparison, save_png
 
 from .capturesound import SOURCE, CaptureSound
-from .checkpoint import CHECKPOINT_NAME
+from .checkpoint import CHECKPOINT_NAME, SETTINGS_NAME
 from .config import TrainConfig
 from .rank import writer_rank
 
@@ -59,10 +59,11 @@ def _is_bare(target: Target) -> bool:
     return True
 
 
-LEFTOVERS = {
-    temporary_beside(Path(name)).name for name in (MANIFEST_NAME, INDEX_NAME, CHECKPOINT_NAME)
+LEFTOVERS = {SETTINGS_NAME} | {
+    temporary_beside(Path(name)).name
+    for name in (MANIFEST_NAME, INDEX_NAME, CHECKPOINT_NAME, SETTINGS_NAME)
 }
-"""Names of temporary files that a killed run may have left."""
+"""Names of what a killed run may have left beside its stream."""
 
 
 def clear_bare(targets: Sequence[Target]) -> None:
@@ -128,9 +129,7 @@ class Outputs:
     def open(self, parts: Sequence[Slice]) -> None:
         """Opens the streams, whose first slices are `parts` if they have no manifest yet."""
         self.writers, self.quality = self._open_writers(parts)
-        self._without_poster = [
-            w for w in self.writers if not open_storage(w.target).holds(POSTER_NAME)
-        ]
+        self._without_poster = [w for w in self.writers if w.durable_birth <= 0]
 
     @property
     def manifest(self) -> Manifest:
@@ -193,8 +192,8 @@ def open_outputs(
                 quality = QualityMeter(cache, wanted)
                 rank = writer_rank(config.rank)
                 if not has_manifest(target):
-                    in_use = manifest is None  # by the log and the checkpoint
-                    writer = StreamWriter.create(target, wanted, rank, quality, exact, in_use)
+                    # by settings and log
+                    writer = StreamWriter.create(target, wanted, rank, quality, exact, in_use=True)
                 else:
                     reader = StreamReader(target, max_gaussians=None)
                     if not reader.manifest.live:

@@ -30,6 +30,7 @@ from trainer.errors import CaptureError
 from trainer.fit.trainer import FALLBACK_FAR_M
 from trainer.pictures.feed import Pictures
 from trainer.pictures.framecache import FrameCache
+from trainer.rig.coverage import coverage_doubts, unseen_shares
 from trainer.rig.doubts import rig_doubts
 from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane, near_planes
 from trainer.seed.gaussians import initial_splats, stereo_seeds
@@ -85,9 +86,18 @@ class Prepared:
         return [self.near_planes[i] for i in self.capture.training]
 
     @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the largest training pictures."""
+        cameras = [self.capture.cameras[i].camera.scaled(self.scale) for i in self.capture.training]
+        largest = max(cameras, key=lambda camera: camera.width_px * camera.height_px)
+        return largest.width_px, largest.height_px
+
+    @property
     def doubts(self) -> list[str]:
-        """Reasons why the stream may be worse than the user expects, a line each."""
-        return [*rig_doubts(self.capture), *self.near_doubts]
+        """Reasons why the stream, or its scores, may be worse than the user expects, a line
+        each."""
+        unseen = coverage_doubts(unseen_shares(self.capture))
+        return [*rig_doubts(self.capture), *unseen, *self.near_doubts]
 
 
 def prepare(config: TrainConfig) -> Prepared:

@@ -15,7 +15,7 @@ from trainer.fit.config import FitConfig
 from trainer.fit.mcmc import McmcConfig
 from trainer.step.optimiser import OptimiserConfig
 
-from .checkpoint import CHECKPOINT_NAME, read_options
+from .checkpoint import read_options
 from .config import LOCAL, Preset, TrainConfig, default_work
 from .storedconfig import config_from_json
 
@@ -26,6 +26,7 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
     "fast": partial(
         TrainConfig,
         preset="fast",
+        longest_px=480,
         fit=FitConfig(
             num_gs=10_000,
             genesis_iterations=1_500,
@@ -38,6 +39,7 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
     "fine": partial(
         TrainConfig,
         preset="fine",
+        longest_px=None,
         fit=FitConfig(
             num_gs=24_000,
             settle_rounds=90,
@@ -68,6 +70,7 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
     "paper": partial(
         TrainConfig,
         preset="paper",
+        longest_px=None,
         fit=FitConfig(
             num_gs=200_000,  # 8.1
             swin_size=5,  # 8.1
@@ -129,16 +132,12 @@ def _with_address(args: Sequence[str]) -> list[str]:
 
 
 def _resumed(args: Sequence[str]) -> TrainConfig | None:
-    """The settings of the run whose folder is among `args`; None if there is none, or if its
-    checkpoint cannot be read, which is reported later."""
+    """The settings of the run whose folder is among `args`; None if there is none, or if they
+    cannot be read, which is reported later."""
     # Before parsing, which needs them: of what is given, a part may be wrong without the rest.
     folders = [default_work(parse_target(word)) for word in args if not word.startswith("-")]
-    checkpoint = next(
-        (f / CHECKPOINT_NAME for f in folders if (f / CHECKPOINT_NAME).exists()), None
-    )
-    if checkpoint is None:
-        return None
     try:
-        return config_from_json(TrainConfig, read_options(checkpoint))
+        kept = next((options for f in folders if (options := read_options(f)) is not None), None)
+        return None if kept is None else config_from_json(TrainConfig, kept)
     except (CheckpointError, TypeError, ValueError):
         return None

@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
+from numba.core.event import Event, Listener, install_listener
 from rich.console import Console
 
 from codec.camera import Camera
@@ -71,6 +74,26 @@ class _Noise:
         return self._shots[frame].mask
 
 
+OURS = ("trainer", "player", "codec")
+"""Packages with kernels."""
+
+
+class _OnCompiling(Listener):
+    """Says once that a kernel of ours is compiled: one that is read from disk is not."""
+
+    def __init__(self, say: Callable[[], object]) -> None:
+        self._say, self._has_said = say, False
+
+    def on_start(self, event: Event) -> None:
+        module: str = event.data["dispatcher"].py_func.__module__
+        if not self._has_said and module.split(".")[0] in OURS:
+            self._has_said = True
+            self._say()
+
+    def on_end(self, event: Event) -> None:
+        """Nothing is said of the end."""
+
+
 def _misses() -> int:
     """Kernels of ours that this process has compiled."""
     from numba.core.dispatcher import Dispatcher
@@ -78,7 +101,7 @@ def _misses() -> int:
     return sum(
         sum(value.stats.cache_misses.values())
         for name, module in list(sys.modules.items())
-        if name.split(".")[0] in ("trainer", "player", "codec")
+        if name.split(".")[0] in OURS
         for value in vars(module).values()
         if isinstance(value, Dispatcher)
     )
@@ -138,8 +161,13 @@ def _train_with_slots(config: FitConfig, pictures: _Noise, initial: Splats) -> N
 def start_over_if_compiled(sh_degree: int, console: Console) -> None:
     """Does not return where a kernel had to be compiled: this program is started once more."""
     started_over = _STARTED_OVER in os.environ
-    with waiting(console, "" if started_over else "compiling kernels (half a minute, once)"):
-        compiled = compile_kernels(sh_degree)
+    with ExitStack() as stack:
+
+        def say() -> None:
+            stack.enter_context(waiting(console, "compiling kernels (half a minute, once)"))
+
+        with install_listener("numba:compile", _OnCompiling(say)):
+            compiled = compile_kernels(sh_degree)
     if compiled and not started_over:
         os.environ[_STARTED_OVER] = "1"
         sys.stdout.flush()

@@ -19,6 +19,7 @@ from codec.storage.openstorage import Target
 from codec.storage.targetargument import target_named
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.show.sink import check_output
+from trainer.rig.coverage import UNSEEN_SHARE, unseen_shares
 
 from .gap import Gap, side_score
 from .scores import Scores, camera_means, frame_means, mean, seen_of
@@ -124,6 +125,9 @@ class Evaluation:
     layers: list[LayerScore]
     moving_share: float | None
     """Share of the pixels that move; None where no frame has one before it."""
+    unseen_shares: dict[str, float]
+    """Share of each held-out camera's picture that no training camera sees: what is drawn there is
+    not trained, so the camera's score says little."""
     gap: Gap | None = None
     """All layers from the training cameras and the held-out ones, where it was asked for."""
 
@@ -157,12 +161,15 @@ class Evaluation:
     def _camera_table(self) -> Table:
         table = Table()
         table.add_column("held-out camera", overflow="fold")
-        for name in ("PSNR\ndB", "in its own\ncolours, dB"):
+        columns = ["PSNR\ndB", "in its own\ncolours, dB"]
+        has_unseen = max(self.unseen_shares.values()) > UNSEEN_SHARE
+        for name in columns + ["unseen by\ntraining"] * has_unseen:
             table.add_column(name, justify="right", no_wrap=True)
         best = self.layers[-1]
         for camera, camera_psnr_db in best.per_camera_psnr_db.items():
             fitted_psnr_db = best.per_camera_fitted_psnr_db[camera]
-            table.add_row(escape(camera), f"{camera_psnr_db:.2f}", f"{fitted_psnr_db:.2f}")
+            row = [escape(camera), f"{camera_psnr_db:.2f}", f"{fitted_psnr_db:.2f}"]
+            table.add_row(*row, *[f"{self.unseen_shares[camera]:.0%}"] * has_unseen)
         table.add_section()
         table.add_row("mean", f"{best.psnr_db:.2f}", f"{best.fitted_psnr_db:.2f}")
         return table
@@ -211,6 +218,7 @@ def evaluate_stream(
             for layers, scores in found.items()
         ],
         moving_share=moving / counting if counting else None,
+        unseen_shares=unseen_shares(held_out.cache.capture),
         gap=gap,
     )
 

@@ -181,7 +181,7 @@ def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) ->
     (folder / "frame_3.ply").unlink()
     (folder / "frame_4.ply").unlink()
     is_refused("fps 0", ImportOptions(fps=0))
-    is_refused("frames 1:3: .*take has frames 0:2", replace(OPTIONS, frames=FrameRange(1, 3)))
+    is_refused("frames 2:3: .*take has frames 0:2", replace(OPTIONS, frames=FrameRange(2, 3)))
     is_refused("no rank is called", replace(OPTIONS, rank="beauty"))  # type: ignore[arg-type]
     for values in ({"opacity": 0.001}, {"finer": 1e9}):
         refused(InvalidError, r"error opacity .*choose 0\.0029 or more", ErrorBound, **values)

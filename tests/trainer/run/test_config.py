@@ -47,10 +47,7 @@ def test_presets_are_what_their_names_say() -> None:
     assert cpu == FitConfig()
     assert fast.window_iterations < cpu.window_iterations < fine.window_iterations
     assert fast.iterations(0) < cpu.iterations(0) < fine.iterations(0)
-    # Slots last.
-    assert not parse().whole_slices
-    assert cpu.swin_size == 1
-    assert 0 < cpu.lease.active_share < 1
+    assert [PRESETS[name]("c", "s").longest_px for name in PRESETS] == [640, 480, None, 1352, None]
     paper = parse("--preset", "paper")
     fit = paper.fit
     assert (paper.whole_slices, paper.rank) == (True, "opacity")

@@ -11,11 +11,14 @@ from pathlib import Path
 import pytest
 
 from codec.errors import InvalidError, SwingsError
-from codec.stream import StreamWriter
-from tests.support.tiny_stream import append_tiny, tiny_manifest
+from codec.splats import Splats
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.poster import POSTER_NAME
+from tests.support.tiny_stream import append_tiny, tiny_manifest, tiny_slice
 from tests.support.trainings import run_until, train_here
 from tests.support.waiting import BOUND_S, wait_until
-from trainer.run.liveview import SERVE_LOG_NAME, LiveView, watch_name
+from trainer.fit.observer import Progress
+from trainer.run.liveview import PREVIEW_S, SERVE_LOG_NAME, LiveView, Preview, watch_name
 
 TINY = "--num-gs", 100, "--genesis-iterations", 20, "--settle-rounds", 1, "--window-iterations", 10
 
@@ -65,6 +68,27 @@ def test_the_server_ends_with_a_run_that_is_killed(capture: Path, tmp_path: Path
     done = run_until(signal.SIGKILL, 1, *words)
     (line,) = (line for line in done.stderr.splitlines() if line.startswith("watch"))
     wait_until(lambda: not is_up(server_in(line)))
+
+
+def test_until_the_first_segment_the_poster_shows_the_scene_as_trained(show: Path) -> None:
+    manifest, now_s, asked = StreamReader(show).manifest, [5.0], list[int]()
+    (show / POSTER_NAME).unlink(missing_ok=True)
+
+    def shown(frame: int) -> Splats:
+        assert (show / POSTER_NAME).exists() == bool(asked)
+        asked.append(frame)
+        return tiny_slice(0).splats
+
+    preview = Preview(show, manifest, shown, lambda: now_s[0])
+    preview.window_begun(0, 0)  # at once
+    for frame in (0, 0, 1, manifest.segment_frames):
+        now_s[0] += PREVIEW_S - 1
+        preview.progressed(Progress(frame, 10, 20, 0.5))
+    assert asked == [0, 0]
+    now_s[0] += PREVIEW_S
+    preview.progressed(Progress(3, 10, 20, 0.5))
+    preview.window_begun(4, 0)
+    assert asked == [0, 0, 3]
 
 
 def test_a_port_in_use_is_an_error(show: Path, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -33,7 +34,7 @@ def test_time_left_is_that_of_the_iterations_left(tmp_path: Path) -> None:
     told = io.StringIO()
     line = ProgressLine(Console(file=told), lambda: now_s[0])
     with RunLog(tmp_path / "log") as log, line:
-        monitor = Monitor(line, log, config, 5, lambda: now_s[0])
+        monitor = Monitor(line, log, config, 5, lambda: now_s[0], (960, 540))
         now_s[0] += 7  # before training begins
         monitor.window_begun(0, 100)  # a checkpoint had 100, which took none of the time
         monitor.progressed(FitProgress(0, 200, 200, 0.25))
@@ -48,6 +49,13 @@ def test_time_left_is_that_of_the_iterations_left(tmp_path: Path) -> None:
     assert (second["bytes_per_frame"], second["psnr_db"]) == (2000, 25.5)
     assert told.getvalue().splitlines()[-1] == (
         "frame 1 of 5  62% done  0:30 elapsed, 0:30 left  25.50 dB  2.0 kB/frame  5 it/s"
+    )
+    for _ in range(2):  # said once
+        now_s[0] += 2000
+        monitor.progressed(FitProgress(2, 1, 50, 0.25))
+    (long,) = (text for text in told.getvalue().splitlines() if "longest-px" in text)
+    assert (
+        long == "at 960x540 pixels this takes about 1:07:13; --longest-px 480 takes about a quarter"
     )
 
 
@@ -78,5 +86,12 @@ def test_a_run_whose_output_is_a_file_says_how_it_goes(capture: Path, tmp_path: 
     assert lines[0].startswith("first of 2 frames")
     assert lines[-1].startswith("frame 1 of 2  100% done")
     assert lines[-1].endswith("it/s")
+    figures, watch, score = done.stderr.splitlines()[-3:]
+    assert re.fullmatch(
+        r".*stream: 2 frames, [\d.]+ dB, [\d.]+ kB a frame, [\d.]+ Mbit/s; this run took \d+:\d\d",
+        figures,
+    )
+    assert watch == f"to watch it: swings-serve {tmp_path / 'stream'}"
+    assert score.startswith(f"to score it: swings-eval {tmp_path / 'stream'} '{capture}' ")
     assert " dB  " in lines[-1]
     assert all(len(line) <= 80 and line.isprintable() for line in lines)

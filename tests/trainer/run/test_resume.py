@@ -209,8 +209,9 @@ def test_a_run_that_had_no_room_for_its_first_checkpoint_begins_anew(
     with monkeypatch.context() as patch:
         patch.setattr(job, "save_checkpoint", full)
         refused(OSError, CHECKPOINT_NAME, train_here, capture, stream, *SETTINGS)
-    assert sorted(p.name for p in stream.iterdir()) == ["index.bin", "manifest.json", "segments"]
-    train_here(capture, stream, *SETTINGS, "--resume")
+    names = [".settings.json", "index.bin", "manifest.json", "segments"]
+    assert sorted(p.name for p in stream.iterdir()) == names
+    train_here(capture, stream, "--resume")
     assert contents(stream) == contents(moments / "whole")
 
 

@@ -275,7 +275,5 @@ def test_quality_does_not_depend_on_the_camera_whose_turn_it_is(
     assert max(in_index) - min(in_index) < 0.35  # what the frames differ by
     assert max(means) - min(means) < 0.3
     assert means[0] == pytest.approx(in_index[0], abs=0.2)
-    if segment_frames < 3:  # of all cameras at once
-        return
     # The red of a picture grows with its camera, and the Gaussians hide little of it.
-    assert max(by_turns) - min(by_turns) > 1
+    assert max(by_turns) - min(by_turns) > 1 or segment_frames < 3  # else of all cameras at once

@@ -196,7 +196,8 @@ def test_the_table_shows_what_moves_and_each_camera_whatever_its_name(folder: Pa
     one = {"per_camera_psnr_db": {name: 20.0}, "per_camera_fitted_psnr_db": {name: 20.0}}
     layers = [replace(s, **one, bits_per_second=29.6e6) for s in found.layers]  # type: ignore[arg-type]
     with console.capture() as shown:
-        console.print(replace(found, stream="stream", layers=layers).table())
+        of_camera = replace(found, stream="stream", layers=layers, unseen_shares={name: 0.123})
+        console.print(of_camera.table())
     lines = shown.get().splitlines()
     assert max(map(len, lines)) <= 80
     assert "7.5% of pixels move" in lines[0]
@@ -204,6 +205,7 @@ def test_the_table_shows_what_moves_and_each_camera_whatever_its_name(folder: Pa
     rows = {first: others for first, *others in cells}
     assert rows["2"][1] == f"{MEAN_DB:.2f}"
     assert "".join(rows) == f"12{name}mean"
+    assert "12%" in " ".join(cell for others in rows.values() for cell in others)
 
 
 COLOURS = st.tuples(st.floats(0.5, 1.5), st.floats(-0.2, 0.2))
