@@ -83,34 +83,15 @@ def patched(shown: Splats, change: Slice) -> Splats:
     return Splats(*arrays)
 
 
-@given(twins, st.integers(0, 1))
-@settings(max_examples=40)
-def test_with_all_slices_each_frame_is_what_was_given(stream: Twins, segment: int) -> None:
-    decoder = stream.joined(segment)
-    shown = decoder.whole(decoder.frame or 0).splats
-    for birth in range((decoder.frame or 0) + 1, len(stream.frames)):
-        change = decoder.apply(birth, *stream.chunks.slice(birth), with_motion=True)
-        assert same_splats(decoder.whole(birth).splats, stream.frames[birth])
-        below = decoder.whole(birth, stream.layout.num_layers - 1).splats
-        assert same_splats(below, stream.frames[stream.stays(birth)])
-        assert same_splats(patched(shown, change), stream.frames[birth])
-        assert change.motion is not None
-        on = change.motion.rows[~change.motion.enters]
-        assert same_splats(
-            change.motion.before.take(np.flatnonzero(~change.motion.enters)), shown.take(on)
-        )
-        shown = stream.frames[birth]
-
-
 @given(twins, st.integers(0, 1 << 32), st.booleans())
 @settings(max_examples=40)
 def test_any_may_be_missing(stream: Twins, seed: int, with_layer: bool) -> None:
-    rng, layout = np.random.default_rng(seed), stream.layout
+    rng, layout, missing_share = np.random.default_rng(seed), stream.layout, 0.5 * (seed % 3 > 0)
     decoder = stream.joined(0, layout.num_layers - (not with_layer))
     shown = decoder.whole(0).splats
     for birth in range(1, len(stream.frames)):
         mask, changes = stream.chunks.slice(birth)
-        passes, missing = layout.is_passing(birth), bool(rng.random() < 0.5)
+        passes, missing = layout.is_passing(birth), bool(rng.random() < missing_share)
         given_changes: list[bytes | None] = [*changes[: decoder.num_layers]]
         if with_layer and missing:
             given_changes[-1] = None
