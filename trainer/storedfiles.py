@@ -14,7 +14,7 @@ import atexit
 import io
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,11 +28,8 @@ from codec.storage.openstorage import Target, is_url
 
 from .errors import CaptureError
 
-COPIED_SUFFIXES = frozenset({".json", ".txt", ".npy", ".npz", ".ply", ".bin"})
-"""Suffixes of files that are neither picture nor video, read whole as a capture is opened."""
-
 MAX_COPIED_BYTES = 1 << 30
-"""Largest size of all of them together."""
+"""Largest size of all files that are copied."""
 
 MAX_FILES = 1 << 22
 """Most files of a capture: more than ten hours of 30 cameras."""
@@ -71,9 +68,12 @@ def forget_stored() -> None:
 atexit.register(forget_stored)
 
 
-def local_folder(target: Target) -> Path:
-    """The folder `target`, or the one that stands for a URL. Raises SwingsError, CaptureError for a
-    capture that no folder can hold."""
+def local_folder(target: Target, copied_suffixes: Collection[str]) -> Path:
+    """The folder `target`, or the one that stands for a URL.
+
+    copied_suffixes: of files that are neither picture nor video, read whole as a capture is opened.
+    Raises SwingsError, CaptureError for a capture that no folder can hold.
+    """
     if not is_url(target):
         return Path(target)
     store = open_store(str(target), patient=True)
@@ -87,7 +87,7 @@ def local_folder(target: Target) -> Path:
             del sizes[folder_of]
     if not sizes:
         raise CaptureError(f"{store.name}: no such capture; there are no files below it")
-    copied = [path for path in sizes if PurePosixPath(path).suffix.lower() in COPIED_SUFFIXES]
+    copied = [path for path in sizes if PurePosixPath(path).suffix.lower() in copied_suffixes]
     copied_bytes = sum(sizes[path] for path in copied)
     if copied_bytes > MAX_COPIED_BYTES:
         raise CaptureError(

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from codec.camera import Camera
 from codec.pose import Doubles
-from tests.support.tiny_capture import picture_of, write_video
+from tests.support.tiny_capture import picture_of, tiny_rig, write_video
 
 MODEL_NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4}
 MODEL_NUMBERS |= {"OPENCV_FISHEYE": 5}
@@ -29,6 +29,34 @@ def quaternion_of(rotation: Doubles) -> tuple[float, ...]:
     """(w, x, y, z)."""
     x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
     return w, x, y, z
+
+
+def rotation_vector(rotation: Doubles) -> list[float]:
+    """The axis times the angle, radians."""
+    vector: list[float] = Rotation.from_matrix(rotation).as_rotvec().tolist()
+    return vector
+
+
+def write_easymocap(root: Path, num_cameras: int, num_frames: int) -> list[Camera]:
+    """Pictures, intri.yml, and extri.yml with rotation vectors."""
+    cameras = tiny_rig(num_cameras)
+    write_pictures(root, cameras, num_frames, False)
+    files = {"intri.yml": "%YAML:1.0\n---\nnames:\n", "extri.yml": "%YAML:1.0\n---\nnames:\n"}
+    for camera in cameras:
+        k = [camera.fx_px, 0, camera.cx_px - 0.5, 0, camera.fy_px, camera.cy_px - 0.5, 0, 0, 1]
+        for file, name, rows, columns, numbers in (
+            ("intri.yml", "K", 3, 3, k),
+            ("intri.yml", "dist", 1, 5, [0.0] * 5),
+            ("extri.yml", "R", 3, 1, rotation_vector(camera.w2c[:3, :3])),
+            ("extri.yml", "T", 3, 1, camera.w2c[:3, 3].tolist()),
+        ):
+            files[file] += (
+                f"{name}_{camera.name}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n"
+                f"   dt: d\n   data: [ {', '.join(map(str, numbers))} ]\n"
+            )
+    for file, text in files.items():
+        (root / file).write_text(text)
+    return cameras
 
 
 def parameters_of(camera: Camera, model: str, distortion: Sequence[float]) -> tuple[float, ...]:

@@ -8,6 +8,7 @@ import random
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from tests.support.commands import ROOT, run, run_ok
 from tests.support.hostile import refused
 from tests.support.stores.s3_server import BUCKET, S3Server
 from tests.support.tiny_capture import write_dynamic3dgs, write_dynerf
+from tests.support.tiny_models import write_easymocap
 from tests.support.trainings import contents, run_until, train_here
 from tests.support.waiting import BOUND_S
 from trainer.capture.layout import open_capture
@@ -90,9 +92,13 @@ def test_a_store_that_goes_in_the_middle_is_an_error_and_resume_goes_on(
     assert s3.files("gone/show") == whole
 
 
-@pytest.mark.parametrize("layout", ["dynerf", "dynamic3dgs"])
-def test_pictures_are_those_of_a_folder(s3: S3Server, tmp_path: Path, layout: str) -> None:
-    write = write_dynerf if layout == "dynerf" else write_dynamic3dgs
+@pytest.mark.parametrize(
+    ("layout", "write"),
+    [("dynerf", write_dynerf), ("dynamic3dgs", write_dynamic3dgs), ("easymocap", write_easymocap)],
+)
+def test_pictures_are_those_of_a_folder(
+    s3: S3Server, tmp_path: Path, layout: str, write: Callable[[Path, int, int], object]
+) -> None:
     write(tmp_path / "capture", 4, 12)
     s3.upload(tmp_path / "capture", f"{layout}/capture")
     # The object that consoles create for a folder.

@@ -13,14 +13,14 @@ import tyro
 
 from codec.files import write_atomic
 from trainer.capture.layout import open_capture
+from trainer.capture.picturefiles import folder_names
 from trainer.capture.transforms import TRANSFORMS_NAME
+from trainer.capture.video import VIDEO_SUFFIXES
 from trainer.errors import CaptureError
 
 from .calibration import CalibratedCamera, read_calibration
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-
-VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm", ".avi")
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 """OpenCV's cameras have y down and z forward, nerfstudio's y up and z backwards."""
@@ -44,7 +44,8 @@ class CaptureConfig:
 
 
 def import_calibration(config: CaptureConfig) -> str:
-    """Writes transforms.json and opens the capture that it makes; gives a line about it.
+    """Writes transforms.json and opens the capture that it makes; gives a line about it, and a
+    warning for each doubt.
 
     Raises CaptureError before anything is written if cameras and videos do not match, and for a
     capture that cannot be opened.
@@ -69,7 +70,9 @@ def import_calibration(config: CaptureConfig) -> str:
     except CaptureError:
         target.unlink()
         raise
-    return f"{config.capture}: {len(cameras)} cameras, {capture.num_frames} frames"
+    doubts = [f"warning: {doubt}" for doubt in capture.doubts]
+    told = f"{config.capture}: {len(cameras)} cameras, {capture.num_frames} frames"
+    return "\n".join([told, *doubts])
 
 
 def _videos(config: CaptureConfig) -> Mapping[str, str]:
@@ -77,7 +80,8 @@ def _videos(config: CaptureConfig) -> Mapping[str, str]:
     folder = config.capture / config.videos
     if not folder.is_dir():
         raise CaptureError(f"{folder}: no such folder; --videos names the one with the videos")
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in VIDEO_SUFFIXES)
+    files = (folder / name for name in sorted(folder_names(folder)))
+    found = [path for path in files if path.suffix.lower() in VIDEO_SUFFIXES]
     return {path.stem: path.relative_to(config.capture).as_posix() for path in found}
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -18,9 +18,6 @@ from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.stream.manifest import MAX_FPS, MIN_FPS
 from trainer.errors import CaptureError
-
-Layout = Literal["dynamic3dgs", "dynerf", "colmap", "nerfstudio"]
-"""The layouts that `open_capture` knows."""
 
 Picture = npt.NDArray[np.uint8]
 """(H, W, 3) RGB, C-contiguous."""
@@ -55,6 +52,14 @@ class MaskSource(Protocol):
     @property
     def is_still(self) -> bool:
         """Whether one mask holds for all frames."""
+
+    @property
+    def has_files(self) -> bool:
+        """Whether there are mask files; else they are of pixels that the lens does not show."""
+
+    @property
+    def folded_share(self) -> float:
+        """Share of the pixels that do not count because the terms of the lens fold them over."""
 
     def read(self, frame: int) -> Mask:
         """The mask of a frame at full size, owned by the caller. Raises CaptureError when the file
@@ -102,7 +107,8 @@ class Capture:
     """A synchronised multi-view recording."""
 
     root: Path
-    layout: Layout
+    layout: str
+    """The name of its layout, see layout.py."""
     cameras: tuple[CaptureCamera, ...]
     num_frames: int
     """Frames of every camera."""
@@ -119,6 +125,8 @@ class Capture:
     """Makes the source of the camera of this index; `open_images` checks the index first."""
     videos: tuple[Path, ...] = ()
     """The cameras' videos, which may have sound; empty for single pictures."""
+    doubts: tuple[str, ...] = ()
+    """What was passed over or corrected as the capture was opened, a line each."""
 
     def open_images(self, camera_index: int) -> PictureSource:
         """A new source of one camera's pictures; nothing is read before its first `read`."""

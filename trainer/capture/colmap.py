@@ -1,10 +1,11 @@
 """The COLMAP layout: a sparse model of one frame's images, and the pictures of all frames.
 
-    sparse/0/ or sparse/   cameras, images and points3D, each .bin or .txt; one image per camera
+    sparse/0/ or sparse/   cameras, images and points3D, each .bin or .txt; one image per camera.
+                           Of sparse/0/, sparse/1/ and so on the largest is taken
     and the pictures, the first of these that exists:
     frames/<frame>/<image name>   a folder per frame, the images named as in the model; a camera
                            has the name of its image without suffix ("cam00.png": cam00)
-    images/<camera>/<frame>.jpg   a folder per camera, .jpg, .jpeg or .png; the model's image is
+    images/<camera>/<frame>.jpg   a folder per camera, .jpg, .png or the like; the model's image is
                            named <camera>.png or, as COLMAP names it itself, <camera>/<frame>.png
     masks/                 optional, see masks.py; mirrors frames/ or images/ as COLMAP has it: the
                            mask of <frame>/<image name> is masks/<frame>/<image name>.png, or has
@@ -14,9 +15,9 @@
     fps.txt                optional, see picturefiles.py
 
 picturefiles.py says how frames are numbered. Pictures of cameras that the model does not have are
-left out. Pinhole models are taken as they are; pictures of SIMPLE_RADIAL, RADIAL and OPENCV cameras
-are straightened as they are read; other models are refused. COLMAP's unit is taken as a metre, and
-its points are the initial points.
+left out, and named. Pinhole models are taken as they are; pictures of SIMPLE_RADIAL, RADIAL and
+OPENCV cameras are straightened as they are read; other models are refused. COLMAP's unit is taken
+as a metre, and its points are the initial points.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from codec.errors import InvalidError
 from codec.rig import rig_depths
 from trainer.errors import CaptureError
 
+from .camerachoice import ALL_CAMERAS, CameraChoice, named
 from .capture import Capture, CaptureCamera, PictureSource
 from .colmap_model import (
     Optics,
@@ -47,6 +49,7 @@ from .masks import MASKS_NAME, MaskFiles, mask_source, mirrored_masks
 from .picturefiles import (
     FRAMES_NAME,
     IMAGES_NAME,
+    PICTURE_SUFFIXES,
     folder_names,
     natural_order,
     picture_source,
@@ -57,19 +60,17 @@ from .picturefiles import (
 )
 from .points import points_depths
 
-MODEL_NAME = "sparse"
 
-
-def open_colmap(root: Path) -> Capture:
-    """The capture in a folder of this layout. Raises CaptureError."""
-    model = find_model(root)
+def open_colmap(root: Path, choice: CameraChoice = ALL_CAMERAS) -> Capture:
+    """The chosen cameras of the capture in a folder of this layout. Raises CaptureError."""
+    model, doubts = find_model(root)
     by_frame = (root / FRAMES_NAME).is_dir()
     if not by_frame and not (root / IMAGES_NAME).is_dir():
         raise CaptureError(
             f"{root / FRAMES_NAME}: is missing, and so is {IMAGES_NAME}/; the pictures belong there"
         )
     optics_path, found = cameras_of_model(model, by_frame)
-    names = list(found)
+    names = choice.keep(found, root)
     cameras = [found[name][0] for name in names]
     pictures = root / (FRAMES_NAME if by_frame else IMAGES_NAME)
     if by_frame:
@@ -81,15 +82,21 @@ def open_colmap(root: Path) -> Capture:
         for name, camera, of_camera in zip(names, cameras, files, strict=True)
     ]
     lenses = [found[name][1] for name in names]
+    posed = found if by_frame else {_folder(path).parts[0] for _, _, path in found.values()}
+    filmed = _filmed(files[0][0].parent, pictures, by_frame)
+    unposed = [name for name in filmed if name not in posed]
+    if unposed:
+        doubts.append(
+            f"pictures without a pose: those of {named(unposed)} are left out, as COLMAP did not "
+            "place them"
+        )
     masks: list[MaskFiles | None]
     if has_mask_folders(root, cameras):
-        others = folder_names(files[0][0].parent if by_frame else pictures)
-        unposed = [Path(name).stem if by_frame else name for name in others]
-        masks = folder_masks(root, cameras, lenses, len(files[0]), unposed)
+        masks = folder_masks(root, cameras, lenses, len(files[0]), choice, unposed)
     else:
         mirrored = mirrored_masks(root / MASKS_NAME, pictures, files)
         masks = list(map(mask_source, cameras, lenses, mirrored))
-    held_out = read_held_out(root, cameras)
+    held_out = read_held_out(root, cameras, choice)
     points = read_model_points(model)
     depths = rig_depths(cameras, points_depths(points, cameras) if points else None)
 
@@ -109,7 +116,18 @@ def open_colmap(root: Path) -> Capture:
         near_m=depths[0] if depths else None,
         far_m=depths[1] if depths else None,
         opener=open_images,
+        doubts=tuple(doubts),
     )
+
+
+def _filmed(frame: Path, pictures: Path, by_frame: bool) -> list[str]:
+    """The names of the cameras that have pictures. frame: a folder of pictures."""
+    if by_frame:
+        files = [Path(name) for name in folder_names(frame)]
+        found = [file.stem for file in files if file.suffix.lower() in PICTURE_SUFFIXES]
+    else:
+        found = [name for name in folder_names(pictures) if (pictures / name).is_dir()]
+    return sorted(found, key=natural_order)
 
 
 def cameras_of_model(

@@ -18,6 +18,7 @@ import numpy as np
 from codec.pose import Doubles, rotation_of
 from trainer.errors import CaptureError
 
+from .camerachoice import named
 from .capture import InitialPoints
 from .points import checked_points
 
@@ -64,12 +65,32 @@ class Posed:
     """World to camera, in the model's unit."""
 
 
-def find_model(root: Path) -> Path:
-    """The folder of the model of a capture. Raises CaptureError."""
-    for folder in (root / "sparse" / "0", root / "sparse"):
-        if any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt")):
-            return folder
-    raise CaptureError(f"{root / 'sparse'}: neither it nor 0/ in it has cameras.bin or cameras.txt")
+def find_model(root: Path) -> tuple[Path, list[str]]:
+    """The folder of the model of a capture, and a line about others that are not read.
+
+    Where COLMAP cannot join all pictures it writes several models, 0/, 1/ and so on, in no order
+    of size: the one with the most images is taken, and the first of equals. Raises CaptureError.
+    """
+    place = root / "sparse"
+    numbered = (folder for folder in place.glob("*") if folder.name.isdecimal())
+    models = [
+        folder
+        for folder in (*sorted(numbered, key=lambda folder: int(folder.name)), place)
+        if any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
+    ]
+    if not models:
+        raise CaptureError(f"{place}: neither it nor 0/ in it has cameras.bin or cameras.txt")
+    if len(models) == 1:
+        return models[0], []
+    images = {folder: len(read_posed(folder)[1]) for folder in models if folder != place}
+    chosen = max(images, key=lambda folder: images[folder])
+    others = [f"{f.name} ({count})" for f, count in images.items() if f != chosen]
+    if not others:
+        return chosen, []
+    return chosen, [
+        f"{len(images)} models in {place.name}/: {chosen.name}, which has the most images "
+        f"({images[chosen]}), is read, and {named(others)} is not; COLMAP could not join them"
+    ]
 
 
 def read_optics(folder: Path) -> tuple[Path, dict[int, Optics]]:

@@ -31,6 +31,7 @@ from codec.pose import Doubles
 from codec.rig import rig_depths
 from trainer.errors import CaptureError
 
+from .camerachoice import ALL_CAMERAS, CameraChoice
 from .capture import STILL_TOLERANCE, Capture, CaptureCamera, PictureSource
 from .held_out import HELD_OUT_NAME, read_held_out
 from .lens import Lens, check_optics
@@ -54,8 +55,8 @@ class Meta:
     """Paths below ims/, by camera and frame."""
 
 
-def open_dynamic3dgs(root: Path) -> Capture:
-    """The capture in a folder of this layout. Raises CaptureError."""
+def open_dynamic3dgs(root: Path, choice: CameraChoice = ALL_CAMERAS) -> Capture:
+    """The chosen cameras of the capture in a folder of this layout. Raises CaptureError."""
     if not (root / META_NAMES[0]).is_file():
         raise CaptureError(f"{root / META_NAMES[0]}: is missing; it names the cameras to train on")
     metas = [read_meta(root / name) for name in META_NAMES if (root / name).is_file()]
@@ -70,13 +71,14 @@ def open_dynamic3dgs(root: Path) -> Capture:
             if camera.name in found:
                 raise CaptureError(f"{meta.path}: camera {camera.name} is listed twice")
             found[camera.name] = CaptureCamera(camera, is_held_out), names, meta.path
-    ordered = [found[name] for name in sorted(found, key=lambda name: (len(name), name))]
+    kept = choice.keep(found, root)
+    ordered = [found[name] for name in sorted(kept, key=lambda name: (len(name), name))]
     cameras = tuple(camera for camera, _, _ in ordered)
     if len(metas) == 1 or (root / HELD_OUT_NAME).is_file():
-        held_out = read_held_out(root, [c.camera for c in cameras])
+        held_out = read_held_out(root, [c.camera for c in cameras], choice)
         cameras = tuple(replace(c, held_out=c.camera.name in held_out) for c in cameras)
     masks = folder_masks(
-        root, [c.camera for c in cameras], [Lens()] * len(cameras), metas[0].num_frames
+        root, [c.camera for c in cameras], [Lens()] * len(cameras), metas[0].num_frames, choice
     )
     cameras = tuple(replace(c, masks=mask) for c, mask in zip(cameras, masks, strict=True))
     sources = _sources(root, [(c.camera, names, path) for c, names, path in ordered])
@@ -215,7 +217,7 @@ def _sources(
     for camera, names, declared_in in cameras:
         files = []
         for frame, name in enumerate(names):
-            parts = PurePosixPath(name)
+            parts = PurePosixPath(name.replace("\\", "/"))
             if parts.is_absolute() or ".." in parts.parts or not parts.parts:
                 raise CaptureError(
                     f"{root}: {camera.name} frame {frame}: {name!r} is not a path below ims/"

@@ -1,19 +1,21 @@
 """The DyNeRF layout (Neural 3D Video): one video per camera and the poses in an LLFF file.
 
-    camNN.mp4          a video per camera, in order of file name
+    camNN.mp4          a video per camera, in order of file name; also .MP4
     poses_bounds.npy   (V, 17) float64, one row per video, see `decode_pose`
     held_out.txt       optional, see held_out.py
     points.npz         optional initial points in the poses' world, see points.py
     masks/             optional, see maskfolders.py
 
-All videos have the same number of frames; the frame rate is that of their containers. The unit of
-the poses is taken as a metre. The layout cannot describe lens distortion, so the videos must be
+All videos have the same number of frames; the frame rate is that of their containers. They may be
+smaller than the poses declare, all by one factor, as in the usual copy of that data set. The unit
+of the poses is taken as a metre. The layout cannot describe lens distortion, so the videos must be
 undistorted already.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,24 +26,26 @@ from codec.pose import Doubles, world_to_camera
 from codec.rig import rig_depths
 from trainer.errors import CaptureError
 
+from .camerachoice import ALL_CAMERAS, CameraChoice
 from .capture import Capture, CaptureCamera, PictureSource
 from .held_out import read_held_out
 from .lens import Lens, check_optics
 from .maskfolders import folder_masks
 from .points import read_points
-from .video import VideoSource, check_synchronised, check_video_size, probe_video
+from .synchrony import check_synchronised
+from .video import VideoFacts, VideoSource, check_video_size, probe_video
 
 POSES_NAME = "poses_bounds.npy"
 POINTS_NAME = "points.npz"
-VIDEO_PATTERN = re.compile(r"cam\d+\.mp4")
+VIDEO_PATTERN = re.compile(r"cam\d+\.mp4", re.IGNORECASE)
 
 _LLFF_FROM_OPENCV = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Camera axes: (down, right, backwards) = M (right, down, forward). M is symmetric and its own
 inverse."""
 
 
-def open_dynerf(root: Path) -> Capture:
-    """The capture in a folder of this layout. Raises CaptureError."""
+def open_dynerf(root: Path, choice: CameraChoice = ALL_CAMERAS) -> Capture:
+    """The chosen cameras of the capture in a folder of this layout. Raises CaptureError."""
     videos = sorted(path for path in root.iterdir() if VIDEO_PATTERN.fullmatch(path.name))
     if not videos:
         raise CaptureError(f"{root}: has {POSES_NAME} but no camNN.mp4")
@@ -51,21 +55,26 @@ def open_dynerf(root: Path) -> Capture:
             f"{root / POSES_NAME}: {len(rows)} poses for {len(videos)} videos; "
             "there must be one row per camNN.mp4"
         )
+    kept = choice.keep([path.stem for path in videos], root)
+    rows = rows[[path.stem in kept for path in videos]]
+    videos = [path for path in videos if path.stem in kept]
     facts = [probe_video(path) for path in videos]
     check_synchronised(videos, facts)
-    cameras = []
-    for path, row, fact in zip(videos, rows, facts, strict=True):
-        camera = decode_pose(row, path.stem, root / POSES_NAME)
+    declared = [
+        decode_pose(row, path.stem, root / POSES_NAME)
+        for row, path in zip(rows, videos, strict=True)
+    ]
+    cameras = _at_one_scale(declared, facts)
+    for path, fact, camera in zip(videos, facts, cameras, strict=True):
         check_video_size(path, fact, camera, root / POSES_NAME)
-        cameras.append(camera)
-    held_out = read_held_out(root, cameras)
+    held_out = read_held_out(root, cameras, choice)
     depths = rig_depths(cameras, (float(rows[:, 15].min()), float(rows[:, 16].max())))
     num_frames = facts[0].num_frames
 
     def open_images(camera_index: int) -> PictureSource:
         return VideoSource(videos[camera_index], cameras[camera_index], num_frames)
 
-    masks = folder_masks(root, cameras, [Lens()] * len(cameras), num_frames)
+    masks = folder_masks(root, cameras, [Lens()] * len(cameras), num_frames, choice)
     return Capture(
         root=root,
         layout="dynerf",
@@ -80,14 +89,36 @@ def open_dynerf(root: Path) -> Capture:
         far_m=depths[1] if depths else None,
         opener=open_images,
         videos=tuple(videos),
+        doubts=() if cameras == declared else (_scale_doubt(cameras[0], declared[0]),),
+    )
+
+
+def _at_one_scale(declared: Sequence[Camera], facts: Sequence[VideoFacts]) -> list[Camera]:
+    """The cameras at the sizes of their videos, if all are smaller than declared by one factor in
+    both sides; else the cameras as declared."""
+    scale = facts[0].width_px / declared[0].width_px
+    for camera, fact in zip(declared, facts, strict=True):
+        for side_px, declared_px in (
+            (fact.width_px, camera.width_px),
+            (fact.height_px, camera.height_px),
+        ):
+            if scale >= 1 or abs(side_px - scale * declared_px) > 1:
+                return list(declared)
+    return [c.resized(f.width_px, f.height_px) for c, f in zip(declared, facts, strict=True)]
+
+
+def _scale_doubt(read: Camera, declared: Camera) -> str:
+    return (
+        f"smaller videos: {read.width_px}x{read.height_px} px, where {POSES_NAME} declares "
+        f"{declared.width_px}x{declared.height_px}; its intrinsics are scaled by "
+        f"{read.width_px / declared.width_px:.3g}"
     )
 
 
 def read_poses_bounds(path: Path) -> Doubles:
     """(V, 17) the rows of a poses_bounds.npy. Raises CaptureError."""
     if not path.is_file():
-        wrong = "is not a file" if path.exists() else "is missing"
-        raise CaptureError(f"{path}: {wrong}; it holds the cameras' poses")
+        raise CaptureError(f"{path}: is not a file; it holds the cameras' poses")
     try:
         # Mapped: what its header claims to hold must be there.
         rows = np.load(path, mmap_mode="r", allow_pickle=False)

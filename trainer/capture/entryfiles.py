@@ -15,6 +15,7 @@ import numpy as np
 
 from trainer.errors import CaptureError
 
+from .camerachoice import CameraChoice
 from .capture import STILL_TOLERANCE
 from .picturefiles import (
     FRAMES_NAME,
@@ -26,8 +27,7 @@ from .picturefiles import (
     require_files,
 )
 from .transforms import TRANSFORMS_NAME, Entry, Transforms
-
-VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".mkv", ".webm", ".avi"})
+from .video import VIDEO_SUFFIXES
 
 _Key = TypeVar("_Key", int, float)
 
@@ -50,17 +50,21 @@ def is_video(entry: Entry) -> bool:
     return entry.path.suffix.lower() in VIDEO_SUFFIXES
 
 
-def files_by_camera(transforms: Transforms, entries: list[Entry]) -> dict[str, CameraFiles]:
-    """Files that the entries name, by camera. Raises CaptureError."""
+def files_by_camera(
+    transforms: Transforms, entries: list[Entry], choice: CameraChoice
+) -> dict[str, CameraFiles]:
+    """Files that the entries name, by camera, those that are chosen. Raises
+    CaptureError."""
     are_videos = {is_video(entry) for entry in entries}
     if are_videos == {True}:
-        return _videos(transforms, entries)
+        kept = choice.keep([entry.path.stem for entry in entries], transforms.root)
+        return _videos(transforms, [entry for entry in entries if entry.path.stem in kept])
     if True in are_videos:
         raise transforms.error("some file_path are videos, some are not")
     if all(_kind(entry.path) for entry in entries):
-        return _numbered(transforms, entries)
+        return _numbered(transforms, entries, choice)
     if all(entry.time is not None for entry in entries):
-        return _timed(transforms, entries)
+        return _timed(transforms, entries, choice)
     odd = next(e.path for e in entries if not _kind(e.path))
     raise transforms.error(
         f"{odd} names neither a camera nor a frame; expected "
@@ -98,13 +102,16 @@ def _camera_files(
     return CameraFiles(entries[0], files, masks, paths)
 
 
-def _numbered(transforms: Transforms, entries: Sequence[Entry]) -> dict[str, CameraFiles]:
+def _numbered(
+    transforms: Transforms, entries: Sequence[Entry], choice: CameraChoice
+) -> dict[str, CameraFiles]:
     """The cameras of entries whose paths tell camera and frame."""
     places = {PurePosixPath(*entry.path.parts[:-2]) for entry in entries}
     if len(places) > 1:
         named = " and ".join(sorted(map(str, places))[:2])
         raise transforms.error(f"pictures are in {named}; use one folder")
     groups = _frames_of_cameras(transforms, entries)
+    groups = {name: groups[name] for name in choice.keep(groups, transforms.root)}
     if all(len(group) == 1 for group in groups.values()):
         firsts = {name: next(iter(group.values())) for name, group in groups.items()}
         return _all_on_disk(transforms, places.pop(), firsts)
@@ -149,7 +156,9 @@ def _all_on_disk(
     }
 
 
-def _timed(transforms: Transforms, entries: Sequence[Entry]) -> dict[str, CameraFiles]:
+def _timed(
+    transforms: Transforms, entries: Sequence[Entry], choice: CameraChoice
+) -> dict[str, CameraFiles]:
     """The cameras of entries that tell nothing but their time: one for each pose."""
     by_pose: dict[object, dict[float, Entry]] = {}
     for entry in entries:
@@ -160,7 +169,8 @@ def _timed(transforms: Transforms, entries: Sequence[Entry]) -> dict[str, Camera
         if other is not entry:
             raise transforms.error(f"{other.path} and {entry.path} have the same pose and time")
     groups = {f"cam{number:02d}": group for number, group in enumerate(by_pose.values())}
-    return _listed(transforms, groups)
+    kept = choice.keep(groups, transforms.root)
+    return _listed(transforms, {name: groups[name] for name in kept})
 
 
 def _check_times(transforms: Transforms, groups: Mapping[str, Mapping[int, Entry]]) -> None:

@@ -12,6 +12,8 @@ from codec.camera import Camera
 from codec.pose import Doubles
 from trainer.errors import CaptureError
 
+from .camerachoice import ALL_CAMERAS, CameraChoice
+
 HELD_OUT_NAME = "held_out.txt"
 
 BETWEEN_RAD = np.radians(120)
@@ -26,11 +28,13 @@ SAME_REACH = 1.001
 """Ratio of two distances that count as equal: poses are rounded."""
 
 
-def read_held_out(root: Path, cameras: Sequence[Camera]) -> frozenset[str]:
+def read_held_out(
+    root: Path, cameras: Sequence[Camera], choice: CameraChoice = ALL_CAMERAS
+) -> frozenset[str]:
     """The names in held_out.txt, one a line, of a capture with these cameras.
 
-    An empty file holds out none. Without a file it is the one of `camera_between`. Raises
-    CaptureError for a name that no camera has.
+    An empty file holds out none. Without a file it is the one of `camera_between`. Cameras that
+    `choice` leaves out may be named. Raises CaptureError for any other name that no camera has.
     """
     path = root / HELD_OUT_NAME
     names = [camera.name for camera in cameras]
@@ -40,6 +44,7 @@ def read_held_out(root: Path, cameras: Sequence[Camera]) -> frozenset[str]:
         listed = path.read_text(encoding="utf-8").split()
     except UnicodeDecodeError as error:
         raise CaptureError(f"{path}: not text: {error}") from error
+    listed = [name for name in listed if not choice.leaves_out(name)]
     for name in listed:
         if name not in names:
             raise CaptureError(

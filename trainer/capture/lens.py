@@ -1,7 +1,8 @@
 """Lens distortion taken out of pictures as they are read.
 
 The straight picture has the size and the intrinsics of the bent one. Where the lens saw less than
-the pinhole would (pincushion distortion), the nearest pixel of the edge stands in.
+the pinhole would (pincushion distortion), the nearest pixel of the edge stands in; such pixels do
+not count, and neither do those that the terms of the lens fold over (`unseen_pixels`).
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.kernel import kernel
@@ -17,6 +19,10 @@ from trainer.errors import CaptureError
 
 from .capture import Picture, PictureSource
 from .points import MAX_COORDINATE_M
+
+MAX_FOLDED_SHARE = 0.05
+"""Share of a picture's pixels that a lens may fold over. Calibrations with k1 alone, or with too
+few points near the corners, fold some; with more the lens is wrong where it matters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +82,8 @@ def straightened(picture: Picture, camera: Camera, lens: Lens) -> Picture:
 def check_optics(camera: Camera, lens: Lens, path: Path) -> None:
     """Raises CaptureError, naming `path`, for numbers that cannot be right.
 
-    Those are intrinsics that no real camera has, a place too far away, and a lens that folds the
-    picture over. Where the bent radius shrinks as the straight one grows, a lens would show parts
-    of the scene twice; calibrations with too few points near the corners say so.
+    Those are intrinsics that no real camera has, a place too far away, and a lens that folds more
+    of the picture over than MAX_FOLDED_SHARE.
     """
     for focal_px, middle_px, side_px in (
         (camera.fx_px, camera.cx_px, camera.width_px),
@@ -94,15 +99,68 @@ def check_optics(camera: Camera, lens: Lens, path: Path) -> None:
     terms = (lens.k1, lens.k2, lens.k3, lens.p1, lens.p2)
     if not (np.abs(terms) < 1e6).all():
         raise CaptureError(f"{path}: camera {camera.name}: a distortion term is not a number < 1e6")
-    across = max(camera.cx_px, camera.width_px - camera.cx_px) / camera.fx_px
-    down = max(camera.cy_px, camera.height_px - camera.cy_px) / camera.fy_px
-    r2 = np.linspace(0, across * across + down * down, 100)
-    slope = 1 + r2 * (3 * lens.k1 + r2 * (5 * lens.k2 + r2 * 7 * lens.k3))
-    if float(slope.min()) <= 0:
+    share = folded_share(camera, lens)
+    if share > MAX_FOLDED_SHARE:
         raise CaptureError(
-            f"{path}: camera {camera.name}: the distortion folds the picture's corners over "
-            f"(k1 = {lens.k1:g}, k2 = {lens.k2:g}); calibrate again or undistort the pictures first"
+            f"{path}: camera {camera.name}: the distortion folds {share:.0%} of the picture over, "
+            f"from its corners (k1 = {lens.k1:g}, k2 = {lens.k2:g}); calibrate again or undistort "
+            "the pictures first"
         )
+
+
+def folded_share(camera: Camera, lens: Lens) -> float:
+    """Share of the picture's pixels that the lens folds over."""
+    r2 = _fold_r2(lens)
+    x, y = _positions(camera)
+    if not np.isfinite(r2) or np.square(x).max() + np.square(y).max() < r2:
+        return 0.0
+    return float((x * x + y * y >= r2).mean())
+
+
+def shows_all(camera: Camera, lens: Lens) -> bool:
+    """Whether `unseen_pixels` has none."""
+    if lens.is_straight:
+        return True
+    if folded_share(camera, lens) > 0:
+        return False
+    # Without a fold the picture's edge stays around all of it.
+    x, y = _positions(camera)
+    edges = ((x, y[:1]), (x, y[-1:]), (x[:, :1], y), (x[:, -1:], y))
+    return not any(_is_outside(camera, lens, *edge).any() for edge in edges)
+
+
+def unseen_pixels(camera: Camera, lens: Lens) -> npt.NDArray[np.bool_]:
+    """(H, W) pixels of the straight picture that the bent one does not have, or that the lens folds
+    over."""
+    x, y = _positions(camera)
+    return _is_outside(camera, lens, x, y) | (x * x + y * y >= _fold_r2(lens))
+
+
+_Doubles = npt.NDArray[np.float64]
+
+
+def _fold_r2(lens: Lens) -> float:
+    """The squared straight radius from which on the bent one no longer grows, so that the lens
+    would show parts of the scene twice; inf if there is none."""
+    roots = np.roots([7 * lens.k3, 5 * lens.k2, 3 * lens.k1, 1.0])
+    return float(np.min(roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)], initial=np.inf))
+
+
+def _positions(camera: Camera) -> tuple[_Doubles, _Doubles]:
+    """(1, W) and (H, 1) straight positions of the pixels, over the focal length."""
+    x = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px
+    y = (np.arange(camera.height_px) + 0.5 - camera.cy_px) / camera.fy_px
+    return np.asarray(x[None], np.float64), np.asarray(y[:, None], np.float64)
+
+
+def _is_outside(camera: Camera, lens: Lens, x: _Doubles, y: _Doubles) -> npt.NDArray[np.bool_]:
+    """Whether straight positions lie over half a pixel outside the bent picture's pixels."""
+    r2 = x * x + y * y
+    radial = 1 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
+    bent_x = x * radial + 2 * lens.p1 * x * y + lens.p2 * (r2 + 2 * x * x)
+    bent_y = y * radial + 2 * lens.p2 * x * y + lens.p1 * (r2 + 2 * y * y)
+    u, v = bent_x * camera.fx_px + camera.cx_px, bent_y * camera.fy_px + camera.cy_px
+    return (u < 0) | (u > camera.width_px) | (v < 0) | (v > camera.height_px)
 
 
 @kernel(nogil=True)

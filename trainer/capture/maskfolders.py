@@ -13,13 +13,12 @@ from pathlib import Path
 from codec.camera import Camera
 from trainer.errors import CaptureError
 
+from .camerachoice import ALL_CAMERAS, CameraChoice, named
 from .lens import Lens
 from .masks import MASKS_NAME, MaskFiles, mask_source
 from .picturefiles import folder_names, frame_number, numbered_files
 
 SUFFIXES = frozenset({".png"})
-MAX_NAMED = 4
-"""Cameras named in an error."""
 
 
 def has_mask_folders(root: Path, cameras: Sequence[Camera]) -> bool:
@@ -34,26 +33,28 @@ def folder_masks(
     cameras: Sequence[Camera],
     lenses: Sequence[Lens],
     num_frames: int,
+    choice: CameraChoice = ALL_CAMERAS,
     unposed: Collection[str] = (),
 ) -> list[MaskFiles | None]:
-    """The masks of each camera; None for a camera without a folder.
+    """The masks of each camera; None for a camera without a folder whose lens shows every pixel.
 
-    unposed: names of cameras that have pictures but no pose; their masks are left out. Raises
-    CaptureError if a folder is no camera's although it holds masks, or none is any camera's, if a
-    mask is missing, or if the first of a camera has another size than its pictures.
+    Masks of cameras that `choice` leaves out are passed over, and those of `unposed`, cameras that
+    have pictures but no pose. Raises CaptureError if a folder is no camera's although it holds
+    masks, or none is any camera's, if a mask is missing, or if the first of a camera has another
+    size than its pictures.
     """
     folder = root / MASKS_NAME
     if not folder.is_dir():
-        return [None] * len(cameras)
+        return [mask_source(c, lens, ()) for c, lens in zip(cameras, lenses, strict=True)]
     names = [camera.name for camera in cameras]
     folders = sorted(name for name in folder_names(folder) if (folder / name).is_dir())
     strange = [name for name in folders if name not in names and name not in unposed]
+    strange = [name for name in strange if not choice.leaves_out(name)]
     if len(strange) < len(folders):  # beside masks of cameras, folders may hold anything else
         strange = [name for name in strange if _holds_masks(folder / name)]
     if strange:
-        known = ", ".join(names[:MAX_NAMED]) + ", ..." * (len(names) > MAX_NAMED)
         raise CaptureError(
-            f"{folder / strange[0]}: is not the name of a camera ({known}); masks are "
+            f"{folder / strange[0]}: is not the name of a camera ({named(names)}); masks are "
             f"{MASKS_NAME}/<camera>/<number>.png; rename it, or the folder {MASKS_NAME}"
         )
     return [

@@ -1,7 +1,8 @@
-"""Mask files: which pixels of a camera's pictures count, white, and which are ignored, black.
+"""Which pixels of a camera's pictures count: those that its lens shows, and of these the white ones
+of mask files.
 
-A mask has the size of its picture as it is on disk, before straightening. A grey of 128 or more
-counts as white.
+A mask file has the size of its picture as it is on disk, before straightening. A grey of 128 or
+more counts as white.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from trainer.errors import CaptureError
 from trainer.pixels import opened_picture, read_grey
 
 from .capture import Mask, check_frame
-from .lens import Lens, straightened
+from .lens import Lens, folded_share, shows_all, straightened, unseen_pixels
 from .picturefiles import folder_names
 
 MASKS_NAME = "masks"
@@ -32,13 +33,23 @@ class MaskFiles:
     camera: Camera
     lens: Lens
     files: tuple[Path, ...]
-    """One for each frame, or one for all."""
+    """One for each frame, one for all, or none."""
 
     @property
     def is_still(self) -> bool:
-        return len(self.files) == 1
+        return len(self.files) <= 1
+
+    @property
+    def has_files(self) -> bool:
+        return bool(self.files)
+
+    @property
+    def folded_share(self) -> float:
+        return folded_share(self.camera, self.lens)
 
     def read(self, frame: int) -> Mask:
+        if not self.files:
+            return (~unseen_pixels(self.camera, self.lens)).astype(np.uint8)
         if self.is_still:
             frame = 0
         check_frame(frame, len(self.files), self.camera.name)
@@ -52,12 +63,13 @@ class MaskFiles:
         white = np.where(grey >= WHITE, np.uint8(255), np.uint8(0))
         if not self.lens.is_straight:
             white = straightened(np.stack([white] * 3, axis=2), self.camera, self.lens)[..., 0]
+            white[unseen_pixels(self.camera, self.lens)] = 0
         # A straight pixel mixes up to four bent ones: below 255 an ignored one is among them.
         counts: Mask = (white == 255).astype(np.uint8)
         return counts
 
     def check_header(self) -> None:
-        """Raises CaptureError if the first mask has another size than the pictures."""
+        """Raises CaptureError if the first mask file has another size than the pictures."""
         with opened_picture(self.files[0], "mask", self._check_size):
             pass
 
@@ -70,12 +82,14 @@ class MaskFiles:
 
 
 def mask_source(camera: Camera, lens: Lens, files: tuple[Path, ...]) -> MaskFiles | None:
-    """The masks of one camera from a file per frame, or one for all; None without files. Raises
-    CaptureError if the first cannot be read or has another size than the pictures."""
-    if not files:
-        return None
+    """The masks of one camera from a file per frame, one for all, or none; None where every pixel
+    counts. Raises CaptureError if the first cannot be read or has another size than the
+    pictures."""
     masks = MaskFiles(camera, lens, files if len(set(files)) > 1 else files[:1])
-    masks.check_header()
+    if files:
+        masks.check_header()
+    elif shows_all(camera, lens):
+        return None
     return masks
 
 

@@ -3,7 +3,9 @@
     transforms.json        fl_x, fl_y, cx, cy, w, h in pixels and the distortion k1, k2, k3, p1, p2,
                            for all or in each entry of `frames`; each entry has file_path and
                            transform_matrix, 4x4 camera to world with OpenGL axes (x right, y up,
-                           z backwards)
+                           z backwards). Blender's angle of view, camera_angle_x in radians, stands
+                           in for fl_x, the size of the pictures for w and h, their middle for cx
+                           and cy
     held_out.txt           optional, see held_out.py; where it is missing, `test_filenames` in
                            transforms.json may tell the held-out cameras instead
     points.npz             optional initial points, see points.py; without it those of ply_file_path
@@ -28,53 +30,47 @@ refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
 
 from codec.camera import Camera
 from codec.rig import rig_depths
 
-from .capture import (
-    Capture,
-    CaptureCamera,
-    InitialPoints,
-    MaskSource,
-    PictureSource,
-    check_fps,
-)
+from .camerachoice import ALL_CAMERAS, CameraChoice
+from .capture import Capture, CaptureCamera, InitialPoints, MaskSource, check_fps
 from .dynerf import POINTS_NAME
 from .entryfiles import CameraFiles, files_by_camera, is_video
+from .footage import filmed, photographed
 from .held_out import HELD_OUT_NAME, read_held_out
-from .lens import straight_source
 from .maskfolders import folder_masks
 from .masks import mask_source
 from .picturefiles import (
     IMAGES_NAME,
     folder_names,
     natural_order,
-    picture_source,
-    read_fps,
     require_files,
     safe_path,
 )
 from .points import points_depths, read_ply, read_points
 from .transforms import TRANSFORMS_NAME, Transforms, read_entries
-from .video import VideoSource, check_synchronised, check_video_size, probe_video
 
 
-def open_nerfstudio(root: Path) -> Capture:
-    """The capture in a folder of this layout. Raises CaptureError."""
+def open_nerfstudio(root: Path, choice: CameraChoice = ALL_CAMERAS) -> Capture:
+    """The chosen cameras of the capture in a folder of this layout. Raises CaptureError."""
     transforms = Transforms.read(root / TRANSFORMS_NAME)
     entries = read_entries(transforms)
-    found = files_by_camera(transforms, entries)
+    found = files_by_camera(transforms, entries, choice)
     names = sorted(found, key=natural_order)
     rig = [found[name] for name in names]
     cameras = [replace(p.entry.camera, name=name) for p, name in zip(rig, names, strict=True)]
-    shoot = _filmed if is_video(entries[0]) else _photographed
-    footage = shoot(transforms.path, rig, cameras, _declared_fps(transforms))
-    masks = _mask_sources(transforms.root, rig, cameras, footage.num_frames)
-    held_out = _held_out(transforms, cameras, rig)
+    lenses, fps = [p.entry.lens for p in rig], _declared_fps(transforms)
+    if is_video(entries[0]):
+        footage = filmed([p.files[0] for p in rig], cameras, lenses, transforms.path, fps)
+    else:
+        footage = photographed([p.files for p in rig], cameras, lenses, transforms.path, fps)
+    masks = _mask_sources(transforms.root, rig, cameras, footage.num_frames, choice)
+    held_out = _held_out(transforms, cameras, rig, {entry.path for entry in entries}, choice)
     points = _read_points(transforms)
     depths = rig_depths(cameras, points_depths(points, cameras) if points else None)
     near_m, far_m = depths or (None, None)
@@ -105,70 +101,37 @@ def _declared_fps(transforms: Transforms) -> float | None:
 
 
 def _mask_sources(
-    root: Path, rig: Sequence[CameraFiles], cameras: Sequence[Camera], num_frames: int
+    root: Path,
+    rig: Sequence[CameraFiles],
+    cameras: Sequence[Camera],
+    num_frames: int,
+    choice: CameraChoice,
 ) -> list[MaskSource | None]:
     """The masks of each camera; None for a camera without any."""
     if not any(p.masks for p in rig):
         lenses, unposed = [p.entry.lens for p in rig], folder_names(root / IMAGES_NAME)
-        return [*folder_masks(root, cameras, lenses, num_frames, unposed)]
+        return [*folder_masks(root, cameras, lenses, num_frames, choice, unposed)]
     require_files([p.masks for p in rig], f"a mask_path of {TRANSFORMS_NAME} names it")
     return [
         mask_source(camera, p.entry.lens, p.masks) for p, camera in zip(rig, cameras, strict=True)
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class _Footage:
-    """The pictures of all cameras."""
-
-    num_frames: int
-    fps: float | None
-    open: Callable[[int], PictureSource]
-    """Opens the pictures of the camera of this index."""
-    videos: tuple[Path, ...] = ()
-
-
-def _filmed(
-    path: Path, rig: list[CameraFiles], cameras: list[Camera], fps: float | None
-) -> _Footage:
-    """A video of each camera."""
-    videos = [p.files[0] for p in rig]
-    facts = [probe_video(video) for video in videos]
-    check_synchronised(videos, facts)
-    for video, camera, fact in zip(videos, cameras, facts, strict=True):
-        check_video_size(video, fact, camera, path)
-    num_frames, fps = facts[0].num_frames, fps or facts[0].fps
-    check_fps(fps, videos[0])
-
-    def open_video(index: int) -> PictureSource:
-        source = VideoSource(videos[index], cameras[index], num_frames)
-        return straight_source(source, cameras[index], rig[index].entry.lens)
-
-    return _Footage(num_frames, fps, open_video, tuple(videos))
-
-
-def _photographed(
-    path: Path, rig: list[CameraFiles], cameras: list[Camera], fps: float | None
-) -> _Footage:
-    """A picture of each frame and camera."""
-    sources = [
-        picture_source(camera, p.entry.lens, p.files, path)
-        for p, camera in zip(rig, cameras, strict=True)
-    ]
-    return _Footage(len(rig[0].files), fps or read_fps(path.parent), sources.__getitem__)
-
-
 def _held_out(
-    transforms: Transforms, cameras: Sequence[Camera], rig: Sequence[CameraFiles]
+    transforms: Transforms,
+    cameras: Sequence[Camera],
+    rig: Sequence[CameraFiles],
+    paths: Collection[PurePosixPath],
+    choice: CameraChoice,
 ) -> frozenset[str]:
-    """The names of the held-out cameras."""
+    """The names of the held-out cameras. paths: of all entries."""
     listed = transforms.value.get("test_filenames")
     if listed is None or (transforms.root / HELD_OUT_NAME).is_file():
-        return read_held_out(transforms.root, cameras)
+        return read_held_out(transforms.root, cameras, choice)
     if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
         raise transforms.error("test_filenames is not a list of file_path")
     tests = {safe_path(name, transforms.path) for name in listed}
-    unknown = tests - frozenset().union(*(p.paths for p in rig))
+    unknown = tests.difference(paths)
     if unknown:
         raise transforms.error(f"test_filenames has {min(unknown)}, which is not in `frames`")
     for camera, p in zip(cameras, rig, strict=True):

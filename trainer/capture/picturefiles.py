@@ -1,7 +1,7 @@
 """Picture files of many cameras and frames, in the two folder layouts that people use.
 
     frames/<frame>/<picture>        a folder per frame; a camera's picture has one name in all
-    images/<camera>/<frame>.jpg     a folder per camera; also .jpeg, .png, .tif and .tiff
+    images/<camera>/<frame>.jpg     a folder per camera; also .jpeg, .png, .webp, .tif and .tiff
 
 <frame> ends in a number ("000012", "frame_12"). The numbers may start anywhere but must not have a
 gap, and every camera has the same ones; the first is frame 0 of the capture. Pictures have no
@@ -29,7 +29,7 @@ from .lens import Lens, straight_source
 
 FRAMES_NAME = "frames"
 IMAGES_NAME = "images"
-PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
+PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff"})
 
 _LAST_NUMBER = re.compile(r"(?:.*\D)?(\d{1,18})")
 
@@ -50,8 +50,9 @@ def natural_order(name: str) -> tuple[tuple[int, str], ...]:
 
 
 def safe_path(text: str, declared_in: Path) -> PurePosixPath:
-    """The relative path in `text`. Raises CaptureError if it leads out of the capture."""
-    path = PurePosixPath(text)
+    """The relative path in `text`, which may be one of Windows. Raises CaptureError if it leads out
+    of the capture."""
+    path = PurePosixPath(text.replace("\\", "/"))
     if not path.parts or path.is_absolute() or ".." in path.parts or not text.isprintable():
         raise CaptureError(f"{declared_in}: {text!r} is not a path inside the capture")
     return path

@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -21,9 +21,11 @@ from codec.files import opened_regular
 from codec.pose import Doubles, world_to_camera
 from trainer.errors import CaptureError
 
+from .footage import size_of
 from .lens import Lens, check_optics
-from .picturefiles import safe_path
+from .picturefiles import FRAMES_NAME, safe_path
 from .points import MAX_COORDINATE_M
+from .video import VIDEO_SUFFIXES
 
 TRANSFORMS_NAME = "transforms.json"
 CAMERA_MODELS = frozenset({"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"})
@@ -38,6 +40,8 @@ class Transforms:
 
     path: Path
     value: Mapping[str, Any]
+    sizes: dict[PurePosixPath, tuple[int, int]] = field(default_factory=dict)
+    """Width and height of pictures whose entries give none, in pixels."""
 
     @classmethod
     def read(cls, path: Path) -> Transforms:
@@ -61,12 +65,22 @@ class Transforms:
         return CaptureError(f"{self.path}: {text}")
 
     def merged(self, frame: Mapping[str, Any]) -> Transforms:
-        return Transforms(self.path, {**self.value, **frame})
+        return Transforms(self.path, {**self.value, **frame}, self.sizes)
+
+    def size_of(self, below: PurePosixPath) -> tuple[int, int]:
+        """Width and height of the pictures of an entry, in pixels: of the first one of its camera,
+        if its path tells which that is, else of its folder. Raises CaptureError."""
+        by_frame = FRAMES_NAME in below.parts[-3:-2]
+        key = PurePosixPath(below.name) if by_frame else below.parent
+        if key not in self.sizes or below.suffix.lower() in VIDEO_SUFFIXES:
+            self.sizes[key] = size_of(self.root / below)
+        return self.sizes[key]
 
     def number(self, key: str, default: float | None = None) -> float:
         """The finite number under `key`. Raises CaptureError, also where it is missing and has no
         default."""
-        number = self.value.get(key, default)
+        number = self.value.get(key)
+        number = default if number is None else number
         if number is None:
             raise self.error(f"lacks {key}")
         if isinstance(number, int | float) and not isinstance(number, bool):
@@ -133,14 +147,28 @@ def _check_model(given: Transforms, below: PurePosixPath) -> None:
 def _read_camera(given: Transforms, below: PurePosixPath) -> Camera:
     """The camera of an entry, named by its file_path."""
     pose = _read_pose(given, below)
-    width, height, fx = given.number("w"), given.number("h"), given.number("fl_x")
+    if any(given.value.get(side) is None for side in "wh"):
+        given = given.merged(dict(zip("wh", given.size_of(below), strict=True)))
+    width, height = given.number("w"), given.number("h")
     if not (width.is_integer() and height.is_integer()):
         raise given.error(f"{below}: size {width:g}x{height:g} px is not whole")
-    fy, cx, cy = given.number("fl_y", fx), given.number("cx"), given.number("cy")
+    fx = given.number("fl_x", _focal_px(given, "camera_angle_x", width))
+    fy = given.number("fl_y", _focal_px(given, "camera_angle_y", height) or fx)
+    cx, cy = given.number("cx", width / 2), given.number("cy", height / 2)
     try:
         return Camera(str(below), int(width), int(height), fx, fy, cx, cy, pose)
     except InvalidError as error:
         raise given.error(str(error)) from error
+
+
+def _focal_px(given: Transforms, key: str, side_px: float) -> float | None:
+    """The focal length of Blender's angle of view over a side; None where it is not given."""
+    if given.value.get(key) is None:
+        return None
+    angle_rad = given.number(key)
+    if not 0 < angle_rad < math.pi:
+        raise given.error(f"{key} is {angle_rad:g}; must be above 0 and below pi")
+    return side_px / 2 / math.tan(angle_rad / 2)
 
 
 def _read_pose(given: Transforms, below: PurePosixPath) -> Doubles:

@@ -8,7 +8,6 @@ however one comes to it.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,9 +30,7 @@ MAX_SKIP_FRAMES = 12
 """Frames decoded and dropped rather than looking for a nearer key frame: that costs about as much
 as a seek."""
 
-FPS_TOLERANCE = 1e-3
-"""Largest relative difference of two cameras' frame rates: containers round their time base."""
-
+VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".mkv", ".webm", ".avi"})
 
 VARIABLE_SHARE = 0.1
 """Deviation from the usual time between two frames, as a share: containers round by less."""
@@ -59,6 +56,8 @@ class VideoFacts:
     turned_deg: int = 0
     """Angle by which the pictures are turned when they are read, 0, 90, 180 or 270,
     counterclockwise: phones note it in the file. The size is that of the turned pictures."""
+    times_s: tuple[float, ...] | None = None
+    """The time of each frame after the first one; None where the rate is constant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +74,8 @@ def probe_video(path: Path) -> VideoFacts:
     """The facts of a video file. Raises CaptureError for a file that is not a video.
 
     The frame count comes from the sample table of an MP4 file, unless the file's duration
-    contradicts it (an edit list hides frames); then, and for other containers, the packets are
-    counted.
+    contradicts it (an edit list hides frames) or its frames are not evenly spaced; then, and for
+    other containers, the packets are read.
     """
     try:
         with translated(), _open_container(path) as container:
@@ -90,8 +89,13 @@ def probe_video(path: Path) -> VideoFacts:
             fps = float(rate)
             num_frames = stream.frames if "mp4" in container.format.name else 0
             shown = float(container.duration or 0) / 1e6 * fps
-            if num_frames == 0 or abs(shown - num_frames) > 1.5:
-                num_frames = len(_read_times(path, container, stream).frames)
+            times_s = None
+            if abs(shown - num_frames) > 1.5 or not _has_constant_rate(stream, num_frames):
+                ticks = _read_times(path, container, stream).frames
+                num_frames = len(ticks)
+                tick_s = float(stream.time_base or 0)
+                if not _is_even(ticks):
+                    times_s = tuple((t - ticks[0]) * tick_s for t in ticks)
             size = stream.codec_context.width, stream.codec_context.height
         with translated(), _open_container(path) as container:
             turned_deg = _turned(path, container, _video_stream(path, container))
@@ -101,7 +105,24 @@ def probe_video(path: Path) -> VideoFacts:
         raise CaptureError(f"{path}: the video has no frames")
     if turned_deg in (90, 270):
         size = size[::-1]
-    return VideoFacts(*size, num_frames, fps, turned_deg)
+    return VideoFacts(*size, num_frames, fps, turned_deg, times_s)
+
+
+def _has_constant_rate(stream: av.video.stream.VideoStream, num_frames: int) -> bool:
+    """Whether the file's table has that many frames, all equally far apart."""
+    ticks = [entry.timestamp for entry in stream.index_entries]
+    if not len(ticks) == num_frames > 0 or not _is_even(ticks):
+        return False
+    # These are times of decoding. Where frames are stored in another order, they lag behind those
+    # of showing, and the last gaps are only seen in the duration.
+    gap = (ticks[-1] - ticks[0]) / max(1, num_frames - 1)
+    return num_frames == 1 or abs((stream.duration or 0) - num_frames * gap) <= gap / 2
+
+
+def _is_even(ticks: Sequence[int]) -> bool:
+    """Whether the times between frames differ by no more than their rounding."""
+    gaps = np.diff(ticks)
+    return len(gaps) < 2 or float(np.ptp(gaps)) <= max(1.0, VARIABLE_SHARE * float(np.median(gaps)))
 
 
 def _check_transfer(path: Path, transfer: int) -> None:
@@ -129,44 +150,6 @@ def _turned(
                 )
             return turned_deg
     return 0
-
-
-def check_synchronised(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> None:
-    """Raises CaptureError unless all videos have as many frames and the same frame rate."""
-    usual, _ = Counter(fact.num_frames for fact in facts).most_common(1)[0]
-    odd = [
-        f"{path.name} has {fact.num_frames}"
-        for path, fact in zip(videos, facts, strict=True)
-        if fact.num_frames != usual
-    ]
-    if odd:
-        raise CaptureError(
-            f"{videos[0].parent}: the videos differ in length: {', '.join(odd)}, "
-            f"the others {usual} frames; cut them to the same frames"
-        )
-    for path, fact in zip(videos, facts, strict=True):
-        if abs(fact.fps - facts[0].fps) > FPS_TOLERANCE * facts[0].fps:
-            advice = "".join(
-                f"; the rate of {p.name} varies: make it constant with ffmpeg -i {p.name} -vf "
-                f"fps={facts[0].fps:.0f} -c:v libx264 -crf 12 OUT.mp4"
-                for p in (path, videos[0])
-                if _has_variable_rate(p)
-            )
-            raise CaptureError(
-                f"{path}: {fact.fps:.3f} frames per second, "
-                f"{videos[0].name} {facts[0].fps:.3f}; they must agree{advice}"
-            )
-
-
-def _has_variable_rate(path: Path) -> bool:
-    """Whether the times between a video's frames differ by more than their rounding."""
-    try:
-        with translated(), _open_container(path) as container:
-            times = _read_times(path, container, _video_stream(path, container)).frames
-    except (av.error.FFmpegError, CaptureError):
-        return False
-    gaps = np.diff(times)
-    return len(gaps) > 1 and float(np.ptp(gaps)) > max(1.0, VARIABLE_SHARE * float(np.median(gaps)))
 
 
 def check_video_size(path: Path, facts: VideoFacts, camera: Camera, declared_in: Path) -> None:

@@ -86,13 +86,14 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
     afresh = replace(config, resume=False)  # the config that workers get
     with console.status("reading what the cameras see"):
         prepared = prepare(afresh)
+        doubts = [] if config.resume else prepared.find_doubts()
         run = plan(afresh, prepared)
     fps = partial(fps_of, prepared.capture, afresh)
     sound = capture_sound(afresh, prepared.capture, prepared.frames, fps)
     begin_s = time.monotonic()
     try:
         with open_cluster(address, config.worker_cpus, console) as ray:
-            for doubt in () if config.resume else prepared.doubts:
+            for doubt in doubts:
                 log.warning(doubt)
             look_for_room(ray, config, console)
             resumed = _begin(run, files, config.resume)

@@ -1,4 +1,4 @@
-"""Doubts whether a capture trains well, from its rig and its pictures."""
+"""Doubts whether a capture trains well, from how it was opened, its rig and its pictures."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from codec.rig import rig_centre
+from trainer.capture.camerachoice import named
 from trainer.capture.capture import Capture, Mask, Picture
 from trainer.capture.held_out import HELD_OUT_NAME
 
@@ -24,13 +25,10 @@ of it is below BRIGHT."""
 CLIPPED_SHARE = 0.3
 """Share of the pixels that count whose channels are all clipped."""
 
-MAX_NAMED = 4
-"""Cameras named in a line."""
-
 
 def rig_doubts(capture: Capture) -> list[str]:
-    """Warnings of few or distant training cameras, a line each."""
-    found = []
+    """Those of its opening, and warnings of few or distant training cameras, a line each."""
+    found = [*capture.doubts]
     cameras = [capture.cameras[i].camera for i in capture.training]
     if len(cameras) < FEW_CAMERAS:
         more = f" ({len(capture.cameras)} with an empty {HELD_OUT_NAME})"
@@ -77,7 +75,4 @@ def picture_doubts(found: Mapping[str, str], num_cameras: int) -> list[str]:
 
 
 def _named(cameras: Sequence[str], num_cameras: int) -> str:
-    if len(cameras) == num_cameras:
-        return "all cameras"
-    more = f" and {len(cameras) - MAX_NAMED} more" if len(cameras) > MAX_NAMED else ""
-    return ", ".join(cameras[:MAX_NAMED]) + more
+    return "all cameras" if len(cameras) == num_cameras else named(cameras)

@@ -15,9 +15,11 @@ from codec.rig import rig_centre
 from codec.sequence.numberedfiles import FPS_NAME
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
+from trainer.capture.layouts import TITLES
 from trainer.capture.points import read_points_file
 from trainer.rig.coverage import coverage_doubts, describe_coverage, unseen_shares
 from trainer.rig.doubts import picture_doubt, picture_doubts, rig_doubts
+from trainer.rig.lateness import late_doubts
 from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane, near_planes
 from trainer.rig.rigdrawing import draw_capture
 from trainer.seed.nearest import STRAY_SHARE
@@ -27,34 +29,28 @@ from .config import TrainConfig
 MAX_NAMED_PLANES = 6
 """Cameras whose own near plane is printed."""
 
-LAYOUT_NAMES = {
-    "dynamic3dgs": "Dynamic 3D Gaussians",
-    "dynerf": "DyNeRF",
-    "colmap": "COLMAP",
-    "nerfstudio": "Nerfstudio",
-}
-
-
 SILENT = Console(quiet=True)
 
 
 def check_capture(config: TrainConfig, console: Console = SILENT) -> list[str]:
-    """Opens the capture, reads the first and the last frame of each camera with its mask, describes
-    it, and draws it to the PNG of `config.check`, if there is one. What is doubtful about it comes
-    last, a line each. console: where it says what it is waiting for.
+    """Opens the capture, reads the first and the last frame of each camera with its mask, and the
+    first frames to see whether all run in step, describes it, and draws it to the PNG of
+    `config.check`, if there is one. What is doubtful about it comes last, a line each. console:
+    where it says what it is waiting for.
 
     Raises SwingsError for what would stop training, other than a missing frame rate.
     """
-    capture = open_capture(config.capture)
+    capture = open_capture(config.capture, config.choice)
     if config.points is not None:
         capture = replace(capture, points=read_points_file(config.points))
     if config.fps is not None:
         capture = replace(capture, fps=config.fps)
-    what = f"reading the first and the last frame of {len(capture.cameras)} cameras"
-    with waiting(console, what):
+    with waiting(console, f"reading frames of {len(capture.cameras)} cameras"):
         doubted = _read_ends(capture)
         check_trainable(capture)
-        seen = look(capture, FrameRange.parse(config.frames).of(capture.num_frames, capture.root))
+        frames = FrameRange.parse(config.frames).of(capture.num_frames, capture.root)
+        seen = look(capture, frames)
+        late = late_doubts(capture, frames)
     near, cut_doubts = _describe_near(capture, seen, config.near_m)
     unseen = unseen_shares(capture)
     lines = describe_capture(capture) + describe_coverage(capture, unseen) + near
@@ -68,6 +64,7 @@ def check_capture(config: TrainConfig, console: Console = SILENT) -> list[str]:
             )
     doubts = [
         *rig_doubts(capture),
+        *late,
         *cut_doubts,
         *coverage_doubts(unseen),
         *picture_doubts(doubted, len(capture.cameras)),
@@ -117,7 +114,7 @@ def describe_capture(capture: Capture) -> list[str]:
     held_out = [cameras[i].name for i in capture.held_out]
     return [
         f"capture     {capture.root}",
-        f"layout      {LAYOUT_NAMES[capture.layout]}",
+        f"layout      {TITLES[capture.layout]}",
         f"cameras     {len(cameras)}, of which {len(capture.training)} to train on",
         f"held out    {', '.join(held_out) or 'none: nothing to score with'}",
         f"size        {size}",
@@ -172,9 +169,10 @@ def _own_planes(capture: Capture, planes: Sequence[float], near_m: float) -> lis
 
 
 def _describe_masks(capture: Capture) -> str:
-    masks = [c.masks for c in capture.cameras if c.masks is not None]
+    masks = [c.masks for c in capture.cameras if c.masks is not None and c.masks.has_files]
     if not masks:
-        return "none: every pixel counts"
+        are_seen = all(c.masks is None for c in capture.cameras)
+        return "none: every pixel counts" + " that its lens shows" * (not are_seen)
     still = sum(m.is_still for m in masks)
     return (
         f"{len(masks)} of {len(capture.cameras)} cameras have them, {still} one for all frames; "

@@ -13,6 +13,8 @@ from codec.slots.slotlayout import MAX_LAYERS, MAX_TEMPORAL_PERIOD
 from codec.storage.openstorage import Target, is_url
 from codec.storage.targetargument import target_named
 from codec.stream.manifest import MAX_FPS, MIN_FPS
+from trainer.capture.camerachoice import CameraChoice
+from trainer.capture.layouts import listed_titles
 from trainer.fit.config import FitConfig
 from trainer.pictures.framecache import DEFAULT_MAX_BYTES
 from trainer.step.backend import BackendName
@@ -35,9 +37,16 @@ Preset = Literal["cpu", "fast", "fine", "gpu", "paper"]
 class TrainConfig:
     """Trains a capture into a stream."""
 
-    capture: tyro.conf.Positional[Annotated[Target, target_named("CAPTURE")]]
-    """Folder of the capture, or its URL in an object store, such as s3://BUCKET/PATH. Its layout is
-    that of Dynamic 3D Gaussians, DyNeRF, COLMAP or nerfstudio."""
+    capture: tyro.conf.Positional[
+        Annotated[
+            Target,
+            target_named("CAPTURE"),
+            tyro.conf.arg(
+                help="Folder of the capture, or its URL in an object store, such as "
+                f"s3://BUCKET/PATH. Its layout is that of {listed_titles()}."
+            ),
+        ]
+    ]
     stream: tyro.conf.Positional[Annotated[Target | None, target_named("STREAM")]] = None
     """Folder to write, new or empty, or a URL. May be left out only with --check."""
     work: Path | None = None
@@ -57,6 +66,8 @@ class TrainConfig:
     longest_px: int | None = 640
     """Longest side of the training pictures, pixels: those of a larger capture are scaled down to
     it. None for no limit."""
+    without_cameras: tuple[str, ...] = ()
+    """Names of cameras of the capture to leave out, such as one that is out of step."""
     fps: float | None = None
     """Frames per second, if no file of the capture gives them, or to override them."""
     near_m: float | None = None
@@ -202,6 +213,11 @@ class TrainConfig:
                 f"--rank {self.rank} orders slices that are sent whole, but slots that last are "
                 "ranked by contribution; leave it out, or add --whole-slices"
             )
+
+    @property
+    def choice(self) -> CameraChoice:
+        """Which cameras of the capture to open."""
+        return CameraChoice(self.without_cameras)
 
     @property
     def target(self) -> Target:

@@ -139,6 +139,7 @@ class _Start:
     found: Checkpoint | None
     """Where a resumed run goes on."""
     sound: CaptureSound | None
+    doubts: list[str]
 
     @property
     def checkpoint(self) -> Path:
@@ -154,12 +155,13 @@ def _checked(config: TrainConfig, console: Console) -> _Start:
     targets = check_targets(config, bare)
     with console.status("reading what the cameras see"):
         prepared = prepare(config)
+        doubts = [] if config.resume else prepared.find_doubts()
     settings = shared_settings(config, prepared)
     path = config.work_folder / CHECKPOINT_NAME
     found = load_checkpoint(path, settings) if config.resume else None
     fps = partial(fps_of, prepared.capture, config)
     sound = capture_sound(config, prepared.capture, prepared.frames, fps)
-    return _Start(config, bare, targets, prepared, settings, found, sound)
+    return _Start(config, bare, targets, prepared, settings, found, sound, doubts)
 
 
 def _announce(start: _Start, console: Console) -> None:
@@ -176,9 +178,8 @@ def _announce(start: _Start, console: Console) -> None:
         log_to.warning(
             f"{start.config.target} was stopped before its first checkpoint; training starts anew"
         )
-    if start.found is None:
-        for doubt in prepared.doubts:
-            log_to.warning(doubt)
+    for doubt in start.doubts:
+        log_to.warning(doubt)
 
 
 def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Manifest:

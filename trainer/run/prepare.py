@@ -32,6 +32,7 @@ from trainer.pictures.feed import Pictures
 from trainer.pictures.framecache import FrameCache
 from trainer.rig.coverage import coverage_doubts, unseen_shares
 from trainer.rig.doubts import rig_doubts
+from trainer.rig.lateness import late_doubts
 from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane, near_planes
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.step.backend import MemoryNeeds
@@ -92,17 +93,17 @@ class Prepared:
         largest = max(cameras, key=lambda camera: camera.width_px * camera.height_px)
         return largest.width_px, largest.height_px
 
-    @property
-    def doubts(self) -> list[str]:
-        """Reasons why the stream, or its scores, may be worse than the user expects, a line
-        each."""
+    def find_doubts(self) -> list[str]:
+        """Reasons why the stream, or its scores, may be worse than the user expects, a line each.
+        Reads pictures; raises CaptureError for one that cannot be read."""
         unseen = coverage_doubts(unseen_shares(self.capture))
-        return [*rig_doubts(self.capture), *unseen, *self.near_doubts]
+        late = late_doubts(self.capture, self.frames)
+        return [*rig_doubts(self.capture), *unseen, *self.near_doubts, *late]
 
 
 def prepare(config: TrainConfig) -> Prepared:
     """Opens the capture. Raises SwingsError where capture or settings cannot work."""
-    capture = open_capture(config.capture)
+    capture = open_capture(config.capture, config.choice)
     if config.points is not None and not config.resume:
         capture = replace(capture, points=read_points_file(config.points))
     check_trainable(capture)
@@ -202,6 +203,7 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
         "far_m": prepared.far_m,
         "search_from_m": prepared.search_from_m,
         **({"temporal": config.temporal} if config.temporal > 1 else {}),
+        **({"without_cameras": config.without_cameras} if config.without_cameras else {}),
         **{
             name: getattr(config, name)
             for name in (

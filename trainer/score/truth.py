@@ -14,6 +14,7 @@ from codec.storage.openstorage import Target
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
+from trainer.capture.camerachoice import CameraChoice
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
@@ -70,7 +71,9 @@ def open_held_out(
     UnsupportedError for one of more than `max_gaussians`."""
     reader = StreamReader(stream, max_gaussians)
     manifest = reader.manifest
-    capture = open_capture(capture_target)
+    # A training may have left cameras out, --without-cameras.
+    known = frozenset(camera.name for camera in manifest.cameras)
+    capture = open_capture(capture_target, CameraChoice(only=known))
     held_out = capture.held_out
     if not held_out:
         raise CaptureError(f"{capture.root}: no held-out camera to score with")

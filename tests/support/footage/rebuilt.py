@@ -12,12 +12,7 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.pose import Doubles, look_at, world_to_camera
-from tests.support.tiny_models import (
-    transforms_of,
-    write_model,
-    write_pictures,
-    write_transforms,
-)  # fmt: skip
+from tests.support.tiny_models import write_model, write_pictures
 from trainer.capture.lens import Lens
 from trainer.synth.film import Scene, Studio, make_scene
 from trainer.synth.scene import UP, camera_rig
@@ -96,9 +91,9 @@ def distorted(camera: Camera, lens: Lens) -> Picture:
 
 
 def write_radial(root: Path) -> Footage:
-    """COLMAP in text, without a rate: SIMPLE_RADIAL lenses, a camera of another size, a world that
-    is scaled, turned and moved."""
-    lens, scale = Lens(k1=-0.09), 0.37
+    """COLMAP in text, without a rate: lenses with radial and tangential distortion, a camera of
+    another size, a world that is scaled, turned and moved."""
+    lens, scale = Lens(k1=-0.12, k2=0.03, p1=0.002, p2=-0.0015), 0.37
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     offset = np.array([2.0, -5.0, 0.5])
@@ -112,31 +107,13 @@ def write_radial(root: Path) -> Footage:
     ]
     write_pictures(root, cameras, 1, False, lambda i, _: distorted(cameras[i], lens))
     folder, names = root / "sparse/0", [f"{camera.name}/0007.png" for camera in cameras]
-    write_model(folder, placed, names, False, "SIMPLE_RADIAL", (lens.k1,))
+    terms = lens.k1, lens.k2, lens.p1, lens.p2
+    write_model(folder, placed, names, False, "OPENCV", terms)
     marks = ["# 3D point list"]
     for number, (place, colour) in enumerate(zip(xyz.tolist(), rgb.tolist(), strict=True), 1):
         marks.append(" ".join(map(str, (number, *place, *colour, 0.5, 1, 0, 2, 0))))
     (folder / "points3D.txt").write_text("\n".join(marks) + "\n")
     return Footage(placed, [filmed(camera) for camera in cameras])
-
-
-def write_distant(root: Path) -> Footage:
-    """nerfstudio: four cameras far apart, each with its own intrinsics, one of them upright, with
-    radial and tangential distortion as in OpenCV."""
-    lens = Lens(k1=-0.12, k2=0.03, p1=0.002, p2=-0.0015)
-    cameras = camera_rig(4, WIDTH_PX, HEIGHT_PX, float(np.radians(160)))
-    for i, camera in enumerate(cameras):
-        focal_px, cx_px, cy_px = camera.fx_px * (1 + 0.02 * i), camera.cx_px + i - 2, camera.cy_px
-        own = replace(camera, fx_px=focal_px, fy_px=focal_px, cx_px=cx_px, cy_px=cy_px + i % 2)
-        cameras[i] = own
-        if i == 2:
-            cameras[i] = replace(
-                own, width_px=HEIGHT_PX, height_px=WIDTH_PX, cx_px=own.cy_px, cy_px=own.cx_px
-            )
-    paths = write_pictures(root, cameras, 1, False, lambda i, _: distorted(cameras[i], lens))
-    terms = {"k1": lens.k1, "k2": lens.k2, "p1": lens.p1, "p2": lens.p2}
-    write_transforms(root, transforms_of(cameras, paths) | terms | {"fps": 30})
-    return Footage(cameras, [filmed(camera) for camera in cameras])
 
 
 def close_rig(num_cameras: int = 12) -> list[Camera]:

@@ -12,20 +12,10 @@ import pytest
 from codec.camera import Camera
 from tests.support.commands import run, run_ok
 from tests.support.tiny_capture import tiny_rig
-from tests.support.tiny_models import write_model, write_videos
+from tests.support.tiny_models import rotation_vector, write_model, write_videos
 from trainer.capture.layout import open_capture
 
 LENS = [-0.02, 0.003, 0.001, -0.002]
-
-
-def rvec_of(rotation: np.ndarray) -> list[float]:
-    """The axis times the angle, from the eigenvector of the eigenvalue 1."""
-    values, vectors = np.linalg.eig(rotation)
-    axis = np.real(vectors[:, np.argmin(abs(values - 1))])
-    angle_rad = float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
-    skew = (rotation - rotation.T)[(2, 0, 1), (1, 2, 0)]
-    found: list[float] = (axis * angle_rad * (1 if axis @ skew >= 0 else -1)).tolist()
-    return found
 
 
 def calibration_of(cameras: list[Camera], as_matrix: bool) -> dict[str, dict[str, Any]]:
@@ -39,7 +29,7 @@ def calibration_of(cameras: list[Camera], as_matrix: bool) -> dict[str, dict[str
             "size": [camera.width_px, camera.height_px],
             "matrix": matrix.tolist(),
             "distortions": LENS,
-            "rotation": rotation.tolist() if as_matrix else rvec_of(rotation),
+            "rotation": rotation.tolist() if as_matrix else rotation_vector(rotation),
             "translation": (1000 * camera.w2c[:3, 3]).tolist(),
         }
     return tables
@@ -72,6 +62,7 @@ def test_a_calibrated_rig_becomes_a_capture(kind: str, as_matrix: bool, tmp_path
     cameras = write_rig(root, 3, 3)
     tables = calibration_of(cameras, as_matrix)
     rig.write_text(as_toml(tables) if kind == "toml" else json.dumps(tables))
+    (root / "videos/._cam00.mp4").write_bytes(b"what macOS leaves on foreign disks")
     told = run_ok("swings-capture", "import", rig, root, "--unit", "mm")
     assert told == f"{root}: 3 cameras, 3 frames\n"
     assert open_capture(root).num_frames == 3

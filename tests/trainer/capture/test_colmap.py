@@ -15,6 +15,8 @@ from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, refusal,
 from tests.support.tiny_models import COLOURS, POINTS, write_model, write_pictures
 from trainer.capture.layout import open_capture
 from trainer.capture.lens import Lens, straightened
+from trainer.capture.masks import mask_source
+from trainer.run.check import describe_capture
 
 NUM_FRAMES = 3
 
@@ -92,12 +94,44 @@ def test_each_lens(tmp_path: Path, model: str, distortion: tuple[float, ...], le
     assert not np.array_equal(expected, picture_of(0, 1))
 
 
-def test_a_straight_lens_changes_nothing_and_pincushion_repeats_the_edge(tmp_path: Path) -> None:
+def test_pixels_that_a_lens_does_not_show_do_not_count(tmp_path: Path) -> None:
     camera = tiny_rig(1)[0]
     picture = np.random.default_rng(1).integers(0, 256, (HEIGHT_PX, WIDTH_PX, 3), np.uint8)
     assert np.array_equal(straightened(picture, camera, Lens()), picture)
-    wide = straightened(picture, camera, Lens(k1=0.5))
-    assert np.array_equal(wide[0, 0], picture[0, 0])
+    assert mask_source(camera, Lens(k1=-0.1), ()) is None
+    pincushion = mask_source(camera, Lens(k1=0.5), ())
+    assert pincushion is not None
+    seen = pincushion.read(7)
+    assert not seen[[0, -1, 0, -1], [0, 0, -1, -1]].any()
+    assert seen[8:-8, 8:-8].all()
+    rays = np.mgrid[:HEIGHT_PX, :WIDTH_PX][::-1] + 0.5 - np.array([32, 18])[:, None, None]
+    radii2 = (rays**2).sum(axis=0) / camera.fx_px**2
+    r2 = np.sort(radii2.ravel())[-17:-15].mean()  # of 16 pixels the bent radius does not grow
+    k1 = -1 / 3 / r2
+    write_model(tmp_path / "sparse", [camera], ["cam00.png"], True, "SIMPLE_RADIAL", (k1,))
+    write_pictures(tmp_path, [camera], 1, True)
+    capture = open_capture(tmp_path)
+    masks = capture.cameras[0].masks
+    assert masks is not None
+    assert np.array_equal(masks.read(0) == 0, radii2 >= r2)
+    assert capture.doubts[0].startswith("lenses that fold: 0.69% of cam00 do not count")
+    assert "masks       none: every pixel counts that its lens shows" in describe_capture(capture)
+
+
+@pytest.mark.parametrize("by_frame", [True, False])
+def test_the_largest_of_several_models_is_read_and_cameras_without_pose_named(
+    by_frame: bool, tmp_path: Path
+) -> None:
+    paths = write_colmap(tmp_path, by_frame=by_frame)
+    names = [path.split("/")[-1] if by_frame else path[7:] for path, *_ in paths]
+    write_model(tmp_path / "sparse/1", tiny_rig(3)[:2], names[:2], False)
+    (doubt,) = open_capture(tmp_path).doubts
+    assert "2 models in sparse/: 0, which has the most images (3), is read, and 1 (2)" in doubt
+    shutil.rmtree(tmp_path / "sparse/0")
+    capture = open_capture(tmp_path)
+    (doubt,) = capture.doubts
+    assert doubt.startswith("pictures without a pose: those of cam02 are left out")
+    assert [entry.camera.name for entry in capture.cameras] == ["cam00", "cam01"]
 
 
 @pytest.mark.parametrize("binary", [True, False])
@@ -106,7 +140,7 @@ def test_lenses_that_are_refused(tmp_path: Path, binary: bool) -> None:
     write_pictures(tmp_path, camera, 1, True)
     for model, distortion, said in (
         ("OPENCV_FISHEYE", (0.1, 0, 0, 0), "camera cam00 has the lens model OPENCV_FISHEYE"),
-        ("SIMPLE_RADIAL", (-0.9,), "camera cam00: the distortion folds"),
+        ("SIMPLE_RADIAL", (-0.9,), r"camera cam00: the distortion folds \d+% of the picture over"),
         ("SIMPLE_RADIAL", (float("nan"),), "cam00: a distortion term is not a number"),
     ):
         shutil.rmtree(tmp_path / "sparse", ignore_errors=True)

@@ -15,6 +15,7 @@ from codec.errors import InvalidError
 from tests.support.hostile import refused
 from tests.support.tiny_capture import picture_of, refusal, write_dynamic3dgs
 from trainer.capture.layout import open_capture
+from trainer.capture.layouts import TITLES
 from trainer.errors import CaptureError
 
 
@@ -25,7 +26,16 @@ def test_folders_that_are_not_captures_are_refused(tmp_path: Path) -> None:
     assert "not a folder" in refusal(file)
     (tmp_path / "empty").mkdir()
     assert "is empty" in refusal(tmp_path / "empty")
-    assert "unknown layout" in refusal(tmp_path)
+    said = refusal(tmp_path)
+    assert all(f"({title})" in said for title in TITLES.values())
+    for videos in ("", "videos"):
+        root = tmp_path / f"filmed{videos}"
+        (root / videos).mkdir(parents=True)
+        for name in ("cam00.mp4", "b.MOV", "._b.MOV"):
+            (root / videos / name).touch()
+        said = refusal(root)
+        assert "2 videos, but no poses of their cameras" in said
+        assert "see 'From videos' in docs/CAPTURES.md" in said
 
 
 def test_dynamic3dgs_cameras_split_and_pictures(tmp_path: Path) -> None:
@@ -98,7 +108,7 @@ def drop_frame(meta: dict[str, Any]) -> None:
         (put(1e-300, "k", ..., 0, 0, 0), "focal length"),
         (put(1e300, "k", ..., 0, 1, 1), "focal length"),
         (put(3.0, "w2c", ..., 0, 0, 0), "not a rotation"),
-        (put("../../secret.png", "fn", 1, 0), "not a path below ims/"),
+        (put("..\\secret.png", "fn", 1, 0), "not a path below ims/"),
         (put([2, 0, 3], "cam_id", 1), "cam_id of frame 1 differs"),
         (put([], "fn"), "fn is not a 3 x 3 table"),
         (drop_frame, "has 2 frames, test_meta.json 3"),

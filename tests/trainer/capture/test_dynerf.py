@@ -135,7 +135,67 @@ def test_bad_poses_are_refused(capture_path: Path) -> None:
     path.write_bytes(b"nonsense")
     assert "not a .npy file" in refusal(capture_path)
     path.unlink()
-    assert "poses_bounds.npy: is missing" in refusal(capture_path)
+    assert "3 videos, but no poses of their cameras" in refusal(capture_path)
+
+
+def test_smaller_videos_and_names_in_upper_case(capture_path: Path) -> None:
+    for video in capture_path.glob("*.mp4"):
+        video.rename(video.with_suffix(".MP4"))
+    path = capture_path / "poses_bounds.npy"
+    rows = np.load(path)
+    rows[:, [4, 9, 14]] *= 2  # height, width and focal length
+    np.save(path, rows)
+    capture = open_capture(capture_path)
+    (doubt,) = capture.doubts
+    assert "64x36 px, where poses_bounds.npy declares 128x72; its intrinsics are scaled" in doubt
+    for entry, camera in zip(capture.cameras, tiny_rig(3), strict=True):
+        np.testing.assert_allclose(entry.camera.intrinsics, camera.intrinsics)
+    rows[1, [4, 9]] *= 2
+    np.save(path, rows)
+    assert "cam00.MP4: is 64x36 px; poses_bounds.npy declares 128x72 px" in refusal(capture_path)
+
+
+PAINT = np.array(
+    [(255, 255, 255), (255, 0, 0), (0, 255, 0), (0, 0, 255), (128, 128, 128), (200, 120, 60),
+     (60, 160, 90), (16, 16, 16)]
+)  # fmt: skip
+BT601, BT709_WEIGHTS = (0.299, 0.114), (0.2126, 0.0722)
+
+
+@pytest.mark.parametrize(
+    ("weights", "full", "tags"),
+    [
+        (BT601, False, {}),
+        (BT601, False, {"colorspace": 6, "color_range": 1}),
+        (BT601, True, {"colorspace": 6, "color_range": 2}),
+        (BT709_WEIGHTS, False, {"colorspace": 1}),
+        (BT709_WEIGHTS, False, {"colorspace": 1, "color_range": 1}),
+        (BT709_WEIGHTS, True, {"colorspace": 1, "color_range": 2}),
+    ],
+)
+def test_colours_are_the_filmed_ones(
+    weights: tuple[float, float], full: bool, tags: dict[str, int], tmp_path: Path
+) -> None:
+    """Encodings by their numbers in ITU-T H.273. PyAV below 17 reads BT.709 as BT.601."""
+    (kr, kb), rgb = weights, PAINT / 255
+    y = rgb @ (kr, 1 - kr - kb, kb)
+    cb, cr = (rgb[:, 2] - y) / (2 * (1 - kb)), (rgb[:, 0] - y) / (2 * (1 - kr))
+    rise, span, spread = (0, 255, 255) if full else (16, 219, 224)
+    bright = np.tile(np.repeat(span * y + rise, 8), HEIGHT_PX)
+    halves = [np.tile(np.repeat(spread * c + 128, 4), HEIGHT_PX // 2) for c in (cb, cr)]
+    planes = np.rint(np.concatenate([bright, *halves])).clip(0, 255).astype(np.uint8)
+    path = tmp_path / "cam00.mp4"
+    with av.open(str(path), "w") as output:
+        stream = output.add_stream("libx264", rate=Fraction(30), options={"qp": "0"})
+        stream.width, stream.height, stream.pix_fmt = WIDTH_PX, HEIGHT_PX, "yuv420p"
+        frame = av.VideoFrame.from_ndarray(planes.reshape(-1, WIDTH_PX), format="yuv420p")
+        for name, tag in tags.items():
+            setattr(stream.codec_context, name, tag)
+            setattr(frame, name, tag)
+        output.mux(stream.encode(frame))
+        output.mux(stream.encode())
+    with closing(VideoSource(path, tiny_rig(1)[0], 1)) as source:
+        assert np.abs(source.read(0)[18, 4::8].astype(int) - PAINT).max() <= 3
 
 
 def video_at(path: Path) -> VideoSource:
@@ -252,15 +312,30 @@ def test_a_video_is_turned_as_it_says(turned_deg: int, rig: list[Camera], tmp_pa
             np.testing.assert_array_equal(source.read(frame), expected)
 
 
-def test_turned_videos_sizes_and_varying_rates_are_named(rig: list[Camera], tmp_path: Path) -> None:
+def test_turned_videos_sizes_and_other_rates_are_named(rig: list[Camera], tmp_path: Path) -> None:
     film(tmp_path / "cam02.mp4", turned_deg=90)
     expected = f"{tmp_path}/cam02.mp4: is 36x64 px, turned by 90 degrees as the file says; "
     assert refusal(tmp_path).startswith(expected)
     film(tmp_path / "cam02.mp4", turned_deg=45)
     assert "only quarter turns are read" in refusal(tmp_path)
-    film(tmp_path / "cam02.mp4", times=(0, 20, 40, 90, 130))
-    told = refusal(tmp_path)
-    assert "they must agree; the rate of cam02.mp4 varies: make it constant with ffmpeg" in told
-    assert "-vf fps=30" in told
     film(tmp_path / "cam02.mp4", times=range(0, 125, 25))  # another rate, but a constant one
     assert refusal(tmp_path).endswith("they must agree")
+
+
+def test_videos_of_variable_rate_must_show_the_same_moments(
+    rig: list[Camera], tmp_path: Path
+) -> None:
+    film(tmp_path / "cam02.mp4", times=(0, 20, 40, 90, 130))
+    told = refusal(tmp_path)
+    assert "frame 3 is at 0.100 s in cam00.mp4 and at 0.150 s in cam02.mp4; the rate of " in told
+    assert "cam02.mp4 varies: make it constant with ffmpeg -i cam02.mp4 -vf fps=30 " in told
+    assert "-frames:v 5 " in told  # as many as the others have
+    film(tmp_path / "cam02.mp4", times=(0, 21, 38, 62, 80))  # off by less than half a frame
+    assert open_capture(tmp_path).num_frames == 5
+    for number, camera in enumerate(rig):  # counts and mean rates agree, the moments do not
+        times = [20 * n for n in range(10) if n != 1 + number]
+        film(tmp_path / f"{camera.name}.mp4", times=times)
+    told = refusal(tmp_path)
+    assert "frame 1 is at 0.033 s in cam01.mp4 and at 0.067 s in cam00.mp4; the rate of " in told
+    assert "cam00.mp4, cam01.mp4, cam02.mp4, cam03.mp4 and 3 more varies" in told
+    assert "-vf fps=30 -c:v" in told

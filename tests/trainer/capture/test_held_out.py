@@ -15,8 +15,10 @@ from codec.pose import look_at
 from codec.rig import rig_centre, rig_depths
 from tests.support.tiny_capture import refusal, tiny_rig
 from tests.trainer.capture.test_masks import LAYOUTS, write_layout
+from trainer.capture.camerachoice import CameraChoice
 from trainer.capture.held_out import camera_between, read_held_out
 from trainer.capture.layout import open_capture
+from trainer.errors import CaptureError
 from trainer.synth.scene import CAMERA_RADIUS_M, CAMERA_TARGET
 
 
@@ -30,6 +32,13 @@ def test_every_layout_reads_it_alike(tmp_path: Path, layout: str) -> None:
         capture = open_capture(root)
         assert capture.held_out == expected
         assert expected or capture.watching == capture.training
+    # A camera that is left out may be named there.
+    (root / "held_out.txt").write_text("cam01 cam02")
+    left = open_capture(root, CameraChoice(("cam02",)))
+    assert "cam02" not in [entry.camera.name for entry in left.cameras]
+    assert left.held_out == (1,)
+    with pytest.raises(CaptureError, match=r"no camera 'cam9' to leave out; it has cam00, cam01"):
+        open_capture(root, CameraChoice(("cam9",)))
     for data, said in ((b"cam07", "'cam07' is not a camera of"), (b"\xff\xfe", "not text")):
         (root / "held_out.txt").write_bytes(data)
         assert f"held_out.txt: {said}" in refusal(root)

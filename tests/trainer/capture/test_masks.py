@@ -174,6 +174,8 @@ def write_layout(root: Path, layout: str) -> None:
             write_dynerf(root, num_frames=NUM_FRAMES)
         case "colmap" | "colmap by camera":
             write_colmap(root, by_frame=layout == "colmap")
+        case "easymocap":
+            tiny_models.write_easymocap(root, 3, NUM_FRAMES)
         case "nerfstudio":
             write_transforms(root, write_nerfstudio(root, listed=True)[1])
         case _:
@@ -185,6 +187,7 @@ def write_layout(root: Path, layout: str) -> None:
 
 LAYOUTS = (
     "dynamic3dgs", "dynerf", "colmap", "colmap by camera", "nerfstudio", "nerfstudio videos",
+    "easymocap",
 )  # fmt: skip
 
 

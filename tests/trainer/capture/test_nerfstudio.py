@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from codec.camera import Camera
 from tests.support.tiny_capture import picture_of, refusal, tiny_rig
@@ -84,6 +85,49 @@ def test_distortion_is_taken_out_of_pictures_and_videos(tmp_path: Path) -> None:
     source.close()
 
 
+def without(value: dict[str, Any], *keys: str) -> None:
+    for entry in (value, *value["frames"]):
+        for key in keys:
+            entry.pop(key, None)
+
+
+def with_angles(value: dict[str, Any]) -> None:
+    value["camera_angle_x"] = 2 * np.arctan(value["w"] / value["fl_x"] / 2)
+    without(value, "fl_x", "fl_y", "w", "h")
+
+
+def with_backslashes(value: dict[str, Any]) -> None:
+    for entry in value["frames"]:
+        entry["file_path"] = entry["file_path"].replace("/", "\\")
+
+
+@pytest.mark.parametrize("form", ["frames", "images", "videos"])
+@pytest.mark.parametrize(
+    "change", [lambda v: without(v, "w", "h", "cx", "cy"), with_angles, with_backslashes]
+)
+def test_what_other_programs_write(
+    form: str, change: Callable[[dict[str, Any]], object], tmp_path: Path
+) -> None:
+    """No size, which is that of the pictures; Blender's angles; the paths of Windows; .webp."""
+    cameras = write_nerfstudio(tmp_path, form)
+    if form == "videos":
+        write_transforms(tmp_path, transforms_of(cameras, write_videos(tmp_path, cameras, 2)))
+    if form == "images":
+        for path in tmp_path.glob("images/*/*.png"):
+            Image.open(path).save(path.with_suffix(".webp"), lossless=True)
+            path.unlink()
+        text = (tmp_path / "transforms.json").read_text()
+        (tmp_path / "transforms.json").write_text(text.replace(".png", ".webp"))
+    edit(tmp_path, change)
+    capture = open_capture(tmp_path)
+    for entry, camera in zip(capture.cameras, cameras, strict=True):
+        assert entry.camera.name == camera.name
+        np.testing.assert_allclose(entry.camera.intrinsics, camera.intrinsics)
+    source = capture.open_images(1)
+    assert np.abs(source.read(1).astype(int) - picture_of(1, 1)).max() <= 2
+    source.close()
+
+
 def test_held_out_cameras_and_rate(tmp_path: Path) -> None:
     write_nerfstudio(tmp_path, "images listed")
     names = [f"./images/cam01/{7 + frame:04d}.png" for frame in range(NUM_FRAMES)]
@@ -126,7 +170,8 @@ def turn(entry: dict[str, Any]) -> None:
         ("frames", lambda v: v.update(frames=[{}]), "entry 0 of `frames` has no file_path"),
         ("frames", lambda v: v.update(frames=["x"]), "entry 0 of `frames` has no file_path"),
         ("frames", lambda v: v.pop("fl_x"), "lacks fl_x"),
-        ("frames", lambda v: v.update(cx=None), "lacks cx"),
+        ("frames", lambda v: v.update(w=None, fl_x=None), "lacks fl_x"),
+        ("frames", lambda v: v.update(fl_x=None, camera_angle_x=4), "camera_angle_x is 4"),
         ("frames", lambda v: v.update(cx="left"), "cx is 'left', not a number"),
         ("frames", lambda v: v.update(cx=10**400), "not a number"),
         ("frames", lambda v: v.update(cx=True), "cx is 'True', not a number"),
@@ -137,11 +182,11 @@ def turn(entry: dict[str, Any]) -> None:
         ("frames", lambda v: v.update(camera_model="OPENCV_FISHEYE"), "OPENCV_FISHEYE is not"),
         ("frames", lambda v: v.update(is_fisheye=True), "(fisheye) is not read"),
         ("frames", lambda v: v.update(k4=0.1), "distortion by k4"),
-        ("frames", lambda v: v.update(k1=-2), "folds the picture's corners"),
+        ("frames", lambda v: v.update(k1=-2), "of the picture over, from its"),
         ("frames", lambda v: v["frames"][1].pop("transform_matrix"), "is not a 4x4 matrix"),
         ("frames", lambda v: v["frames"][1].update(transform_matrix=[[1], [2, 3]]), "not a 4x4"),
         ("frames", lambda v: v["frames"][1].update(transform_matrix=[[2] * 4] * 4), "rotation"),
-        ("frames", lambda v: v["frames"][1].update(file_path="../../x.png"), "inside the capture"),
+        ("frames", lambda v: v["frames"][1].update(file_path="..\\x.png"), "inside the capture"),
         ("frames", lambda v: v["frames"].append(v["frames"][0]), "listed twice"),
         ("frames", lambda v: v["frames"][1].update(file_path="a.mp4"), "some file_path are videos"),
         ("frames", lambda v: v["frames"][1].update(file_path="a.png"), "names neither a camera"),

@@ -17,10 +17,11 @@ from tests.support.footage.rebuilt import SIZE_PX, close_rig, filmed, points_see
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, tiny_rig, write_dynerf
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
 from trainer.capture.capture import Capture
-from trainer.capture.layout import open_capture
+from trainer.capture.layout import open_capture, twin_doubts
 from trainer.rig import nearplane
 from trainer.rig.coverage import coverage_doubts, describe_coverage, unseen_share, unseen_shares
 from trainer.rig.doubts import picture_doubt, rig_doubts
+from trainer.rig.lateness import late_frames
 from trainer.rig.nearplane import LEAST_OWN_SHARE, LEAST_SHARE, MARGIN, look
 from trainer.run.config import TrainConfig
 from trainer.run.prepare import prepare
@@ -200,6 +201,21 @@ def test_few_and_distant_cameras_are_named(capture: Capture) -> None:
     kept = replace(capture, cameras=capture.cameras[:7] + capture.cameras[8:])
     (line,) = rig_doubts(kept)
     assert line.startswith("distant cameras: cam08 is ")
+    cameras = [entry.camera for entry in capture.cameras]
+    assert not twin_doubts(cameras)
+    (line,) = twin_doubts([*cameras, replace(cameras[0], name="twin")])
+    assert line.startswith("one pose: cam00 and twin have the same one")
+
+
+def test_by_how_many_frames_a_camera_is_late() -> None:
+    rng = np.random.default_rng(3)
+    motion = np.exp(rng.normal(size=100))
+    for late in ([0] * 6, [0, 0, 5, 0, 0, 0], [0, -3, 0, 0, 0, 12]):
+        gains, noise = rng.uniform(0.3, 3, 6), rng.uniform(0.9, 1.1, (6, 59))
+        changes = np.array([motion[20 - frames : 79 - frames] for frames in late])
+        assert late_frames(gains[:, None] * changes * noise) == late
+    for nothing in (rng.uniform(0, 3, (6, 59)), np.zeros((6, 59)), changes[:, :20], changes[:3]):
+        assert late_frames(nothing) == [0] * len(nothing)
 
 
 def test_pictures_that_are_clipped_or_dark() -> None:

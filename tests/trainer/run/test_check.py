@@ -12,16 +12,23 @@ from rich.console import Console
 
 from codec.errors import SwingsError
 from tests.support.footage.checking import all_said, checked, said
-from tests.support.footage.rebuilt import Footage, write_distant, write_radial
+from tests.support.footage.rebuilt import Footage, write_radial
 from tests.support.hostile import refused
 from tests.support.tiny_capture import picture_of, tiny_rig, write_dynamic3dgs, write_dynerf
-from tests.support.tiny_models import write_model, write_pictures
+from tests.support.tiny_models import (
+    transforms_of,
+    write_model,
+    write_pictures,
+    write_transforms,
+)
 from tests.support.trainings import train_here
 from trainer.capture.capture import Capture, Picture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
 from trainer.run.check import check_capture, describe_capture
 from trainer.run.config import TrainConfig
+from trainer.run.prepare import prepare
+from trainer.score.truth import open_held_out
 
 
 def test_description_of_a_capture_and_of_one_that_has_little(tmp_path: Path) -> None:
@@ -71,7 +78,7 @@ def test_a_log_tells_what_is_waited_for(tmp_path: Path) -> None:
     write_dynerf(tmp_path / "c", num_cameras=7)
     log = io.StringIO()
     check_capture(TrainConfig(tmp_path / "c", tmp_path / "s"), Console(file=log))
-    assert log.getvalue() == "reading the first and the last frame of 7 cameras\n"
+    assert log.getvalue() == "reading frames of 7 cameras\n"
 
 
 def check_pictures(capture: Capture, footage: Footage, least_db: float) -> None:
@@ -121,18 +128,27 @@ def test_a_radial_lens_in_a_world_of_any_unit(tmp_path: Path) -> None:
     assert said(checked(root, fps=12.5), "frames").startswith("1 at 12.5 per second")
 
 
-def test_four_distant_cameras_with_their_own_lenses_warn(
+def test_a_camera_out_of_step_is_named_and_can_be_left_out(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    root = tmp_path / "c"
-    footage = write_distant(root)
-    check_pictures(open_capture(root), footage, 31)
-    lines = checked(root)
-    assert said(lines, "size") == "128x72 px (3), 72x128 px (1)"
-    few, distant, *more = all_said(lines, "warning")
-    assert few.startswith("few cameras: 3 to train on")
-    assert distant.startswith("distant cameras: cam")
-    assert len(more) <= 1
-    tiny = "--num-gs", 100, "--genesis-iterations", 5, "--settle-rounds", 1
-    train_here(root, tmp_path / "s", *tiny, "--window-iterations", 2)
-    assert few in caplog.text
+    root, stream, cameras = tmp_path / "c", tmp_path / "s", tiny_rig(6)
+    places = np.cumsum(np.random.default_rng(1).integers(0, 9, 60)) % 56
+
+    def picture(index: int, frame: int) -> Picture:
+        shown = picture_of(index, 0)
+        shown[10:26, (place := places[frame + 12 - 5 * (index == 4)]) : place + 8] = 220
+        return shown
+
+    paths = write_pictures(root, cameras, 30, False, picture)
+    write_transforms(root, transforms_of(cameras, [p[:1] for p in paths]) | {"fps": 30})
+    late = "out of step: cam04 seems to show everything 5 frames later than the other cameras"
+    assert [line for line in all_said(checked(root), "warning") if line.startswith(late)]
+    assert any(doubt.startswith(late) for doubt in prepare(TrainConfig(root, stream)).find_doubts())
+    left = ("cam04",)
+    assert "step" not in "".join(all_said(checked(root, without_cameras=left), "warning"))
+    tiny = "--num-gs", 100, "--genesis-iterations", 5, "--settle-rounds", 1, "--frames", "0:2"
+    train_here(root, stream, *tiny, "--window-iterations", 2, "--without-cameras", *left)
+    assert "few cameras: 4 to train on" in caplog.text
+    with open_held_out(stream, root) as scored:
+        names = [entry.camera.name for entry in scored.cache.capture.cameras]
+    assert names == ["cam00", "cam01", "cam02", "cam03", "cam05"]

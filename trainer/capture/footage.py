@@ -1,0 +1,77 @@
+"""The pictures of all cameras: a video of each, or a picture of each frame and camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from codec.camera import Camera
+from trainer.pixels import opened_picture
+
+from .capture import PictureSource, check_fps
+from .lens import Lens, straight_source
+from .picturefiles import picture_source, read_fps
+from .synchrony import check_synchronised
+from .video import VIDEO_SUFFIXES, VideoSource, check_video_size, probe_video
+
+
+@dataclass(frozen=True, slots=True)
+class Footage:
+    """The pictures of all cameras."""
+
+    num_frames: int
+    fps: float | None
+    open: Callable[[int], PictureSource]
+    """Opens the pictures of the camera of this index."""
+    videos: tuple[Path, ...] = ()
+
+
+def filmed(
+    videos: Sequence[Path],
+    cameras: Sequence[Camera],
+    lenses: Sequence[Lens],
+    declared_in: Path,
+    fps: float | None = None,
+) -> Footage:
+    """A video of each camera, whose size `declared_in` declares; fps: overrides theirs. Raises
+    CaptureError unless the videos run in step."""
+    facts = [probe_video(video) for video in videos]
+    check_synchronised(videos, facts)
+    for video, camera, fact in zip(videos, cameras, facts, strict=True):
+        check_video_size(video, fact, camera, declared_in)
+    num_frames, fps = facts[0].num_frames, fps or facts[0].fps
+    check_fps(fps, videos[0])
+
+    def open_video(index: int) -> PictureSource:
+        source = VideoSource(videos[index], cameras[index], num_frames)
+        return straight_source(source, cameras[index], lenses[index])
+
+    return Footage(num_frames, fps, open_video, tuple(videos))
+
+
+def photographed(
+    files: Sequence[tuple[Path, ...]],
+    cameras: Sequence[Camera],
+    lenses: Sequence[Lens],
+    declared_in: Path,
+    fps: float | None = None,
+) -> Footage:
+    """A picture of each camera and frame, whose size `declared_in` declares; fps: overrides fps.txt
+    beside it. Raises CaptureError if a first picture has another size."""
+    sources = [
+        picture_source(camera, lens, of_camera, declared_in)
+        for camera, lens, of_camera in zip(cameras, lenses, files, strict=True)
+    ]
+    fps = fps or read_fps(declared_in.parent)
+    return Footage(len(files[0]), fps, sources.__getitem__)
+
+
+def size_of(path: Path) -> tuple[int, int]:
+    """Width and height of a picture file or a video, in pixels, for layouts that declare none.
+    Raises CaptureError."""
+    if path.suffix.lower() in VIDEO_SUFFIXES:
+        facts = probe_video(path)
+        return facts.width_px, facts.height_px
+    with opened_picture(path, "picture", lambda *_: None) as image:
+        return image.size
