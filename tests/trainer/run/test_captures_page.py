@@ -16,6 +16,7 @@ from tests.support.commands import ROOT, run_ok
 from tests.support.suite.once import made_once
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
+from trainer.capture.layouts import TITLES
 from trainer.run.config import TrainConfig
 from trainer.score.evaluate import EvaluateConfig
 
@@ -25,8 +26,8 @@ BLOCKS = [
     for block in re.findall(r"(?:(?<=\n\n)|^)((?: {4}.*\n|\n(?= {4}))+)", PAGE)
 ]
 WRITTEN = (
-    "as-nerfstudio", "as-pictures", "as-colmap", "as-dynamic3dgs", "as-dynerf", "as-calibrated",
-    "as-solved",
+    "as-nerfstudio", "as-pictures", "as-colmap", "as-dynamic3dgs", "as-dynerf", "as-easymocap",
+    "as-calibrated", "as-solved",
 )  # fmt: skip
 
 
@@ -89,9 +90,11 @@ def test_the_other_commands_run(folder: Path, tmp_path: Path) -> None:
 
 def test_the_page_is_understood() -> None:
     assert sum(map(is_script, BLOCKS)) == len(WRITTEN) - 1  # one script writes two
-    assert sum(len(block.splitlines()) for block in BLOCKS if not is_script(block)) == 11
+    assert sum(len(block.splitlines()) for block in BLOCKS if not is_script(block)) == 12
     # The text has nothing like a command, because it would not be run.
     assert not re.findall(r"`swings-\w+ ", PAGE)
+    pages = [PAGE, *((ROOT / name).read_text("utf-8") for name in ("README.md", "docs/GUIDE.md"))]
+    assert not [title for title in TITLES.values() for page in pages if title not in page]
 
 
 @pytest.mark.parametrize("name", WRITTEN)
