@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -37,20 +38,35 @@ def tiny_rig(num_cameras: int, arc_deg: float = 160.0) -> list[Camera]:
     return camera_rig(num_cameras, WIDTH_PX, HEIGHT_PX, float(np.radians(arc_deg)))
 
 
+TICKS = 600
+"""Ticks per second of a video's time base."""
+
+
 def write_video(
-    path: Path, camera_index: int, num_frames: int, table_in_front: bool = False
+    path: Path,
+    camera_index: int,
+    num_frames: int,
+    table_in_front: bool = False,
+    transfer: int = 1,
+    turned_deg: int = 0,
+    times: Sequence[int] | None = None,
 ) -> None:
-    """Writes a lossless video with B-frames and a key frame every 10 frames."""
+    """Writes a lossless video with B-frames and a key frame every 10 frames; times: of the frames,
+    in ticks."""
     settings = {"qp": "0", "preset": "ultrafast", "bf": "2"}
     place = {"movflags": "faststart"} if table_in_front else {}
     container = "matroska" if path.suffix == ".mkv" else "mp4"
     with av.open(str(path), "w", format=container, options=place) as output:
         stream = output.add_stream("libx264", rate=Fraction(30), options=settings)
         stream.width, stream.height, stream.pix_fmt = WIDTH_PX, HEIGHT_PX, "yuv444p"
-        stream.codec_context.gop_size = 10
-        for frame in range(num_frames):
-            picture = picture_of(camera_index, frame)
-            output.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        stream.codec_context.gop_size, stream.codec_context.color_trc = 10, transfer
+        stream.codec_context.time_base = stream.time_base = Fraction(1, TICKS)
+        if turned_deg:
+            stream.set_display_rotation(turned_deg)
+        for number, time in enumerate(times or range(0, 20 * num_frames, 20)):
+            frame = av.VideoFrame.from_ndarray(picture_of(camera_index, number), format="rgb24")
+            frame.pts, frame.time_base = time, Fraction(1, TICKS)
+            output.mux(stream.encode(frame))
         output.mux(stream.encode())
 
 

@@ -31,12 +31,6 @@ def quaternion_of(rotation: Doubles) -> tuple[float, ...]:
     return w, x, y, z
 
 
-def rotation_vector(rotation: Doubles) -> list[float]:
-    """The axis times the angle, radians."""
-    vector: list[float] = Rotation.from_matrix(rotation).as_rotvec().tolist()
-    return vector
-
-
 def write_easymocap(root: Path, num_cameras: int, num_frames: int) -> list[Camera]:
     """Pictures, intri.yml, and extri.yml with rotation vectors."""
     cameras = tiny_rig(num_cameras)
@@ -47,7 +41,7 @@ def write_easymocap(root: Path, num_cameras: int, num_frames: int) -> list[Camer
         for file, name, rows, columns, numbers in (
             ("intri.yml", "K", 3, 3, k),
             ("intri.yml", "dist", 1, 5, [0.0] * 5),
-            ("extri.yml", "R", 3, 1, rotation_vector(camera.w2c[:3, :3])),
+            ("extri.yml", "R", 3, 1, Rotation.from_matrix(camera.w2c[:3, :3]).as_rotvec().tolist()),
             ("extri.yml", "T", 3, 1, camera.w2c[:3, 3].tolist()),
         ):
             files[file] += (

@@ -29,30 +29,13 @@ def any_size(path: Path, size: tuple[int, int]) -> None:
     """A capture that declares the size of the file."""
 
 
-def png_16(path: Path, pixels: npt.NDArray[np.uint16], colour_type: int) -> None:
-    """Writes a colour PNG with 16 bits per channel, which Pillow cannot."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return (
-            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        )
-
-    height, width = pixels.shape[:2]
-    rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in pixels)
-    head = struct.pack(">IIBBBBB", width, height, 16, colour_type, 0, 0, 0)
-    path.write_bytes(
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(rows))
-        + chunk(b"IEND", b"")
-    )  # fmt: skip
-
-
-def tiff_16(path: Path, pixels: npt.NDArray[np.uint16]) -> None:
-    """Writes a 16-bit TIFF with FFmpeg's encoder, because Pillow writes only grey ones."""
-    context = av.CodecContext.create("tiff", "w")
+def save_16(path: Path, pixels: npt.NDArray[np.uint16], form: str) -> None:
+    """Writes 16 bits per channel with FFmpeg's encoder, because Pillow writes only grey ones."""
+    context = av.CodecContext.create({".tif": "tiff", ".png": "png"}[path.suffix], "w")
     assert isinstance(context, av.VideoCodecContext)
     context.height, context.width = pixels.shape[:2]
-    context.pix_fmt, context.time_base = "rgb48le", Fraction(1)
-    frame = av.VideoFrame.from_ndarray(pixels, format="rgb48le")
+    context.pix_fmt, context.time_base = form, Fraction(1)
+    frame = av.VideoFrame.from_ndarray(pixels, format=form)
     frame.pts = 0
     packets = [*context.encode(frame), *context.encode(None)]
     path.write_bytes(b"".join(bytes(packet) for packet in packets))
@@ -71,8 +54,8 @@ def saved_with_a_transparent_colour(path: Path) -> None:
 def test_pictures_of_8_bits_are_as_they_are_and_16_are_rounded(tmp_path: Path) -> None:
     deep = np.linspace(0, 65535, 48).astype(np.uint16).reshape(6, 8)
     wide = RGB.astype(np.uint16) * 257
-    png_16(tmp_path / "wide.png", wide, 2)
-    tiff_16(tmp_path / "wide.tif", wide)
+    save_16(tmp_path / "wide.png", wide, "rgb48be")
+    save_16(tmp_path / "wide.tif", wide, "rgb48le")
     for suffix in ("png", "tif", "bmp"):
         saving(RGB)(tmp_path / f"rgb.{suffix}")
         saving(GREY)(tmp_path / f"grey.{suffix}")
@@ -99,7 +82,7 @@ INDEXED = np.array([[9, 8, 7], [0, 0, 0], [200, 0, 0], [0, 0, 200]], np.uint8)[G
         (saving(np.dstack([RGB, GREY])), RGB * (GREY / 255)[..., None]),
         (saving(np.dstack([GREY, GREY]), "LA"), (GREY * (GREY / 255))[..., None] * np.ones(3)),
         (saved_with_a_transparent_colour, INDEXED),
-        (lambda path: png_16(path, np.full((6, 8, 4), 0x8000, np.uint16), 6), 64),
+        (lambda path: save_16(path, np.full((6, 8, 4), 0x8000, np.uint16), "rgba64be"), 64),
     ],
 )
 @pytest.mark.filterwarnings("ignore:'mode' parameter:DeprecationWarning")

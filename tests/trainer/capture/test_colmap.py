@@ -9,8 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
+from codec.pose import Doubles
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, refusal, tiny_rig
 from tests.support.tiny_models import COLOURS, POINTS, write_model, write_pictures
 from trainer.capture.layout import open_capture
@@ -83,7 +85,7 @@ def test_a_forward_rig_takes_its_depths_from_the_points(tmp_path: Path) -> None:
     ],
 )
 def test_each_lens(tmp_path: Path, model: str, distortion: tuple[float, ...], lens: Lens) -> None:
-    """That straight lines are straight then is shown by the captures of tests/support/footage."""
+    """What lenses do to a picture is shown below."""
     camera = tiny_rig(1)[0]
     write_model(tmp_path / "sparse/0", [camera], ["cam00.png"], True, model, distortion)
     write_pictures(tmp_path, [camera], 2, True)
@@ -92,6 +94,28 @@ def test_each_lens(tmp_path: Path, model: str, distortion: tuple[float, ...], le
     expected = straightened(picture_of(0, 1), camera, lens)
     assert np.array_equal(capture.open_images(0).read(1), expected)
     assert not np.array_equal(expected, picture_of(0, 1))
+
+
+def test_a_straightened_picture_is_that_of_a_pinhole() -> None:
+    lens = Lens(k1=-0.12, k2=0.03, k3=0.01, p1=0.004, p2=-0.003)
+    camera = tiny_rig(1)[0].scaled(4)
+
+    def shades(x: Doubles, y: Doubles) -> npt.NDArray[np.uint8]:
+        grey = 128 + 60 * np.sin(9 * x + 2) * np.cos(7 * y) + 50 * np.sin(5 * y + x)
+        return np.repeat(np.rint(grey)[..., None], 3, axis=2).astype(np.uint8)
+
+    v, u = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
+    bent_x, bent_y = (u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px
+    x, y = bent_x, bent_y
+    for _ in range(50):  # where the lens takes from what it shows, as OpenCV's manual has it
+        r2 = x * x + y * y
+        radial = 1 + lens.k1 * r2 + lens.k2 * r2**2 + lens.k3 * r2**3
+        aside = 2 * x * y * lens.p1 + lens.p2 * (r2 + 2 * x * x)
+        down = 2 * x * y * lens.p2 + lens.p1 * (r2 + 2 * y * y)
+        x, y = (bent_x - aside) / radial, (bent_y - down) / radial
+    pinhole = shades(bent_x, bent_y).astype(int)
+    assert np.abs(straightened(shades(x, y), camera, lens) - pinhole).max() <= 2
+    assert np.abs(shades(x, y) - pinhole).max() > 20
 
 
 def test_pixels_that_a_lens_does_not_show_do_not_count(tmp_path: Path) -> None:

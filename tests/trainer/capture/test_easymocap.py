@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 
 from tests.support.tiny_capture import picture_of, refusal
-from tests.support.tiny_models import write_easymocap, write_videos
+from tests.support.tiny_models import write_easymocap
 from trainer.capture.layout import open_capture
 
 
-def test_pictures_and_videos_as_written(tmp_path: Path) -> None:
+def test_pictures_as_written(tmp_path: Path) -> None:
+    """docs/CAPTURES.md has one with videos."""
     written = write_easymocap(tmp_path, 3, 4)
-    for is_filmed in (False, True):
-        if is_filmed:
-            (tmp_path / "images").rename(tmp_path / "aside")
-            write_videos(tmp_path, written, 4)
-        capture = open_capture(tmp_path)
-        assert (capture.layout, capture.num_frames) == ("easymocap", 4)
-        assert capture.fps == (30 if is_filmed else None)
-        for index, (entry, camera) in enumerate(zip(capture.cameras, written, strict=True)):
-            assert entry.camera.name == camera.name
-            np.testing.assert_allclose(entry.camera.w2c, camera.w2c, atol=1e-9)
-            np.testing.assert_allclose(entry.camera.intrinsics, camera.intrinsics, atol=1e-9)
-            source = capture.open_images(index)
-            assert np.abs(source.read(2).astype(int) - picture_of(index, 2)).max() <= 2
-            source.close()
-    (tmp_path / "videos/cam01.mp4").unlink()
-    assert "videos/cam01.mp4: is missing, and so is images/" in refusal(tmp_path)
+    capture = open_capture(tmp_path)
+    assert (capture.layout, capture.num_frames, capture.fps) == ("easymocap", 4, None)
+    for index, (entry, camera) in enumerate(zip(capture.cameras, written, strict=True)):
+        assert entry.camera.name == camera.name
+        np.testing.assert_allclose(entry.camera.w2c, camera.w2c, atol=1e-9)
+        np.testing.assert_allclose(entry.camera.intrinsics, camera.intrinsics, atol=1e-9)
+        assert np.array_equal(capture.open_images(index).read(2), picture_of(index, 2))
+    shutil.rmtree(tmp_path / "images")
+    assert "videos/cam00.mp4: is missing, and so is images/" in refusal(tmp_path)
 
 
 def test_files_that_lack_something(tmp_path: Path) -> None:

@@ -254,13 +254,3 @@ def test_masks_of_a_camera_without_a_pose_are_left_out(tmp_path: Path, layout: s
     expect(tmp_path, 1)
     save_mask(tmp_path / "masks/cam09/0007.png", 1, 0)  # a camera without pictures
     assert "masks/cam09: is not the name" in refusal(tmp_path)
-
-
-def test_the_segmentation_of_a_data_set_is_no_mask(tmp_path: Path) -> None:
-    """The seg folder of Dynamic 3D Gaussians marks the foreground, not pixels to ignore."""
-    write_dynamic3dgs(tmp_path / "d", num_frames=NUM_FRAMES)
-    for index in range(4):
-        for frame in range(NUM_FRAMES):
-            save_mask(tmp_path / f"d/seg/{index}/{frame:06d}.png", index, frame)
-    assert not masked_cameras(tmp_path / "d")
-    assert "masks       none: every pixel counts" in checked(tmp_path / "d")

@@ -24,7 +24,7 @@ from trainer.errors import CaptureError
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import CacheStatistics, FrameCache
 from trainer.pictures.prefetch import Prefetcher
-from trainer.pictures.scale import half_mask, scaled_picture
+from trainer.pictures.scale import scaled_mask, scaled_picture
 from trainer.pictures.shot import Shot
 
 FRAMES = 8
@@ -130,7 +130,7 @@ def test_half_a_shot_is_the_unrounded_means_of_2x2_pixels(size: tuple[int, int])
     assert whole.shape == size
     assert half.shape == (6, 9)
     assert half.picture is picture  # a training step makes no copy
-    assert np.array_equal(half.mask, half_mask(mask))  # type: ignore[arg-type]
+    assert np.array_equal(half.mask, scaled_mask(mask[:12, :18], 9, 6))  # type: ignore[arg-type]
     assert Shot(picture).half().mask is None
     planes = np.empty((3, *half.shape), np.float32)
     half.fill(planes)

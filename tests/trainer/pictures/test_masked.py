@@ -82,14 +82,6 @@ def test_a_small_pixel_counts_if_all_that_it_touches_counts(
         assert got[y, x] == mask[top:bottom, left:right].min()
 
 
-@pytest.mark.parametrize("size", [(12, 18), (13, 18), (12, 19), (13, 19)])
-def test_half_a_mask_is_that_of_2x2_means(size: tuple[int, int]) -> None:
-    mask = (np.random.default_rng(0).random(size) > 0.2).astype(np.uint8)
-    even = mask[:12, :18]
-    assert np.array_equal(half_mask(mask), scaled_mask(even, 9, 6))
-    assert half_mask(mask).shape == (6, 9)
-
-
 def test_the_cache_scales_masks_with_their_pictures_and_counts_them(tmp_path: Path) -> None:
     write_masked(tmp_path)
     capture, pixels = open_capture(tmp_path), WIDTH_PX * HEIGHT_PX

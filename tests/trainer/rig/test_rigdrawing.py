@@ -123,7 +123,7 @@ def test_names_that_no_font_has_become_numbers(tmp_path: Path) -> None:
     capture = named(open_capture(tmp_path / "c"), names)
     with patch("trainer.rig.labelfont.fontManager", SimpleNamespace(ttflist=[])):
         texts = texts_of(capture, tmp_path / "rig.png").split("|")
-        with patch("trainer.run.check.open_capture", lambda root: capture):
+        with patch("trainer.run.check.open_capture", lambda *_: capture):
             lines = checked(tmp_path / "c", check=tmp_path / "rig.png")
     assert {"0", "1", "2", "3"} <= set(texts)
     assert not set(texts) & set(names)

@@ -7,12 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from rich.console import Console
 
 from codec.errors import SwingsError
 from tests.support.footage.checking import all_said, checked, said
-from tests.support.footage.rebuilt import Footage, write_radial
 from tests.support.hostile import refused
 from tests.support.tiny_capture import picture_of, tiny_rig, write_dynamic3dgs, write_dynerf
 from tests.support.tiny_models import (
@@ -22,7 +20,7 @@ from tests.support.tiny_models import (
     write_transforms,
 )
 from tests.support.trainings import train_here
-from trainer.capture.capture import Capture, Picture
+from trainer.capture.capture import Picture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
 from trainer.run.check import check_capture, describe_capture
@@ -55,6 +53,12 @@ def test_description_of_a_capture_and_of_one_that_has_little(tmp_path: Path) -> 
     assert said(lines, "size") == "64x36 px (2), 32x18 px (1)"
     assert said(lines, "rig").startswith("looks one way")
     assert "unknown from the rig" in "\n".join(lines)
+    no_rate = "no file gives the frame rate"
+    assert [line.split(":")[0] for line in all_said(lines, "warning")] == ["few cameras", no_rate]
+    says = rf"{no_rate}; give --fps, or write it to fps\.txt there$"
+    refused(SwingsError, says, train_here, root, tmp_path / "s")
+    assert not (tmp_path / "s").exists()
+    assert said(checked(root, fps=12.5), "frames").startswith("1 at 12.5 per second")
 
 
 def test_a_last_frame_that_cannot_be_read_and_too_few_cameras_are_told(tmp_path: Path) -> None:
@@ -65,67 +69,18 @@ def test_a_last_frame_that_cannot_be_read_and_too_few_cameras_are_told(tmp_path:
     refused(CaptureError, "2 training cameras, needs 3", checked, tmp_path / "v")
 
 
-def test_points_of_a_file_stand_in_for_the_captures(tmp_path: Path) -> None:
+def test_points_of_a_file_stand_in_for_the_captures_and_a_log_tells_what_is_waited_for(
+    tmp_path: Path,
+) -> None:
     write_dynerf(tmp_path / "c", num_cameras=5)
+    log = io.StringIO()
+    check_capture(TrainConfig(tmp_path / "c", tmp_path / "s"), Console(file=log))
+    assert log.getvalue() == "reading frames of 5 cameras\n"
     points = tmp_path / "points.npz"
     np.savez(points, xyz=np.zeros((7, 3)), rgb=np.zeros((7, 3), np.uint8))
     assert said(checked(tmp_path / "c", points=points), "points") == "7"
     np.savez(points, xyz=np.zeros((0, 3)), rgb=np.zeros((0, 3), np.uint8))
     refused(CaptureError, "holds no points", checked, tmp_path / "c", points=points)
-
-
-def test_a_log_tells_what_is_waited_for(tmp_path: Path) -> None:
-    write_dynerf(tmp_path / "c", num_cameras=7)
-    log = io.StringIO()
-    check_capture(TrainConfig(tmp_path / "c", tmp_path / "s"), Console(file=log))
-    assert log.getvalue() == "reading frames of 7 cameras\n"
-
-
-def check_pictures(capture: Capture, footage: Footage, least_db: float) -> None:
-    """Asserts that the cameras are the filming ones, and the pictures those of pinholes."""
-    assert capture.num_frames == len(footage.pictures[0])
-    for index, (camera, pictures) in enumerate(zip(footage.cameras, footage.pictures, strict=True)):
-        read = capture.cameras[index].camera
-        assert read.name == camera.name
-        np.testing.assert_allclose(read.w2c, camera.w2c, atol=1e-9)
-        np.testing.assert_allclose(read.intrinsics, camera.intrinsics, atol=1e-9)
-        source = capture.open_images(index)
-        for frame in (len(pictures) - 1, 0):
-            shown, truth = source.read(frame), pictures[frame]
-            here = likeness_db(shown, truth)
-            beside = [likeness_db(np.roll(shown, by, axis), truth) for by in (-1, 1)
-                      for axis in (0, 1)]  # fmt: skip
-            assert here > least_db
-            assert here > max(beside) + 1
-        source.close()
-
-
-def likeness_db(shown: Picture, truth: Picture) -> float:
-    """PSNR of the pictures' 4x4 means, because distortion and its removal soften a picture. The
-    edge, where a lens may see less than a pinhole, is left out."""
-    a, b = (
-        np.asarray(Image.fromarray(p[4:-4, 4:-4]).reduce(4), np.float64) for p in (shown, truth)
-    )
-    return float(-10 * np.log10(np.square((a - b) / 255).mean()))
-
-
-def test_a_radial_lens_in_a_world_of_any_unit(tmp_path: Path) -> None:
-    root = tmp_path / "c"
-    footage = write_radial(root)
-    capture = open_capture(root)
-    check_pictures(capture, footage, 31)
-    assert [capture.cameras[i].camera.name for i in capture.held_out] == ["cam04"]
-    lines = checked(root)
-    assert said(lines, "size") == "128x72 px (8), 96x54 px (1)"
-    assert " m" not in said(lines, "near") + said(lines, "far") + said(lines, "rig")
-    assert said(lines, "near").split()[1] == "units,"
-    assert [line.split(":")[0] for line in all_said(lines, "warning")] == [
-        "no file gives the frame rate"
-    ]
-    says = r"no file gives the frame rate; give --fps, or write it to fps\.txt there$"
-    refused(SwingsError, says, train_here, root, tmp_path / "s")
-    assert not (tmp_path / "s").exists()
-    assert said(checked(root, fps=12.5), "frames").startswith("1 at 12.5 per second")
 
 
 def test_a_camera_out_of_step_is_named_and_can_be_left_out(
