@@ -66,14 +66,18 @@ def test_a_model_without_a_numbered_folder_or_points_and_a_rate_in_a_file(tmp_pa
         assert "fps.txt" in refusal(tmp_path)
 
 
-def test_a_forward_rig_takes_its_depths_from_the_points(tmp_path: Path) -> None:
-    cameras = tiny_rig(3, arc_deg=10)
+def test_a_forward_rig_takes_its_depths_from_the_points_and_names_sort_by_numbers(
+    tmp_path: Path,
+) -> None:
+    names = "c10", "c2", "d"
+    cameras = [replace(c, name=n) for c, n in zip(tiny_rig(3, arc_deg=10), names, strict=True)]
     write_model(tmp_path / "sparse/0", cameras, [f"{c.name}.png" for c in cameras], True)
     write_pictures(tmp_path, cameras, 1, True)
     capture = open_capture(tmp_path)
     depths = np.array([(np.array(POINTS) @ c.w2c[2, :3]) + c.w2c[2, 3] for c in cameras])
     assert capture.near_m == pytest.approx(0.9 * depths.min(), rel=0.01)
     assert capture.far_m == pytest.approx(1.1 * depths.max(), rel=0.01)
+    assert [c.camera.name for c in capture.cameras] == ["c2", "c10", "d"]
 
 
 @pytest.mark.parametrize(
@@ -271,11 +275,3 @@ def test_missing_pictures_are_named(tmp_path: Path) -> None:
     assert "cam01: holds no numbered frames" in refusal(by_camera)
     path.rmdir()
     assert "cam01: is missing" in refusal(by_camera)
-
-
-def test_names_sort_by_their_numbers(tmp_path: Path) -> None:
-    names = "c10", "c2", "d"
-    cameras = [replace(c, name=n) for c, n in zip(tiny_rig(3), names, strict=True)]
-    write_model(tmp_path / "sparse", cameras, [f"{c.name}.png" for c in cameras], True)
-    write_pictures(tmp_path, cameras, 1, True)
-    assert [c.camera.name for c in open_capture(tmp_path).cameras] == ["c2", "c10", "d"]

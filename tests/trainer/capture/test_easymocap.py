@@ -13,7 +13,6 @@ from trainer.capture.layout import open_capture
 
 
 def test_pictures_as_written(tmp_path: Path) -> None:
-    """docs/CAPTURES.md has one with videos."""
     written = write_easymocap(tmp_path, 3, 4)
     capture = open_capture(tmp_path)
     assert (capture.layout, capture.num_frames, capture.fps) == ("easymocap", 4, None)
