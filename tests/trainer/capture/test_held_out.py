@@ -35,8 +35,7 @@ def test_every_layout_reads_it_alike(tmp_path: Path, layout: str) -> None:
         assert expected or capture.watching == capture.training
     (root / "held_out.txt").write_text("cam01 cam02")
     left = open_capture(root, CameraChoice(("cam02",)))  # which may be held out
-    names = [entry.camera.name for entry in left.cameras]
-    assert ("cam02" in names, left.held_out) == (False, (1,))
+    assert ("cam02" in [c.camera.name for c in left.cameras], left.held_out) == (False, (1,))
     says = "no camera 'cam9' to leave out; it has cam00, cam01"
     refused(CaptureError, says, open_capture, root, CameraChoice(("cam9",)))
     for data, said in ((b"cam07", "'cam07' is not a camera of"), (b"\xff\xfe", "not text")):
