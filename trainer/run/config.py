@@ -66,7 +66,7 @@ class TrainConfig:
     longest_px: int | None = 640
     """Longest side of the training pictures, pixels: those of a larger capture are scaled down to
     it. None for no limit."""
-    without_cameras: tuple[str, ...] = ()
+    without_cameras: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
     """Names of cameras of the capture to leave out, such as one that is out of step."""
     fps: float | None = None
     """Frames per second, if no file of the capture gives them, or to override them."""
