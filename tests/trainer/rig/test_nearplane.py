@@ -201,9 +201,9 @@ def test_few_and_distant_cameras_are_named(capture: Capture) -> None:
     kept = replace(capture, cameras=capture.cameras[:7] + capture.cameras[8:])
     (line,) = rig_doubts(kept)
     assert line.startswith("distant cameras: cam08 is ")
-    cameras = [entry.camera for entry in capture.cameras]
-    assert not twin_doubts(cameras)
-    (line,) = twin_doubts([*cameras, replace(cameras[0], name="twin")])
+    rig = [entry.camera for entry in capture.cameras]
+    assert not twin_doubts(rig)
+    (line,) = twin_doubts([*rig, replace(rig[0], name="twin")])
     assert line.startswith("one pose: cam00 and twin have the same one")
 
 
