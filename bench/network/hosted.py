@@ -166,7 +166,8 @@ def scored(media: LoopedMedia, result: Simulated, rules: Rules, oracle: Oracle) 
     assert clock.started_s is not None
     assert len(shown) == media.num_frames
     psnr_db = [one.psnr_db for one in shown]
-    qoe = score(psnr_db, FPS, clock.started_s, clock.stalled_s, clock.stalls, rules.qoe)
+    best_db = media.best_db(range(media.num_frames))
+    qoe = score(psnr_db, best_db, FPS, clock.started_s, clock.stalled_s, clock.stalls, rules.qoe)
     return Scored(oracle, qoe, sum(arrival.num_bytes for arrival in result.arrivals))
 
 

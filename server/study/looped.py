@@ -6,6 +6,7 @@ Rule: only the manifest and the index are read.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
@@ -45,6 +46,10 @@ class LoopedMedia:
 
     def sizes(self, birth: int) -> SegmentSizes:
         return self.segments[birth // self.segment_frames % len(self.segments)]
+
+    def best_db(self, frames: Iterable[int]) -> list[float]:
+        """PSNR of the frames with all layers."""
+        return [self.sizes(frame).psnr_db[-1] for frame in frames]
 
     @property
     def need_bps(self) -> float:

@@ -55,7 +55,8 @@ class Play:
     startup_s: float
     stalls: int
     step_db: float
-    """Mean step between stretches of half a second: how much it switches."""
+    """Mean step between stretches of half a second, of the PSNR lost against all layers: how much
+    it switches."""
     layers: float
     """Mean over the frames; a part of a layer counts as that part."""
     came_bytes: float
@@ -131,7 +132,8 @@ def score_play(media: LoopedMedia, case: Case, policy: str, oracle: Oracle, rule
     started_s = clock.started_s
     assert started_s is not None, "all frames have shown"
     psnr_db = [one.psnr_db for one in shown]
-    qoe = score(psnr_db, media.fps, started_s, clock.stalled_s, clock.stalls, rules.qoe)
+    best_db = media.best_db(range(media.num_frames))
+    qoe = score(psnr_db, best_db, media.fps, started_s, clock.stalled_s, clock.stalls, rules.qoe)
     traffic = measure_traffic(media, result.arrivals, shown)
     quality_db = round(qoe.quality_db, _DB_DIGITS)
     place = normalised(quality_db, oracle.base_db, oracle.quality_db)

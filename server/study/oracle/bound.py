@@ -125,9 +125,10 @@ def base_only(
     play = open_play(media, link, session_config, first_frame, until_frame)
     shown_s = earliest_s(play)
     gaps_s = [later_s - sooner_s - play.frame_s for sooner_s, later_s in pairwise(shown_s)]
-    psnr_db = [media.sizes(frame).psnr_db[0] for frame in range(first_frame, until_frame)]
+    of_frames = [media.sizes(frame).psnr_db for frame in range(first_frame, until_frame)]
+    psnr_db, best_db = [layers[0] for layers in of_frames], [layers[-1] for layers in of_frames]
     stalls = sum(gap_s > ROUNDING_S for gap_s in gaps_s)
-    return score(psnr_db, media.fps, shown_s[0], math.fsum(gaps_s), stalls, qoe_config)
+    return score(psnr_db, best_db, media.fps, shown_s[0], math.fsum(gaps_s), stalls, qoe_config)
 
 
 def normalised(quality_db: float, base_db: float, bound_db: float) -> float:

@@ -164,7 +164,8 @@ class Relaxation:
             self._rows.add({shows: 1.0, begun[number]: -1.0})
 
     def _add_steps(self) -> None:
-        """A step is at least the difference of two stretches, either way."""
+        """A step is at least the difference of what two stretches lack of all layers, either
+        way."""
         means: list[Row] = [{} for _ in range(self._grouping.num_stretches)]
         fixed_db = [0.0] * len(means)
         for number, group in enumerate(self._grouping.groups):
@@ -172,7 +173,7 @@ class Relaxation:
                 continue
             gains_db = group.sizes.gains_db
             weight = group.num_frames / self._grouping.stretch_frames
-            fixed_db[group.stretch] += weight * gains_db[0]
+            fixed_db[group.stretch] -= weight * sum(gains_db[1:])
             for column, gain_db in zip(self._columns.share[:, number], gains_db[1:], strict=True):
                 means[group.stretch][int(column)] = weight * gain_db
         for number, column in enumerate(self._columns.step.tolist()):

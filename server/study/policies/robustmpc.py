@@ -65,7 +65,7 @@ class RobustMpcRule:
         self._rates_bps: deque[float] = deque(maxlen=self._config.past)
         self._errors: deque[float] = deque(maxlen=self._config.past)
         self._predicted_bps: float | None = None
-        self._last_db: float | None = None
+        self._lost_db: float | None = None
 
     @property
     def horizon(self) -> int:
@@ -75,9 +75,9 @@ class RobustMpcRule:
         layers = 1
         if situation.measured:
             layers = best_plan(
-                situation, self._rate_bps(situation), self._last_db, self._config.qoe
+                situation, self._rate_bps(situation), self._lost_db, self._config.qoe
             )
-        self._last_db = situation.group.psnr_db[layers - 1]
+        self._lost_db = situation.group.lost_db(layers)
         return layers
 
     def _rate_bps(self, situation: Situation) -> float:
@@ -90,10 +90,10 @@ class RobustMpcRule:
         return self._predicted_bps / (1 + max(self._errors, default=0.0))
 
 
-def best_plan(situation: Situation, rate_bps: float, last_db: float | None, qoe: QoeConfig) -> int:
+def best_plan(situation: Situation, rate_bps: float, lost_db: float | None, qoe: QoeConfig) -> int:
     """The layers of the first group of the best plan; of equal ones the fewest.
 
-    last_db: PSNR of the group before; None at the beginning.
+    lost_db: what the group before lacks of all layers, dB; None at the beginning.
     """
     # Of each number of layers that a plan may end with, those plans that may still be best.
     plans: dict[int, list[_Plan]] = {situation.held: [_Plan(0, situation.lead_s, 0.0)]}
@@ -101,11 +101,13 @@ def best_plan(situation: Situation, rate_bps: float, last_db: float | None, qoe:
         before = situation.coming[number - 1] if number else None
         longer: dict[int, list[_Plan]] = {}
         for held, kept in plans.items():
-            held_db = before.psnr_db[held - 1] if before else last_db
+            lost_before_db = before.lost_db(held) if before else lost_db
             for layers in range(1, group.most_layers(held) + 1):
-                psnr_db = group.psnr_db[layers - 1]
-                step_db = 0.0 if held_db is None else abs(psnr_db - held_db)
-                worth = psnr_db * group.media_s - qoe.switch_db * qoe.stretch_s * step_db
+                step_db = 0.0
+                if lost_before_db is not None:
+                    step_db = abs(group.lost_db(layers) - lost_before_db)
+                worth = group.psnr_db[layers - 1] * group.media_s
+                worth -= qoe.switch_db * qoe.stretch_s * step_db
                 takes_s = 8 * group.cost_bytes(layers, held) / rate_bps
                 longer.setdefault(layers, []).extend(
                     _Plan(

@@ -26,6 +26,10 @@ class Group:
     can_rise: bool
     """Whether it may get more layers than the group before it."""
 
+    def lost_db(self, layers: int) -> float:
+        """What `layers` layers lack of the PSNR of all, dB."""
+        return self.psnr_db[-1] - self.psnr_db[layers - 1]
+
     @property
     def num_layers(self) -> int:
         return len(self.slice_bytes)

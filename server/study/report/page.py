@@ -102,7 +102,7 @@ def _columns(rules: Rules) -> Iterator[str]:
         f"scaled so that its mean rate over the first {LOAD_WINDOW:g} play lengths has this ratio.",
         "QoE": f"Mean PSNR, minus {qoe.stall_db:g} dB times the seconds of waiting (start and "
         f"stalls) per second shown, minus {qoe.switch_db:g} times the mean step between "
-        f"stretches of {qoe.stretch_s:g} s.",
+        f"stretches of {qoe.stretch_s:g} s, of what the missing layers cost.",
         "oracle": "Upper bound of QoE: no play reaches more, even if it knows the link beforehand. "
         "Its PSNR is that of the same solution. Its rebuffering and start-up are those of layer 0 "
         "alone, which has the least total waiting.",
@@ -110,7 +110,8 @@ def _columns(rules: Rules) -> Iterator[str]:
         "oracle's (1). It is a ratio of means, not a mean of ratios.",
         "5th percentile": "5th percentile of the PSNR of a play's frames.",
         "rebuffering": "Seconds of stalls per second shown, without the start-up.",
-        "step": "Mean PSNR difference between stretches: it shows how much a policy switches.",
+        "step": "Mean difference between stretches of the PSNR lost against all layers: it shows "
+        "how much a policy switches.",
         "layers": "Mean number of layers shown per frame; a part of a layer counts as a fraction.",
         "wasted": "Share of the received bytes that no frame showed: they came too late, without "
         "the layers below, or twice.",

@@ -3,7 +3,8 @@
     quality = mean PSNR - stall_db * waiting / length - switch_db * mean |step|
 
 waiting: seconds before the first frame and of stalls; length: of what was shown, without waiting;
-steps: between the mean PSNRs of consecutive stretches of stretch_s.
+steps: of what the missing layers cost, between consecutive stretches of stretch_s. What the scene
+itself changes is no switch: a play of all layers has no step.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class QoeConfig:
     switch_db: float = 1.0
     """Cost of a mean step of 1 dB from one stretch to the next, in dB."""
     stretch_s: float = 0.5
-    """Length of a stretch: seconds over which PSNR is averaged before steps are computed."""
+    """Length of a stretch: seconds over which losses are averaged before steps are computed."""
 
     def __post_init__(self) -> None:
         if not (self.stall_db >= 0 and self.switch_db >= 0 and self.stretch_s > 0):
@@ -46,23 +47,26 @@ class Qoe:
     stalled_s: float
     stalls: int
     step_db: float
-    """Mean step between stretches."""
+    """Mean step between stretches, of the PSNR lost against all layers."""
 
 
 def score(
     psnr_db: Sequence[float],
+    best_db: Sequence[float],
     fps: float,
     startup_s: float,
     stalled_s: float,
     stalls: int,
     config: QoeConfig | None = None,
 ) -> Qoe:
-    """Scores a play that showed frames of `psnr_db`, at least one, in their order."""
+    """Scores a play that showed frames of `psnr_db`, at least one, in their order. best_db: PSNR of
+    the same frames with all layers."""
     config = config or QoeConfig()
     length = max(1, round(config.stretch_s * fps))
     count = max(1, len(psnr_db) // length)
+    lost_db = [best - shown for shown, best in zip(psnr_db, best_db, strict=True)]
     # What is left over at the end belongs to no stretch.
-    stretches = [fmean(psnr_db[n * length : (n + 1) * length]) for n in range(count)]
+    stretches = [fmean(lost_db[n * length : (n + 1) * length]) for n in range(count)]
     step_db = fmean(abs(b - a) for a, b in pairwise(stretches)) if count > 1 else 0.0
     mean_db = fmean(psnr_db)
     waiting = (startup_s + stalled_s) * fps / len(psnr_db)

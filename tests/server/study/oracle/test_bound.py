@@ -109,7 +109,9 @@ def play_through(
         return None
     assert clock.started_s is not None
     psnr_db = [frame.psnr_db for frame in shown]
-    found = score(psnr_db, media.fps, clock.started_s, clock.stalled_s, clock.stalls, qoe)
+    best_db = [media.sizes(frame).psnr_db[-1] for frame in range(first_frame, until_frame)]
+    found = score(psnr_db, best_db, media.fps, clock.started_s, clock.stalled_s, clock.stalls, qoe)
+    assert score(best_db, best_db, media.fps, 0, 0, 0, qoe).step_db == 0  # whatever the scene does
     assert sum(db < found.low_psnr_db for db in psnr_db) <= 0.05 * len(psnr_db)
     assert sum(db <= found.low_psnr_db for db in psnr_db) > 0.05 * len(psnr_db) - 1e-9
     return found
