@@ -284,7 +284,7 @@ def test_each_held_out_camera_is_listed_the_least_covered_first_with_a_warning(
     both, name = replace(away, cameras=cameras), cameras[index].camera.name
     (doubt,) = coverage_doubts(unseen_shares(both))
     assert f"no training camera sees 100% of {name}'s picture" in doubt
-    monkeypatch.setattr("trainer.run.check.open_capture", lambda root: both)
+    monkeypatch.setattr("trainer.run.check.open_capture", lambda *_: both)
     lines = checked(tmp_path / "c")
     assert doubt in all_said(lines, "warning")
     least, other, *_ = said(lines, "covered").split(", ")
