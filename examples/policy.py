@@ -32,8 +32,9 @@ config = SessionConfig()
 for name, policy in (("cautious", InOrder(Cautious())), ("the server's", Sweep())):
     result = simulate(media, policy, link, config)
     shown, clock = play_out(media, result, config, 0, media.num_frames)
-    psnr_db = [frame.psnr_db for frame in shown]
-    qoe = score(psnr_db, media.fps, clock.started_s or 0.0, clock.stalled_s, clock.stalls)
+    psnr_db, best_db = [frame.psnr_db for frame in shown], media.best_db(range(media.num_frames))
+    started_s = clock.started_s or 0.0
+    qoe = score(psnr_db, best_db, media.fps, started_s, clock.stalled_s, clock.stalls)
     layers = sum(frame.layers for frame in shown) / len(shown)
     print(
         f"{name}: {layers:.2f} layers, {qoe.psnr_db:.2f} dB, {qoe.stalls} stalls, "
