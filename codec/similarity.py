@@ -18,27 +18,25 @@ SKEW = 1e-4
 """How far the axes of a matrix may be from equally long and square, as a share of their length."""
 
 
-def _half_turn_signs(axis: str) -> tuple[Floats, Floats, Floats]:
-    away = [name for name in "xyz" if name != axis]
-    position = np.array([1 if name == axis else -1 for name in "xyz"], np.float32)
-    harmonics = [(-1) ** sum(name.count(a) for a in away) for name in HARMONICS]
-    return position, np.append(np.float32(1), position), np.array(harmonics, np.float32)
+def mirrored(splats: Splats, signs: Floats) -> Splats:
+    """`splats` with the axes of which `signs`, (3,) 1 or -1, is negative turned round, exactly:
+    only signs change. This is how one frame becomes another."""
+    x, y, z = signs
+    by_axis = dict(zip("xyz", (float(sign) for sign in signs), strict=True))
+    harmonics = [np.prod([by_axis.get(axis, 1.0) for axis in name]) for name in HARMONICS]
+    return Splats(
+        splats.means * signs,
+        splats.log_scales,
+        # A Gaussian is mirrored about its own centre, too, which shows in nothing.
+        splats.quats * np.array([1, y * z, x * z, x * y], np.float32),
+        splats.logit_opacities,
+        splats.sh * np.array(harmonics, np.float32)[: splats.sh.shape[1], None],
+    )
 
 
 def half_turned(splats: Splats, axis: str) -> Splats:
-    """`splats` after half a turn about the axis x, y or z, exactly: only signs change.
-
-    This is how one frame becomes another. Of each Gaussian the axes that are mirrored by it are
-    named the other way round, which shows in nothing.
-    """
-    position, quaternion, harmonics = _half_turn_signs(axis)
-    return Splats(
-        splats.means * position,
-        splats.log_scales,
-        splats.quats * quaternion,
-        splats.logit_opacities,
-        splats.sh * harmonics[: splats.sh.shape[1], None],
-    )
+    """`splats` after half a turn about the axis x, y or z, exactly; see `mirrored`."""
+    return mirrored(splats, np.array([1 if name == axis else -1 for name in "xyz"], np.float32))
 
 
 def harmonics(directions: Doubles) -> Doubles:

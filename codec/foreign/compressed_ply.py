@@ -28,8 +28,9 @@ from codec.splats import SH_C0, Splats
 
 from .levels import byte_logits, restore_largest
 from .limits import MAX_GAUSSIANS, Decoded, check_count
-from .ply import REST_COUNTS, rest_names
-from .plyheader import PlyElement, read_ply_elements
+from .notes import tell_model
+from .ply import REST_COUNTS, rest_names, trained_as
+from .plyheader import PlyElement, PlyHeader, read_ply_header
 
 CHUNK_GAUSSIANS = 256
 AXES, SCALES, COLOURS = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
@@ -38,10 +39,10 @@ PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 Words = npt.NDArray[np.uint32]
 
 
-def is_compressed(elements: dict[str, PlyElement]) -> bool:
-    """Whether a PLY with these elements is of this layout."""
-    vertex = elements.get("vertex")
-    return "chunk" in elements and vertex is not None and PACKED[0] in vertex.properties
+def is_compressed(header: PlyHeader) -> bool:
+    """Whether a PLY with this header is of this layout."""
+    vertex = header.tables.get("vertex")
+    return "chunk" in header.tables and vertex is not None and PACKED[0] in vertex.properties
 
 
 def _unpack(words: Words, *widths: int) -> Doubles:
@@ -91,6 +92,8 @@ class CompressedLayout:
     sh: PlyElement | None
     rest: list[str]
     """The properties of `sh`, in order."""
+    model: str
+    """How the Gaussians were trained; see `tell_model`."""
 
 
 def compressed_layout(
@@ -100,8 +103,10 @@ def compressed_layout(
 
     Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
     """
-    elements = read_ply_elements(head)
-    if not is_compressed(elements):
+    header = read_ply_header(head)
+    header.check_rows()
+    elements = header.tables
+    if not is_compressed(header):
         raise UnsupportedError(
             "PLY: not compressed; a compressed PLY has elements chunk and packed_position"
         )
@@ -119,7 +124,7 @@ def compressed_layout(
     rest = _rest_names(sh, count)
     for element in (chunk, vertex, *([] if sh is None else [sh])):
         element.check_size(file_bytes)
-    return CompressedLayout(chunk, vertex, sh, rest)
+    return CompressedLayout(chunk, vertex, sh, rest, trained_as(header))
 
 
 def decode_compressed_ply(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
@@ -128,6 +133,7 @@ def decode_compressed_ply(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Sp
     Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
     """
     layout = compressed_layout(data, len(data), max_gaussians)
+    tell_model(layout.model)
     chunks, packed = layout.chunk.rows(data), layout.vertex.rows(data)
     made = Decoded.empty(layout.vertex.count, REST_COUNTS[len(layout.rest)])
     tints = [f"{end}_{colour}" for end in ("min", "max") for colour in COLOURS]

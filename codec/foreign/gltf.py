@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import base64
 import json
-import logging
 from collections.abc import Iterator
 from typing import Any
 
@@ -35,7 +34,8 @@ from codec.splats import MAX_SH_DEGREE, SH_C0, Floats, Splats, sh_count
 from .gltfbuffers import MOST, Beside, Document, join_glb, nothing_beside
 from .jsonfields import Fields
 from .levels import clipped_bytes, opacity_bytes, unit_quats
-from .limits import MAX_GAUSSIANS, check_count, check_ratio
+from .limits import MAX_GAUSSIANS, check_count, check_ratio, whole_rows
+from .notes import notes
 from .ply import SURE_LOGIT
 from .splat import LARGEST_SCALE, SMALLEST_SCALE
 from .spz import decode_spz, spz_header
@@ -55,8 +55,6 @@ PLAIN_BYTES = 56
 """Size of a Gaussian of SH degree 0 in memory."""
 SPZ_HEAD_BYTES = 1 << 12
 """Bytes read of an SPZ file for its header."""
-
-_log = logging.getLogger(__name__)
 
 
 def _matrix(node: Fields) -> Doubles:
@@ -124,7 +122,7 @@ class _Primitive:
         if fields.integer("mode", TRIANGLES, most=MOST) != POINTS:
             raise CorruptError(f"{fields.where}: Gaussians must be points (mode {POINTS})")
         if about.text("colorSpace", COLOUR_SPACE) == LINEAR_COLOUR_SPACE:
-            _log.warning("the glTF has linear colours: shown as they are, they may look too dark")
+            notes().say("has linear colours: shown as they are, they may look too dark")
         more = about.fields("extensions").values if "extensions" in about else {}
         packed = [name for name in SPZ_EXTENSIONS if name in more]
         if len(packed) < len(more):
@@ -174,10 +172,7 @@ class _Primitive:
             sh[:, index] = self._values(name, "VEC3")
         with np.errstate(all="ignore"):  # NaN is refused here or below
             logits, log_scales = self._logits(), self._log_scales()
-        try:
-            splats = Splats(means, log_scales, quats[:, [3, 0, 1, 2]], logits, sh)
-        except InvalidError as error:
-            raise CorruptError(f"{self._where}: {error}") from error
+        splats = whole_rows(self._where, means, log_scales, quats[:, [3, 0, 1, 2]], logits, sh)
         return half_turned(splats, "z")
 
     def _logits(self) -> Floats:
@@ -191,7 +186,7 @@ class _Primitive:
     def _log_scales(self) -> Floats:
         scales = self._values(f"{EXTENSION}:SCALE", "VEC3")
         if (scales < 0).any():
-            _log.warning("the glTF stores logarithms as SCALE, as drafts of its extension did")
+            notes().say("stores logarithms as SCALE, as drafts of its extension did")
             return scales
         # A flat Gaussian may have a scale of exactly 0, which has no logarithm.
         return np.log(np.maximum(scales, np.float32(SMALLEST_SCALE)))

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from codec.errors import CorruptError, InvalidError, UnsupportedError
+from codec.pose import Doubles
 from codec.splats import Floats, Splats, array_shapes
+
+from .notes import notes
 
 MAX_GAUSSIANS = 1 << 24
 """Gaussians in a file: about 4 GB as float32 with SH degree 3."""
@@ -57,6 +60,12 @@ class Decoded:
     def empty(count: int, sh_degree: int) -> Decoded:
         return Decoded(*(np.empty(s, np.float32) for s in array_shapes(count, sh_degree)))
 
+    @property
+    def opacities(self) -> Floats:
+        """(N,) float64 in (0, 1)."""
+        opacities: Doubles = 0.5 + 0.5 * np.tanh(0.5 * self.logit_opacities.astype(np.float64))
+        return opacities
+
     def blocks(self) -> list[slice]:
         """Rows of BLOCK_GAUSSIANS and fewer that together are all."""
         count = len(self.means)
@@ -66,16 +75,31 @@ class Decoded:
         ]
 
     def checked(self, what: str) -> Splats:
-        """All of it as a Splats. Raises a CorruptError that names the first Gaussian at fault."""
-        try:
-            return Splats(self.means, self.log_scales, self.quats, self.logit_opacities, self.sh)
-        except InvalidError as error:
-            good = np.isfinite(self.logit_opacities)
-            for values in (self.means, self.log_scales, self.quats, self.sh):
-                good &= np.isfinite(values).reshape(len(good), -1).all(axis=1)
-            good[good] = self.quats[good].any(axis=1)
-            bad = np.flatnonzero(~good)
-            raise CorruptError(
-                f"{what}: {error} ({len(bad)} of {len(good)} Gaussians, "
-                f"the first is number {bad[0]})"
-            ) from error
+        """The Gaussians that are whole; see `whole_rows`."""
+        return whole_rows(
+            what, self.means, self.log_scales, self.quats, self.logit_opacities, self.sh
+        )
+
+
+def whole_rows(
+    what: str, means: Floats, log_scales: Floats, quats: Floats, logits: Floats, sh: Floats
+) -> Splats:
+    """The Gaussians without those that have a value that is not finite or a rotation of length 0,
+    as trainers write a few. The notes count them.
+
+    Raises a CorruptError that names the first Gaussian at fault if half of them or more are.
+    """
+    arrays = (means, log_scales, quats, logits, sh)
+    try:
+        return Splats(*arrays)
+    except InvalidError as error:
+        good = np.isfinite(logits)
+        for values in (means, log_scales, quats, sh):
+            good &= np.isfinite(values).reshape(len(good), -1).all(axis=1)
+        good[good] = quats[good].any(axis=1)
+        bad = np.flatnonzero(~good)
+        which = f"{len(bad)} of {len(good)} Gaussians, the first is number {bad[0]}"
+        if 2 * len(bad) >= len(good):
+            raise CorruptError(f"{what}: {error} ({which})") from error
+        notes().leave_out(len(bad), f"left out: {which}; {error}")
+        return Splats(*(array[good] for array in arrays))

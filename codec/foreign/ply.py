@@ -9,6 +9,9 @@ Layout: `element vertex N`, all properties float32, in the order of the referenc
 f_rest is channel-major: all K - 1 coefficients of red, then green, then blue. opacity is a logit,
 scale a natural logarithm, rot w, x, y, z of any norm. Frame RDF (x right, y down, z forward), which
 is the world of a swings stream. A reader goes by name: any order and any other properties are fine.
+
+Also read: 2D Gaussians, which have no scale_2; colours as bytes red, green, blue in the place of
+f_dc; filter_3D (Mip-Splatting), the standard deviation of a smoothing that the sizes lack.
 """
 
 from __future__ import annotations
@@ -18,13 +21,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from codec.errors import CorruptError, UnsupportedError
-from codec.splats import MAX_SH_DEGREE, Splats, sh_count
+from codec.pose import Doubles
+from codec.splats import MAX_SH_DEGREE, SH_C0, Floats, Splats, sh_count
 
 from .limits import MAX_GAUSSIANS, Decoded, check_count
-from .plyheader import PlyElement, read_ply_elements
+from .notes import ANTIALIASED, FLAT, notes, tell_model
+from .plyheader import PlyElement, PlyHeader, read_ply_header
 
 SURE_LOGIT = 16.0
 """Stands for infinite logits, which programs write that make them of opacity bytes 0 and 255."""
+
+FLAT_SHARE = 1e-3
+"""Third standard deviation of a 2D Gaussian, as a share of the smaller one: too thin to be seen."""
+FILTER = "filter_3D"
+RED_GREEN_BLUE = ["red", "green", "blue"]
+
+FAR_M = 4096.0
+"""Distance of a scene from the origin from which double positions lose digits as float32, which
+steps by half a millimetre there."""
+CENTRE_STEP_M = 1000.0
+"""A centre that is taken away is a multiple of this, which files of one sequence agree on."""
 
 REST_COUNTS = {3 * (sh_count(degree) - 1): degree for degree in range(MAX_SH_DEGREE + 1)}
 """How many f_rest there may be, 0, 9, 24 or 45, and the SH degree of each."""
@@ -54,8 +70,11 @@ class PlyLayout:
 
     vertex: PlyElement
     names: dict[str, list[str]]
-    """The properties of each array of a Splats."""
+    """The properties of each array of a Splats. `dc` are bytes if they are RED_GREEN_BLUE; `scale`
+    are two for 2D Gaussians."""
     sh_degree: int
+    model: str
+    """How the Gaussians were trained; see `tell_model`."""
 
 
 def ply_layout(head: bytes, file_bytes: int, max_gaussians: int = MAX_GAUSSIANS) -> PlyLayout:
@@ -63,9 +82,12 @@ def ply_layout(head: bytes, file_bytes: int, max_gaussians: int = MAX_GAUSSIANS)
 
     Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
     """
-    vertex = read_ply_elements(head).get("vertex")
+    header = read_ply_header(head)
+    vertex = header.tables.get("vertex")
     if vertex is None:
+        header.check_rows()
         raise CorruptError("PLY: no element vertex")
+    check_count("PLY", vertex.count, max_gaussians)
     names = {
         "means": ["x", "y", "z"],
         "dc": _names("f_dc", 3),
@@ -74,14 +96,69 @@ def ply_layout(head: bytes, file_bytes: int, max_gaussians: int = MAX_GAUSSIANS)
         "scale": _names("scale", 3),
         "rot": _names("rot", 4),
     }
-    missing = [n for group in names.values() for n in group if n not in vertex.properties]
-    if missing:
-        raise CorruptError(
-            f"PLY: no property {', '.join(missing[:4])}; these are points, not Gaussians"
-        )
-    check_count("PLY", vertex.count, max_gaussians)
+    model = trained_as(header)
+    have = set(vertex.properties)
+    if "scale_1" in have and "scale_2" not in have:
+        names["scale"], model = names["scale"][:2], FLAT
+    kinds = {vertex.dtype[name] for name in RED_GREEN_BLUE if name in have}
+    if "f_dc_0" not in have and set(RED_GREEN_BLUE) <= have and kinds == {np.dtype(np.uint8)}:
+        names["dc"] = RED_GREEN_BLUE
+    missing = [name for group in names.values() for name in group if name not in have]
+    if missing and not header.has_list:  # before a text file is converted for nothing
+        is_cloud = not {"opacity", "scale_0", "rot_0"} & have
+        reason = "; these are points, not Gaussians" if is_cloud else ""
+        raise CorruptError(f"PLY: no property {', '.join(missing[:4])}{reason}")
+    header.check_rows()
     vertex.check_size(file_bytes)
-    return PlyLayout(vertex, names, REST_COUNTS[len(names["rest"])])
+    return PlyLayout(vertex, names, REST_COUNTS[len(names["rest"])], model)
+
+
+def trained_as(header: PlyHeader) -> str:
+    """How the Gaussians of a file were trained by its comments, which `tell_model` explains: those
+    of Brush and gsplat, `SplatRenderMode: mip`, and of Postshot, `antialiased 1`."""
+    model = ""
+    for comment in header.comments:
+        match comment.lower().split():
+            case ["splatrendermode:", mode]:
+                model = ANTIALIASED if mode == "mip" else mode
+            case ["antialiased", "0" | "1" as flag]:
+                model = ANTIALIASED if flag == "1" else ""
+    return model
+
+
+def _fold_filter(made: Decoded, sizes_m: Floats) -> None:
+    """Smooths the Gaussians by filters of the standard deviations `sizes_m`, (N,)."""
+    log_scales = made.log_scales.astype(np.float64)
+    wider = np.logaddexp(2 * log_scales, 2 * np.log(sizes_m.astype(np.float64))[:, None]) / 2
+    shrunk = made.opacities * np.exp((log_scales - wider).sum(axis=1))
+    shrunk = np.clip(shrunk, np.finfo(np.float64).tiny, 1 - np.finfo(np.float64).eps)
+    made.log_scales[:] = wider
+    made.logit_opacities[:] = np.log(shrunk) - np.log1p(-shrunk)
+
+
+def _centred(means: Doubles) -> Doubles:
+    """(N, 3) positions around the origin, if they are so far from it that float32 would
+    lose digits: the same is taken from all files of an import."""
+    found = notes()
+    if found.centre is None:
+        finite = means[np.isfinite(means).all(axis=1)]
+        middle = np.median(finite, axis=0) if len(finite) else np.zeros(3)
+        if np.abs(middle).max() < FAR_M:
+            return means
+        found.centre = CENTRE_STEP_M * np.rint(middle / CENTRE_STEP_M) + 0.0  # no -0
+        away = ", ".join(f"{value:.0f}" for value in found.centre)
+        found.say(f"positions are far from the origin: ({away}) m is taken away from all")
+    centred: Doubles = means - found.centre
+    return centred
+
+
+def _warn_of_linear_sizes(log_scales: Floats) -> None:
+    """Logarithms of metres are negative but for sizes above a metre, which are never all."""
+    if len(log_scales) and log_scales.min() > 0 and np.median(log_scales) < 1:
+        notes().say(
+            "all sizes are above 0 and most below 1: they look like metres, where a PLY has their "
+            "logarithms; write ln of the sizes if the model is a fog"
+        )
 
 
 def decode_ply(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
@@ -92,6 +169,7 @@ def decode_ply(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
     from numpy.lib.recfunctions import structured_to_unstructured  # loads masked arrays
 
     layout = ply_layout(data, len(data), max_gaussians)
+    tell_model(layout.model)
     rows = layout.vertex.rows(data)
     made = Decoded.empty(layout.vertex.count, layout.sh_degree)
     places = {
@@ -99,17 +177,27 @@ def decode_ply(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
         "dc": made.sh[:, 0],
         "rest": made.sh[:, 1:].swapaxes(1, 2),  # channel-major in the file
         "opacity": made.logit_opacities,
-        "scale": made.log_scales,
+        "scale": made.log_scales[:, : len(layout.names["scale"])],
         "rot": made.quats,
     }
     with np.errstate(all="ignore"):  # a double beyond float32 becomes inf, which is refused below
         for key, names in layout.names.items():
             if names:
                 place = places[key]
-                place[:] = structured_to_unstructured(rows[names]).reshape(place.shape)
-    logits = made.logit_opacities
-    endless = np.isinf(logits)
-    logits[endless] = np.copysign(np.float32(SURE_LOGIT), logits[endless])
+                values = structured_to_unstructured(rows[names])
+                if key == "means" and values.dtype == np.float64:
+                    values = _centred(values)
+                place[:] = values.reshape(place.shape)
+        if layout.names["dc"] == RED_GREEN_BLUE:
+            made.sh[:, 0] = (made.sh[:, 0] / 255 - 0.5) / SH_C0
+        if len(layout.names["scale"]) == 2:
+            made.log_scales[:, 2] = made.log_scales[:, :2].min(axis=1) + np.log(FLAT_SHARE)
+        _warn_of_linear_sizes(made.log_scales)
+        logits = made.logit_opacities
+        endless = np.isinf(logits)
+        logits[endless] = np.copysign(np.float32(SURE_LOGIT), logits[endless])
+        if FILTER in layout.vertex.properties:
+            _fold_filter(made, rows[FILTER])
     return made.checked("PLY")
 
 

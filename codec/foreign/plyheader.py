@@ -79,6 +79,17 @@ class PlyHeader:
     has_list: bool
     """Whether there is a list. Its rows have lengths of their own, so nothing behind it has a fixed
     place."""
+    comments: tuple[str, ...] = ()
+    """What stands behind the word `comment`."""
+
+    def check_rows(self) -> None:
+        """Raises CorruptError, or UnsupportedError, if the rows cannot be read as arrays."""
+        for element in self.tables.values():
+            check_count("PLY", element.count)
+        if self.has_list:
+            raise UnsupportedError("PLY: a list among the properties; this is a mesh")
+        if self.layout != BINARY:
+            raise UnsupportedError(f"PLY: format {self.layout[:40]!r}; this program reads {BINARY}")
 
 
 def _header_lines(data: bytes) -> tuple[list[str], int]:
@@ -116,9 +127,12 @@ def read_ply_header(data: bytes) -> PlyHeader:
     layout = "none"
     first_list: int | None = None
     found: list[tuple[str, int, list[tuple[str, str]]]] = []
+    comments: list[str] = []
     for line in lines:
         match line.split():
-            case [] | ["comment" | "obj_info", *_]:
+            case ["comment", *words]:
+                comments.append(" ".join(words))
+            case [] | ["obj_info", *_]:
                 pass
             case ["format", kind, *_]:
                 layout = kind
@@ -141,19 +155,4 @@ def read_ply_header(data: bytes) -> PlyHeader:
         tables[name] = PlyElement(name, count, offset, dtype)
         offset += count * dtype.itemsize
     before_list = dict(list(tables.items())[:first_list])
-    return PlyHeader(layout, before_list, first_list is not None)
-
-
-def read_ply_elements(data: bytes) -> dict[str, PlyElement]:
-    """The elements of the PLY file that begins with `data`, by name and in the order of the file.
-
-    Raises CorruptError, or UnsupportedError for text, big-endian, or a list among the properties.
-    """
-    header = read_ply_header(data)
-    for element in header.tables.values():
-        check_count("PLY", element.count)
-    if header.has_list:
-        raise UnsupportedError("PLY: a list among the properties; this is a mesh")
-    if header.layout != BINARY:
-        raise UnsupportedError(f"PLY: format {header.layout[:40]!r}; this program reads {BINARY}")
-    return header.tables
+    return PlyHeader(layout, before_list, first_list is not None, tuple(comments))

@@ -19,7 +19,6 @@ do these functions.
 from __future__ import annotations
 
 import json
-import logging
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +44,7 @@ from .levels import (
 )
 from .limits import MAX_GAUSSIANS, Decoded, check_count, check_ratio
 from .modelfolder import Files, ModelFolder
+from .notes import ANTIALIASED, tell_model
 from .webp import decode_webp, encode_webp
 
 META = "meta.json"
@@ -57,8 +57,6 @@ PALETTE_COLUMNS = 64
 PIXEL_BYTES = 20
 """Size of a Gaussian in the five decoded pictures that are always there."""
 SPARE_PIXELS = 1 << 16
-
-_log = logging.getLogger(__name__)
 
 
 class _Pictures:
@@ -108,8 +106,7 @@ def _harmonics(shn: Fields, pictures: _Pictures) -> tuple[int, Floats, npt.NDArr
 def decode_sog(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
     """The Gaussians of a bundled SOG of version 2.
 
-    Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`. The flag for
-    opacity compensation is only logged: a Splats has no place for it.
+    Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
     """
     return _decode(Bundle(data, "SOG"), max_gaussians)
 
@@ -132,11 +129,7 @@ def _decode(files: Files, max_gaussians: int) -> Splats:
         raise UnsupportedError(f"SOG: version {version}; this program reads {VERSION}")
     count = check_count("SOG", meta.integer("count", most=1 << 53), max_gaussians)
     check_ratio("SOG", count * PIXEL_BYTES, files.num_bytes)
-    if meta.flag("antialias"):
-        _log.warning(
-            "the SOG was trained with opacity compensation, which is left out: "
-            "small Gaussians may look too bright"
-        )
+    tell_model(meta.text("model", ANTIALIASED if meta.flag("antialias") else ""))
     pictures = _Pictures(files, count)
     degree, entries, labels = 0, np.empty((0, 0, 3), np.float32), np.empty(0, np.uint16)
     if "shN" in meta:

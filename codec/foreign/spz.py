@@ -1,7 +1,7 @@
 """SPZ (nianticlabs/spz): versions 1 to 4 in, 2 to 4 out; 16 bytes a Gaussian at degree 0.
 
-Layout, little-endian. Versions 1 to 3 are one gzip stream of a header of 16 bytes and the arrays;
-version 4 is a header of 32 bytes, extensions (left out here), a table of contents and one zstd
+Layout, little-endian. Versions 1 to 3 are one gzip stream of a header of 16 bytes, the arrays and
+the extensions; version 4 is a header of 32 bytes, the extensions, a table of contents and one zstd
 frame for each array that is not empty.
 
     header   u32 magic "NGSP", u32 version, u32 N, u8 SH degree, u8 fractional bits,
@@ -16,15 +16,15 @@ frame for each array that is not empty.
                         later: u32, 2 bits which of x, y, z, w is largest and left out, then the
                         other three in order: sign and 9 bits of |q| * sqrt(2) * 511
              harmonics  u8 x 3 (K - 1), coefficient after coefficient, RGB: 128 (1 + c)
+    extension  u32 kind, u32 bytes, content; of kind 0xADBE0003: u32 axes, one of AXES
 
-Convention: the file's frame is RUB (x right, y up, z back), ours is the PLY's RDF (x right, y down,
-z forward). One is the other turned by half a turn about x, so y and z change sign in positions and
-quaternions (w stays), and a harmonic changes sign when it is odd in y and z together.
+Convention: the file's frame is RUB (x right, y up, z back) unless an extension names another, ours
+is the PLY's RDF (x right, y down, z forward). A file of RUB is ours after half a turn about x. What
+is written names its axes: splat-transform from version 3 on writes and reads RDF without a word.
 """
 
 from __future__ import annotations
 
-import logging
 import struct
 import zlib
 from dataclasses import dataclass
@@ -34,6 +34,7 @@ import numpy as np
 import zstandard
 
 from codec.errors import CorruptError, InvalidError, UnsupportedError
+from codec.similarity import Similarity, half_turned, mirrored
 from codec.splats import MAX_SH_DEGREE, Floats, Splats, sh_count
 
 from .levels import (
@@ -46,6 +47,7 @@ from .levels import (
     unit_quats,
 )
 from .limits import MAX_GAUSSIANS, Decoded, check_count, check_ratio
+from .notes import ANTIALIASED, notes, tell_model
 from .packed import unzstd
 
 MAGIC = 0x5053474E
@@ -54,7 +56,21 @@ HEADER_V4 = struct.Struct("<IIIBBBBI12s")
 ENTRY = struct.Struct("<QQ")
 assert (HEADER.size, HEADER_V4.size) == (16, 32)
 
-FLAG_ANTIALIAS = 1
+FLAG_ANTIALIAS, FLAG_EXTENSIONS = 1, 2
+RECORD = struct.Struct("<II")
+AXES_KIND = 0xADBE0003
+RUB = 4
+AXES = [
+    *("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
+    *("LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU"),
+]
+"""Names of the axes 1, 2, ...: left or right, down or up, back or front."""
+AXES_RECORD = RECORD.pack(AXES_KIND, 4) + struct.pack("<I", RUB)
+MAX_NAMED_KINDS = 4
+RAW_HINT = (
+    "an SPZ that names no axes is read as right, up, back; splat-transform 3 leaves y down: if the "
+    "model is on its head, turn it: `swings-stream edit transform STREAM OUT --turn 180 0 0`"
+)
 MAX_FRACTIONAL_BITS = 23
 """Position bits after the point: the sign takes one of 24."""
 DEFAULT_FRACTIONAL_BITS = 12
@@ -66,18 +82,9 @@ GZIP_VERSIONS = (1, 2, 3)
 EXTENSION_BYTES = 1 << 20
 """Bytes tolerated after the arrays of versions 1 to 3, for extensions."""
 
-FLIP_POSITION = np.array([1, -1, -1], np.float32)
-FLIP_QUATERNION = np.array([1, 1, -1, -1], np.float32)
-"""w, x, y, z."""
-# The real harmonics in order, as polynomials: 1 | y z x | xy yz 3zz-1 xz xx-yy |
-# y(3xx-yy) xyz y(5zz-1) z(5zz-3) x(5zz-1) z(xx-yy) x(xx-3yy); y and z each bring a -1.
-FLIP_SH = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
-
-_log = logging.getLogger(__name__)
-
 
 class SpzVersion(IntEnum):
-    """Versions that can be written: 2 and 3 are read by most programs, 4 is smallest."""
+    """Versions that can be written: 2 and 3 are read by most programs, 4 is a little smaller."""
 
     V2 = 2
     V3 = 3
@@ -105,6 +112,45 @@ class SpzHeader:
         position = 6 if self.version == 1 else 9
         rotation = 3 if self.version <= 2 else 4
         return position, 1, 3, 3, rotation, 3 * (sh_count(self.sh_degree) - 1)
+
+
+def _in_our_axes(splats: Splats, axes: int) -> Splats:
+    """`splats` of a file of `axes`, from 1 on, in RDF; exactly, but for harmonics of axes whose
+    second one is front or back."""
+    name = AXES[axes - 1]
+    signs = np.array([1 if letter in "RDF" else -1 for letter in name], np.float32)
+    if name[1] in "DU":
+        return mirrored(splats, signs)
+    # To right, front, up; from there a quarter of a turn about x leads to right, down, front.
+    quarter = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    upright = mirrored(splats, signs * np.array([1, 1, -1], np.float32))
+    return Similarity(1.0, quarter, np.zeros(3)).moved(upright)
+
+
+def _axes_of(records: memoryview) -> int | None:
+    """The axes that the extensions of a file name, if any. Other extensions go into the notes.
+
+    Raises UnsupportedError for axes that are not known.
+    """
+    axes, others, at = None, list[str](), 0
+    while at < len(records):
+        kind, size = RECORD.unpack_from(records, at) if at + RECORD.size <= len(records) else (0, 0)
+        content = records[at + RECORD.size : at + RECORD.size + size]
+        if not kind or len(content) < size:
+            others.append(f"{len(records) - at} bytes that are no extension")
+            break
+        at += RECORD.size + size
+        if kind == AXES_KIND and size >= 4:
+            axes = int.from_bytes(content[:4], "little") or None  # 0 is "unspecified"
+        else:
+            others.append(f"0x{kind:08X} ({size} bytes)")
+    if axes is not None and axes > len(AXES):
+        raise UnsupportedError(f"SPZ: axes {axes}; this program knows 1 to {len(AXES)}")
+    if others:
+        more = len(others) - MAX_NAMED_KINDS
+        named = ", ".join(others[:MAX_NAMED_KINDS]) + (f" and {more} more" if more > 0 else "")
+        notes().say(f"extensions that are not read, so it may look otherwise: {named}")
+    return axes
 
 
 def _header(
@@ -152,8 +198,8 @@ def spz_header(head: bytes, file_bytes: int, max_gaussians: int = MAX_GAUSSIANS)
     return _header(head, GZIP_VERSIONS if is_gzip else (4,), file_bytes, max_gaussians)
 
 
-def _gzip_arrays(data: bytes, header: SpzHeader) -> list[memoryview]:
-    """The arrays of versions 1 to 3."""
+def _gzip_arrays(data: bytes, header: SpzHeader) -> tuple[list[memoryview], memoryview]:
+    """The arrays of versions 1 to 3, and what follows on them."""
     stream = zlib.decompressobj(wbits=31)
     wanted = sum(header.array_bytes)
     body = memoryview(_gunzip(stream, data, HEADER.size + wanted + EXTENSION_BYTES))[HEADER.size :]
@@ -163,11 +209,11 @@ def _gzip_arrays(data: bytes, header: SpzHeader) -> list[memoryview]:
     for size in header.array_bytes:
         arrays.append(body[offset : offset + size])
         offset += size
-    return arrays
+    return arrays, body[offset:]
 
 
-def _zstd_arrays(data: bytes, header: SpzHeader) -> list[memoryview]:
-    """The arrays of version 4."""
+def _zstd_arrays(data: bytes, header: SpzHeader) -> tuple[list[memoryview], memoryview]:
+    """The arrays of version 4, and what stands before their table."""
     num_arrays, table_offset = HEADER_V4.unpack_from(data)[6:8]
     wanted = header.array_bytes if header.count else ()
     if num_arrays != len(wanted) and header.count:
@@ -184,7 +230,8 @@ def _zstd_arrays(data: bytes, header: SpzHeader) -> list[memoryview]:
             raise CorruptError(f"SPZ: ends inside an array: {len(data)} bytes of {offset + size}")
         arrays.append(memoryview(unzstd(data[offset : offset + size], expected, "SPZ: an array")))
         offset += size
-    return arrays or [memoryview(b"")] * len(header.array_bytes)
+    extensions = memoryview(data)[HEADER_V4.size : table_offset]
+    return arrays or [memoryview(b"")] * len(header.array_bytes), extensions
 
 
 def _rows(array: memoryview, width: int) -> Bytes:
@@ -195,11 +242,12 @@ def _rows(array: memoryview, width: int) -> Bytes:
 def _positions(rows: Bytes, header: SpzHeader) -> Floats:
     if header.version == 1:
         with np.errstate(invalid="ignore"):  # NaN is refused with the Gaussians that have it
-            return rows.view("<f2").astype(np.float32) * FLIP_POSITION
+            return rows.view("<f2").astype(np.float32)
     low = rows.reshape(-1, 3, 3).astype(np.int32)
     fixed = low[:, :, 0] | low[:, :, 1] << 8 | low[:, :, 2] << 16
     signed = (fixed ^ 0x800000) - 0x800000
-    return np.ldexp(signed.astype(np.float32), -header.fractional_bits) * FLIP_POSITION
+    positions: Floats = np.ldexp(signed.astype(np.float32), -header.fractional_bits)
+    return positions
 
 
 def _rotations(rows: Bytes, version: int) -> Floats:
@@ -212,26 +260,24 @@ def _rotations(rows: Bytes, version: int) -> Floats:
         fields = words[:, None] >> np.array([20, 10, 0], np.uint32)
         sizes = (fields & 511) / 511 * np.sqrt(0.5)
         xyzw = restore_largest(np.where(fields & 512, -sizes, sizes), words >> np.uint32(30))
-    return xyzw[:, [3, 0, 1, 2]].astype(np.float32) * FLIP_QUATERNION
+    return xyzw[:, [3, 0, 1, 2]].astype(np.float32)
 
 
 def decode_spz(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
     """The Gaussians of an SPZ file of version 1 to 4.
 
-    Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`. The flag for
-    opacity compensation is only logged: a Splats has no place for it.
+    Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
     """
     header = spz_header(data, len(data), max_gaussians)
-    arrays = (_gzip_arrays if _is_gzip(data) else _zstd_arrays)(data, header)
+    arrays, extensions = (_gzip_arrays if _is_gzip(data) else _zstd_arrays)(data, header)
+    axes = _axes_of(extensions) if header.flags & FLAG_EXTENSIONS else None
+    if axes is None:
+        notes().hint = RAW_HINT
     if header.flags & FLAG_ANTIALIAS:
-        _log.warning(
-            "the SPZ was trained with opacity compensation, which is left out: "
-            "small Gaussians may look too bright"
-        )
+        tell_model(ANTIALIASED)
     made = Decoded.empty(header.count, header.sh_degree)
     parts = [_rows(array, width) for array, width in zip(arrays, header.widths, strict=False)]
     positions, opacities, colours, scales, rotations = parts[:5]
-    flips = FLIP_SH[1 : made.sh.shape[1], None]
     for block in made.blocks():
         made.means[block] = _positions(positions[block], header)
         made.logit_opacities[block] = byte_logits(opacities[block, 0])
@@ -239,9 +285,9 @@ def decode_spz(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
         made.log_scales[block] = scales[block].astype(np.float32) / 16 - 10
         made.quats[block] = _rotations(rotations[block], header.version)
         if header.sh_degree:
-            rest = parts[5][block].reshape(-1, len(flips), 3)
-            made.sh[block, 1:] = (rest.astype(np.float32) - 128) / 128 * flips
-    return made.checked("SPZ")
+            rest = parts[5][block].reshape(-1, made.sh.shape[1] - 1, 3)
+            made.sh[block, 1:] = (rest.astype(np.float32) - 128) / 128
+    return _in_our_axes(made.checked("SPZ"), axes or RUB)
 
 
 def _fixed_positions(means: Floats) -> tuple[bytes, int]:
@@ -252,14 +298,14 @@ def _fixed_positions(means: Floats) -> tuple[bytes, int]:
         bits -= 1
     if largest * (1 << bits) > 0x7FFFFF:
         raise InvalidError(f"SPZ: a position of {largest:g}, at most {0x7FFFFF}")
-    fixed = np.rint(np.ldexp((means * FLIP_POSITION).astype(np.float64), bits)).astype("<i4")
+    fixed = np.rint(np.ldexp(means.astype(np.float64), bits)).astype("<i4")
     low: Bytes = fixed.view(np.uint8).reshape(-1, 3, 4)[:, :, :3]
     return low.tobytes(), bits
 
 
 def _first_three(quats: Floats) -> bytes:
     """The array of rotations to version 2."""
-    unit = unit_quats(quats) * FLIP_QUATERNION
+    unit = unit_quats(quats)
     # A quaternion and its negative are the same rotation; w is taken as positive.
     unit *= np.where(unit[:, :1] < 0, -1.0, 1.0)
     return clipped_bytes(unit[:, 1:] * 127.5 + 127.5).tobytes()
@@ -267,7 +313,7 @@ def _first_three(quats: Floats) -> bytes:
 
 def _smallest_three(quats: Floats) -> bytes:
     """The array of rotations from version 3 on."""
-    largest, smaller = split_largest((unit_quats(quats) * FLIP_QUATERNION)[:, [1, 2, 3, 0]])
+    largest, smaller = split_largest(unit_quats(quats)[:, [1, 2, 3, 0]])
     words = largest.astype(np.uint32)
     for column in smaller.T:
         size = np.minimum(np.rint(np.abs(column) * np.sqrt(2) * 511), 511).astype(np.uint32)
@@ -276,12 +322,13 @@ def _smallest_three(quats: Floats) -> bytes:
     return packed
 
 
-def encode_spz(splats: Splats, version: SpzVersion = SpzVersion.V4) -> bytes:
-    """The SPZ file of `splats`, every harmonic at its full 8 bits.
+def encode_spz(splats: Splats, version: SpzVersion = SpzVersion.V3) -> bytes:
+    """The SPZ file of `splats`, which names its axes, every harmonic at its full 8 bits.
 
     Raises InvalidError for a position beyond 8388607. Clipped: ln s to -10..5.9, f_dc to -3.3..3.3,
     harmonics to -1..1.
     """
+    splats = half_turned(splats, "x")
     positions, fractional_bits = _fixed_positions(splats.means)
     wide = splats.sh.astype(np.float64)
     arrays = [
@@ -290,16 +337,18 @@ def encode_spz(splats: Splats, version: SpzVersion = SpzVersion.V4) -> bytes:
         clipped_bytes(wide[:, 0] * (COLOUR_SCALE * 255) + 127.5).tobytes(),
         clipped_bytes((splats.log_scales.astype(np.float64) + 10) * 16).tobytes(),
         (_first_three if version == SpzVersion.V2 else _smallest_three)(splats.quats),
-        clipped_bytes(wide[:, 1:] * FLIP_SH[1 : wide.shape[1], None] * 128 + 128).tobytes(),
+        clipped_bytes(wide[:, 1:] * 128 + 128).tobytes(),
     ]
     arrays = [array for array in arrays if array]
-    said = (MAGIC, int(version), len(splats), splats.sh_degree, fractional_bits, 0)
+    said = (MAGIC, int(version), len(splats), splats.sh_degree, fractional_bits, FLAG_EXTENSIONS)
     if version != SpzVersion.V4:
         stream = zlib.compressobj(GZIP_LEVEL, wbits=31)
-        return stream.compress(b"".join([HEADER.pack(*said, 0), *arrays])) + stream.flush()
+        parts = [HEADER.pack(*said, 0), *arrays, AXES_RECORD]
+        return stream.compress(b"".join(parts)) + stream.flush()
     compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL, write_checksum=True)
     frames = [compressor.compress(array) for array in arrays]
-    head = HEADER_V4.pack(*said, len(frames), HEADER_V4.size, bytes(12))
+    table_offset = HEADER_V4.size + len(AXES_RECORD)
+    head = HEADER_V4.pack(*said, len(frames), table_offset, bytes(12)) + AXES_RECORD
     table = b"".join(
         ENTRY.pack(len(frame), len(array)) for frame, array in zip(frames, arrays, strict=True)
     )

@@ -11,6 +11,7 @@ from codec.errors import CodecError
 from codec.files import read_head
 from codec.foreign import fourdgsrecords, splat4d
 from codec.foreign.fourdgs import FourdgsReader
+from codec.foreign.notes import reading
 from codec.foreign.splat4d import Splat4dReader
 from codec.splats import Splats
 
@@ -53,7 +54,8 @@ class ContainedFrame:
     def read(self, max_gaussians: int) -> Splats:
         """Its Gaussians. Raises a CodecError that names it."""
         try:
-            return self.reader.read(self.number, max_gaussians)
+            with reading(self):
+                return self.reader.read(self.number, max_gaussians)
         except CodecError as error:
             raise error.within(self) from error
 
@@ -67,7 +69,8 @@ def contained_frames(path: Path) -> list[ContainedFrame] | None:
     for magic, open_reader in READERS.items():
         if head.startswith(magic):
             try:
-                reader = open_reader(path)
+                with reading(path):
+                    reader = open_reader(path)
             except CodecError as error:
                 raise error.within(path) from error
             return [ContainedFrame(path, number, reader) for number in range(reader.num_frames)]

@@ -16,8 +16,9 @@ from codec.foreign.gltf import decode_gltf, encode_glb, encode_gltf
 from codec.foreign.gltfbuffers import Beside, check_glb, is_gltf, nothing_beside
 from codec.foreign.ksplat import decode_ksplat, ksplat_count
 from codec.foreign.limits import MAX_GAUSSIANS
+from codec.foreign.notes import reading
 from codec.foreign.ply import decode_ply, encode_ply, ply_layout
-from codec.foreign.plyheader import MAX_HEADER_BYTES, read_ply_elements
+from codec.foreign.plyheader import MAX_HEADER_BYTES, read_ply_header
 from codec.foreign.sog import META, decode_sog, decode_sog_folder, encode_sog, is_sog_folder
 from codec.foreign.splat import decode_splat, encode_splat, splat_count
 from codec.foreign.spz import SpzVersion, decode_spz, encode_spz, spz_header
@@ -29,6 +30,8 @@ MAX_FILE_BYTES = MAX_GAUSSIANS * 248 + (1 << 20)
 """Longest file read: the most Gaussians as a PLY of SH degree 3, 248 bytes each."""
 READ = ".ply, compressed .ply, .spz, .splat, .ksplat, .sog, .glb and .gltf"
 """The files that are read, in words."""
+STREAMED_META = "lod-meta.json"
+"""What a streamed SOG begins with."""
 SPLAT, KSPLAT = ".splat", ".ksplat"
 """Names of formats that have no magic."""
 
@@ -61,8 +64,20 @@ def has_known_suffix(path: Path) -> bool:
 
 
 def is_model_folder(path: Path) -> bool:
-    """Whether `path` is a folder whose files are one model, an unbundled SOG."""
-    return is_sog_folder(path)
+    """Whether `path` is a folder whose files are one model: an unbundled SOG, or what a trainer of
+    3D Gaussian Splatting leaves."""
+    begins = is_sog_folder(path) or (path / STREAMED_META).is_file()
+    return begins or trained_ply(path) is not None
+
+
+def trained_ply(folder: Path) -> Path | None:
+    """`folder`/point_cloud/iteration_N/point_cloud.ply of the highest N; None if there is none."""
+    found = {
+        int(path.parent.name.rpartition("_")[2]): path
+        for path in folder.glob("point_cloud/iteration_*/point_cloud.ply")
+        if path.parent.name.removeprefix("iteration_").isdecimal()
+    }
+    return found[max(found)] if found else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +105,7 @@ def _reading(head: bytes, suffix: str, beside: Beside = nothing_beside) -> _Read
     if suffix.lower() == KSPLAT and head:
         return _KSPLAT
     if head.startswith(b"ply"):
-        return _COMPRESSED_PLY if is_compressed(read_ply_elements(head)) else _PLY
+        return _COMPRESSED_PLY if is_compressed(read_ply_header(head)) else _PLY
     if head.startswith((b"NGSP", b"\x1f\x8b")):
         return _SPZ
     if head.startswith(ZIP_MAGIC):
@@ -122,11 +137,21 @@ def _beside(path: Path, name: str) -> bytes:
 
 def read_splats(path: Path, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
     """The Gaussians of the file at `path`, at most `max_gaussians`. It may also be the folder of an
-    unbundled SOG, or the meta.json in one.
+    unbundled SOG, or the meta.json in one, or the folder of a training (`trained_ply`).
 
     Raises a CodecError that names the file. One that its size or its first bytes rule out is not
     read any further.
     """
+    with reading(path):
+        return _read(trained_ply(path) or path, max_gaussians)
+
+
+def _read(path: Path, max_gaussians: int) -> Splats:
+    if path.name == STREAMED_META or (path / STREAMED_META).is_file():
+        raise UnsupportedError(
+            f"{path}: a streamed SOG, whose levels of detail are not read; make one file of the "
+            f"finest, for example by `splat-transform --select-lod 0 {STREAMED_META} model.sog`"
+        )
     if path.name == META or is_sog_folder(path):
         folder = path.parent if path.name == META else path
         try:

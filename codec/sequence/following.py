@@ -20,6 +20,7 @@ import numpy as np
 
 from codec.coders.effort import Effort
 from codec.errors import InvalidError
+from codec.foreign.notes import notes, one_import
 from codec.framerange import FrameRange
 from codec.progressline import Counter
 from codec.slots.slotencoder import SlotEncoder
@@ -100,6 +101,7 @@ def _nothing(done: int, total: int | None, what: str | None = None) -> None:
     pass
 
 
+@one_import()
 def follow_folder(
     folder: Path,
     stream: Path,
@@ -161,6 +163,8 @@ def follow_folder(
         raise
     if draw is not None and writer.manifest.poster is not None:
         write_poster(stream, draw)
+    if notes().left_out:
+        troubles.counts["files without some of their Gaussians"] = len(notes().left_out)
     delays_s = follower.delays_s
     return Followed(
         writer.manifest,

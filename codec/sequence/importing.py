@@ -18,6 +18,7 @@ import tyro
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.files import making_folder
+from codec.foreign.notes import Notes, notes, one_import
 from codec.framerange import FRAMES, FrameRange
 from codec.interop.containers import ContainedFrame
 from codec.lattice.lattice import Lattice
@@ -148,6 +149,8 @@ class Imported:
     with, each drawn with all its harmonics."""
     source_sh_degree: int
     """Highest degree of harmonics in the files."""
+    notes: Notes
+    """What was left out of the files, and what to try if the model looks wrong."""
 
 
 def facing_camera(lower: Doubles, upper: Doubles) -> Camera:
@@ -304,6 +307,7 @@ def _nothing(done: int, total: int, what: str) -> None:
     pass
 
 
+@one_import()
 def import_stream(
     source: Path,
     stream: Path,
@@ -378,6 +382,7 @@ def import_stream(
         tuple(filler.statuses.tolist()),
         () if score is None else tuple(score.scores_db),
         source_sh_degree,
+        notes(),
     )
 
 

@@ -36,7 +36,8 @@ def number_of(path: Path) -> int | None:
 
 
 def find_files(source: Path) -> list[Path]:
-    """The model `source`, or those in the folder `source` by the last number in their names.
+    """The model `source`, or those in the folder `source`, files or folders, by the last number in
+    their names.
 
     Numbers may begin anywhere and go on by any step that stays the same. Raises InvalidError for a
     folder without files of Gaussians, a name without a number, two names with the same number, a
@@ -59,7 +60,10 @@ def find_files(source: Path) -> list[Path]:
         if first is not path:
             raise InvalidError(f"{source}: {first.name} and {path.name} have the same number")
     if not numbered:
-        raise InvalidError(f"{source}: no file of Gaussians in this folder ({READ})")
+        raise InvalidError(
+            f"{source}: no file of Gaussians in this folder ({READ}), and no folder with "
+            "point_cloud/iteration_N/point_cloud.ply for each frame"
+        )
     numbers = sorted(numbered)
     step = min((b - a for a, b in pairwise(numbers)), default=1)
     gaps = [(a, b) for a, b in pairwise(numbers) if b - a != step]

@@ -104,7 +104,7 @@ class Export:
     precision: Precision | None = None
     """How much 4dgs and splat4d lose: fine (the default), default or coarse, as fourdgs has it."""
     spz_version: SpzVersion | None = None
-    """Version of the spz format; 4 by default. Older programs need 2 or 3."""
+    """Version of the spz format; 3 by default. Few programs read 4 yet; some need 2."""
     layers: int | None = None
     """Number of layers to write, most important first; all by default."""
     static: bool = False
@@ -167,6 +167,11 @@ def import_files(config: Import, draw: Draw | None = None) -> str:
                 f"             the files at SH degree {made.source_sh_degree}, "
                 f"the stream at {manifest.sh_degree}"
             )
+    left_out = made.notes.left_out
+    if left_out:
+        lines.append(f"left out     {sum(left_out.values())} Gaussians, in {len(left_out)} frames")
+    if made.notes.hint:
+        lines.append(f"hint         {made.notes.hint}")
     return "\n".join(lines)
 
 

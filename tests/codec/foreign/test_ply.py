@@ -10,14 +10,9 @@ from hypothesis import given, settings
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.foreign.ply import decode_ply, encode_ply
-from codec.foreign.plyheader import (
-    BINARY,
-    MAX_HEADER_BYTES,
-    TEXT,
-    read_ply_elements,
-    read_ply_header,
-)
+from codec.foreign.plyheader import BINARY, MAX_HEADER_BYTES, TEXT, read_ply_header
 from codec.interop.formats import decode_any
+from codec.pose import Doubles
 from codec.splats import SH_C0, Splats
 from tests.support.drawn import drawn_splats, same_splats
 from tests.support.hostile import refused
@@ -38,9 +33,11 @@ REQUIRED = (
 )
 
 
+GAUSSIANS = ("element vertex 0", *floats(*REQUIRED))
+
+
 def with_rest(count: int) -> bytes:
-    rest = (f"f_rest_{i}" for i in range(count))
-    return header("element vertex 0", *floats(*REQUIRED, *rest))
+    return header(*GAUSSIANS, *floats(*(f"f_rest_{i}" for i in range(count))))
 
 
 @given(drawn_splats(position=1e30, log_scale=(-80, 80), logit=80, harmonic=1e20))
@@ -98,10 +95,13 @@ def test_ply_goes_by_name_whatever_else_there_is() -> None:
 @pytest.mark.parametrize(
     ("data", "kind", "says"),
     [
-        (header("element vertex 0", layout="ascii"), UnsupportedError, "ascii"),
-        (header("element vertex 0", layout="binary_big_endian"), UnsupportedError, "big_endian"),
+        (header(*GAUSSIANS, layout="ascii"), UnsupportedError, "ascii"),
+        (header(*GAUSSIANS, layout="binary_big_endian"), UnsupportedError, "big_endian"),
         (header("element face 0"), CorruptError, "no element vertex"),
         (header("element vertex 3", *floats("x", "y", "z")), CorruptError, "are points"),
+        (header("element vertex 3", *floats("x"), layout="ascii"), CorruptError, "are points"),
+        (header(*GAUSSIANS[:-1]), CorruptError, "no property rot_3$"),
+        (header(*GAUSSIANS[:4], *GAUSSIANS[5:]), CorruptError, "no property f_dc_0$"),
         (header("element vertex 16777217"), CorruptError, "at most 16777216"),
         (header("element vertex 16777216", *floats(*REQUIRED)), CorruptError, "ends after"),
         (header("element vertex 1", "property list uchar int i"), UnsupportedError, "list"),
@@ -124,17 +124,95 @@ def test_infinite_logits_are_nearly_transparent_and_opaque() -> None:
     assert logits.tolist() == [splats.logit_opacities[0], 16.0, -16.0]
 
 
-def test_a_value_that_is_not_finite_is_named() -> None:
+def test_a_few_that_are_not_finite_are_left_out(caplog: pytest.LogCaptureFixture) -> None:
     splats = trained_like_splats(5)
     data = bytearray(encode_ply(splats))
-    data[-3 * 17 * 4 : -3 * 17 * 4 + 4] = struct.pack("<f", np.inf)  # x of the third of five
-    refused(CorruptError, r"1 of 5 Gaussians, the first is number 2\)", decode_ply, bytes(data))
+    data[-3 * 17 * 4 : -3 * 17 * 4 + 4] = struct.pack("<f", -np.inf)  # x of the third of five
     # A signalling NaN, of which numpy warns in every operation.
     data[-16:] = bytes([1, 0, 0xA0, 0x7F]) * 4
-    refused(CorruptError, r"2 of 5 Gaussians, the first is number 2\)", decode_ply, bytes(data))
+    assert same_splats(decode_ply(bytes(data)), splats.take(np.array([0, 1, 3])))
+    assert "left out: 2 of 5 Gaussians, the first is number 2;" in caplog.text
+    data[-68:-64] = bytes([0, 0, 0xC0, 0x7F])
+    data[-136:-132] = bytes([0, 0, 0xC0, 0x7F])
+    refused(CorruptError, r"3 of 5 Gaussians, the first is number 2\)", decode_ply, bytes(data))
     data = bytearray(encode_ply(splats.take(slice(0, 1))))
     data[-16:] = bytes(16)
     refused(CorruptError, "zero quaternion", decode_ply, bytes(data))
+
+
+def table(names: tuple[str, ...], rows: Doubles, *comments: str, kinds: str = "") -> bytes:
+    """A PLY of one column for each of `names`; kinds: of each a letter, float by default."""
+    kinds = kinds or len(names) * "f"
+    types = [{"f": "float", "d": "double", "B": "uchar"}[kind] for kind in kinds]
+    properties = [f"property {kind} {name}" for kind, name in zip(types, names, strict=True)]
+    lines = (*(f"comment {text}" for text in comments), f"element vertex {len(rows)}", *properties)
+    packed = [
+        struct.pack(
+            "<" + kinds, *(int(v) if k == "B" else v for v, k in zip(row, kinds, strict=True))
+        )
+        for row in rows
+    ]
+    return header(*lines) + b"".join(packed)
+
+
+ROWS = np.random.default_rng(0).normal(size=(6, len(REQUIRED)))
+FLAT_NAMES = tuple(name for name in REQUIRED if name != "scale_2")
+TINTED = tuple({"f_dc_0": "red", "f_dc_1": "green", "f_dc_2": "blue"}.get(n, n) for n in REQUIRED)
+
+
+def test_what_other_trainers_write(caplog: pytest.LogCaptureFixture) -> None:
+    plain = decode_ply(table(REQUIRED, ROWS))
+    # Without the third size: 2D Gaussians.
+    flat = decode_ply(table(FLAT_NAMES, np.delete(ROWS, REQUIRED.index("scale_2"), axis=1)))
+    assert (flat.log_scales[:, :2] == plain.log_scales[:, :2]).all()
+    assert (flat.log_scales[:, 2] < plain.log_scales.min(axis=1) - 4).all()
+    assert "2D Gaussians (two sizes) are read as flat ones" in caplog.text
+    # Colours as bytes.
+    rows = ROWS.copy()
+    rows[:, 3:6] = [0, 51, 255]
+    tinted = decode_ply(table(TINTED, rows, kinds="fffBBB" + 8 * "f"))
+    assert 0.5 + SH_C0 * tinted.sh[:, 0] == pytest.approx(np.tile([0, 0.2, 1], (6, 1)), abs=1e-6)
+    # A filter that the sizes lack.
+    widened = decode_ply(table((*REQUIRED, "filter_3D"), np.c_[ROWS, np.full(6, 0.5)]))
+    sizes, wider = np.exp(plain.log_scales), np.sqrt(np.exp(2 * plain.log_scales) + 0.25)
+    assert np.exp(widened.log_scales) == pytest.approx(wider, rel=1e-6)
+    kept = plain.opacities * sizes.prod(axis=1) / wider.prod(axis=1)
+    assert widened.opacities == pytest.approx(kept, rel=1e-5)
+    # Positions of a survey, in doubles.
+    rows = ROWS.copy()
+    rows[:, :3] += [448_250, 5_411_932, 0]
+    far = decode_ply(table(REQUIRED, rows, kinds=len(REQUIRED) * "d")).means
+    assert far - far[0] == pytest.approx(ROWS[:, :3] - ROWS[0, :3], abs=1e-4)
+    assert "(448000, 5412000, 0) m is taken away" in caplog.text
+    rows = ROWS.copy()
+    rows[:, 7:10] = 0.1 * np.exp(rows[:, 7:10])
+    decode_ply(table(REQUIRED, rows))
+    assert "they look like metres" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("comments", "says"),
+    [
+        (("SplatRenderMode: mip",), "opacity compensation"),
+        (("antialiased 1",), "opacity compensation"),
+        (("antialiased 1", "SplatRenderMode: default"), None),
+        (("antialiased 0",), None),
+        (("SplatRenderMode: 2dgs",), "2D Gaussians"),
+        (("SplatRenderMode: new",), "trained as 'new', which is not known"),
+    ],
+)
+def test_how_it_was_trained(
+    comments: tuple[str, ...], says: str | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    lines = "".join(f"comment {text}\n" for text in comments)
+    for data in (
+        table(REQUIRED, ROWS, *comments),
+        compressed().replace(b"el", lines.encode() + b"el", 1),
+    ):
+        caplog.clear()
+        decode_any(data)
+        assert (says or "") in caplog.text
+        assert len(caplog.messages) == (says is not None)
 
 
 CHUNK = [
@@ -244,5 +322,5 @@ def test_a_mesh_has_tables_up_to_its_first_list(newline: str) -> None:
 )
 def test_a_bad_header_is_refused_with_the_reason(before: str, after: str, says: str) -> None:
     text = "\n".join(MESH).replace(before, after, 1)
-    for read in (read_ply_header, read_ply_elements):
+    for read in (read_ply_header, decode_ply):
         refused(CorruptError, says, read, text.encode("utf-8", "surrogateescape"))

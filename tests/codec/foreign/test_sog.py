@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import logging
 import struct
 import zipfile
 from pathlib import Path
@@ -152,10 +151,21 @@ def test_many_gaussians_lose_what_the_page_says() -> None:
         assert np.abs(found - wanted).max() < 1e-4
 
 
-def test_opacity_compensation_is_not_lost_in_silence(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING):
-        decode_sog(changed(antialias=True))
-    assert "opacity compensation" in caplog.text
+@pytest.mark.parametrize(
+    ("said", "says"),
+    [
+        ({"antialias": True}, "opacity compensation"),
+        ({"antialias": False, "model": "antialiased"}, "opacity compensation"),
+        ({"model": "2dgs"}, "2D Gaussians"),
+        ({"model": "default"}, None),
+    ],
+)
+def test_how_it_was_trained(
+    said: dict[str, Any], says: str | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    decode_sog(changed(**said))
+    assert (says or "") in caplog.text
+    assert len(caplog.messages) == (says is not None)
 
 
 def without(name: str) -> bytes:

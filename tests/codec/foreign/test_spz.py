@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import logging
+import re
 import struct
 from dataclasses import replace
 
@@ -15,7 +16,9 @@ from hypothesis import given, settings
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.foreign.spz import SpzVersion, decode_spz, encode_spz
 from codec.interop.formats import decode_any
+from codec.similarity import harmonics
 from codec.splats import Splats
+from tests.support.alike import shapes
 from tests.support.drawn import angles_rad, drawn_splats, same_splats
 from tests.support.hostile import refused, within_bytes
 from tests.support.trained_like import trained_like_splats
@@ -47,6 +50,17 @@ def legacy(version: int, rotations: bytes, extra: bytes = b"", flags: int = 0) -
     return gzip.compress(header(version, flags=flags) + arrays + extra)
 
 
+def record(kind: int, content: bytes) -> bytes:
+    return struct.pack("<II", kind, len(content)) + content
+
+
+def axes(number: int) -> bytes:
+    return record(0xADBE0003, struct.pack("<I", number))
+
+
+ORBIT = record(0xADBE0002, bytes(12))
+
+
 def version_4(extensions: bytes = b"", streaming: bool = False) -> bytes:
     arrays = [POSITIONS, OPACITIES, COLOURS, SCALES, SMALLEST_THREE, HARMONICS]
     compressor = zstandard.ZstdCompressor(write_content_size=not streaming)
@@ -58,18 +72,28 @@ def version_4(extensions: bytes = b"", streaming: bool = False) -> bytes:
     return head + b"".join(frames)
 
 
+ODD = "12 bytes that are no extension"
+
+
 @pytest.mark.parametrize(
-    "data",
+    ("data", "says"),
     [
-        legacy(3, SMALLEST_THREE),
-        legacy(3, SMALLEST_THREE, b"an extension", flags=2),
-        version_4(),
-        version_4(b"an extension"),
-        version_4(streaming=True),
+        (legacy(3, SMALLEST_THREE), ""),
+        (legacy(3, SMALLEST_THREE, b"an extension", flags=2), ODD),
+        (legacy(3, SMALLEST_THREE, axes(4) + ORBIT, flags=2), r"0xADBE0002 \(12 bytes\)$"),
+        (legacy(3, SMALLEST_THREE, ORBIT), ""),
+        (version_4(), ""),
+        (version_4(b"an extension"), ODD),
+        (version_4(axes(4) + record(7, b"")), r": 0x00000007 \(0 bytes\)$"),
+        (version_4(6 * ORBIT), r"bytes\) and 2 more$"),
+        (version_4(axes(0)), ""),
+        (version_4(streaming=True), ""),
     ],
 )
-def test_spz_by_hand(data: bytes) -> None:
+def test_spz_by_hand(data: bytes, says: str, caplog: pytest.LogCaptureFixture) -> None:
     splats = decode_any(data)
+    assert len(caplog.messages) == bool(says)
+    assert re.search(says, caplog.text.strip())
     # RUB to RDF: y and z change sign.
     assert splats.means.tolist() == [[1, 1, -1 / 4096], [-2048, -8388607 / 4096, 0]]
     assert splats.log_scales.tolist() == [[0, -10, 5.9375], [0, 0, 0]]
@@ -79,6 +103,36 @@ def test_spz_by_hand(data: bytes) -> None:
     assert splats.quats[1] == pytest.approx([HALF, HALF, 0, 0], abs=1e-6)
     # The order of the harmonics of degree 1 is y, z, x.
     assert splats.sh[0, 1:].tolist() == [[0, 1, -127 / 128], [-0.5, -0.5, -0.5], [-0.5, -0.5, -0.5]]
+
+
+POINTS_TO = {
+    **{"R": (1, 0, 0), "L": (-1, 0, 0), "D": (0, 1, 0)},
+    **{"U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)},
+}
+"""Directions of letters in our frame."""
+ORDER = "LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU"
+
+
+@pytest.mark.parametrize(("number", "name"), list(enumerate(ORDER.split(), 1)))
+def test_the_axes_that_a_file_names(number: int, name: str) -> None:
+    assumed, named = decode_any(version_4()), decode_any(version_4(axes(number)))
+    # From right, up, back to the axes that the file names.
+    turn = np.array([POINTS_TO[letter] for letter in name]).T @ np.diag([1.0, -1, -1])
+    assert named.means == pytest.approx(assumed.means @ turn.T)
+    assert shapes(named) == pytest.approx(turn @ shapes(assumed) @ turn.T, rel=1e-4, abs=1e-6)
+    along = np.random.default_rng(4).normal(size=(10, 3))
+    seen = [
+        np.einsum("jk,nkc->njc", harmonics(directions)[:, :4], splats.sh)
+        for splats, directions in ((assumed, along), (named, along @ turn.T))
+    ]
+    assert seen[1] == pytest.approx(seen[0], abs=1e-5)
+
+
+def test_an_export_names_its_axes() -> None:
+    splats = trained_like_splats(3)
+    for version in (SpzVersion.V2, SpzVersion.V3):
+        assert gzip.decompress(encode_spz(splats, version)).endswith(axes(4))
+    assert encode_spz(splats, SpzVersion.V4)[32:44] == axes(4)
 
 
 def test_spz_1_keeps_half_floats() -> None:
@@ -134,7 +188,7 @@ def test_a_huge_scene_trades_precision_for_range() -> None:
     splats = trained_like_splats(3)
     far = replace(splats, means=splats.means * np.float32(1e5))
     back = decode_spz(encode_spz(far))
-    bits = encode_spz(far)[13]
+    bits = encode_spz(far, SpzVersion.V4)[13]
     assert bits < 12
     assert np.abs(back.means - far.means).max() <= 0.51 / (1 << bits)
     with pytest.raises(InvalidError, match="at most 8388607"):
@@ -165,6 +219,7 @@ def altered(data: bytes, place: int, value: bytes) -> bytes:
         (gzip.compress(header(3)), CorruptError, "that 2 Gaussians need"),
         (legacy(3, SMALLEST_THREE, bytes(2 << 20)), CorruptError, "not the"),
         (b"\x1f\x8bnonsense", CorruptError, "SPZ: "),
+        (version_4(axes(17)), UnsupportedError, "axes 17; this program knows 1 to 16"),
         (altered(version_4(), 15, b"\5"), CorruptError, "5 arrays, not 6"),
         (altered(version_4(), 16, b"\x1f"), CorruptError, "outside"),
         (altered(version_4(), 18, b"\xff"), CorruptError, "outside"),

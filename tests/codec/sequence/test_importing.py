@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import tracemalloc
 from dataclasses import replace
@@ -141,6 +142,38 @@ def test_a_folder_is_a_sequence_in_order_of_number(
     reader = StreamReader(tmp_path / "part")
     assert made.capture_frame == 1
     assert [len(reader.active_splats(frame, 3)) for frame in range(2)] == [50, 40]
+
+
+def test_files_of_other_programs_become_one_take(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One folder a frame, as trainers leave them; the second has a value that is not finite."""
+    folder, splats = tmp_path / "take", trained_like_splats(30)
+    for frame in range(3):
+        for iteration in (7000, 30000):
+            path = folder / f"frame_{frame}/point_cloud/iteration_{iteration}/point_cloud.ply"
+            path.parent.mkdir(parents=True)
+            save(path, splats.take(slice(0, 29 + (iteration == 30000))))
+    data = bytearray(path.with_name("point_cloud.ply").read_bytes())
+    data[-4:] = b"\0\0\xc0\x7f"
+    (folder / "frame_1/point_cloud/iteration_30000/point_cloud.ply").write_bytes(data)
+    made = import_stream(folder, tmp_path / "stream", OPTIONS)
+    reader = StreamReader(tmp_path / "stream")
+    assert [len(reader.active_splats(frame, 4)) for frame in range(3)] == [30, 29, 30]
+    assert list(made.notes.left_out.values()) == [1]
+    [message] = caplog.messages  # although each file is read twice
+    assert "frame_1: left out: 1 of 30 Gaussians, the first is number 29;" in message
+    assert import_stream(folder / "frame_2", tmp_path / "still", OPTIONS).num_frames == 1
+    (folder / "lod-meta.json").write_text("{}")
+    says = "a streamed SOG, whose levels of detail are not read; .*--select-lod 0"
+    for source in (folder, folder / "lod-meta.json"):
+        refused(UnsupportedError, says, import_stream, source, tmp_path / "none", OPTIONS)
+    raw = tmp_path / "raw.spz"
+    write_splats(raw, splats, SplatFormat.SPZ)
+    assert not import_stream(raw, tmp_path / "named", OPTIONS).notes.hint
+    content = gzip.decompress(raw.read_bytes())  # without its last record, and the flag of it
+    raw.write_bytes(gzip.compress(content[:14] + b"\0\0" + content[16:-12]))
+    assert "--turn 180 0 0" in import_stream(raw, tmp_path / "unnamed", OPTIONS).notes.hint
 
 
 def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) -> None:
