@@ -90,6 +90,13 @@ def ksplat() -> bytes:
     return head + section + before + records.tobytes()
 
 
+def fourdgs_group(ids: list[int], codec: int = 0) -> bytes:
+    """The streams of Gaussians that never fade."""
+    rows = {kind: np.zeros((len(ids), wide)) for kind, wide in made.CHANNELS.items()}
+    rows |= {13: np.array([ids]).T, 9: np.ones((len(ids), 1))}
+    return b"".join(made.stream(kind, numbers, codec) for kind, numbers in sorted(rows.items()))
+
+
 def fourdgs(codec: int, packed: str) -> bytes:
     """A keyframe of two Gaussians with harmonics, and a delta in which one moves, one appears and
     one disappears. With codec 1, zstd, no checksum keeps the fuzzer from the numbers."""
@@ -98,9 +105,7 @@ def fourdgs(codec: int, packed: str) -> bytes:
         return made.stream(kind, numbers, codec=codec)
 
     def group(ids: list[int]) -> bytes:
-        rows = {kind: np.zeros((len(ids), wide)) for kind, wide in made.CHANNELS.items()}
-        rows |= {13: np.array([ids]).T, 9: np.ones((len(ids), 1))}
-        return b"".join(stream(kind, numbers) for kind, numbers in sorted(rows.items()))
+        return fourdgs_group(ids, codec)
 
     front = made.header(sh_degree=1), made.grids(), made.windows((0, 10))
     at = len(made.MAGIC) + sum(map(len, front))
@@ -111,6 +116,17 @@ def fourdgs(codec: int, packed: str) -> bytes:
         made.record(7, b"\1" + stream(7, np.arange(18).reshape(2, 9))),
         made.delta((0.5, 1), at, changes, (1, 1, 1), packed),
         made.record(7, b"\1" + stream(7, np.arange(9)[None])),
+    )
+
+
+def long_fourdgs(first_s: float, second_s: float) -> bytes:
+    """Two states; the shorter one is a frame."""
+    group = fourdgs_group([7])
+    return made.fourdgs(
+        made.header(),
+        made.grids(),
+        made.keyframe(0, first_s, 1, group),
+        made.keyframe(first_s, first_s + second_s, 1, group),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import math
+import struct
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from codec.camera import Camera
 from codec.coders.coder import compress
 from codec.foreign.ply import encode_ply
 from codec.foreign.splat import encode_splat
-from codec.foreign.spz import ENTRY, HEADER_V4, MAGIC, encode_spz
+from codec.foreign.spz import ENTRY, HEADER_V4, MAGIC, SpzVersion, encode_spz
 from codec.splats import Floats, Splats, sh_count
 from codec.stream.index import SegmentRecord, pack_record
 from codec.stream.manifest import Manifest
@@ -31,7 +32,7 @@ from codec.stream.playrecord import (
 )
 
 from .codec import TARGETS
-from .foreignseed import foreign_seeds, signalling_glb
+from .foreignseed import foreign_seeds, long_fourdgs, signalling_glb
 from .slots import LAYOUTS
 from .slotseed import slot_seeds
 
@@ -103,8 +104,11 @@ def inflated_spz(version: int, count: int, sh_degree: int) -> bytes:
 
 
 def inflated_spz_4(count: int, sh_degree: int) -> bytes:
-    """Header, table and arrays of an SPZ of version 4, the arrays not compressed."""
-    data = encode_spz(made_splats(count, sh_degree))
+    """Header, table and arrays of an SPZ of version 4 without extensions, the arrays not
+    compressed."""
+    data = encode_spz(made_splats(count, sh_degree), SpzVersion.V4)
+    head = data[:14] + bytes([0, data[15]]) + struct.pack("<I12x", HEADER_V4.size)
+    data = head + data[int.from_bytes(data[16:20], "little") :]
     num_arrays, start = data[15], HEADER_V4.size + ENTRY.size * data[15]
     table, arrays = data[HEADER_V4.size : start], b""
     for size, _ in ENTRY.iter_unpack(table):
@@ -178,6 +182,7 @@ def seeds() -> Iterator[tuple[str, str, bytes]]:
         content = inflated_spz(version, 3, version // 3)
         yield "import", f"spz-v{version}", gzip.compress(content, mtime=0)
         yield "inflated_spz", str(version), content
+    yield "inflated_spz", "axes", gzip.decompress(encode_spz(made_splats(2, 1)))
     yield "splat", "six", encode_splat(made_splats(6, 0))
     yield "packed", "two", packed(2)
     yield "packed", "poster", packed(11, "art/köder.png")
@@ -195,6 +200,8 @@ def found() -> Iterator[tuple[str, str, bytes]]:
     yield "import", "signalling-nan", signalling_glb(made_splats(2, 0))
     half = inflated_spz(1, 3, 0)
     yield "inflated_spz", "signalling-half", half[:16] + b"\xff\xfd" + half[18:]
+    yield "sequence", "infinitely-many-frames", long_fourdgs(5e-324, 1e308)
+    yield "sequence", "many-frames", long_fourdgs(1, 1 << 19)
     yield "sealed_record", "bytes-for-a-kind", b"\x81\xa4kind\xc4\x02no"
 
 

@@ -23,7 +23,7 @@ from . import fourdgsrecords as records
 from .fourdgsrecords import read_contents
 from .fourdgsstate import FIRST_BAND, State, read_delta, read_keyframe
 from .levels import restore_largest
-from .limits import MAX_GAUSSIANS, Decoded
+from .limits import MAX_GAUSSIANS, Decoded, check_frames
 
 NEVER_FADES = 1
 SPACING_SLACK = 0.01
@@ -101,10 +101,9 @@ class FourdgsReader:
         self._states = contents.states
         frame_s = min(state.t1_s - state.t0_s for state in self._states)
         counts = [(state.t1_s - state.t0_s) / frame_s for state in self._states]
+        check_frames(".4dgs", sum(counts), path.stat().st_size)
         if any(abs(count - round(count)) > SPACING_SLACK for count in counts):
             raise UnsupportedError(".4dgs: its states are not a whole number of frames apart")
-        if sum(counts) > records.MAX_STATES:
-            raise CorruptError(f".4dgs: more than {records.MAX_STATES} frames")
         self._frames = [
             (number, state.t0_s + frame * frame_s)
             for number, (state, count) in enumerate(zip(self._states, counts, strict=True))

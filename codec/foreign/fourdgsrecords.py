@@ -32,13 +32,14 @@ from codec.splats import MAX_SH_DEGREE
 
 from .bytecursor import ByteCursor
 from .limits import check_ratio
+from .notes import notes
 from .packed import WIDTHS, Ints, inflated, symbols, unzigzag, unzstd
 
 MAGIC = b"\x894DGS1\r\n"
 MODEL, SCHEME = "keyframe-delta", "uniform-v1"
 RECORD = struct.Struct("<BQ")
 HEADER, FOOTER, GRIDS, WINDOWS, KEYFRAME, BAND, DELTA = 0x01, 0x02, 0x03, 0x04, 0x05, 0x07, 0x10
-OBJECT_TRACK = 0x25
+COORDINATE_FRAME, OBJECT_TRACK = 0x20, 0x25
 STREAM = struct.Struct("<BBBBBIQ")
 RAW, DIFFERENCES, CONSTANT = range(3)
 DEFLATE, ZSTD = range(2)
@@ -127,6 +128,8 @@ def read_contents(path: Path) -> Contents:
                 _take_state(found, at, span, kind == DELTA, file.read(DELTA_HEAD.size))
             elif kind == BAND and found.states:
                 found.states[-1].bands.append(span)
+            elif kind == COORDINATE_FRAME:
+                notes().say("names a coordinate frame, which is not read: it may be turned")
             elif kind == OBJECT_TRACK:
                 raise UnsupportedError(".4dgs: objects that move as one are not read")
             elif kind == FOOTER:

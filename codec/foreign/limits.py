@@ -21,6 +21,9 @@ MAX_RATIO = 1000
 RATIO_SLACK_BYTES = 1 << 20
 """Decompressed bytes that any file may have, so that tiny uniform models pass."""
 
+FREE_FRAMES = 10_000
+"""Frames that any file may have; of more each takes a byte of the file at least."""
+
 BLOCK_GAUSSIANS = 1 << 16
 """Gaussians decoded at a time, a multiple of 256: wider numbers on the way to float32 cost memory
 for these alone."""
@@ -44,6 +47,12 @@ def check_ratio(what: str, raw_bytes: int, file_bytes: int) -> None:
         raise CorruptError(
             f"{what}: a file of {file_bytes} bytes claims to decompress to {raw_bytes}"
         )
+
+
+def check_frames(what: str, count: float, file_bytes: int) -> None:
+    """Raises CorruptError if `count` frames are more than a file of `file_bytes` can have."""
+    if not count <= max(FREE_FRAMES, file_bytes):
+        raise CorruptError(f"{what}: a file of {file_bytes} bytes claims {count:.0f} frames")
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ from codec.splats import SH_C0, Splats
 from .bytecursor import ByteCursor
 from .jsonfields import MAX_JSON_BYTES, Fields
 from .levels import Bytes, byte_logits
-from .limits import MAX_GAUSSIANS, Decoded, check_count, check_ratio
+from .limits import MAX_GAUSSIANS, Decoded, check_count, check_frames, check_ratio
 from .packed import WIDTHS, Ints, symbols, unzigzag, unzstd
 from .splat import RECORD
 
@@ -90,6 +90,7 @@ class Splat4dReader:
         self._count = check_count(".splat4d", header.integer("n", most=1 << 53))
         check_ratio(".splat4d", self._count * RECORD.itemsize, self._file_bytes)
         self.num_frames = header.integer("t", most=MAX_FRAMES)
+        check_frames(".splat4d", self.num_frames, self._file_bytes)
         self.fps = header.number("fps")
         """Frames in a second."""
         steps = header.fields("steps")
