@@ -93,10 +93,11 @@ class Decoded:
 def whole_rows(
     what: str, means: Floats, log_scales: Floats, quats: Floats, logits: Floats, sh: Floats
 ) -> Splats:
-    """The Gaussians without those that have a value that is not finite or a rotation of length 0,
-    as trainers write a few. The notes count them.
+    """The Gaussians without those that have a value that is not finite, as trainers write a few.
+    The notes count them.
 
-    Raises a CorruptError that names the first Gaussian at fault if half of them or more are.
+    Raises a CorruptError that names the first Gaussian at fault if half of them or more are, or if
+    one has a rotation of length 0, as in a file of which only the room has been made.
     """
     arrays = (means, log_scales, quats, logits, sh)
     try:
@@ -105,10 +106,10 @@ def whole_rows(
         good = np.isfinite(logits)
         for values in (means, log_scales, quats, sh):
             good &= np.isfinite(values).reshape(len(good), -1).all(axis=1)
-        good[good] = quats[good].any(axis=1)
-        bad = np.flatnonzero(~good)
+        is_turned = quats.any(axis=1)
+        bad = np.flatnonzero(~(good & is_turned))
         which = f"{len(bad)} of {len(good)} Gaussians, the first is number {bad[0]}"
-        if 2 * len(bad) >= len(good):
+        if not is_turned.all() or 2 * len(bad) >= len(good):
             raise CorruptError(f"{what}: {error} ({which})") from error
         notes().leave_out(len(bad), f"left out: {which}; {error}")
         return Splats(*(array[good] for array in arrays))

@@ -27,11 +27,12 @@ from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import MAX_SEGMENT_FRAMES, MAX_SLOTS
 from codec.slots.update import Update
 from codec.splats import Splats, array_shapes
+from codec.stream.finishing import finish_pictures
 from codec.stream.layers import RANKS
 from codec.stream.manifest import Manifest
 from codec.stream.object import encode_packet
 from codec.stream.pictures import Draw
-from codec.stream.poster import POSTER_NAME, write_poster
+from codec.stream.poster import POSTER_NAME
 from codec.stream.reader import StreamReader
 from codec.stream.writer import StreamWriter
 
@@ -161,13 +162,14 @@ def follow_folder(
         kept = max(writer.durable_birth, 0)
         _log.warning("%s stays live, with %d frames; --resume goes on from there", stream, kept)
         raise
-    if draw is not None and writer.manifest.poster is not None:
-        write_poster(stream, draw)
+    manifest = writer.manifest
+    if draw is not None and manifest.poster is not None:
+        manifest = finish_pictures(stream, draw)
     if notes().left_out:
         troubles.counts["files without some of their Gaussians"] = len(notes().left_out)
     delays_s = follower.delays_s
     return Followed(
-        writer.manifest,
+        manifest,
         writer.next_birth,
         writer.bytes_written,
         str(troubles),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +31,9 @@ SETTLE_S = 0.02
 
 SETTLE_UNSIZED_S = 0.5
 """The same for .splat, which does not say how long it is, if no later file is there."""
+
+MAX_TAKEN = 64
+"""Files that are looked at again after they were taken, one at each look."""
 
 MAX_LOGGED = 5
 """Lines about each kind of trouble; further ones are counted only."""
@@ -92,6 +95,8 @@ class Arrivals:
         self._files: dict[int, Path] = {}  # of numbers that have not come yet
         self._came_s: dict[int, float] = {}  # when each of them was first seen
         self._known: set[str] = set()
+        self._has_listed = self._is_away = False
+        self._taken: deque[tuple[Path, Seen]] = deque(maxlen=MAX_TAKEN)  # those that came last
         self._seen: tuple[Seen, float] | None = None  # of the next file, and since when
         self._refused: tuple[Seen, SwingsError] | None = None
 
@@ -109,9 +114,18 @@ class Arrivals:
         return min(self._files, default=None)
 
     def poll(self) -> Arrival | None:
-        """The next frame, if it is whole by now, or given up; call it every POLL_S. Raises
-        OSError if the folder has gone."""
-        self._list()
+        """The next frame, if it is whole by now, or given up; call it every POLL_S. None while the
+        folder is away, as a share of a network may be."""
+        try:
+            self._list()
+        except OSError as error:
+            if not self._is_away:
+                text = f"{self._folder} is away: {error.strerror}; waiting for it"
+                self._troubles.note("absences of the folder", text)
+            self._is_away, self._listed_ns = True, -1
+            return None
+        self._is_away = False
+        self._look_back()
         if self.next_number is None:
             if not self._files:
                 return None
@@ -139,8 +153,25 @@ class Arrivals:
             self._troubles.note("odd files", f"{reason}; the frame before stands for it")
         return self._gone_on(Arrival(number, None, time.time()))
 
+    def _look_back(self) -> None:
+        """Looks at one of the files that came last: a writer that rested may have gone on."""
+        if not self._taken:
+            return
+        path, seen = self._taken.popleft()
+        try:
+            status = path.stat()
+        except OSError:  # many delete what has been taken
+            return
+        if (status.st_size, status.st_mtime_ns) == seen:
+            self._taken.append((path, seen))
+            return
+        text = f"{path} changed after it was taken; the stream keeps what it held then"
+        self._troubles.note("changed files", text)
+
     def _gone_on(self, arrival: Arrival) -> Arrival:
         if arrival.number in self._files:
+            if arrival.splats is not None and self._seen is not None:
+                self._taken.append((self._files[arrival.number], self._seen[0]))
             self._forget(arrival.number)
         self.next_number = arrival.number + self._step
         self._seen = self._refused = None
@@ -162,7 +193,7 @@ class Arrivals:
             path = self._folder / name
             if not name.startswith(".") and has_known_suffix(path):
                 self._add(path)
-        self._known = names
+        self._known, self._has_listed = names, True
         gone = [number for number, path in self._files.items() if path.name not in names]
         for number in gone:
             self._forget(number)
@@ -175,6 +206,8 @@ class Arrivals:
         elif not path.is_file():
             note("odd names", f"{path} is not a regular file; left out")
         elif self.next_number is not None and number < self.next_number:
+            if not self._has_listed:  # a resumed stream has it already
+                return
             note("late files", f"{path} comes too late, its frame has passed; left out")
         elif self.next_number is not None and (number - self.next_number) % self._step:
             note("odd names", f"{path} is not one of every {self._step}; left out")

@@ -20,6 +20,7 @@ from codec.sequence.importing import ImportOptions
 from codec.sequence.incomingfiles import MAX_LOGGED, SETTLE_S, Arrival, Arrivals, Troubles
 from codec.splats import Splats
 from codec.stream.reader import StreamReader
+from player.render.cpu import render_splats
 from tests.support.commands import run, started
 from tests.support.hostile import refused
 from tests.support.slots.rotating import figure, turned
@@ -80,8 +81,9 @@ def test_the_frame_before_stands_for_what_is_missing_or_broken(tmp_path: Path) -
     folder, stream = tmp_path / "files", tmp_path / "stream"
     write_frames(folder, 5, 6, 9, 10)
     (folder / "f007.ply").write_bytes(b"ply\nrubbish")
-    made = followed(folder, stream)
+    made = followed(folder, stream, draw=render_splats)
     assert made.num_frames == 6
+    assert made.manifest.focus is not None
     assert made.troubles == "1 odd files, 1 missing files"
     manifest = StreamReader(stream).manifest
     assert (manifest.live, manifest.segment_frames, manifest.capture_frame) == (False, 2, 5)
@@ -261,6 +263,44 @@ def test_a_gap_is_given_up_only_when_a_later_file_has_been_there(tmp_path: Path)
     rig.write(1)
     assert rig.settled() is None
     assert rig.troubles.counts == {"missing files": 2, "late files": 1}
+    # Whoever resumes knows that the earlier files are in the stream.
+    resumed = Rig(tmp_path, next_number=3)
+    assert resumed.number() == 3
+    resumed.write(2)
+    assert resumed.number() is None
+    assert resumed.troubles.counts == {"late files": 1}
+
+
+def test_a_folder_that_is_away_is_waited_for(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = Rig(tmp_path / "share")
+    rig.write(0)
+    assert rig.number() == 0
+    for number in (1, 3):
+        rig.write(number)
+    rig.folder.rename(tmp_path / "away")
+    assert rig.number(after_s=3 * PATIENCE_S) is None
+    assert rig.number() is None
+    (tmp_path / "away").rename(rig.folder)
+    assert rig.number() == 1
+    assert rig.troubles.counts == {"absences of the folder": 1}
+    assert "share is away: No such file or directory; waiting for it" in caplog.text
+
+
+def test_a_file_that_goes_on_after_it_was_taken_is_named(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    data = encode_splats(trained_like_splats(20), SplatFormat.SPLAT)
+    rig.file(0, "splat").write_bytes(data[: 10 * 32])
+    assert rig.number() is None
+    assert rig.number(after_s=1.0) == 0
+    rig.file(0, "splat").write_bytes(data)
+    rig.write(1)
+    assert rig.number() == 1
+    rig.file(1).unlink()
+    for _ in range(3):
+        assert rig.number() is None
+    assert rig.troubles.counts == {"changed files": 1}
 
 
 def test_what_is_no_frame_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
