@@ -11,6 +11,8 @@ import tyro
 
 from codec.errors import InvalidError
 from codec.lattice.lattice import Flags
+from codec.pose import Doubles
+from codec.slots.slotstate import holds
 from codec.stream.manifest import Manifest, Point
 
 from .edit import Edit, Turn
@@ -54,6 +56,7 @@ class Crop(Edit):
     def __init__(self, options: CropOptions) -> None:
         """Raises a SwingsError."""
         self._region, self._outside = options.region(), options.outside
+        self._kept, self._first, self._first_kept = 0, 0, 0
 
     def manifest(self, source: Manifest) -> Manifest:
         """The result's manifest: `source` with bounds that reach no farther than the region."""
@@ -64,9 +67,32 @@ class Crop(Edit):
         upper = np.clip(source.bounds[1], low, high)
         return replace(source, bounds=(_point(lower), _point(upper)))
 
-    def keeps(self, turn: Turn) -> Flags:
-        inside = self._region.holds(turn.means(), max(turn.frame, 0))
+    def holds(self, means: Doubles, frame: int) -> Flags:
+        """(N,) which of the Gaussians at (N, 3) `means` stay at `frame`."""
+        inside = self._region.holds(means, frame)
         return ~inside if self._outside else inside
+
+    def keeps(self, turn: Turn) -> Flags:
+        kept = self.holds(turn.means(), max(turn.frame, 0))
+        held = holds(turn.slots.conditions)
+        count = int(np.count_nonzero(kept & held))
+        self._kept += count
+        if turn.frame <= 0:
+            self._first += int(np.count_nonzero(held))
+            self._first_kept += count
+        return kept
+
+    def check(self) -> None:
+        if not self._kept:
+            raise InvalidError(
+                f"no Gaussian is in that region in any frame, of {self._first} in frame 0; "
+                "`swings-stream info STREAM` prints the bounds, --preview PNG draws the region"
+            )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How many Gaussians have stayed, for the user."""
+        return (f"kept         {self._first_kept} of {self._first} Gaussians in frame 0",)
 
 
 def _point(values: np.ndarray) -> Point:

@@ -76,6 +76,10 @@ class Edit:
         """
         return states, np.ones(len(states), np.bool_)
 
+    def check(self) -> None:
+        """Called when all frames are through, before the result appears. Raises InvalidError if it
+        makes no sense."""
+
     def splats(self, splats: Splats) -> Splats:
         """Gaussians that escape the lattice, edited."""
         return splats

@@ -40,7 +40,9 @@ def edit_stream(
     manifest = reader.manifest
     match options:
         case CropOptions():
-            return rewrite(reader, out, Crop(options), draw, progress)
+            crop = Crop(options)
+            made = rewrite(reader, out, crop, draw, progress)
+            return replace(made, notes=crop.notes)
         case ColourOptions():
             return rewrite(reader, out, Colour(options, manifest), draw, progress)
         case ViewOptions():

@@ -126,6 +126,7 @@ def rewrite(
             for birth in recoder.append(walk, slices, edit):
                 progress(birth + 1, num_frames)
         recoder.end_segment()
+        edit.check()
     return Edited(
         num_frames,
         recoder.num_copied,

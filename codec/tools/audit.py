@@ -9,6 +9,7 @@ from codec.errors import CodecError
 from codec.storage.openstorage import Place
 from codec.stream.index import INDEX_NAME, SegmentRecord
 from codec.stream.integrity import check_index_end
+from codec.stream.manifest import Point
 from codec.stream.packedstorage import PackedStorage
 from codec.stream.pictures import check_pictures
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
@@ -45,6 +46,11 @@ class StreamSummary:
     num_frames: int
     duration_s: float
     num_gs: int
+    """Slots of all lanes, the most Gaussians that a frame may have."""
+    first_gs: int
+    """Gaussians in frame 0."""
+    bounds: tuple[Point, Point]
+    """Lower and upper corner of a box around most Gaussians, metres."""
     swin_size: int
     slice_size: int
     sh_degree: int
@@ -87,6 +93,8 @@ def _summary(reader: StreamReader) -> StreamSummary:
         num_frames=reader.num_frames,
         duration_s=duration_s,
         num_gs=manifest.num_gs,
+        first_gs=int(census.first.sum()),
+        bounds=manifest.bounds,
         swin_size=manifest.swin_size,
         slice_size=manifest.slice_size,
         sh_degree=manifest.sh_degree,
@@ -162,7 +170,10 @@ def describe(summary: StreamSummary) -> str:
         f"title        {s.title or '-'}",
         f"state        {state}",
         f"length       {s.num_frames} frames, {s.duration_s:.1f} s at {s.fps:g} fps",
-        f"Gaussians    {s.num_gs} active, in leases of {frames}",
+        f"Gaussians    {s.first_gs} in frame 0, in {s.num_gs} slots with leases of {frames}",
+        "bounds       "
+        + ", ".join(f"{a} {low:.4g}..{up:.4g}" for a, low, up in zip("xyz", *s.bounds, strict=True))
+        + " m",
         f"colour       SH degree {s.sh_degree}",
         f"cameras      {s.num_cameras}",
         f"segments     {s.num_segments} of {s.segment_frames} frames",

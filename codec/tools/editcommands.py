@@ -43,6 +43,9 @@ class Crop(_Job):
     """Keep only the Gaussians whose centres lie in a region, frame by frame."""
 
     options: Annotated[CropOptions, tyro.conf.arg(name="")] = field(default_factory=CropOptions)
+    preview: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
+    """Only draw what stays and what goes in frame 0, with axes in metres, as a picture at this
+    path; nothing is written to OUT."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +121,11 @@ class Edit:
 def run_edit(config: Edit, draw: Draw | None = None) -> str:
     """Does what `config` says; gives lines about it. draw: for poster and storyboard."""
     edit = config.edit
+    if isinstance(edit, Crop) and edit.preview is not None:
+        from .croppreview import draw_crop  # matplotlib loads slowly
+
+        kept, total = draw_crop(edit.stream, edit.options, edit.preview, edit.max_gaussians)
+        return f"{edit.preview}: {kept} of {total} Gaussians would stay in frame 0"
     with counted("editing") as progress:
         match edit:
             case Trim(frames=frames):

@@ -22,10 +22,10 @@ from codec.pose import (
     world_to_camera,
 )
 from codec.rig import closest_point, rig_up
-from codec.similarity import Similarity, half_turned, harmonics, turned_harmonics
+from codec.similarity import Similarity, harmonics, turned_harmonics
 from codec.splats import SH_C0, Splats
 from tests.support.alike import shapes
-from tests.support.drawn import directions, places, posed_cameras, rotations, same_splats, turns_rad
+from tests.support.drawn import directions, places, posed_cameras, rotations, turns_rad
 from tests.support.hostile import refused
 from tests.support.trained_like import trained_like_splats
 
@@ -285,18 +285,6 @@ def test_a_moved_body(turn: Doubles, offset: Doubles, scale: float, mirrored: bo
     after = np.einsum("jk,nkc->njc", harmonics(along @ turn.T), moved.sh)
     assert after == pytest.approx(before, abs=1e-5)
     assert moved.logit_opacities is splats.logit_opacities
-
-
-@pytest.mark.parametrize("axis", ["x", "y", "z"])
-def test_half_a_turn_changes_signs_alone(axis: str) -> None:
-    splats = trained_like_splats(20, 5, 3)
-    turned = half_turned(splats, axis)
-    assert same_splats(half_turned(turned, axis), splats)
-    vector = np.array([float(name == axis) for name in "xyz"])
-    full = Similarity.of(affine(rotation_about(vector, np.pi), np.zeros(3))).moved(splats)
-    assert turned.means == pytest.approx(full.means, abs=1e-5)
-    assert turned.sh == pytest.approx(full.sh, abs=1e-6)
-    assert np.abs(shapes(turned) - shapes(full)).max() < 1e-6 * shapes(full).max()
 
 
 def test_the_harmonics_are_orthonormal() -> None:

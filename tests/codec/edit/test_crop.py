@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from codec.camera import Camera
 from codec.edit.crop import CropOptions
@@ -22,6 +23,7 @@ from codec.slots.update import KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import verify_stream
+from codec.tools.croppreview import draw_crop
 from codec.tools.static import export_static
 from tests.support.hostile import refused
 from tests.support.slots.edited import (
@@ -104,6 +106,23 @@ def test_what_is_untouched_keeps_its_bytes_and_its_psnr(tmp_path: Path) -> None:
     # A removed Gaussian changes every segment, so that no PSNR is known.
     edit_stream(source, tmp_path / "u", CropOptions(box=BOX))
     assert all(math.isnan(record.psnr_db[0]) for record in StreamReader(tmp_path / "u").records)
+
+
+def test_a_crop_says_how_much_stays_and_an_empty_one_is_refused(
+    source: Path, tmp_path: Path
+) -> None:
+    whole = frames_of(source)[0].means.astype(np.float64)
+    counts = len(in_box(whole)), len(whole)
+    made = edit_stream(source, tmp_path / "t", CropOptions(box=BOX))
+    assert made.notes == ("kept         {} of {} Gaussians in frame 0".format(*counts),)
+    assert draw_crop(source, CropOptions(box=BOX), tmp_path / "crop.png", None) == counts
+    pixels = np.asarray(Image.open(tmp_path / "crop.png").convert("RGB")).astype(int)
+    assert (pixels[..., 0] - pixels[..., 2] > 60).mean() > 0.001  # what goes is red
+    far = CropOptions(sphere=(99, 0, 0, 1))
+    says = f"no Gaussian is in that region in any frame, of {counts[1]} in frame 0; .*--preview"
+    refused(InvalidError, says, edit_stream, source, tmp_path / "u", far)
+    assert draw_crop(source, far, tmp_path / "far.png", None) == (0, counts[1])
+    assert not (tmp_path / "u").exists()
 
 
 def test_a_static_export_stays_one_that_browsers_inflate(source: Path, tmp_path: Path) -> None:

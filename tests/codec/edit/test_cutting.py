@@ -176,6 +176,9 @@ def test_one_edit_after_another(stream: Path, tmp_path: Path) -> None:
     assert told == [
         f"{tmp_path / 'crop'}: {NUM_FRAMES} frames in 3 segments, 0 copied byte for byte",
         f"size         {size} bytes, {100 * size / whole:.1f} % of {whole}",
+        "kept         {} of {} Gaussians in frame 0".format(
+            *(len(next(iter(frames_of(path)))) for path in (tmp_path / "crop", stream))
+        ),
     ]
     told = edit("transform", tmp_path / "crop", "moved", "--scale", 2, "--move", 1, 0, 0.5)
     assert told[2].startswith("moved        ")

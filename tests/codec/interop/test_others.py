@@ -20,6 +20,7 @@ from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat, encode_splats, read_splats, write_splats
 from codec.lattice.lattice import Lattice
+from codec.similarity import half_turned
 from codec.slice import Slice
 from codec.slots.slotlayout import SlotLayout
 from codec.splats import SH_C0, Splats
@@ -63,10 +64,6 @@ close = np.testing.assert_allclose
 # The real harmonics in order, each named by the axes of its product.
 HARMONICS = ["1", *"yzx", "xy", "yz", "zz", "xz", "xx"]
 HARMONICS += ["xxy", "xyz", "yzz", "zzz", "xzz", "xxz", "xxx"]
-# SPZ has y up and z back: half a turn about x, which negates harmonics odd in y and z.
-TURN = np.array([1, -1, -1], np.float32)
-TURN_QUATERNION = np.array([1, 1, -1, -1], np.float32)
-TURN_SH = np.array([(-1) ** sum(name.count(a) for a in "yz") for name in HARMONICS], np.float32)
 
 
 def shown(tmp_path: Path, sh_degree: int) -> tuple[Path, Splats]:
@@ -166,17 +163,6 @@ def gsply_splats(path: Path) -> Splats:
     return Splats(*(np.array(array, np.float32) for array in arrays))
 
 
-def turned(splats: Splats) -> Splats:
-    """`splats` turned from the frame of SPZ, which gsply keeps, to ours."""
-    return Splats(
-        splats.means * TURN,
-        splats.log_scales,
-        splats.quats * TURN_QUATERNION,
-        splats.logit_opacities,
-        splats.sh * TURN_SH[: splats.sh.shape[1], None],
-    )
-
-
 ANGLES_RAD = {SpzVersion.V2: 0.24, SpzVersion.V3: 0.005, SpzVersion.V4: 0.005}
 """Largest errors. In version 2, w is computed from x, y and z in 8 bits, and inexact if small."""
 
@@ -192,7 +178,8 @@ def transformed(path: Path, out: Path) -> Path:
 
 def read_by_gsply(path: Path) -> Splats:
     found = gsply_splats(path)
-    return turned(found) if path.suffix == ".spz" else found
+    # gsply keeps the axes of SPZ, y up and z back.
+    return half_turned(found, "x") if path.suffix == ".spz" else found
 
 
 def read_by_splat_transform(path: Path) -> Splats:
@@ -243,7 +230,8 @@ def test_the_spz_of_gsply_is_read_alike(version: int, sh_degree: int, tmp_path: 
     path, splats = exported(tmp_path, sh_degree, SplatFormat.PLY)
     gsply.write_spz(tmp_path / "theirs.spz", gsply.plyread(path), version=version)
     # gsply writes the given Gaussians without turning them.
-    assert_within(turned(read_splats(tmp_path / "theirs.spz")), splats, SplatFormat.SPZ)
+    found = half_turned(read_splats(tmp_path / "theirs.spz"), "x")
+    assert_within(found, splats, SplatFormat.SPZ)
 
 
 @needs_splat_transform

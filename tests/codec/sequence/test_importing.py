@@ -239,14 +239,6 @@ def test_a_file_that_changes_while_it_is_imported_is_named(tmp_path: Path) -> No
     assert [path.name for path in tmp_path.iterdir()] == ["take"]
 
 
-def test_too_many(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("codec.sequence.survey.MAX_SLOTS", 9)
-    path = save(tmp_path / "a.ply", trained_like_splats(10))
-    says = r"a\.ply: PLY: 10 Gaussians in a frame, at most 9"
-    refused(UnsupportedError, says, import_stream, path, tmp_path / "stream", OPTIONS)
-    assert not (tmp_path / "stream").exists()
-
-
 def moving(folder: Path, num_files: int, count: int = 300) -> Path:
     """Writes a sequence in which a third of the Gaussians moves, as files in `folder`."""
     first = trained_like_splats(count)
