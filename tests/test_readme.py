@@ -132,11 +132,7 @@ ELSEWHERE = {
 """Tests that run the programs of commands with placeholders, or that take long."""
 
 SERVED = {"swings-serve my-stream", "swings-serve --sample", "swings-play http://127.0.0.1:8080"}
-SITE = {
-    "swings-stream export my-stream site/stream --static",
-    "cp -r player/web site/player",
-    "python3 -m http.server -d site",
-}
+SITE = {"swings-stream export my-stream site --static --page", "python3 -m http.server -d site"}
 """Commands of a web server without swings."""
 NOT_RUN = {"git clone <this repository> swings"}
 
@@ -237,11 +233,8 @@ def test_what_is_served_can_be_played(folder: Path, root: str) -> None:
 
 
 def test_a_plain_web_server_serves_the_export(folder: Path) -> None:
-    export, copy, serve = (words for words in WORDS if words in SITE)
-    (folder / "player").mkdir()
-    (folder / "player" / "web").symlink_to(ROOT / "player" / "web")
+    export, serve = (words for words in WORDS if words in SITE)
     run_words(folder, export)
-    subprocess.run(shlex.split(copy.replace("-r", "-rL")), cwd=folder, check=True)
     _, *arguments = shlex.split(serve)
     command_line = [sys.executable, "-u", *arguments, "0"]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
@@ -250,7 +243,7 @@ def test_a_plain_web_server_serves_the_export(folder: Path) -> None:
             assert process.stdout is not None
             told = re.search(r"port (\d+)", process.stdout.readline())
             assert told
-            for path in ("player/watch.html", "player/watch.js", "stream/manifest.json"):
+            for path in ("", "player/player.js", "player/playworker.js", "manifest.json"):
                 with urllib.request.urlopen(f"http://127.0.0.1:{told[1]}/{path}") as found:
                     assert found.read(10)
         finally:

@@ -70,7 +70,7 @@ class Decoded:
         return Decoded(*(np.empty(s, np.float32) for s in array_shapes(count, sh_degree)))
 
     @property
-    def opacities(self) -> Floats:
+    def opacities(self) -> Doubles:
         """(N,) float64 in (0, 1)."""
         opacities: Doubles = 0.5 + 0.5 * np.tanh(0.5 * self.logit_opacities.astype(np.float64))
         return opacities

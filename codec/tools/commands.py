@@ -109,6 +109,9 @@ class Export:
     """Number of layers to write, most important first; all by default."""
     static: bool = False
     """Write the whole stream with gzip, which browsers inflate by themselves."""
+    page: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """With --static: also write index.html and the browser player into OUT, a folder that plays the
+    stream from any web server."""
     max_gaussians: int = DEFAULT_MAX_GAUSSIANS
     """Largest number of Gaussians a frame; a stream with more is refused, because a few kilobytes
     of file can ask for gigabytes of memory."""
@@ -223,6 +226,8 @@ def export_files(config: Export) -> str:
     """Does what `config` says; gives a line about it."""
     if config.static:
         return _export_static(config)
+    if config.page:
+        raise InvalidError("--page needs --static")
     written = export_stream(
         config.stream,
         config.out,
@@ -258,7 +263,7 @@ def _export_static(config: Export) -> str:
     chosen = (config.frame, config.frames, config.format, config.layers)
     if chosen != (None,) * 4 or (config.spz_version, config.precision) != (None, None):
         raise InvalidError("--static writes the whole stream; leave out the options for frames")
-    made = export_static(config.stream, config.out, config.max_gaussians)
+    made = export_static(config.stream, config.out, config.max_gaussians, config.page)
     share = 100 * made.size_bytes / made.source_bytes
     noun = "segment" if made.num_segments == 1 else "segments"
     return (

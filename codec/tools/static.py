@@ -24,6 +24,7 @@ from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
 from .objectaudit import verify_objects
 from .packing import pack_stream
+from .staticpage import write_page
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,16 +40,22 @@ class StaticExport:
 
 
 def export_static(
-    stream: Place, out: Path, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS
+    stream: Place,
+    out: Path,
+    max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
+    page: bool = False,
 ) -> StaticExport:
     """Writes the stream at `stream` to the folder `out`, absent or empty, coded with gzip; to one
     file if `out` ends with `.swings`, see `pack_stream`.
 
     Every chunk is decoded and checked on the way, and its values stay as they are. A live stream is
-    exported as far as it has come, and finished. `out` appears whole or not at all.
+    exported as far as it has come, and finished. `out` appears whole or not at all. page: also
+    writes a page with the browser player, see `write_page`; not into one file.
     max_gaussians: see `check_gaussians`. Raises a SwingsError that names the file at fault.
     """
     if out.name.endswith(PACKED_SUFFIX):
+        if page:
+            raise InvalidError(f"{out}: --page writes a folder; leave out {PACKED_SUFFIX}")
         with temporary_folder(out) as folder:
             made = export_static(stream, folder / "stream", max_gaussians)
             pack_stream(folder / "stream", out)
@@ -58,6 +65,8 @@ def export_static(
         raise InvalidError(f"{reader.name} has no frames yet; there is nothing to export")
     with making_folder(out) as folder:
         size_bytes = _write(reader, folder)
+        if page:
+            write_page(folder, reader.manifest)
     objects_bytes = sum(sum(record.part_bytes) for record in reader.records)
     return StaticExport(
         reader.num_frames,

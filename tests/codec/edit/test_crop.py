@@ -111,7 +111,7 @@ def test_what_is_untouched_keeps_its_bytes_and_its_psnr(tmp_path: Path) -> None:
 def test_a_crop_says_how_much_stays_and_an_empty_one_is_refused(
     source: Path, tmp_path: Path
 ) -> None:
-    whole = frames_of(source)[0].means.astype(np.float64)
+    whole = next(iter(frames_of(source))).means.astype(np.float64)
     counts = len(in_box(whole)), len(whole)
     made = edit_stream(source, tmp_path / "t", CropOptions(box=BOX))
     assert made.notes == ("kept         {} of {} Gaussians in frame 0".format(*counts),)

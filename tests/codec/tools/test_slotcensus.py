@@ -90,9 +90,8 @@ def test_a_stream_of_one_frame_and_one_without_any(tmp_path: Path) -> None:
     write_slots(tmp_path / "one", 1, small_layout(1, (4,), 1, 4))
     told = summarise(tmp_path / "one")
     count = len(StreamReader(tmp_path / "one").active_splats(0, 1))
-    assert f"{count} in frame 0, in 4 slots with leases of 1 frame\nbounds       x -" in describe(
-        told
-    )
+    said = f"{count} in frame 0, in 4 slots with leases of 1 frame\nbounds       x -"
+    assert said in describe(told)
     assert told.slots is not None
     assert (told.slots.kept, told.slots.join_snapshot_bytes) == ((0.0,), (0,))
     draw_stream(tmp_path / "one", tmp_path / "one.png")

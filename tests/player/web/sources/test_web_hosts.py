@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
+from pathlib import Path
 
+from codec.errors import InvalidError
+from codec.stream.reader import StreamReader
+from codec.tools.audit import verify_stream
+from codec.tools.static import export_static
 from tests.support.hosted_streams import static_host
+from tests.support.hostile import refused
 from tests.support.slots.many import NUM_GAUSSIANS, write_many
 from tests.support.web.chromium import Page
 from tests.support.web.site import Site
@@ -29,6 +35,20 @@ def test_objects_of_another_host(page: Page, site: Site) -> None:
         said = refusal(page, site.address("away"))
         assert f"leads to another host, {other}; other-hosts" in said
         site.watch(page, "away", "other-hosts=1&autoplay=0")
+
+
+def test_a_static_export_brings_its_page(page: Page, site: Site) -> None:
+    export_static(site.folder / "trained" / "whole", site.folder / "paged", page=True)
+    verify_stream(site.folder / "paged")
+    page.open(f"{site.url}/paged/", 320, 240)
+    page.wait("player.shownFrame > 2")
+    assert page.value("document.title") == StreamReader(site.folder / "paged").manifest.title
+    # The statistics name the point under the pointer.
+    page.run("player.pause(); element.toggleStats()")
+    at = "const at = new PointerEvent('pointermove', { clientX: 160, clientY: 120 });"
+    page.run(f"{at} player.canvas.dispatchEvent(at)")
+    page.wait("/pointer   (-?[0-9.]+ ){2}-?[0-9.]+$/.test(part('.stats').textContent)")
+    refused(InvalidError, "--page", export_static, "s", Path("a.swings"), page=True)
 
 
 def test_2_to_the_24_gaussians(page: Page, site: Site) -> None:
