@@ -22,7 +22,7 @@ _BODY = """<header>{back}<h1>{title}</h1></header>
 _BACK = '<a href="../"><span aria-hidden="true">&lsaquo; </span>Streams</a>'
 
 _MORE = """<button popovertarget="embed">Embed</button>
-<button popovertarget="desktop">On a desktop</button>
+<button popovertarget="desktop">In Python</button>
 <div popover id="embed"><h2>Embed this stream</h2>
 <pre id="code">{embed}</pre><button data-copy="code">Copy</button></div>
 <div popover id="desktop"><h2>Play in a window</h2>
