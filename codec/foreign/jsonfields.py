@@ -80,11 +80,11 @@ class Fields:
             raise CorruptError(f"{self._place(key)}: is out of range") from error
 
     def numbers(
-        self, key: str, count: int, default: tuple[float, ...] | None = None
+        self, key: str, count: int, default: tuple[float, ...] | None = None, least: int = 0
     ) -> list[float]:
-        """As many finite numbers as `count`."""
+        """As many finite numbers as `count`, or fewer, down to `least`."""
         values = self._get(key, list, "a list", None if default is None else list(default))
-        if len(values) != count:
+        if not (least or count) <= len(values) <= count:
             raise CorruptError(f"{self._place(key)}: {len(values)} numbers, not {count}")
         for value in values:
             if type(value) not in (int, float) or not abs(value) < math.inf:

@@ -19,6 +19,7 @@ do these functions.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -59,48 +60,61 @@ PIXEL_BYTES = 20
 SPARE_PIXELS = 1 << 16
 
 
-class _Pictures:
-    """The pictures among `files` with a pixel for each of `count` Gaussians."""
+class Pictures:
+    """The pictures among `files` with a pixel for each of `count` Gaussians; `what` is for
+    errors."""
 
-    def __init__(self, files: Files, count: int) -> None:
-        self._files, self._count = files, count
+    def __init__(self, files: Files, count: int, what: str = "SOG") -> None:
+        self._files, self._count, self.what = files, count, what
 
     def pixels(self, name: str, needed: int) -> Bytes:
         """(height, width, 4) of a picture that is not much larger than `needed` pixels."""
         most = 2 * needed + SPARE_PIXELS
-        return decode_webp(self._files.read(name), f"SOG: {name[:40]!r}", most)
+        return decode_webp(self._files.read(name), f"{self.what}: {name[:40]!r}", most)
 
     def rows(self, name: str) -> Bytes:
         """(N, 4): a pixel for each Gaussian."""
         pixels = self.pixels(name, self._count).reshape(-1, 4)
         if len(pixels) < self._count:
-            raise CorruptError(f"SOG: {name[:40]!r}: {len(pixels)} pixels of {self._count}")
+            raise CorruptError(f"{self.what}: {name[:40]!r}: {len(pixels)} pixels of {self._count}")
         return pixels[: self._count]
 
+    def shorts(self, names: Sequence[str]) -> npt.NDArray[np.uint16]:
+        """(N, 4): numbers of which two pictures hold the low and the high bytes."""
+        low, high = (self.rows(name) for name in names)
+        return low | high.astype(np.uint16) << np.uint16(8)
 
-def _book(fields: Fields) -> Floats:
+
+def _book(fields: Fields, codes: Bytes, least: int) -> Floats:
+    """The codebook of `fields`, in which all `codes` are. least: its least length."""
     with np.errstate(over="ignore"):  # infinities are refused with the Gaussians that have them
-        return np.array(fields.numbers("codebook", CODES)).astype(np.float32)
+        book = np.array(fields.numbers("codebook", CODES, least=least)).astype(np.float32)
+    if codes.max(initial=0) >= len(book):
+        raise CorruptError(f"{fields.where}: a code of {codes.max()} of {len(book)}")
+    return book
 
 
-def _harmonics(shn: Fields, pictures: _Pictures) -> tuple[int, Floats, npt.NDArray[np.uint16]]:
+def _harmonics(
+    shn: Fields, pictures: Pictures, least: int
+) -> tuple[int, Floats, npt.NDArray[np.uint16]]:
     """The SH degree, (k, K - 1, 3) the palette, and (N,) which row of it each Gaussian has."""
+    what = pictures.what
     degree = shn.integer("bands", most=MAX_SH_DEGREE)
     size = shn.integer("count", most=MAX_PALETTE)
     if not degree or not size:
-        raise CorruptError("SOG: shN without harmonics")
+        raise CorruptError(f"{what}: shN without harmonics")
     coefficients = sh_count(degree) - 1
     names = shn.texts("files", 2)
     width, height = PALETTE_COLUMNS * coefficients, -(-size // PALETTE_COLUMNS)
     pixels = pictures.pixels(names[0], width * height)
     if pixels.shape[1] != width or pixels.shape[0] < height:
-        raise CorruptError(f"SOG: {names[0][:40]!r}: not {width} x {height} pixels")
+        raise CorruptError(f"{what}: {names[0][:40]!r}: not {width} x {height} pixels")
     entries = pixels[..., :3].reshape(-1, coefficients, 3)[:size]
     rows = pictures.rows(names[1])
     labels = rows[:, 0] | rows[:, 1].astype(np.uint16) << np.uint16(8)
     if labels.max(initial=0) >= size:
-        raise CorruptError(f"SOG: a label of {labels.max()} where the palette has {size} rows")
-    return degree, _book(shn)[entries], labels
+        raise CorruptError(f"{what}: a label of {labels.max()} where the palette has {size} rows")
+    return degree, _book(shn, entries, least)[entries], labels
 
 
 def decode_sog(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
@@ -130,25 +144,33 @@ def _decode(files: Files, max_gaussians: int) -> Splats:
     count = check_count("SOG", meta.integer("count", most=1 << 53), max_gaussians)
     check_ratio("SOG", count * PIXEL_BYTES, files.num_bytes)
     tell_model(meta.text("model", ANTIALIASED if meta.flag("antialias") else ""))
-    pictures = _Pictures(files, count)
+    return decode_attributes(meta, Pictures(files, count), count).checked("SOG")
+
+
+def decode_attributes(
+    meta: Fields, pictures: Pictures, count: int, least_book: int = CODES
+) -> Decoded:
+    """The `count` Gaussians of the `pictures` that `meta` names, in the axes of the file; what is
+    not finite is still among them. least_book: least length of a codebook. Raises a CodecError."""
     degree, entries, labels = 0, np.empty((0, 0, 3), np.float32), np.empty(0, np.uint16)
     if "shN" in meta:
-        degree, entries, labels = _harmonics(meta.fields("shN"), pictures)
+        degree, entries, labels = _harmonics(meta.fields("shN"), pictures, least_book)
     means, scales, sh0 = (meta.fields(name) for name in ("means", "scales", "sh0"))
-    low, high = (pictures.rows(name) for name in means.texts("files", 2))
+    steps = pictures.shorts(means.texts("files", 2))[:, :3]
     scale_rows, quat_rows, sh0_rows = (
         pictures.rows(fields.texts("files", 1)[0]) for fields in (scales, meta.fields("quats"), sh0)
     )
     lower, upper = np.array(means.numbers("mins", 3)), np.array(means.numbers("maxs", 3))
-    scale_book, sh0_book = _book(scales), _book(sh0)
+    scale_book = _book(scales, scale_rows[:, :3], least_book)
+    sh0_book = _book(sh0, sh0_rows[:, :3], least_book)
     if quat_rows[:, 3].min(initial=FIRST_MODE) < FIRST_MODE:
-        raise CorruptError("SOG: a quaternion does not say which component is left out")
+        what = pictures.what
+        raise CorruptError(f"{what}: a quaternion does not say which component is left out")
     made = Decoded.empty(count, degree)
     for block in made.blocks():
-        steps = low[block, :3] | high[block, :3].astype(np.uint16) << np.uint16(8)
         three = (quat_rows[block, :3] / 255 - 0.5) * np.sqrt(2.0)
         with np.errstate(all="ignore"):  # infinities and NaN are refused below
-            logs = lower + (upper - lower) * (steps / LEVELS)
+            logs = lower + (upper - lower) * (steps[block] / LEVELS)
             made.means[block] = np.sign(logs) * np.expm1(np.abs(logs))
         made.log_scales[block] = scale_book[scale_rows[block, :3]]
         made.quats[block] = restore_largest(three, quat_rows[block, 3] - FIRST_MODE)
@@ -156,7 +178,7 @@ def _decode(files: Files, max_gaussians: int) -> Splats:
         made.sh[block, 0] = sh0_book[sh0_rows[block, :3]]
         if degree:
             made.sh[block, 1:] = entries[labels[block]]
-    return made.checked("SOG")
+    return made
 
 
 def _quantised_means(means: Floats) -> tuple[npt.NDArray[np.uint16], Doubles, Doubles]:
@@ -175,7 +197,7 @@ def _numbers(values: Floats) -> list[float]:
     return [float(str(value)) for value in values]
 
 
-class _Sheet:
+class Sheet:
     """Tables of bytes as pictures with a pixel for each of `count` rows."""
 
     def __init__(self, count: int) -> None:
@@ -191,12 +213,12 @@ class _Sheet:
         return encode_webp(pixels.reshape(self.height, self.width, -1))
 
 
-def _low_and_high(values: npt.NDArray[np.integer]) -> tuple[Bytes, Bytes]:
+def low_and_high(values: npt.NDArray[np.integer]) -> tuple[Bytes, Bytes]:
     return (values & 255).astype(np.uint8), (values >> 8).astype(np.uint8)
 
 
 def _encode_harmonics(
-    rest: Floats, sh_degree: int, sheet: _Sheet
+    rest: Floats, sh_degree: int, sheet: Sheet
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Entries of meta.json for (N, K - 1, 3) harmonics, and their pictures."""
     count, coefficients, _ = rest.shape
@@ -207,7 +229,7 @@ def _encode_harmonics(
     rows_of_pixels = -(-len(entries) // PALETTE_COLUMNS)
     pixels = np.zeros((rows_of_pixels * PALETTE_COLUMNS, coefficients * 3), np.uint8)
     pixels[: len(entries)] = codes_of(entries, book)
-    low, high = _low_and_high(labels[:, None])
+    low, high = low_and_high(labels[:, None])
     files = {
         "shN_centroids.webp": encode_webp(
             pixels.reshape(rows_of_pixels, PALETTE_COLUMNS * coefficients, 3)
@@ -220,11 +242,26 @@ def _encode_harmonics(
 
 def encode_sog(splats: Splats) -> bytes:
     """The bundled SOG of `splats`, in the order of a Morton curve. Nothing is clipped."""
+    attributes, files, _ = encode_attributes(splats)
+    meta = {"version": VERSION, "count": len(splats), "antialias": False} | attributes
+    return encode_bundle({META: json_bytes(meta)} | files)
+
+
+def json_bytes(meta: dict[str, Any]) -> bytes:
+    """The text of `meta`."""
+    return json.dumps(meta, separators=(",", ":"), allow_nan=False).encode()
+
+
+def encode_attributes(
+    splats: Splats,
+) -> tuple[dict[str, Any], dict[str, bytes], npt.NDArray[np.intp]]:
+    """What meta.json says of the attributes of `splats`, their pictures, and the order in which
+    these have the Gaussians: that of a Morton curve."""
     steps, lower, upper = _quantised_means(splats.means)
     order = np.argsort(interleave(steps.astype(np.int64)), kind="stable")
     splats, steps = splats.take(order), steps[order]
-    sheet = _Sheet(len(splats))
-    low, high = _low_and_high(steps)
+    sheet = Sheet(len(splats))
+    low, high = low_and_high(steps)
     largest, three = split_largest(unit_quats(splats.quats))
     scale_book, sh0_book = codebook(splats.log_scales), codebook(splats.sh[:, 0])
     files = {
@@ -239,10 +276,7 @@ def encode_sog(splats: Splats) -> bytes:
             codes_of(splats.sh[:, 0], sh0_book), opacity_bytes(splats.opacities)[:, None]
         ),
     }
-    meta = {
-        "version": VERSION,
-        "count": len(splats),
-        "antialias": False,
+    meta: dict[str, Any] = {
         "means": {
             "mins": lower.tolist(),
             "maxs": upper.tolist(),
@@ -256,5 +290,4 @@ def encode_sog(splats: Splats) -> bytes:
         about, pictures = _encode_harmonics(splats.sh[:, 1:], splats.sh_degree, sheet)
         meta["shN"] = about | {"files": list(pictures)}
         files |= pictures
-    text = json.dumps(meta, separators=(",", ":"), allow_nan=False).encode()
-    return encode_bundle({META: text} | files)
+    return meta, files, order

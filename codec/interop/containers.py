@@ -10,9 +10,11 @@ from typing import Protocol
 from codec.errors import CodecError
 from codec.files import read_head
 from codec.foreign import fourdgsrecords, splat4d
+from codec.foreign.bundle import MAGIC as ZIP_MAGIC
 from codec.foreign.fourdgs import FourdgsReader
 from codec.foreign.notes import reading
 from codec.foreign.splat4d import Splat4dReader
+from codec.foreign.tsog import TsogReader
 from codec.splats import Splats
 
 
@@ -33,6 +35,8 @@ READERS: dict[bytes, Callable[[Path], FrameReader]] = {
     splat4d.MAGIC: Splat4dReader,
 }
 """By the first bytes of a file."""
+TSOG_SUFFIX = ".tsog"
+"""The name of a file that begins like any ZIP archive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +70,10 @@ def contained_frames(path: Path) -> list[ContainedFrame] | None:
     if not path.is_file():
         return None
     head, _ = read_head(path, max(map(len, READERS)))
-    for magic, open_reader in READERS.items():
+    readers = dict(READERS)
+    if path.suffix.lower() == TSOG_SUFFIX:
+        readers[ZIP_MAGIC] = TsogReader
+    for magic, open_reader in readers.items():
         if head.startswith(magic):
             try:
                 with reading(path):

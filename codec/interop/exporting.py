@@ -8,6 +8,7 @@ from pathlib import Path
 from codec.errors import InvalidError
 from codec.files import replacing
 from codec.foreign.spz import SpzVersion
+from codec.foreign.tsog import encode_tsog
 from codec.framerange import FrameRange
 from codec.storage.openstorage import Place
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
@@ -75,6 +76,8 @@ def export_stream(
     if isinstance(format, SequenceFormat):
         if frame is not None or spz_version is not None:
             raise InvalidError(f"{format} holds a sequence; choose its frames by --frames A:B")
+        if format is SequenceFormat.TSOG and precision is not None:
+            raise InvalidError("--precision is for 4dgs and splat4d; tsog has its own")
         reader = StreamReader(stream, max_gaussians)
         _export_sequence(reader, out, frames, format, layers, precision or Precision.FINE)
         return [out]
@@ -115,12 +118,17 @@ def _export_sequence(
 ) -> None:
     """Writes `frames` to the file `out`, whole or not at all."""
     wanted = FrameRange.parse(frames or "0:").of(reader.num_frames, reader.name)
-    tracks = StreamTracks(reader, wanted, reader.manifest.num_layers if layers is None else layers)
-    if reader.manifest.sh_degree:
+    num_layers = reader.manifest.num_layers if layers is None else layers
+    if reader.manifest.sh_degree and format is not SequenceFormat.TSOG:
         _log.warning("%s is written without harmonics: colours do not depend on the view", format)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with replacing(out) as temporary:
+            if format is SequenceFormat.TSOG:
+                shown = [reader.active_splats(frame, num_layers) for frame in wanted]
+                temporary.write_bytes(encode_tsog(shown, reader.manifest.fps))
+                return
+            tracks = StreamTracks(reader, wanted, num_layers)
             if format is SequenceFormat.SPLAT4D:
                 write_splat4d(temporary, tracks, precision)
             else:

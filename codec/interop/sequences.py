@@ -12,6 +12,7 @@ class SequenceFormat(StrEnum):
 
     FOURDGS = "4dgs"
     SPLAT4D = "splat4d"
+    TSOG = "tsog"
 
 
 class Precision(StrEnum):

@@ -64,7 +64,7 @@ class Import:
     input: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="INPUT")]]
     """A .ply, compressed .ply, .spz, .splat, .ksplat, .sog, .glb or .gltf file, the folder of an
     unbundled SOG, or a folder of such models, one per frame, sorted by number; or a sequence in one
-    .4dgs or .splat4d file."""
+    .4dgs, .splat4d or .tsog file."""
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the new stream."""
     follow: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -90,17 +90,17 @@ class Export:
     s3://BUCKET/PATH."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Output file. With --frames, one numbered file for each frame: `name.ply` gives name_0000.ply
-    and so on; a .4dgs or .splat4d file holds them all. With --static, the output folder, or one
-    file if its name ends with .swings."""
+    and so on; a .4dgs, .splat4d or .tsog file holds them all. With --static, the output folder, or
+    one file if its name ends with .swings."""
     frame: int | None = None
     """Number of the frame, from 0 on."""
     frames: str | None = None
     """Range of frames A:B, A included, B not; A: runs to the last frame, :B begins at frame 0."""
     format: SplatFormat | SequenceFormat | None = None
     """File format; by default the one that OUT ends with. ply is exact; sog and spz are small; glb
-    and gltf are glTF with KHR_gaussian_splatting; splat is for simple viewers. 4dgs and splat4d
-    hold a whole sequence, and need the extra neighbours. docs/FORMATS.md lists what each format
-    keeps."""
+    and gltf are glTF with KHR_gaussian_splatting; splat is for simple viewers. 4dgs, splat4d and
+    tsog hold a whole sequence; the first two need the extra neighbours. docs/FORMATS.md lists what
+    each format keeps."""
     precision: Precision | None = None
     """How much 4dgs and splat4d lose: fine (the default), default or coarse, as fourdgs has it."""
     spz_version: SpzVersion | None = None

@@ -14,13 +14,16 @@ import pytest
 from hypothesis import given, settings
 from PIL import Image
 
-from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.foreign.bundle import MAX_DIRECTORY_BYTES, Bundle
 from codec.foreign.levels import Bytes
 from codec.foreign.sog import decode_sog, encode_sog
+from codec.foreign.tsog import encode_tsog
 from codec.foreign.webp import decode_webp, encode_webp, webp_size
+from codec.interop.containers import ContainedFrame, contained_frames
 from codec.interop.formats import decode_any, read_splats
 from codec.splats import Splats
+from tests.support.alike import largest_errors
 from tests.support.drawn import angles_rad, drawn_splats, same_splats
 from tests.support.hostile import refused, within_bytes
 from tests.support.trained_like import trained_like_splats
@@ -166,6 +169,75 @@ def test_how_it_was_trained(
     decode_sog(changed(**said))
     assert (says or "") in caplog.text
     assert len(caplog.messages) == (says is not None)
+
+
+TSOG: dict[str, Any] = META | {
+    "version": 4,
+    "timeline": {"type": 1, "mins": [0, 0.1], "maxs": [1, 0.3], "files": ["ml", "mu"]},
+    "temporal": {"means": {"mins": [[0, 0, 0]], "maxs": [[255, 255, 255]], "files": ["s"]}},
+    "playback": {"duration": 2, "fps": 2},
+}
+DISCRETE = {"type": 0, "N": 3, "delta": 21845, "files": ["ml", "mu"]}
+
+
+def tsog(path: Path, **parts: object) -> list[ContainedFrame]:
+    path = path / "a.tsog"
+    path.write_bytes(bundled(files_of(TSOG | parts)))
+    return contained_frames(path) or []
+
+
+def test_a_sequence_that_moves_and_fades(tmp_path: Path) -> None:
+    frames = tsog(tmp_path, audio={"file": "a.mp3"})
+    assert (len(frames), frames[0].reader.fps) == (5, 2)
+    model, velocities = decode_any(bundled(files_of(META))), np.array(PIXELS["s"])
+    for number, frame in enumerate(frames):
+        since = number / 4 - np.array([0, 1])
+        opacities = model.opacities * np.exp(-0.5 * (since / 0.3) ** 2)
+        shown = opacities >= 1 / 255
+        means = (model.means + since[:, None] * velocities) * [1, -1, -1]
+        assert frame.read(9).means == pytest.approx(means[shown], rel=1e-5)
+        assert frame.read(9).opacities == pytest.approx(opacities[shown], rel=1e-4)
+    frames = tsog(tmp_path, timeline=DISCRETE, fps=7, playback={})
+    assert frames[0].reader.fps == 7
+    assert [len(frame.read(9)) for frame in frames] == [1, 0, 1]
+    (tmp_path / "a.tsog").write_bytes(bundled(files_of(META | {"version": 4})))
+    [still] = contained_frames(tmp_path / "a.tsog") or []
+    assert len(still.read(9)) == 2
+    refused(UnsupportedError, "frame 0: TSOG: 2 Gaussians in a frame, at most 1", still.read, 1)
+
+
+def test_a_written_sequence_is_read(tmp_path: Path) -> None:
+    wanted = [trained_like_splats(50 + n, n, 1) for n in range(3)]
+    (tmp_path / "a.tsog").write_bytes(encode_tsog(wanted, 25.0))
+    frames = contained_frames(tmp_path / "a.tsog") or []
+    assert frames[0].reader.fps == 25
+    for splats, frame in zip(wanted, frames, strict=True):
+        assert (largest_errors(frame.read(99), splats) < (0.2, 0.1, 0.02, 0.003, 0.03)).all()
+    refused(InvalidError, "0 frames with 0 Gaussians", encode_tsog, [], 25.0)
+
+
+@pytest.mark.parametrize(
+    ("parts", "kind", "says"),
+    [
+        ({"version": 5}, UnsupportedError, "version 5; this program reads 4"),
+        ({"profile": {"id": "other", "version": 1}}, UnsupportedError, "profile 'other' 1"),
+        ({"timeline": DISCRETE | {"type": 2}}, UnsupportedError, "type 2"),
+        ({"timeline": DISCRETE | {"delta": 9}}, CorruptError, "delta is not 65536 over N"),
+        ({"timeline": TSOG["timeline"] | {"mins": [0, 0]}}, CorruptError, "sigma is not above 0"),
+        ({"temporal": {"colour": {}}}, UnsupportedError, "moves 'colour'"),
+        (
+            {"scales": {"codebook": BOOK[:200], "files": ["s"]}},
+            CorruptError,
+            "a code of 255 of 200",
+        ),
+        ({"playback": {"duration": 1e300, "fps": 30}}, CorruptError, "1e.300 s at 30 frames"),
+        ({"playback": {"duration": 1e6}}, CorruptError, "claims 30000001 frames"),
+    ],
+)
+def test_a_bad_tsog_is_refused(
+    parts: dict[str, object], kind: type[CodecError], says: str, tmp_path: Path
+) -> None:
+    refused(kind, rf"a\.tsog: .*{says}", tsog, tmp_path, **parts)
 
 
 def without(name: str) -> bytes:
