@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.foreign.ply import decode_ply, encode_ply
 from codec.foreign.plyheader import BINARY, MAX_HEADER_BYTES, TEXT, read_ply_header
 from codec.interop.formats import decode_any
-from codec.pose import Doubles
 from codec.splats import SH_C0, Splats
 from tests.support.drawn import drawn_splats, same_splats
 from tests.support.hostile import refused
@@ -21,6 +21,9 @@ from tests.support.trained_like import trained_like_splats
 
 def header(*elements: str, layout: str = "binary_little_endian") -> bytes:
     return "\n".join(["ply", f"format {layout} 1.0", *elements, "end_header", ""]).encode()
+
+
+Columns = dict[str, np.ndarray[Any, Any]]
 
 
 def floats(*names: str) -> list[str]:
@@ -140,53 +143,47 @@ def test_a_few_that_are_not_finite_are_left_out(caplog: pytest.LogCaptureFixture
     refused(CorruptError, "zero quaternion", decode_ply, bytes(data))
 
 
-def table(names: tuple[str, ...], rows: Doubles, *comments: str, kinds: str = "") -> bytes:
-    """A PLY of one column for each of `names`; kinds: of each a letter, float by default."""
-    kinds = kinds or len(names) * "f"
-    types = [{"f": "float", "d": "double", "B": "uchar"}[kind] for kind in kinds]
-    properties = [f"property {kind} {name}" for kind, name in zip(types, names, strict=True)]
-    lines = (*(f"comment {text}" for text in comments), f"element vertex {len(rows)}", *properties)
-    packed = [
-        struct.pack(
-            "<" + kinds, *(int(v) if k == "B" else v for v, k in zip(row, kinds, strict=True))
-        )
-        for row in rows
-    ]
-    return header(*lines) + b"".join(packed)
+def table(columns: Columns, *comments: str) -> bytes:
+    """A PLY of these columns."""
+    rows = np.rec.fromarrays(list(columns.values()), names=list(columns))
+    types = {"<f4": "float", "<f8": "double", "|u1": "uchar"}
+    lines = [f"property {types[column.dtype.str]} {name}" for name, column in columns.items()]
+    start = (*(f"comment {text}" for text in comments), f"element vertex {len(rows)}")
+    return header(*start, *lines) + rows.tobytes()
 
 
-ROWS = np.random.default_rng(0).normal(size=(6, len(REQUIRED)))
-FLAT_NAMES = tuple(name for name in REQUIRED if name != "scale_2")
-TINTED = tuple({"f_dc_0": "red", "f_dc_1": "green", "f_dc_2": "blue"}.get(n, n) for n in REQUIRED)
+ROWS: Columns = dict(
+    zip(REQUIRED, np.random.default_rng(0).normal(size=(14, 6)).astype("<f4"), strict=True)
+)
 
 
 def test_what_other_trainers_write(caplog: pytest.LogCaptureFixture) -> None:
-    plain = decode_ply(table(REQUIRED, ROWS))
+    plain = decode_ply(table(ROWS))
     # Without the third size: 2D Gaussians.
-    flat = decode_ply(table(FLAT_NAMES, np.delete(ROWS, REQUIRED.index("scale_2"), axis=1)))
+    flat = decode_ply(table({n: column for n, column in ROWS.items() if n != "scale_2"}))
     assert (flat.log_scales[:, :2] == plain.log_scales[:, :2]).all()
-    assert (flat.log_scales[:, 2] < plain.log_scales.min(axis=1) - 4).all()
+    assert (flat.log_scales[:, 2] < plain.log_scales[:, :2].min(axis=1) - 4).all()
     assert "2D Gaussians (two sizes) are read as flat ones" in caplog.text
-    # Colours as bytes.
-    rows = ROWS.copy()
-    rows[:, 3:6] = [0, 51, 255]
-    tinted = decode_ply(table(TINTED, rows, kinds="fffBBB" + 8 * "f"))
-    assert 0.5 + SH_C0 * tinted.sh[:, 0] == pytest.approx(np.tile([0, 0.2, 1], (6, 1)), abs=1e-6)
+    tints = {f"f_dc_{i}": name for i, name in enumerate(("red", "green", "blue"))}
+    named = {tints.get(name, name): column for name, column in ROWS.items()}
+    dyed = {name: np.full(6, 51 * n, np.uint8) for n, name in enumerate(tints.values())}
+    tinted = decode_ply(table(named | dyed))
+    assert 0.5 + SH_C0 * tinted.sh[:, 0] == pytest.approx(np.tile([0, 0.2, 0.4], (6, 1)), abs=1e-6)
     # A filter that the sizes lack.
-    widened = decode_ply(table((*REQUIRED, "filter_3D"), np.c_[ROWS, np.full(6, 0.5)]))
+    widened = decode_ply(table(ROWS | {"filter_3D": np.full(6, 0.5, "<f4")}))
     sizes, wider = np.exp(plain.log_scales), np.sqrt(np.exp(2 * plain.log_scales) + 0.25)
     assert np.exp(widened.log_scales) == pytest.approx(wider, rel=1e-6)
     kept = plain.opacities * sizes.prod(axis=1) / wider.prod(axis=1)
     assert widened.opacities == pytest.approx(kept, rel=1e-5)
     # Positions of a survey, in doubles.
-    rows = ROWS.copy()
-    rows[:, :3] += [448_250, 5_411_932, 0]
-    far = decode_ply(table(REQUIRED, rows, kinds=len(REQUIRED) * "d")).means
-    assert far - far[0] == pytest.approx(ROWS[:, :3] - ROWS[0, :3], abs=1e-4)
+    offsets = {"x": 448_250.0, "y": 5_411_932.0, "z": 0.0}
+    far = {name: ROWS[name].astype("<f8") + offset for name, offset in offsets.items()}
+    means = decode_ply(table(ROWS | far)).means
+    assert means - means[0] == pytest.approx(plain.means - plain.means[0], abs=1e-4)
     assert "(448000, 5412000, 0) m is taken away" in caplog.text
-    rows = ROWS.copy()
-    rows[:, 7:10] = 0.1 * np.exp(rows[:, 7:10])
-    decode_ply(table(REQUIRED, rows))
+    decode_ply(table(ROWS | {f"scale_{i}": np.full(6, 0.01 + i, "<f4") for i in range(2)}))
+    assert "they look like metres" not in caplog.text
+    decode_ply(table(ROWS | {f"scale_{i}": np.full(6, 0.01 + i / 9, "<f4") for i in range(3)}))
     assert "they look like metres" in caplog.text
 
 
@@ -206,7 +203,7 @@ def test_how_it_was_trained(
 ) -> None:
     lines = "".join(f"comment {text}\n" for text in comments)
     for data in (
-        table(REQUIRED, ROWS, *comments),
+        table(ROWS, *comments),
         compressed().replace(b"el", lines.encode() + b"el", 1),
     ):
         caplog.clear()

@@ -20,7 +20,7 @@ from codec.similarity import harmonics
 from codec.splats import Splats
 from tests.support.alike import shapes
 from tests.support.drawn import angles_rad, drawn_splats, same_splats
-from tests.support.hostile import refused, within_bytes
+from tests.support.hostile import refused
 from tests.support.trained_like import trained_like_splats
 
 HALF = np.sqrt(0.5)
@@ -128,13 +128,6 @@ def test_the_axes_that_a_file_names(number: int, name: str) -> None:
     assert seen[1] == pytest.approx(seen[0], abs=1e-5)
 
 
-def test_an_export_names_its_axes() -> None:
-    splats = trained_like_splats(3)
-    for version in (SpzVersion.V2, SpzVersion.V3):
-        assert gzip.decompress(encode_spz(splats, version)).endswith(axes(4))
-    assert encode_spz(splats, SpzVersion.V4)[32:44] == axes(4)
-
-
 def test_spz_1_keeps_half_floats() -> None:
     positions = np.array([[1, -1, 0.5], [-2, 0.1, 65504]], "<f2")
     data = legacy(2, FIRST_THREE)
@@ -170,9 +163,11 @@ def test_spz_keeps_what_its_bits_can(splats: Splats) -> None:
 @given(drawn_splats(log_scale=(-10.0, 5.9), harmonic=0.99))
 @settings(max_examples=40, deadline=None)
 def test_versions_differ_in_rotations_alone(splats: Splats) -> None:
-    third = encode_spz(splats, SpzVersion.V3)
+    third, fourth = encode_spz(splats), encode_spz(splats, SpzVersion.V4)
     assert gzip.decompress(third)[:8] == b"NGSP\3\0\0\0"
-    assert same_splats(decode_any(third), decode_any(encode_spz(splats)))
+    assert gzip.decompress(third).endswith(axes(4))
+    assert fourth[32:44] == axes(4)
+    assert same_splats(decode_any(third), decode_any(fourth))
     second = encode_spz(splats, SpzVersion.V2)
     assert gzip.decompress(second)[:8] == b"NGSP\2\0\0\0"
     back = decode_any(second)
@@ -230,27 +225,3 @@ def altered(data: bytes, place: int, value: bytes) -> bytes:
 )
 def test_a_bad_spz_is_refused(data: bytes, kind: type[CodecError], says: str) -> None:
     refused(kind, says, decode_any, data)
-
-
-def bombs() -> list[bytes]:
-    """Small files that claim or contain very much data."""
-    count = 1 << 24
-    frame = zstandard.ZstdCompressor().compress(bytes(1 << 26))
-    table = b"".join(struct.pack("<QQ", len(frame), count * row) for row in (9, 1, 3, 3, 4))
-    ngsp = header(4, count, 0)[:15] + struct.pack("<BI12x", 5, 32) + table + frame * 5
-    # The table states two Gaussians correctly, but the frame is too large.
-    lying = version_4()[:32] + struct.pack("<QQ", len(frame), 18) + version_4()[48:128] + frame
-    return [
-        gzip.compress(header(3, count, 0)),
-        gzip.compress(header(3, 2, 0) + bytes(1 << 27), 9),
-        gzip.compress(header(3, (1 << 32) - 1, 3)),
-        ngsp,
-        lying,
-    ]
-
-
-@pytest.mark.parametrize("number", range(5))
-def test_a_bomb_costs_little_memory(number: int) -> None:
-    data = bombs()[number]
-    with within_bytes(8 << 20), pytest.raises(CodecError):
-        decode_any(data)

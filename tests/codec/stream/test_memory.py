@@ -234,6 +234,13 @@ CASES: dict[str, Case] = {
     "record": (snapshot_record, RecordParser().feed, 2 * MAX_RECORD_BYTES, "value"),
     "splat": (lambda: bytes(32 << 21), read_splat, FLOAT_BYTES << 21, "value"),
     "spz": (spz_4, decode_any, 0, "SPZ: an array: decompression error: did not decompress full"),
+    "spz, gzip": (
+        lambda: gzip_member(struct.pack("<4sIIBBBB", b"NGSP", 3, 2, 0, 12, 0, 0) + bytes(MOST), 40),
+        decode_any,
+        0,
+        "SPZ: not the 40 bytes that 2 Gaussians need",
+    ),
+    "spz claims": (lambda: spz_4()[:8] + b"\0\0\0\1" + spz_4()[12:], decode_any, 0, "claims to"),
     # The limit is effective.
     "control": (bytes, lambda _: bytearray(SLACK_BYTES + (1 << 20)), 0, "MemoryError"),
 }
