@@ -15,6 +15,7 @@ from codec.foreign.gltfbuffers import join_glb, split_glb
 from codec.foreign.ksplat import HEADER, HEADER_BYTES, SECTION, SECTION_BYTES
 from codec.foreign.sog import META, encode_sog
 from codec.foreign.spz import encode_spz
+from codec.foreign.tsog import encode_tsog
 from codec.splats import Splats
 
 from . import handmade as made
@@ -146,3 +147,4 @@ def foreign_seeds(plain: Splats, degree_1: Splats) -> Iterator[tuple[str, str, b
     yield "sequence", "4dgs", fourdgs(1, "")
     yield "sequence", "4dgs-deflate", fourdgs(0, "deflate")
     yield "sequence", "splat4d", made.splat4d()
+    yield "sequence", "tsog", encode_tsog([plain, plain], 25.0)

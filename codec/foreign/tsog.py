@@ -83,9 +83,9 @@ class TsogReader:
                 self._frame_of = _frames_of(timeline, codes[:, 0])
             elif kind == CONTINUOUS:
                 lower, upper = (np.array(timeline.numbers(key, 2)) for key in ("mins", "maxs"))
-                self._spans = lower + (upper - lower) * (codes[:, :2] / LEVELS)
-                if not np.float32(lower[1]) > 0 or (lower > upper).any():
+                if not lower[1] >= np.finfo(np.float32).tiny or (lower > upper).any():
                     raise CorruptError(f"{timeline.where}: a sigma is not above 0, or mins not low")
+                self._spans = _between(lower, upper, codes[:, :2] / LEVELS)
             else:
                 raise UnsupportedError(f"{timeline.where}: type {kind}; this program reads 0 and 1")
         if "temporal" in meta:
@@ -146,6 +146,12 @@ def _frames_of(timeline: Fields, codes: npt.NDArray[np.uint16]) -> npt.NDArray[n
     return frames.astype(np.intp)
 
 
+def _between(lower: Doubles, upper: Doubles, shares: Doubles) -> Doubles:
+    with np.errstate(all="ignore"):  # what is not finite is left out with its Gaussians
+        between: Doubles = lower + (upper - lower) * shares
+    return between
+
+
 def _velocities(temporal: Fields, pictures: Pictures) -> Doubles:
     """(N, 3) velocities a clip."""
     strange = [name for name in temporal.values if name != "means"]
@@ -165,8 +171,7 @@ def _velocities(temporal: Fields, pictures: Pictures) -> Doubles:
         shares = pictures.shorts(names)[:, :3] / LEVELS
     else:
         raise CorruptError(f"{means.where}.files: {len(names)} names, not 1 or 2")
-    velocities: Doubles = ends[0] + (ends[1] - ends[0]) * shares
-    return velocities
+    return _between(ends[0], ends[1], shares)
 
 
 def _timing(meta: Fields, kind: int | None) -> tuple[int, float]:
