@@ -106,10 +106,11 @@ def whole_rows(
         good = np.isfinite(logits)
         for values in (means, log_scales, quats, sh):
             good &= np.isfinite(values).reshape(len(good), -1).all(axis=1)
-        is_turned = quats.any(axis=1)
-        bad = np.flatnonzero(~(good & is_turned))
+        finite = int(good.sum())
+        good[good] = quats[good].any(axis=1)
+        bad = np.flatnonzero(~good)
         which = f"{len(bad)} of {len(good)} Gaussians, the first is number {bad[0]}"
-        if not is_turned.all() or 2 * len(bad) >= len(good):
+        if good.sum() < finite or 2 * len(bad) >= len(good):
             raise CorruptError(f"{what}: {error} ({which})") from error
         notes().leave_out(len(bad), f"left out: {which}; {error}")
         return Splats(*(array[good] for array in arrays))
