@@ -82,6 +82,7 @@ def test_a_usual_line_fits_80_columns_with_all_that_is_known() -> None:
 def test_a_run_whose_output_is_a_file_says_how_it_goes(capture: Path, tmp_path: Path) -> None:
     done = run("swings-train", capture, tmp_path / "stream", *TINY)
     assert done.returncode == 0, done.stderr
+    assert "compiling" not in done.stderr  # the kernels are there
     lines = [line for line in done.stderr.splitlines() if " done" in line]
     assert lines[0].startswith("first of 2 frames")
     assert lines[-1].startswith("frame 1 of 2  100% done")
