@@ -58,7 +58,7 @@ class UnwritableError(CodecError):
 
 
 class ConflictError(UnwritableError):
-    """Somebody else has written in the meantime."""
+    """Another process is writing the same, or has written in the meantime."""
 
 
 class UnsupportedError(CodecError):

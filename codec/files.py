@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from .errors import CorruptError, InvalidError, UnreadableError
+from .outputlock import writing_alone
 
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
 """Error numbers of a write to a disk that is full, broken or read-only."""
@@ -99,44 +100,48 @@ def making_folder(path: Path) -> Iterator[Path]:
     absent or an empty folder.
 
     Leaving by an exception removes it, and what it says of files in it, it says of `path`. What a
-    killed process left is removed by the next one. Raises InvalidError.
+    killed process left is removed by the next one. Raises InvalidError, and ConflictError if
+    another process is making it.
     """
     temporary = temporary_beside(path)
-    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-        raise InvalidError(f"{path} is not empty; remove it or name another folder")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if temporary.exists():
-            shutil.rmtree(temporary)
-        temporary.mkdir()
-        yield temporary
-        temporary.rename(path)
-        sync_folder(path.parent)
-    except BaseException as error:
-        shutil.rmtree(temporary, ignore_errors=True)
-        if isinstance(error, OSError) and error.filename is not None:
-            inside = Path(os.fsdecode(error.filename))
-            if inside.is_relative_to(temporary):
-                error.filename = str(path / inside.relative_to(temporary))
-        raise
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with writing_alone(path):
+        if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+            raise InvalidError(f"{path} is not empty; remove it or name another folder")
+        try:
+            if temporary.exists():
+                shutil.rmtree(temporary)
+            temporary.mkdir()
+            yield temporary
+            temporary.rename(path)
+            sync_folder(path.parent)
+        except BaseException as error:
+            shutil.rmtree(temporary, ignore_errors=True)
+            if isinstance(error, OSError) and error.filename is not None:
+                inside = Path(os.fsdecode(error.filename))
+                if inside.is_relative_to(temporary):
+                    error.filename = str(path / inside.relative_to(temporary))
+            raise
 
 
 @contextmanager
 def temporary_folder(path: Path) -> Iterator[Path]:
     """Gives a new folder beside the file at `path`, for what the file is made of; leaving removes
-    it. What a killed process left is removed by the next one."""
+    it. What a killed process left is removed by the next one. Raises ConflictError if another
+    process is writing `path`."""
     temporary = path.with_name(f".{path.name}.parts")
     path.parent.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(temporary, ignore_errors=True)
-    try:
-        temporary.mkdir()
-        yield temporary
-    except OSError as error:
-        if error.filename is not None and str(temporary) in os.fsdecode(error.filename):
-            error.filename = str(path)
-        raise
-    finally:
+    with writing_alone(path):
         shutil.rmtree(temporary, ignore_errors=True)
+        try:
+            temporary.mkdir()
+            yield temporary
+        except OSError as error:
+            if error.filename is not None and str(temporary) in os.fsdecode(error.filename):
+                error.filename = str(path)
+            raise
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def append_durably(path: Path, size_bytes: int, data: bytes) -> None:

@@ -10,6 +10,7 @@ from codec.files import replacing
 from codec.foreign.spz import SpzVersion
 from codec.foreign.tsog import encode_tsog
 from codec.framerange import FrameRange
+from codec.outputlock import writing_alone
 from codec.storage.openstorage import Place
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
@@ -96,15 +97,16 @@ def export_stream(
     else:
         raise InvalidError(f"{reader.name} has no frame {frame}; it has {reader.num_frames} frames")
     written = []
-    for number in wanted:
-        path = out if frames is None else numbered(out, number, format)
-        splats = reader.active_splats(number, layers)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_splats(path, splats, format, spz_version)
-        except OSError as error:
-            raise InvalidError(f"{path} cannot be written: {error.strerror}") from error
-        written.append(path)
+    with writing_alone(out):
+        for number in wanted:
+            path = out if frames is None else numbered(out, number, format)
+            splats = reader.active_splats(number, layers)
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_splats(path, splats, format, spz_version)
+            except OSError as error:
+                raise InvalidError(f"{path} cannot be written: {error.strerror}") from error
+            written.append(path)
     return written
 
 
@@ -123,7 +125,7 @@ def _export_sequence(
         _log.warning("%s is written without harmonics: colours do not depend on the view", format)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(out) as temporary:
+        with writing_alone(out), replacing(out) as temporary:
             if format is SequenceFormat.TSOG:
                 shown = [reader.active_splats(frame, num_layers) for frame in wanted]
                 temporary.write_bytes(encode_tsog(shown, reader.manifest.fps))

@@ -21,7 +21,7 @@ from .growingplace import Shape
 
 class GrowingFolder(FolderStorage):
     """A folder of this machine, or one that several machines share, which need not be there yet.
-    The user sees to it that there is one writer."""
+    The user sees to it that there is one writer, by codec/outputlock."""
 
     def __init__(self, folder: Path, shape: Shape) -> None:
         super().__init__(folder)

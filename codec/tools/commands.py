@@ -15,6 +15,7 @@ from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
 from codec.interop.sequences import Precision, SequenceFormat
+from codec.outputlock import writing_alone
 from codec.progressline import counted
 from codec.sequence.following import FollowOptions, follow_folder
 from codec.sequence.importing import Imported, ImportOptions, import_stream
@@ -179,7 +180,12 @@ def import_files(config: Import, draw: Draw | None = None) -> str:
 
 
 def _follow_files(config: Import, draw: Draw | None) -> str:
-    with interruptible() as stop, counted(f"following {config.input.name}") as progress:
+    config.stream.parent.mkdir(parents=True, exist_ok=True)
+    with (
+        writing_alone(config.stream),
+        interruptible() as stop,
+        counted(f"following {config.input.name}") as progress,
+    ):
         made = follow_folder(
             config.input,
             config.stream,

@@ -16,6 +16,7 @@ from codec.edit.rewrite import Edited
 from codec.edit.transform import TransformOptions
 from codec.edit.view import ViewOptions
 from codec.framerange import FRAMES, FrameRange
+from codec.outputlock import writing_alone
 from codec.progressline import counted
 from codec.stream.pictures import Draw
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
@@ -126,7 +127,7 @@ def run_edit(config: Edit, draw: Draw | None = None) -> str:
 
         kept, total = draw_crop(edit.stream, edit.options, edit.preview, edit.max_gaussians)
         return f"{edit.preview}: {kept} of {total} Gaussians would stay in frame 0"
-    with counted("editing") as progress:
+    with writing_alone(edit.out), counted("editing") as progress:
         match edit:
             case Trim(frames=frames):
                 made = trim_stream(

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from codec.errors import CorruptError, InvalidError
 from codec.files import making_folder, replacing, write_atomic
+from codec.outputlock import writing_alone
 from codec.storage.openstorage import Place
 from codec.storage.storage import Storage
 from codec.stream.index import INDEX_NAME
@@ -41,7 +42,7 @@ def pack_stream(stream: Place, out: Path) -> Packed:
         raise InvalidError(f"{out} cannot be written; name a file that ends with {PACKED_SUFFIX}")
     reader = StreamReader(stream, max_gaussians=None)
     packer = _packer(reader)
-    with replacing(out) as temporary, open(temporary, "wb") as file:
+    with writing_alone(out), replacing(out) as temporary, open(temporary, "wb") as file:
         for piece in packer.pieces():
             file.write(piece)
     num_files = sum(path != TRACKS_NAME for path, _, _ in packer.layout.files())

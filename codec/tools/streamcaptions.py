@@ -7,6 +7,7 @@ from pathlib import Path
 
 from codec.errors import CodecError, InvalidError
 from codec.files import read_bounded, write_atomic
+from codec.outputlock import writing_alone
 from codec.storage.openstorage import Place, open_storage
 from codec.stream.captions import MAX_CAPTIONS_BYTES, Captions, parse_webvtt
 from codec.stream.manifest import MANIFEST_NAME, Manifest
@@ -19,38 +20,42 @@ def add_captions(stream: Path, file: Path, captions: Captions) -> int:
     """Adds the WebVTT file `file` as `captions`, in place of those of the same language; gives the
     number of its cues. The file comes first, then the manifest; a file of another name that it
     replaces goes last. Raises a SwingsError."""
-    manifest = finished(stream).manifest
-    if not file.is_file():
-        raise InvalidError(f"{file} is not a file; name one with WebVTT")
-    data = read_bounded(file, MAX_CAPTIONS_BYTES)
-    try:
-        cues = parse_webvtt(data)
-    except CodecError as error:
-        raise error.within(file) from error
-    kept = tuple(each for each in manifest.captions if not each.is_in(captions.language))
-    described = replace(manifest, captions=(*kept, captions)).to_json()
-    path = stream / captions.file_name
-    write_atomic(path, data)
-    write_atomic(stream / MANIFEST_NAME, described)
-    for each in manifest.captions:
-        old = stream / each.file_name
-        # Where file names have no case, it is the same file.
-        if each not in kept and old.exists() and not old.samefile(path):
-            old.unlink()
-    return len(cues)
+    with writing_alone(stream):
+        manifest = finished(stream).manifest
+        if not file.is_file():
+            raise InvalidError(f"{file} is not a file; name one with WebVTT")
+        data = read_bounded(file, MAX_CAPTIONS_BYTES)
+        try:
+            cues = parse_webvtt(data)
+        except CodecError as error:
+            raise error.within(file) from error
+        kept = tuple(each for each in manifest.captions if not each.is_in(captions.language))
+        described = replace(manifest, captions=(*kept, captions)).to_json()
+        path = stream / captions.file_name
+        write_atomic(path, data)
+        write_atomic(stream / MANIFEST_NAME, described)
+        for each in manifest.captions:
+            old = stream / each.file_name
+            # Where file names have no case, it is the same file.
+            if each not in kept and old.exists() and not old.samefile(path):
+                old.unlink()
+        return len(cues)
 
 
 def remove_captions(stream: Path, language: str) -> None:
     """Removes the captions in `language`: from the manifest, then the file. Raises a
     SwingsError."""
-    manifest = finished(stream).manifest
-    left = tuple(each for each in manifest.captions if not each.is_in(language))
-    if left == manifest.captions:
-        there = ", ".join(each.language for each in manifest.captions) or "none"
-        raise InvalidError(f"no captions have the language {language[:40]!a}; there are: {there}")
-    gone = next(each for each in manifest.captions if each.is_in(language))
-    write_atomic(stream / MANIFEST_NAME, replace(manifest, captions=left).to_json())
-    (stream / gone.file_name).unlink(missing_ok=True)
+    with writing_alone(stream):
+        manifest = finished(stream).manifest
+        left = tuple(each for each in manifest.captions if not each.is_in(language))
+        if left == manifest.captions:
+            there = ", ".join(each.language for each in manifest.captions) or "none"
+            raise InvalidError(
+                f"no captions have the language {language[:40]!a}; there are: {there}"
+            )
+        gone = next(each for each in manifest.captions if each.is_in(language))
+        write_atomic(stream / MANIFEST_NAME, replace(manifest, captions=left).to_json())
+        (stream / gone.file_name).unlink(missing_ok=True)
 
 
 def read_captions(place: Place, captions: Captions) -> bytes:

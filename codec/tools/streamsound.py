@@ -12,6 +12,7 @@ import numpy as np
 from codec.edit.segmentfiles import SegmentFiles
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.files import replacing, write_atomic
+from codec.outputlock import writing_alone
 from codec.stream.index import SegmentRecord
 from codec.stream.manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest, object_file
 from codec.stream.reader import StreamReader, read_stream_file
@@ -51,13 +52,14 @@ def add_sound(
     SwingsError."""
     if not abs(offset_s) <= MAX_OFFSET_S:
         raise InvalidError(f"an offset of {offset_s} s is out of range; at most {MAX_OFFSET_S}")
-    pieces = shifted(read_samples(file, source.channels), source.channels, offset_s)
-    reader = finished(stream)
-    manifest = _with_source(reader.manifest, source)
-    described = manifest.to_json()
-    size = _write(stream, reader.records, manifest.fps, pieces, source, bitrate_bps)
-    write_atomic(stream / MANIFEST_NAME, described)
-    return size
+    with writing_alone(stream):
+        pieces = shifted(read_samples(file, source.channels), source.channels, offset_s)
+        reader = finished(stream)
+        manifest = _with_source(reader.manifest, source)
+        described = manifest.to_json()
+        size = _write(stream, reader.records, manifest.fps, pieces, source, bitrate_bps)
+        write_atomic(stream / MANIFEST_NAME, described)
+        return size
 
 
 def _with_source(manifest: Manifest, source: SoundSource) -> Manifest:
@@ -93,12 +95,13 @@ def find_source(manifest: Manifest, name: str) -> SoundSource:
 
 def remove_sound(stream: Path, name: str) -> None:
     """Removes the source `name`: from the manifest, then its objects. Raises a SwingsError."""
-    reader = finished(stream)
-    gone = find_source(reader.manifest, name)
-    left = tuple(source for source in reader.manifest.sound if source != gone)
-    write_atomic(stream / MANIFEST_NAME, replace(reader.manifest, sound=left).to_json())
-    for segment in range(len(reader.records)):
-        object_file(stream, segment, gone.part).unlink(missing_ok=True)
+    with writing_alone(stream):
+        reader = finished(stream)
+        gone = find_source(reader.manifest, name)
+        left = tuple(source for source in reader.manifest.sound if source != gone)
+        write_atomic(stream / MANIFEST_NAME, replace(reader.manifest, sound=left).to_json())
+        for segment in range(len(reader.records)):
+            object_file(stream, segment, gone.part).unlink(missing_ok=True)
 
 
 def read_sound(reader: StreamReader, segment: int, source: SoundSource) -> SoundObject:
@@ -146,7 +149,7 @@ def extract_sound(stream: str, out: Path, name: str) -> int:
         raise InvalidError(f"{out} cannot be written; name a file that ends with .wav")
     reader = StreamReader(stream, max_gaussians=None)
     source, count = find_source(reader.manifest, name), 0
-    with replacing(out) as temporary, wave.open(str(temporary), "wb") as file:
+    with writing_alone(out), replacing(out) as temporary, wave.open(str(temporary), "wb") as file:
         file.setnchannels(source.channels)
         file.setsampwidth(2)
         file.setframerate(SAMPLE_RATE)

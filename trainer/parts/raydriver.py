@@ -26,7 +26,7 @@ from codec.stream.writer import SHAPE
 from trainer.run.capturesound import CaptureSound, capture_sound
 from trainer.run.config import TrainConfig
 from trainer.run.finished import finish_outputs, show_finished, show_result
-from trainer.run.outputs import check_targets
+from trainer.run.outputs import check_targets, writing_run
 from trainer.run.prepare import Prepared, fps_of, prepare
 from trainer.run.runlog import LOG_NAME, RunLog
 from trainer.run.storedconfig import config_to_json
@@ -75,6 +75,12 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
         raise InvalidError(
             "--serve serves what this process trains; with --ray run swings-serve beside it"
         )
+    with writing_run(config):
+        return _train_alone(config, address, console)
+
+
+def _train_alone(config: TrainConfig, address: str, console: Console) -> Manifest:
+    """`train_in_parts`, where no other driver writes the stream."""
     files = open_growing(config.target, SHAPE)
     if config.resume:
         finished = finish_outputs(config)

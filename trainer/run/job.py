@@ -46,6 +46,7 @@ from .outputs import (
     has_manifest,
     open_outputs,
     write_snapshot,
+    writing_run,
 )
 from .prepare import Prepared, first_gaussians, fps_of, make_manifest, prepare, shared_settings
 from .rank import CONTRIBUTION, matured_by_contribution
@@ -101,22 +102,23 @@ def train_stream(
     window has ended.
     """
     config.check_slices()
-    if config.resume:
-        finished = finish_outputs(config)
-        if finished is not None:
-            show_finished(config, console)
-            return finished
-    view = _live_view(config, console)
-    start = _checked(config, console)
-    on_checked()
-    _announce(start, console)
-    clear_bare(start.bare)
-    config.work_folder.mkdir(parents=True, exist_ok=True)
-    begin_s = time.monotonic()
-    with view or nullcontext():
-        manifest = _train(start, console, [*observers, *([view] if view else [])])
-    show_result(config, time.monotonic() - begin_s, console)
-    return manifest
+    with writing_run(config):
+        if config.resume:
+            finished = finish_outputs(config)
+            if finished is not None:
+                show_finished(config, console)
+                return finished
+        view = _live_view(config, console)
+        start = _checked(config, console)
+        on_checked()
+        _announce(start, console)
+        clear_bare(start.bare)
+        config.work_folder.mkdir(parents=True, exist_ok=True)
+        begin_s = time.monotonic()
+        with view or nullcontext():
+            manifest = _train(start, console, [*observers, *([view] if view else [])])
+        show_result(config, time.monotonic() - begin_s, console)
+        return manifest
 
 
 def _live_view(config: TrainConfig, console: Console) -> LiveView | None:

@@ -11,6 +11,7 @@ from PIL import Image
 
 from codec.errors import InvalidError
 from codec.files import temporary_beside
+from codec.outputlock import writing_alone
 from codec.slice import Slice
 from codec.slots.update import Update
 from codec.splats import Splats
@@ -77,6 +78,21 @@ def clear_bare(targets: Sequence[Target]) -> None:
 def run_targets(config: TrainConfig) -> list[Target]:
     """The places of the streams that a run writes."""
     return [config.target] + ([config.raw_stream] if config.raw_stream else [])
+
+
+@contextmanager
+def writing_run(config: TrainConfig) -> Iterator[None]:
+    """Holds the locks of all folders that a run writes. Raises ConflictError if another process
+    writes one."""
+    places = [*run_targets(config), config.work_folder]
+    folders = [Path(place) for place in places if not is_url(place)]
+    absolute = {folder.absolute() for folder in folders}
+    with ExitStack() as stack:
+        for folder in folders:
+            if absolute.isdisjoint(folder.absolute().parents):
+                folder.parent.mkdir(parents=True, exist_ok=True)
+                stack.enter_context(writing_alone(folder))
+        yield
 
 
 def check_targets(config: TrainConfig, bare: Sequence[Target] = ()) -> list[Target]:
