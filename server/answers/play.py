@@ -11,6 +11,7 @@ import math
 import random
 import time
 from collections.abc import Sequence
+from functools import partial
 from urllib.parse import parse_qsl
 
 from codec.errors import SwingsError
@@ -52,7 +53,7 @@ from server.state.recordcache import CodedRecord
 
 from .call import Call
 from .playquery import PlayQuery, parse_query
-from .statusreport import ask_rate_bps
+from .statusreport import ask_rate_bps, may_continue
 
 log = logging.getLogger(__name__)
 
@@ -108,7 +109,10 @@ async def play(call: Call) -> StreamedResponse:
     # know a newer rate, but may have died: ask it only if nothing is known locally.
     fields, now_s = call.request.fields, asyncio.get_running_loop().time()
     token = fields.get(PLAY_HEADER, "")
-    continues = is_issued(token, state.play_secret, time.time())
+    accepts, continues = partial(state.overload.accepts_plays, len(state.plays)), False
+    if not accepts() and accepts(continues=True):
+        is_ours = is_issued(token, state.play_secret, time.time())
+        continues = is_ours and await may_continue(state, token)
     call.check_room(continues)
     rate_bps = state.plays.rate_bps(token, now_s)
     rate_bps = rate_bps or parse_rate(fields.get(RATE_HEADER, ""))

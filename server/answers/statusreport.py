@@ -6,6 +6,8 @@ updates its session. If another worker runs the play, that worker is asked.
 
 from __future__ import annotations
 
+import asyncio
+import time
 from collections.abc import Coroutine
 from typing import Any
 
@@ -20,11 +22,22 @@ from server.abr.clientstatus import (
 )
 from server.exchange.errors import RequestError
 from server.exchange.response import Response
-from server.operate.workers.playmessage import PlayAnswer, PlayQuestion, worker_of
-from server.state.register import StatusOutcome
+from server.operate.workers.playmessage import (
+    PlayAnswer,
+    PlayQuestion,
+    issue_time_s,
+    worker_of,
+)
+from server.state.register import CONTINUE_S, Continuation, StatusOutcome
 from server.state.serverstate import ServerState
 
 from .call import Call
+
+END_S = 1.0
+"""Seconds that a play has to end when its client asks to continue it."""
+
+LOOK_S = 0.05
+"""How often it is looked whether it has ended, seconds."""
 
 
 def answer_status(call: Call) -> Response | Coroutine[Any, Any, Response]:
@@ -46,9 +59,42 @@ async def ask_rate_bps(state: ServerState, token: str, now_s: float) -> float | 
     return PlayAnswer.unpack(answer).rate_bps if answer else None
 
 
+async def may_continue(state: ServerState, token: str) -> bool:
+    """Whether a new play may continue that of `token`, which this server has issued: once, and soon
+    after its end. A play that still runs has END_S to end, as its client may have left it just
+    now."""
+    clock = asyncio.get_running_loop().time
+    end_s = clock() + END_S
+    while (outcome := await _continued(state, token, clock())) == Continuation.RUNNING:
+        if clock() >= end_s:
+            return False
+        await asyncio.sleep(LOOK_S)
+    return outcome == Continuation.ALLOWED
+
+
+async def _continued(state: ServerState, token: str, now_s: float) -> str:
+    """What the worker that runs or ran the play says; where it does not answer, it has died."""
+    place = worker_of(token)
+    if state.peers is None or place is None or place == state.number:
+        return _continued_here(state, token, now_s)
+    answer = await state.peers.ask(place, PlayQuestion(token, "", None, True).pack())
+    if answer is None:
+        return state.plays.continue_play(token, now_s, is_lost=True)
+    return PlayAnswer.unpack(answer).outcome
+
+
+def _continued_here(state: ServerState, token: str, now_s: float) -> str:
+    # Of a predecessor of this worker, which had the same number and died, nothing is known.
+    is_new = time.time() <= state.began_s + CONTINUE_S
+    is_lost = is_new and issue_time_s(token) < state.began_s - 1
+    return state.plays.continue_play(token, now_s, is_lost)
+
+
 def answer_peer(state: ServerState, question: bytes, now_s: float) -> bytes:
     """The packed PlayAnswer to another worker's PlayQuestion."""
     asked = PlayQuestion.unpack(question)
+    if asked.continues:
+        return PlayAnswer(_continued_here(state, asked.token, now_s)).pack()
     if asked.body is None:
         return PlayAnswer("", state.plays.rate_bps(asked.token, now_s)).pack()
     return _report(state, asked.token, asked.stream, asked.body).pack()

@@ -25,6 +25,22 @@ class StatusOutcome(StrEnum):
     """The play does not exist, or has ended."""
 
 
+class Continuation(StrEnum):
+    """Whether the token of a play lets another one continue it."""
+
+    ALLOWED = "allowed"
+    RUNNING = "running"
+    """Not yet: the play still runs."""
+    REFUSED = "refused"
+
+
+CONTINUE_S = 300.0
+"""Time after the end of a play within which its token lets another one continue it, seconds."""
+
+MAX_TOKENS = 4096
+"""Ended plays that can be continued, and tokens that have been used, at most."""
+
+
 @dataclass(slots=True)
 class RegisteredPlay:
     """A play that runs."""
@@ -54,6 +70,9 @@ class PlayRegister:
         self._keep_s = keep_s
         self._running: dict[str, RegisteredPlay] = {}
         self._ended: OrderedDict[str, tuple[float, float]] = OrderedDict()  # rate, when it ended
+        self._ended_s: OrderedDict[str, float] = OrderedDict()
+        self._used: OrderedDict[str, None] = OrderedDict()
+        """Tokens of other workers' plays that have been continued here."""
 
     def __len__(self) -> int:
         """Plays that run."""
@@ -67,11 +86,31 @@ class PlayRegister:
     def end(self, token: str, now_s: float) -> None:
         """Takes a play out; the last estimate of its link stays for a while."""
         rate_bps = self._running.pop(token).rate_bps
+        self._ended_s[token] = now_s
+        if len(self._ended_s) > MAX_TOKENS:
+            self._ended_s.popitem(last=False)
         if rate_bps is None:
             return
         self._ended[token] = rate_bps, now_s
         if len(self._ended) > self._max_ended:
             self._ended.popitem(last=False)
+
+    def continue_play(self, token: str, now_s: float, is_lost: bool) -> Continuation:
+        """Whether a new play may continue that of `token`: once, within CONTINUE_S of its end.
+
+        is_lost: whether the worker that ran the play has died, so that nothing is known of it.
+        """
+        if token in self._running:
+            return Continuation.RUNNING
+        ended_s = self._ended_s.pop(token, None)
+        if ended_s is not None and now_s - ended_s <= CONTINUE_S:
+            return Continuation.ALLOWED
+        if not is_lost or ended_s is not None or token in self._used:
+            return Continuation.REFUSED
+        self._used[token] = None
+        if len(self._used) > MAX_TOKENS:
+            self._used.popitem(last=False)
+        return Continuation.ALLOWED
 
     def find(self, token: str, stream: str) -> RegisteredPlay | None:
         """The play of `stream` that runs under this token."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+import time
 
 from server.html.webplayer import WebPlayer
 from server.library import Library
@@ -51,6 +52,8 @@ class ServerState:
         self.peers = peers
         self.play_secret = play_secret or secrets.token_bytes(32)
         """Authenticates the tokens of plays, see `make_token`."""
+        self.began_s = time.time()
+        """Unix time."""
         self.scheme = "http" if config.tls_cert is None else "https"
         """How clients call the server, where no proxy says otherwise."""
         self.proxies = parse_proxies(config.trusted_proxies)

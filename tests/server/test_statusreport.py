@@ -10,11 +10,9 @@ import pytest
 
 from server.abr.clientstatus import PLAY_HEADER, RECEIVED_HEADER, ClientStatus
 from server.abr.session import PlaySession
-from tests.support.server.running_server import (
-    eventually,
-    make_stream,
-    served,
-)
+from server.operate.overload import Overload, OverloadConfig
+from server.operate.workers.playmessage import make_token
+from tests.support.server.running_server import eventually, make_stream, served
 
 pytestmark = pytest.mark.anyio
 
@@ -99,6 +97,39 @@ async def test_a_client_is_told_what_it_had_received_on_the_network(root: Path) 
         assert found == round(play.received_bytes)
         assert 0 < found < len(body)
         response.close()
+
+
+class Full(Overload):
+    """Has room only for a client that continues a play."""
+
+    def accepts_plays(self, num_plays: int, continues: bool = False) -> bool:
+        return continues
+
+
+async def test_under_load_a_token_continues_one_play_once(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.answers.statusreport.END_S", 0.0)
+    url = "/v1/streams/long/play?layers=4"
+    async with served(root) as (server, client):
+        state = server.state
+
+        async def play(last: str) -> int:
+            async with client.get(url, headers={PLAY_HEADER: last}) as again:
+                again.close()
+                return again.status
+
+        async with client.get(url) as response:
+            token = response.headers[PLAY_HEADER]
+            state.overload = Full(OverloadConfig(), 512)
+            assert [await play(last) for last in (token, f"{token[:-1]}-", "")] == [503] * 3
+            response.close()
+        await eventually(lambda: not len(state.plays))
+        assert [await play(token) for _ in range(3)] == [200, 503, 503]
+        # One that the worker before this one had issued, which died.
+        state.began_s += 10
+        lost = make_token(state.number, state.play_secret, state.began_s - 5)
+        assert [await play(lost) for _ in range(2)] == [200, 503]
 
 
 async def test_a_client_that_comes_back_does_not_start_blind(

@@ -44,6 +44,13 @@ def is_issued(token: str, secret: bytes, now_s: float) -> bool:
     return is_ours and now_s < int(match[1], 16) + MAX_TOKEN_AGE_S
 
 
+def issue_time_s(token: str) -> int:
+    """When `make_token` made `token`, which `is_issued`: Unix time."""
+    match = _ISSUED.fullmatch(token)
+    assert match is not None
+    return int(match[1], 16)
+
+
 def _mac(text: str, secret: bytes) -> str:
     digest = hmac.digest(secret, text.encode(), "sha256")
     return urlsafe_b64encode(digest[:_MAC_BYTES]).decode()
@@ -57,11 +64,13 @@ def worker_of(token: str) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class PlayQuestion:
-    """A status report for a play; without a body, a question for its rate."""
+    """A status report for a play; without a body, a question for its rate, or whether another play
+    may continue it."""
 
     token: str
     stream: str
     body: bytes | None = None
+    continues: bool = False
 
     def pack(self) -> bytes:
         packed: bytes = msgpack.packb(astuple(self))
@@ -77,7 +86,7 @@ class PlayAnswer:
     """The answer to a PlayQuestion."""
 
     outcome: str
-    """Outcome of the report; empty if the question had none."""
+    """Outcome of the report, or of the wish to continue; empty for a question for the rate."""
     rate_bps: float | None = None
     """The estimate of the client's link, where there is one."""
     problem: str = ""

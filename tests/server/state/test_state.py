@@ -89,6 +89,25 @@ def test_who_seeks_is_known_while_the_old_play_still_runs() -> None:
     assert plays.rate_bps("a", 0.0) == 7e6
 
 
+def test_a_token_continues_one_play_once_soon_after_its_end() -> None:
+    plays = register()
+    plays.begin("a", "walk")
+    assert plays.continue_play("a", 0.0, False) == "running"
+    for token, later_s, is_lost, outcomes in (
+        ("a", 300.0, False, ["allowed", "refused"]),
+        ("b", 300.1, True, ["refused"]),
+        ("unknown", 0.0, False, ["refused"]),
+        ("of a dead worker", 0.0, True, ["allowed", "refused"]),
+    ):
+        if len(token) == 1:
+            ended(plays, token, None, now_s=100.0)
+        assert [plays.continue_play(token, 100.0 + later_s, is_lost) for _ in outcomes] == outcomes
+    for n in range(5000):
+        ended(plays, str(n), None, now_s=0.0)
+    assert plays.continue_play("0", 0.0, False) == "refused"
+    assert plays.continue_play("4999", 0.0, False) == "allowed"
+
+
 def test_only_the_newest_are_remembered() -> None:
     plays = register(max_ended=3)
     for n in range(1000):
