@@ -328,7 +328,7 @@ class _Playback:
         from player.sound.soundtrack import SoundTrack  # its decoder loads slowly
 
         files = stack.enter_context(closing(self._opener.sound_files()))
-        return SoundTrack(manifest, files.read, config.volume)
+        return SoundTrack(manifest, files.read, source.num_frames, config.volume)
 
     def _show(
         self,

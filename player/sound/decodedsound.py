@@ -31,13 +31,14 @@ class SegmentLoader:
         self._read = read
         self._decoders = [(source, SegmentDecoder(source, manifest)) for source in manifest.sound]
 
-    def load(self, segment: int) -> list[Samples]:
-        """The samples of each source. Blocks. Raises a SwingsError."""
+    def load(self, segment: int, end_frame: int) -> list[Samples]:
+        """The samples of each source. Blocks. end_frame: the frames before it are in the stream.
+        Raises a SwingsError."""
         found = []
         for source, decoder in self._decoders:
             data = self._read(segment, source)
             try:
-                found.append(decoder.decode(segment, data))
+                found.append(decoder.decode(segment, data, end_frame))
             except CodecError as error:
                 raise error.within(f"segment {segment}, {source.part}") from error
         return found

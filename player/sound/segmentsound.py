@@ -57,15 +57,17 @@ class SegmentDecoder:
         self._decoder = PacketDecoder(source.channels)
         self._tail: Samples = np.zeros((0, source.channels), np.int16)  # before `_end`
 
-    def decode(self, segment: int, data: bytes) -> Samples:
+    def decode(self, segment: int, data: bytes, end_frame: int = 0) -> Samples:
         """All samples of `segment`, (n, channels), with the object `data`; silence where the source
-        or its packets have ended. Raises CorruptError."""
+        or its packets have ended. end_frame: the frames before it are in the stream, so that their
+        sound must be there. Raises CorruptError."""
         found = SoundObject.parse(data)
         if found.channels != self._source.channels:
             raise CorruptError(f"sound: {found.channels} channels, not {self._source.channels}", 12)
         begin, stop = segment_span(self._manifest, segment)
         # The last segment is shorter; which one that is, is not known while the stream is live.
-        found.check_covers(begin, min(stop, found.end - found.pre_skip))
+        known = max(first_sample(end_frame, self._manifest.fps), found.end - found.pre_skip)
+        found.check_covers(begin, min(stop, known))
         samples = np.zeros((stop - begin, found.channels), np.int16)
         last = min(stop, found.num_samples)
         # Packets before the first of these positions, and after the other, are not needed: a

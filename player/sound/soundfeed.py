@@ -150,7 +150,7 @@ class SoundFeed:
                 self._stopped.wait(LOOK_S)
                 continue
             try:
-                self._decoded.put(segment, self._loader.load(segment))
+                self._decoded.put(segment, self._loader.load(segment, at.end_frame))
                 self.loaded += 1
                 length_s = self._manifest.segment_frames / self._manifest.fps / at.rate
                 self._pace.fetched(began_s, time.monotonic(), length_s)

@@ -17,8 +17,11 @@ class SoundTrack:
     """Pieces of sound, one for each frame, of frames in any order. What cannot be read is an
     error."""
 
-    def __init__(self, manifest: Manifest, read: ReadSound, volume: float = 1.0) -> None:
-        self._manifest, self._volume = manifest, volume
+    def __init__(
+        self, manifest: Manifest, read: ReadSound, num_frames: int, volume: float = 1.0
+    ) -> None:
+        """num_frames: of the stream, as far as it is known."""
+        self._manifest, self._num_frames, self._volume = manifest, num_frames, volume
         self._loader = SegmentLoader(manifest, read)
         self._decoded = DecodedSound(manifest)
         self._pieces = 0
@@ -44,4 +47,4 @@ class SoundTrack:
     def _load(self, segment: int) -> None:
         if not self._decoded.has(segment):
             self._decoded.keep(())
-            self._decoded.put(segment, self._loader.load(segment))
+            self._decoded.put(segment, self._loader.load(segment, self._num_frames))

@@ -13,7 +13,7 @@ import pytest
 from codec.errors import SwingsError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
-from codec.stream.sound import SoundSource, first_sample
+from codec.stream.sound import SoundObject, SoundSource, first_sample
 from player.config import CameraPathName, PlayConfig
 from player.render.renderer import RendererKind
 from player.run.playback import play
@@ -97,12 +97,14 @@ def test_gains_are_of_equal_power_and_fall_with_distance() -> None:
     assert gains_of(SoundSource("a", 2), 0.0, camera) == (1.0, 1.0)
 
 
-def test_a_bad_object_is_named_and_leaves_no_file(tmp_path: Path) -> None:
+@pytest.mark.parametrize("damage", ["a bit", "the number of samples to skip"])
+def test_a_bad_object_is_named_and_leaves_no_file(tmp_path: Path, damage: str) -> None:
     write_stream(tmp_path / "s", 12)
     add_clicks(tmp_path / "s", (2,))
     path = tmp_path / "s" / "segments" / "1" / "audio-main"
     data = path.read_bytes()
-    path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    skipping = replace(SoundObject.parse(data), pre_skip=65535).pack()
+    path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]) if damage == "a bit" else skipping)
     out = tmp_path / "out.mp4"
     with pytest.raises(SwingsError, match="segment 1, audio-main"):
         play(PlayConfig(str(tmp_path / "s"), out, renderer=CPU, size=SMALL))
