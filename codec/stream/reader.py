@@ -83,6 +83,12 @@ class StreamReader:
         """Frames that can be shown now: 0..num_frames-1."""
         return self.records[-1].first_frame + self.records[-1].num_frames if self.records else 0
 
+    def summary(self, num_layers: int) -> str:
+        """The length of the stream and the layers of it that are read, for people."""
+        frames = "1 frame" if self.num_frames == 1 else f"{self.num_frames} frames"
+        layers = "1 layer" if num_layers == 1 else f"{num_layers} layers"
+        return f"{frames} at {self.manifest.fps:g} a second, {layers}"
+
     @property
     def births(self) -> range:
         """The births of all slices there are now."""

@@ -8,6 +8,7 @@ splats = stream.frame(12)
 from __future__ import annotations
 
 from collections.abc import Iterator
+from operator import index
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -86,6 +87,16 @@ class OpenedStream:
         InvalidError for a frame or layers that there are not, CorruptError for damaged files.
         """
         return self._open().active_splats(frame, self.num_layers if layers is None else layers)
+
+    def __getitem__(self, frame: int) -> Splats:
+        """`stream[30]` is `frame(30)`, and `stream[-1]` the last frame that there is now."""
+        frame = index(frame)
+        return self.frame(frame + self.num_frames if frame < 0 else frame)
+
+    def __repr__(self) -> str:
+        if self._reader is None:
+            return f"<OpenedStream {self.name}: closed>"
+        return f"<OpenedStream {self.name}: {self._reader.summary(self.num_layers)}>"
 
     def __len__(self) -> int:
         return self.num_frames

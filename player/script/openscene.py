@@ -271,6 +271,10 @@ class Scene:
         if self._web is not None:
             self._web.close()
 
+    def __repr__(self) -> str:
+        state = "closed" if self._closed else self._reader.summary(self.num_layers)
+        return f"<Scene {self.name}: {state}>"
+
     def __enter__(self) -> Self:
         self._check_open()
         return self
