@@ -15,6 +15,11 @@ if TYPE_CHECKING:
 __all__ = ["OpenedStream", "SwingsError", "open_stream"]
 
 
+def __dir__() -> list[str]:
+    # Otherwise completion knows only what has been used.
+    return sorted([*globals(), *__all__])
+
+
 def __getattr__(name: str) -> Any:
     # Most importers need no decoder, which loads slowly.
     if name == "SwingsError":
@@ -25,4 +30,8 @@ def __getattr__(name: str) -> Any:
         from .tools import openedstream
 
         return getattr(openedstream, name)
+    if name == "__version__":
+        from .version import version
+
+        return version()
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -17,6 +17,8 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from .errors import SwingsError
 from .files import describe_os_error
+from .helptext import help_text
+from .version import version
 
 Config = TypeVar("Config")
 Value = TypeVar("Value")
@@ -143,18 +145,27 @@ def say(text: str) -> None:
         sys.stdout.write(printable(text) + "\n")
 
 
+def cli(config_type: Any, args: Sequence[str], **options: Any) -> Any:
+    """Called like tyro.cli, with our own help (see codec/helptext)."""
+    if {"-h", "--help", "--help-all"} & set(args):
+        wanted = {k: options[k] for k in ("prog", "description", "default") if k in options}
+        say(help_text(config_type, args, **wanted))
+        sys.exit(0)
+    return tyro.cli(config_type, args=args, **options)
+
+
 def run_command(
     config_type: type[Config],
     run: Callable[[Config], None],
     prog: str,
     description: str,
-    parse: Callable[..., Config] = tyro.cli,
+    parse: Callable[..., Config] = cli,
 ) -> None:
-    """Parses the command line into `config_type` and runs it. parse: called like tyro.cli.
+    """Parses the command line into `config_type` and runs it. parse: called like `cli`.
 
     Exits with 0 when done, 1 with one line on stderr for a SwingsError or an OSError, 2 for bad
     usage, 128 + N when signal N has ended it: Ctrl-C, SIGTERM or SIGHUP. A `--verbose` anywhere
-    among the arguments shows the traceback and debug logs.
+    among the arguments shows the traceback and debug logs; `--version` prints the version.
     """
     # Not a field of the configs, because it may stand before a subcommand and after it.
     verbose, arguments = split_option(None, "--verbose", action="store_true")
@@ -164,7 +175,6 @@ def run_command(
         handler.setFormatter(formatter)
     for noisy in ("numba", "matplotlib", "PIL", "asyncio"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
-    epilogue = "--verbose shows debug logs and, on failure, the traceback."
 
     def fail(error: Exception, status: int) -> NoReturn:
         if verbose:
@@ -177,20 +187,21 @@ def run_command(
         sys.exit(status)
 
     try:
-        config = parse(
-            config_type,
-            prog=prog,
-            description=f"{description}\n\n{epilogue}",
-            args=arguments,
-            config=(tyro.conf.EnumChoicesFromValues,),
-        )
-    except SwingsError as error:  # a config refused its values
-        fail(error, 2)
-    try:
-        with ending_by_signals():
+        with ending_by_signals(), _flushing():
+            if "--version" in arguments:
+                return say(f"{prog} {version()}")
+            try:
+                with printing():  # a help, or a completion script
+                    config = parse(
+                        config_type,
+                        prog=prog,
+                        description=description,
+                        args=arguments,
+                        config=(tyro.conf.EnumChoicesFromValues,),
+                    )
+            except SwingsError as error:  # a config refused its values
+                fail(error, 2)
             run(config)
-            with printing():
-                sys.stdout.flush()
     except KeyboardInterrupt as error:
         sys.exit(128 + (error.number if isinstance(error, Ended) else signal.SIGINT))
     except (SwingsError, OSError) as error:
@@ -199,6 +210,19 @@ def run_command(
             if isinstance(error, BrokenPipeError):
                 sys.exit(OUTPUT_CLOSED)
         fail(error, 1)
+
+
+@contextmanager
+def _flushing() -> Iterator[None]:
+    """Has what is printed in the block printed at its end, also at that of a help."""
+    try:
+        yield
+    except SystemExit:
+        with printing():
+            sys.stdout.flush()
+        raise
+    with printing():
+        sys.stdout.flush()
 
 
 def _forget_output() -> None:

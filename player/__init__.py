@@ -14,11 +14,21 @@ if TYPE_CHECKING:
 
 __all__ = ["Scene", "ViserView"]
 
+
+def __dir__() -> list[str]:
+    # Otherwise completion knows only what has been used.
+    return sorted([*globals(), *__all__])
+
+
 _MODULES = {"Scene": "player.script.openscene", "ViserView": "player.script.viserview"}
 
 
 def __getattr__(name: str) -> Any:
     # The code that decodes and draws loads slowly, and most importers of this package need none.
+    if name == "__version__":
+        from codec.version import version
+
+        return version()
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_MODULES[name]), name)

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
@@ -15,6 +15,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 from codec.console import option
 from codec.errors import InvalidError
 from codec.framerange import FRAMES, FrameRange
+from codec.helptext import Groups
 from codec.storage.credentials import without_credentials
 from codec.stream.captions import LANGUAGE
 from codec.stream.manifest import Manifest
@@ -155,6 +156,15 @@ class PictureKind(StrEnum):
 @dataclass(frozen=True, slots=True)
 class PlayConfig:
     """The stream to play, and how to show it."""
+
+    EVERYDAY: ClassVar[Groups] = {
+        "Picture": ("camera", "size", "background", "layers", "interpolate", "renderer"),
+        "Time": ("frames", "loop", "rate"),
+        "Files": ("capture", "fps", "still", "turntable", "picture"),
+        "Sound and captions": ("mute", "volume", "captions"),
+        "Network": ("link", "report", "plot", "cache"),
+        "In a browser": ("viser",),
+    }
 
     source: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="SOURCE")]]
     """Folder of a stream or its .swings file, URL of a served stream (http://HOST:PORT,

@@ -7,12 +7,13 @@ import signal
 import sys
 import threading
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
 from codec.console import run_command
 from codec.errors import InvalidError
+from codec.helptext import Groups
 
 from .listener import bind, url_of
 from .operate.settings import settings_parser
@@ -23,6 +24,13 @@ from .state.config import ServerConfig
 @dataclass(frozen=True, slots=True)
 class ServeCommand:
     """Serve one stream, or a folder of streams."""
+
+    EVERYDAY: ClassVar[Groups] = {
+        "Address": ("host", "port", "tls-cert", "tls-key"),
+        "Access": ("keys", "public", "cors-origin", "trusted-proxies"),
+        "Load": ("workers", "max-plays", "max-address-plays"),
+        "Log and settings": ("log", "log-requests", "check-config", "sample"),
+    }
 
     root: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="ROOT")]] = ""
     """Folder of one stream, its .swings file, or a folder of several of them; or the URL of one of

@@ -260,7 +260,7 @@ def all_options() -> frozenset[str]:
     subcommands += [["swings-stream", "audio", kind] for kind in ("add", "remove", "extract")]
     subcommands += [["swings-stream", "captions", kind] for kind in ("add", "remove")]
     for name, *words in [*([name] for name in ENTRY), *subcommands]:
-        told += run_ok(name, *words, "--help")
+        told += run_ok(name, *words, "--help-all")
     return frozenset(re.findall(r"--[a-z][a-z0-9.-]*", told))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 import tyro
@@ -12,6 +12,7 @@ import tyro
 from codec.console import interruptible
 from codec.errors import InvalidError
 from codec.foreign.spz import SpzVersion
+from codec.helptext import Groups
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
 from codec.interop.sequences import Precision, SequenceFormat
@@ -62,6 +63,12 @@ class Import:
     numbered file per frame; with --follow a live stream from a folder that is still being
     written."""
 
+    EVERYDAY: ClassVar[Groups] = {
+        "Files": ("fps", "frames"),
+        "Stream": ("title", "layers", "sh-degree", "exact", "temporal"),
+        "Live": ("follow", "resume", "live.segment-s", "live.end-after-s"),
+    }
+
     input: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="INPUT")]]
     """A .ply, compressed .ply, .spz, .splat, .ksplat, .sog, .glb or .gltf file, the folder of an
     unbundled SOG, or a folder of such models, one per frame, sorted by number; or a sequence in one
@@ -95,7 +102,7 @@ class Export:
     one file if its name ends with .swings."""
     frame: int | None = None
     """Number of the frame, from 0 on."""
-    frames: str | None = None
+    frames: Annotated[str | None, tyro.conf.arg(metavar="A:B")] = None
     """Range of frames A:B, A included, B not; A: runs to the last frame, :B begins at frame 0."""
     format: SplatFormat | SequenceFormat | None = None
     """File format; by default the one that OUT ends with. ply is exact; sog and spz are small; glb

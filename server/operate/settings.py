@@ -21,6 +21,7 @@ from typing import Any, get_type_hints
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+from codec.console import cli
 from codec.errors import InvalidError
 
 CHECK_CONFIG = "check_config"
@@ -96,7 +97,7 @@ def _walk(config_type: type[Any], path: str, flag: str, markers: set[Any]) -> It
 
 
 def settings_parser(prefix: str, environment: Mapping[str, str] = os.environ) -> Callable[..., Any]:
-    """A `parse` for `run_command`, called like tyro.cli, that also reads environment variables.
+    """A `parse` for `run_command` that also reads environment variables.
 
     prefix: of the variables: with SWINGS_SERVE, `SWINGS_SERVE_MAX_PLAYS=5` is `--max-plays 5`. If
     the config type's field `check_config` is true, the settings are printed and the process exits
@@ -104,12 +105,12 @@ def settings_parser(prefix: str, environment: Mapping[str, str] = os.environ) ->
     """
 
     def parse(config_type: type[Any], args: Sequence[str], **options: Any) -> Any:
-        if not {"-h", "--help"} & set(args):
+        if not {"-h", "--help", "--help-all"} & set(args):
             known = settings_of(prefix, config_type)
             given = {v: t for v, t in sorted(environment.items()) if v.startswith(f"{prefix}_")}
             if given:
                 options["default"] = _with_given(prefix, config_type, known, given)
-        command = tyro.cli(config_type, args=args, **options)
+        command = cli(config_type, args=args, **options)
         if getattr(command, CHECK_CONFIG):
             sys.stdout.write(settings_text(prefix, command))
             sys.exit(0)

@@ -6,12 +6,13 @@ import math
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
 from codec.console import option
 from codec.errors import InvalidError
+from codec.helptext import Groups
 from server.abr.link.ratetext import RATE_PATTERN, rate_bps
 from server.abr.session import SessionConfig
 from server.study.policies.choice import POLICIES
@@ -57,6 +58,12 @@ BITRATE = option(
 @dataclass(frozen=True, slots=True)
 class StudyConfig:
     """The plays to simulate, and the folder of the report."""
+
+    EVERYDAY: ClassVar[Groups] = {
+        "Report": ("out", "policies", "timeline"),
+        "Links": ("traces", "generate", "loads", "half", "per-folder", "latency-s"),
+        "Plays": ("length", "as-bitrate", "jobs", "seed"),
+    }
 
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of a stream; only its manifest and index are read."""

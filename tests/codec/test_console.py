@@ -8,9 +8,9 @@ import signal
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import pytest
 import tyro
@@ -18,8 +18,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+import codec
 from codec.console import Ended, ending_by_signals, run_command
 from codec.errors import InvalidError, SwingsError
+from codec.helptext import Groups, help_text
 from codec.progressline import Stage, counted, line_of
 from tests.support.commands import ROOT
 from tests.support.hostile import refused
@@ -76,10 +78,77 @@ def test_verbose_anywhere_shows_the_traceback(command: Any, arguments: Sequence[
     refused(SwingsError, "-3 is below 0", command, *arguments)
 
 
-def test_help_and_completion(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_version_and_completion(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments in (["--help"], ["--tyro-print-completion", "bash"]):
         assert not refused(SystemExit, "", command, *arguments).code
         assert "--twice" in capsys.readouterr().out
+    command("--version")
+    assert capsys.readouterr().out == f"think {codec.__version__}\n"
+
+
+HELP = """\
+usage: fill [OUT] --size N [options]
+
+Fills a jar.
+
+  [OUT]            The jar.
+
+Often:
+  --size N         How many it holds. (required)
+  --in-layers A B ...
+                   In what order: the first one lies at
+                   the bottom, of all that are named.
+                   (default: a)
+
+Help:
+  -h, --help       Show this help.
+  --help-all       Show 3 more options.
+  --verbose        Show debug logs and, on failure, the
+                   traceback.
+  --version        Print the version of swings."""
+
+ALL = """\
+More options:
+  --no-stir        Stir. (default: on; this switches it
+                   off)
+  --label TEXT     What is written on it.
+
+What costs time:
+  --slow.wait-s NUMBER
+                   Seconds to wait. (default: 0.5)
+"""
+
+
+@dataclass(frozen=True)
+class Slow:
+    wait_s: float = 0.5
+    """Seconds to wait."""
+
+
+@dataclass(frozen=True)
+class Fill:
+    EVERYDAY: ClassVar[Groups] = {"Often": ("size", "in-layers")}
+
+    size: int
+    """How many it
+    holds."""
+    out: tyro.conf.Positional[Path] = Path()
+    """The jar."""
+    in_layers: Annotated[tuple[str, ...], tyro.conf.arg(metavar="A B ...")] = ("a",)
+    """In what order: the first one lies at the bottom, of all that
+    are named."""
+    stir: bool = True
+    """Stir."""
+    label: str | None = None
+    """What is written on it."""
+    slow: Slow = field(default_factory=Slow)
+    """What costs time."""
+
+
+def test_everyday_options_come_first_and_lines_are_full() -> None:
+    told = help_text(Fill, ["--help"], "fill", "Fills a jar.", columns=58)
+    assert told == HELP
+    assert ALL in help_text(Fill, ["--help-all"], "fill", "Fills a jar.", columns=58)
 
 
 def test_a_parser_of_its_own(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
@@ -172,12 +241,12 @@ run_command(Lines, tell, "tell", "Tells lines.")
 """
 
 
-@pytest.mark.parametrize("count", [3, 100_000])
-def test_who_reads_the_first_line_only_gets_it_and_no_complaint(count: int) -> None:
-    teller = piped(PRINTER, "--count", str(count))
+@pytest.mark.parametrize("words", ["--count 3", "--count 100000", "--help"])
+def test_who_reads_the_first_line_only_gets_it_and_no_complaint(words: str) -> None:
+    teller = piped(PRINTER, *words.split())
     assert teller.stdout is not None
     assert teller.stderr is not None
-    if count > 3:
+    if "100000" in words:
         assert teller.stdout.readline() == "line 0\n"
     teller.stdout.close()  # with few lines before the command has printed any
     assert teller.stderr.read() == ""

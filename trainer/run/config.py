@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
 from codec.errors import InvalidError
+from codec.helptext import Groups
 from codec.slots.slotlayout import MAX_LAYERS, MAX_TEMPORAL_PERIOD
 from codec.storage.openstorage import Target, is_url
 from codec.storage.targetargument import target_named
@@ -37,6 +38,14 @@ Preset = Literal["cpu", "fast", "fine", "gpu", "paper"]
 class TrainConfig:
     """Trains a capture into a stream."""
 
+    EVERYDAY: ClassVar[Groups] = {
+        "Capture": ("check", "frames", "scale", "longest-px", "fps", "audio"),
+        "Quality and time": ("preset", "num-gs", "sh-degree", "backend"),
+        "Stream": ("title", "default-camera", "layers", "temporal", "segment-frames"),
+        "While it trains": ("serve", "resume", "work"),
+        "Many machines": ("ray", "worker-cpus", "worker-gpus"),
+    }
+
     capture: tyro.conf.Positional[
         Annotated[
             Target,
@@ -59,7 +68,7 @@ class TrainConfig:
     """Set of defaults: cpu (minutes on two cores), fast (a first look), fine (an hour or two on two
     cores), gpu (200,000 Gaussians on a GPU), or paper (the paper's settings, made for a GPU). Other
     options override them."""
-    frames: str = ":"
+    frames: Annotated[str, tyro.conf.arg(metavar="A:B")] = ":"
     """Range of frames of the capture to train, A:B, A included, B not."""
     scale: float = 1.0
     """Size of the training pictures relative to the capture's, above 0 to 1."""
@@ -152,7 +161,7 @@ class TrainConfig:
     picks a free port. The server ends with the run. It logs to serve.log in the work folder."""
     title: str = ""
     """Title of the stream; by default the name of the capture's folder."""
-    default_camera: str | None = None
+    default_camera: Annotated[str | None, tyro.conf.arg(metavar="CAMERA")] = None
     """Name of the camera that the stream opens with, and whose view its poster shows; by default
     the most central of those to train on with the commonest size of picture."""
     cache_bytes: int = DEFAULT_MAX_BYTES

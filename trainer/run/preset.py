@@ -6,9 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import tyro
-
-from codec.console import split_option
+from codec.console import cli, split_option
 from codec.storage.openstorage import parse_target
 from trainer.errors import CheckpointError
 from trainer.fit.config import FitConfig
@@ -105,7 +103,7 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
 def parse_with_preset(
     config_type: Callable[..., TrainConfig], args: Sequence[str], **options: Any
 ) -> TrainConfig:
-    """Calls `tyro.cli` with the defaults of the preset that `args` name, if any; where they ask to
+    """Calls `cli` with the defaults of the preset that `args` name, if any; where they ask to
     resume a run, with that run's settings.
 
     An unknown name is left to tyro to refuse.
@@ -114,10 +112,10 @@ def parse_with_preset(
     args = _with_address(args)
     before = _resumed(args) if "--resume" in args else None
     if before is not None:
-        config = tyro.cli(TrainConfig, default=before, args=args, **options)
+        config = cli(TrainConfig, default=before, args=args, **options)
         return config
     preset, _ = split_option(args, "--preset", nargs="?")
-    config = tyro.cli(PRESETS.get(preset, config_type), args=args, **options)
+    config = cli(PRESETS.get(preset, config_type), args=args, **options)
     return config
 
 
