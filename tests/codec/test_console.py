@@ -8,9 +8,10 @@ import signal
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Any
 
 import pytest
 import tyro
@@ -21,11 +22,12 @@ from rich.console import Console
 import codec
 from codec.console import Ended, ending_by_signals, run_command
 from codec.errors import InvalidError, SwingsError
-from codec.helptext import Groups, help_text
+from codec.helptext import help_text
 from codec.progressline import Stage, counted, line_of
 from tests.support.commands import ROOT
 from tests.support.hostile import refused
 from tests.support.waiting import BOUND_S
+from trainer.run.config import TrainConfig
 
 
 @dataclass(frozen=True)
@@ -86,69 +88,23 @@ def test_help_version_and_completion(command: Any, capsys: pytest.CaptureFixture
     assert capsys.readouterr().out == f"think {codec.__version__}\n"
 
 
-HELP = """\
-usage: fill [OUT] --size N [options]
-
-Fills a jar.
-
-  [OUT]            The jar.
-
-Often:
-  --size N         How many it holds. (required)
-  --in-layers A B ...
-                   In what order: the first one lies at
-                   the bottom, of all that are named.
-                   (default: a)
-
-Help:
-  -h, --help       Show this help.
-  --help-all       Show 3 more options.
-  --verbose        Show debug logs and, on failure, the
-                   traceback.
-  --version        Print the version of swings."""
-
-ALL = """\
-More options:
-  --no-stir        Stir. (default: on; this switches it
-                   off)
-  --label TEXT     What is written on it.
-
-What costs time:
-  --slow.wait-s NUMBER
-                   Seconds to wait. (default: 0.5)
-"""
-
-
-@dataclass(frozen=True)
-class Slow:
-    wait_s: float = 0.5
-    """Seconds to wait."""
-
-
-@dataclass(frozen=True)
-class Fill:
-    EVERYDAY: ClassVar[Groups] = {"Often": ("size", "in-layers")}
-
-    size: int
-    """How many it
-    holds."""
-    out: tyro.conf.Positional[Path] = Path()
-    """The jar."""
-    in_layers: Annotated[tuple[str, ...], tyro.conf.arg(metavar="A B ...")] = ("a",)
-    """In what order: the first one lies at the bottom, of all that
-    are named."""
-    stir: bool = True
-    """Stir."""
-    label: str | None = None
-    """What is written on it."""
-    slow: Slow = field(default_factory=Slow)
-    """What costs time."""
-
-
-def test_everyday_options_come_first_and_lines_are_full() -> None:
-    told = help_text(Fill, ["--help"], "fill", "Fills a jar.", columns=58)
-    assert told == HELP
-    assert ALL in help_text(Fill, ["--help-all"], "fill", "Fills a jar.", columns=58)
+@pytest.mark.parametrize("columns", [60, 80, 150])
+def test_everyday_options_come_first_and_lines_are_full(columns: int) -> None:
+    told, whole = (
+        help_text(TrainConfig, [word], "train", "Trains.", columns=columns)
+        for word in ("--help", "--help-all")
+    )
+    assert re.search(r"Quality and time:\n  --preset \{cpu,fast,fine,gpu,paper\}\n +Set of", told)
+    assert "--calm-end" not in told
+    assert "\n\nMore options:\n" in whole
+    assert "\n\nLearning rates:\n  --optimiser." in whole
+    assert "--no-" not in whole
+    assert not re.search(r"None|INT|FLOAT|STR\b|default: :|default: \)", whole)
+    column = min(26, columns // 3)
+    for line, after in pairwise(whole.splitlines()):
+        assert len(line) <= columns
+        if after.startswith(" " * column) and line[column - 2 :].startswith("  "):
+            assert len(line) + 1 + len(after.split()[0]) > min(columns, 100)
 
 
 def test_a_parser_of_its_own(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
