@@ -8,12 +8,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import tomllib
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).resolve().parents[1]
 WEB = ROOT / "player" / "web"
-TOOLS = ROOT / "tests" / "player" / "web" / "node_modules" / ".bin"
+WEB_TESTS = ROOT / "tests" / "player" / "web"
 LEFT_OUT = {"npm", "bundle", "test"}
 """Folders of player/web that are not modules of the player."""
 
@@ -31,6 +30,17 @@ declare global {
 
 class ToolError(Exception):
     """A tool of the build failed; the message contains its output."""
+
+
+def tool(name: str, package: str) -> list[str]:
+    """The command of a tool of the build: the one that the tests have, or else, fetched by npm, the
+    same version of it."""
+    installed = WEB_TESTS / "node_modules" / ".bin" / name
+    if installed.exists():
+        return [str(installed)]
+    lock = json.loads((WEB_TESTS / "package-lock.json").read_text(encoding="utf-8"))
+    version = lock["packages"][f"node_modules/{package}"]["version"]
+    return ["npm", "exec", "--yes", "--silent", f"--package={package}@{version}", "--", name]
 
 
 def assemble(folder: Path) -> None:
@@ -64,7 +74,7 @@ def with_packed_workers(path: Path, workers: set[Path]) -> str:
 
 def bundle_workers(workers: list[Path], folder: Path) -> None:
     """Bundles each worker into one file, because bundlers copy it without following its imports."""
-    arguments = [str(TOOLS / "esbuild"), *map(str, workers), "--bundle", "--format=esm"]
+    arguments = [*tool("esbuild", "esbuild"), *map(str, workers), "--bundle", "--format=esm"]
     names = ["--entry-names=[name]", f"--outdir={folder}"]
     run([*arguments, "--target=es2022", "--log-level=warning", *names])
 
@@ -74,7 +84,7 @@ def write_types(folder: Path) -> None:
     # The TypeScript project has scripts outside player/web, too.
     with tempfile.TemporaryDirectory() as scratch:
         places = ["--rootDir", str(ROOT), "--outDir", scratch]
-        arguments = [str(TOOLS / "tsc"), "-p", str(WEB), *places]
+        arguments = [*tool("tsc", "typescript"), "-p", str(WEB), *places]
         run([*arguments, "--noEmit", "false", "--declaration", "--emitDeclarationOnly"])
         declarations = Path(scratch) / WEB.relative_to(ROOT)
         for name in LEFT_OUT:
@@ -90,9 +100,11 @@ def write_types(folder: Path) -> None:
 
 
 def write_description(folder: Path) -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    # Not tomllib, which Python has only from 3.11 on.
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    facts = dict(re.findall(r'^(version|license) = "(.*)"$', project, re.MULTILINE))
     description = json.loads((WEB / "npm" / "package.json").read_text(encoding="utf-8"))
-    description |= {"version": project["version"], "license": project["license"]}
+    description.update(facts)
     text = json.dumps(description, indent=2) + "\n"
     (folder / "package.json").write_text(text, encoding="utf-8")
 

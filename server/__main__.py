@@ -60,8 +60,10 @@ def run(command: ServeCommand) -> None:
     service = Service(root, command.server, listener)
     if command.end_with_stdin:
         threading.Thread(target=_end_with_stdin, daemon=True).start()
-    watch = f"\nwatch it in a browser: {url}/watch/{SAMPLE.stem}" if command.sample else ""
-    service.run(ready=lambda: print(f"serving {url}{watch}", flush=True))
+    more = f"\nwatch it in a browser: {url}/watch/{SAMPLE.stem}" if command.sample else ""
+    if command.server.keys is not None:
+        more = f"\nopens with links of: swings-sign {command.server.keys} STREAM --url {url}"
+    service.run(ready=lambda: print(f"serving {url}{more}", flush=True))
 
 
 def _end_with_stdin() -> None:

@@ -27,7 +27,7 @@ from server.abr.clientstatus import (
 )
 
 from .answers.call import Answer, Call
-from .answers.pages import refused_page
+from .answers.pages import busy_page, refused_page
 from .clients.connection import ClientConnection, Clients, connection_of
 from .clients.http import http_server
 from .clients.reply import CLOSED, KEPT, StreamedBody, send
@@ -78,7 +78,9 @@ class Application:
         self._heads = HeadWriter(self._common)
         self._log = log if config.log_requests else None
         self._clock = asyncio.get_running_loop().time
-        http = http_server(self.handle, self.refused, config.timeouts.keepalive_timeout_s)
+        http = http_server(
+            self.handle, self.refused, config.timeouts.keepalive_timeout_s, self._common
+        )
         self.clients = Clients(http, self.refused, config.timeouts, state.metrics)
         """The shared state of this application's connections."""
 
@@ -188,6 +190,8 @@ class Application:
         if "Expect" in asked.headers and asked.version >= HttpVersion11:
             connection.transport.write(b"HTTP/1.1 100 Continue\r\n\r\n")
         connection.needs_client = True
+        if connection.is_half_closed and not asked.content.is_eof():
+            connection.abort("gone")  # the rest of the body will not come
         try:
             async with asyncio.timeout(self._request_timeout_s):
                 return await asked.content.readexactly(num_bytes)
@@ -247,8 +251,11 @@ class Application:
         """The response that says `error`."""
         if isinstance(error, RequestError):
             exchange.note = str(error)
-            if isinstance(error, AccessError) and _is_for_a_person(exchange.request):
-                return refused_page(error.has_expired)
+            if _is_for_a_person(exchange.request):
+                if isinstance(error, AccessError):
+                    return refused_page(error.has_expired)
+                if error.status in (429, 503):
+                    return busy_page(error)
             return error_response(error.status, str(error), error.headers)
         self._report(exchange, error)
         if isinstance(error, SwingsError | OSError):

@@ -57,6 +57,14 @@ def refused_page(has_expired: bool) -> Response:
     return Response(403, {**response.fields, "Cache-Control": "no-store"}, response.body)
 
 
+def busy_page(error: RequestError) -> Response:
+    """What a person sees where there is no room, or not any more."""
+    text = "Try again in a moment; streams go on where they were."
+    response = _page(message_page("This server is busy", text), htmlpage.SECURITY, error.status)
+    fields = {**response.fields, "Cache-Control": "no-store", **error.headers}
+    return Response(error.status, fields, response.body)
+
+
 def _origin(call: Call) -> str:
     """scheme://host of this server as the client calls it, and the path where a proxy has it."""
     scheme = call.state.scheme

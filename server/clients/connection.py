@@ -105,7 +105,8 @@ class ClientConnection(asyncio.BufferedProtocol):
         self._begun = False  # whether a part of a request has come since the last
         self._stopping = False
         self._ending = False  # whether the last response has been sent
-        self._half_closed = False
+        self.is_half_closed = False
+        """Whether the client sends no more."""
         self._ahead_bytes = 0
         self._before_bytes = 0  # written in the responses before the newest
         self._taken_bytes = 0  # of all that was written
@@ -143,7 +144,7 @@ class ClientConnection(asyncio.BufferedProtocol):
             self._http.data_received(bytes(_INCOMING[:nbytes]))
 
     def eof_received(self) -> bool:
-        self._half_closed = True
+        self.is_half_closed = True
         if self.needs_client:
             self.abort("gone")
             return False
@@ -196,7 +197,7 @@ class ClientConnection(asyncio.BufferedProtocol):
         )
         if self._stopping:
             self._loop.call_soon(self._close_if_idle)
-        elif self._half_closed:
+        elif self.is_half_closed:
             self._loop.call_later(HALF_CLOSED_S, self._close_if_idle)
 
     def take_sent_bytes(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import re
 import shutil
 import subprocess
 import time
@@ -306,6 +307,9 @@ def test_nginx_sends_signed_objects_from_disk(root: Path, tmp_path: Path) -> Non
             assert status(good.replace(token, "A" * 43), "/v1/streams/walk/manifest.json") == 403
             assert status("", OBJECT) == 403
             assert status("", "/n/") == 404
+    log = (tmp_path / "access.log").read_text()
+    assert "GET /t/***/v1/streams/walk/segments/1/2 HTTP" in log
+    assert not re.search(r"/[nt]/[^*/ ]{9}", log)
 
 
 @contextlib.contextmanager

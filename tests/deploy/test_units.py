@@ -12,9 +12,10 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from server.state.config import ServerConfig
-from tests.deploy.dockerfile import ROOT, instructions
+from tests.deploy.dockerfile import DOCKERFILE, ROOT, instructions
 from tests.deploy.proxied import DEPLOY
 from tests.support.commands import serving
 from tests.support.server.certificates import make_certificate
@@ -84,6 +85,16 @@ def test_the_server_takes_the_settings_of_the_unit_and_can_reload() -> None:
 def test_the_server_takes_the_settings_of_the_container() -> None:
     settings = checked_settings(json.loads(dict(instructions())["CMD"]), {})
     assert (settings["HOST"], settings["PUBLIC"]) == ("0.0.0.0", "true")
+
+
+def test_the_composed_server_is_reached_by_its_proxy_alone() -> None:
+    services = yaml.safe_load((DEPLOY / "compose.yaml").read_text())["services"]
+    server = services["server"]
+    settings = checked_settings(server["command"], server["environment"])
+    assert (settings["HOST"], settings["PUBLIC"]) == ("127.0.0.1", "false")
+    assert (server["network_mode"], "ports" in server) == ("service:proxy", False)
+    assert f"reverse_proxy 127.0.0.1:{settings['PORT']} {{" in (DEPLOY / "Caddyfile").read_text()
+    assert set(re.findall(r" -p (\S+)", DOCKERFILE.read_text())) == {"127.0.0.1:8080:8080"}
 
 
 @pytest.mark.parametrize("scheme", ["http", "https"])

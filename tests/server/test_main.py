@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from server.operate.sign.keyfile import add_key
 from tests.support.commands import ROOT, run
 from tests.support.server.running_server import make_stream
 from tests.support.waiting import BOUND_S
@@ -47,13 +48,16 @@ def test_it_says_when_it_is_ready_and_ends_on_a_signal(
 ) -> None:
     make_stream(tmp_path / "walk", 3)
     make_stream(tmp_path / "dance", 3)
-    with serving(str(tmp_path), "--port", "0") as (process, url):
+    keys = tmp_path / "keys"
+    add_key(keys)
+    with serving(str(tmp_path), "--port", "0", "--keys", str(keys)) as (process, url):
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+", url)
         with urllib.request.urlopen(f"{url}/readyz", timeout=BOUND_S) as response:
             assert response.read() == b"ready\n"
         process.send_signal(number)
         out, err = process.communicate(timeout=BOUND_S)
-        assert (process.returncode, out) == (0, "")
+        line = f"opens with links of: swings-sign {keys} STREAM --url {url}\n"
+        assert (process.returncode, out) == (0, line)
         lines = err.splitlines()
         assert [line.split()[1] for line in lines] == ["info"] * 3
         assert "dance is served: 3 frames" in lines[0]

@@ -123,6 +123,9 @@ async def test_under_load_a_token_continues_one_play_once(
             token = response.headers[PLAY_HEADER]
             state.overload = Full(OverloadConfig(), 512)
             assert [await play(last) for last in (token, f"{token[:-1]}-", "")] == [503] * 3
+            async with client.get(url, headers={"Accept": "text/html"}) as shown:
+                assert (shown.status, "server is busy" in await shown.text()) == (503, True)
+                assert int(shown.headers["Retry-After"]) > 0
             response.close()
         await eventually(lambda: not len(state.plays))
         assert [await play(token) for _ in range(3)] == [200, 503, 503]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
+import yaml
 from prometheus_client.parser import text_string_to_metric_families
 
 from server.operate.prometheus import Metrics
+from tests.support.commands import ROOT
 
 FAMILIES = {
     "swings_requests",
@@ -33,3 +37,11 @@ def test_every_family_is_in_the_text() -> None:
     text = Metrics().text()
     assert {family.name for family in text_string_to_metric_families(text)} == FAMILIES
     assert "_created" not in text
+
+
+def test_alerts_go_by_series_that_are_there() -> None:
+    text = (ROOT / "deploy" / "prometheus-rules.yaml").read_text()
+    for rule in yaml.safe_load(text)["groups"][0]["rules"]:
+        names = re.findall(r"\bswings_[a-z_]+", rule["expr"])
+        assert names
+        assert {re.sub(r"_(total|bucket)$", "", name) for name in names} <= FAMILIES, rule
