@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from bench.cuda import COLUMNS, CudaConfig, Measured, in_a_process, run
-from bench.gpusteps import STEP_COLUMNS, StepRow
+from bench.cuda import CudaConfig, in_a_process, run
 from codec.errors import InvalidError
 from tests.support.tiny_capture import write_dynamic3dgs
 
@@ -30,37 +27,6 @@ def config(folder: Path, num_frames: int) -> CudaConfig:
 def hows(printed: str, capture: str = "capture") -> list[str]:
     """The column "how" of the table's rows for this capture and torch."""
     return re.findall(rf"│\s+{capture} │\s+torch │\s+(\w+) │", printed)
-
-
-def test_the_tables_are_one_call(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rows: list[Any] = []
-
-    def in_this_process(
-        failures: list[str], what: str, function: Callable[..., Any], *arguments: object
-    ) -> Iterator[Any]:
-        rows.append(function(*arguments))
-        yield rows[-1]
-
-    monkeypatch.setattr("bench.cuda.in_a_process", in_this_process)
-    run(config(tmp_path, 2))
-    step, trained = rows
-    assert isinstance(step, StepRow)
-    assert isinstance(trained, Measured)
-    assert (len(step.texts), len(trained.texts)) == (len(STEP_COLUMNS), len(COLUMNS))
-    assert 0 < step.crossed_bytes < 200  # numbers alone
-    assert step.bare_ms > 0
-    assert trained.later_s_per_frame is not None
-    assert min(trained.later_s_per_frame, trained.psnr_db, trained.bytes_per_frame) > 0
-    assert trained.host_bytes > 50_000_000
-    printed = capsys.readouterr().out
-    assert "torch on cpu: steps" in printed
-    assert "bytes/step" in printed
-    assert re.search(r"│\s+torch │\s+100 │\s+48x32 │", printed)
-    assert "torch on cpu: preset gpu, 60 Gaussians" in printed
-    assert "s/frame" in printed
-    assert hows(printed) == ["preset"]
 
 
 def test_what_a_machine_cannot_do_does_not_end_the_table() -> None:

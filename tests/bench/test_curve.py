@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 import bench.curve
-from bench.curve import CurveConfig, Published, draw, kept_path, measure, names_of, run, table_of
+from bench.curve import CurveConfig, Published, draw, kept_path, measure, table_of
 from codec.errors import InvalidError
 from tests.support.hostile import refused
 from tests.support.tiny_capture import seen_by, write_dynamic3dgs
@@ -85,18 +85,9 @@ def test_other_bytes_or_another_step_are_scored_anew(config: CurveConfig) -> Non
     assert kept_path(raw, config) != before
 
 
-def test_streams_of_one_name_are_told_by_their_paths() -> None:
-    assert names_of([Path("a/x"), Path("b/y")]) == ["x", "y"]
-    assert names_of([Path("a/x"), Path("b/x")]) == ["a/x", "b/x"]
-
-
 def test_a_published_point_is_name_kb_and_db() -> None:
     assert Published.parse("TC3DGS:310:27.9") == Published("TC3DGS", 310, 27.9)
     assert Published.parse("a: b:1.5:20") == Published("a: b", 1.5, 20)
     assert str(Published.parse("a: b:1.5:20")) == "a: b:1.5:20"
     for wrong in ("", "a", "a:1", ":1:2", "a:b:2", "a:0:2", "a:-1:2", "a:inf:2", "a:1:nan"):
         refused(InvalidError, "NAME:KB:DB", Published.parse, wrong)
-
-
-def test_no_stream_is_an_error(config: CurveConfig) -> None:
-    refused(InvalidError, "at least one stream", run, replace(config, streams=()))

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 from bench.follow import WRITTEN_NAME, FollowConfig, run, write
-from bench.shuffled import ShuffledConfig
-from bench.shuffled import run as run_shuffled
 from codec.errors import InvalidError
 from codec.sequence.numberedfiles import find_files
 from codec.sequence.survey import read_frame
@@ -43,12 +41,3 @@ def test_pictures_come_of_files(capfd: pytest.CaptureFixture[str]) -> None:
     assert 0 < float(row[2]) < 60
     assert "finished with" in told
     assert "s from a file to its segment" in told
-
-
-def test_a_long_sequence_is_measured(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    config = ShuffledConfig(gaussians=200, frames=3, files=tmp_path / "files")
-    run_shuffled(config)
-    assert len(find_files(tmp_path / "files")) == 3
-    told = capfd.readouterr().out
-    assert "bytes a frame" in told
-    assert re.search(r"200 +│ 3 +│ 3 +│ [0-9,]+ +│ [0-9.]+ +│ [0-9.]+ +│ [0-9,]+ MB", told), told

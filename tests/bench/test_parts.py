@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-from bench.parts import WORKER, Killer, PartsConfig, peak_bytes, processes, runs
+from bench.parts import WORKER, Killer, peak_bytes, processes
 from tests.support.waiting import BOUND_S, wait_until
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
@@ -28,13 +27,3 @@ def test_processes_are_those_that_this_one_has_started() -> None:
         killer.look()
         assert killer.killed == 1
     assert peak_bytes(child.pid) == 0
-
-
-def test_there_is_a_run_for_each_figure() -> None:
-    config = PartsConfig(Path("capture"), Path("work"), workers=(1, 2), kills=5)
-    assert [(run.workers, run.kills, run.parts[0]) for run in runs(config)] == [
-        (1, 0, 60),
-        (2, 0, 60),
-        (2, 5, 60),
-        (2, 0, 6),
-    ]
