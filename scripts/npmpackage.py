@@ -12,7 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 WEB = ROOT / "player" / "web"
-WEB_TESTS = ROOT / "tests" / "player" / "web"
+TOOLS = ROOT / "tests" / "player" / "web" / "node_modules" / ".bin"
 LEFT_OUT = {"npm", "bundle", "test"}
 """Folders of player/web that are not modules of the player."""
 
@@ -30,17 +30,6 @@ declare global {
 
 class ToolError(Exception):
     """A tool of the build failed; the message contains its output."""
-
-
-def tool(name: str, package: str) -> list[str]:
-    """The command of a tool of the build: the one that the tests have, or else, fetched by npm, the
-    same version of it."""
-    installed = WEB_TESTS / "node_modules" / ".bin" / name
-    if installed.exists():
-        return [str(installed)]
-    lock = json.loads((WEB_TESTS / "package-lock.json").read_text(encoding="utf-8"))
-    version = lock["packages"][f"node_modules/{package}"]["version"]
-    return ["npm", "exec", "--yes", "--silent", f"--package={package}@{version}", "--", name]
 
 
 def assemble(folder: Path) -> None:
@@ -74,7 +63,7 @@ def with_packed_workers(path: Path, workers: set[Path]) -> str:
 
 def bundle_workers(workers: list[Path], folder: Path) -> None:
     """Bundles each worker into one file, because bundlers copy it without following its imports."""
-    arguments = [*tool("esbuild", "esbuild"), *map(str, workers), "--bundle", "--format=esm"]
+    arguments = [str(TOOLS / "esbuild"), *map(str, workers), "--bundle", "--format=esm"]
     names = ["--entry-names=[name]", f"--outdir={folder}"]
     run([*arguments, "--target=es2022", "--log-level=warning", *names])
 
@@ -84,7 +73,7 @@ def write_types(folder: Path) -> None:
     # The TypeScript project has scripts outside player/web, too.
     with tempfile.TemporaryDirectory() as scratch:
         places = ["--rootDir", str(ROOT), "--outDir", scratch]
-        arguments = [*tool("tsc", "typescript"), "-p", str(WEB), *places]
+        arguments = [str(TOOLS / "tsc"), "-p", str(WEB), *places]
         run([*arguments, "--noEmit", "false", "--declaration", "--emitDeclarationOnly"])
         declarations = Path(scratch) / WEB.relative_to(ROOT)
         for name in LEFT_OUT:

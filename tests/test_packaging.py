@@ -157,6 +157,13 @@ def test_the_help_of_the_trainer_waits_for_no_large_library(command: str) -> Non
     assert done.stderr.strip() == ""
 
 
+def test_the_npm_package_needs_node_and_the_standard_library() -> None:
+    program = ROOT / "scripts" / "npmpackage.py"
+    tops = {module.split(".")[0] for module in imported_modules(program)}
+    assert tops <= sys.stdlib_module_names
+    assert "\nscripts/setup" not in program.with_suffix("").read_text()
+
+
 def test_no_module_imports_from_a_command() -> None:
     """A `__main__` is only started; code that others need belongs into a module."""
     for file in house_files():

@@ -104,6 +104,7 @@ def stream_cameras(manifest: Manifest, capture: Capture, name: str) -> list[Came
         same_pose = np.allclose(trained.w2c, camera.w2c, atol=1e-4)
         if not same_pose or abs(trained.height_px - scale * camera.height_px) > 1:
             raise CaptureError(
-                f"{name}: camera {camera.name} is not the one that the stream was trained with"
+                f"{name}: camera {camera.name} is not the one that the stream was trained with; "
+                "is this the capture of that stream?"
             )
     return [known.get(c.camera.name, c.camera) for c in capture.cameras]

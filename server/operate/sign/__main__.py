@@ -28,7 +28,7 @@ class SignCommand:
     keys: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="KEYS")]]
     """Key file; other users must not be able to read it."""
     stream: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="NAME")]] = ""
-    """Name of the stream; "*" for all streams and the list of them."""
+    """Name of the stream, which is not looked up; "*" for all streams and the list of them."""
     hours: float = 24.0
     """Hours for which the URLs are valid."""
     url: str = "http://127.0.0.1:8080"
