@@ -15,7 +15,7 @@ import socket
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -81,6 +81,8 @@ def _locked(output: Path, key: Path) -> int | None:
     file = _lock_file(key)
     while True:
         descriptor = _opened(file, key)
+        if descriptor is None:
+            return None
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if _is_at(descriptor, file) or _is_at(descriptor, key):
@@ -96,20 +98,20 @@ def _locked(output: Path, key: Path) -> int | None:
             _log.warning("%s: its disk has no locks; run only one writer of it", output)
             return None
     if _is_at(descriptor, file):
-        os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, f"{os.getpid()} {socket.gethostname()}\n".encode(), 0)
+        with suppress(OSError):  # of a full disk, which the writer finds out by itself
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, f"{os.getpid()} {socket.gethostname()}\n".encode(), 0)
     return descriptor
 
 
-def _opened(file: Path, key: Path) -> int:
+def _opened(file: Path, key: Path) -> int | None:
     """The lock file; where none can be made beside the output, as beside a mounted volume, the
-    folder itself."""
+    folder itself. None where there is none: then the output cannot be made either, and its writer
+    says why."""
     try:
         return os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
-    except OSError as error:
-        if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS) or not key.is_dir():
-            raise
-        return os.open(key, os.O_RDONLY)
+    except OSError:
+        return os.open(key, os.O_RDONLY) if key.is_dir() else None
 
 
 def _is_at(descriptor: int, path: Path) -> bool:
