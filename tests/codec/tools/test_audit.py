@@ -227,7 +227,7 @@ def test_three_lines_give_a_frame(place: Path) -> None:
     assert same_splats(splats, reader.active_splats(5, reader.manifest.num_layers))
     assert same_splats(opened[5], splats)
     assert same_splats(opened[5 - FRAMES], splats)
-    assert repr(opened).endswith(f"stream: {FRAMES} frames at 30 a second, 2 layers>")
+    assert repr(opened).endswith(f"stream: {FRAMES} frames at 25 a second, 2 layers>")
     assert (len(opened), opened.fps) == (reader.num_frames, reader.manifest.fps)
     assert [c.name for c in opened.cameras] == [c.name for c in reader.manifest.cameras]
     assert opened.camera().name == reader.manifest.default_camera

@@ -105,7 +105,9 @@ def test_between_two_frames_it_comes_from_one_and_goes_to_the_other(
             assert covered.any()
             assert (clear[..., 3][covered] > 0.45).all()
             assert np.array_equal(scene.render(float(frame), "c1"), expected[name, 2, frame])
-        assert repr(scene).endswith(f"{name}: {NUM_FRAMES} frames at 30 a second, 2 layers>")
+        assert repr(scene).endswith(
+            f"{name}: {NUM_FRAMES} frames at {scene.fps:g} a second, 2 layers>"
+        )
         assert {"Scene", "ViserView"} <= set(dir(player))
         for wrong in (NUM_FRAMES - 0.5, -0.5, float("nan")):
             with pytest.raises(InvalidError, match="there is no frame"):
