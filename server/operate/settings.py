@@ -82,7 +82,8 @@ def settings_of(prefix: str, config_type: type[Any]) -> dict[str, Setting]:
 
 
 def _walk(config_type: type[Any], path: str, flag: str, markers: set[Any]) -> Iterator[Setting]:
-    for name, hint in get_type_hints(config_type, include_extras=True).items():
+    hints = get_type_hints(config_type, include_extras=True)
+    for name, hint in ((one.name, hints[one.name]) for one in fields(config_type)):
         info = PrimitiveTypeInfo.make(hint, markers)
         own_flag = flag + name.replace("_", "-")
         if is_dataclass(info.type):
