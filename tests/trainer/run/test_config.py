@@ -58,7 +58,7 @@ def test_presets_are_what_their_names_say() -> None:
 
 
 def test_help_shows_the_defaults_of_a_preset_and_completion_knows_every_option() -> None:
-    told = run_ok("swings-train", "--preset", "paper", "--help")
+    told = " ".join(run_ok("swings-train", "--preset", "paper", "--help").split())
     assert "default: 200000)" in told
     assert "(default: paper)" in told
     completion = run_ok("swings-train", "--tyro-print-completion", "bash", "--preset", "paper")
