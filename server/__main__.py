@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-import threading
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
@@ -17,7 +13,7 @@ from codec.helptext import Groups
 
 from .listener import bind, url_of
 from .operate.settings import settings_parser
-from .serving import SAMPLE, Service
+from .serving import SAMPLE, Service, end_with_stdin
 from .state.config import ServerConfig
 
 
@@ -59,18 +55,11 @@ def run(command: ServeCommand) -> None:
     url = url_of(listener, "http" if command.server.tls_cert is None else "https")
     service = Service(root, command.server, listener)
     if command.end_with_stdin:
-        threading.Thread(target=_end_with_stdin, daemon=True).start()
+        end_with_stdin()
     more = f"\nwatch it in a browser: {url}/watch/{SAMPLE.stem}" if command.sample else ""
     if command.server.keys is not None:
         more = f"\nopens with links of: swings-sign {command.server.keys} STREAM --url {url}"
     service.run(ready=lambda: print(f"serving {url}{more}", flush=True))
-
-
-def _end_with_stdin() -> None:
-    """Ends this process, like Ctrl-C, when standard input is closed."""
-    while sys.stdin.buffer.read(4096):
-        pass
-    os.kill(os.getpid(), signal.SIGINT)
 
 
 def main() -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import os
 import secrets
 import signal
 import socket
 import ssl
 import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -151,3 +153,14 @@ def check_public(config: ServerConfig, listener: socket.socket) -> None:
             "other machines could access all streams; give --public to allow this, "
             "or --keys FILE to require signed URLs (swings-sign)"
         )
+
+
+def end_with_stdin() -> None:
+    """Has this process end, like by Ctrl-C, when standard input is closed."""
+
+    def read() -> None:
+        while sys.stdin.buffer.read(4096):
+            pass
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=read, daemon=True).start()

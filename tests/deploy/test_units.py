@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
+import yaml  # type: ignore[import-untyped]
 
 from server.state.config import ServerConfig
 from tests.deploy.dockerfile import DOCKERFILE, ROOT, instructions
