@@ -43,7 +43,7 @@ def test_a_static_export_brings_its_page(page: Page, site: Site) -> None:
     page.wait("player.shownFrame > 2")
     assert page.value("document.title") == "swings"  # it has no title
     # The statistics name the point under the pointer.
-    page.run("player.pause(); element.toggleStats()")
+    page.run("element.pause(); element.toggleStats()")
     at = "const at = new PointerEvent('pointermove', { clientX: 160, clientY: 120 });"
     page.run(f"{at} player.canvas.dispatchEvent(at)")
     page.wait("/pointer   (-?[0-9.]+ ){2}-?[0-9.]+$/.test(part('.stats').textContent)")
