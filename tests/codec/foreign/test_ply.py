@@ -145,7 +145,8 @@ def test_a_few_that_are_not_finite_are_left_out(caplog: pytest.LogCaptureFixture
 
 def table(columns: Columns, *comments: str) -> bytes:
     """A PLY of these columns."""
-    rows = np.rec.fromarrays(list(columns.values()), names=",".join(columns))
+    kinds = [(name, column.dtype) for name, column in columns.items()]
+    rows = np.array(list(zip(*columns.values(), strict=True)), kinds)
     types = {"<f4": "float", "<f8": "double", "|u1": "uchar"}
     lines = [f"property {types[column.dtype.str]} {name}" for name, column in columns.items()]
     start = (*(f"comment {text}" for text in comments), f"element vertex {len(rows)}")
