@@ -49,9 +49,6 @@ class EvaluateConfig:
     training_cameras: bool = False
     """Also score all layers on the training cameras, and print the gap to the held-out ones: what
     explains single cameras rather than the scene."""
-    ablate_quantisation: bool = False
-    """Score a raw stream instead, with one attribute at a time quantised as in the paper's Table
-    6."""
     compare: Annotated[tuple[str, Path] | None, tyro.conf.arg(metavar="CAMERA OUT")] = None
     """Draw a comparison instead of scoring: for each frame the camera's picture, the rendered
     picture and the error, to an .mp4 or a folder of PNGs."""
@@ -61,16 +58,12 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together."""
-        if self.ablate_quantisation and self.training_cameras:
-            raise InvalidError(
-                "--ablate-quantisation scores held-out cameras; leave out --training-cameras"
-            )
         if self.compare is None:
             return
-        if self.json or self.sheet or self.ablate_quantisation or self.training_cameras:
+        if self.json or self.sheet or self.training_cameras:
             raise InvalidError(
-                "--compare draws and does not score; leave out --json, --sheet, "
-                "--training-cameras and --ablate-quantisation"
+                "--compare draws and does not score; leave out --json, --sheet and "
+                "--training-cameras"
             )
         check_output(self.compare[1])
 

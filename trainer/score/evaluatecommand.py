@@ -9,7 +9,6 @@ from rich.console import Console
 from codec.console import printing, say
 from codec.progressline import counted
 
-from .ablation import ablate_quantisation
 from .evaluate import EvaluateConfig, evaluate_stream
 from .sheet import write_sheet
 
@@ -23,9 +22,8 @@ def run_evaluation(config: EvaluateConfig) -> None:
             found = write_side_by_side(config, *config.compare, note)
         say(found.line)
         return
-    score = ablate_quantisation if config.ablate_quantisation else evaluate_stream
     with counted("scoring") as note:
-        result = score(config, note)
+        result = evaluate_stream(config, note)
     if config.sheet is not None:
         write_sheet(config.stream, config.capture, config.sheet, config.max_gaussians)
     if config.json:

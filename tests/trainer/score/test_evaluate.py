@@ -191,10 +191,8 @@ def test_options_that_do_not_go_together() -> None:
     cases: list[tuple[dict[str, Any], str]] = [
         ({"json": True}, drawing),
         ({"sheet": Path("s.png")}, drawing),
-        ({"ablate_quantisation": True}, drawing),
         ({"training_cameras": True}, drawing),
         ({"compare": ("cam00", Path("x.gif"))}, "name an .mp4 or .mov file, or a folder"),
-        ({"compare": None, "ablate_quantisation": True, "training_cameras": True}, "leave out"),
     ]
     for options, message in cases:
         with pytest.raises(InvalidError, match=message):

@@ -1,23 +1,47 @@
-"""The loss of quality by each quantised attribute: the paper's Table 6 on a stream of ours."""
+"""The loss of quality by each quantised attribute: the paper's Table 6 on a stream of ours.
+
+Usage: scripts/bench quantisation RAW CAPTURE [--every N] [--json]
+
+RAW is the folder that swings-train wrote with --raw-stream: every float of the Gaussians.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import reduce
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
+from rich.console import Console
 from rich.table import Table
 
+from bench.papercoding import ATTRIBUTES, quantise_attribute
+from codec.console import run_command, say
 from codec.errors import InvalidError
+from codec.progressline import counted
 from codec.slots.slotstate import ON_LATTICE
 from codec.splats import Splats, sh_count
+from trainer.score.picture import Score, score_splats
+from trainer.score.truth import open_held_out
 
-from .evaluate import EvaluateConfig
-from .papercoding import ATTRIBUTES, quantise_attribute
-from .picture import Score, score_splats
-from .truth import open_held_out
+
+@dataclass(frozen=True)
+class QuantisationConfig:
+    """Scores a raw stream with one attribute at a time quantised as in the paper's Table 6."""
+
+    stream: tyro.conf.Positional[Path]
+    """Folder of the raw stream."""
+    capture: tyro.conf.Positional[Path]
+    """Folder of the capture that it was trained from."""
+    every: int = 1
+    """Step between scored frames."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
 
 FULL_BYTES = 4
 """Size of a float32, which every attribute of a raw stream is made of."""
@@ -118,14 +142,14 @@ def quantise_case(splats: Splats, case: str) -> Splats:
 
 
 def ablate_quantisation(
-    config: EvaluateConfig, on_progress: Callable[[int, int], None] = lambda done, total: None
+    config: QuantisationConfig, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Ablation:
     """Renders every frame, with all layers, for each of CASES. on_progress(pictures done, in all).
 
     Raises InvalidError for a stream that is quantised already, and what `evaluate_stream` raises.
     """
     scores: dict[str, list[Score]] = {case: [] for case in CASES}
-    with open_held_out(config.stream, config.capture, config.max_gaussians) as held_out:
+    with open_held_out(config.stream, config.capture) as held_out:
         reader, manifest = held_out.reader, held_out.reader.manifest
         lanes = reader.decoder_at(0, manifest.num_layers).lanes
         if any((slots.conditions == ON_LATTICE).any() for lane in lanes for slots in lane):
@@ -163,4 +187,19 @@ def ablate_quantisation(
         frames=len(chosen),
         cameras=[camera.name for camera in held_out.cameras],
         rows=rows,
+    )
+
+
+def run(config: QuantisationConfig) -> None:
+    with counted("scoring") as note:
+        found = ablate_quantisation(config, note)
+    if config.json:
+        say(json.dumps(found.to_json(), indent=1))
+    else:
+        Console().print(found.table())
+
+
+if __name__ == "__main__":
+    run_command(
+        QuantisationConfig, run, "scripts/bench quantisation", "The loss by quantised attributes."
     )
