@@ -162,7 +162,7 @@ class PlayConfig:
         "Time": ("frames", "loop", "rate"),
         "Files": ("capture", "fps", "still", "turntable", "picture"),
         "Sound and captions": ("mute", "volume", "captions"),
-        "Network": ("link", "report", "plot", "cache"),
+        "Network": ("link", "report", "plot"),
         "In a browser": ("viser",),
     }
 
@@ -211,10 +211,6 @@ class PlayConfig:
     """Seconds for which the player retries a failing server; with 0 it gives up at once."""
     other_hosts: bool = False
     """Allow a stream's links and redirects to lead to hosts other than the host in SOURCE."""
-    cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Store objects from static hosts in this folder, and read them from there the next time."""
-    cache_bytes: Annotated[int, tyro.conf.arg(metavar="BYTES")] = 1 << 30
-    """Maximum size of the cache. The least recently used objects are deleted first."""
     max_gaussians: int = DEFAULT_MAX_GAUSSIANS
     """Refuse a stream with more Gaussians per frame: a file of a few kilobytes can require
     gigabytes of memory."""
@@ -256,7 +252,7 @@ class PlayConfig:
 
     @property
     def delivery(self) -> SourceConfig:
-        return SourceConfig(self.patience, self.other_hosts, self.cache, self.cache_bytes)
+        return SourceConfig(self.patience, self.other_hosts)
 
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together, whatever the stream is."""
@@ -278,16 +274,12 @@ class PlayConfig:
             raise InvalidError(f"--gl {self.gl} cannot be combined with --renderer cpu")
         if self.link is not None and len(split_source(self.source)) > 1:
             raise InvalidError("--link works with only one host; give one URL")
-        if self.cache is not None and self.cache.exists() and not self.cache.is_dir():
-            raise InvalidError(f"cache {self.cache} is not a folder")
         if not 0 <= self.volume <= 1:
             raise InvalidError(f"volume {self.volume} is not within 0..1")
         if not re.fullmatch(LANGUAGE, self.captions):
             raise InvalidError(
                 f"captions {self.captions!r} is neither off nor a language such as en or pt-BR"
             )
-        if self.cache_bytes < 1:
-            raise InvalidError(f"cache-bytes {self.cache_bytes} is not positive")
         if self.capture is not None:
             self._refuse("--capture", ("--loop forever", self.loop is None), *self._of_windows)
         if self.fps is not None:

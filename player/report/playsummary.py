@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from codec.files import write_atomic
-from player.network.diskcache import CacheCounts
 from player.playout.timeline import PlayoutTotals
 from server.abr.link.link import Link
 
@@ -53,8 +52,6 @@ class PlaySummary:
     """By time.monotonic."""
     link_bytes: int | None = None
     """Bytes that came over `--link`; None without it."""
-    cache: CacheCounts | None = None
-    """Savings of `--cache`; None without it."""
     sound: SoundCounts | None = None
     """Counters of the sound; None without sound."""
     interrupted: bool = False
@@ -114,7 +111,6 @@ class PlaySummary:
                 "most_frames_waiting": totals.most_frames_waiting,
                 "most_bytes_waiting": totals.most_bytes_waiting,
             },
-            "cache": None if self.cache is None else asdict(self.cache),
             "sound": None if self.sound is None else asdict(self.sound),
             "plays": [
                 {"asked_s": play.asked_s, "startup_s": play.startup_s} for play in self.plays

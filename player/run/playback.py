@@ -126,8 +126,6 @@ class _Playback:
         if self._renderers:
             summary.renderer = self._renderers[-1].name
         summary.uploaded_bytes = sum(one.uploaded_bytes for one in self._renderers)
-        if self._opener.cache is not None:
-            summary.cache = self._opener.cache.counts
         if self._relay is not None:
             summary.link_bytes = self._relay.down_bytes
             summary.link_began_s = self._relay.began_s

@@ -25,7 +25,6 @@ from codec.stream.manifest import (
     object_name,
 )
 from codec.stream.packedlayout import PackedLayout, read_layout
-from player.network.diskcache import DiskCache
 from player.network.faults import BrokenError, FetchError, MissingError
 from player.network.fetch import Fetcher
 from player.network.idle import IdleLimit
@@ -142,7 +141,6 @@ class HostedSource:
         frames: FrameRange,
         layers: int | None,
         retry: RetryConfig | None = None,
-        cache: DiskCache | None = None,
         adaptive: bool = False,
         rate_bps: float | None = None,
     ) -> None:
@@ -155,7 +153,6 @@ class HostedSource:
         self._reference = place.reference
         self._is_packed = place.layout is not None
         self._mirrors = place.mirrors(fetcher, retry or RetryConfig())
-        self._cache = cache
         self.adaptive = adaptive
         self._rate_bps = rate_bps
         self._play: HostedPlay | None = None
@@ -183,9 +180,6 @@ class HostedSource:
         number = manifest.part_number(part)
         reference = self._reference(record.segment, part)
         sha256, size = record.part_sha256[number], record.part_bytes[number]
-        kept = self._cache.get(sha256) if self._cache else None
-        if kept is not None:
-            return CheckedObject.check(self._mirrors.url(reference), kept, manifest, record, part)
         try:
             found = self._mirrors.get(reference, size)
             if found.pieced and hashlib.sha256(found.data).digest() != sha256:
@@ -193,12 +187,9 @@ class HostedSource:
                 found = self._mirrors.get(reference, size)
             data = bytes(found.data)
             name = self._mirrors.name(reference) if self._is_packed else found.url
-            checked = CheckedObject.check(name, data, manifest, record, part)
+            return CheckedObject.check(name, data, manifest, record, part)
         except (FetchError, CorruptError) as error:
             raise self._explained(error) from error
-        if self._cache:
-            self._cache.put(sha256, data)
-        return checked
 
     def packets(self) -> Iterator[Packets]:
         return self._chosen() if self.adaptive else self._all()
@@ -215,11 +206,8 @@ class HostedSource:
 
     def _chosen(self) -> Iterator[Packets]:
         """The layers that the link can carry, those of the next frames first."""
-        records, cache = self._index.records, self._cache
-        now_s = time.monotonic()
-        self._play = play = HostedPlay(
-            self.manifest, records, self.frames, now_s, self._rate_bps, cache
-        )
+        records, now_s = self._index.records, time.monotonic()
+        self._play = play = HostedPlay(self.manifest, records, self.frames, now_s, self._rate_bps)
         open_spans: dict[Ask, Span] = {}
         look_s, idle = now_s + self._poll_s, IdleLimit(self._fetcher.config.idle_s, now_s)
         try:

@@ -14,7 +14,6 @@ from codec.errors import CodecError
 from codec.framerange import FrameRange
 from codec.stream.index import SegmentRecord
 from codec.stream.manifest import MASKS, Manifest, Part, is_snapshot, snapshot_part
-from player.network.diskcache import DiskCache
 from server.abr.clientstatus import ClientStatus
 from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
 from server.abr.media import RecordedMedia
@@ -92,13 +91,11 @@ class HostedPlay:
         frames: FrameRange,
         now_s: float,
         rate_bps: float | None = None,
-        store: DiskCache | None = None,
     ) -> None:
-        """records: of the index, which may grow. rate_bps: what the link is known to carry. store:
-        objects from earlier plays."""
-        self._records, self._store, self._frames = records, store, frames
+        """records: of the index, which may grow. rate_bps: what the link is known to carry."""
+        self._records, self._frames = records, frames
         self._began_s = now_s
-        self.media = RecordedMedia(manifest, records, self._is_stored)
+        self.media = RecordedMedia(manifest, records)
         self.session = PlaySession(
             self.media, Sweep(), SESSION, now_s, frames.first, frames.end, rate_bps
         )
@@ -118,9 +115,6 @@ class HostedPlay:
         self._stood_still = 0
         self._ended_bytes = 0
         """Bytes of requests that were answered whole."""
-
-    def _is_stored(self, record: SegmentRecord, number: int) -> bool:
-        return self._store is not None and self._store.has(record.part_sha256[number])
 
     @property
     def _open_asks(self) -> list[Ask]:
@@ -296,11 +290,6 @@ class HostedPlay:
         if found is None:
             manifest = self.media.manifest
             found = self._pieces[key] = PartialObject(manifest, self._records[segment], part)
-            kept = self._store.get(found.sha256) if self._store is not None else None
-            if kept is not None:
-                found.name = f"segment {segment}, {part}, in the cache"
-                found.all_comes()
-                found.add(0, kept)
         return found
 
     def comes_whole(self, ask: Ask, now_s: float) -> None:
@@ -330,9 +319,7 @@ class HostedPlay:
         wanted.asks.remove(ask)
         self._ended_bytes += ask.num_bytes
         pieces = self._object(ask.segment, ask.part)
-        whole = pieces.whole()
-        if whole is not None and self._store is not None:
-            self._store.put(pieces.sha256, whole)
+        pieces.whole()  # checks it
 
     def packets(self) -> Iterator[Packets]:
         """Packets that have arrived and were not handed over: of each layer in the order of choice,

@@ -21,7 +21,6 @@ from codec.stream.captions import MAX_CAPTIONS_BYTES
 from codec.stream.manifest import Manifest, object_name
 from codec.stream.packedstorage import open_place
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, check_gaussians, read_stream_file
-from player.network.diskcache import DiskCache
 from player.network.faults import BrokenError, StoppedError
 from player.network.fetch import FetchConfig, Fetcher
 from player.network.mirrors import Mirrors
@@ -45,10 +44,6 @@ class SourceConfig:
     """Patience with servers that fail."""
     other_hosts: bool = False
     """Whether a stream may lead to other hosts than its own."""
-    cache: Path | None = None
-    """Folder in which objects of static hosts are kept; None keeps none."""
-    cache_bytes: int = 1 << 30
-    """Bytes of them that are kept."""
 
 
 class Opener:
@@ -75,9 +70,6 @@ class Opener:
         """As it was when the stream was opened last; None before that."""
         fetch = FetchConfig(other_hosts=self._config.other_hosts)
         self._fetcher = Fetcher(via, fetch, received, logins=logins_of(split_source(source)))
-        folder, cache_bytes = self._config.cache, self._config.cache_bytes
-        self.cache = DiskCache(folder, cache_bytes) if folder is not None else None
-        """Counts what it has saved."""
         self._place: Place | None = None
         self._last: Source | None = None
         self._lock = threading.Lock()
@@ -179,11 +171,9 @@ class Opener:
             return ServedSource(
                 self.name, place.urls, fetcher, frames, layers, retry, last_play, adaptive
             )
-        retry, cache = self._config.retry, self.cache
         chosen, rate_bps = adaptive and layers is None, last_play.rate_bps
-        return HostedSource(
-            self.name, place, fetcher, frames, layers, retry, cache, chosen, rate_bps
-        )
+        retry = self._config.retry
+        return HostedSource(self.name, place, fetcher, frames, layers, retry, chosen, rate_bps)
 
     def _check(self, manifest: Manifest) -> None:
         check_gaussians(manifest, self._max_gaussians, self.name)

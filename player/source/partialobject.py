@@ -37,7 +37,6 @@ class PartialObject:
         """Where its bytes come from: what errors name."""
         self.births = manifest.part_births(record.segment, record.num_frames, part)
         self.num_bytes = record.part_bytes[self._number]
-        self.sha256 = record.part_sha256[self._number]
         if self.num_bytes < HEAD.size:
             message = f"object: the index says {self.num_bytes} bytes, but its head alone is longer"
             raise CorruptError(message)

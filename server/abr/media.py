@@ -6,8 +6,8 @@ Rule: sizes and qualities only; the bytes themselves are handled elsewhere.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Protocol
@@ -82,18 +82,11 @@ class Media(Protocol):
 class RecordedMedia:
     """A stream as described by its manifest and its index."""
 
-    def __init__(
-        self,
-        manifest: Manifest,
-        records: Sequence[SegmentRecord],
-        is_here: Callable[[SegmentRecord, int], bool] = lambda record, number: False,
-    ) -> None:
-        """records: may grow. is_here: whether a part of a segment, by its number, is there already
-        and takes nothing."""
+    def __init__(self, manifest: Manifest, records: Sequence[SegmentRecord]) -> None:
+        """records: may grow."""
         self.manifest = manifest
         """Replaced by another manifest when a live stream ends."""
         self._records = records
-        self._is_here = is_here
         self._sizes: dict[int, SegmentSizes] = {}
 
     @property
@@ -126,24 +119,8 @@ class RecordedMedia:
         segment = self.manifest.segment_of(birth)
         found = self._sizes.get(segment)
         if found is None:
-            found = self._sizes[segment] = self._look(self._records[segment])
+            found = self._sizes[segment] = segment_sizes(self._records[segment], self.manifest)
         return found
-
-    def _look(self, record: SegmentRecord) -> SegmentSizes:
-        sizes = segment_sizes(record, self.manifest)
-        here = [self._is_here(record, number) for number in range(len(record.part_bytes))]
-        if not any(here):
-            return sizes
-        num_layers = self.num_layers
-        return replace(
-            sizes,
-            layer_bytes=tuple(map(_lacking, sizes.layer_bytes, here)),
-            snapshot_bytes=tuple(map(_lacking, sizes.snapshot_bytes, here[num_layers + 1 :])),
-        )
-
-
-def _lacking(num_bytes: float, is_here: bool) -> float:
-    return 0.0 if is_here else num_bytes
 
 
 def segment_start(media: Media, birth: int) -> int:

@@ -195,18 +195,6 @@ def test_several_servers_of_one_stream(root: Path) -> None:
             assert len(list(assembled(source))) == NUM_FRAMES
 
 
-@both
-def test_the_second_time_objects_come_from_the_disk(
-    root: Path, host: RangeHost, tmp_path: Path, adaptive: bool
-) -> None:
-    config = SourceConfig(PATIENT.retry, cache=tmp_path / "cache")
-    check_all(root, f"{host.url}/s", config)
-    fetched = len(host.objects())
-    assert check_all(root, f"{host.url}/s", config, adaptive) < 10_000
-    # Not the snapshots of later segments, which the first play did not need.
-    assert all("/snapshot-" in path for path in host.objects()[fetched:])
-
-
 HOSTED = [(kind, yes) for kind in ("static", "ranges", "files of swings") for yes in (False, True)]
 
 
