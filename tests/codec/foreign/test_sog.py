@@ -129,27 +129,14 @@ def test_a_few_gaussians_lose_little(splats: Splats) -> None:
     assert angles_rad(back, splats).max() <= np.sqrt(12) * np.sqrt(2) / 255
 
 
-def ordered(splats: Splats) -> tuple[np.ndarray[Any, Any], ...]:
-    """The numbers of each kind, in ascending order."""
-    kinds = (splats.means[:, 0], splats.log_scales, splats.sh[:, 0], splats.opacities)
-    return tuple(np.sort(values, axis=None) for values in kinds)
-
-
-def test_many_gaussians_lose_what_the_page_says() -> None:
+def test_many_gaussians_are_in_the_order_of_a_curve_through_space() -> None:
+    """What they lose is measured in tests/player/test_formats_page.py."""
     splats = trained_like_splats(4000, 3, 1)
-    data = encode_sog(splats)
-    back = decode_sog(data)
-    assert len(data) < 25 * len(splats)
-    # The Gaussians are in the order of a curve through space.
-    steps = [np.linalg.norm(np.diff(s.means, axis=0), axis=1) for s in (splats, back)]
+    steps = [
+        np.linalg.norm(np.diff(s.means, axis=0), axis=1)
+        for s in (splats, decode_sog(encode_sog(splats)))
+    ]
     assert np.median(steps[1]) < 0.2 * np.median(steps[0])
-    for found, wanted, most in zip(
-        ordered(back), ordered(splats), (0.01, 0.1, 0.05, 0.002), strict=True
-    ):
-        assert np.abs(found - wanted).max() < most
-    # A second round trip changes nothing except positions.
-    for found, wanted in zip(ordered(decode_sog(encode_sog(back))), ordered(back), strict=True):
-        assert np.abs(found - wanted).max() < 1e-4
 
 
 @pytest.mark.parametrize(
