@@ -10,11 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 from rich.console import Console, RenderableType
 
-from bench import dropping, flip
-from bench.dropping import BY_CONTRIBUTION, BY_OPACITY, LAYERS, DroppingConfig
+from bench import flip
 from bench.flip import FlipConfig
 from bench.ghost import excess, left_and_around
 from bench.network import shown
@@ -26,7 +24,7 @@ from tests.player.render.test_glide import write_body
 from tests.support.hostile import refused
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
-from tests.support.tiny_capture import picture_of, write_dynamic3dgs
+from tests.support.tiny_capture import write_dynamic3dgs
 from trainer.capture.layout import open_capture
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 from trainer.score.truth import open_held_out
@@ -209,33 +207,3 @@ def test_a_thing_that_stands_leaves_nothing_and_ignored_pixels_are_not_around_it
 
 
 # --- dropping ---
-
-
-def test_dropping_is_measured_and_drawn(scored: tuple[Path, Path], tmp_path: Path) -> None:
-    plots = tmp_path / "plots"
-    outputs = plots / "a.png", plots / "a.jpg"
-    config = DroppingConfig(*scored, *outputs, every=2, views=2, frame=3)
-    found = dropping.measure(config)
-    layers = evaluate_stream(EvaluateConfig(config.stream, config.capture, every=2)).layers
-    of_layers = [(score.psnr_db, score.bytes_per_frame) for score in reversed(layers)]
-    assert [(o.psnr_db, o.bytes_per_frame) for o in found.of(LAYERS)] == of_layers
-    assert [o.name for o in found.of(LAYERS)] == ["2 layers", "1 layer"]
-    assert len({o.psnr_db for o in found.outcomes}) > 3
-    for chosen in (BY_OPACITY, BY_CONTRIBUTION):
-        outcomes = found.of(chosen)
-        assert (outcomes[0].psnr_db, outcomes[0].bytes_per_frame) == of_layers[0]
-        sizes = [o.bytes_per_frame for o in outcomes]
-        assert sizes == sorted(set(sizes), reverse=True)
-        assert [o.share for o in outcomes] == [1, 0.8, 0.6, 0.4, 0.2]
-    assert found.truth_name == "camera cam01, frame 3"
-    assert (found.truth == picture_of(1, 3)).all()
-    dropping.draw(found, config.out)
-    dropping.draw_sheet(found, config.sheet)
-    assert config.out.read_bytes().startswith(b"\x89PNG")
-    with open_held_out(*scored) as held_out:
-        names = [view.camera.name for view in dropping.training_views(held_out)]
-    assert names == ["cam00", "cam02", "cam03"]
-    with Image.open(config.sheet) as sheet:
-        assert sheet.format == "JPEG"
-        assert 1280 <= sheet.width <= 1600
-    assert config.sheet.stat().st_size < 600_000
