@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bench.length import (
-    Track,
-    complaints,
-)
+from bench.length import Track, complaints
 
 MB = 1_000_000
 

@@ -201,9 +201,7 @@ def test_the_image_is_built_and_serves(root: Path, tmp_path: Path) -> None:
         check_serves(url, root / "walk")
 
 
-def test_the_bill_of_materials_has_the_versions_and_hashes_of_the_image(
-    tmp_path: Path,
-) -> None:
+def test_the_bill_of_materials_has_the_versions_and_hashes_of_the_image(tmp_path: Path) -> None:
     pytest.importorskip("cyclonedx_py", reason="cyclonedx-bom is not installed")
     script = (ROOT / "scripts" / "sbom").read_text()
     arguments = "requirements deploy/requirements.txt --mc-type application --output-file"

@@ -282,8 +282,7 @@ def decode_residuals(
     attributes = columns(data[3 * count :], count, 7 + 3 * k)
     return [
         Residual(
-            (moves[i], moves[count + i], moves[2 * count + i]),
-            tuple(map(unzigzag, attributes[i])),
+            (moves[i], moves[count + i], moves[2 * count + i]), tuple(map(unzigzag, attributes[i]))
         )
         for i in range(count)
     ]

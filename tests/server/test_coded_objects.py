@@ -13,12 +13,7 @@ from codec.stream import StreamReader
 from codec.stream.manifest import Part
 from codec.stream.object import ChunkEntry, packet_content
 from codec.stream.plainrecord import inflates_whole
-from tests.support.server.running_server import (
-    Answer,
-    fetch,
-    make_stream,
-    running,
-)
+from tests.support.server.running_server import Answer, fetch, make_stream, running
 from tests.support.slots.slot_streams import write_slot_stream
 from tests.support.slots.updates import small_layout
 

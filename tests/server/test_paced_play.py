@@ -10,12 +10,7 @@ from pathlib import Path
 import pytest
 from multidict import CIMultiDict
 
-from codec.stream.playrecord import (
-    EndRecord,
-    ErrorRecord,
-    Record,
-    RecordParser,
-)
+from codec.stream.playrecord import EndRecord, ErrorRecord, Record, RecordParser
 from server.abr.clientstatus import (
     MAX_POINTS,
     PLAY_HEADER,

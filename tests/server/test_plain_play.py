@@ -14,11 +14,7 @@ import zstandard
 from codec.coders.coder import decompress
 from codec.stream.playrecord import Record, RecordParser, SliceRecord, SnapshotRecord
 from codec.tools.static import export_static
-from tests.support.server.running_server import (
-    make_stream,
-    play,
-    served,
-)
+from tests.support.server.running_server import make_stream, play, served
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 

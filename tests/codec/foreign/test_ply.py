@@ -203,10 +203,7 @@ def test_how_it_was_trained(
     comments: tuple[str, ...], says: str | None, caplog: pytest.LogCaptureFixture
 ) -> None:
     lines = "".join(f"comment {text}\n" for text in comments)
-    for data in (
-        table(ROWS, *comments),
-        compressed().replace(b"el", lines.encode() + b"el", 1),
-    ):
+    for data in (table(ROWS, *comments), compressed().replace(b"el", lines.encode() + b"el", 1)):
         caplog.clear()
         decode_any(data)
         assert (says or "") in caplog.text

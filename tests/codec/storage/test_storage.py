@@ -47,10 +47,7 @@ def held(request: pytest.FixtureRequest, tmp_path: Path) -> Held:
         put, delete = (lambda n, d: put_file(folder / n, d)), (lambda n: (folder / n).unlink())
         return Held(open_storage(folder), put, delete)
     s3, key = request.getfixturevalue("s3"), f"{request.node.name}/place"
-    put, delete = (
-        (lambda n, d: s3.put(f"{key}/{n}", d)),
-        (lambda n: s3.delete(f"{key}/{n}")),
-    )
+    put, delete = ((lambda n, d: s3.put(f"{key}/{n}", d)), (lambda n: s3.delete(f"{key}/{n}")))
     return Held(open_storage(f"s3://{BUCKET}/{key}"), put, delete)
 
 

@@ -22,13 +22,7 @@ from tests.support.drawn import same_splats
 from tests.support.hostile import refused
 from tests.support.slots.folder import slots_manifest
 from tests.support.slots.updates import patternless_updates, small_layout
-from tests.support.tiny_stream import (
-    append_tiny,
-    files_of,
-    tiny_manifest,
-    tiny_slice,
-    write_tiny,
-)
+from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, tiny_slice, write_tiny
 
 NUM_FRAMES = 10
 

@@ -70,7 +70,7 @@ def test_it_has_what_its_description_names(installed: Path) -> None:
         module = targets["default"] if isinstance(targets, dict) else targets
         assert "*" in name or (package / module).is_file(), name
     assert {path.name for path in (package / "workers").iterdir()} == {
-        *("feedworker.js", "playworker.js", "sortworker.js"),
+        *("feedworker.js", "playworker.js", "sortworker.js")
     }
     # Nothing from the tests, nothing from three.js and other engines.
     assert sum(path.stat().st_size for path in package.rglob("*")) < 2_000_000

@@ -139,7 +139,7 @@ def test_each_packet_comes_once_where_it_is_of_use_and_the_play_ends(
         st.tuples(st.floats(0.2, 5), st.sampled_from([1.1, 1.3, 2.0, 3.0, 10.0, 30.0])),
         min_size=1,
         max_size=7,
-    ),
+    )
 )
 @settings(max_examples=40, deadline=None)
 def test_a_link_that_always_carries_layer_0_never_stalls_however_it_changes(

@@ -141,10 +141,7 @@ def test_clients_beyond_all_descriptors_are_waited_out_quietly(root: Path, tmp_p
         resource.setrlimit(resource.RLIMIT_NOFILE, (128, 128))
 
     options = "--request-timeout-s", 600
-    with (
-        server_process(root, tmp_path, *options, before=few_files) as server,
-        ExitStack() as stack,
-    ):
+    with server_process(root, tmp_path, *options, before=few_files) as server, ExitStack() as stack:
         first = stack.enter_context(closing(HTTPConnection("127.0.0.1", server.port)))
 
         def num_pauses() -> float:

@@ -17,11 +17,7 @@ from tests.support.web.canvas import PIXELS
 from tests.support.web.chromium import Page
 from tests.support.web.nodeprocess import SCRIPTS
 
-LINKS = {
-    "player": webbundle.WEB / "bundle",
-    "web": webbundle.WEB,
-    "npm": SCRIPTS / "node_modules",
-}
+LINKS = {"player": webbundle.WEB / "bundle", "web": webbundle.WEB, "npm": SCRIPTS / "node_modules"}
 """Folders of a host: the bundle, which is what viewers get; the single modules, for tests that
 reach inside of one; and packages of others."""
 

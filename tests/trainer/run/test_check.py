@@ -13,12 +13,7 @@ from codec.errors import SwingsError
 from tests.support.footage.checking import all_said, checked, said
 from tests.support.hostile import refused
 from tests.support.tiny_capture import picture_of, tiny_rig, write_dynamic3dgs, write_dynerf
-from tests.support.tiny_models import (
-    transforms_of,
-    write_model,
-    write_pictures,
-    write_transforms,
-)
+from tests.support.tiny_models import transforms_of, write_model, write_pictures, write_transforms
 from tests.support.trainings import train_here
 from trainer.capture.capture import Picture
 from trainer.capture.layout import open_capture

@@ -187,10 +187,7 @@ def test_a_link_of_12_4_and_12_mbit_s_without_a_stall(page: Page, tmp_path: Path
     size = sum(sum(record.object_bytes) for record in reader.records)
     assert 6e6 < 8 * size / 10 < 8e6
     steps = [LinkStep(3, 12e6, 0.02), LinkStep(3, 4e6, 0.02), LinkStep(60, 12e6, 0.02)]
-    with (
-        served(tmp_path) as server,
-        LinkProcess(Link(steps), "127.0.0.1", server.port) as link,
-    ):
+    with served(tmp_path) as server, LinkProcess(Link(steps), "127.0.0.1", server.port) as link:
         host, port = link.address
         watch(page, f"http://{host}:{port}/watch/stream?loop=0", 480, 320)
         page.wait("state.frame >= 299")
