@@ -15,12 +15,13 @@ from PIL import Image
 
 from codec.lattice.lattice import Lattice
 from codec.rig import rig_centre
+from codec.slice import Slice
+from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, seen_by, tiny_rig
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
 from tests.support.tiny_stream import tiny_manifest
 from tests.support.waiting import wait_until
-from tests.trainer.score.test_ablation import SLOTS, coarse_slice
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
 from trainer.pictures.framecache import FrameCache
@@ -28,7 +29,7 @@ from trainer.pictures.scale import half_mask, scaled_mask
 from trainer.score.evaluate import EvaluateConfig, LayerScore, evaluate_stream
 from trainer.score.meter import QualityMeter
 
-FRAMES, SWIN = 3, 2
+FRAMES, SWIN, SLOTS = 3, 2, (30, 30)
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -118,6 +119,19 @@ def test_masks_are_read_ahead_too_and_a_still_one_is_held_once(tmp_path: Path) -
         assert cache.mask(2, 0) is cache.mask(2, 2)
         assert np.array_equal(cache.mask(0, 1), hole(1))  # type: ignore[arg-type]
         assert cache.statistics.misses == 0
+
+
+def coarse_slice(birth: int, centre: np.ndarray) -> Slice:
+    """Clearly visible Gaussians."""
+    rng, size = np.random.default_rng(birth + 9), sum(SLOTS)
+    splats = Splats(
+        (centre + rng.normal(0, 0.7, (size, 3))).astype(np.float32),
+        rng.normal(-1.5, 0.4, (size, 3)).astype(np.float32),
+        rng.normal(size=(size, 4)).astype(np.float32),
+        rng.normal(0, 1, size).astype(np.float32),
+        (rng.integers(-9, 9, (size, 1, 3)) / 8).astype(np.float32),
+    )
+    return Slice(birth, splats, np.zeros(size, np.uint8))
 
 
 def write_stream(path: Path, capture_path: Path) -> tuple[float, ...]:
