@@ -6,7 +6,7 @@ Usage: scripts/bench neighbours [--gs N] [--frames F]
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -18,12 +18,9 @@ from rich.table import Table
 
 from codec.console import run_command
 from codec.errors import InvalidError
+from codec.foreign.tsog import encode_tsog
 from codec.interop.containers import contained_frames
 from codec.interop.formats import SplatFormat, encode_splats, read_splats, write_splats
-from codec.interop.fourdgsexport import encode_fourdgs
-from codec.interop.sequences import Precision
-from codec.interop.splat4dexport import write_splat4d
-from codec.interop.tracks import TrackedFrame
 from codec.pose import Doubles
 from codec.sequence.errorbound import ErrorBound
 from codec.sequence.importing import ImportOptions, facing_camera, import_stream
@@ -79,17 +76,16 @@ class Scene:
 
     gs: int
     num_frames: int
-    fps: float = FPS
-    name: str = "scene"
 
     @property
-    def num_slots(self) -> int:
+    def num_ever(self) -> int:
+        """Gaussians that appear in any frame."""
         return round(self.gs * (1 + NEW_SHARE * (self.num_frames - 1)))
 
-    def frame(self, number: int) -> TrackedFrame:
-        splats = _in_room(self.num_slots)
+    def frame(self, number: int) -> Splats:
+        splats = _in_room(self.num_ever)
         rng = np.random.default_rng(number)
-        moves = np.random.default_rng(0).random(self.num_slots) < 0.2
+        moves = np.random.default_rng(0).random(self.num_ever) < 0.2
         spun = turned(splats, TURN_RAD * number)
         sigmas = 1e-4, 0.005, 0.001, 0.01, 0.003
         arrays = []
@@ -97,11 +93,10 @@ class Scene:
             array = np.where(moves.reshape(-1, *(1,) * (still.ndim - 1)), turning, still)
             arrays.append((array + rng.normal(0, sigma, array.shape)).astype(np.float32))
         first = round(NEW_SHARE * self.gs * number)
-        slots = np.arange(first, min(first + self.gs, self.num_slots))
-        return TrackedFrame(slots, Splats(*arrays).take(slots))
+        return Splats(*arrays).take(np.arange(first, min(first + self.gs, self.num_ever)))
 
-    def __iter__(self) -> Iterator[TrackedFrame]:
-        return (self.frame(number) for number in range(self.num_frames))
+    def frames(self) -> list[Splats]:
+        return [self.frame(number) for number in range(self.num_frames)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +115,7 @@ def compared(name: str, scene: Scene, num_bytes: float, decode: Decode) -> Row:
     numbers = sorted({round(f) for f in np.linspace(0, scene.num_frames - 1, SAMPLES)})
     errors, squares = np.zeros(5), []
     for number in numbers:
-        wanted, found = scene.frame(number).splats, decode(number)
+        wanted, found = scene.frame(number), decode(number)
         errors = np.maximum(errors, largest_errors(found, wanted))
         means = wanted.means.astype(np.float64)
         lower, upper = means.min(axis=0), means.max(axis=0)
@@ -132,13 +127,15 @@ def compared(name: str, scene: Scene, num_bytes: float, decode: Decode) -> Row:
     return Row(name, num_bytes / scene.num_frames, errors, psnr_db)
 
 
-def contained(name: str, scene: Scene, path: Path) -> Row:
-    """The row of a file that holds the sequence."""
+def together(scene: Scene, root: Path) -> Row:
+    """The row of one file that holds the sequence."""
+    path = root / "all.tsog"
+    path.write_bytes(encode_tsog(scene.frames(), FPS))
     frames = contained_frames(path)
     assert frames is not None
     assert len(frames) == scene.num_frames
     size = path.stat().st_size
-    return compared(name, scene, size, lambda number: frames[number].read(scene.num_slots))
+    return compared(".tsog", scene, size, lambda number: frames[number].read(scene.gs))
 
 
 def each(scene: Scene, format: SplatFormat, root: Path) -> Row:
@@ -146,16 +143,16 @@ def each(scene: Scene, format: SplatFormat, root: Path) -> Row:
     path = root / f"one.{format}"
 
     def decode(number: int) -> Splats:
-        write_splats(path, scene.frame(number).splats, format)
+        write_splats(path, scene.frame(number), format)
         return read_splats(path)
 
-    sizes = [len(encode_splats(frame.splats, format)) for frame in scene]
+    sizes = [len(encode_splats(splats, format)) for splats in scene.frames()]
     return compared(f".{format}, each frame", scene, sum(sizes), decode)
 
 
 def imported(scene: Scene, files: Path, finer: float, root: Path) -> Row:
     """The row of a stream."""
-    options = ImportOptions(fps=scene.fps, error=ErrorBound(finer=finer))
+    options = ImportOptions(fps=FPS, error=ErrorBound(finer=finer))
     made = import_stream(files, root / f"stream{finer:g}", options)
     reader = StreamReader(root / f"stream{finer:g}")
     return compared(
@@ -183,17 +180,10 @@ def run(config: NeighboursConfig) -> None:
         root = Path(folder)
         files = root / "files"
         files.mkdir()
-        for number, frame in enumerate(scene):
-            write_splats(files / f"frame_{number:04d}.ply", frame.splats, SplatFormat.PLY)
+        for number, splats in enumerate(scene.frames()):
+            write_splats(files / f"frame_{number:04d}.ply", splats, SplatFormat.PLY)
         rows += [imported(scene, files, finer, root) for finer in (1.0, 2.0, 3.0)]
-        for precision in Precision:
-            path = root / f"{precision}.4dgs"
-            path.write_bytes(encode_fourdgs(scene, precision))
-            rows.append(contained(f".4dgs, `--precision {precision}`", scene, path))
-        for precision in Precision:
-            path = root / f"{precision}.splat4d"
-            write_splat4d(path, scene, precision)
-            rows.append(contained(f".splat4d, `--precision {precision}`", scene, path))
+        rows.append(together(scene, root))
         rows += [each(scene, format, root) for format in SplatFormat if format != SplatFormat.GLTF]
     Console(width=160).print(table_of(rows))
 

@@ -238,13 +238,3 @@ def read_head(path: Path, head_bytes: int) -> tuple[bytes, int]:
     """
     with opened_regular(path) as file:
         return file.read(head_bytes), os.fstat(file.fileno()).st_size
-
-
-def read_span(path: Path, offset: int, num_bytes: int) -> bytes:
-    """The `num_bytes` from `offset` on of the regular file at `path`, which the caller knows to be
-    few. Raises CorruptError if it cannot be read or ends before."""
-    with opened_regular(path) as file:
-        if offset + num_bytes > os.fstat(file.fileno()).st_size:
-            raise CorruptError(f"{path} ends before byte {offset + num_bytes}")
-        file.seek(offset)
-        return file.read(num_bytes)

@@ -66,9 +66,9 @@ def fuzz_ksplat(data: bytes) -> None:
 
 
 def fuzz_sequence(data: bytes) -> None:
-    """A file with a sequence, whose first bytes give its format: .4dgs, .splat4d, .tsog."""
+    """A .tsog file."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / ("a.tsog" if data.startswith(b"PK") else "sequence")
+        path = Path(folder) / "a.tsog"
         path.write_bytes(data)
         frames = contained_frames(path) or []
         for frame in [*frames[:MAX_FRAMES], *frames[-1:]]:

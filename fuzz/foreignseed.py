@@ -18,7 +18,6 @@ from codec.foreign.spz import encode_spz
 from codec.foreign.tsog import encode_tsog
 from codec.splats import Splats
 
-from . import handmade as made
 from .foreign import PICTURES
 
 
@@ -91,46 +90,6 @@ def ksplat() -> bytes:
     return head + section + before + records.tobytes()
 
 
-def fourdgs_group(ids: list[int], codec: int = 0) -> bytes:
-    """The streams of Gaussians that never fade."""
-    rows = {kind: np.zeros((len(ids), wide)) for kind, wide in made.CHANNELS.items()}
-    rows |= {13: np.array([ids]).T, 9: np.ones((len(ids), 1))}
-    return b"".join(made.stream(kind, numbers, codec) for kind, numbers in sorted(rows.items()))
-
-
-def fourdgs(codec: int, packed: str) -> bytes:
-    """A keyframe of two Gaussians with harmonics, and a delta in which one moves, one appears and
-    one disappears. With codec 1, zstd, no checksum keeps the fuzzer from the numbers."""
-
-    def stream(kind: int, numbers: made.Numbers) -> bytes:
-        return made.stream(kind, numbers, codec=codec)
-
-    def group(ids: list[int]) -> bytes:
-        return fourdgs_group(ids, codec)
-
-    front = made.header(sh_degree=1), made.grids(), made.windows((0, 10))
-    at = len(made.MAGIC) + sum(map(len, front))
-    changes = stream(13, [[4]]) + stream(0, [[1, 0, -1]]), group([9]), stream(13, [[7]])
-    return made.fourdgs(
-        *front,
-        made.keyframe(0, 0.5, 2, group([7, 4]), packed),
-        made.record(7, b"\1" + stream(7, np.arange(18).reshape(2, 9))),
-        made.delta((0.5, 1), at, changes, (1, 1, 1), packed),
-        made.record(7, b"\1" + stream(7, np.arange(9)[None])),
-    )
-
-
-def long_fourdgs(first_s: float, second_s: float) -> bytes:
-    """Two states; the shorter one is a frame."""
-    group = fourdgs_group([7])
-    return made.fourdgs(
-        made.header(),
-        made.grids(),
-        made.keyframe(0, first_s, 1, group),
-        made.keyframe(first_s, first_s + second_s, 1, group),
-    )
-
-
 def foreign_seeds(plain: Splats, degree_1: Splats) -> Iterator[tuple[str, str, bytes]]:
     """(target, name, input) of every file; each gives a value. degree_1: of SH degree 1."""
     for number, splats in enumerate((plain, degree_1)):
@@ -144,7 +103,4 @@ def foreign_seeds(plain: Splats, degree_1: Splats) -> Iterator[tuple[str, str, b
     yield "bundle", "two", encode_bundle({META: b"{}", "a": b"b"})
     yield "webp", "quats", Bundle(encode_sog(plain), "SOG").read("quats.webp")
     yield "ksplat", "buckets", ksplat()
-    yield "sequence", "4dgs", fourdgs(1, "")
-    yield "sequence", "4dgs-deflate", fourdgs(0, "deflate")
-    yield "sequence", "splat4d", made.splat4d()
     yield "sequence", "tsog", encode_tsog([plain, plain], 25.0)

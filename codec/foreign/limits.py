@@ -49,10 +49,10 @@ def check_ratio(what: str, raw_bytes: int, file_bytes: int) -> None:
         )
 
 
-def check_frames(what: str, count: float, file_bytes: int) -> None:
+def check_frames(what: str, count: int, file_bytes: int) -> None:
     """Raises CorruptError if `count` frames are more than a file of `file_bytes` can have."""
-    if not count <= max(FREE_FRAMES, file_bytes):
-        raise CorruptError(f"{what}: a file of {file_bytes} bytes claims {count:.0f} frames")
+    if count > max(FREE_FRAMES, file_bytes):
+        raise CorruptError(f"{what}: a file of {file_bytes} bytes claims {count} frames")
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,6 @@ There is no magic: any file of a whole number of records can be one, if its valu
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from codec.errors import CorruptError
 from codec.splats import SH_C0, Splats
@@ -59,19 +58,6 @@ def decode_splat(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
     return made.checked(".splat")
 
 
-def splat_rows(splats: Splats) -> npt.NDArray[np.void]:
-    """(N,) the RECORD of each of `splats`, in their order."""
-    rows = np.empty(len(splats), RECORD)
-    rows["xyz"] = splats.means
-    with np.errstate(over="ignore", under="ignore"):
-        scales = np.exp(splats.log_scales.astype(np.float64))
-    rows["scale"] = np.clip(scales, SMALLEST_SCALE, LARGEST_SCALE)
-    rows["rgba"][:, :3] = clipped_bytes((0.5 + SH_C0 * splats.sh[:, 0].astype(np.float64)) * 255)
-    rows["rgba"][:, 3] = opacity_bytes(splats.opacities)
-    rows["rot"] = clipped_bytes(unit_quats(splats.quats) * 128 + 128)
-    return rows
-
-
 def encode_splat(splats: Splats) -> bytes:
     """The .splat file of `splats`, most important first.
 
@@ -81,4 +67,13 @@ def encode_splat(splats: Splats) -> bytes:
     volume = splats.log_scales.astype(np.float64).sum(axis=1)
     with np.errstate(divide="ignore"):
         order = np.argsort(-(volume + np.log(splats.opacities)), kind="stable")
-    return splat_rows(splats.take(order)).tobytes()
+    splats = splats.take(order)
+    rows = np.empty(len(splats), RECORD)
+    rows["xyz"] = splats.means
+    with np.errstate(over="ignore", under="ignore"):
+        scales = np.exp(splats.log_scales.astype(np.float64))
+    rows["scale"] = np.clip(scales, SMALLEST_SCALE, LARGEST_SCALE)
+    rows["rgba"][:, :3] = clipped_bytes((0.5 + SH_C0 * splats.sh[:, 0].astype(np.float64)) * 255)
+    rows["rgba"][:, 3] = opacity_bytes(splats.opacities)
+    rows["rot"] = clipped_bytes(unit_quats(splats.quats) * 128 + 128)
+    return rows.tobytes()

@@ -48,7 +48,6 @@ from .levels import (
 )
 from .limits import MAX_GAUSSIANS, Decoded, check_count, check_ratio
 from .notes import ANTIALIASED, notes, tell_model
-from .packed import unzstd
 
 MAGIC = 0x5053474E
 HEADER = struct.Struct("<IIIBBBB")
@@ -228,10 +227,28 @@ def _zstd_arrays(data: bytes, header: SpzHeader) -> tuple[list[memoryview], memo
             raise CorruptError(f"SPZ: an array of {raw_bytes} bytes, not {expected}")
         if offset + size > len(data):
             raise CorruptError(f"SPZ: ends inside an array: {len(data)} bytes of {offset + size}")
-        arrays.append(memoryview(unzstd(data[offset : offset + size], expected, "SPZ: an array")))
+        arrays.append(memoryview(_unzstd(data[offset : offset + size], expected)))
         offset += size
     extensions = memoryview(data)[HEADER_V4.size : table_offset]
     return arrays or [memoryview(b"")] * len(header.array_bytes), extensions
+
+
+def _unzstd(frame: bytes, raw_bytes: int) -> bytes:
+    """The `raw_bytes` that the zstd frame holds. Raises CorruptError."""
+    what = "SPZ: an array"
+    try:
+        # One that says its size is given that much memory, whatever the limit.
+        said = zstandard.get_frame_parameters(frame).content_size
+        if said not in (zstandard.CONTENTSIZE_UNKNOWN, raw_bytes):
+            raise CorruptError(f"{what}: declares {said} bytes, not {raw_bytes}")
+        content = zstandard.ZstdDecompressor().decompress(
+            frame, max_output_size=raw_bytes, read_across_frames=False, allow_extra_data=False
+        )
+    except zstandard.ZstdError as error:
+        raise CorruptError(f"{what}: {error}") from error
+    if len(content) != raw_bytes:
+        raise CorruptError(f"{what}: {len(content)} bytes, not {raw_bytes}")
+    return content
 
 
 def _rows(array: memoryview, width: int) -> Bytes:

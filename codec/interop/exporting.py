@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import logging
+from enum import StrEnum
 from pathlib import Path
 
 from codec.errors import InvalidError
@@ -15,15 +15,15 @@ from codec.storage.openstorage import Place
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
 from .formats import SplatFormat, write_splats
-from .fourdgsexport import encode_fourdgs
-from .sequences import Precision, SequenceFormat
-from .splat4dexport import write_splat4d
-from .tracks import StreamTracks
-
-_log = logging.getLogger(__name__)
 
 NUMBER_DIGITS = 4
 """Fewest digits of a frame number in a file name: `name_0000.ply`."""
+
+
+class SequenceFormat(StrEnum):
+    """The formats of sequences that can be written."""
+
+    TSOG = "tsog"
 
 
 def chosen_format(
@@ -64,10 +64,9 @@ def export_stream(
     layers: int | None,
     spz_version: SpzVersion | None = None,
     max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
-    precision: Precision | None = None,
 ) -> list[Path]:
     """Writes what shows at `frame` to `out`, or each of `frames` to `out`_NNNN; or, in a
-    SequenceFormat, all of `frames` to `out` with a `precision`.
+    SequenceFormat, all of `frames` to `out`.
 
     `layers` counts from the most important one; all by default, as are `frames` of a sequence.
     Existing files are replaced. max_gaussians: see `check_gaussians`. Raises a SwingsError; the
@@ -77,13 +76,9 @@ def export_stream(
     if isinstance(format, SequenceFormat):
         if frame is not None or spz_version is not None:
             raise InvalidError(f"{format} holds a sequence; choose its frames by --frames A:B")
-        if format is SequenceFormat.TSOG and precision is not None:
-            raise InvalidError("--precision is for 4dgs and splat4d; tsog has its own")
         reader = StreamReader(stream, max_gaussians)
-        _export_sequence(reader, out, frames, format, layers, precision or Precision.FINE)
+        _export_sequence(reader, out, frames, layers)
         return [out]
-    if precision is not None:
-        raise InvalidError(f"--precision is for 4dgs and splat4d; the files would be {format}")
     if (frame is None) == (frames is None):
         raise InvalidError("give either --frame F or --frames A:B")
     if spz_version is not None and format is not SplatFormat.SPZ:
@@ -111,29 +106,15 @@ def export_stream(
 
 
 def _export_sequence(
-    reader: StreamReader,
-    out: Path,
-    frames: str | None,
-    format: SequenceFormat,
-    layers: int | None,
-    precision: Precision,
+    reader: StreamReader, out: Path, frames: str | None, layers: int | None
 ) -> None:
     """Writes `frames` to the file `out`, whole or not at all."""
     wanted = FrameRange.parse(frames or "0:").of(reader.num_frames, reader.name)
-    num_layers = reader.manifest.num_layers if layers is None else layers
-    if reader.manifest.sh_degree and format is not SequenceFormat.TSOG:
-        _log.warning("%s is written without harmonics: colours do not depend on the view", format)
+    layers = reader.manifest.num_layers if layers is None else layers
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with writing_alone(out), replacing(out) as temporary:
-            if format is SequenceFormat.TSOG:
-                shown = [reader.active_splats(frame, num_layers) for frame in wanted]
-                temporary.write_bytes(encode_tsog(shown, reader.manifest.fps))
-                return
-            tracks = StreamTracks(reader, wanted, num_layers)
-            if format is SequenceFormat.SPLAT4D:
-                write_splat4d(temporary, tracks, precision)
-            else:
-                temporary.write_bytes(encode_fourdgs(tracks, precision))
+            shown = [reader.active_splats(frame, layers) for frame in wanted]
+            temporary.write_bytes(encode_tsog(shown, reader.manifest.fps))
     except OSError as error:
         raise InvalidError(f"{out} cannot be written: {error.strerror}") from error

@@ -79,8 +79,8 @@ class ImportOptions:
     """Settings of an import."""
 
     fps: float | None = None
-    """Frames per second. A folder needs it, either here or as a number in its fps.txt; a .4dgs,
-    .splat4d or .tsog file has its own."""
+    """Frames per second. A folder needs it, either here or as a number in its fps.txt; a .tsog
+    file has its own."""
     frames: Annotated[FrameRange, FRAMES] = field(default_factory=FrameRange)
     """Range of files A:B, A included, B not, counted from 0."""
     layers: int = 4

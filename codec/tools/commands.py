@@ -13,9 +13,8 @@ from codec.console import interruptible
 from codec.errors import InvalidError
 from codec.foreign.spz import SpzVersion
 from codec.helptext import Groups
-from codec.interop.exporting import export_stream
+from codec.interop.exporting import SequenceFormat, export_stream
 from codec.interop.formats import SplatFormat
-from codec.interop.sequences import Precision, SequenceFormat
 from codec.outputlock import writing_alone
 from codec.progressline import counted
 from codec.sequence.following import FollowOptions, follow_folder
@@ -72,7 +71,7 @@ class Import:
     input: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="INPUT")]]
     """A .ply, compressed .ply, .spz, .splat, .ksplat, .sog, .glb or .gltf file, the folder of an
     unbundled SOG, or a folder of such models, one per frame, sorted by number; or a sequence in one
-    .4dgs, .splat4d or .tsog file."""
+    .tsog file."""
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the new stream."""
     follow: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -98,19 +97,16 @@ class Export:
     s3://BUCKET/PATH."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Output file. With --frames, one numbered file for each frame: `name.ply` gives name_0000.ply
-    and so on; a .4dgs, .splat4d or .tsog file holds them all. With --static, the output folder, or
-    one file if its name ends with .swings."""
+    and so on; a .tsog file holds them all. With --static, the output folder, or one file if its
+    name ends with .swings."""
     frame: int | None = None
     """Number of the frame, from 0 on."""
     frames: Annotated[str | None, tyro.conf.arg(metavar="A:B")] = None
     """Range of frames A:B, A included, B not; A: runs to the last frame, :B begins at frame 0."""
     format: SplatFormat | SequenceFormat | None = None
     """File format; by default the one that OUT ends with. ply is exact; sog and spz are small; glb
-    and gltf are glTF with KHR_gaussian_splatting; splat is for simple viewers. 4dgs, splat4d and
-    tsog hold a whole sequence; the first two need the extra neighbours. docs/FORMATS.md lists what
-    each format keeps."""
-    precision: Precision | None = None
-    """How much 4dgs and splat4d lose: fine (the default), default or coarse, as fourdgs has it."""
+    and gltf are glTF with KHR_gaussian_splatting; splat is for simple viewers. tsog holds a
+    whole sequence. docs/FORMATS.md lists what each format keeps."""
     spz_version: SpzVersion | None = None
     """Version of the spz format; 3 by default. Few programs read 4 yet; some need 2."""
     layers: int | None = None
@@ -250,7 +246,6 @@ def export_files(config: Export) -> str:
         config.layers,
         config.spz_version,
         config.max_gaussians,
-        config.precision,
     )
     files = str(written[0]) if len(written) == 1 else f"{written[0]} .. {written[-1].name}"
     total_bytes = sum(path.stat().st_size for path in written)
@@ -273,8 +268,8 @@ def unpack_files(config: Unpack) -> str:
 
 
 def _export_static(config: Export) -> str:
-    chosen = (config.frame, config.frames, config.format, config.layers)
-    if chosen != (None,) * 4 or (config.spz_version, config.precision) != (None, None):
+    chosen = (config.frame, config.frames, config.format, config.layers, config.spz_version)
+    if chosen != (None,) * 5:
         raise InvalidError("--static writes the whole stream; leave out the options for frames")
     made = export_static(config.stream, config.out, config.max_gaussians, config.page)
     share = 100 * made.size_bytes / made.source_bytes

@@ -21,9 +21,14 @@ from codec.foreign.sog import decode_sog, encode_sog
 from codec.foreign.webp import decode_webp, encode_webp, webp_size
 from codec.interop.containers import ContainedFrame, contained_frames
 from codec.interop.formats import decode_any, read_splats
+from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import Splats
+from codec.stream import StreamReader
+from tests.support.alike import largest_errors
+from tests.support.commands import run_ok
 from tests.support.drawn import angles_rad, drawn_splats, same_splats
 from tests.support.hostile import refused, within_bytes
+from tests.support.tiny_stream import write_tiny
 from tests.support.trained_like import trained_like_splats
 
 BOOK = [(i - 128) / 16 for i in range(256)]
@@ -189,6 +194,17 @@ def test_a_sequence_that_moves_and_fades(tmp_path: Path) -> None:
     [still] = contained_frames(tmp_path / "a.tsog") or []
     assert len(still.read(9)) == 2
     refused(UnsupportedError, "frame 0: TSOG: 2 Gaussians in a frame, at most 1", still.read, 1)
+
+
+def test_a_stream_there_and_back(tmp_path: Path) -> None:
+    write_tiny(tmp_path / "stream", 6)
+    run_ok("swings-stream", "export", tmp_path / "stream", tmp_path / "all.tsog")
+    import_stream(tmp_path / "all.tsog", tmp_path / "back", ImportOptions())
+    before, after = (StreamReader(tmp_path / name) for name in ("stream", "back"))
+    assert (after.manifest.fps, after.num_frames) == (before.manifest.fps, 6)
+    for frame in range(6):
+        a, b = (r.active_splats(frame, r.manifest.num_layers) for r in (before, after))
+        assert (largest_errors(b, a) < (1.5, 0.2, 0.15, 0.03, 0.06)).all()
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,8 @@ from hypothesis import given, settings
 from codec.errors import CorruptError, UnsupportedError
 from codec.foreign.ksplat import decode_ksplat
 from codec.foreign.splat import decode_splat, encode_splat
-from codec.interop.containers import contained_frames
 from codec.interop.formats import decode_any
 from codec.splats import SH_C0, Splats
-from fuzz import handmade as made
-from fuzz.foreignseed import long_fourdgs
 from tests.support.drawn import angles_rad, drawn_splats
 from tests.support.hostile import refused, survives
 
@@ -81,29 +77,6 @@ def test_extreme_gaussians_stay_readable() -> None:
         np.full((2, 1, 3), 1e30, np.float32),
     )
     assert len(decode_splat(encode_splat(splats))) == 2
-
-
-MANY_FRAMES = made.splat4d().replace(b'"t": 3', b'"t": 1048576').replace(6 * b" ", b"", 1)
-
-
-@pytest.mark.parametrize(
-    ("data", "says"),
-    [
-        (long_fourdgs(5e-324, 1e308), "bytes claims inf frames"),
-        (long_fourdgs(1, 1 << 19), "bytes claims 524289 frames"),
-        (MANY_FRAMES, "bytes claims 1048576 frames"),
-    ],
-)
-def test_a_small_file_has_no_endless_sequence(data: bytes, says: str, tmp_path: Path) -> None:
-    (tmp_path / "sequence").write_bytes(data)
-    refused(CorruptError, says, contained_frames, tmp_path / "sequence")
-
-
-def test_a_coordinate_frame_is_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = tmp_path / "sequence"
-    path.write_bytes(made.MAGIC + made.record(0x20, bytes(17)) + long_fourdgs(1, 2)[8:])
-    assert len(contained_frames(path) or []) == 3
-    assert "names a coordinate frame, which is not read" in caplog.text
 
 
 FORMATS = {0: "<3f3f4f4B", 1: "<3H3e4e4B", 2: "<3H3e4e4B"}
