@@ -75,6 +75,8 @@ class TrainConfig:
     longest_px: int | None = 640
     """Longest side of the training pictures, pixels: those of a larger capture are scaled down to
     it. A number above the capture's keeps its size."""
+    without_cameras: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
+    """Names of cameras of the capture to leave out, such as one that is out of step."""
     fps: float | None = None
     """Frames per second, if no file of the capture gives them, or to override them."""
     near_m: float | None = None
