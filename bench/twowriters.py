@@ -131,7 +131,7 @@ def pair(kind: str, delay_s: float, folder: Path) -> str:
         return "after the first"
     if codes == [0, 1] and len(refused) == 1 and len(refused[0].splitlines()) == 1:
         return "refused"
-    if codes == [0, 1] and "is not empty" in ends[1][0]:
+    if codes == [0, 1] and any("is not empty" in told for told, _ in ends):
         return "after the first"
     if codes == [0, 0] and kind not in ("import", "follow", "edit", "join", "unpack", "export"):
         return "both, one after the other"
