@@ -1,5 +1,7 @@
 /** Seconds of media that must have arrived before playback begins, or continues after a stall. */
 const LEAD_S = 0.1;
+/** The same, as a multiple of the time to a first byte. */
+const WAITS = 2;
 /**
  * The same after a second stall within CALM_S of playback, or after the first one over a link that carries
  * less than layer 0; it doubles with each further one.
@@ -69,6 +71,8 @@ export class Playback {
      * otherwise no lead is longer than the first one.
      */
     this.heldFrame = Infinity;
+    /** Seconds from a request to its first byte, 0 where others decide what is sent. Set by the caller. */
+    this.waitS = 0;
     /** Whether the link carries less than layer 0. Set by the caller. */
     this.isLinkThin = false;
     this.refinedS = -Infinity;
@@ -261,7 +265,9 @@ export class Playback {
     const least = this.live ? after(LEAD_S) : Math.min(numFrames, after(LEAD_S));
     // A longer lead is for the link: frames that do not exist yet are not waited for.
     const held = Math.max(endFrame, this.heldFrame);
-    return endFrame >= least && held >= Math.min(numFrames, after(this.leadS));
+    // From a far host, what follows comes a round trip after it was requested, the first parts slowly.
+    const leadS = Math.max(this.leadS, WAITS * this.waitS);
+    return endFrame >= least && held >= Math.min(numFrames, after(leadS));
   }
 
   /** Updates endFrame, the end of the frames that can be played without a gap. */

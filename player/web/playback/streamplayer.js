@@ -306,6 +306,7 @@ export class StreamPlayer {
     const { endFrame } = round;
     // Frames for which there is no room will not arrive.
     playback.heldFrame = cache.hasRoomFor(cache.segmentOf(endFrame)) ? endFrame : Infinity;
+    playback.waitS = round.source.waitS ?? 0;
     const needBps = rate * cache.baseBps(playback.frame);
     const rateBps = round.source.rateBps ?? Infinity;
     playback.isLinkThin = rateBps < needBps && endFrame < numFrames; // at a live edge none is missing

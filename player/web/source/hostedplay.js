@@ -50,6 +50,12 @@ export class HostedPlay {
     return this.stream.estimator.rateBps;
   }
 
+  /** Least seconds from a request to its first byte; 0 while unknown. */
+  get waitS() {
+    const { roundTripS } = this.stream.window;
+    return roundTripS < Infinity ? roundTripS : 0;
+  }
+
   get isFetching() {
     return this.coming.size > 0;
   }

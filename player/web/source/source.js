@@ -27,6 +27,7 @@ import { ServedStream } from "./served.js";
  * @property {(segment: number, layer: number, why: unknown) => void} [lose] notes that a layer of a segment
  *   is damaged
  * @property {number | null} rateBps estimated throughput of the link
+ * @property {number} [waitS] least seconds from a request to its first byte
  * @property {unknown} failure the error that ended the play; null if there is none
  * @property {boolean} isFetching whether anything is under way, also after a failure
  * @property {() => void} onData called when data has arrived or a request has failed

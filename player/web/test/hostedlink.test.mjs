@@ -19,10 +19,11 @@ const SMALL = Object.fromEntries(
 const LINKS = [
   [100, 0.02, { isSlow: true, allByS: 0.5 }],
   [100, 0.2, { allByS: 3 }],
-  [100, 0.2, { isSlow: true, mostStalls: 1, allByS: 4 }],
-  [100, 0.2, { isSlow: true, mostStalls: 1, allByS: 3, connections: 100 }],
+  [100, 0.2, { isSlow: true, allByS: 4 }],
+  [100, 0.2, { isSlow: true, allByS: 3.1, connections: 100 }],
   [20, 0.1, { isSlow: true, allByS: 1.5 }],
   [3, 0.15, {}],
+  [3, 0.15, { isSlow: true }],
   [3, 0.15, { of: SMALL, allByS: 3 }],
   [2, 0.15, { isSlow: true }],
   [0.4, 0.15, { mostStalls: 4, forS: 45 }],

@@ -141,6 +141,7 @@ export async function watched({
         if (playback.nextFrame < (s + 1) * segmentFrames && hasLayer(s, l))
           come.set(`${s}/${l}`, true);
     playback.heldFrame = cache.endOf(playback.nextFrame, 900);
+    playback.waitS = play.waitS;
     playback.isLinkThin = (play.rateBps ?? Infinity) < 24 * (layerBytes[0] + masksBytes);
     const one = playback.tick(link.nowS);
     if (one !== null) {
