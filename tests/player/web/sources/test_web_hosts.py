@@ -44,9 +44,9 @@ def test_a_static_export_brings_its_page(page: Page, site: Site) -> None:
     assert page.value("document.title") == "swings"  # it has no title
     # The statistics name the point under the pointer.
     page.run("element.pause(); element.toggleStats()")
-    at = "const at = new PointerEvent('pointermove', { clientX: 160, clientY: 120 });"
-    page.run(f"{at} player.canvas.dispatchEvent(at)")
-    page.wait("/pointer   (-?[0-9.]+ ){2}-?[0-9.]+$/.test(part('.stats').textContent)")
+    moved = "new PointerEvent('pointermove', { clientX: 160, clientY: 120 })"
+    found = "/pointer   (-?[0-9.]+ ){2}-?[0-9.]+$/.test(part('.stats')?.textContent)"
+    page.wait(f"player.canvas.dispatchEvent({moved}) && {found}")  # they are loaded first
     refused(InvalidError, "--page", export_static, "s", Path("a.swings"), page=True)
 
 
