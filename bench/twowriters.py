@@ -48,10 +48,10 @@ KINDS = {
 """Each writes OUT, or OUT.swings. NAME differs between the two."""
 
 RESUMED = {"follow --resume": "follow", "train --resume": "train"}
-"""What is begun and killed before."""
+"""The command that is begun and killed before."""
 
 COPIED = ("audio", "captions")
-"""What needs a stream at OUT."""
+"""The kinds that need a stream at OUT."""
 
 DELAYS_S = (0, 1, 3)
 

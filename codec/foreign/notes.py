@@ -1,4 +1,4 @@
-"""What readers of foreign files say about them, and what the files of one import share.
+"""Notes of readers about foreign files, and the state that the files of one import share.
 
 A frame is read two or three times, and a sequence has many: each note is logged once in an import.
 """
@@ -31,7 +31,7 @@ class Notes:
     left_out: dict[str, int] = field(default_factory=dict)
     """Gaussians that were left out, by file."""
     hint: str = ""
-    """What to try if the model looks wrong, where a file leaves something open."""
+    """A remedy for a model that looks wrong, where its file leaves something open."""
     _said: set[str] = field(default_factory=set)
 
     def say(self, text: str, kind: str | None = None) -> None:
@@ -56,7 +56,7 @@ _current: ContextVar[Notes | None] = ContextVar("notes", default=None)
 
 
 def notes() -> Notes:
-    """Those of the import that runs, or new ones for a file that is read by itself."""
+    """The notes of the import that runs, or new ones for a file that is read by itself."""
     return _current.get() or Notes()
 
 

@@ -80,7 +80,7 @@ class PlyHeader:
     """Whether there is a list. Its rows have lengths of their own, so nothing behind it has a fixed
     place."""
     comments: tuple[str, ...] = ()
-    """What stands behind the word `comment`."""
+    """The text of each comment."""
 
     def check_rows(self) -> None:
         """Raises CorruptError, or UnsupportedError, if the rows cannot be read as arrays."""
