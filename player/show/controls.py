@@ -108,6 +108,14 @@ class Controls:
         recent = time.monotonic() - self._moved_s < BAR_S
         return recent or self._seeks_by_bar or not self._conductor.state().running
 
+    def pointer_px(self, size: tuple[int, int]) -> tuple[float, float] | None:
+        """Where the pointer is in a picture of `size`, from the upper left; None outside."""
+        window_px = glfw.get_window_size(self._window)  # of a dense screen not those of its picture
+        if not all(0 <= at < most for at, most in zip(self._at_px, window_px, strict=True)):
+            return None
+        x_px, y_px = (a * n / m for a, n, m in zip(self._at_px, size, window_px, strict=True))
+        return x_px, y_px
+
     def fly(self, camera: Camera, seconds: float) -> None:
         """Flies on from `camera` for `seconds`, if a key says so."""
 

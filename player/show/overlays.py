@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from codec.pose import Doubles
 from player.playout.conductor import Conductor, PlayState
 
 from .captionchoice import CaptionChoice
@@ -26,15 +27,21 @@ class Overlays:
         self._info_s = -INFO_EVERY_S
 
     def now(
-        self, conductor: Conductor, controls: Controls, size: tuple[int, int], now_s: float
+        self,
+        conductor: Conductor,
+        controls: Controls,
+        size: tuple[int, int],
+        now_s: float,
+        pointed: Callable[[], Doubles | None],
     ) -> list[Placed]:
-        """Overlays of a picture of `size`."""
+        """Overlays of a picture of `size`. pointed: finds the point, (3,) metres, world, that the
+        pointer is on, which takes a moment."""
         state = conductor.state()
         shown, top_px = [], MARGIN_PX
         if controls.shows_info:
             if now_s - self._info_s >= INFO_EVERY_S or "info" not in self._held:
                 self._info_s = now_s
-                info = self._text("info", self._lines(conductor, state, now_s), top_px)
+                info = self._text("info", self._lines(conductor, state, now_s, pointed()), top_px)
             else:
                 info = self._held["info"][1]
             shown.append(info)
@@ -56,12 +63,15 @@ class Overlays:
 
         return self._keep("captions", (lines, size), make)
 
-    def _lines(self, conductor: Conductor, state: PlayState, now_s: float) -> tuple[str, ...]:
+    def _lines(
+        self, conductor: Conductor, state: PlayState, now_s: float, point: Doubles | None
+    ) -> tuple[str, ...]:
         source = conductor.source
         lines = self._meter.lines(
             state, source.manifest.num_layers, self._fps, source.play.rate_bps, now_s
         )
-        return tuple(lines)
+        at = "-" if point is None else " ".join(f"{metres:.3f}" for metres in point)
+        return (*lines, f"pointer on {at}")
 
     def _text(self, place: str, lines: tuple[str, ...], top_px: int) -> Placed:
         key = (lines, top_px)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from typing import TYPE_CHECKING
 
 import glfw
+import numpy as np
 
 from codec.camera import Camera
+from codec.pose import Doubles
 from player.playout.conductor import Conductor
 from player.playout.timeline import FrameRecord
 from player.render.gl import GlRenderer, Target
@@ -113,7 +116,8 @@ class _Shown:
                 self._controls.fly(camera, now_s - last_s)
             last_s = now_s
             size = self._window.size_px
-            overlays = self._overlays.now(self._conductor, self._controls, size, now_s)
+            pointed = partial(self._pointed, renderer, camera)
+            overlays = self._overlays.now(self._conductor, self._controls, size, now_s, pointed)
             state = (frame, glides, self._controls.changes, size, overlays)
             if frame is None:
                 self._poster.draw()
@@ -133,6 +137,16 @@ class _Shown:
                 self._sound.camera = camera
             drawn = state
             self._noted(waiting, frame, note)
+
+    def _pointed(self, renderer: GlRenderer, camera: Camera | None) -> Doubles | None:
+        """(3,) metres, world: what the pointer is on in the last picture, which `camera` saw."""
+        if camera is None:
+            return None
+        at_px = self._controls.pointer_px((camera.width_px, camera.height_px))
+        depth_m = renderer.depth_at(camera, *at_px) if at_px is not None else None
+        if at_px is None or depth_m is None:
+            return None
+        return camera.unproject(*np.array([*at_px, depth_m], np.float64))
 
     def _noted(self, waiting: list[FrameRecord], frame: int | None, note: Note) -> None:
         """`frame` was drawn, of those that waited to be."""

@@ -85,7 +85,7 @@ def _about(stream: ServedStream) -> str:
     """The stream in a few figures, for people."""
     manifest = stream.view.manifest
     layers = "1 layer" if manifest.num_layers == 1 else f"{manifest.num_layers} layers"
-    about = f"{manifest.num_gs:,} Gaussians, {layers}"
+    about = f"up to {manifest.num_gs:,} Gaussians, {layers}"  # its slots, which may be empty
     return about if _is_still(stream) else f"{about}, {stream.fps:g} fps"
 
 

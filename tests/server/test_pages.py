@@ -69,9 +69,9 @@ async def test_the_list_and_the_front_page_name_every_stream(site: Site) -> None
     links = re.findall('class="card" href="([^"]*)"', front.text)
     assert links == ["watch/walk", "watch/dance.2", "watch/still"]  # by title
     still = front.text.partition('"watch/still"')[2]
-    assert "32 Gaussians, 4 layers</span>" in still
+    assert "up to 32 Gaussians, 4 layers</span>" in still
     assert "tag" not in still
-    for text in ("A &lt;walk&gt; &amp; back", "32 Gaussians, 4 layers, 30 fps", server.url):
+    for text in ("A &lt;walk&gt; &amp; back", "up to 32 Gaussians, 4 layers, 30 fps", server.url):
         assert text in front.text
     assert "<walk>" not in front.text
 
@@ -202,7 +202,7 @@ async def test_a_page_describes_itself_to_those_that_link_to_it(site: Site) -> N
     graph = dict(re.findall('<meta property="og:([^"]*)" content="([^"]*)">', page))
     assert graph["title"] == "A &lt;walk&gt; &amp; back"
     assert graph["url"] == f"{server.url}/watch/walk"
-    assert graph["description"] == "32 Gaussians, 4 layers, 30 fps"
+    assert graph["description"] == "up to 32 Gaussians, 4 layers, 30 fps"
     (link,) = re.findall('type="application/json\\+oembed" href="([^"]*)"', page)
     found = (await fetch(client, f"{link}?url={graph['url']}&maxwidth=320")).json()
     assert (found["version"], found["type"]) == ("1.0", "video")

@@ -18,6 +18,7 @@ from codec.camera import Camera
 from codec.errors import CodecError
 from codec.files import read_bounded
 from trainer.capture.colmap import cameras_of_model
+from trainer.capture.layouts import LAYOUTS
 from trainer.capture.lens import Lens
 from trainer.capture.opencv import camera_of_opencv
 from trainer.errors import CaptureError
@@ -39,6 +40,12 @@ def read_calibration(path: Path, metres: float) -> list[CalibratedCamera]:
 
     Raises CaptureError for what is not a calibration, or a lens that is not read.
     """
+    for layout in LAYOUTS:
+        if path.is_file() and path.name in layout.markers:
+            raise CaptureError(
+                f"{path}: belongs to a capture of {layout.title} ({layout.contents}), which opens "
+                f"as it is: swings-train {path.parent} STREAM"
+            )
     if path.is_dir():
         found = [CalibratedCamera(c, lens) for c, lens, _ in cameras_of_model(path)[1].values()]
     else:

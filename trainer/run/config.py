@@ -39,7 +39,7 @@ class TrainConfig:
     """Trains a capture into a stream."""
 
     EVERYDAY: ClassVar[Groups] = {
-        "Capture": ("check", "frames", "scale", "longest-px", "fps", "audio"),
+        "Capture": ("check", "frames", "scale", "longest-px", "without-cameras", "fps", "audio"),
         "Quality and time": ("preset", "num-gs", "sh-degree", "backend"),
         "Stream": ("title", "default-camera", "layers", "temporal", "segment-frames"),
         "While it trains": ("serve", "resume", "work"),

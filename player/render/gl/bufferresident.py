@@ -13,7 +13,7 @@ from ..pack import texels_per_gaussian
 from .colourpass import ColourPass
 from .depthsort import DepthSort
 from .glcontext import GlError, Unlocked
-from .programs import compile_compute, compile_program, set_camera
+from .programs import Quads, compile_compute, set_camera
 from .rowpacker import PackedRows, RowPacker
 
 GROUP = 256
@@ -67,12 +67,10 @@ class BufferResident:
         self._sort = DepthSort(context, num_slots)
         self._cull = compile_compute(context, "cull.glsl", {**constants, **self._sort.constants})
         self._groups = -(-num_slots // GROUP)
-        self._program = compile_program(context, "splat.glsl", constants, version=430)
         self._colours: ColourPass | None = None
         if manifest.sh_degree >= 2:
             self._colours = ColourPass(context, num_slots, manifest.least_near_m, constants, 430)
-            self._program["colours"] = 1
-        self._quads = context.vertex_array(self._program, [(self._sort.order, "1u/i", "slot")])
+        self._quads = Quads(context, constants, 430, self._sort.order)
 
     def upload(self, packed: PackedRows) -> int:
         lane, first_slot = self._lanes[packed.lane], packed.lane * self._slice_size
@@ -154,12 +152,11 @@ class BufferResident:
         self._unlocked.compute(self._cull, self._groups)
         self._sort.run(self._unlocked)
 
-    def draw(self, camera: Camera) -> None:
-        set_camera(self._program, camera)
+    def draw(self, camera: Camera, depths: bool = False) -> None:
         self._gaussians.bind_to_storage_buffer(_GAUSSIANS)
         if self._colours is not None:
             self._colours.bind()
-        self._unlocked.draw_command(self._quads, self._sort.command)
+        self._unlocked.draw_command(self._quads.seen(camera, depths), self._sort.command)
 
 
 def _check_limits(

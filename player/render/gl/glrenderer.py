@@ -26,7 +26,7 @@ from ..renderer import GlVersion
 from ..steptimes import StepTimes, step
 from .bufferresident import BufferResident
 from .glcontext import GlError, Unlocked, open_context, version_for
-from .offscreen import BLACK, Colour, Offscreen, Target
+from .offscreen import BLACK, Colour, DepthPixel, Offscreen, Target
 from .resident import Resident
 from .textureresident import TextureResident
 
@@ -62,6 +62,7 @@ class GlRenderer:
         self.uploaded_bytes = 0
         self.times: StepTimes | None = None
         self.alpha = False
+        self._pixel: DepthPixel | None = None  # for who asks how far a pixel is
         try:
             with self._current:
                 # What Python drops is freed at the next frame, by the thread that owns the context.
@@ -132,10 +133,13 @@ class GlRenderer:
             self._resident.sort(frame, camera)
         with step(self.times, "draw_ms", self._unlocked.finish):
             self._offscreen.clear(camera)
-            # Premultiplied colours, farthest first.
-            self._context.enable_only(moderngl.BLEND)
-            self._context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
-            self._resident.draw(camera)
+            self._blend(camera)
+
+    def _blend(self, camera: Camera, depths: bool = False) -> None:
+        # Premultiplied, farthest first.
+        self._context.enable_only(moderngl.BLEND)
+        self._context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
+        self._resident.draw(camera, depths)
 
     def present(
         self,
@@ -149,6 +153,16 @@ class GlRenderer:
         with self._current:
             self._draw(frame, camera)
             self._offscreen.show(screen, background)
+
+    def depth_at(self, camera: Camera, x_px: float, y_px: float) -> float | None:
+        """Depth of the picture that was drawn last, with `camera`, metres forward from it; None if
+        hardly anything shows there. Waits for the GPU. x_px, y_px: from the upper left."""
+        with self._current:
+            self._pixel = self._pixel or DepthPixel(self._context)
+            moved = self._pixel.use(camera, x_px, y_px)
+            self._blend(moved, depths=True)
+            self._unlocked.finish()
+            return self._pixel.depth_m()
 
     def render(self, frame: int, camera: Camera) -> Floats:
         """See Renderer."""
@@ -171,7 +185,7 @@ class GlRenderer:
         if self._closed:
             return
         self._closed = True
-        del self._offscreen, self._resident
+        del self._offscreen, self._resident, self._pixel
         self._release()
 
     def _release(self) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from enum import Enum
 
 import moderngl
@@ -10,6 +12,7 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 
+from ..depth import LEAST_COVERAGE
 from .glcontext import GlError
 from .programs import compile_program
 
@@ -85,3 +88,25 @@ class Offscreen:
         self._picture.use(0)
         self._program["background"], self._program["corner_px"] = background, (0, 0)
         self._copy.render(moderngl.TRIANGLES, vertices=3)
+
+
+class DepthPixel:
+    """A target of one pixel, for the depth of what it shows."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        pixel = context.texture((1, 1), 4, dtype=Target.FLOAT32.value)
+        self._framebuffer = context.framebuffer([pixel])
+
+    def use(self, camera: Camera, x_px: float, y_px: float) -> Camera:
+        """Clears the pixel, draws into it from now on, and gives `camera` moved so that what the
+        picture has at that place falls on it."""
+        self._framebuffer.viewport = (0, 0, camera.width_px, camera.height_px)
+        self._framebuffer.use()
+        self._framebuffer.clear()
+        left_px, top_px = math.floor(x_px), math.floor(y_px)
+        return replace(camera, cx_px=camera.cx_px - left_px, cy_px=camera.cy_px - top_px)
+
+    def depth_m(self) -> float | None:
+        """The mean depth, weighted as colours are; None if hardly anything shows."""
+        pixel = np.frombuffer(self._framebuffer.read(components=4, dtype="f4"), np.float32)
+        return float(pixel[0] / pixel[3]) if pixel[3] > LEAST_COVERAGE else None

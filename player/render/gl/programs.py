@@ -57,6 +57,34 @@ def compile_compute(
     return context.compute_shader(f"{_head(430, constants)}\n{sync}\n{_text(shader)}")
 
 
+class Quads:
+    """One quad for each Gaussian that is to be drawn, in its colours or with its depth."""
+
+    def __init__(
+        self, context: moderngl.Context, constants: Constants, version: int, slots: moderngl.Buffer
+    ) -> None:
+        """slots: uint32, which Gaussians, farthest first."""
+        self._context, self._constants, self._version = context, constants, version
+        self._slots = slots
+        self._colours = self._compiled({})
+        self._depths: moderngl.VertexArray | None = None  # few ever ask
+
+    def _compiled(self, more: Constants) -> moderngl.VertexArray:
+        constants = {**self._constants, **more}
+        program = compile_program(self._context, "splat.glsl", constants, self._version)
+        if "colours" in program:  # harmonics of degree 2 and 3; depths do not look at them
+            program["colours"] = 1
+        return self._context.vertex_array(program, [(self._slots, "1u/i", "slot")])
+
+    def seen(self, camera: Camera, depths: bool) -> moderngl.VertexArray:
+        """The quads as `camera` sees them; what they blend is their depth, metres, or colours."""
+        if depths and self._depths is None:
+            self._depths = self._compiled({"DEPTH": 1})
+        quads = self._depths if depths and self._depths is not None else self._colours
+        set_camera(quads.program, camera)
+        return quads
+
+
 def set_camera(program: moderngl.Program | moderngl.ComputeShader, camera: Camera) -> None:
     """Fills those of the camera's uniforms that the program has."""
     values: dict[str, npt.ArrayLike] = {

@@ -55,6 +55,7 @@ class Resident(Protocol[Packed]):
         """Finds which Gaussians show in `frame`, farthest first."""
         ...
 
-    def draw(self, camera: Camera) -> None:
-        """Blends what was sorted last into the target, which is in use, as are the blend modes."""
+    def draw(self, camera: Camera, depths: bool = False) -> None:
+        """Blends what was sorted last into the target, which is in use, as are the blend modes:
+        colours, or depths in metres."""
         ...

@@ -15,7 +15,7 @@ from ..pack import TEXTURE_WIDTH_PX, texels_per_gaussian
 from ..patch import PackedLanes, PackedSlice
 from .colourpass import ColourPass
 from .glcontext import GlError, Unlocked
-from .programs import compile_program, set_camera
+from .programs import Quads
 from .texelmix import Mixture, TexelMix
 
 
@@ -50,18 +50,16 @@ class TextureResident:
             "SH_DEGREE": manifest.sh_degree,
         }
         self._mix = TexelMix(context, self._texture, constants)
-        self._program = compile_program(context, "splat.glsl", constants)
         self._colours: ColourPass | None = None
         if manifest.sh_degree >= 2:
             num_slots = self._spare_slot + self._num_spare
             self._colours = ColourPass(context, num_slots, manifest.least_near_m, constants, 330)
-            self._program["colours"] = 1
         self._lane_slots = lane_slots
         self._newest: PackedSlice | None = None  # what was uploaded last, if it moves anything
         self._gliding: PackedSlice | None = None
         self._share = 1.0
         self._slots = context.buffer(reserve=4 * (self._spare_slot + self._num_spare))
-        self._quads = context.vertex_array(self._program, [(self._slots, "1u/i", "slot")])
+        self._quads = Quads(context, constants, 330, self._slots)
 
     def start_glide(self, frame: int) -> None:
         newest = self._newest
@@ -127,14 +125,13 @@ class TextureResident:
         near_m = self._manifest.near_of(camera)
         self._shown = self._order.far_first(frame, camera.w2c, near_m)
 
-    def draw(self, camera: Camera) -> None:
+    def draw(self, camera: Camera, depths: bool = False) -> None:
         if not len(self._shown):
             return
         # Orphaned first: the frame before may still be read from it.
         self._slots.orphan()
         self._slots.write(self._shown)
-        set_camera(self._program, camera)
         self._texture.use(0)
         if self._colours is not None:
             self._colours.bind()
-        self._unlocked.draw_quads(self._quads, len(self._shown))
+        self._unlocked.draw_quads(self._quads.seen(camera, depths), len(self._shown))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from pathlib import Path
 
 import glfw
@@ -12,13 +13,15 @@ import pytest
 from PIL import Image
 
 from codec.framerange import FrameRange
+from codec.stream import StreamReader
 from codec.stream.captions import Captions
 from codec.tools.streamcaptions import add_captions
 from player.config import CameraPathName, PlayConfig
 from player.playout.conductor import Conductor
 from player.playout.timeline import FrameRecord
 from player.render.renderer import GlVersion
-from player.show.overlay import BAR_PX
+from player.show import overlays
+from player.show.overlay import BAR_PX, text_panel
 from player.view.path import Size
 from tests.player.show.windowed import Acts, Person, Pixels
 from tests.support.commands import run
@@ -204,9 +207,11 @@ def test_the_bar_seeks_to_where_it_is_dragged_and_a_background_shows(
 
 
 def test_mouse_and_keys_move_the_camera_and_the_path_plays_again(
-    stream: Path, person: Person, tmp_path: Path
+    stream: Path, person: Person, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recorded, turned = tmp_path / "path.json", list[Pixels]()
+    recorded, turned, said = tmp_path / "path.json", list[Pixels](), [""]
+    show = lambda lines: said.append(lines[-1]) or text_panel(lines)  # type: ignore[func-returns-value]  # noqa: E731
+    monkeypatch.setattr(overlays, "text_panel", show)
     left, right = glfw.MOUSE_BUTTON_LEFT, glfw.MOUSE_BUTTON_RIGHT
 
     def acts(person: Person) -> Acts:
@@ -218,6 +223,11 @@ def test_mouse_and_keys_move_the_camera_and_the_path_plays_again(
             person.presses(key)
             yield from person.until(lambda shown=shown: person.differs(shown) > 0.05)  # type: ignore[misc]
         person.presses(glfw.KEY_H)
+        person.drags(left, (200, 90))
+        yield from person.until(lambda: re.fullmatch(r"pointer on( -?\d+\.\d{3}){3}", said[-1]))
+        seen = StreamReader(stream).manifest.camera().fitted(320, 240)
+        point = np.array(said[-1].split()[2:], np.float64)
+        np.testing.assert_allclose(seen.project(point)[:2], (200, 90), atol=1)
         person.presses(glfw.KEY_I)
         yield from person.until(lambda: person.differs(before) == 0)
         for act in ("pan", "wheel", "fly", "turn"):

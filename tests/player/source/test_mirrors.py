@@ -1,6 +1,5 @@
-"""Static hosts that break, vanish or grow: nothing is fetched twice, and the play continues. Of
-adaptive plays here only the packets count; test_hosted_play.py decides what comes over which link,
-and test_static_link.py measures it."""
+"""Static hosts that break, vanish or grow: nothing is fetched twice, and the play continues. What
+comes over which link is for test_hosted_play.py and test_static_link.py."""
 
 from __future__ import annotations
 

@@ -76,6 +76,9 @@ def test_a_model_of_the_first_frames_becomes_a_capture(tmp_path: Path) -> None:
 def test_what_cannot_be_imported_is_one_line(tmp_path: Path) -> None:
     root, rig = tmp_path / "c", tmp_path / "rig.json"
     write_videos(root, cameras := tiny_rig(2), 1)
+    (intri := tmp_path / "intri.yml").write_text("%YAML:1.0\n")
+    done = run("swings-capture", "import", intri, root)
+    assert f"opens as it is: swings-train {tmp_path} STREAM" in done.stderr
     for change, message in (
         ({"name": "elsewhere"}, "give both the same names"),
         ({"size": [64]}, "size is not numbers of the expected shape"),

@@ -20,6 +20,7 @@ from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 from player.render.cpu import CpuRenderer, render_splats
+from player.render.depth import render_depth
 from player.render.gl import GlError, GlRenderer, Target, bufferresident, glrenderer, open_context
 from player.render.renderer import GlVersion
 from player.render.ring import Ring
@@ -110,6 +111,20 @@ def test_coarser_targets_are_near(open_gl: OpenGl, target: Target, least_db: flo
     assert psnr_db(got, expected) >= least_db
     if target is Target.BYTE:
         np.testing.assert_array_equal(got, np.rint(got * 255) / np.float32(255))
+
+
+def test_a_pixel_has_the_depth_that_the_cpu_finds(open_gl: OpenGl) -> None:
+    manifest = small_manifest(slice_size=500, sh_degree=2)
+    gl, ring, camera = open_gl(manifest), Ring(SWIN_SIZE, 500, 2), manifest.camera("c1")
+    for birth in range(1 - SWIN_SIZE, 1):
+        gl.put(random_slice(birth, 500, 2))
+        ring.put(random_slice(birth, 500, 2))
+    gl.render(0, camera)
+    expected = render_depth(ring.active(0), camera, manifest.near_of(camera))
+    for (y, x), depth_m in np.ndenumerate(expected[::7, ::9]):
+        found = gl.depth_at(camera, 9 * x + 0.7, 7 * y + 0.2)
+        np.testing.assert_allclose(np.nan if found is None else found, depth_m, rtol=1e-3)
+    assert 0 < np.isnan(expected[::7, ::9]).mean() < 1
 
 
 def test_of_equally_far_gaussians_the_oldest_is_in_front(open_gl: OpenGl) -> None:
