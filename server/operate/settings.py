@@ -121,11 +121,12 @@ def settings_parser(prefix: str, environment: Mapping[str, str] = os.environ) ->
 
 
 def settings_text(prefix: str, command: Any) -> str:
-    """The settings of `command` as an environment file: one a line, unset ones as comments.
+    """The settings of `command` as an environment file: one a line, defaults as comments, so that
+    a later version may change them.
 
     Raises InvalidError for a value that no line of such a file can hold.
     """
-    lines = []
+    lines, defaults = [], _with_given(prefix, type(command), {}, {})
     for variable, one in settings_of(prefix, type(command)).items():
         value = attrgetter(one.path)(command)
         if value is None:
@@ -137,7 +138,8 @@ def settings_text(prefix: str, command: Any) -> str:
                 f"{variable}: {text[:60]!a} has control characters or is not Unicode; an "
                 "environment file cannot hold it"
             )
-        lines.append(f"{variable}={text if _BARE.fullmatch(text) else shlex.quote(text)}\n")
+        mark = "# " if value == attrgetter(one.path)(defaults) else ""
+        lines.append(f"{mark}{variable}={text if _BARE.fullmatch(text) else shlex.quote(text)}\n")
     return "".join(lines)
 
 

@@ -67,8 +67,7 @@ def checked_settings(words: list[str], environment: dict[str, str]) -> dict[str,
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    lines = [line for line in done.stdout.splitlines() if not line.startswith("#")]
-    return dict(line.removeprefix("SWINGS_SERVE_").split("=", 1) for line in lines)
+    return dict(re.findall("SWINGS_SERVE_(.*?)=(.*)", done.stdout))  # comments are the defaults
 
 
 def test_the_server_takes_the_settings_of_the_unit_and_can_reload() -> None:

@@ -145,7 +145,7 @@ def test_printed_settings_need_quotes_only_where_a_value_is_not_plain() -> None:
     """`docker run --env-file` treats quotes as part of the value."""
     told = settings_text("SWINGS_SERVE", Command(Path("s3://b/a-b"), host="::"))
     assert not {"'", '"', "\\"} & set(told)
-    assert "SWINGS_SERVE_CORS_ORIGIN=*\n" in told
+    assert "\n# SWINGS_SERVE_CORS_ORIGIN=*\n" in told  # a later version may have another default
     assert "SWINGS_SERVE_HOST='a b'\n" in settings_text("SWINGS_SERVE", Command(Path("r"), "a b"))
 
 
