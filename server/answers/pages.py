@@ -10,6 +10,8 @@ from collections import Counter
 from dataclasses import replace
 from urllib.parse import parse_qsl, quote
 
+from markupsafe import Markup
+
 from codec.stream.pictures import picture_path, picture_size_px
 from server.exchange.errors import RequestError
 from server.exchange.response import Response, json_response
@@ -98,7 +100,7 @@ def _streams(call: Call) -> list[ServedStream]:
     return [stream for _, stream in sorted(call.state.library.streams.items())]
 
 
-def _card(stream: ServedStream, titles: Counter[str]) -> str:
+def _card(stream: ServedStream, titles: Counter[str]) -> Markup:
     """The card of `stream`; its name alone if the rest cannot be shown, so that one stream never
     takes the page of all from the others. titles: how many streams have each."""
     try:
@@ -140,7 +142,7 @@ async def watch(call: Call) -> Response:
     try:
         stream = call.stream()
     except RequestError as error:
-        there = 'It may have been removed or renamed. See <a href="../">all streams</a>.'
+        there = Markup('It may have been removed or renamed. See <a href="../">all streams</a>.')
         page = message_page("There is no such stream", there)
         return _page(page, htmlpage.SECURITY, error.status)
     player = call.state.web_player

@@ -1,12 +1,27 @@
-"""The frame of the pages that the server writes itself, and the content security policies that name
-what such a page has inline by its hash."""
+"""The pages that the server writes itself: their templates, and the content security policies that
+name what such a page has inline by its hash."""
 
 from __future__ import annotations
 
 from base64 import b64encode
 from hashlib import sha256
-from html import escape
 from importlib.resources import files
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+_TEMPLATES = Environment(
+    loader=PackageLoader(__package__),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    auto_reload=False,
+)
+
+
+def rendered(template: str, **values: object) -> str:
+    """The template with its values, which are text and not HTML, but for what is Markup."""
+    return _TEMPLATES.get_template(template).render(values)
 
 
 def read_text(name: str) -> str:
@@ -28,33 +43,7 @@ SECURITY = (
 )
 """The content security policy of a page without scripts and without a style of its own."""
 
-_PAGE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1, viewport-fit=cover">
-<meta name="color-scheme" content="dark">
-<title>{title}</title>
-<link rel="icon" href="data:,">
-{head}<style>{style}</style>
-</head>
-<body>
-{body}
-</body>
-</html>
-"""
-
-
-_MESSAGE = """<main class="message"><h1>{heading}</h1>
-<p class="quiet">{text}</p></main>"""
-
 
 def message_page(heading: str, text: str) -> str:
-    """A page that says one thing. heading: plain text; text: HTML."""
-    return page(heading, _MESSAGE.format(heading=escape(heading), text=text))
-
-
-def page(title: str, body: str, head: str = "", style: str = STYLE) -> str:
-    """A whole page. title: plain text; head, body: HTML, the first with a line end behind each
-    element; style: CSS."""
-    return _PAGE.format(title=escape(title), head=head, style=style, body=body)
+    """A page that says one thing. text: with links if it is Markup."""
+    return rendered("message.html", title=heading, text=text, style=STYLE)

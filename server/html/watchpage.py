@@ -3,33 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from html import escape
+
+from markupsafe import Markup
 
 from codec.stream.packedlayout import PACKED_SUFFIX
 
-from .htmlpage import STYLE, hash_source, page, read_text
+from .htmlpage import STYLE, hash_source, read_text, rendered
 from .webplayer import WebPlayer
 
 _STYLE = f"{STYLE}\n{read_text('watch.css')}"
-
-_BODY = """<header>{back}<h1>{title}</h1></header>
-<main><swings-player src="{stream}"{poster}{download}>{picture}</swings-player></main>
-<script>{script}</script>
-<noscript><p>This page needs JavaScript. On a desktop: swings-play {url}</p></noscript>
-<footer><p class="quiet">{about}</p>{link}{more}</footer>
-<script type="module" src="{player}"></script>"""
-
-_BACK = '<a href="../"><span aria-hidden="true">&lsaquo; </span>Streams</a>'
-
-_MORE = """<button popovertarget="embed">Embed</button>
-<button popovertarget="desktop">In Python</button>
-<div popover id="embed"><h2>Embed this stream</h2>
-<pre id="code">{embed}</pre><button data-copy="code">Copy</button></div>
-<div popover id="desktop"><h2>Play in a window</h2>
-<pre id="play">swings-play {url}</pre><button data-copy="play">Copy</button>
-<h2>Save a video of it</h2>
-<pre id="save">swings-play {url} --capture {name}.mp4</pre>
-<button data-copy="save">Copy</button></div>"""
 
 _ALLOW = (
     "autoplay; fullscreen; xr-spatial-tracking; clipboard-write; web-share; gyroscope; "
@@ -37,18 +19,10 @@ _ALLOW = (
 )
 """Permissions of a frame: sound, full screen, headsets, links, sharing, turning with the phone."""
 
-_FRAME = (
+_FRAME = Markup(
     '<iframe src="{url}" title="{title}" width="{width_px}" height="{height_px}" '
-    f'style="border: 0" allow="{_ALLOW}"></iframe>'
+    'style="border: 0" allow="{allow}"></iframe>'
 )
-
-_META = """<meta property="og:{name}" content="{content}">
-"""
-_SHARED = """<meta name="description" content="{about}">
-<meta name="twitter:card" content="{card}">
-<link rel="canonical" href="{url}">
-<link rel="alternate" type="application/json+oembed" href="{oembed}" title="{title}">
-"""
 
 DOWNLOAD_NAME = f"stream{PACKED_SUFFIX}"
 """The name under which a stream is one file, beside its manifest."""
@@ -101,30 +75,6 @@ def watch_page(stream: WatchedStream, player: WebPlayer, shared: bool) -> str:
     """shared: whether anyone may open the page by its address; else the page names no address that
     leads elsewhere than below its own."""
     data = f"../v1/streams/{stream.name}"
-    poster = f"{data}/{stream.poster}" if stream.poster else ""
-    file = "" if stream.is_live else f"{data}/{DOWNLOAD_NAME}"
-    modules = [f"../web/{name}" for name in player.modules]
-    head = "".join(f'<link rel="modulepreload" href="{url}">\n' for url in modules)
-    more = _MORE.format(embed=escape(frame_html(stream)), url=stream.url, name=stream.name)
-    body = _BODY.format(
-        back=_BACK if shared else "",
-        title=escape(stream.title),
-        stream=f"{data}/",
-        poster=f' poster="{poster}"' if poster else "",
-        download=f' download="{file}"' if file else "",
-        link=f'<a href="{file}" download>Download</a>' if file else "",
-        picture=f'<img src="{poster}" alt="" fetchpriority="high">' if poster else "",
-        script=player.page_script,
-        url=stream.url,
-        about=escape(stream.about),
-        more=more if shared else "",
-        player=modules[0],
-    )
-    return page(stream.title, body, head + (_shared_html(stream) if shared else ""), _STYLE)
-
-
-def _shared_html(stream: WatchedStream) -> str:
-    """The tags that chats and social networks read."""
     width_px, height_px = frame_px(stream.aspect)
     graph = {
         "title": stream.title,
@@ -138,13 +88,19 @@ def _shared_html(stream: WatchedStream) -> str:
     }
     if stream.poster:
         graph["image"] = f"{stream.data_url}/{stream.poster}"
-    lines = [_META.format(name=name, content=escape(text)) for name, text in graph.items()]
-    return "".join(lines) + _SHARED.format(
-        about=escape(stream.about),
-        card="summary_large_image" if stream.poster else "summary",
-        url=stream.url,
-        oembed=f"{stream.data_url}/oembed.json",
-        title=escape(stream.title),
+    return rendered(
+        "watch.html",
+        title=stream.title,
+        style=_STYLE,
+        stream=stream,
+        shared=shared,
+        graph=graph,  # what chats and social networks read
+        code=str(frame_html(stream)),
+        data=data,
+        poster=f"{data}/{stream.poster}" if stream.poster else "",
+        file="" if stream.is_live else f"{data}/{DOWNLOAD_NAME}",
+        script=player.page_script,
+        modules=[f"../web/{name}" for name in player.modules],
     )
 
 
@@ -159,11 +115,12 @@ def frame_px(
     return width_px, max(1, int(width_px / aspect))
 
 
-def frame_html(stream: WatchedStream, size_px: tuple[int, int] | None = None) -> str:
+def frame_html(stream: WatchedStream, size_px: tuple[int, int] | None = None) -> Markup:
     """The code that shows the stream on another page. size_px: width and height."""
     width_px, height_px = size_px or frame_px(stream.aspect)
-    title = escape(stream.title)
-    return _FRAME.format(url=stream.url, title=title, width_px=width_px, height_px=height_px)
+    return _FRAME.format(
+        url=stream.url, title=stream.title, width_px=width_px, height_px=height_px, allow=_ALLOW
+    )
 
 
 def oembed(
@@ -177,7 +134,7 @@ def oembed(
         "provider_name": "swings",
         "provider_url": f"{stream.origin}/",
         "title": stream.title,
-        "html": frame_html(stream, size_px),
+        "html": str(frame_html(stream, size_px)),
         "width": size_px[0],
         "height": size_px[1],
     }
