@@ -79,8 +79,9 @@ class Page:
         """Waits until the expression `code` is true, which may name what `run` may."""
         self._do("wait", code=code, timeoutS=timeout_s)
 
-    def wait_until_still(self, code: str, looks: int = 10) -> None:
-        """Waits until the expression `code` has had the same value at so many looks in a row."""
+    def wait_until_still(self, code: str, looks: int = 40) -> None:
+        """Waits until the expression `code` has had the same value at so many looks in a row, which
+        are 30 ms apart, or more where the page is slow."""
         look = f"JSON.stringify({code})"
         self.run(f"window.looked = {{ text: {look}, times: 0 }}")
         same = f"looked.text === (looked.text = {look})"
