@@ -52,10 +52,9 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("server/abr/link",),
         ("server/abr",),
         ("server/study/simulate", "server/operate/log"),
-        ("server/study/policies", "server/study/oracle"),
+        ("server/study/policies",),
         ("server/study", "server/operate/sign", "server/operate/workers"),
         (
-            "server/study/report",
             "server/html",
             "server/exchange",
             "server/library",

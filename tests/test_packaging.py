@@ -23,8 +23,7 @@ ROOT = Path(__file__).parents[1]
 
 NO_IO = {"asyncio", "aiohttp", "os", "pathlib", "socket", "threading", "time", "datetime", "random"}
 
-STUDY = "server/study"
-PURE = ("server/abr", f"{STUDY}/simulate", f"{STUDY}/policies", f"{STUDY}/oracle")
+PURE = ("server/abr", "server/study/simulate", "server/study/policies")
 """The folders whose code does no I/O and reads no clock."""
 
 

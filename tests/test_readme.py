@@ -102,7 +102,7 @@ MADE = {
     "swings-play my-stream --capture depth --picture depth": "depth/frame_00031.png",
     "swings-play my-stream --capture masks --picture mask --exr": "masks/frame_00031.exr",
     "swings-play my-stream --camera flight.json --capture flight.mp4": "flight.mp4",
-    "swings-abr my-stream --traces DIR --out report": "report/index.html",
+    "swings-abr my-stream --traces DIR --out report": "report/plays.csv",
 }
 """The file that each of these commands writes."""
 

@@ -36,10 +36,9 @@ from codec.console import run_command
 from codec.errors import SwingsError
 from codec.stream import StreamReader
 from server.abr.link.link import Link, LinkStep
-from server.study.cases import Case, at_load
+from server.study.choice import OWN
 from server.study.looped import LoopedMedia, open_media
-from server.study.plays import Rules, run_play
-from server.study.report.summary import OWN
+from server.study.plays import Case, Rules, at_load, run_play
 from server.study.tracefolder import read_traces
 from trainer.score.truth import open_held_out
 

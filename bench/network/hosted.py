@@ -22,6 +22,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from bench.abr.bound import normalised
+from bench.abr.oracle import Oracle, judge
 from codec.camera import Camera
 from codec.console import run_command
 from codec.lattice.lattice import Lattice
@@ -29,10 +31,9 @@ from codec.stream.index import SegmentRecord, pack_record
 from codec.stream.manifest import Manifest
 from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
 from server.abr.media import SegmentSizes, segment_sizes
-from server.study.cases import LOADS, Case, at_load
+from server.study.choice import OWN
 from server.study.looped import LoopedMedia
-from server.study.oracle.bound import normalised
-from server.study.plays import Oracle, Rules, judge, run_play
+from server.study.plays import LOADS, Case, Rules, at_load, run_play
 from server.study.simulate.qoe import Qoe, score
 from server.study.simulate.simulator import Arrival, Simulated, play_out
 from server.study.tracefolder import Half, read_traces
@@ -229,7 +230,7 @@ def run(config: HostedConfig) -> None:
                     oracle = judge(media, case, rules)
                     question = {**files, "steps": steps_of(case)}
                     hosted.append(scored(media, by_browser(node, question), rules, oracle))
-                    played, _, _ = run_play(media, case, "sweep", rules)
+                    played, _, _ = run_play(media, case, OWN, rules)
                     served.append(scored(media, played, rules, oracle))
                 add_row(table, name, load, "browser, whole objects", hosted)
                 add_row(table, name, load, "server, packets", served)

@@ -1,1 +1,1 @@
-"""The laboratory (swings-abr): policies compared over throughput traces, in virtual time."""
+"""Policies compared over throughput traces, in virtual time (swings-abr)."""

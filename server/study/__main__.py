@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+
 from rich.console import Console
 
 from codec.console import run_command
+from codec.files import making_folder
 from codec.progressline import counted
 
 from .config import StudyConfig
 
 
 def run(config: StudyConfig) -> None:
-    from .report.study import run_study  # matplotlib and scipy load slowly
-    from .report.tables import terminal_table
+    from .report import table_of, write_plays  # matplotlib loads slowly
+    from .study import run_study
 
-    with counted("simulating") as progress:
-        summaries = run_study(config, progress)
-    Console().print(terminal_table(summaries))
-    print(f"report       {config.out / 'index.html'}")
+    with ExitStack() as stack:
+        # Before the plays, which may take long.
+        folder = None if config.out is None else stack.enter_context(making_folder(config.out))
+        with counted("simulating") as progress:
+            plays = run_study(config, progress)
+        if folder is not None:
+            write_plays(folder, plays)
+    Console().print(table_of(plays))
+    if config.out is not None:
+        print(f"plays        {config.out / 'plays.csv'}, {config.out / 'plays.png'}")
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 
@@ -57,19 +57,6 @@ class LoopedMedia:
         which not every client is sent."""
         slices_bytes = (self.sizes(frame).slice_bytes[-1] for frame in range(self.num_frames))
         return 8 * self.fps * fmean(slices_bytes)
-
-    def with_bitrate(self, bitrate_bps: float) -> LoopedMedia:
-        """The same with all sizes scaled, so that this is what it needs."""
-        factor = bitrate_bps / self.need_bps
-        segments = (
-            replace(
-                sizes,
-                layer_bytes=tuple(factor * size for size in sizes.layer_bytes),
-                snapshot_bytes=tuple(factor * size for size in sizes.snapshot_bytes),
-            )
-            for sizes in self.segments
-        )
-        return replace(self, segments=tuple(segments))
 
 
 def open_media(stream: Path, length_s: float) -> LoopedMedia:

@@ -1,7 +1,10 @@
-"""One case: every policy plays it, and the oracle says what could have been had.
+"""A trace at a load, the link of one case, and a play of a policy over it.
 
-Rule: what is kept is rounded to what means something, so that the last digits of a solver or a
-processor are in no report.
+The load is what the link carries over what the stream needs with all layers. The trace is scaled
+to it, so that a stream meets links that are too slow, just right and fast whatever its bitrate is.
+What counts is the mean rate of the trace where a play uses it: its first LOAD_WINDOW lengths of the
+play, for with its stalls a play takes longer than it shows. Of a trace of ten minutes the mean says
+little about the minute that is played.
 """
 
 from __future__ import annotations
@@ -11,21 +14,36 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import fmean
 
-from codec.errors import InvalidError
+from codec.errors import InvalidError, SwingsError
+from server.abr.link.link import Link
+from server.abr.link.traces import scaled
 from server.abr.playout import PlayoutClock
 from server.abr.session import SessionConfig
-from server.study.oracle.bound import base_only, bound, normalised
-from server.study.policies.choice import POLICIES
 from server.study.simulate.qoe import QoeConfig, score
 from server.study.simulate.simulator import Shown, Simulated, play_out, simulate
-from server.study.simulate.waste import measure_traffic
 
-from .cases import Case
+from .choice import make_policy, short_name
 from .looped import LoopedMedia
+from .tracefolder import Trace
 
+LOAD_WINDOW = 1.5
+"""Lengths of the play over which the mean rate of a trace is taken."""
+LOADS = (0.6, 1.0, 1.8)
+"""Layer 0 and a little, nearly all layers, and more than all of them."""
+LEAST_LOAD, MOST_LOAD = 0.05, 100.0
 MOST_S = 20_000.0
 """Virtual seconds after which a play that has not ended never will."""
-_DB_DIGITS, _DIGITS = 4, 6
+DB_DIGITS, DIGITS = 4, 6
+"""What is kept is rounded, so that the last digits of a processor are in no table."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One trace at one load."""
+
+    trace: str
+    load: float
+    link: Link
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +56,13 @@ class Rules:
 
 @dataclass(frozen=True, slots=True)
 class Play:
-    """How one policy did in one case."""
+    """How one policy did in one case: a row of plays.csv."""
 
+    trace: str
+    load: float
     policy: str
     quality_db: float
-    """QoE, server/abr/qoe.py."""
-    normalised: float
-    """0 for layer 0 alone, 1 for the oracle's bound, see `oracle.bound.normalised`; NaN where
-    the two are the same."""
+    """QoE, see `score`."""
     psnr_db: float
     """Mean over the frames."""
     low_psnr_db: float
@@ -60,49 +77,32 @@ class Play:
     layers: float
     """Mean over the frames; a part of a layer counts as that part."""
     came_bytes: float
-    wasted: float
-    """Share of came_bytes that no frame showed, waste.py."""
 
 
-@dataclass(frozen=True, slots=True)
-class Oracle:
-    """The bound and the base line of one case."""
-
-    quality_db: float
-    """No play is worth more."""
-    psnr_db: float
-    """Mean PSNR of the solution that the bound is of."""
-    base_db: float
-    """Quality of layer 0 alone, sent as early as possible."""
-    rebuffering: float
-    """Seconds of stalls per second shown, with layer 0 alone; its total waiting is the least
-    possible."""
-    startup_s: float
-    """Seconds until the first frame, with layer 0 alone."""
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """The results of a case."""
-
-    trace: str
-    load: float
-    oracle: Oracle
-    plays: tuple[Play, ...]
+def at_load(trace: Trace, load: float, media: LoopedMedia) -> Case:
+    """The case of `trace` at `load`. Raises InvalidError where nothing passes in time."""
+    if not LEAST_LOAD <= load <= MOST_LOAD:
+        raise InvalidError(f"load is {load:g}; it must be {LEAST_LOAD:g} to {MOST_LOAD:g}")
+    window_s = min(trace.link.round_s, LOAD_WINDOW * media.length_s)
+    mean_bps = 8 * trace.link.capacity_bytes(0.0, window_s) / window_s
+    factor = load * media.need_bps / mean_bps if mean_bps else math.inf
+    if not math.isfinite(factor):
+        raise InvalidError(
+            f"trace {trace.name}: no data passes in its first {window_s:g} s; leave it out"
+        )
+    return Case(trace.name, load, scaled(trace.link, factor))
 
 
 def run_play(
-    media: LoopedMedia, case: Case, policy: str, rules: Rules, keep_estimates: bool = False
+    media: LoopedMedia, case: Case, policy: str, rules: Rules
 ) -> tuple[Simulated, list[Shown], PlayoutClock]:
-    """A whole play. Raises InvalidError where it does not end."""
-    result = simulate(
-        media,
-        POLICIES[policy](media),
-        case.link,
-        rules.session,
-        at_most_s=MOST_S,
-        keep_estimates=keep_estimates,
-    )
+    """A whole play. Raises InvalidError where it does not end, or where the policy fails."""
+    try:
+        result = simulate(media, make_policy(policy), case.link, rules.session, at_most_s=MOST_S)
+    except SwingsError:
+        raise
+    except Exception as error:  # whatever a file of somebody's does
+        raise InvalidError(f"policy {policy}: {type(error).__name__}: {error}") from error
     shown, clock = play_out(media, result, rules.session, 0, media.num_frames)
     if len(shown) < media.num_frames:
         raise InvalidError(
@@ -112,49 +112,31 @@ def run_play(
     return result, shown, clock
 
 
-def judge(media: LoopedMedia, case: Case, rules: Rules) -> Oracle:
-    """The bound and the base line of `case`."""
-    span = 0, media.num_frames
-    best = bound(media, case.link, rules.session, rules.qoe, *span)
-    base = base_only(media, case.link, rules.session, rules.qoe, *span)
-    return Oracle(
-        quality_db=round(best.quality_db, _DB_DIGITS),
-        psnr_db=round(best.psnr_db, _DB_DIGITS),
-        base_db=round(base.quality_db, _DB_DIGITS),
-        rebuffering=round(max(0.0, base.stalled_s) / media.length_s, _DIGITS),
-        startup_s=round(base.startup_s, _DIGITS),
-    )
-
-
-def score_play(media: LoopedMedia, case: Case, policy: str, oracle: Oracle, rules: Rules) -> Play:
+def score_play(media: LoopedMedia, case: Case, policy: str, rules: Rules) -> Play:
     """How `policy` does in `case`."""
     result, shown, clock = run_play(media, case, policy, rules)
-    started_s = clock.started_s
-    assert started_s is not None, "all frames have shown"
-    psnr_db = [one.psnr_db for one in shown]
-    best_db = media.best_db(range(media.num_frames))
-    qoe = score(psnr_db, best_db, media.fps, started_s, clock.stalled_s, clock.stalls, rules.qoe)
-    traffic = measure_traffic(media, result.arrivals, shown)
-    quality_db = round(qoe.quality_db, _DB_DIGITS)
-    place = normalised(quality_db, oracle.base_db, oracle.quality_db)
+    assert clock.started_s is not None, "all frames have shown"
+    psnr_db, best_db = [one.psnr_db for one in shown], media.best_db(range(media.num_frames))
+    stalled_s = clock.stalled_s
+    qoe = score(psnr_db, best_db, media.fps, clock.started_s, stalled_s, clock.stalls, rules.qoe)
     return Play(
-        policy=policy,
-        quality_db=quality_db,
-        normalised=place if math.isnan(place) else round(place, _DB_DIGITS),
-        psnr_db=round(qoe.psnr_db, _DB_DIGITS),
-        low_psnr_db=round(qoe.low_psnr_db, _DB_DIGITS),
-        rebuffering=round(qoe.stalled_s / media.length_s, _DIGITS),
-        startup_s=round(qoe.startup_s, _DIGITS),
+        trace=case.trace,
+        load=case.load,
+        policy=short_name(policy),
+        quality_db=round(qoe.quality_db, DB_DIGITS),
+        psnr_db=round(qoe.psnr_db, DB_DIGITS),
+        low_psnr_db=round(qoe.low_psnr_db, DB_DIGITS),
+        rebuffering=round(qoe.stalled_s / media.length_s, DIGITS),
+        startup_s=round(qoe.startup_s, DIGITS),
         stalls=qoe.stalls,
-        step_db=round(qoe.step_db, _DB_DIGITS),
-        layers=round(fmean(one.layers for one in shown), _DB_DIGITS),
-        came_bytes=round(traffic.came_bytes),
-        wasted=round(traffic.wasted_share, _DIGITS),
+        step_db=round(qoe.step_db, DB_DIGITS),
+        layers=round(fmean(one.layers for one in shown), DB_DIGITS),
+        came_bytes=round(math.fsum(arrival.num_bytes for arrival in result.arrivals)),
     )
 
 
-def run_case(media: LoopedMedia, case: Case, policies: Sequence[str], rules: Rules) -> Outcome:
-    """All `policies` in `case`."""
-    oracle = judge(media, case, rules)
-    plays = tuple(score_play(media, case, policy, oracle, rules) for policy in policies)
-    return Outcome(case.trace, case.load, oracle, plays)
+def score_plays(
+    media: LoopedMedia, rules: Rules, policies: Sequence[str], case: Case
+) -> list[Play]:
+    """How all `policies` do in `case`."""
+    return [score_play(media, case, policy, rules) for policy in policies]

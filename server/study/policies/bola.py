@@ -18,43 +18,22 @@ what the link carries; and no group may take longer to come than a share of the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import accumulate
 
-from codec.errors import InvalidError
+from .rule import Group, Rule, Situation
+from .throughput import RISE_S, ThroughputRule
 
-from .situation import Group, Situation
-from .throughput import ThroughputRule
-
+LOW_LEAD = 0.25
+"""Share of the greatest lead up to which layer 0 is sent alone (paper: Q_low, 10 of 30 s)."""
+HIGH_LEAD = 0.9
+"""Share at which all layers are sent in any case (paper: Q_max, a chunk less than all)."""
+ENOUGH_S = 1.0
+"""Seconds of lead with which the start is over (BOLA-E: one chunk)."""
+MOST_WAIT = 0.7
+"""Share of the lead that a group may take to come (dash.js: insufficient buffer, 0.5 to 0.9)."""
 TIE_S = 1e-3
 """Seconds of lead beyond where two numbers of layers are worth the same."""
-
-
-@dataclass(frozen=True, slots=True)
-class BolaConfig:
-    """At which leads a `BolaRule` does what."""
-
-    low_lead: float = 0.25
-    """Share of the greatest lead up to which layer 0 is sent alone (paper: Q_low, 10 of 30 s)."""
-    high_lead: float = 0.9
-    """Share at which all layers are sent in any case (paper: Q_max, a chunk less than all)."""
-    enough_s: float = 1.0
-    """Seconds of lead with which the start is over (BOLA-E: one chunk)."""
-    most_wait: float = 0.7
-    """Share of the lead that a group may take to come (dash.js: insufficient buffer, 0.5 to 0.9).
-    """
-    throughput: ThroughputRule = field(default_factory=ThroughputRule)
-    """Says what the link carries."""
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.low_lead < self.high_lead <= 1:
-            raise InvalidError(
-                f"low_lead is {self.low_lead}, high_lead {self.high_lead}; give them rising in 0..1"
-            )
-        if not (self.enough_s >= 0 and self.most_wait > 0):
-            raise InvalidError(
-                f"enough_s is {self.enough_s}, most_wait {self.most_wait}; give >= 0 and > 0"
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,30 +98,22 @@ class Lyapunov:
         return max(leads, default=0.0)
 
 
-class BolaRule:
+class BolaRule(Rule):
     """BOLA with what BOLA-E adds."""
 
-    horizon = 1
-
-    def __init__(self, config: BolaConfig | None = None) -> None:
-        self._config = config or BolaConfig()
+    def __init__(self) -> None:
+        self._throughput = ThroughputRule()
         self._starting = True
         self._added_s = 0.0
         """Seconds that are added to the lead (BOLA-E: the placeholder)."""
 
     def choose_layers(self, situation: Situation) -> int:
-        config, group = self._config, situation.group
-        lead_s, held = situation.lead_s, situation.held
-        carried = config.throughput.choose_layers(situation)
-        rule = Lyapunov.between(
-            config.low_lead * situation.max_lead_s,
-            config.high_lead * situation.max_lead_s,
-            group,
-            held,
-            group.media_s / config.throughput.rise_s,
-        )
+        group, lead_s, held = situation.group, situation.lead_s, situation.held
+        carried = self._throughput.choose_layers(situation)
+        low_s, high_s = LOW_LEAD * situation.max_lead_s, HIGH_LEAD * situation.max_lead_s
+        rule = Lyapunov.between(low_s, high_s, group, held, group.media_s / RISE_S)
         if self._starting:
-            self._starting = lead_s < config.enough_s
+            self._starting = lead_s < ENOUGH_S
             self._added_s = max(0.0, rule.least_lead_s(carried) + TIE_S - lead_s)
             return carried
         self._added_s = min(self._added_s, max(0.0, situation.max_lead_s - lead_s))
@@ -151,12 +122,9 @@ class BolaRule:
             layers = max(carried, held)
             too_much_s = lead_s + self._added_s - rule.least_lead_s(layers) - TIE_S
             self._added_s = max(0.0, self._added_s - max(0.0, too_much_s))
-        return self._in_time(situation, layers)
-
-    def _in_time(self, situation: Situation, layers: int) -> int:
-        """At most as many layers as come while the lead lasts."""
-        group, layers = situation.group, min(layers, situation.most_layers)
-        most_bytes = self._config.most_wait * situation.lead_s * situation.rate_bps / 8
-        while layers > 1 and group.cost_bytes(layers, situation.held) > most_bytes:
+        # At most as many layers as come while the lead lasts.
+        layers = min(layers, situation.most_layers)
+        most_bytes = MOST_WAIT * lead_s * situation.rate_bps / 8
+        while layers > 1 and group.cost_bytes(layers, held) > most_bytes:
             layers -= 1
         return layers

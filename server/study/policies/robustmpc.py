@@ -16,34 +16,15 @@ worth so far, and one that has less of both is never better. So few are kept.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import harmonic_mean
 
-from codec.errors import InvalidError
 from server.study.simulate.qoe import QoeConfig
 
-from .situation import Situation
+from .rule import Rule, Situation
 
-MPC_GROUP_S = 1.0
-"""Seconds of a group: as much of the lead is planned as in the paper."""
-
-
-@dataclass(frozen=True, slots=True)
-class RobustMpcConfig:
-    """How far a `RobustMpcRule` looks."""
-
-    horizon: int = 5
-    """Groups that are planned (paper: 5)."""
-    past: int = 5
-    """Groups of which the rates and errors count (paper: 5)."""
-    qoe: QoeConfig = field(default_factory=QoeConfig)
-    """Measure of a plan's worth."""
-
-    def __post_init__(self) -> None:
-        if not (1 <= self.horizon <= 16 and self.past >= 1):
-            raise InvalidError(
-                f"horizon is {self.horizon}, past {self.past}; give 1..16, and at least 1"
-            )
+PAST = 5
+"""Groups of which the rates and errors count (paper: 5)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,26 +38,23 @@ class _Plan:
     """dB times seconds."""
 
 
-class RobustMpcRule:
+class RobustMpcRule(Rule):
     """Plans anew before each group."""
 
-    def __init__(self, config: RobustMpcConfig | None = None) -> None:
-        self._config = config or RobustMpcConfig()
-        self._rates_bps: deque[float] = deque(maxlen=self._config.past)
-        self._errors: deque[float] = deque(maxlen=self._config.past)
+    horizon = 5
+    group_s = 1.0  # as much of the lead is planned as in the paper
+
+    def __init__(self) -> None:
+        self._rates_bps: deque[float] = deque(maxlen=PAST)
+        self._errors: deque[float] = deque(maxlen=PAST)
         self._predicted_bps: float | None = None
         self._lost_db: float | None = None
-
-    @property
-    def horizon(self) -> int:
-        return self._config.horizon
 
     def choose_layers(self, situation: Situation) -> int:
         layers = 1
         if situation.measured:
-            layers = best_plan(
-                situation, self._rate_bps(situation), self._lost_db, self._config.qoe
-            )
+            rate_bps = self._rate_bps(situation)
+            layers = best_plan(situation, rate_bps, self._lost_db, QoeConfig())
         self._lost_db = situation.group.lost_db(layers)
         return layers
 

@@ -14,9 +14,8 @@ from codec.errors import InvalidError
 from codec.stream import StreamReader, StreamWriter
 from server.abr.link.link import Link, LinkStep
 from server.abr.media import segment_sizes
-from server.study.cases import LOAD_WINDOW, at_load
 from server.study.looped import LoopedMedia, open_media
-from server.study.plays import Rules, run_play
+from server.study.plays import LOAD_WINDOW, Rules, at_load, run_play
 from server.study.simulate.generate import GeneratorConfig, generate
 from server.study.tracefolder import Trace, chosen_names, generated_traces, read_traces
 from tests.support.delivery.media import basketball_media
@@ -83,10 +82,11 @@ def test_a_folder_without_traces_is_refused(tmp_path: Path) -> None:
 
 
 def test_made_up_traces_are_those_of_their_seeds() -> None:
-    config = GeneratorConfig(length_s=20)
-    traces = generated_traces(4, config, 10, "report", 0)
+    config = GeneratorConfig()
+    traces = generated_traces(4, config, 10, "report", 0, 0.05)
     assert [trace.name for trace in traces] == ["generated/000011", "generated/000013"]
-    assert [trace.link.steps for trace in traces] == [generate(config, n).steps for n in (11, 13)]
+    links = [generate(config, n, 0.05) for n in (11, 13)]
+    assert [trace.link.steps for trace in traces] == [link.steps for link in links]
 
 
 def link_of(*steps: tuple[float, float]) -> Link:
@@ -118,6 +118,18 @@ def test_a_play_that_does_not_end_is_told(monkeypatch: pytest.MonkeyPatch) -> No
     case = at_load(Trace("uneven", link_of((9, 1e6), (3, 2e5))), 0.5, MEDIA)
     with pytest.raises(InvalidError, match=r"trace uneven at load 0\.5: bola has shown"):
         run_play(MEDIA, case, "bola", Rules())
+
+
+def test_a_policy_that_fails_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "failing.py"
+    file.write_text(
+        "from server.study.policies.rule import Rule\n"
+        "class Failing(Rule):\n"
+        "    def choose_layers(self, situation): return 1 // 0\n"
+    )
+    case = at_load(Trace("even", link_of((9, 1e6))), 0.5, MEDIA)
+    with pytest.raises(InvalidError, match=r"failing\.py:Failing: ZeroDivisionError: integer"):
+        run_play(MEDIA, case, f"{file}:Failing", Rules())
 
 
 FRAMES, FPS, SEGMENT = 14, 25.0, 4
@@ -160,18 +172,6 @@ def test_what_it_needs_is_bytes_over_time(stream: Path) -> None:
     media = open_media(stream, 48 / FPS)
     slices_bytes = [sum(media.sizes(frame).layer_bytes) for frame in range(48)]
     assert media.need_bps == pytest.approx(8 * sum(slices_bytes) / (48 / FPS))
-
-
-def test_a_bitrate_scales_all_sizes_alike(stream: Path) -> None:
-    media = open_media(stream, 2.0)
-    scaled = media.with_bitrate(36e6)
-    assert scaled.need_bps == pytest.approx(36e6)
-    factor = 36e6 / media.need_bps
-    for one, other in zip(media.segments, scaled.segments, strict=True):
-        assert other.layer_bytes == pytest.approx([factor * size for size in one.layer_bytes])
-        assert other.snapshot_bytes == pytest.approx([factor * size for size in one.snapshot_bytes])
-        assert (other.psnr_db, other.changed_shares) == (one.psnr_db, one.changed_shares)
-    assert scaled.num_frames == media.num_frames
 
 
 def test_a_stream_without_frames_is_refused(tmp_path: Path) -> None:

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.sparse import csr_array
 
+from bench.abr.feasible import Play, due_bytes, earliest_s, latest_s, waiting_s
+from bench.abr.offers import Offers, group_frames, make_offers
 from server.study.simulate.qoe import QoeConfig
-
-from .feasible import Play, due_bytes, earliest_s, latest_s, waiting_s
-from .offers import Offers, group_frames, make_offers
 
 Floats = NDArray[np.float64]
 Row = dict[int, float]

@@ -14,14 +14,13 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
+from bench.abr.feasible import earliest_s, open_play
+from bench.abr.offers import GROUP_S
+from bench.abr.relaxation import Relaxation
 from server.abr.link.link import Link
 from server.abr.media import Media
 from server.abr.session import SessionConfig
 from server.study.simulate.qoe import Qoe, QoeConfig, score
-
-from .feasible import earliest_s, open_play
-from .offers import GROUP_S
-from .relaxation import Relaxation
 
 TOLERANCE_DB = 0.005
 """The bound may be so far above what the programmes themselves allow."""
@@ -133,6 +132,10 @@ def base_only(
 
 def normalised(quality_db: float, base_db: float, bound_db: float) -> float:
     """Where a play lies between layer 0 alone, 0, and the bound, 1. NaN where nothing more than
-    layer 0 can be had."""
+    layer 0 can be had.
+
+    Of many plays the means are given: 0 needs no choice at all, and no policy exceeds 1. The mean
+    of the plays' own ratios would go by those with almost nothing to gain.
+    """
     room_db = bound_db - base_db
     return (quality_db - base_db) / room_db if room_db >= LEAST_ROOM_DB else math.nan

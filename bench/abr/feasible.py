@@ -9,12 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from bench.abr.passage import Passage
 from codec.errors import InvalidError
 from server.abr.link.link import Link
 from server.abr.media import Media
 from server.abr.session import SessionConfig
-
-from .passage import Passage
 
 SLACK_S = 1e-6
 """Tolerance of times, for the rounding of clocks; too small to affect a bound."""

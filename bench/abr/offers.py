@@ -21,11 +21,10 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
+from bench.abr.feasible import Play
 from codec.errors import InvalidError
 from server.abr.media import SegmentSizes, segment_start
 from server.study.simulate.qoe import QoeConfig
-
-from .feasible import Play
 
 GROUP_S = 0.5
 """Seconds of a group where nothing else is asked for."""

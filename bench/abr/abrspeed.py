@@ -1,9 +1,9 @@
 """Speed of simulated plays, in multiples of real time, by policy.
 
-Usage: scripts/bench abr [--length-s 60] [--repeats 3]
+Usage: scripts/bench abrspeed [--length-s 60] [--repeats 3]
 
 The speed is from the CPU time of one process. `play` is the session, the policy and the link;
-`scored` also shows the frames and counts the wasted bytes; the oracle's bound is measured apart.
+`scored` also shows the frames; the oracle's bound is measured apart.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from functools import partial
 from rich.console import Console
 from rich.table import Table
 
+from bench.abr.oracle import judge
 from codec.console import run_command
 from server.abr.media import SegmentSizes
-from server.study.cases import Case, at_load
+from server.study.choice import POLICIES, make_policy
 from server.study.looped import LoopedMedia
-from server.study.plays import Rules, judge, score_play
-from server.study.policies.choice import POLICIES
+from server.study.plays import Case, Rules, at_load, score_play
 from server.study.simulate.generate import GeneratorConfig, generate
 from server.study.simulate.simulator import simulate
 from server.study.tracefolder import Trace
@@ -37,7 +37,7 @@ SIZES = SegmentSizes(
 
 
 @dataclass(frozen=True, slots=True)
-class AbrBenchConfig:
+class AbrSpeedConfig:
     """Simulated plays."""
 
     length_s: float = 60.0
@@ -48,7 +48,7 @@ class AbrBenchConfig:
     """Ratio of the link's rate to the rate of the stream with all layers."""
 
 
-def least_s(config: AbrBenchConfig, run: Callable[[], object]) -> float:
+def least_s(config: AbrSpeedConfig, run: Callable[[], object]) -> float:
     """The shortest CPU time of `run` over the repeats."""
     times_s = []
     for _ in range(config.repeats):
@@ -59,21 +59,20 @@ def least_s(config: AbrBenchConfig, run: Callable[[], object]) -> float:
 
 
 def play_only(media: LoopedMedia, case: Case, policy: str, rules: Rules) -> None:
-    simulate(media, POLICIES[policy](media), case.link, rules.session)
+    simulate(media, make_policy(policy), case.link, rules.session)
 
 
-def run(config: AbrBenchConfig) -> None:
+def run(config: AbrSpeedConfig) -> None:
     table = Table("policy", "play", "scored", title="times faster than real time")
     for column in table.columns[1:]:
         column.justify = "right"
     media, rules = LoopedMedia((SIZES,), round(FPS * config.length_s), FPS, 30), Rules()
     link = generate(GeneratorConfig(outages_per_minute=1.0), seed=1)
     case = at_load(Trace("made up", link), config.load, media)
-    oracle = judge(media, case, rules)
     for policy in POLICIES:
         plays = (
             partial(play_only, media, case, policy, rules),
-            partial(score_play, media, case, policy, oracle, rules),
+            partial(score_play, media, case, policy, rules),
         )
         times = (f"{config.length_s / least_s(config, play):.0f}" for play in plays)
         table.add_row(policy, *times)
@@ -83,7 +82,9 @@ def run(config: AbrBenchConfig) -> None:
 
 
 def main() -> None:
-    run_command(AbrBenchConfig, run, "scripts/bench abr", "Measures the speed of simulated plays.")
+    run_command(
+        AbrSpeedConfig, run, "scripts/bench abrspeed", "Measures the speed of simulated plays."
+    )
 
 
 if __name__ == "__main__":

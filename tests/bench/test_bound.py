@@ -11,6 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench.abr.bound import base_only, bound, normalised
+from bench.abr.feasible import earliest_s, latest_s, open_play, waiting_s
 from codec.errors import InvalidError
 from server.abr.decisioncontext import Policy
 from server.abr.fixedlayers import FixedLayers
@@ -18,9 +20,7 @@ from server.abr.link.link import Link, LinkStep
 from server.abr.media import SegmentSizes
 from server.abr.playout import PlayoutConfig
 from server.abr.session import SessionConfig
-from server.study.oracle.bound import base_only, bound, normalised
-from server.study.oracle.feasible import earliest_s, latest_s, open_play, waiting_s
-from server.study.policies.choice import POLICIES
+from server.study.choice import POLICIES, make_policy
 from server.study.simulate.qoe import Qoe, QoeConfig, score
 from server.study.simulate.simulator import play_out, simulate
 from tests.support.delivery.media import MadeMedia
@@ -133,7 +133,7 @@ def test_no_play_beats_it(seed: int, group_s: float) -> None:
     link, rules, span = make_link(rng, media), make_rules(rng), make_span(rng, media)
     found = bound(media, link, *rules, *span, group_s)
     policies: list[Policy] = [FixedLayers(int(rng.integers(1, media.num_layers + 1)))]
-    policies += [POLICIES[name](media) for name in rng.choice(sorted(POLICIES), 3, replace=False)]
+    policies += [make_policy(name) for name in rng.choice(sorted(POLICIES), 3, replace=False)]
     for policy in policies:
         qoe = play_through(media, policy, link, rules, *span)
         if qoe is not None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hypothesis import Phase, given, settings
@@ -15,14 +15,8 @@ from server.abr.fixedlayers import FixedLayers
 from server.abr.link.link import Link, LinkStep
 from server.abr.media import SegmentSizes
 from server.abr.session import SessionConfig
-from server.study.policies.bola import BolaConfig
-from server.study.policies.choice import POLICIES
-from server.study.policies.dynamic import DynamicConfig
-from server.study.policies.inorder import InOrder, group_end
-from server.study.policies.robustmpc import RobustMpcConfig
-from server.study.policies.situation import Situation
-from server.study.policies.taildrop import TailDropConfig
-from server.study.policies.throughput import ThroughputRule
+from server.study.choice import OWN, POLICIES, check_policy, make_policy
+from server.study.policies.rule import InOrder, Rule, Situation, group_end
 from server.study.simulate.simulator import play_out, simulate
 from tests.support.delivery.media import MadeMedia, sizes_of
 
@@ -52,7 +46,7 @@ def medias(draw: st.DrawFn, fewest_frames: int = 20, most_frames: int = 150) -> 
 
 
 AT_MOST_S = 300.0
-IN_ORDER = sorted(set(POLICIES) - {"sweep"})
+IN_ORDER = sorted(set(POLICIES) - {OWN})
 QUICK = settings(
     max_examples=25, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate)
 )
@@ -105,7 +99,7 @@ class Checked:
 def test_it_sends_what_is_of_use_and_ends_every_play(
     name: str, media: MadeMedia, steps: list[LinkStep], max_lead_s: float, first_frame: int
 ) -> None:
-    policy = FixedLayers(2) if name == "fixed" else POLICIES[name](media)
+    policy = FixedLayers(2) if name == "fixed" else make_policy(name)
     config = SessionConfig(max_lead_s=max_lead_s)
     result = simulate(media, Checked(policy), Link(steps), config, first_frame, at_most_s=AT_MOST_S)
     assert result.ended_s < AT_MOST_S
@@ -121,10 +115,18 @@ def test_a_link_for_all_layers_ends_up_with_all_layers(name: str, media: MadeMed
         media = replace(media, segments=media.segments[:1])
     link = Link([LinkStep(1.0, 3 * media.most_bps(media.num_layers), 0.02)])
     config = SessionConfig()
-    result = simulate(media, POLICIES[name](media), link, config)
+    result = simulate(media, make_policy(name), link, config)
     shown, clock = play_out(media, result, config, 0, media.num_frames)
     assert clock.stalls == 0
     assert {s.layers for s in shown[-90:]} == {media.num_layers}
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_a_live_stream_is_sent_up_to_its_edge(name: str) -> None:
+    media = MadeMedia(MEDIA.segments, num_frames=90, live=True)
+    result = simulate(media, make_policy(name), FAST, first_frame=20, at_most_s=20.0)
+    shown, _ = play_out(media, result, SessionConfig(), 20, 90)
+    assert [one.frame for one in shown] == list(range(20, 90))
 
 
 @pytest.mark.parametrize("name", IN_ORDER)
@@ -133,46 +135,85 @@ def test_a_link_for_all_layers_ends_up_with_all_layers(name: str, media: MadeMed
 def test_a_link_below_layer_0_gets_layer_0(name: str, media: MadeMedia) -> None:
     least_bps = 8 * media.fps * min(s.slice_bytes[0] for s in media.segments)
     link = Link([LinkStep(1.0, 0.8 * least_bps, 0.02)])
-    result = simulate(media, POLICIES[name](media), link)
+    result = simulate(media, make_policy(name), link)
     assert {a.what.end_layer for a in result.arrivals} == {1}
 
 
+FILE = """
+from dataclasses import dataclass
+from server.study.policies.rule import Rule
+
+@dataclass
+class Two(Rule):
+    layers: "int" = 2
+
+    def choose_layers(self, situation):
+        return self.layers
+
+class Unfinished(Rule):
+    pass
+
+class Bare:
+    pass
+
+none = object()
+"""
+
+
+def test_a_policy_of_ones_own_is_named_by_its_file(tmp_path: Path) -> None:
+    file = tmp_path / "own.py"
+    file.write_text(FILE)
+    policy = make_policy(check_policy(f"{file}:Two"))
+    assert isinstance(policy, InOrder)
+    assert policy is not make_policy(f"{file}:Two")
+    result = simulate(MEDIA, policy, FAST)
+    assert {arrival.what.end_layer for arrival in result.arrivals} == {2}
+
+
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("name", "message"),
     [
-        (lambda: BolaConfig(low_lead=0.5, high_lead=0.5), "give them rising"),
-        (lambda: BolaConfig(most_wait=0), "most_wait 0"),
-        (lambda: DynamicConfig(to_bola=0.2, to_throughput=0.3), "to_throughput"),
-        (lambda: FixedLayers(0), "layers is 0"),
-        (lambda: InOrder(ThroughputRule(), 0.0), "group_s is 0"),
-        (lambda: RobustMpcConfig(horizon=0), "horizon is 0"),
-        (lambda: TailDropConfig(share=0), "share is 0"),
-        (lambda: ThroughputRule(safety=0), "safety is 0"),
+        ("sweeep", "'sweeep' is unknown; choose from throughput, bola, robust_mpc, tail_drop, sw"),
+        ("own.py", "or give FILE.py:NAME"),
+        ("own.py:Three", "own.py:Three: the file has no 'Three'"),
+        ("own.py:Unfinished", "TypeError: .* abstract"),
+        ("own.py:Bare", "neither a Rule nor a Policy"),
+        ("own.py:none", "TypeError: .* not callable"),
+        ("broken.py:Two", "SyntaxError: .*line 1"),
+        ("absent.py:Two", "absent.py: No such file"),
     ],
 )
-def test_numbers_that_make_no_policy_are_refused(make: Callable[[], object], message: str) -> None:
-    with pytest.raises(InvalidError, match=message):
-        make()
+def test_what_is_no_policy_is_said_in_one_line(
+    name: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.py").write_text(FILE)
+    Path("broken.py").write_text("class Two(:")
+    with pytest.raises(InvalidError, match=message) as raised:
+        check_policy(name)
+    assert "\n" not in str(raised.value)
 
 
 FAST = Link([LinkStep(1.0, 50e6, 0.02)])
 MEDIA = MadeMedia((sizes_of((8e3, 2e3, 3e3), (25.0, 1.0, 1.0), (60e3, 20e3, 30e3)),))
 
 
-@dataclass
-class Whims:
+class Whims(Rule):
     """Chooses the test's layers, group by group, cyclically."""
 
-    layers: list[int]
-    horizon: int = 3
-    asked: list[Situation] = field(default_factory=list)
+    horizon = 3
+
+    def __init__(self, layers: list[int], group_s: float = 0.5) -> None:
+        self.layers = layers
+        self.group_s = group_s
+        self.asked: list[Situation] = []
 
     def choose_layers(self, situation: Situation) -> int:
         self.asked.append(situation)
         return self.layers[(len(self.asked) - 1) % len(self.layers)]
 
 
-@given(medias(), st.floats(0.02, 2.0), st.integers(-30, 200))
+@given(medias(), st.floats(0.0, 2.0), st.integers(-30, 200))
 def test_groups_follow_each_other_and_begin_with_segments(
     media: MadeMedia, group_s: float, birth: int
 ) -> None:
@@ -194,8 +235,8 @@ def test_groups_follow_each_other_and_begin_with_segments(
 def test_a_rule_is_asked_group_by_group_and_gets_its_will(
     media: MadeMedia, whims: list[int], first_frame: int, group_s: float
 ) -> None:
-    rule = Whims(whims)
-    result = simulate(media, InOrder(rule, group_s), FAST, first_frame=first_frame)
+    rule = Whims(whims, group_s)
+    result = simulate(media, InOrder(rule), FAST, first_frame=first_frame)
     sent: dict[int, int] = {}
     for arrival in result.arrivals:
         if isinstance(arrival.what, SendSlices):

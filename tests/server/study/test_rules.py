@@ -9,12 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from server.study.policies.bola import BolaConfig, BolaRule, Lyapunov
-from server.study.policies.dynamic import DynamicRule
-from server.study.policies.robustmpc import RobustMpcConfig, RobustMpcRule, best_plan
-from server.study.policies.situation import Group, Rule, Situation
-from server.study.policies.taildrop import TailDropConfig, TailDropRule
-from server.study.policies.throughput import ThroughputRule
+from server.study.policies.bola import BolaRule, Lyapunov
+from server.study.policies.robustmpc import PAST, RobustMpcRule, best_plan
+from server.study.policies.rule import Group, Rule, Situation
+from server.study.policies.throughput import RISE_S, SAFETY, TailDropRule, ThroughputRule
 from server.study.simulate.qoe import QoeConfig
 
 MAX_LEAD_S = 6.0
@@ -73,20 +71,18 @@ def situations(draw: st.DrawFn, horizon: int = 1, most_layers: int = 5) -> Situa
 
 @given(situations())
 def test_what_it_chooses_fits_and_one_more_would_not(now: Situation) -> None:
-    rule = ThroughputRule()
-    layers, safe_bps = rule.choose_layers(now), rule.safety * now.rate_bps
+    layers, safe_bps = ThroughputRule().choose_layers(now), SAFETY * now.rate_bps
     assert 1 <= layers <= now.most_layers
-    assert layers == 1 or now.need_bps(layers, rule.rise_s) <= safe_bps
+    assert layers == 1 or now.need_bps(layers, RISE_S) <= safe_bps
     if layers < now.most_layers:
-        assert now.need_bps(layers + 1, rule.rise_s) > safe_bps
+        assert now.need_bps(layers + 1, RISE_S) > safe_bps
 
 
 def test_to_rise_is_paid_over_some_time() -> None:
     slots = group(snapshot_bytes=(50e3, 20e3, 20e3))
-    rule = ThroughputRule(safety=1.0, rise_s=4.0)
 
-    def chosen(rate_bps: float, held: int) -> int:
-        return rule.choose_layers(situation((slots,), rate_bps, held=held))
+    def chosen(safe_bps: float, held: int) -> int:
+        return ThroughputRule().choose_layers(situation((slots,), safe_bps / SAFETY, held=held))
 
     # 240 kbit/s for two layers, and 160 kbit within 4 s for the snapshot.
     assert chosen(279e3, held=1) == 1
@@ -98,11 +94,11 @@ def test_between_two_layers_there_are_no_turns() -> None:
     snapshots = (50e3, 20e3, 20e3)
     slots = group(snapshot_bytes=snapshots, media_s=1 / 30)
     middle = group(can_rise=False, media_s=1 / 30)
-    rule = TailDropRule(TailDropConfig(share=1.0))
-    for rate_bps, layers in ((2.3e6, 1), (3.5e6, 1), (3.7e6, 2), (4.9e6, 3)):
+    rule = TailDropRule()
+    for safe_bps, layers in ((2.3e6, 1), (3.5e6, 1), (3.7e6, 2), (4.9e6, 3)):
         for coming in (slots, middle):
-            chosen = {rule.choose_layers(situation((coming,), rate_bps, held=3)) for _ in range(50)}
-            assert chosen == {layers}
+            now = situation((coming,), safe_bps / SAFETY, held=3)
+            assert {rule.choose_layers(now) for _ in range(50)} == {layers}
 
 
 leads = st.floats(0, 2 * MAX_LEAD_S)
@@ -165,7 +161,7 @@ def test_a_long_lead_does_not_lift_it_above_the_link() -> None:
 def test_it_starts_as_the_throughput_rule_would(now: Situation, rate_bps: float) -> None:
     rule = BolaRule()
     first = replace(now, lead_s=0.0, rate_bps=rate_bps)
-    carried = BolaConfig().throughput.choose_layers(first)
+    carried = ThroughputRule().choose_layers(first)
     assert rule.choose_layers(first) == carried
 
 
@@ -180,51 +176,6 @@ def test_a_group_may_not_eat_up_the_lead() -> None:
     collapsed = situation(rate_bps=20e3, lead_s=5.0)
     # 160 kbit take 8 s; 80 kbit take 4 s, but 0.7 * 5 s is less: only layer 0 remains.
     assert rule.choose_layers(collapsed) == 1
-
-
-class Says:
-    """A rule whose choice the test sets."""
-
-    horizon = 1
-
-    def __init__(self) -> None:
-        self.layers = 1
-
-    def choose_layers(self, situation: Situation) -> int:
-        return self.layers
-
-
-class Both:
-    """Dynamic with two controlled rules; leads are shares of the maximum."""
-
-    def __init__(self) -> None:
-        self.rule = DynamicRule()
-        self.throughput, self.bola = Says(), Says()
-        self.rule._throughput = self.throughput
-        self.rule._bola = self.bola
-
-    def follows_bola(self, share: float, throughput: int = 1, bola: int = 3) -> bool:
-        self.throughput.layers, self.bola.layers = throughput, bola
-        chosen = self.rule.choose_layers(situation(lead_s=6.0 * share))
-        assert chosen in (throughput, bola)
-        return chosen == bola
-
-
-def test_bola_rules_from_half_of_the_lead_on_down_to_a_quarter() -> None:
-    both = Both()
-    assert not both.follows_bola(0.49)
-    assert both.follows_bola(0.51)
-    assert both.follows_bola(0.26)
-    assert both.follows_bola(0.24)  # it chooses at least as many as the other
-    assert not both.follows_bola(0.24, throughput=3, bola=1)
-    assert not both.follows_bola(0.49)
-
-
-def test_bola_does_not_take_over_with_fewer_layers() -> None:
-    both = Both()
-    assert not both.follows_bola(0.9, throughput=3, bola=2)
-    assert both.follows_bola(0.9, throughput=2, bola=3)
-    assert both.follows_bola(0.9, throughput=3, bola=2)
 
 
 QOE = QoeConfig()
@@ -269,14 +220,14 @@ def test_no_plan_is_better_than_the_one_it_follows(
 
 
 def predictions(rates_bps: list[float]) -> list[float]:
-    rule, now = RobustMpcRule(RobustMpcConfig(past=3)), situation()
+    rule, now = RobustMpcRule(), situation()
     return [rule._rate_bps(later(now, 0.5, rate_bps)) for rate_bps in rates_bps]
 
 
 @given(st.lists(st.floats(1e4, 1e8), min_size=1, max_size=12))
 def test_what_it_plans_with_is_below_the_greatest_rate_of_late(rates_bps: list[float]) -> None:
     for n, planned_bps in enumerate(predictions(rates_bps)):
-        assert planned_bps <= max(rates_bps[max(0, n - 2) : n + 1]) * (1 + 1e-9)
+        assert planned_bps <= max(rates_bps[max(0, n + 1 - PAST) : n + 1]) * (1 + 1e-9)
 
 
 def test_errors_of_late_make_it_careful() -> None:
@@ -284,8 +235,8 @@ def test_errors_of_late_make_it_careful() -> None:
     # Half of the prediction arrived: an error of 1; the harmonic mean of 1, 1 and 0.5 is 0.75.
     planned = predictions([1e6, 1e6, 0.5e6])
     assert planned[-1] == pytest.approx(0.75e6 / 2)
-    # The error is forgotten after three more.
-    planned = predictions([1e6, 1e6, 0.5e6] + [0.5e6] * 6)
+    # The error is forgotten after PAST more.
+    planned = predictions([1e6, 1e6, 0.5e6] + [0.5e6] * 2 * PAST)
     assert planned[-1] == pytest.approx(0.5e6)
 
 
