@@ -43,13 +43,13 @@ from server.abr.session import (
     WaitForFrames,
     WaitUntil,
 )
-from server.abr.sweep import Sweep
 from server.exchange.content import accepted_codings
 from server.exchange.response import BodyWriter, Facts, StreamedResponse
 from server.exchange.tcpinfo import TcpInfo
 from server.library import ServedStream
 from server.operate.workers.playmessage import is_issued, make_token
 from server.state.recordcache import CodedRecord
+from server.study.choice import make_policy
 
 from .call import Call
 from .playquery import PlayQuery, parse_query
@@ -132,7 +132,7 @@ class _Play:
         """rate_bps: what the client's link is known to carry."""
         state, asked = call.state, call.request.fields
         layers = query.num_layers
-        policy = Sweep() if layers is None else FixedLayers(layers)
+        policy = make_policy(state.config.policy) if layers is None else FixedLayers(layers)
         # A status report may arrive at another worker, which finds this worker by the token.
         self._token = token = make_token(state.number, state.play_secret, time.time())
         self._give_back_place = call.give_back_place

@@ -13,6 +13,7 @@ from server.operate.clientaddress import parse_proxies
 from server.operate.log.logline import LogStyle
 from server.operate.overload import OverloadConfig
 from server.operate.workers.supervisorconfig import SupervisorConfig
+from server.study.choice import OWN, check_policy
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,9 @@ class ServerConfig:
     """Load shedding."""
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
     """The worker processes."""
+    policy: str = OWN
+    """What each client is sent next: a policy of swings-abr, or FILE.py:NAME for one of your own,
+    which runs inside the server."""
     max_plays: int = 512
     """Maximum concurrent plays; the server answers a further play with 503."""
     trusted_proxies: str = "127.0.0.0/8,::1/128"
@@ -74,3 +78,4 @@ class ServerConfig:
         if (self.tls_cert is None) != (self.tls_key is None):
             raise InvalidError("tls_cert and tls_key go together; give both or neither")
         parse_proxies(self.trusted_proxies)
+        check_policy(self.policy)
