@@ -71,7 +71,6 @@ def simulate(
     first_frame: int = 0,
     until_frame: int | None = None,
     at_most_s: float = 1e5,
-    keep_estimates: bool = False,
     report_s: float = 0.0,
 ) -> Simulated:
     """Plays `media` to its end, or for `at_most_s` seconds.
@@ -104,9 +103,7 @@ def simulate(
                 if report_s:
                     told_s = math.ceil(comes_s / report_s) * report_s + latency_s
                 underway.append(_Piece(comes_s, told_s, piece, whole))
-            if keep_estimates:
-                estimate = (now_s, session.rate_bps or 0.0, session.queued_bytes)
-                result.estimates.append(estimate)
+            result.estimates.append((now_s, session.rate_bps or 0.0, session.queued_bytes))
             continue
         until_s = at_most_s
         if isinstance(decision, Finished) and not underway:

@@ -176,10 +176,7 @@ def test_the_estimate_follows_a_link_that_changes_fourfold(rates: tuple[float, f
     sizes = media.sizes(0)
     faster = replace(sizes, layer_bytes=tuple(scale * size for size in sizes.layer_bytes))
     media = MadeMedia((faster,), 300, segment_frames=30)
-    result = simulate(
-        media, Sweep(), link_of((5, before), (60, after)), CONFIG,
-        at_most_s=8, keep_estimates=True,
-    )  # fmt: skip
+    result = simulate(media, Sweep(), link_of((5, before), (60, after)), CONFIG, at_most_s=8)
     for time_s, rate_bps, queued in result.estimates:
         expected = before if time_s < 5 else after
         if 1 < time_s < 5 or time_s > 6:

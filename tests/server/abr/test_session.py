@@ -143,7 +143,7 @@ def test_parts_of_bytes_do_not_keep_an_idle_link_busy(layer_bytes: float) -> Non
     media = MadeMedia((sizes_of((layer_bytes,), (25.0,)),), num_frames=450, fps=25.0)
     rate_bps = 200 * 8 * layer_bytes
     link = Link([LinkStep(1.0, rate_bps, 0.02)])
-    result = simulate(media, FixedLayers(1), link, keep_estimates=True)
+    result = simulate(media, FixedLayers(1), link)
     # The lead is full after half a second; from then on the link rests most of the time.
     assert result.estimates[-1][1] == pytest.approx(rate_bps, rel=0.1)
 
@@ -157,7 +157,7 @@ def test_what_is_sent_little_by_little_does_not_make_a_link_slow(
     media = MadeMedia((sizes_of((10e3, 40e3), (25.0, 1.0)),), num_frames=450)
     rate_bps = 24e6
     link = Link([LinkStep(1.0, rate_bps, latency_s)])
-    result = simulate(media, FixedLayers(num_layers), link, keep_estimates=True)
+    result = simulate(media, FixedLayers(num_layers), link)
     measured = [estimate for _, estimate, _ in result.estimates if estimate]
     assert len(measured) > 100
     assert measured == pytest.approx([rate_bps] * len(measured), rel=0.01)
@@ -166,7 +166,7 @@ def test_what_is_sent_little_by_little_does_not_make_a_link_slow(
 def test_a_link_that_slows_down_during_a_rest_is_noticed() -> None:
     media = MadeMedia((sizes_of((20e3,), (25.0,)),), num_frames=900)
     link = Link([LinkStep(10.0, 48e6, 0.05), LinkStep(100.0, 6e6, 0.05)])
-    result = simulate(media, FixedLayers(1), link, keep_estimates=True)
+    result = simulate(media, FixedLayers(1), link)
     rates = {time_s: estimate for time_s, estimate, _ in result.estimates}
     assert rates[max(t for t in rates if t < 10)] == pytest.approx(48e6, rel=0.01)
     assert rates[max(t for t in rates if t < 11)] == pytest.approx(6e6, rel=0.02)
@@ -177,7 +177,7 @@ def test_a_link_that_recovers_is_noticed_however_little_is_underway(latency_s: f
     # At first so few bytes may be in flight that the link pauses between packets.
     media = MadeMedia((sizes_of((10e3, 30e3), (25.0, 1.0)),), num_frames=450)
     link = Link([LinkStep(10.0, 0.5e6, latency_s), LinkStep(100.0, 20e6, latency_s)])
-    result = simulate(media, FixedLayers(2), link, keep_estimates=True)
+    result = simulate(media, FixedLayers(2), link)
     rates = {time_s: estimate for time_s, estimate, _ in result.estimates}
     assert rates[max(t for t in rates if t < 10)] == pytest.approx(0.5e6, rel=0.01)
     soon_s = 11.0 + 5 * latency_s
