@@ -5,6 +5,7 @@ Rule: only the manifest and the index are read.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,6 +15,8 @@ from statistics import fmean
 from codec.errors import InvalidError
 from codec.stream.reader import StreamReader
 from server.abr.media import SegmentSizes, segment_sizes
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +32,6 @@ class LoopedMedia:
     fps: float
     segment_frames: int
     temporal_layer: int | None = None
-    knows_psnr: bool = True
-    """Whether the index holds the PSNR; else it is guessed from the sizes."""
 
     @property
     def live(self) -> bool:
@@ -66,6 +67,8 @@ def open_media(stream: Path, length_s: float) -> LoopedMedia:
     records, manifest = reader.records, reader.manifest
     if not records:
         raise InvalidError(f"{stream} has no frames yet; there is nothing to play")
+    if any(math.isnan(db) for record in records for db in record.psnr_db):
+        log.warning("%s: its index has no PSNR; the sizes say what layers are worth", stream)
     num_frames = max(1, round(length_s * manifest.fps))
     segment_frames = records[0].num_frames
     if num_frames > reader.num_frames:
@@ -76,5 +79,4 @@ def open_media(stream: Path, length_s: float) -> LoopedMedia:
         fps=manifest.fps,
         segment_frames=segment_frames,
         temporal_layer=manifest.temporal_layer,
-        knows_psnr=not any(math.isnan(db) for record in records for db in record.psnr_db),
     )

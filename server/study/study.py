@@ -17,7 +17,7 @@ from codec.errors import InvalidError, SwingsError
 from .config import StudyConfig
 from .looped import LoopedMedia, open_media
 from .plays import Case, Play, at_load, score_plays
-from .tracefolder import Trace, generated_traces, read_traces
+from .tracefolder import generated_traces, read_traces
 
 Result = TypeVar("Result")
 Progress = Callable[[int, int], None]
@@ -34,18 +34,11 @@ def run_study(config: StudyConfig, progress: Progress = lambda done, of: None) -
 def open_cases(config: StudyConfig) -> tuple[LoopedMedia, list[Case]]:
     """The stream, and all traces at the first load, then at the next. Raises a SwingsError."""
     media = open_media(config.stream, config.length_s)
-    traces: list[Trace] = []
+    choice = config.half, config.per_folder, config.latency_s
+    seeds = range(config.seed, config.seed + config.generate)
+    traces = generated_traces(seeds, config.generator, *choice)
     if config.traces is not None:
-        traces += read_traces(config.traces, config.half, config.per_folder, config.latency_s)
-    if config.generate:
-        traces += generated_traces(
-            config.generate,
-            config.generator,
-            config.seed,
-            config.half,
-            config.per_folder,
-            config.latency_s,
-        )
+        traces = read_traces(config.traces, *choice) + traces
     if not traces:
         raise InvalidError(
             f"none of {config.generate} generated traces is in half {config.half!r}; "

@@ -80,9 +80,9 @@ def _file_names(folder: Path) -> Iterator[str]:
 
 
 def generated_traces(
-    count: int, config: GeneratorConfig, seed: int, half: Half, per_folder: int, latency_s: float
+    seeds: range, config: GeneratorConfig, half: Half, per_folder: int, latency_s: float
 ) -> list[Trace]:
-    """Made-up links of the seeds from `seed` on."""
-    seeds = {f"{GENERATED}/{number:06d}": number for number in range(seed, seed + count)}
-    names = chosen_names(list(seeds), half, per_folder)
-    return [Trace(name, generate(config, seeds[name], latency_s)) for name in names]
+    """Made-up links of `seeds`."""
+    named = {f"{GENERATED}/{seed:06d}": seed for seed in seeds}
+    names = chosen_names(list(named), half, per_folder)
+    return [Trace(name, generate(config, named[name], latency_s)) for name in names]

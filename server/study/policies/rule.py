@@ -40,13 +40,9 @@ class Group:
         """What `layers` layers lack of the PSNR of all, dB."""
         return self.psnr_db[-1] - self.psnr_db[layers - 1]
 
-    @property
-    def num_layers(self) -> int:
-        return len(self.slice_bytes)
-
     def most_layers(self, held: int) -> int:
         """The most layers that it may get behind a group with `held`."""
-        return self.num_layers if self.can_rise else max(held, 1)
+        return len(self.slice_bytes) if self.can_rise else max(held, 1)
 
     def rise_bytes(self, num_layers: int, held: int) -> float:
         """Bytes of the snapshots that raise its first frame from `held` layers to `num_layers`."""

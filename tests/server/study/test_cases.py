@@ -83,7 +83,7 @@ def test_a_folder_without_traces_is_refused(tmp_path: Path) -> None:
 
 def test_made_up_traces_are_those_of_their_seeds() -> None:
     config = GeneratorConfig()
-    traces = generated_traces(4, config, 10, "report", 0, 0.05)
+    traces = generated_traces(range(10, 14), config, "report", 0, 0.05)
     assert [trace.name for trace in traces] == ["generated/000011", "generated/000013"]
     links = [generate(config, n, 0.05) for n in (11, 13)]
     assert [trace.link.steps for trace in traces] == [link.steps for link in links]
