@@ -44,7 +44,7 @@ from .exchange.response import (
 )
 from .operate.clientaddress import client_address, is_proxy
 from .operate.log.eventlog import EventLog
-from .operate.log.logline import Value
+from .operate.log.logline import LogRequests, Value
 from .operate.sign.signing import (
     Grant,
     Reason,
@@ -76,7 +76,8 @@ class Application:
         self._request_timeout_s = config.timeouts.request_timeout_s
         self._common = _common_fields(config.cors_origin)
         self._heads = HeadWriter(self._common)
-        self._log = log if config.log_requests else None
+        self._log = log
+        self._logs_all = config.log_requests is LogRequests.ALL
         self._clock = asyncio.get_running_loop().time
         http = http_server(
             self.handle, self.refused, config.timeouts.keepalive_timeout_s, self._common
@@ -144,6 +145,7 @@ class Application:
         """Sends a body that is made meanwhile. Nothing may wait before it is begun: its end gives
         back what it holds."""
         exchange.status, exchange.waited, connection.needs_client = 200, True, True
+        exchange.is_streamed = True
         body = StreamedBody(asked, response, connection, self._common, self._count)
         if (
             exchange.closes or asked.version < HttpVersion11
@@ -284,7 +286,7 @@ class Application:
         state.metrics.requests.add(1, exchange.route, str(exchange.status))
         if exchange.waited and exchange.first_s:
             state.metrics.ttfb.observe(exchange.first_s - began_s)
-        if self._log is not None:
+        if self._log is not None and (self._logs_all or exchange.is_told):
             self._write_line(self._log, exchange, round(1e3 * (now_s - began_s), 1))
 
     def _write_line(self, log: EventLog, exchange: Exchange, took_ms: float) -> None:

@@ -64,7 +64,7 @@ def measure_kills(config: KillConfig, options: tuple[str, ...] = ()) -> ResumeFi
         num_frames = round((seconds + 15) * FPS)
         write_noise(folder / "streams" / "long", config.frame_bytes, num_frames, SEGMENT_FRAMES)
         log, out = folder / "serve.log", folder / "seen.npz"
-        words = ["--log", "json", "--no-log-requests", "--workers", str(config.workers)]
+        words = ["--log", "json", "--workers", str(config.workers)]
         words += ["--max-lead-s", str(config.max_lead_s)]
         words += ["--max-plays", str(config.clients + 16)]
         with serving(folder / "streams", *words, *options, log=log) as (_, port):

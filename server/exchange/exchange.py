@@ -38,3 +38,10 @@ class Exchange:
     """Why it failed; empty if it did not."""
     facts: Facts = field(default_factory=dict)
     """More facts for the log."""
+    is_streamed: bool = False
+    """Whether the response was made while it was sent."""
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the log tells of it in any case."""
+        return self.is_streamed or self.status >= 400

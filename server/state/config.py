@@ -10,7 +10,7 @@ from server.abr.session import SessionConfig
 from server.clients.timeouts import TimeoutConfig
 from server.operate.admission import AdmissionConfig
 from server.operate.clientaddress import parse_proxies
-from server.operate.log.logline import LogStyle
+from server.operate.log.logline import LogRequests, LogStyle
 from server.operate.overload import OverloadConfig
 from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.study.choice import OWN, check_policy
@@ -47,8 +47,8 @@ class ServerConfig:
     """Private key of the certificate in PEM."""
     log: LogStyle = LogStyle.PLAIN
     """Format of the log, which goes to standard error."""
-    log_requests: bool = True
-    """Log one line for each request."""
+    log_requests: LogRequests = LogRequests.PLAYS
+    """Requests that get a line: plays (and downloads and errors), or all."""
     send_queue_bytes: int = 64 * 1024
     """Maximum unsent bytes queued for one play. A longer queue delays each choice of layers."""
     cache_bytes: int = 256 * 1024 * 1024

@@ -62,7 +62,7 @@ def asking(port: int, path: str, *lines: str) -> Iterator[socket.socket]:
 
 
 async def test_connections_inherit_the_limit_of_the_kernel(root: Path) -> None:
-    config = ServerConfig(log_requests=False)
+    config = ServerConfig()
     async with served(root, config) as (server, client), client.get(PLAY) as response:
         (connection,) = server.server.connections
         sock = connection.transport.get_extra_info("socket")
@@ -168,7 +168,7 @@ def read(port: int, rate: int, ended: threading.Event) -> tuple[int, float]:
 async def test_readers_of_5_kb_a_second_get_everything_and_those_of_2_end(root: Path) -> None:
     fast, slow = (5_000, 10_000, 20_000, 50_000), (16, 100, 500, 1_000, 2_000)
 
-    async with running(root, ServerConfig(log_requests=False)) as server:
+    async with running(root, ServerConfig()) as server:
         metrics, ended = server.state.metrics, threading.Event()
         with ThreadPoolExecutor(len(fast + slow)) as pool:
             readers = [pool.submit(read, server.port, rate, ended) for rate in fast + slow]

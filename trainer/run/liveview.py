@@ -98,7 +98,7 @@ class LiveView(Observer, AbstractContextManager["LiveView"]):
     def _start(self) -> None:
         # -P: the current folder may hold another `server`.
         command = [sys.executable, "-P", "-m", "server", str(self._target)]
-        command += ["--port", str(self._port), "--end-with-stdin", "--no-log-requests"]
+        command += ["--port", str(self._port), "--end-with-stdin"]
         places = [place or os.getcwd() for place in sys.path]
         log_path = self._work / SERVE_LOG_NAME
         with open(log_path, "ab") as log:

@@ -44,6 +44,14 @@ class LogStyle(StrEnum):
     """Time, level and event, then key=value."""
 
 
+class LogRequests(StrEnum):
+    """Requests that get a line."""
+
+    PLAYS = "plays"
+    """Plays and downloads, and what was answered with an error."""
+    ALL = "all"
+
+
 class LineFormatter(logging.Formatter):
     """Writes lines of one style."""
 

@@ -104,7 +104,7 @@ def test_a_page_of_the_server_starts_with_few_requests(page: Page, tmp_path: Pat
     root = tmp_path / "root"
     write_stream(root / "walk", 20, poster="poster.jpg")
     shutil.copy(webbundle.ROOT / "docs" / "watch.jpg", root / "walk" / "poster.jpg")
-    with server_process(root, tmp_path) as server:
+    with server_process(root, tmp_path, "--log-requests", "all") as server:
         page.open(f"http://127.0.0.1:{server.port}/watch/walk?autoplay=0", 120, 200)
         page.wait("player.shownFrame >= 0")
         high = page.value("part('.poster').clientHeight / part('.frame').clientHeight")

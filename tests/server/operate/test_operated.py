@@ -191,9 +191,11 @@ def test_settings_come_from_the_environment(root: Path, monkeypatch: pytest.Monk
     assert "SWINGS_SERVE_MAX_PLAYS?" in done.stderr
 
 
-def test_every_line_of_a_json_log_is_json(root: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("requests", ["plays", "all"])
+def test_every_line_of_a_json_log_is_json(root: Path, tmp_path: Path, requests: str) -> None:
     escapes = '/\x1b[2J%1b]0;x%07"quoted"'
-    with server_process(root, tmp_path, "--log", "json") as server:
+    options = "--log", "json", "--log-requests", requests
+    with server_process(root, tmp_path, *options) as server:
         ask(server.port, OBJECT)
         ask(server.port, f"{PLAY}&until=2")
         exchange(server.port, f"GET {escapes} HTTP/1.1\r\nHost: h\r\n\r\n".encode())
@@ -201,7 +203,9 @@ def test_every_line_of_a_json_log_is_json(root: Path, tmp_path: Path) -> None:
     lines, told = server.log_lines(), server.events()
     assert len(told) == len(lines) - 1  # the first one is its URL
     assert all(line.isascii() and line.isprintable() for line in lines)
-    assert OBJECT in [one.get("path") for one in told]
+    paths = [one.get("path") for one in told]
+    assert (OBJECT in paths) == (requests == "all")
+    assert "/%1b%5b2J" in paths  # an error
     play = next(one for one in told if str(one.get("path", "")).endswith("/play"))
     assert (play["outcome"], play["layers"]) == ("complete", 1)
 

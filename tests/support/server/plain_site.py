@@ -124,7 +124,7 @@ async def on_site(answers: Answers, tls: ssl.SSLContext | None = None) -> AsyncI
     failures: list[object] = []
     others = asyncio.all_tasks()
     asyncio.get_running_loop().set_exception_handler(lambda _, context: failures.append(context))
-    config = ServerConfig(log_requests=False)
+    config = ServerConfig()
     listener = bind("127.0.0.1", 0)
     with tempfile.TemporaryDirectory() as folder:
         site = PlainSite(

@@ -182,7 +182,7 @@ def test_the_log_has_no_signature(folder: Path, tmp_path: Path, signer: Signer) 
         f"/web/watch.html?src=http://host{edge}{STREAM}&{good.replace('.', '%2E')}",
         f"/web/watch.html?src=http%3A%2F%2Fhost{good.replace('/', '%2F')}%2Fv1%2Fstreams%2Fwalk",
     )
-    with server_process(root, tmp_path, "--keys", keys) as server:
+    with server_process(root, tmp_path, "--keys", keys, "--log-requests", "all") as server:
         statuses = [ask(server.port, path).status for path in paths]
         for prefix in (good, edge):
             ask(server.port, f"{prefix}{STREAM}/play", method="OPTIONS")
