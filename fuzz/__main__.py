@@ -1,5 +1,4 @@
-"""Runs libFuzzer on the parsers, or on the server if the first argument is `http`; see
-fuzz/codec.py and fuzz/http.py."""
+"""Runs libFuzzer on the parsers; see fuzz/codec.py."""
 
 from __future__ import annotations
 
@@ -12,17 +11,12 @@ import atheris
 
 
 def main() -> None:
-    if sys.argv[1:2] == ["http"]:
-        del sys.argv[1]
-        with atheris.instrument_imports(include=["server"]):
-            from .http import test_one_input
-    else:
-        os.environ["NUMBA_DISABLE_JIT"] = "1"
-        with atheris.instrument_imports(include=["codec"]):
-            from .codec import accepts
+    os.environ["NUMBA_DISABLE_JIT"] = "1"
+    with atheris.instrument_imports(include=["codec"]):
+        from .codec import accepts
 
-        def test_one_input(data: bytes) -> None:
-            accepts(data)
+    def test_one_input(data: bytes) -> None:
+        accepts(data)
 
     # As in the tests: a numpy warning about an overflow means that the code did not expect it.
     warnings.simplefilter("error")

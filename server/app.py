@@ -1,4 +1,4 @@
-"""The HTTP application: a request in, a response out, whatever happens in between.
+"""The application: its routes, what surrounds them, and what lives as long as it.
 
 Rule: no request causes a traceback, and only the operator's log names paths of files.
 """
@@ -9,10 +9,14 @@ import asyncio
 import logging
 import math
 import time
-from collections.abc import Coroutine
-from typing import Any
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
+from contextlib import asynccontextmanager
+from functools import partial
+from typing import Any, NoReturn
 
-from aiohttp import HttpVersion11, web
+from aiohttp import web
+from aiohttp.typedefs import Handler
+from multidict import CIMultiDict
 
 from codec.errors import SwingsError
 from server.abr.clientstatus import (
@@ -26,284 +30,61 @@ from server.abr.clientstatus import (
     REPORT_HEADER,
 )
 
-from .answers.call import Answer, Call
-from .answers.pages import busy_page, refused_page
-from .clients.connection import ClientConnection, Clients, connection_of
-from .clients.http import http_server
-from .clients.reply import CLOSED, KEPT, StreamedBody, send
-from .exchange.content import private_caching
-from .exchange.errors import RequestError
-from .exchange.exchange import CLIENT_GONE, Exchange
-from .exchange.request import Request, body_bytes, read_request
-from .exchange.response import (
-    AnyResponse,
-    HeadWriter,
-    Response,
-    StreamedResponse,
-    error_response,
-)
-from .operate.clientaddress import client_address, is_proxy
+from .answers import download, objects, pages, play, statusreport
+from .http.connection import Connection, refusal
+from .http.content import private_caching
+from .http.errors import RequestError
+from .http.requestlog import CLIENT_GONE, FACTS, GRANT, NOTE, SENT_BYTES, SIGNED, WAITS_FROM_S
+from .listener import BACKLOG
+from .operate.loadmeter import measure_lag, measure_load
 from .operate.log.eventlog import EventLog
-from .operate.log.logline import LogRequests, Value
-from .operate.sign.signing import (
-    Grant,
-    Reason,
-    Signer,
-    needs_signature,
-    without_signatures,
-)
-from .router import OBJECT_ROUTE, find_route
-from .state.serverstate import ServerState
+from .operate.overload import LoadSample
+from .operate.sign.signing import Grant, Reason, needs_signature, without_signatures
+from .state.serverstate import STATE, ServerState
 
 log = logging.getLogger(__name__)
 
-PREFLIGHT_AGE_S = 86400
-"""Seconds that a browser may remember what a preflight said."""
+ROUTES = [
+    one
+    for routes in (
+        objects.routes,
+        play.routes,
+        statusreport.routes,
+        download.routes,
+        pages.routes,
+        objects.last_routes,
+    )
+    for one in routes
+    if isinstance(one, web.RouteDef)
+]
+"""All routes of the server, the most used first."""
 
-ALLOWED_HEADERS = (
-    f"Range, If-Range, If-None-Match, Content-Type, {PLAY_HEADER}, {RATE_HEADER}, {FRAME_HEADER}"
+PREFLIGHT = {
+    "Access-Control-Allow-Methods": "GET, HEAD, POST",
+    "Access-Control-Allow-Headers": (
+        "Range, If-Range, If-None-Match, Content-Type, "
+        f"{PLAY_HEADER}, {RATE_HEADER}, {FRAME_HEADER}"
+    ),
+    "Access-Control-Max-Age": "86400",
+}
+"""What pages of other origins may ask, and for how many seconds a browser may remember that."""
+
+EXPOSED = (
+    "ETag",
+    "Content-Range",
+    "Accept-Ranges",
+    "Retry-After",
+    PLAY_HEADER,
+    RATE_HEADER,
+    REPORT_HEADER,
+    RECEIVED_HEADER,
+    NUM_FRAMES_HEADER,
+    LIVE_HEADER,
 )
-"""Request headers that a page of another origin may send."""
+"""Headers of responses that pages of other origins may read."""
 
-
-class Application:
-    """Answers the requests of all connections of one event loop."""
-
-    def __init__(self, state: ServerState, log: EventLog | None = None) -> None:
-        """log: where each request gets a line; None for nowhere."""
-        config = state.config
-        self.state = state
-        self._request_timeout_s = config.timeouts.request_timeout_s
-        self._common = _common_fields(config.cors_origin)
-        self._heads = HeadWriter(self._common)
-        self._log = log
-        self._logs_all = config.log_requests is LogRequests.ALL
-        self._clock = asyncio.get_running_loop().time
-        http = http_server(
-            self.handle, self.refused, config.timeouts.keepalive_timeout_s, self._common
-        )
-        self.clients = Clients(http, self.refused, config.timeouts, state.metrics)
-        """The shared state of this application's connections."""
-
-    async def handle(self, asked: web.BaseRequest) -> web.StreamResponse:
-        """Answers one request of a ClientConnection, to the end."""
-        connection = connection_of(asked)
-        exchange = Exchange(connection.address, self._clock(), asked.method)
-        closing, sent_s = True, 0.0
-        try:
-            response = await self._respond(asked, connection, exchange)
-            exchange.first_s = self._clock()
-            exchange.closes |= self.state.stopping.is_set() or not asked.keep_alive
-            if isinstance(response, StreamedResponse):
-                sent = await self._stream(asked, connection, exchange, response)
-            else:
-                sent = await self._send(asked, connection, exchange, response)
-            closing = not sent.keep_alive
-            sent_s = self._clock()
-            await connection.deliver(closing)
-        except asyncio.CancelledError:
-            sent_s, exchange.status = 0.0, CLIENT_GONE
-            raise
-        finally:
-            sent_bytes = connection.take_sent_bytes()
-            self._count(sent_bytes)
-            if exchange.status == CLIENT_GONE and connection.cut:
-                exchange.body_bytes = min(exchange.body_bytes, sent_bytes)
-                exchange.facts = {**exchange.facts, "outcome": connection.cut}
-            connection.end(closing)
-            self.finished(exchange, sent_s or self._clock())
-        return sent
-
-    async def _send(
-        self,
-        asked: web.BaseRequest,
-        connection: ClientConnection,
-        exchange: Exchange,
-        response: Response,
-    ) -> web.StreamResponse:
-        exchange.status, body = response.status, response.body
-        stays = not exchange.closes
-        if asked.method == "HEAD":
-            body = b""
-        exchange.body_bytes = len(body)
-        modern = asked.version >= HttpVersion11
-        text = response.head_fields()
-        head = self._heads.head(response.status, text, stays, modern, time.time())
-        try:
-            await send(asked, connection, head, body)
-        except ConnectionError:
-            exchange.status = CLIENT_GONE
-        return KEPT if stays else CLOSED
-
-    async def _stream(
-        self,
-        asked: web.BaseRequest,
-        connection: ClientConnection,
-        exchange: Exchange,
-        response: StreamedResponse,
-    ) -> web.StreamResponse:
-        """Sends a body that is made meanwhile. Nothing may wait before it is begun: its end gives
-        back what it holds."""
-        exchange.status, exchange.waited, connection.needs_client = 200, True, True
-        exchange.is_streamed = True
-        body = StreamedBody(asked, response, connection, self._common, self._count)
-        if (
-            exchange.closes or asked.version < HttpVersion11
-        ):  # only the end of the connection ends it then
-            body.response.force_close()
-        try:
-            await response.produce(body)
-            await body.end()
-        except ConnectionError:
-            exchange.status = CLIENT_GONE
-        except Exception as error:
-            self._report(exchange, error)
-            exchange.status = CLIENT_GONE
-            connection.abort()
-        finally:
-            connection.needs_client = False
-            exchange.body_bytes, exchange.facts = body.num_bytes, response.facts()
-        return body.response
-
-    async def _respond(
-        self, asked: web.BaseRequest, connection: ClientConnection, exchange: Exchange
-    ) -> AnyResponse:
-        """The response to a request; never raises but for CancelledError."""
-        try:
-            if asked.version.major != 1:
-                raise RequestError(505, "this server supports only HTTP/1.1 and HTTP/1.0")
-            request = read_request(asked.method, asked.raw_path, asked.headers)
-            exchange.request = request
-            num_bytes = body_bytes(request, MAX_BODY_BYTES)
-            if num_bytes:
-                request.body = await self._body(asked, connection, num_bytes)
-        except Exception as error:
-            exchange.closes = True
-            return self._refusal(exchange, error)
-        answer = self.answer(exchange, request)
-        if not asyncio.iscoroutine(answer):
-            return answer
-        exchange.waited = True
-        return await answer
-
-    async def _body(
-        self, asked: web.BaseRequest, connection: ClientConnection, num_bytes: int
-    ) -> bytes:
-        if "Expect" in asked.headers and asked.version >= HttpVersion11:
-            connection.transport.write(b"HTTP/1.1 100 Continue\r\n\r\n")
-        connection.needs_client = True
-        if connection.is_half_closed and not asked.content.is_eof():
-            connection.abort("gone")  # the rest of the body will not come
-        try:
-            async with asyncio.timeout(self._request_timeout_s):
-                return await asked.content.readexactly(num_bytes)
-        except TimeoutError as error:
-            self.state.metrics.timeouts.add(1, "head")
-            raise RequestError(408, "the request was not complete in time") from error
-        finally:
-            connection.needs_client = False
-
-    def answer(
-        self, exchange: Exchange, request: Request
-    ) -> AnyResponse | Coroutine[Any, Any, AnyResponse]:
-        """The response to a request that is whole."""
-        state = self.state
-        if request.method == "OPTIONS":
-            return _preflight()
-        expiry_s: int | None = None
-        try:
-            if state.signer is not None:
-                request.path, expiry_s = _granted_path(request.path, state.signer)
-            answer = self._answer(exchange, request)
-        except Exception as error:
-            return self._refusal(exchange, error)
-        if asyncio.iscoroutine(answer):
-            return self._guarded(exchange, answer, expiry_s)
-        return _cached_privately(answer, expiry_s)
-
-    def _answer(self, exchange: Exchange, request: Request) -> Answer:
-        """The answer to a request that needs no more permission."""
-        state = self.state
-        if request.is_plain:
-            # Of all requests the most by far, and always the same.
-            ready = state.cache.response(request.path)
-            if ready is not None:
-                exchange.route = OBJECT_ROUTE
-                return ready
-        route, names = find_route(request.method, request.path)
-        exchange.route = route.template
-        behind_proxy = is_proxy(exchange.address, state.proxies)
-        if behind_proxy and "X-Forwarded-For" in request.fields:
-            forwarded = request.fields.getall("X-Forwarded-For")
-            exchange.address = client_address(exchange.address, forwarded, state.proxies)
-        return route.handler(Call(state, request, exchange.address, behind_proxy, names))
-
-    async def _guarded(
-        self,
-        exchange: Exchange,
-        answer: Coroutine[Any, Any, AnyResponse],
-        expiry_s: int | None,
-    ) -> AnyResponse:
-        try:
-            return _cached_privately(await answer, expiry_s)
-        except Exception as error:
-            return self._refusal(exchange, error)
-
-    def _refusal(self, exchange: Exchange, error: Exception) -> Response:
-        """The response that says `error`."""
-        if isinstance(error, RequestError):
-            exchange.note = str(error)
-            if _is_for_a_person(exchange.request):
-                if isinstance(error, AccessError):
-                    return refused_page(error.has_expired)
-                if error.status in (429, 503):
-                    return busy_page(error)
-            return error_response(error.status, str(error), error.headers)
-        self._report(exchange, error)
-        if isinstance(error, SwingsError | OSError):
-            return error_response(500, "this stream is damaged on the server", {})
-        return error_response(500, "internal server error; see the server's log", {})
-
-    def _report(self, exchange: Exchange, error: Exception) -> None:
-        path = ""
-        if exchange.request is not None:
-            path = without_signatures(exchange.request.path)[:200]
-        if isinstance(error, SwingsError | OSError):
-            log.error("%s: %s", path, error)
-        else:
-            log.error("%s failed", path, exc_info=error)
-
-    def _count(self, sent_bytes: int) -> None:
-        self.state.sent_bytes += sent_bytes
-
-    def refused(self, address: str, status: int, note: str) -> None:
-        """Logs a request that was answered below this application: not HTTP, or incomplete."""
-        exchange = Exchange(address, self._clock(), status=status, note=note)
-        self.finished(exchange, exchange.began_s)
-
-    def finished(self, exchange: Exchange, now_s: float) -> None:
-        state, began_s = self.state, exchange.began_s
-        state.metrics.requests.add(1, exchange.route, str(exchange.status))
-        if exchange.waited and exchange.first_s:
-            state.metrics.ttfb.observe(exchange.first_s - began_s)
-        if self._log is not None and (self._logs_all or exchange.is_told):
-            self._write_line(self._log, exchange, round(1e3 * (now_s - began_s), 1))
-
-    def _write_line(self, log: EventLog, exchange: Exchange, took_ms: float) -> None:
-        request, note = exchange.request, exchange.note
-        fields: dict[str, Value] = {"address": exchange.address, "method": exchange.method or None}
-        if request is not None:
-            path, query = request.path, request.query
-            # The path of a granted request has lost its signature; a preflight is answered before.
-            if exchange.status >= 400 or request.method == "OPTIONS" or path.startswith("/t/"):
-                path = without_signatures(path)
-            fields["path"] = path
-            fields["query"] = without_signatures(query) if query else None
-        fields["status"], fields["bytes"] = exchange.status, exchange.body_bytes
-        fields["ms"] = took_ms
-        fields["note"] = without_signatures(note) if note else None
-        fields.update(exchange.facts)
-        log.event("request", **fields)
+WORKERS_STOP_S = 0.5
+"""Seconds for what other workers still ask when this one has ended."""
 
 
 class AccessError(RequestError):
@@ -314,69 +95,206 @@ class AccessError(RequestError):
         self.has_expired = reason is Reason.EXPIRED
 
 
-def _is_for_a_person(request: Request | None) -> bool:
-    """Whether a browser shows the answer; programs ask for no HTML."""
-    return request is not None and "text/html" in request.fields.get("Accept", "")
-
-
-def _granted_path(path: str, signer: Signer) -> tuple[str, int | None]:
-    """The path without its signature, and when that expires, in Unix seconds; None for a path that
-    has none. Raises AccessError for one that needs another."""
-    if path.startswith("/t/"):
-        grant = signer.verify(path, time.time())
-        if isinstance(grant, Grant):
-            return grant.path, grant.expiry_s
-        raise AccessError(grant)
-    if needs_signature(path):
-        raise AccessError(Reason.UNSIGNED)
-    return path, None
-
-
-def _cached_privately(response: AnyResponse, expiry_s: int | None) -> AnyResponse:
-    """`response` as the answer to a URL whose signature expires at `expiry_s`, if it has one."""
-    # Nothing keeps a play, signed or not.
-    if expiry_s is None or isinstance(response, StreamedResponse):
-        return response
-    left_s = expiry_s - math.ceil(time.time())
-    cache_control = private_caching(response.fields.get("Cache-Control", ""), left_s)
-    fields = {**response.fields, "Cache-Control": cache_control}
-    return Response(response.status, fields, response.body, response.length)
-
-
-def _preflight() -> Response:
-    return Response(
-        204,
-        {
-            "Access-Control-Allow-Methods": "GET, HEAD, POST",
-            "Access-Control-Allow-Headers": ALLOWED_HEADERS,
-            "Access-Control-Max-Age": str(PREFLIGHT_AGE_S),
-        },
-    )
-
-
-def _common_fields(cors_origin: str) -> dict[str, str]:
-    """The fields of every response, with the origin whose pages may read it."""
-    # Without the second field, aiohttp names itself and the version of Python.
-    fields = {"X-Content-Type-Options": "nosniff", "Server": "swings"}
-    if cors_origin:
-        exposed = ", ".join(
-            (
-                "ETag",
-                "Content-Range",
-                "Accept-Ranges",
-                "Retry-After",
-                PLAY_HEADER,
-                RATE_HEADER,
-                REPORT_HEADER,
-                RECEIVED_HEADER,
-                NUM_FRAMES_HEADER,
-                LIVE_HEADER,
-            )
+def create_app(state: ServerState, log: EventLog | None = None) -> web.Application:
+    """The application of one worker. log: whose dropped lines are counted."""
+    app = web.Application(middlewares=(errors, signed), client_max_size=MAX_BODY_BYTES)
+    app[STATE] = state
+    app.add_routes(ROUTES)
+    if state.signer is not None:
+        app.add_routes(
+            web.RouteDef(one.method, SIGNED + one.path, one.handler, one.kwargs) for one in ROUTES
         )
-        fields |= {
+    app.on_response_prepare.append(headers_adder(common_headers(state.config.cors_origin)))
+    app.on_shutdown.append(end_plays)
+    app.cleanup_ctx.extend((follow_library, answer_workers, partial(measure, log=log)))
+    return app
+
+
+@web.middleware
+async def errors(request: web.Request, handler: Handler) -> web.StreamResponse:
+    """Answers every error with one line of JSON, or a person with a page; and preflights."""
+    try:
+        if request.version.major != 1:
+            refuse_version(request)
+        if request.method == "OPTIONS":
+            return web.Response(status=204, headers=PREFLIGHT)
+        return await handler(request)
+    except (ConnectionError, asyncio.CancelledError):
+        # Cancelled are those whose client did not take them before the server had to end.
+        await asyncio.sleep(0)  # for the connection, which is told why it is lost
+        return gone(request)
+    except web.HTTPException as raised:
+        error = refusal_of(raised)
+        request[NOTE] = str(error)
+        if "text/html" in request.headers.get("Accept", ""):  # programs ask for no HTML
+            if isinstance(error, AccessError):
+                return pages.refused_page(error.has_expired)
+            if error.status in (429, 503):
+                return pages.busy_page(error)
+        raise error from None
+    except Exception as error:
+        path = without_signatures(request.rel_url.raw_path)[:200]
+        if isinstance(error, SwingsError | OSError):
+            log.error("%s: %s", path, error)
+            message = "this stream is damaged on the server"
+        else:
+            log.error("%s failed", path, exc_info=error)
+            message = "internal server error; see the server's log"
+        if request.writer.output_size:  # cut off, so that it shows
+            return gone(request)
+        raise RequestError(500, message) from None
+
+
+def refuse_version(request: web.Request) -> NoReturn:
+    """Answers in HTTP/1.1; aiohttp would in the version that was asked for."""
+    if request.transport is not None:
+        request.transport.write(refusal(505, "HTTP Version Not Supported"))
+        request.transport.close()
+    raise RequestError(505, "this server supports only HTTP/1.1 and HTTP/1.0")
+
+
+def gone(request: web.Request) -> web.Response:
+    """What the log says of a client that has gone, or now does; nothing of it is sent."""
+    request[SENT_BYTES] = request.writer.output_size
+    connection = request.protocol
+    if isinstance(connection, Connection) and connection.cut:
+        request[FACTS] = {**request.get(FACTS, {}), "outcome": connection.cut}
+    if request.transport is not None:
+        request.transport.abort()
+    return web.Response(status=CLIENT_GONE)
+
+
+def refusal_of(error: web.HTTPException) -> RequestError:
+    """An error of aiohttp's in our words."""
+    if isinstance(error, RequestError):
+        return error
+    if isinstance(error, web.HTTPNotFound):
+        message = "nothing is served at this URL; /v1/streams lists the streams"
+        return RequestError(404, message)
+    if isinstance(error, web.HTTPMethodNotAllowed):
+        allowed = error.headers["Allow"]
+        return RequestError(405, f"this URL accepts only {allowed}", {"Allow": allowed})
+    return RequestError(error.status, error.reason)
+
+
+@web.middleware
+async def signed(request: web.Request, handler: Handler) -> web.StreamResponse:
+    """Answers only what is signed, if there are keys.
+
+    Routes see the path with its %XX read: what needs a signature is found there, and what is signed
+    is what was sent.
+    """
+    signer = request.app[STATE].signer
+    if signer is None:
+        return await handler(request)
+    if request.path.startswith("/t/"):
+        grant = signer.verify(request.rel_url.raw_path, time.time())
+        if not isinstance(grant, Grant):
+            raise AccessError(grant)
+        if request.match_info.get("stream", grant.stream) != grant.stream:
+            raise AccessError(Reason.SIGNATURE)
+        request[GRANT] = grant
+    elif needs_signature(request.path):
+        raise AccessError(Reason.UNSIGNED)
+    return await handler(request)
+
+
+def common_headers(cors_origin: str) -> dict[str, str]:
+    """The headers of every response, with the origin whose pages may read it."""
+    # Without the second one, aiohttp names itself and the version of Python.
+    headers = {"X-Content-Type-Options": "nosniff", "Server": "swings"}
+    if cors_origin:
+        headers |= {
             "Access-Control-Allow-Origin": cors_origin,
-            "Access-Control-Expose-Headers": exposed,
+            "Access-Control-Expose-Headers": ", ".join(EXPOSED),
             "Cross-Origin-Resource-Policy": "cross-origin",
             "Timing-Allow-Origin": cors_origin,
         }
-    return fields
+    return headers
+
+
+def headers_adder(
+    headers: Mapping[str, str],
+) -> Callable[[web.Request, web.StreamResponse], Awaitable[None]]:
+    """What completes each response when it begins."""
+    common = CIMultiDict(headers)
+
+    async def add(request: web.Request, response: web.StreamResponse) -> None:
+        response.headers.update(common)
+        if GRANT in request:
+            left_s = request[GRANT].expiry_s - math.ceil(time.time())
+            caching = private_caching(response.headers.get("Cache-Control", ""), left_s)
+            response.headers["Cache-Control"] = caching
+        if WAITS_FROM_S in request:
+            waited_s = asyncio.get_running_loop().time() - request[WAITS_FROM_S]
+            request.app[STATE].metrics.ttfb.observe(waited_s)
+
+    return add
+
+
+async def end_plays(app: web.Application) -> None:
+    """Has plays end at their next slice."""
+    app[STATE].stopping.set()
+
+
+async def follow_library(app: web.Application) -> AsyncIterator[None]:
+    """Looks for new and changed streams."""
+    async with running(app[STATE].library.watch()):
+        yield
+
+
+async def answer_workers(app: web.Application) -> AsyncIterator[None]:
+    """Answers what the other workers of the server ask this one, on a Unix socket of its own."""
+    state = app[STATE]
+    if state.workers is None:
+        yield
+        return
+    inner = web.Application(middlewares=(errors,), client_max_size=MAX_BODY_BYTES)
+    inner[STATE] = state
+    inner.add_routes((*statusreport.routes, *statusreport.worker_routes))
+    runner = web.AppRunner(inner, access_log=None, logger=log, shutdown_timeout=WORKERS_STOP_S)
+    await runner.setup()
+    path = str(state.workers.path(state.number))
+    await web.UnixSite(runner, path, backlog=BACKLOG).start()
+    yield
+    await state.workers.close()
+    await runner.cleanup()
+
+
+async def measure(app: web.Application, log: EventLog | None) -> AsyncIterator[None]:
+    """Keeps the load and the metrics of the worker up to date."""
+    state = app[STATE]
+    metrics, log_dropped = state.metrics, 0
+
+    def observe(sample: LoadSample) -> None:
+        nonlocal log_dropped
+        state.overload.observe(sample)
+        state.busy_share = sample.busy_share
+        most = max((stream.num_layers for stream in state.library.streams.values()), default=1)
+        metrics.shed_layers.set(most - state.overload.max_layers(most))
+        metrics.loop_late.observe(sample.late_s)
+        metrics.open_connections.set(state.connections.num_held)
+        metrics.streams.labels("served").set(len(state.library.streams))
+        metrics.streams.labels("broken").set(len(state.library.broken))
+        if log is not None:
+            metrics.log_dropped.add(log.num_dropped - log_dropped)
+            log_dropped = log.num_dropped
+        metrics.flush()
+
+    def late(seconds: float) -> None:
+        state.lag_s = max(seconds, state.lag_s / 2)
+
+    async with running(measure_lag(late)), running(measure_load(observe, lambda: state.sent_bytes)):
+        yield
+    metrics.flush()
+
+
+@asynccontextmanager
+async def running(work: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
+    """Runs `work` beside the block, and ends it."""
+    task = asyncio.create_task(work)
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.wait([task])

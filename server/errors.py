@@ -1,4 +1,4 @@
-"""The errors that end the server; what is wrong with a request is in http/errors.py."""
+"""The errors that end the server; what is wrong with a request stands in http/errors.py."""
 
 from codec.errors import SwingsError
 

@@ -7,31 +7,36 @@ import logging
 import signal
 import socket
 import ssl
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import asdict
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from codec.errors import SwingsError
 
-from .app import Application
-from .clients.acceptor import Acceptor
-from .clients.connection import ClientConnection
+from .app import common_headers, create_app
 from .errors import ServerError
-from .listener import bound_connections
-from .operate.admission import Admission
-from .operate.descriptors import connection_limit
-from .operate.loadmeter import measure_load
+from .http.connection import Clients, Connection
+from .http.requestlog import request_log
+from .http.runner import Runner, connections
+from .listener import BACKLOG, bound_connections
 from .operate.log.eventlog import EventLog
-from .operate.overload import LoadSample
 from .state.serverstate import ServerState
-
-LAG_EVERY_S = 0.02
-"""Seconds between two looks at how late the event loop is."""
 
 log = logging.getLogger(__name__)
 
 SHUTDOWN_SHARE = 0.9
 """Share of the shutdown time that responses get; the rest is for the remaining cleanup."""
+
+TLS_HANDSHAKE_S = 8.0
+
+
+def create_runner(state: ServerState, log: EventLog | None = None) -> Runner:
+    """The runner of one worker's application. log: where requests get a line; None for nowhere."""
+    config = state.config
+    logger = request_log(state.metrics, state.count_sent, state.proxies, log, config.log_requests)
+    clients = Clients(state.connections, state.metrics, common_headers(config.cors_origin))
+    stop_s = SHUTDOWN_SHARE * config.supervisor.shutdown_timeout_s
+    keepalive_timeout_s = config.timeouts.keepalive_timeout_s
+    return Runner(create_app(state, log), clients, logger, keepalive_timeout_s, stop_s)
 
 
 class RunningServer:
@@ -40,71 +45,38 @@ class RunningServer:
     def __init__(
         self, state: ServerState, listener: socket.socket, log: EventLog | None = None
     ) -> None:
-        """log: where each request gets a line; None for nowhere. Raises ServerError for a
-        certificate that cannot be used."""
-        config = state.config
+        """log: where requests get a line; None for nowhere. Raises ServerError for a certificate
+        that cannot be used."""
         self._state = state
         self._listener = listener
-        self.app = Application(state, log)
+        self._runner = create_runner(state, log)
+        self._server: asyncio.Server | None = None
         self._tls = None
+        config = state.config
         if config.tls_cert is not None and config.tls_key is not None:
             self._tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
             self._tls.minimum_version = ssl.TLSVersion.TLSv1_2
             self._tls.set_alpn_protocols(["http/1.1"])
             load_certificate(self._tls, config.tls_cert, config.tls_key)
-        admission = config.admission
-        most = connection_limit(admission.max_connections)
-        allowed = Admission(most, admission.max_address_connections, state.proxies)
-        self._acceptor = Acceptor(self.app.clients, listener, allowed, self._tls)
-        self._log = log
-        self._log_dropped = 0  # lines of it, counted so far
-        self._peer_counts: dict[str, int] = {}  # likewise
-        self._tasks: list[asyncio.Task[None]] = []
 
     @property
-    def connections(self) -> Collection[ClientConnection]:
+    def connections(self) -> list[Connection]:
         """The open connections."""
-        return self._acceptor.connections
+        return connections(self._runner.server)
 
     async def start(self) -> None:
         """Begins to serve, what is in the library by then."""
-        state = self._state
-        bound_connections(self._listener, state.config.timeouts.write_timeout_s)
-        self._acceptor.start()
-        self._tasks = [
-            asyncio.create_task(state.library.watch()),
-            asyncio.create_task(self._measure_lag()),
-            asyncio.create_task(measure_load(self._observe, lambda: state.sent_bytes)),
-        ]
-
-    async def _measure_lag(self) -> None:
-        """Keeps `state.lag_s` up to date."""
-        clock, state = asyncio.get_running_loop().time, self._state
-        while True:
-            began_s = clock()
-            await asyncio.sleep(LAG_EVERY_S)
-            late_s = clock() - began_s - LAG_EVERY_S
-            state.lag_s = max(late_s, state.lag_s / 2)
-
-    def _observe(self, sample: LoadSample) -> None:
-        state, metrics = self._state, self._state.metrics
-        state.overload.observe(sample)
-        state.busy_share = sample.busy_share
-        most = max((stream.num_layers for stream in state.library.streams.values()), default=1)
-        metrics.shed_layers.set(most - state.overload.max_layers(most))
-        metrics.loop_late.observe(sample.late_s)
-        metrics.open_connections.set(len(self.connections))
-        metrics.streams.labels("served").set(len(state.library.streams))
-        metrics.streams.labels("broken").set(len(state.library.broken))
-        if state.peers is not None:
-            for outcome, count in asdict(state.peers.counts).items():
-                metrics.peer_messages.add(count - self._peer_counts.get(outcome, 0), outcome)
-                self._peer_counts[outcome] = count
-        metrics.flush()
-        if self._log is not None:
-            dropped = self._log.num_dropped
-            metrics.log_dropped.add(dropped - self._log_dropped)
-            self._log_dropped = dropped
+        bound_connections(self._listener, self._state.config.timeouts.write_timeout_s)
+        await self._runner.setup()
+        gate = self._runner.server
+        assert gate is not None
+        self._server = await asyncio.get_running_loop().create_server(
+            gate,
+            sock=self._listener,
+            ssl=self._tls,
+            ssl_handshake_timeout=None if self._tls is None else TLS_HANDSHAKE_S,
+            backlog=BACKLOG,
+        )
 
     def renew(self) -> None:
         """Reads keys and certificate again. Those that cannot be used are logged, and the previous
@@ -122,17 +94,14 @@ class RunningServer:
     async def stop(self) -> None:
         """Lets plays end at their next slice and answers what was asked, within
         `shutdown_timeout_s`. Stopping twice is the same as once."""
-        if not self._tasks:
+        server, self._server = self._server, None
+        if server is None:
             return
-        tasks, self._tasks = self._tasks, []
-        self._state.stopping.set()
-        patience_s = self._state.config.supervisor.shutdown_timeout_s
-        await self._acceptor.stop(SHUTDOWN_SHARE * patience_s)
-        self._listener.close()
-        for task in tasks:
-            task.cancel()
-        await asyncio.wait(tasks)
-        self._state.metrics.flush()
+        # When its server closes, asyncio drops accepted connections that it does not serve yet.
+        asyncio.get_running_loop().remove_reader(self._listener)
+        await asyncio.sleep(0)
+        server.close()
+        await self._runner.cleanup()
 
 
 def load_certificate(context: ssl.SSLContext, cert: Path, key: Path) -> None:

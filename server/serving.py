@@ -18,7 +18,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .answers.statusreport import answer_peer
 from .errors import ServerError
 from .library import Library
 from .listener import is_loopback
@@ -26,7 +25,6 @@ from .operate.log.eventlog import EventLog, take_over_logging
 from .operate.prometheus import Metrics, forget_worker
 from .operate.sign.keyfile import read_keys
 from .operate.watchdog import Watchdog
-from .operate.workers.peers import Peers
 from .runningserver import RunningServer, load_certificate, run_until_stopped
 from .state.config import ServerConfig
 from .state.serverstate import ServerState
@@ -113,26 +111,17 @@ class Service:
         folder: Path | None = None,
     ) -> None:
         number = 0 if worker is None else worker.number
-        peers = None if worker is None else Peers(number, worker.mailboxes)
         metrics = Metrics(folder, number)
         library = Library(self.root, self.config.refresh_s)
         if not (library.streams or library.broken):
             log.event("no_stream_yet", "warning", root=self.root)
-        state = ServerState(library, self.config, metrics, number, peers, self.play_secret)
-        if peers is not None:
-            clock = asyncio.get_running_loop().time
-            peers.on_request = lambda question: answer_peer(state, question, clock())
-            peers.start()
+        state = ServerState(library, self.config, metrics, number, folder, self.play_secret)
         # The objects of now stay. Unless frozen, they cost each full collection 30 ms in which no
         # request is answered.
         gc.collect()
         gc.freeze()
-        try:
-            server = RunningServer(state, listener, log)
-            await run_until_stopped(server, ready, *handled_signals(worker is not None))
-        finally:
-            if peers is not None:
-                peers.close()
+        server = RunningServer(state, listener, log)
+        await run_until_stopped(server, ready, *handled_signals(worker is not None))
 
 
 def handled_signals(is_worker: bool) -> tuple[list[signal.Signals], list[signal.Signals]]:

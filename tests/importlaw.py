@@ -56,11 +56,10 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("server/study", "server/operate/sign", "server/operate/workers"),
         (
             "server/html",
-            "server/exchange",
             "server/library",
             "server/operate",
         ),
-        ("server/clients",),
+        ("server/http",),
         ("server/state",),
         ("server/answers",),
         ("server",),

@@ -125,7 +125,6 @@ ELSEWHERE = {
         "swings-play https://streams.example.com/my-stream.swings"
     ],
     "codec/test_fuzz.py": ["python -m fuzz", "python -m fuzz FOUND fuzz/corpus"],
-    "server/clients/test_fuzz.py": ["python -m fuzz http FOUND"],
     "test_demo.py": ["scripts/demo", "scripts/demo --no-serve"],
     "bench/test_cuda.py": ["scripts/bench cuda"],
 }

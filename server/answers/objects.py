@@ -4,118 +4,119 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-from urllib.parse import parse_qsl
+
+from aiohttp import web
 
 from codec.stream.captions import CAPTIONS_TYPE
+from codec.stream.index import INDEX_NAME
 from codec.stream.integrity import MAX_INDEX_BYTES
-from codec.stream.manifest import Part
+from codec.stream.manifest import MANIFEST_NAME, MASKS, Part
 from codec.stream.pictures import picture_type
-from server.exchange.content import IMMUTABLE, OBJECT_TYPE, REVALIDATE, Content, respond
-from server.exchange.errors import RequestError
-from server.exchange.response import Response
-from server.library import ServedStream
+from codec.stream.sound import SOUND_NAME, SOUND_PREFIX
+from server.http.content import IMMUTABLE, OBJECT_TYPE, REVALIDATE, Content, serve
+from server.http.errors import RequestError
+from server.state.serverstate import STATE
 
-from .call import Answer, Call
+from .asked import STREAM, query_of, stream_of, waits
 
 MAX_WAIT_S = 30
 """Seconds that a client may wait for an index to grow."""
 
+_NUMBER = "0|[1-9][0-9]{0,8}"
 
-def manifest(call: Call) -> Response:
-    view = call.stream().view
+_PART = f"{_NUMBER}|{MASKS}|snapshot-(?:{_NUMBER})|{SOUND_PREFIX}{SOUND_NAME}"
+"""What a segment has an object of; which of them there are, the stream says."""
+
+routes = web.RouteTableDef()
+
+last_routes = web.RouteTableDef()
+"""The routes that others go before: a name in them may be nearly anything."""
+
+
+@routes.get(f"{STREAM}/segments/{{segment:{_NUMBER}}}/{{layer:{_PART}}}")
+async def segment_object(request: web.Request) -> web.StreamResponse:
+    state, stream = request.app[STATE], stream_of(request)
+    segment, name = int(request.match_info["segment"]), request.match_info["layer"]
+    part: Part = int(name) if name.isdigit() else name
+    content = state.cache.content(stream, segment, part)
+    if content is None:
+        waits(request)
+        if stream.has_sound(segment, name):
+            # Another may take its name, so whoever keeps it asks again.
+            content = await state.sounds.content(stream, segment, name)
+        elif stream.has_object(segment, part):
+            content = await state.cache.load_content(stream, segment, part)
+        else:
+            raise RequestError(404, f"{stream.name} has no segment {segment} layer {name}")
+    return await serve(request, content)
+
+
+@routes.get(f"{STREAM}/{MANIFEST_NAME}")
+async def manifest(request: web.Request) -> web.StreamResponse:
+    view = stream_of(request).view
     content = Content(view.manifest_json, view.manifest_sha256, "application/json", REVALIDATE)
-    return respond(call.request, content)
+    return await serve(request, content)
 
 
-def index(call: Call) -> Answer:
+@routes.get(f"{STREAM}/{INDEX_NAME}")
+async def index(request: web.Request) -> web.StreamResponse:
     """The index; with ?after=N and &wait=S once it has more than N bytes, or after S seconds."""
-    stream = call.stream()
-    after_bytes, wait_s = parse_index_query(call.request.query)
-    if stream.live and wait_s and len(stream.view.index_data) <= after_bytes:
-        return _grown_index(call, stream, wait_s)
-    return _index(call, stream)
-
-
-async def _grown_index(call: Call, stream: ServedStream, wait_s: float) -> Response:
+    stream, stopping = stream_of(request), request.app[STATE].stopping
+    after_bytes, wait_s = parse_index_query(dict(query_of(request)))
     clock, num_segments = asyncio.get_running_loop().time, stream.view.num_segments
     until_s = clock() + wait_s
     while (
-        stream.live
+        len(stream.view.index_data) <= after_bytes
+        and stream.live
         and not stream.gone
-        and not call.state.stopping.is_set()
+        and not stopping.is_set()
         and stream.view.num_segments == num_segments
         and clock() < until_s
+        and request.transport is not None
     ):
         # Not all at once: the server may stop meanwhile.
         await stream.wait_for_growth(num_segments, min(0.5, until_s - clock()))
-    return _index(call, call.stream())
-
-
-def _index(call: Call, stream: ServedStream) -> Response:
-    view = stream.view
+    view = stream_of(request).view
     content = Content(view.index_data, view.index_sha256, OBJECT_TYPE, REVALIDATE)
-    return respond(call.request, content)
+    return await serve(request, content)
 
 
-def parse_index_query(query: str) -> tuple[int, float]:
+def parse_index_query(values: dict[str, str]) -> tuple[int, int]:
     """The bytes of the index that a client has, and the seconds that it waits for more. What is
     asked of other servers for other reasons, such as to get past a cache, is passed over."""
-    values = dict(parse_qsl(query, keep_blank_values=True))
     numbers = []
     for key, most in (("after", MAX_INDEX_BYTES), ("wait", MAX_WAIT_S)):
         text = values.get(key, "0")
         if not (text.isascii() and text.isdigit() and len(text) <= 10 and int(text) <= most):
             raise RequestError(400, f"{key}={text[:40]!a} is not a number from 0 to {most}")
         numbers.append(int(text))
-    return numbers[0], float(numbers[1])
+    return numbers[0], numbers[1]
 
 
-def segment_object(call: Call) -> Answer:
-    stream, segment, name = call.stream(), int(call.names["segment"]), call.names["layer"]
-    part: Part = int(name) if name.isdigit() else name
-    found = call.state.cache.content(stream, segment, part)
-    if found is not None:
-        return respond(call.request, found)
-    if stream.has_sound(segment, name):
-        return _sound(call, stream, segment, name)
-    if not stream.has_object(segment, part):
-        raise RequestError(404, f"{stream.name} has no segment {segment} layer {name}")
-    return _load(call, stream, segment, part)
-
-
-async def _load(call: Call, stream: ServedStream, segment: int, part: Part) -> Response:
-    cache = call.state.cache
-    content = await cache.load_content(stream, segment, part)
-    cache.make_ready(call.request.path, stream, segment, part)
-    return respond(call.request, content)
-
-
-async def _sound(call: Call, stream: ServedStream, segment: int, name: str) -> Response:
-    """An object of sound. Another may take its name, so whoever keeps it asks again."""
-    return respond(call.request, await call.state.sounds.content(stream, segment, name))
-
-
-def web_asset(call: Call) -> Response:
+@routes.get("/web/{asset:.+}")
+async def web_asset(request: web.Request) -> web.StreamResponse:
     """A file of the browser player."""
-    name = call.name("asset")
-    asset = call.state.web_player.assets.get(name)
+    name = request.match_info["asset"]
+    asset = request.app[STATE].web_player.assets.get(name)
     if asset is None:
         raise RequestError(404, f"the browser player has no file {name[:80]!a}")
     caching = IMMUTABLE if asset.immutable else REVALIDATE
     content = Content(asset.data, asset.sha256, asset.content_type, caching, asset.coded)
-    return respond(call.request, content)
+    return await serve(request, content)
 
 
-async def picture(call: Call) -> Response:
+@last_routes.get(STREAM + r"/{picture:.+\.[A-Za-z]{3,4}}")
+async def picture(request: web.Request) -> web.StreamResponse:
     """The pictures and captions that the manifest names, and no other file."""
-    stream, name = call.stream(), call.name("picture")
+    stream, name = stream_of(request), request.match_info["picture"]
     content_type = CAPTIONS_TYPE if name.endswith(".vtt") else picture_type(name)
     data = None
     if content_type is not None:
+        waits(request)
         read = stream.read_captions if content_type is CAPTIONS_TYPE else stream.read_picture
         data = await asyncio.to_thread(read, name)
     if data is None or content_type is None:
         what = "captions" if content_type is CAPTIONS_TYPE else "picture"
         raise RequestError(404, f"{stream.name} has no {what} {name[:80]!a}")
     sha256 = hashlib.sha256(data).hexdigest()
-    return respond(call.request, Content(data, sha256, content_type, REVALIDATE))
+    return await serve(request, Content(data, sha256, content_type, REVALIDATE))

@@ -8,75 +8,82 @@ import math
 import re
 from collections import Counter
 from dataclasses import replace
-from urllib.parse import parse_qsl, quote
+from urllib.parse import quote
 
+from aiohttp import HttpVersion11, web
 from markupsafe import Markup
 
 from codec.stream.pictures import picture_path, picture_size_px
-from server.exchange.errors import RequestError
-from server.exchange.response import Response, json_response
 from server.html import gallery, htmlpage, watchpage
 from server.html.gallery import Card, card_html, front_page
 from server.html.htmlpage import message_page
 from server.html.watchpage import WatchedStream, watch_page
+from server.http.errors import RequestError
 from server.library import ServedStream
+from server.operate.clientaddress import is_proxy
 from server.operate.prometheus import CONTENT_TYPE
+from server.state.serverstate import STATE
 
-from .call import Call
+from .asked import STREAM, query_of, stream_of
 
 log = logging.getLogger(__name__)
 
-NO_REFERRER = {"Referrer-Policy": "no-referrer"}
-"""A page's own URL may hold its signature."""
+REVALIDATE = {"Cache-Control": "no-cache"}
 
 _PREFIX = re.compile(r"(/[A-Za-z0-9._~-]{1,80}){1,8}")
 
-REVALIDATE = {"Cache-Control": "no-cache"}
+_HOST = re.compile(r"(?:[A-Za-z0-9._-]{1,255}|\[[0-9A-Fa-f:.]{2,64}\])(?::(?P<port>[0-9]{1,5}))?")
+
+routes = web.RouteTableDef()
 
 
-def _page(text: str, security: str, status: int = 200) -> Response:
-    fields = {
-        "Content-Type": "text/html; charset=utf-8",
+def _page(text: str, security: str, status: int = 200, caching: str = "no-cache") -> web.Response:
+    headers = {
         "Content-Security-Policy": security,
-        **NO_REFERRER,
-        **REVALIDATE,
+        "Referrer-Policy": "no-referrer",  # its own URL may hold its signature
+        "Cache-Control": caching,
     }
-    return Response(status, fields, text.encode())
+    return web.Response(status=status, text=text, content_type="text/html", headers=headers)
 
 
-def _text(text: str) -> Response:
-    return Response(200, {"Content-Type": "text/plain; charset=utf-8"}, text.encode())
-
-
-def refused_page(has_expired: bool) -> Response:
+def refused_page(has_expired: bool) -> web.Response:
     """What a person sees of a link without permission."""
     if has_expired:
         page = message_page("This link has expired", "Ask whoever sent it for a new one.")
     else:
         text = "Ask whoever runs this server for one. A link that was cut short does not open."
         page = message_page("This page opens with a link made for it", text)
-    response = _page(page, htmlpage.SECURITY, 403)
-    return Response(403, {**response.fields, "Cache-Control": "no-store"}, response.body)
+    return _page(page, htmlpage.SECURITY, 403, "no-store")
 
 
-def busy_page(error: RequestError) -> Response:
+def busy_page(error: RequestError) -> web.Response:
     """What a person sees where there is no room, or not any more."""
-    text = "Try again in a moment; streams go on where they were."
-    response = _page(message_page("This server is busy", text), htmlpage.SECURITY, error.status)
-    fields = {**response.fields, "Cache-Control": "no-store", **error.headers}
-    return Response(error.status, fields, response.body)
+    page = message_page(
+        "This server is busy", "Try again in a moment; streams go on where they were."
+    )
+    response = _page(page, htmlpage.SECURITY, error.status, "no-store")
+    if "Retry-After" in error.headers:
+        response.headers["Retry-After"] = error.headers["Retry-After"]
+    return response
 
 
-def _origin(call: Call) -> str:
-    """scheme://host of this server as the client calls it, and the path where a proxy has it."""
-    scheme = call.state.scheme
-    said = call.request.fields.get("X-Forwarded-Proto", "")
-    if said in ("http", "https") and call.peer_is_proxy:
-        scheme = said
-    prefix = call.request.fields.get("X-Forwarded-Prefix", "").rstrip("/")
-    if not (call.peer_is_proxy and _PREFIX.fullmatch(prefix)):
-        prefix = ""
-    return f"{scheme}://{call.request.host}{prefix}"
+def _origin(request: web.Request) -> str:
+    """scheme://host of this server as the client calls it, and the path where a proxy has it.
+    Raises RequestError 400 for a host that is none."""
+    host = request.headers.get("Host")
+    match = _HOST.fullmatch(host or "")
+    if (host is not None or request.version >= HttpVersion11) and (
+        match is None or int(match["port"] or 0) > 65535
+    ):
+        raise RequestError(400, f"Host {(host or '')[:80]!a} is not HOST or HOST:PORT")
+    state = request.app[STATE]
+    scheme, prefix = state.scheme, ""
+    if is_proxy(request.remote or "", state.proxies):
+        said = request.headers.get("X-Forwarded-Proto", "")
+        scheme = said if said in ("http", "https") else scheme
+        prefix = request.headers.get("X-Forwarded-Prefix", "").rstrip("/")
+        prefix = prefix if _PREFIX.fullmatch(prefix) else ""
+    return f"{scheme}://{host or ''}{prefix}"
 
 
 def _title(stream: ServedStream) -> str:
@@ -96,8 +103,8 @@ def _is_still(stream: ServedStream) -> bool:
     return stream.num_frames == 1 and not stream.live
 
 
-def _streams(call: Call) -> list[ServedStream]:
-    return [stream for _, stream in sorted(call.state.library.streams.items())]
+def _streams(request: web.Request) -> list[ServedStream]:
+    return [stream for _, stream in sorted(request.app[STATE].library.streams.items())]
 
 
 def _card(stream: ServedStream, titles: Counter[str]) -> Markup:
@@ -128,30 +135,32 @@ def _place(stream: ServedStream) -> tuple[bool, list[tuple[int, str]]]:
     return not stream.live, [(int(digits or 0), text.casefold()) for digits, text in parts]
 
 
-def front(call: Call) -> Response:
-    streams = sorted(_streams(call), key=_place)
+@routes.get("/")
+async def front(request: web.Request) -> web.Response:
+    streams = sorted(_streams(request), key=_place)
     titles = Counter(map(_title, streams))
     cards = [_card(stream, titles) for stream in streams]
-    page = front_page(cards, call.state.library.broken, _origin(call))
+    page = front_page(cards, request.app[STATE].library.broken, _origin(request))
     return _page(page, gallery.SECURITY)
 
 
-async def watch(call: Call) -> Response:
+@routes.get("/watch/{stream}")
+async def watch(request: web.Request) -> web.Response:
     """The browser player with one stream, under the address that swings-play takes too."""
-    origin = _origin(call)
+    origin, state = _origin(request), request.app[STATE]
     try:
-        stream = call.stream()
+        stream = stream_of(request)
     except RequestError as error:
         there = Markup('It may have been removed or renamed. See <a href="../">all streams</a>.')
         page = message_page("There is no such stream", there)
         return _page(page, htmlpage.SECURITY, error.status)
-    player = call.state.web_player
+    player = state.web_player
     # An address that needs a signature is not one to be passed on.
     watched = _watched(stream, origin)
     path = picture_path(stream.view.manifest.poster) or ""
     if stream.live and not await asyncio.to_thread(stream.has_picture, path):
         watched = replace(watched, poster="")  # it is drawn at the end
-    page = watch_page(watched, player, shared=call.state.signer is None)
+    page = watch_page(watched, player, shared=state.signer is None)
     return _page(page, watchpage.security(player))
 
 
@@ -164,12 +173,13 @@ def _watched(stream: ServedStream, origin: str) -> WatchedStream:
     return WatchedStream(stream.name, title, about, origin, aspect, poster, is_live=stream.live)
 
 
-async def oembed(call: Call) -> Response:
+@routes.get(f"{STREAM}/oembed.json")
+async def oembed(request: web.Request) -> web.Response:
     """How a site shows a stream in a frame of its own, as oEmbed has it (https://oembed.com)."""
-    if call.state.signer is not None:
+    if request.app[STATE].signer is not None:
         raise RequestError(404, "streams with signed URLs cannot be embedded by oEmbed")
-    query = dict(parse_qsl(call.request.query))
-    if query.get("format", "json") != "json":
+    query = dict(query_of(request))
+    if query.get("format") not in (None, "", "json"):
         raise RequestError(501, "the only format is json")
     most_px = []
     for key in ("maxwidth", "maxheight"):
@@ -177,15 +187,16 @@ async def oembed(call: Call) -> Response:
         if text and not re.fullmatch("[1-9][0-9]{0,4}", text):
             raise RequestError(400, f"{key}={text[:40]!a} is not a number of pixels")
         most_px.append(int(text) if text else None)
-    stream = call.stream()
-    watched = _watched(stream, _origin(call))
+    stream = stream_of(request)
+    watched = _watched(stream, _origin(request))
     if stream.view.manifest.poster:
         data = await asyncio.to_thread(stream.read_picture, stream.view.manifest.poster)
         watched = replace(watched, poster_px=picture_size_px(data) if data else None)
-    return json_response(watchpage.oembed(watched, *most_px), 200, REVALIDATE)
+    return web.json_response(watchpage.oembed(watched, *most_px), headers=REVALIDATE)
 
 
-def streams(call: Call) -> Response:
+@routes.get("/v1/streams")
+async def streams(request: web.Request) -> web.Response:
     listed = [
         {
             "name": stream.name,
@@ -196,30 +207,33 @@ def streams(call: Call) -> Response:
             "num_layers": stream.view.manifest.num_layers,
             "manifest": f"/v1/streams/{stream.name}/manifest.json",
         }
-        for stream in _streams(call)
+        for stream in _streams(request)
     ]
     broken = [
         {"name": name, "reason": reason}
-        for name, reason in sorted(call.state.library.broken.items())
+        for name, reason in sorted(request.app[STATE].library.broken.items())
     ]
-    return json_response({"streams": listed, "broken": broken}, 200, REVALIDATE)
+    return web.json_response({"streams": listed, "broken": broken}, headers=REVALIDATE)
 
 
-def healthz(call: Call) -> Response:
+@routes.get("/healthz")
+async def healthz(request: web.Request) -> web.Response:
     """The process runs its event loop."""
-    return _text("ok\n")
+    return web.Response(text="ok\n")
 
 
-def readyz(call: Call) -> Response:
+@routes.get("/readyz")
+async def readyz(request: web.Request) -> web.Response:
     """New requests are welcome: not while stopping."""
-    state = call.state
+    state = request.app[STATE]
     if state.stopping.is_set():
         raise RequestError(503, "the server is stopping")
     if not state.overload.accepts_plays(len(state.plays)):
         raise RequestError(503, "the server cannot accept another play")
-    return _text("ready\n")
+    return web.Response(text="ready\n")
 
 
-def metrics(call: Call) -> Response:
-    text = call.state.metrics.text()
-    return Response(200, {"Content-Type": CONTENT_TYPE}, text.encode())
+@routes.get("/metrics")
+async def metrics(request: web.Request) -> web.Response:
+    text = request.app[STATE].metrics.text()
+    return web.Response(body=text.encode(), headers={"Content-Type": CONTENT_TYPE})

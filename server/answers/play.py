@@ -12,7 +12,8 @@ import random
 import time
 from collections.abc import Sequence
 from functools import partial
-from urllib.parse import parse_qsl
+
+from aiohttp import web
 
 from codec.errors import SwingsError
 from codec.stream.plainrecord import CODINGS, PlainRecordEncoder
@@ -43,17 +44,18 @@ from server.abr.session import (
     WaitForFrames,
     WaitUntil,
 )
-from server.exchange.content import accepted_codings
-from server.exchange.response import BodyWriter, Facts, StreamedResponse
-from server.exchange.tcpinfo import TcpInfo
-from server.library import ServedStream
-from server.operate.workers.playmessage import is_issued, make_token
+from server.http.content import accepted_codings, joined
+from server.http.requestlog import Facts
+from server.http.streaming import BodyWriter, stream
+from server.http.tcpinfo import TcpInfo
+from server.operate.workers.playtoken import is_issued, make_token
 from server.state.recordcache import CodedRecord
+from server.state.serverstate import STATE
 from server.study.choice import make_policy
 
-from .call import Call
+from .asked import STREAM, check_room, is_proxied, place_of, query_of, stream_of, waits
 from .playquery import PlayQuery, parse_query
-from .statusreport import ask_rate_bps, may_continue
+from .statusreport import may_continue
 
 log = logging.getLogger(__name__)
 
@@ -98,61 +100,66 @@ def _figure(value: float | None, scale: float) -> float | None:
     return None if value is None else round(value * scale, 1)
 
 
-async def play(call: Call) -> StreamedResponse:
-    stream, state = call.stream(), call.state
-    asked = parse_qsl(call.request.query, keep_blank_values=True)
-    num_layers, records = stream.view.manifest.num_layers, stream.view.records
+routes = web.RouteTableDef()
+
+
+@routes.get(f"{STREAM}/play", allow_head=False)
+async def play(request: web.Request) -> web.StreamResponse:
+    waits(request)
+    query, rate_bps = await asked_play(request)
+    with place_of(request):
+        running = Play(request, query, rate_bps)
+        count = request.app[STATE].count_sent
+        return await stream(request, running.headers, running.run, count, running.facts)
+
+
+async def asked_play(request: web.Request) -> tuple[PlayQuery, float | None]:
+    """What a client wants to play, and what its link is known to carry. Raises RequestError if it
+    cannot have it."""
+    played, state, headers = stream_of(request), request.app[STATE], request.headers
+    num_layers, records = played.view.manifest.num_layers, played.view.records
     # A segment's start: there all that shows can be had at once.
     edge_frame = records[-1].first_frame if records else 0
-    query = parse_query(asked, stream.num_frames, stream.live, num_layers, edge_frame)
-    # A returning client names its previous play and that play's rate. The worker of that play may
-    # know a newer rate, but may have died: ask it only if nothing is known locally.
-    fields, now_s = call.request.fields, asyncio.get_running_loop().time()
-    token = fields.get(PLAY_HEADER, "")
+    query = parse_query(query_of(request), played.num_frames, played.live, num_layers, edge_frame)
+    # A returning client names its previous play and that play's rate, which this worker may know
+    # better.
+    token = headers.get(PLAY_HEADER, "")
     accepts, continues = partial(state.overload.accepts_plays, len(state.plays)), False
     if not accepts() and accepts(continues=True):
         is_ours = is_issued(token, state.play_secret, time.time())
         continues = is_ours and await may_continue(state, token)
-    call.check_room(continues)
-    rate_bps = state.plays.rate_bps(token, now_s)
-    rate_bps = rate_bps or parse_rate(fields.get(RATE_HEADER, ""))
-    rate_bps = rate_bps or await ask_rate_bps(state, token, now_s)
-    call.take_place()
-    # From here on nothing may wait before the body is made: its end gives the place free.
-    running = _Play(call, stream, query, rate_bps)
-    return StreamedResponse(running.fields, running.run, facts=running.facts)
+    check_room(state, continues)
+    rate_bps = state.plays.rate_bps(token, asyncio.get_running_loop().time())
+    return query, rate_bps or parse_rate(headers.get(RATE_HEADER, ""))
 
 
-class _Play:
+class Play:
     """One play in progress."""
 
-    def __init__(
-        self, call: Call, stream: ServedStream, query: PlayQuery, rate_bps: float | None
-    ) -> None:
-        """rate_bps: what the client's link is known to carry."""
-        state, asked = call.state, call.request.fields
+    def __init__(self, request: web.Request, query: PlayQuery, rate_bps: float | None) -> None:
+        """rate_bps: what the client's link is known to carry. It runs until `run` ends."""
+        state, played, asked = request.app[STATE], stream_of(request), request.headers
         layers = query.num_layers
         policy = make_policy(state.config.policy) if layers is None else FixedLayers(layers)
         # A status report may arrive at another worker, which finds this worker by the token.
-        self._token = token = make_token(state.number, state.play_secret, time.time())
-        self._give_back_place = call.give_back_place
-        self.fields = {"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store"}
-        self.fields["X-Accel-Buffering"] = "no"  # nginx passes each slice on at once
-        self.fields[PLAY_HEADER] = token
+        self.token = token = make_token(state.number, state.play_secret, time.time())
+        self.headers = {"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store"}
+        self.headers["X-Accel-Buffering"] = "no"  # nginx passes each slice on at once
+        self.headers[PLAY_HEADER] = token
         self._receipts = Receipts() if query.reports else None
         self._plain: PlainRecordEncoder | None = None
         if query.plain:
-            codings = accepted_codings(call.request.joined("Accept-Encoding"))
+            codings = accepted_codings(joined(request, "Accept-Encoding"))
             coding = next((coding for coding in CODINGS if coding in codings), "")
-            self.fields |= {"Content-Encoding": coding} if coding else {}
+            self.headers |= {"Content-Encoding": coding} if coding else {}
             self._plain = PlainRecordEncoder(coding)
         self._state = state
-        self._stream = stream
+        self._stream = played
         self._from_frame = query.from_frame
         self._clock = asyncio.get_running_loop().time
         now_s = self._clock()
         self._session = PlaySession(
-            stream,
+            played,
             policy,
             state.config.session,
             now_s,
@@ -168,15 +175,15 @@ class _Play:
             frame = query.from_frame if next_frame is None else next_frame
             self._session.on_status(now_s, ClientStatus(frame, paused=query.paused))
         self._limited_s = now_s
-        if call.is_proxied and self._receipts is not None:
+        if is_proxied(request) and self._receipts is not None:
             self._session.report_s = REPORT_S
-            self.fields[REPORT_HEADER] = REPORT_MS
+            self.headers[REPORT_HEADER] = REPORT_MS
         self._outcome = ""
         self._sent_slices = 0
         self._sent_layers = 0
         self._tcp_info = TcpInfo()
         self._tcp_info_s = now_s  # when it is due
-        self._entry = state.plays.begin(token, stream.name)
+        self._entry = state.plays.begin(token, played.name)
         self._entry.report_s = self._session.report_s
         state.metrics.active_plays.set(len(state.plays))
 
@@ -186,6 +193,9 @@ class _Play:
         outcome = "failed"
         try:
             outcome = await self._send()
+        except ConnectionError:
+            outcome = writer.cut or "gone"
+            raise
         except asyncio.CancelledError:
             outcome = writer.cut or "stopped"
             raise
@@ -193,10 +203,8 @@ class _Play:
             self._end(outcome)
 
     def _end(self, outcome: str) -> None:
-        """Gives the place free."""
         plays, metrics = self._state.plays, self._state.metrics
-        plays.end(self._token, self._clock())
-        self._give_back_place()
+        plays.end(self.token, self._clock())
         metrics.active_plays.set(len(plays))
         metrics.plays.add(1, outcome)
         self._outcome = outcome
@@ -223,6 +231,8 @@ class _Play:
         await self._writer.write(self._encode(start))
         try:
             outcome, last = await self._send_slices()
+        except ConnectionError:
+            raise
         except (SwingsError, OSError) as error:
             # Perhaps there is another stream in its place, which the next look finds.
             await asyncio.sleep(min(MAX_LOOK_S, 2 * self._state.config.refresh_s))

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from server.abr.clientstatus import MAX_FRAME
-from server.exchange.errors import RequestError
+from server.http.errors import RequestError
 
 _KEYS = ("from", "until", "layers", "plain", "paused", "reports")
 

@@ -1,37 +1,37 @@
 """POST /v1/streams/{stream}/play/{play}: a client reports its playback status.
 
 Rule: a flood of reports costs only its requests. A play reads only the newest report, when it next
-updates its session. If another worker runs the play, that worker is asked.
+updates its session. If another worker runs the play, that worker answers.
 """
 
 from __future__ import annotations
 
 import asyncio
+import json
 import time
-from collections.abc import Coroutine
-from typing import Any
+from urllib.parse import quote
+
+from aiohttp import web
 
 from codec.errors import InvalidError
 from server.abr.clientstatus import (
     LIVE_HEADER,
+    MAX_BODY_BYTES,
     NUM_FRAMES_HEADER,
     RATE_HEADER,
     RECEIVED_HEADER,
     REPORT_HEADER,
+    TOKEN,
     ClientStatus,
 )
-from server.exchange.errors import RequestError
-from server.exchange.response import Response
-from server.operate.workers.playmessage import (
-    PlayAnswer,
-    PlayQuestion,
-    issue_time_s,
-    worker_of,
-)
+from server.http.content import NO_STORE
+from server.http.errors import RequestError
+from server.operate.workers.otherworkers import OtherWorkers
+from server.operate.workers.playtoken import issue_time_s, worker_of
 from server.state.register import CONTINUE_S, Continuation, StatusOutcome
-from server.state.serverstate import ServerState
+from server.state.serverstate import STATE, ServerState
 
-from .call import Call
+from .asked import STREAM
 
 END_S = 1.0
 """Seconds that a play has to end when its client asks to continue it."""
@@ -39,24 +39,99 @@ END_S = 1.0
 LOOK_S = 0.05
 """How often it is looked whether it has ended, seconds."""
 
+_TOLD = (RATE_HEADER, REPORT_HEADER, RECEIVED_HEADER, NUM_FRAMES_HEADER, LIVE_HEADER)
+"""Headers of the answer to a status report."""
 
-def answer_status(call: Call) -> Response | Coroutine[Any, Any, Response]:
+routes = web.RouteTableDef()
+
+worker_routes = web.RouteTableDef()
+"""What only the other workers ask, besides status reports."""
+
+
+async def expect(request: web.Request) -> None:
+    """Lets a client wait that wants to be asked for its body, see `_body`."""
+    if request.headers["Expect"].lower() != "100-continue":
+        raise RequestError(417, "100-continue is the only supported expectation")
+
+
+@routes.post(f"{STREAM}/play/{{play:{TOKEN}}}", expect_handler=expect)
+async def answer_status(request: web.Request) -> web.Response:
     """204, or an error that says what is wrong with it."""
-    state, token = call.state, call.names["play"]
-    stream, body, place = call.name("stream"), call.request.body, worker_of(token)
-    if state.peers is not None and place is not None and place != state.number:
-        return _ask(call, place, PlayQuestion(token, stream, body))
-    return _response(call, _report(state, token, stream, body))
+    state, found = request.app[STATE], request.match_info
+    token, name = found["play"], found["stream"]
+    body = await _body(request, state.config.timeouts.keepalive_timeout_s)
+    other = _runs_elsewhere(state, token)
+    if other is not None:
+        return await _passed_on(*other, f"/v1/streams/{quote(name, safe='')}/play/{token}", body)
+    return _report(state, token, name, body)
 
 
-async def ask_rate_bps(state: ServerState, token: str, now_s: float) -> float | None:
-    """The estimated rate of the play `token`, asked of the worker that runs or ran it; None if that
-    worker has no estimate or does not answer."""
+async def _body(request: web.Request, timeout_s: float) -> bytes:
+    """The body. Raises RequestError for one that is too long, or does not come."""
+    try:
+        if "Transfer-Encoding" in request.headers:
+            raise RequestError(411, "send a Content-Length, not a Transfer-Encoding")
+        if (request.content_length or 0) > MAX_BODY_BYTES:
+            raise RequestError(413, f"the body may have at most {MAX_BODY_BYTES} bytes here")
+        if "Expect" in request.headers and request.transport is not None:
+            request.transport.write(b"HTTP/1.1 100 Continue\r\n\r\n")
+        async with asyncio.timeout(timeout_s):
+            return await request.read()
+    except TimeoutError:
+        request.app[STATE].metrics.timeouts.add(1, "body")
+        error = RequestError(408, "the request was not complete in time")
+    except RequestError as refused:
+        error = refused
+    error.force_close()  # nobody knows where the next request begins
+    raise error
+
+
+def _runs_elsewhere(state: ServerState, token: str) -> tuple[OtherWorkers, int] | None:
+    """The other workers, and which of them runs or ran a play; None if it is this one, or none."""
     place = worker_of(token)
-    if state.peers is None or place is None or place == state.number:
-        return state.plays.rate_bps(token, now_s)
-    answer = await state.peers.ask(place, PlayQuestion(token, "").pack())
-    return PlayAnswer.unpack(answer).rate_bps if answer else None
+    if state.workers is None or place is None or place == state.workers.number:
+        return None
+    return state.workers, place
+
+
+async def _passed_on(workers: OtherWorkers, place: int, path: str, body: bytes) -> web.Response:
+    """The response of the worker that runs the play."""
+    answer = await workers.ask(place, path, body)
+    if answer is None:  # it has died, or begun anew: it runs no such play
+        raise RequestError(404, "no such play, or it has ended")
+    if answer.status >= 400:
+        raise RequestError(answer.status, json.loads(answer.body)["error"])
+    told = {name: answer.headers[name] for name in _TOLD if name in answer.headers}
+    return web.Response(status=answer.status, headers={"Cache-Control": NO_STORE, **told})
+
+
+def _report(state: ServerState, token: str, name: str, body: bytes) -> web.Response:
+    """The response to the report of a play that this worker runs."""
+    plays, outcomes = state.plays, state.metrics.status_reports
+    entry = plays.find(token, name)
+    if entry is None:
+        outcomes.add(1, StatusOutcome.UNKNOWN)
+        raise RequestError(404, "no such play, or it has ended")
+    try:
+        status = ClientStatus.from_json(body)
+    except InvalidError as error:
+        outcomes.add(1, StatusOutcome.REFUSED)
+        raise RequestError(400, f"client status of a play: {error}") from error
+    outcomes.add(1, plays.report(token, name, status))
+    headers = {"Cache-Control": NO_STORE}
+    if entry.rate_bps is not None:
+        headers[RATE_HEADER] = str(round(entry.rate_bps))
+    if entry.report_s:
+        headers[REPORT_HEADER] = str(round(1000 * entry.report_s))
+    if entry.received_bytes:
+        headers[RECEIVED_HEADER] = str(round(entry.received_bytes))
+    # A play is sent a few seconds ahead, and no further while it is paused: only here its client
+    # learns where the live edge is.
+    stream = state.library.streams.get(name)
+    if stream is not None:
+        headers[NUM_FRAMES_HEADER] = str(stream.num_frames)
+        headers[LIVE_HEADER] = str(int(stream.live))
+    return web.Response(status=204, headers=headers)
 
 
 async def may_continue(state: ServerState, token: str) -> bool:
@@ -74,13 +149,14 @@ async def may_continue(state: ServerState, token: str) -> bool:
 
 async def _continued(state: ServerState, token: str, now_s: float) -> str:
     """What the worker that runs or ran the play says; where it does not answer, it has died."""
-    place = worker_of(token)
-    if state.peers is None or place is None or place == state.number:
+    other = _runs_elsewhere(state, token)
+    if other is None:
         return _continued_here(state, token, now_s)
-    answer = await state.peers.ask(place, PlayQuestion(token, "", None, True).pack())
+    workers, place = other
+    answer = await workers.ask(place, f"/plays/{token}/continued")
     if answer is None:
         return state.plays.continue_play(token, now_s, is_lost=True)
-    return PlayAnswer.unpack(answer).outcome
+    return answer.body.decode()
 
 
 def _continued_here(state: ServerState, token: str, now_s: float) -> str:
@@ -90,57 +166,9 @@ def _continued_here(state: ServerState, token: str, now_s: float) -> str:
     return state.plays.continue_play(token, now_s, is_lost)
 
 
-def answer_peer(state: ServerState, question: bytes, now_s: float) -> bytes:
-    """The packed PlayAnswer to another worker's PlayQuestion."""
-    asked = PlayQuestion.unpack(question)
-    if asked.continues:
-        return PlayAnswer(_continued_here(state, asked.token, now_s)).pack()
-    if asked.body is None:
-        return PlayAnswer("", state.plays.rate_bps(asked.token, now_s)).pack()
-    return _report(state, asked.token, asked.stream, asked.body).pack()
-
-
-async def _ask(call: Call, place: int, question: PlayQuestion) -> Response:
-    peers = call.state.peers
-    assert peers is not None
-    answer = await peers.ask(place, question.pack())
-    # A worker that has died, or begun anew, runs no such play.
-    unknown = PlayAnswer(StatusOutcome.UNKNOWN)
-    return _response(call, PlayAnswer.unpack(answer) if answer else unknown)
-
-
-def _report(state: ServerState, token: str, stream: str, body: bytes) -> PlayAnswer:
-    plays = state.plays
-    entry = plays.find(token, stream)
-    if entry is None:
-        return PlayAnswer(StatusOutcome.UNKNOWN)
-    try:
-        status = ClientStatus.from_json(body)
-    except InvalidError as error:
-        return PlayAnswer(StatusOutcome.REFUSED, problem=str(error))
-    outcome = plays.report(token, stream, status)
-    return PlayAnswer(
-        outcome, entry.rate_bps, report_s=entry.report_s, received_bytes=entry.received_bytes
-    )
-
-
-def _response(call: Call, answer: PlayAnswer) -> Response:
-    call.state.metrics.status_reports.add(1, answer.outcome)
-    if answer.outcome == StatusOutcome.REFUSED:
-        raise RequestError(400, f"client status of a play: {answer.problem}")
-    if answer.outcome == StatusOutcome.UNKNOWN:
-        raise RequestError(404, "no such play, or it has ended")
-    fields = {"Cache-Control": "no-store"}
-    if answer.rate_bps is not None:
-        fields[RATE_HEADER] = str(round(answer.rate_bps))
-    if answer.report_s:
-        fields[REPORT_HEADER] = str(round(1000 * answer.report_s))
-    if answer.received_bytes:
-        fields[RECEIVED_HEADER] = str(round(answer.received_bytes))
-    # A play is sent a few seconds ahead, and no further while it is paused: only here its client
-    # learns where the live edge is.
-    stream = call.state.library.streams.get(call.name("stream"))
-    if stream is not None:
-        fields[NUM_FRAMES_HEADER] = str(stream.num_frames)
-        fields[LIVE_HEADER] = str(int(stream.live))
-    return Response(204, fields)
+@worker_routes.post(f"/plays/{{play:{TOKEN}}}/continued")
+async def answer_continued(request: web.Request) -> web.Response:
+    """Whether a play of this worker may be continued: a Continuation."""
+    now_s = asyncio.get_running_loop().time()
+    outcome = _continued_here(request.app[STATE], request.match_info["play"], now_s)
+    return web.Response(text=outcome)

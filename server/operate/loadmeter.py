@@ -11,6 +11,19 @@ from .overload import LoadSample
 EVERY_S = 0.25
 """Seconds between two samples."""
 
+LAG_EVERY_S = 0.02
+"""Seconds between two looks at how late the event loop is."""
+
+
+async def measure_lag(late: Callable[[float], None]) -> None:
+    """Calls `late` with the seconds that the event loop is late, again and again, until it is
+    cancelled."""
+    clock = asyncio.get_running_loop().time
+    while True:
+        began_s = clock()
+        await asyncio.sleep(LAG_EVERY_S)
+        late(clock() - began_s - LAG_EVERY_S)
+
 
 async def measure_load(
     observe: Callable[[LoadSample], None],

@@ -101,12 +101,9 @@ class Metrics:
         self.refused = counter(
             "refused", "Connections, plays and requests refused, by reason.", "reason"
         )
-        self.accept_pauses = counter(
-            "accept_pauses", "Pauses during which no connection could be accepted."
-        )
         self.timeouts = counter("timeouts", "Connections closed by a timeout, by kind.", "kind")
-        self.peer_messages = counter(
-            "peer_messages", "Messages between workers, by outcome.", "outcome"
+        self.worker_requests = counter(
+            "worker_requests", "Requests from one worker to another, by outcome.", "outcome"
         )
         self.log_dropped = counter(
             "log_dropped", "Log lines dropped because the sink did not accept them."

@@ -7,13 +7,30 @@ from pathlib import Path
 
 from codec.errors import InvalidError
 from server.abr.session import SessionConfig
-from server.clients.timeouts import TimeoutConfig
 from server.operate.admission import AdmissionConfig
 from server.operate.clientaddress import parse_proxies
 from server.operate.log.logline import LogRequests, LogStyle
 from server.operate.overload import OverloadConfig
 from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.study.choice import OWN, check_policy
+
+
+@dataclass(frozen=True, slots=True)
+class TimeoutConfig:
+    """Timeouts of a client; a client that exceeds one is disconnected."""
+
+    keepalive_timeout_s: float = 15.0
+    """Seconds that a connection may wait for a whole request, counted from its beginning, or from
+    the response before."""
+    write_timeout_s: float = 60.0
+    """Seconds without room for more data, after which a client is disconnected. The kernel measures
+    them (TCP_USER_TIMEOUT, Linux only). A client often makes room for 64 KB at a time, so a smaller
+    value also disconnects slow readers."""
+
+    def __post_init__(self) -> None:
+        for name in ("keepalive_timeout_s", "write_timeout_s"):
+            if not 0 < getattr(self, name) <= 86400:
+                raise InvalidError(f"{name} is {getattr(self, name)}; give over 0, at most 86400")
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
 
 from codec.errors import CodecError
@@ -12,6 +11,7 @@ from codec.stream.playrecord import SliceRecord, SnapshotRecord, encode_record
 from server.abr.decisioncontext import SendSlices
 from server.library import ServedStream
 
+from .bytecache import ByteCache
 from .objectcache import ObjectCache
 
 Key = tuple[int, int, int, int, str | None]
@@ -31,13 +31,11 @@ class CodedRecord:
 
 
 class RecordCache:
-    """Makes records, and keeps the newest of them."""
+    """Makes records, and keeps those that are asked for."""
 
     def __init__(self, objects: ObjectCache, capacity_bytes: int) -> None:
         self._objects = objects
-        self._capacity_bytes = capacity_bytes
-        self._records: OrderedDict[Key, CodedRecord] = OrderedDict()
-        self.size_bytes = 0
+        self._records = ByteCache[Key, CodedRecord](capacity_bytes)
 
     async def slices(
         self, stream: ServedStream, send: SendSlices, plain: PlainRecordEncoder | None
@@ -73,17 +71,8 @@ class RecordCache:
         coded = _coded(record, plain, parts, packets)
         # What continues the records before it is worth nothing to others.
         if plain is None or not plain.continues:
-            self._keep(key, coded)
+            self._records.keep(key, coded, len(coded.data))
         return coded
-
-    def _keep(self, key: Key, coded: CodedRecord) -> None:
-        if key in self._records:  # two plays made it at the same time
-            return
-        self._records[key] = coded
-        self.size_bytes += len(coded.data)
-        while self.size_bytes > self._capacity_bytes:
-            _, dropped = self._records.popitem(last=False)
-            self.size_bytes -= len(dropped.data)
 
     async def snapshots(
         self,

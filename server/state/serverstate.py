@@ -5,16 +5,21 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time
+from functools import partial
+from pathlib import Path
+
+from aiohttp import web
 
 from server.html.webplayer import WebPlayer
 from server.library import Library
 from server.operate.admission import Admission
 from server.operate.clientaddress import parse_proxies
+from server.operate.descriptors import connection_limit
 from server.operate.overload import Overload
 from server.operate.prometheus import Metrics
 from server.operate.sign.keyfile import read_keys
 from server.operate.sign.signing import Signer
-from server.operate.workers.peers import Peers
+from server.operate.workers.otherworkers import OtherWorkers
 
 from .config import ServerConfig
 from .objectcache import ObjectCache
@@ -38,18 +43,21 @@ class ServerState:
         config: ServerConfig,
         metrics: Metrics | None = None,
         number: int = 0,
-        peers: Peers | None = None,
+        workers: Path | None = None,
         play_secret: bytes | None = None,
     ) -> None:
-        """metrics: None for a server of one process. number: of the worker. peers: the other
-        workers; None where there are none. play_secret: shared by all workers; None for a server
-        of one process. Raises InvalidError for a file of keys that is not one,
-        OSError where it cannot be read."""
+        """metrics: None for a server of one process. number: of the worker. workers: folder of the
+        sockets of all; None where there is one. play_secret: shared by all workers; None for a
+        server of one process. Raises InvalidError for a file of keys that is not one, OSError
+        where it cannot be read, SwingsError if there may not be enough open files."""
         self.library = library
         self.config = config
         self.metrics = metrics or Metrics()
         self.number = number
-        self.peers = peers
+        self.workers: OtherWorkers | None = None
+        if workers is not None:
+            count = partial(self.metrics.worker_requests.add, 1)
+            self.workers = OtherWorkers(workers, number, count)
         self.play_secret = play_secret or secrets.token_bytes(32)
         """Authenticates the tokens of plays, see `make_token`."""
         self.began_s = time.time()
@@ -68,10 +76,12 @@ class ServerState:
         self.sounds = SoundCache(config.cache_bytes // SOUNDS_PART)
         self.plays = PlayRegister(config.remember_plays, config.remember_s)
         self.overload = Overload(config.overload, config.max_plays)
-        self.play_admission = Admission(
-            config.max_plays, config.admission.max_address_plays, self.proxies
-        )
+        limits = config.admission
+        self.play_admission = Admission(config.max_plays, limits.max_address_plays, self.proxies)
         """Plays by address."""
+        most = connection_limit(limits.max_connections)
+        self.connections = Admission(most, limits.max_address_connections, self.proxies)
+        """Connections by address."""
         self.busy_share = 0.0
         """Share of a core that this worker used recently."""
         self.lag_s = 0.0
@@ -83,3 +93,11 @@ class ServerState:
         """Reads the file of keys, if there is to be one. Raises InvalidError, OSError."""
         if self.config.keys is not None:
             self.signer = Signer(read_keys(self.config.keys))
+
+    def count_sent(self, num_bytes: int) -> None:
+        """Counts bytes of responses."""
+        self.sent_bytes += num_bytes
+
+
+STATE = web.AppKey("state", ServerState)
+"""Where handlers find it: request.app[STATE]."""

@@ -8,24 +8,27 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-from collections import OrderedDict
 
 from codec.storage.storage import Stamp
-from server.exchange.content import OBJECT_TYPE, REVALIDATE, Content
+from server.http.content import OBJECT_TYPE, REVALIDATE, Content
 from server.library import ServedStream
+
+from .bytecache import ByteCache
 
 Key = tuple[int, int, str]
 """Generation of the stream, segment and name of the object."""
 
 
 class SoundCache:
-    """Holds at most `capacity_bytes`; the least recently used goes. Two requests at the same moment
-    may both read what is not there yet."""
+    """The objects of sound of all streams. Two requests at the same moment may both read what is
+    not there yet."""
 
     def __init__(self, capacity_bytes: int) -> None:
-        self._capacity_bytes = capacity_bytes
-        self._objects: OrderedDict[Key, tuple[Stamp, Content]] = OrderedDict()
-        self.size_bytes = 0
+        self._objects = ByteCache[Key, tuple[Stamp, Content]](capacity_bytes)
+
+    @property
+    def size_bytes(self) -> int:
+        return self._objects.size_bytes
 
     async def content(self, stream: ServedStream, segment: int, name: str) -> Content:
         """The object that `stream.has_sound`, as an answer. Raises a CodecError for a bad file."""
@@ -34,21 +37,11 @@ class SoundCache:
         stamp = await asyncio.to_thread(stream.sound_stamp, segment, name)
         found = self._objects.get(key)
         if found is not None and found[0] == stamp:
-            self._objects.move_to_end(key)
             return found[1]
         content = await asyncio.to_thread(_load, stream, segment, name)
-        self._drop(key)
-        if stamp is not None and len(content.data) <= self._capacity_bytes:
-            self._objects[key] = stamp, content
-            self.size_bytes += len(content.data)
-        while self.size_bytes > self._capacity_bytes:
-            self._drop(next(iter(self._objects)))
+        if stamp is not None:
+            self._objects.keep(key, (stamp, content), len(content.data))
         return content
-
-    def _drop(self, key: Key) -> None:
-        found = self._objects.pop(key, None)
-        if found is not None:
-            self.size_bytes -= len(found[1].data)
 
 
 def _load(stream: ServedStream, segment: int, name: str) -> Content:

@@ -8,18 +8,16 @@ from pathlib import Path
 
 import aiohttp
 import pytest
-from multidict import CIMultiDict
+from aiohttp import web
+from aiohttp.test_utils import make_mocked_request
 
 from codec.stream import StreamReader
 from codec.stream.playrecord import ErrorRecord, RecordParser, StartRecord
-from server.answers.call import Call
-from server.exchange.request import Request
-from server.exchange.response import Response
+from server.answers.objects import index
 from server.library import Library
 from server.library.growth import LIVE_POLL_S
-from server.router import find_route
 from server.state.config import ServerConfig
-from server.state.serverstate import ServerState
+from server.state.serverstate import STATE, ServerState
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     append_frames,
@@ -40,16 +38,17 @@ async def test_who_waits_for_the_index_has_it_as_soon_as_it_grows(tmp_path: Path
     writer = live_stream(tmp_path / "live", SEGMENT_FRAMES)
     # The default config of an operator, with its interval between looks.
     state = ServerState(Library(tmp_path, ServerConfig().refresh_s), ServerConfig())
+    app = web.Application()
+    app[STATE] = state
 
     async def wait(after: int, seconds: int) -> bytes:
-        route, names = find_route("GET", INDEX)
-        query = f"after={after}&wait={seconds}"
-        request = Request("GET", INDEX, query, "h", CIMultiDict())
-        answer = route.handler(Call(state, request, "192.0.2.1", False, names))
-        response = await answer if asyncio.iscoroutine(answer) else answer
-        assert isinstance(response, Response)
+        url = f"{INDEX}?after={after}&wait={seconds}"
+        found = {"stream": "live"}
+        response = await index(make_mocked_request("GET", url, app=app, match_info=found))
+        assert isinstance(response, web.Response)
         assert response.status == 200
-        return bytes(response.body)
+        assert isinstance(response.body, bytes)
+        return response.body
 
     data = await wait(0, 0)
     assert await wait(len(data) - 1, 20) == data  # there is more already

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import schemathesis
+from aiohttp import web
 from hypothesis import HealthCheck, given, settings
 from schemathesis.checks import not_a_server_error
 from schemathesis.core.result import Ok
@@ -20,7 +21,7 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from server.router import ROUTES
+from server.app import ROUTES
 from tests.server.hostile.serverprocess import ServerProcess, server_process
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import write_stream
@@ -50,11 +51,12 @@ LIKELY: dict[str, list[object]] = {
 
 def served_routes() -> set[tuple[str, str]]:
     """Methods and paths of all routes of the server."""
+    router = web.UrlDispatcher()
+    router.add_routes(ROUTES)
     return {
-        (method.lower(), route.template)
-        for route in ROUTES
-        for method in route.methods
-        if method != "HEAD"
+        (route.method.lower(), route.resource.canonical)
+        for route in router.routes()
+        if route.method != "HEAD" and route.resource is not None
     }
 
 

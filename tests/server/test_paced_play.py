@@ -8,7 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from multidict import CIMultiDict
+from aiohttp import web
+from aiohttp.test_utils import make_mocked_request
 
 from codec.stream.playrecord import EndRecord, ErrorRecord, Record, RecordParser
 from server.abr.clientstatus import (
@@ -18,13 +19,10 @@ from server.abr.clientstatus import (
     ClientStatus,
     parse_report_s,
 )
-from server.answers.call import Call
-from server.answers.play import play
-from server.exchange.request import Request
-from server.exchange.response import StreamedResponse
+from server.answers.play import Play, asked_play
 from server.library import Library
 from server.state.config import ServerConfig
-from server.state.serverstate import ServerState
+from server.state.serverstate import STATE, ServerState
 from tests.support.server.running_server import (
     births_with_layer_0,
     live_stream,
@@ -84,12 +82,12 @@ class Client:
 class Played:
     """A play that has begun."""
 
-    def __init__(self, state: ServerState, response: StreamedResponse, client: Client) -> None:
+    def __init__(self, state: ServerState, play: Play, client: Client) -> None:
         self.state = state
         self.client = client
-        self.task = asyncio.ensure_future(response.produce(client))
-        self._token = response.fields[PLAY_HEADER]
-        self._wanted = response.fields.get(REPORT_HEADER, "")
+        self.task = asyncio.ensure_future(play.run(client))
+        self._token = play.headers[PLAY_HEADER]
+        self._wanted = play.headers.get(REPORT_HEADER, "")
 
     @property
     def report_s(self) -> float:
@@ -140,10 +138,13 @@ async def began(
 ) -> Played:
     state = ServerState(Library(root, 1.0), config)
     (name,) = state.library.streams
-    path = f"/v1/streams/{name}/play"
-    request = Request("GET", path, query, "h", CIMultiDict(fields))
-    response = await play(Call(state, request, "192.0.2.1", False, {"stream": name}))
-    return Played(state, response, rate if isinstance(rate, Client) else Client(rate))
+    app = web.Application()
+    app[STATE] = state
+    request = make_mocked_request(
+        "GET", f"/?{query}", headers=fields, app=app, match_info={"stream": name}
+    )
+    play = Play(request, *await asked_play(request))
+    return Played(state, play, rate if isinstance(rate, Client) else Client(rate))
 
 
 def mean_layers(records: Iterable[Record]) -> float:

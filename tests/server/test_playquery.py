@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from server.answers.playquery import parse_query
-from server.exchange.errors import RequestError
+from server.http.errors import RequestError
 
 pairs = st.lists(
     st.tuples(

@@ -15,13 +15,9 @@ from pathlib import Path
 
 import pytest
 
-from fuzz.http import MemoryTransport
-from server.clients.connection import ClientConnection, Clients
-from server.clients.timeouts import TimeoutConfig
-from server.exchange.exchange import Exchange
-from server.operate.prometheus import Metrics
 from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.state.config import ServerConfig
+from tests.support.server.plain_site import in_memory
 from tests.support.server.running_server import (
     eventually,
     make_stream,
@@ -31,6 +27,7 @@ from tests.support.server.running_server import (
     served,
     slices_of,
 )
+from tests.support.server.virtualtime import in_virtual_time, passes
 
 pytestmark = [
     pytest.mark.anyio,
@@ -65,42 +62,27 @@ async def test_connections_inherit_the_limit_of_the_kernel(root: Path) -> None:
     config = ServerConfig()
     async with served(root, config) as (server, client), client.get(PLAY) as response:
         (connection,) = server.server.connections
+        assert connection.transport is not None
         sock = connection.transport.get_extra_info("socket")
         assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 60_000
         response.close()
 
 
-class Unread(MemoryTransport):
-    """A transport whose client takes only what the test takes."""
-
-    def get_write_buffer_size(self) -> int:
-        return len(self.sent)
-
-
-class Written:
-    """The part of aiohttp's writer that a connection reads."""
-
-    output_size = OBJECT_BYTES
-
-
 @pytest.mark.parametrize("rate", [1_200, 5_000, 10_000, 20_000])
-@pytest.mark.anyio
-async def test_nothing_else_cuts_whoever_makes_room_64_kb_at_a_time(rate: int) -> None:
+@in_virtual_time
+async def test_nothing_else_cuts_whoever_makes_room_64_kb_at_a_time(root: Path, rate: int) -> None:
     """As an ordinary receive buffer does, from the first byte of a response to its last."""
-    with socket.socket(socket.AF_UNIX) as sock:  # not TCP: the kernel says nothing of it
-        transport = Unread(sock)
-        clients = Clients(asyncio.Protocol, lambda *_: None, TimeoutConfig(), Metrics())
-        connection = ClientConnection(clients, "a", lambda _: None)
-        connection.connection_made(transport)
-        connection.begin(Written())  # type: ignore[arg-type]
-        transport.write(bytes(OBJECT_BYTES))
-        now_s, room_s = asyncio.get_running_loop().time(), 65_536 / rate
-        for step in range(1, int(2 * OBJECT_BYTES / rate)):
-            connection.check(now_s + 0.5 * step)
-            if step % (2 * round(room_s)) == 0:
-                del transport.sent[:65_536]
-            assert not connection.cut, f"after {0.5 * step} s"
+    async with in_memory(root) as (connection, transport, _, log):
+        connection.data_received(f"GET {OBJECT} HTTP/1.1\r\nHost: h\r\n\r\n".encode())
+        taken_bytes = 0
+        while not log.kept:
+            assert not connection.cut
             assert not transport.is_closing()
+            taken_bytes += min(65_536, len(transport.sent))
+            transport.take(65_536)
+            await passes(65_536 / rate)
+        assert taken_bytes > OBJECT_BYTES - 65_536
+        assert log.kept[0]["status"] == 200
 
 
 @pytest.mark.parametrize("lines", [(), ("Connection: close",), ("Range: bytes=0-599999",)], ids=str)
@@ -109,28 +91,19 @@ async def test_a_reader_that_stops_is_cut_and_logged_as_cut(
     root: Path,
     path: str,
     lines: tuple[str, ...],
-    monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Also where the kernel and the client's buffer hold all that is left of the response."""
     config = quick_config(write_timeout_s=0.3, keepalive_timeout_s=0.2)
     async with served(root, config) as (server, client):
-        app, finished = server.server.app, list[Exchange]()
-        finish = app.finished
-
-        def note(exchange: Exchange, now_s: float) -> None:
-            finish(exchange, now_s)
-            finished.append(exchange)
-
-        with monkeypatch.context() as patched, asking(server.port, path, *lines):
-            patched.setattr(app, "finished", note)
+        with asking(server.port, path, *lines):
             # Another client is served meanwhile.
             assert slices_of(await play(client, "walk", "?layers=1"))
-            await eventually(lambda: len(finished) == 2)
+            await eventually(lambda: len(server.log.kept) == 2)
             metrics = server.state.metrics
             assert metrics.timeouts.value("write") == 1
-            (cut,) = (exchange for exchange in finished if exchange.status != 200)
-            assert (cut.status, cut.facts["outcome"]) == (499, "stalled")
+            (cut,) = (line for line in server.log.kept if line["status"] != 200)
+            assert (cut["status"], cut["outcome"]) == (499, "stalled")
             assert metrics.plays.value("stalled") == ("play" in path)
             assert not len(server.state.plays)
     assert not caplog.records
@@ -139,12 +112,13 @@ async def test_a_reader_that_stops_is_cut_and_logged_as_cut(
 async def test_the_server_ends_though_clients_read_nothing(root: Path) -> None:
     config = replace(quick_config(), supervisor=SupervisorConfig(shutdown_timeout_s=0.2))
     async with running(root, config) as server:
-        connections = server.server.connections
         with asking(server.port, PLAY), asking(server.port, OBJECT):
-            await eventually(lambda: len(server.state.plays) and len(connections) == 2)
+            plays = server.state.plays
+            await eventually(lambda: len(plays) and len(server.server.connections) == 2)
             await server.server.stop()
         assert server.state.metrics.plays.value("stopped") == 1
-        assert not connections
+        assert [line["status"] for line in server.log.kept] == [499, 499]
+        assert not server.state.connections.num_held
 
 
 def read(port: int, rate: int, ended: threading.Event) -> tuple[int, float]:

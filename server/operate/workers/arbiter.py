@@ -29,7 +29,6 @@ from codec.errors import SwingsError
 from server.operate.log.eventlog import EventLog
 from server.operate.log.logline import Value
 
-from .peers import Mailboxes
 from .supervisorconfig import SupervisorConfig
 from .workerprocess import StreamWorker
 
@@ -80,8 +79,6 @@ def run_workers(listener: socket.socket, config: SupervisorConfig, hooks: Worker
     except SystemExit as end:
         if end.code:
             raise
-    finally:
-        application.mailboxes.close()
     if arbiter.failure:
         raise SwingsError(arbiter.failure)
 
@@ -105,7 +102,6 @@ class WorkerApplication(BaseApplication):
         self.event = hooks.log.event
         self.count = config.workers
         self.shutdown_timeout_s = config.shutdown_timeout_s
-        self.mailboxes = Mailboxes(2 * config.workers)
         self._settings = {
             "bind": f"fd://{listener.detach()}",
             "workers": config.workers,

@@ -48,8 +48,6 @@ class StreamWorker(Worker):
         self.number = 0
         """From 0 to 2 * workers - 1: no two living workers have the same. During a renewal there
         are up to twice as many workers as usual."""
-        self.mailboxes = self.app.mailboxes
-        """Where workers send each other messages."""
         # gunicorn's own class around the socket, which its type stubs leave out.
         self.listener: socket.socket = self.sockets[0].sock  # type: ignore[attr-defined]
         """The listening socket, shared by all workers."""

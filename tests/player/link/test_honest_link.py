@@ -13,7 +13,7 @@ import pytest
 
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
-from server.exchange.tcpinfo import unacked_bytes
+from server.http.tcpinfo import unacked_bytes
 from tests.player.link.pouring import drain, pouring
 
 pytestmark = pytest.mark.realtime

@@ -50,7 +50,7 @@ class Asked:
 def asked(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Asked]:
     """In its log, each request is one line, and nothing else is in it."""
     # What follows an upgrade is not read: such a connection ends by being idle.
-    options = "--request-timeout-s", 3, "--keepalive-timeout-s", 3, "--log-requests", "all"
+    options = "--keepalive-timeout-s", 3, "--log-requests", "all"
     with server_process(root, tmp_path_factory.mktemp("log"), *options) as server:
         wait_until(lambda: "is served" in server.log.read_text())
         num_before = len(server.log_lines())

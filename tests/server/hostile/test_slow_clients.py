@@ -1,5 +1,5 @@
 """Many slow clients cost the server little memory, and others are served meanwhile. That they are
-cut stands in tests/server/clients and tests/server/test_slow_readers.py."""
+cut stands in tests/server/http and tests/server/test_slow_readers.py."""
 
 from __future__ import annotations
 

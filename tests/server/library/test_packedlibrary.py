@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import shutil
-from http.client import IncompleteRead
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -80,8 +79,7 @@ def test_a_stream_is_downloaded_as_one_file(stream: Path, tmp_path: Path) -> Non
         assert fetch(f"{server.url}/v1/streams/live/stream.swings")[0] == 404
         damaged = root / "s" / "segments" / "2" / "0"
         damaged.write_bytes(damaged.read_bytes()[::-1])
-        with pytest.raises((IncompleteRead, ConnectionError)):
-            fetch(url)
+        assert fetch(url)[0] == 500  # of one that is larger, a part would have been sent
 
 
 def test_a_folder_comes_before_a_file_of_its_name(stream: Path, tmp_path: Path) -> None:

@@ -116,46 +116,45 @@ async def test_a_stranger_cannot_say_who_it_is(root: Path) -> None:
         assert await status_of(server, PLAY, **forwarded("198.51.100.8")) == 429
 
 
-async def test_connections_above_the_limit_wait_and_are_served(root: Path) -> None:
+async def test_connections_above_the_limit_are_refused_at_once(root: Path) -> None:
     async with running(root, limited(max_connections=4)) as server:
         with ExitStack() as stack:
             held = [connect(stack, server.port) for _ in range(4)]
-            waiting = [begin(stack, server.port, "/healthz") for _ in range(8)]
-            await eventually(server.state.metrics.accept_pauses.value)
-            for sock in waiting:
-                sock.setblocking(False)
-                with pytest.raises(BlockingIOError):
-                    sock.recv(1)
-                sock.settimeout(BOUND_S)
-            for sock in held:
-                sock.close()
-            for sock in waiting:
-                assert await asyncio.to_thread(sock.recv, 12) == b"HTTP/1.1 200"
+            await eventually(lambda: len(server.server.connections) == 4)
+            for _ in range(8):
+                assert await status_of(server, "/healthz") == 429
+            assert server.state.metrics.refused.value("connection_full") == 8
+            held[0].sendall(b"GET /healthz HTTP/1.1\r\nHost: h\r\n\r\n")
+            assert await asyncio.to_thread(held[0].recv, 12) == b"HTTP/1.1 200"
+            held.pop().close()
+            await eventually(lambda: len(server.server.connections) == 3)
+            assert await status_of(server, "/healthz") == 200
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of open files as on Linux")
-def test_clients_beyond_all_descriptors_are_waited_out_quietly(root: Path, tmp_path: Path) -> None:
+def test_clients_beyond_all_descriptors_are_refused_quietly(root: Path, tmp_path: Path) -> None:
     """Without room for 150 connections the log stays short, and later clients are served."""
 
     def few_files() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (128, 128))
 
-    options = "--request-timeout-s", 600
-    with server_process(root, tmp_path, *options, before=few_files) as server, ExitStack() as stack:
+    with server_process(root, tmp_path, before=few_files) as server, ExitStack() as stack:
         first = stack.enter_context(closing(HTTPConnection("127.0.0.1", server.port)))
 
-        def num_pauses() -> float:
+        def num(name: str, *labels: str) -> float:
             first.request("GET", "/metrics")
-            return samples(first.getresponse().read().decode())["swings_accept_pauses_total",]
+            return samples(first.getresponse().read().decode()).get((name, *labels), 0)
 
-        before = num_pauses()
+        assert num("swings_open_connections") <= 1
         held = [connect(stack, server.port) for _ in range(150)]
         last = begin(stack, server.port, "/healthz")
-        wait_until(lambda: num_pauses() > before + 3)
+        assert last.recv(12) == b"HTTP/1.1 429"
+        wait_until(lambda: num("swings_refused_total", "connection_full") > 90)
         for sock in held:
             sock.close()
-        assert last.recv(12) == b"HTTP/1.1 200"
-    assert len(server.log_lines()) <= 11 + server.log.read_text().count("path=/metrics")
+        wait_until(lambda: num("swings_open_connections") == 1)
+        assert ask(server.port, "/healthz").status == 200
+    assert len(server.log_lines()) <= 11
 
 
 async def test_too_much_egress_sheds_layers_then_refuses_and_recovers(root: Path) -> None:

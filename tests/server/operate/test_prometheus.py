@@ -23,12 +23,11 @@ FAMILIES = {
     "swings_ttfb_seconds",
     "swings_open_connections",
     "swings_refused",
-    "swings_accept_pauses",
     "swings_timeouts",
     "swings_shed_layers",
     "swings_loop_late_seconds",
     "swings_log_dropped",
-    "swings_peer_messages",
+    "swings_worker_requests",
     "swings_streams",
 }
 

@@ -16,13 +16,12 @@ from hypothesis import strategies as st
 
 from codec.console import option
 from codec.errors import InvalidError
-from server.clients.timeouts import TimeoutConfig
 from server.operate.admission import AdmissionConfig
 from server.operate.log.logline import LogStyle
 from server.operate.overload import OverloadConfig
 from server.operate.settings import settings_of, settings_parser, settings_text
 from server.operate.workers.supervisorconfig import SupervisorConfig
-from server.state.config import ServerConfig
+from server.state.config import ServerConfig, TimeoutConfig
 from tests.support.hostile import refused
 
 
@@ -178,7 +177,7 @@ def test_any_text_is_printed_on_one_line_that_is_read_again_or_refused(text: str
         (SupervisorConfig, {"workers": 257}),
         (SupervisorConfig, {"shutdown_timeout_s": 0.0}),
         (SupervisorConfig, {"worker_timeout_s": 1}),
-        (TimeoutConfig, {"request_timeout_s": 0.0}),
+        (TimeoutConfig, {"keepalive_timeout_s": 0.0}),
         (TimeoutConfig, {"keepalive_timeout_s": float("nan")}),
         (TimeoutConfig, {"write_timeout_s": 86401.0}),
     ],

@@ -1,4 +1,4 @@
-"""A site with fixed responses behind the server's HTTP, on a real socket, to test connections."""
+"""A server with fixed answers besides its own, raw clients of it, and a connection in memory."""
 
 from __future__ import annotations
 
@@ -6,73 +6,35 @@ import asyncio
 import socket
 import ssl
 import tempfile
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
-from typing import Any
+from pathlib import Path
+from unittest import mock
 
-from server.app import Application
-from server.clients.acceptor import Acceptor
-from server.exchange.exchange import Exchange
-from server.exchange.request import Request
-from server.exchange.response import AnyResponse, Response, error_response
+from aiohttp import web
+
+from server import app
+from server.http.connection import Connection
 from server.library import Library
-from server.listener import bind
-from server.operate.admission import Admission
+from server.operate.log.logline import LogRequests
+from server.runningserver import create_runner
 from server.state.config import ServerConfig
 from server.state.serverstate import ServerState
+from tests.support.server.running_server import Lines, Running, quick_config, running
 from tests.support.waiting import BOUND_S
 
-Answer = AnyResponse | Coroutine[Any, Any, AnyResponse]
-Answers = Mapping[str, Callable[[Exchange], Answer]]
-"""The response of each path."""
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+Answers = Mapping[str, Handler]
+"""The handler of each path."""
 
 
-class PlainSite(Application):
-    """Sends the given responses, and keeps the finished exchanges."""
-
-    def __init__(
-        self,
-        state: ServerState,
-        answers: Answers,
-        listener: socket.socket,
-        tls: ssl.SSLContext | None,
-    ) -> None:
-        super().__init__(state)
-        self._answers = answers
-        self.done: list[Exchange] = []
-        self.admission = Admission(1000, 1000)
-        self.acceptor = Acceptor(self.clients, listener, self.admission, tls)
-        self._port = listener.getsockname()[1]
-
-    @asynccontextmanager
-    async def connect(
-        self, tls: ssl.SSLContext | None = None, limit_bytes: int = 1 << 16
-    ) -> AsyncIterator[Client]:
-        """Opens a connection. limit_bytes: approximate size of the client's read buffer."""
-        reader, writer = await asyncio.open_connection(
-            "127.0.0.1", self._port, ssl=tls, limit=limit_bytes
-        )
-        try:
-            yield Client(reader, writer)
-        finally:
-            writer.transport.abort()
-            with suppress(OSError):
-                await writer.wait_closed()
-
-    def answer(self, exchange: Exchange, request: Request) -> Answer:
-        try:
-            return self._answers[request.path](exchange)
-        except KeyError:
-            return error_response(404, "nothing", {})
-
-    def finished(self, exchange: Exchange, now_s: float) -> None:
-        super().finished(exchange, now_s)
-        self.done.append(exchange)
-
-
-def text(status: int = 200, body: bytes = b"ok\n") -> Callable[[Exchange], Response]:
+def text(status: int = 200, body: bytes = b"ok\n") -> Handler:
     """A response that is always the same."""
-    return lambda exchange: Response(status, {"Content-Type": "text/plain"}, body)
+
+    async def answer(request: web.Request) -> web.Response:
+        return web.Response(status=status, body=body, content_type="text/plain")
+
+    return answer
 
 
 class Client:
@@ -118,28 +80,100 @@ class Client:
 
 
 @asynccontextmanager
-async def on_site(answers: Answers, tls: ssl.SSLContext | None = None) -> AsyncIterator[PlainSite]:
-    """Runs a site with these responses until the block ends. Fails the test if a callback or task
+async def connected(
+    server: Running, tls: ssl.SSLContext | None = None, limit_bytes: int = 1 << 16
+) -> AsyncIterator[Client]:
+    """A client. limit_bytes: approximate size of its read buffer."""
+    reader, writer = await asyncio.open_connection(
+        "127.0.0.1", server.port, ssl=tls, limit=limit_bytes
+    )
+    try:
+        yield Client(reader, writer)
+    finally:
+        writer.transport.abort()
+        with suppress(OSError):
+            await writer.wait_closed()
+
+
+@asynccontextmanager
+async def on_site(answers: Answers, config: ServerConfig | None = None) -> AsyncIterator[Running]:
+    """Runs a server with these answers until the block ends. Fails the test if a callback or task
     of the event loop has failed by then."""
     failures: list[object] = []
-    others = asyncio.all_tasks()
     asyncio.get_running_loop().set_exception_handler(lambda _, context: failures.append(context))
-    config = ServerConfig()
-    listener = bind("127.0.0.1", 0)
-    with tempfile.TemporaryDirectory() as folder:
-        site = PlainSite(
-            ServerState(Library(folder, config.refresh_s), config), answers, listener, tls
-        )
-        site.acceptor.start()
-        try:
-            yield site
-        finally:
-            await site.acceptor.stop(2.0)
-            listener.close()
-            left = asyncio.all_tasks() - others
-            for task in left:
-                task.cancel()
-            ended = await asyncio.gather(*left, return_exceptions=True)
-    failures += [error for error in ended if isinstance(error, Exception)]
-    assert site.admission.num_held == 0
+    routes = [*app.ROUTES, *(web.get(path, handler) for path, handler in answers.items())]
+    with tempfile.TemporaryDirectory() as folder, mock.patch("server.app.ROUTES", routes):
+        async with running(Path(folder), config or quick_config()) as server:
+            yield server
+    assert server.state.connections.num_held == 0
     assert not failures, failures
+
+
+class MemoryTransport(asyncio.Transport):
+    """Keeps what was written until the test takes it."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        """sock: one of which the kernel says nothing."""
+        super().__init__({"peername": ("192.0.2.1", 1), "socket": sock})
+        self.sent = bytearray()
+        self.protocol: asyncio.Protocol | None = None
+        self._high = 65_536
+        self._is_closing = self._is_paused = False
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        self._high = high or self._high
+
+    def get_write_buffer_size(self) -> int:
+        return len(self.sent)
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        self.sent += data
+        if self.protocol is not None and not self._is_paused and len(self.sent) > self._high:
+            self._is_paused = True
+            self.protocol.pause_writing()
+
+    def take(self, num_bytes: int) -> None:
+        """What the client takes."""
+        del self.sent[:num_bytes]
+        if self.protocol is not None and self._is_paused and len(self.sent) <= self._high // 4:
+            self._is_paused = False
+            self.protocol.resume_writing()
+
+    def is_closing(self) -> bool:
+        return self._is_closing
+
+    def close(self) -> None:
+        self._is_closing = True
+
+    abort = close
+
+    def can_write_eof(self) -> bool:
+        return False
+
+    def pause_reading(self) -> None:
+        pass
+
+    resume_reading = pause_reading
+
+
+@asynccontextmanager
+async def in_memory(
+    root: Path,
+) -> AsyncIterator[tuple[Connection, MemoryTransport, ServerState, Lines]]:
+    """A connection to a server for `root` without any socket, for virtual time."""
+    config, log = ServerConfig(log_requests=LogRequests.ALL), Lines()
+    state = ServerState(Library(root, config.refresh_s), config)
+    runner = create_runner(state, log)
+    await runner.setup()
+    assert runner.server is not None
+    connection = runner.server()
+    assert isinstance(connection, Connection)
+    with socket.socket(socket.AF_UNIX) as sock:
+        transport = MemoryTransport(sock)
+        transport.protocol = connection
+        connection.connection_made(transport)
+        try:
+            yield connection, transport, state, log
+        finally:
+            connection.connection_lost(None)
+            await runner.cleanup()

@@ -19,13 +19,14 @@ from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import Record, RecordParser, SliceRecord, SnapshotRecord
 from server.abr.session import SessionConfig
-from server.clients.timeouts import TimeoutConfig
 from server.library import Library
 from server.listener import bind
+from server.operate.log.eventlog import EventLog
+from server.operate.log.logline import LogRequests, LogStyle
 from server.operate.overload import OverloadConfig
 from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.runningserver import RunningServer
-from server.state.config import ServerConfig
+from server.state.config import ServerConfig, TimeoutConfig
 from server.state.serverstate import ServerState
 from tests.support import hosted_streams
 from tests.support.hosted_streams import random_splats
@@ -81,7 +82,6 @@ def quick_config(
     *,
     max_lead_s: float = 2.0,
     max_plays: int = 8,
-    request_timeout_s: float = BOUND_S,
     write_timeout_s: float = BOUND_S,
     keepalive_timeout_s: float = BOUND_S,
     send_queue_bytes: int = 65536,
@@ -93,17 +93,28 @@ def quick_config(
         session=SessionConfig(max_lead_s=max_lead_s),
         max_plays=max_plays,
         timeouts=TimeoutConfig(
-            request_timeout_s=request_timeout_s,
             keepalive_timeout_s=keepalive_timeout_s,
             write_timeout_s=write_timeout_s,
         ),
         overload=OverloadConfig(smooth_s=1e6),
         supervisor=SupervisorConfig(shutdown_timeout_s=2.0),
+        log_requests=LogRequests.ALL,
         send_queue_bytes=send_queue_bytes,
         refresh_s=0.02,
         live_idle_s=live_idle_s,
         cors_origin=cors_origin,
     )
+
+
+class Lines(EventLog):
+    """Keeps the fields of all events."""
+
+    def __init__(self) -> None:
+        super().__init__(2, LogStyle.JSON)
+        self.kept: list[dict[str, object]] = []
+
+    def event(self, event: str, level: str = "info", /, **fields: object) -> None:
+        self.kept.append(fields)
 
 
 @dataclass(frozen=True)
@@ -113,6 +124,8 @@ class Running:
     port: int
     state: ServerState
     server: RunningServer
+    log: Lines
+    """A line for each request."""
 
     @property
     def url(self) -> str:
@@ -125,10 +138,11 @@ async def running(root: Path, config: ServerConfig | None = None) -> AsyncIterat
     config = config or quick_config()
     listener = bind("127.0.0.1", 0)
     state = ServerState(Library(root, config.refresh_s), config)
-    server = RunningServer(state, listener)
+    log = Lines()
+    server = RunningServer(state, listener, log)
     await server.start()
     try:
-        yield Running(listener.getsockname()[1], state, server)
+        yield Running(listener.getsockname()[1], state, server, log)
     finally:
         await server.stop()
 

@@ -1,1 +1,0 @@
-"""The limits of one client around aiohttp: connections, time, and bytes that wait."""

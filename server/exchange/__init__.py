@@ -1,1 +1,0 @@
-"""Requests and responses as values: conditions, ranges and tags, without sockets."""
