@@ -54,7 +54,7 @@ def name_file(error: BaseException, path: Path | str) -> None:
 
 def describe_os_error(error: OSError) -> str:
     """`error` in one line, which begins with the file if `error` names one."""
-    if error.filename is None or error.strerror is None:
+    if error.filename is None or error.strerror is None or isinstance(error.filename, int):
         return str(error)
     verb = " cannot be written" if error.errno in DISK_ERRORS else ""
     return f"{os.fsdecode(error.filename)}{verb}: {error.strerror}"

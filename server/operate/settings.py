@@ -12,7 +12,6 @@ import difflib
 import os
 import re
 import shlex
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from operator import attrgetter
@@ -100,9 +99,8 @@ def _walk(config_type: type[Any], path: str, flag: str, markers: set[Any]) -> It
 def settings_parser(prefix: str, environment: Mapping[str, str] = os.environ) -> Callable[..., Any]:
     """A `parse` for `run_command` that also reads environment variables.
 
-    prefix: of the variables: with SWINGS_SERVE, `SWINGS_SERVE_MAX_PLAYS=5` is `--max-plays 5`. If
-    the config type's field `check_config` is true, the settings are printed and the process exits
-    with 0. Raises InvalidError for a variable that cannot be used.
+    prefix: of the variables: with SWINGS_SERVE, `SWINGS_SERVE_MAX_PLAYS=5` is `--max-plays 5`.
+    Raises InvalidError for a variable that cannot be used.
     """
 
     def parse(config_type: type[Any], args: Sequence[str], **options: Any) -> Any:
@@ -111,11 +109,7 @@ def settings_parser(prefix: str, environment: Mapping[str, str] = os.environ) ->
             given = {v: t for v, t in sorted(environment.items()) if v.startswith(f"{prefix}_")}
             if given:
                 options["default"] = _with_given(prefix, config_type, known, given)
-        command = cli(config_type, args=args, **options)
-        if getattr(command, CHECK_CONFIG):
-            sys.stdout.write(settings_text(prefix, command))
-            sys.exit(0)
-        return command
+        return cli(config_type, args=args, **options)
 
     return parse
 
@@ -126,21 +120,34 @@ def settings_text(prefix: str, command: Any) -> str:
 
     Raises InvalidError for a value that no line of such a file can hold.
     """
-    lines, defaults = [], _with_given(prefix, type(command), {}, {})
-    for variable, one in settings_of(prefix, type(command)).items():
-        value = attrgetter(one.path)(command)
-        if value is None:
+    lines, given = [], settings_variables(prefix, command)
+    defaults = settings_variables(prefix, _with_given(prefix, type(command), {}, {}))
+    for variable in settings_of(prefix, type(command)):
+        if variable not in given:
             lines.append(f"# {variable} is not set\n")
             continue
-        text = one.to_text(value)
+        text = given[variable]
         if _NOT_ON_A_LINE.search(text):
             raise InvalidError(
                 f"{variable}: {text[:60]!a} has control characters or is not Unicode; an "
                 "environment file cannot hold it"
             )
-        mark = "# " if value == attrgetter(one.path)(defaults) else ""
+        mark = "# " if text == defaults.get(variable) else ""
         lines.append(f"{mark}{variable}={text if _BARE.fullmatch(text) else shlex.quote(text)}\n")
     return "".join(lines)
+
+
+def settings_variables(prefix: str, command: Any) -> dict[str, str]:
+    """The variables that say what `command` says, but for what is not set."""
+    values = {
+        variable: (one, attrgetter(one.path)(command))
+        for variable, one in settings_of(prefix, type(command)).items()
+    }
+    return {
+        variable: one.to_text(value)
+        for variable, (one, value) in values.items()
+        if value is not None and value is not tyro.MISSING
+    }
 
 
 def _with_given(

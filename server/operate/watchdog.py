@@ -1,7 +1,7 @@
 """Notifications to systemd (sd_notify): the server is ready, and it is alive.
 
-With one worker the event loop sends the heartbeat, so systemd restarts a server whose loop hangs.
-With several the arbiter does: it replaces workers that hang, and systemd watches the arbiter.
+Event loops send the heartbeats, of one process or of each worker: systemd restarts a server none of
+whose loops runs.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ import asyncio
 import logging
 import os
 import socket
-import time
-from collections.abc import Callable, MutableMapping
+from collections.abc import MutableMapping
 
 log = logging.getLogger(__name__)
 
@@ -23,11 +22,7 @@ SEND_TIMEOUT_S = 1.0
 class Watchdog:
     """Does nothing where no systemd asks for notifications."""
 
-    def __init__(
-        self,
-        environment: MutableMapping[str, str] = os.environ,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, environment: MutableMapping[str, str] = os.environ) -> None:
         """Takes the variables of systemd out of `environment`, so that nothing else uses them."""
         address = environment.pop("NOTIFY_SOCKET", "")
         timeout_us = environment.pop("WATCHDOG_USEC", "")
@@ -36,26 +31,17 @@ class Watchdog:
         self._interval_s: float | None = None  # None: no heartbeat is wanted
         if address and timeout_us.isdecimal() and pid in ("", str(os.getpid())):
             self._interval_s = int(timeout_us) / 1e6 / PINGS_PER_TIMEOUT
-        self._pinged_s = -float("inf")
-        self._clock = clock
 
     def ready(self) -> None:
-        """Reports that the service has started."""
+        """Reports that the service has started; from now on the running event loop sends
+        heartbeats."""
         self._send(b"READY=1")
+        self._ping()
 
-    def ping(self) -> None:
-        """Sends a heartbeat if one is due; may be called as often as wanted."""
-        now_s = self._clock()
-        if self._interval_s is not None and now_s - self._pinged_s >= self._interval_s:
-            self._pinged_s = now_s
-            self._send(b"WATCHDOG=1")
-
-    def ping_from_loop(self) -> None:
-        """From now on, the running event loop sends the heartbeats."""
-        self.ping()
+    def _ping(self) -> None:
         if self._interval_s is not None:
-            # More often than due, because a timer may fire a little early.
-            asyncio.get_running_loop().call_later(self._interval_s / 2, self.ping_from_loop)
+            self._send(b"WATCHDOG=1")
+            asyncio.get_running_loop().call_later(self._interval_s, self._ping)
 
     def _send(self, message: bytes) -> None:
         if not self._address:

@@ -77,7 +77,9 @@ def test_the_server_takes_the_settings_of_the_unit_and_can_reload() -> None:
     environment = dict(value.split("=", 1) for name, value in values if name == "Environment")
     settings = checked_settings(command[1:], environment)
     assert settings["HOST"] == "127.0.0.1"
-    assert ["ExecReload", "/bin/kill -HUP $MAINPID"] in values
+    checked, renewed = (value for name, value in values if name == "ExecReload")
+    assert checked == f"{' '.join(command[:2])} --check-config"  # broken keys stop the reload
+    assert renewed == "/bin/kill -HUP $MAINPID"
     assert settings["WORKERS"] == "2"
 
 

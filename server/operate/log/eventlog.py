@@ -17,6 +17,9 @@ from typing import Self
 
 from .logline import LineFormatter, LogStyle, Value, message_of
 
+STDERR = 2
+"""The descriptor of standard error."""
+
 MAX_LINES = 4096
 """Lines queued at most."""
 

@@ -68,10 +68,11 @@ def _read(path: Path) -> str:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError as error:
         raise InvalidError(f"{path} is missing; swings-sign {path} --new-key makes it") from error
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode):
+        os.close(descriptor)
+        raise InvalidError(f"{path} is not a regular file")
     with os.fdopen(descriptor, "rb") as file:
-        status = os.fstat(file.fileno())
-        if not stat.S_ISREG(status.st_mode):
-            raise InvalidError(f"{path} is not a regular file")
         if status.st_mode & 0o077:
             raise InvalidError(
                 f"{path} holds secrets and other users can read it; run chmod 600 {path}"

@@ -80,7 +80,8 @@ def test_what_is_not_a_file_of_keys_is_named_without_its_secrets(
 
 def test_a_fifo_does_not_hold_it_up(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "keys", 0o600)
-    refused(InvalidError, "regular file", read_keys, tmp_path / "keys")
+    for path in (tmp_path / "keys", tmp_path):
+        refused(InvalidError, "regular file", read_keys, path)
 
 
 def test_the_command_prints_urls_that_the_server_grants(tmp_path: Path) -> None:

@@ -1,0 +1,97 @@
+"""gunicorn's settings for several workers, and what these share. `swings-serve --workers N` becomes
+
+    gunicorn --config python:server.gunicornconf server.factory:create
+
+with its own settings in variables, SWINGS_SERVE_ROOT=/srv/swings and so on. GUNICORN_CMD_ARGS adds
+gunicorn's. This module is read once, before gunicorn forks; its workers inherit it.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import secrets
+import traceback
+from typing import TYPE_CHECKING, Any
+
+from .listener import BACKLOG, bound_connections
+from .operate.log.eventlog import STDERR, EventLog
+from .operate.log.logline import LineFormatter
+from .operate.prometheus import forget_worker
+from .operate.watchdog import Watchdog
+from .operate.workers.workerfolder import SHARED_MEMORY, WorkerFolder
+from .servecommand import command_of
+
+if TYPE_CHECKING:
+    from gunicorn.arbiter import Arbiter
+    from gunicorn.workers.base import Worker
+
+log = logging.getLogger(__name__)
+
+command = command_of()
+serving = command.server
+
+folder = WorkerFolder()
+"""Where the workers keep what each may read of the others."""
+play_secret = secrets.token_bytes(32)
+"""Authenticates the tokens of plays, also those of earlier workers."""
+events = EventLog(STDERR, serving.log)
+watchdog = Watchdog()
+"""Before gunicorn tells systemd that it is ready: that is for a worker to say."""
+number = 0
+"""Of the worker that is forked next, or is this process."""
+_numbers: dict[Worker, int] = {}
+
+bind = (
+    f"[{command.host}]:{command.port}" if ":" in command.host else f"{command.host}:{command.port}"
+)
+backlog = BACKLOG
+workers = serving.supervisor.workers
+worker_class = "aiohttp.GunicornWebWorker"
+timeout = serving.supervisor.worker_timeout_s
+graceful_timeout = math.ceil(serving.supervisor.shutdown_timeout_s)
+certfile = str(serving.tls_cert) if serving.tls_cert else None
+keyfile = str(serving.tls_key) if serving.tls_key else None
+worker_tmp_dir = SHARED_MEMORY  # of the heartbeats, which a disk could delay
+control_socket_disable = True
+logconfig_dict: dict[str, Any] = {
+    "disable_existing_loggers": False,
+    "formatters": {"line": {"()": LineFormatter, "style": serving.log}},
+    "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line"}},
+    "root": {"level": "INFO", "handlers": ["stderr"]},
+    "loggers": {"gunicorn.error": {"level": "INFO", "propagate": True}},
+}
+
+HANG_FRAMES = 5
+"""Innermost frames of a hanging event loop that are logged."""
+
+
+def when_ready(server: Arbiter) -> None:
+    """The sockets are there; no worker is yet."""
+    for listener in server.LISTENERS:
+        bound_connections(listener.sock, serving.timeouts.write_timeout_s)
+
+
+def pre_fork(server: Arbiter, worker: Worker) -> None:
+    """Numbers the worker, so that no two living ones have the same."""
+    global number
+    taken = set(_numbers.values())
+    number = _numbers[worker] = next(n for n in range(len(taken) + 1) if n not in taken)
+    folder.make()  # somebody may have cleared it
+
+
+def child_exit(server: Arbiter, worker: Worker) -> None:
+    """Its gauges, such as its connections, are over."""
+    ended = _numbers.pop(worker)
+    forget_worker(folder.path, ended)
+    events.event("worker_ended", worker=ended, pid=worker.pid)
+
+
+def worker_abort(worker: Worker) -> None:
+    """The event loop of this worker has not sent a heartbeat for `timeout`."""
+    stack = traceback.extract_stack()[: -HANG_FRAMES - 3 : -1][2:]
+    log.critical("the event loop hangs in %s", ", ".join(f"{f.filename}:{f.lineno}" for f in stack))
+
+
+def on_exit(server: Arbiter) -> None:
+    folder.remove()
