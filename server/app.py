@@ -37,7 +37,7 @@ from .http.errors import RequestError
 from .http.requestlog import CLIENT_GONE, FACTS, GRANT, NOTE, SENT_BYTES, SIGNED, WAITS_FROM_S
 from .listener import BACKLOG
 from .operate.loadmeter import measure_lag, measure_load
-from .operate.log.eventlog import EventLog
+from .operate.log import EventLog
 from .operate.overload import LoadSample
 from .operate.sign.signing import Grant, Reason, needs_signature, without_signatures
 from .state.serverstate import STATE, ServerState

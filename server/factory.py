@@ -10,7 +10,7 @@ from gunicorn.arbiter import Arbiter
 
 from codec.errors import SwingsError
 
-from .operate.log.eventlog import STDERR, EventLog, take_over_logging
+from .operate.log import STDERR, EventLog, take_over_logging
 from .runningserver import create_runner
 from .serving import end_with_stdin, make_state
 

@@ -15,8 +15,7 @@ import traceback
 from typing import TYPE_CHECKING, Any
 
 from .listener import BACKLOG, bound_connections
-from .operate.log.eventlog import STDERR, EventLog
-from .operate.log.logline import LineFormatter
+from .operate.log import LineFormatter
 from .operate.prometheus import forget_worker
 from .operate.watchdog import Watchdog
 from .operate.workers.workerfolder import SHARED_MEMORY, WorkerFolder
@@ -35,7 +34,6 @@ folder = WorkerFolder()
 """Where the workers keep what each may read of the others."""
 play_secret = secrets.token_bytes(32)
 """Authenticates the tokens of plays, also those of earlier workers."""
-events = EventLog(STDERR, serving.log)
 watchdog = Watchdog()
 """Before gunicorn tells systemd that it is ready: that is for a worker to say."""
 number = 0
@@ -84,7 +82,8 @@ def child_exit(server: Arbiter, worker: Worker) -> None:
     """Its gauges, such as its connections, are over."""
     ended = _numbers.pop(worker)
     forget_worker(folder.path, ended)
-    events.event("worker_ended", worker=ended, pid=worker.pid)
+    fields = {"worker": ended, "pid": worker.pid}
+    log.info("a worker ended", extra={"event": "worker_ended", "fields": fields})
 
 
 def worker_abort(worker: Worker) -> None:

@@ -18,7 +18,7 @@ from .http.connection import Clients, Connection
 from .http.requestlog import request_log
 from .http.runner import Runner, connections
 from .listener import BACKLOG, bound_connections
-from .operate.log.eventlog import EventLog
+from .operate.log import EventLog
 from .state.serverstate import ServerState
 
 log = logging.getLogger(__name__)

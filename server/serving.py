@@ -17,7 +17,7 @@ from typing import NoReturn
 from .errors import ServerError
 from .library import Library
 from .listener import is_loopback
-from .operate.log.eventlog import STDERR, EventLog, take_over_logging
+from .operate.log import STDERR, EventLog, take_over_logging
 from .operate.prometheus import Metrics
 from .operate.settings import settings_variables
 from .operate.sign.keyfile import read_keys

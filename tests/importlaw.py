@@ -51,7 +51,7 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
     "server": (
         ("server/abr/link",),
         ("server/abr",),
-        ("server/study/simulate", "server/operate/log"),
+        ("server/study/simulate",),
         ("server/study/policies",),
         ("server/study", "server/operate/sign", "server/operate/workers"),
         (

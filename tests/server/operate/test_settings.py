@@ -13,11 +13,12 @@ import pytest
 import tyro
 from hypothesis import given
 from hypothesis import strategies as st
+from server.clients.timeouts import TimeoutConfig
 
 from codec.console import option
 from codec.errors import InvalidError
 from server.operate.admission import AdmissionConfig
-from server.operate.log.logline import LogStyle
+from server.operate.log import LogStyle
 from server.operate.overload import OverloadConfig
 from server.operate.settings import settings_of, settings_parser, settings_text
 from server.operate.workers.supervisorconfig import SupervisorConfig

@@ -21,8 +21,8 @@ from codec.stream.playrecord import Record, RecordParser, SliceRecord, SnapshotR
 from server.abr.session import SessionConfig
 from server.library import Library
 from server.listener import bind
-from server.operate.log.eventlog import EventLog
-from server.operate.log.logline import LogRequests, LogStyle
+from server.operate.log import EventLog
+from server.operate.log import LogRequests, LogStyle
 from server.operate.overload import OverloadConfig
 from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.runningserver import RunningServer

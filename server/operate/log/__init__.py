@@ -1,1 +1,0 @@
-"""The server's log: one line a request or event, whatever clients send."""
