@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any, NoReturn, TypeVar
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
@@ -22,6 +22,10 @@ from .version import version
 
 Config = TypeVar("Config")
 Value = TypeVar("Value")
+
+
+Constant = Annotated[Value, tyro.conf.Fixed, tyro.conf.Suppress]
+"""A field of a command that no option sets, but code may."""
 
 
 def option(

@@ -79,6 +79,8 @@ def _walk(kind: Any, values: Any, prefix: str, group: str, markers: set[Any]) ->
     for one in sorted(dataclasses.fields(kind), key=lambda field: bool(field.kw_only)):
         hint = hints[one.name]
         info = PrimitiveTypeInfo.make(hint, markers)
+        if tyro.conf.Fixed in info.markers:
+            continue
         extras = getattr(hint, "__metadata__", ())
         name, metavar, text = one.name.replace("_", "-"), None, about.get(one.name, "")
         for extra in extras:

@@ -161,7 +161,7 @@ class Play:
         self._session = PlaySession(
             played,
             policy,
-            state.config.session,
+            state.config.pacing,
             now_s,
             query.from_frame,
             query.until_frame,

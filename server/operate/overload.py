@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from codec.console import Constant
 from codec.errors import InvalidError
 
 MAX_LOAD = 1.25
@@ -23,25 +24,26 @@ class OverloadConfig:
     """Thresholds and recovery of load shedding in a worker."""
 
     shed_from: float = 0.8
-    """Load from which plays get fewer layers; 1 is the full capacity of one core."""
+    """Load from which plays get fewer layers; 1 is the full capacity of one core. No load is above
+    1.25: from 2 on, plays never do."""
     refuse_from: float = 0.95
     """Load from which plays get one layer and new plays are answered with 503."""
-    recover_margin: float = 0.05
+    recover_margin: Constant[float] = 0.05
     """How far the average load must fall below the effective load before plays get more layers."""
-    recover_per_s: float = 0.05
+    recover_per_s: Constant[float] = 0.05
     """Decrease of the effective load per second during recovery."""
-    smooth_s: float = 1.0
+    smooth_s: Constant[float] = 1.0
     """Time constant of the average load, in seconds."""
-    max_late_s: float = 0.2
+    max_late_s: Constant[float] = 0.2
     """Event-loop lateness that counts as a load of 1, in seconds."""
     max_egress_bps: float = 0.0
     """Maximum bits per second over all connections of a worker; 0 for no limit."""
 
     def __post_init__(self) -> None:
-        if not 0 < self.shed_from < self.refuse_from <= 1:
+        if not 0 < self.shed_from < self.refuse_from:
             raise InvalidError(
                 f"shed_from is {self.shed_from} and refuse_from {self.refuse_from}; "
-                "give 0 < shed_from < refuse_from <= 1"
+                "give 0 < shed_from < refuse_from"
             )
         if not 0 <= self.recover_margin < self.shed_from:
             raise InvalidError(

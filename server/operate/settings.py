@@ -84,6 +84,8 @@ def _walk(config_type: type[Any], path: str, flag: str, markers: set[Any]) -> It
     hints = get_type_hints(config_type, include_extras=True)
     for name, hint in ((one.name, hints[one.name]) for one in fields(config_type)):
         info = PrimitiveTypeInfo.make(hint, markers)
+        if tyro.conf.Fixed in info.markers:
+            continue
         own_flag = flag + name.replace("_", "-")
         if is_dataclass(info.type):
             # tyro applies the marker to all levels below.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from codec.console import Constant
 from codec.errors import InvalidError
 from server.abr.session import SessionConfig
 from server.operate.admission import AdmissionConfig
@@ -37,8 +38,10 @@ class TimeoutConfig:
 class ServerConfig:
     """Limits and times of the server. What counts or holds something does so in each worker."""
 
-    session: SessionConfig = field(default_factory=SessionConfig)
-    """Pacing of plays."""
+    max_lead_s: float = SessionConfig().max_lead_s
+    """Maximum seconds of media sent ahead of the frame that the client shows."""
+    session: Constant[SessionConfig] = field(default_factory=SessionConfig)
+    """Pacing of plays, but for max_lead_s."""
     timeouts: TimeoutConfig = field(default_factory=TimeoutConfig)
     """Timeouts for clients."""
     admission: AdmissionConfig = field(default_factory=AdmissionConfig)
@@ -66,22 +69,27 @@ class ServerConfig:
     """Format of the log, which goes to standard error."""
     log_requests: LogRequests = LogRequests.PLAYS
     """Requests that get a line: plays (and downloads and errors), or all."""
-    send_queue_bytes: int = 64 * 1024
+    send_queue_bytes: Constant[int] = 64 * 1024
     """Maximum unsent bytes queued for one play. A longer queue delays each choice of layers."""
     cache_bytes: int = 256 * 1024 * 1024
     """Bytes of objects cached in memory. The current segments of all plays should fit."""
-    poll_s: float = 0.005
+    poll_s: Constant[float] = 0.005
     """Seconds between two checks of the bytes that a client has acknowledged."""
     refresh_s: float = 0.5
     """Seconds between two scans of the streams below the root."""
-    live_idle_s: float = 60.0
+    live_idle_s: Constant[float] = 60.0
     """Seconds that a play waits for new slices of a live stream before it ends."""
-    remember_plays: int = 1024
+    remember_plays: Constant[int] = 1024
     """Number of finished plays whose last rate estimate is kept, for returning clients."""
-    remember_s: float = 60.0
+    remember_s: Constant[float] = 60.0
     """Seconds that the estimate of a finished play is kept."""
     cors_origin: str = "*"
     """Web origin whose pages may read the streams; empty for none."""
+
+    @property
+    def pacing(self) -> SessionConfig:
+        """Of a play."""
+        return replace(self.session, max_lead_s=self.max_lead_s)
 
     def __post_init__(self) -> None:
         for name in ("max_plays", "send_queue_bytes", "poll_s", "refresh_s", "live_idle_s"):

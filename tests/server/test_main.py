@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from server.operate.sign.keyfile import add_key
-from tests.support.commands import ROOT, run
+from tests.support.commands import IDLE, ROOT, run
 from tests.support.server.running_server import make_stream
 from tests.support.waiting import BOUND_S
 
@@ -25,7 +25,7 @@ from tests.support.waiting import BOUND_S
 def serving(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """Runs `python -m server` until it is ready; gives the process and its URL."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "server", *arguments, "--smooth-s", "1e6"],
+        [sys.executable, "-m", "server", *arguments, *IDLE],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

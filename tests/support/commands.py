@@ -78,7 +78,7 @@ def started(
     )
 
 
-IDLE = ("--smooth-s", "1e6")
+IDLE = ("--shed-from", "2", "--refuse-from", "3")
 """Options of a server to which a busy machine is no load of its own: it refuses nobody."""
 
 

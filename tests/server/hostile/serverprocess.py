@@ -24,7 +24,7 @@ from tests.support.waiting import BOUND_S, wait_until
 LAST = "the-last-request"
 """A stream that does not exist, requested at the end of an exchange: the answer shows that the
 connection was kept."""
-PATIENT = {"--smooth-s": 1e6, "--keepalive-timeout-s": 600}
+PATIENT = {"--shed-from": 2, "--refuse-from": 3, "--keepalive-timeout-s": 600}
 """Options with which a slow machine is no load, and no client is too slow."""
 _MARKS = itertools.count()
 SECRET = b"not for you: 4f1d8a"

@@ -62,9 +62,9 @@ def test_each_source_goes_before_the_next() -> None:
     assert read("r", MAX_PLAYS="2").server.max_plays == 2
     assert read("r", "--max-plays", "3", MAX_PLAYS="2").server.max_plays == 3
     # Settings without flags come from the environment, the rest from the defaults.
-    session = read("r", "--first-bytes", "1000", QUEUE_S="2", MAX_PLAYS="2").server.session
-    assert (session.queue_s, session.first_bytes) == (2.0, 1000)
-    assert session.run_s == ServerConfig().session.run_s
+    server = read("r", "--max-connections", "9", MAX_ADDRESS_PLAYS="2", MAX_PLAYS="2").server
+    assert (server.admission.max_connections, server.admission.max_address_plays) == (9, 2)
+    assert server.refresh_s == ServerConfig().refresh_s
 
 
 def test_every_kind_of_setting_can_stand_everywhere() -> None:
@@ -93,6 +93,7 @@ def test_every_kind_of_setting_can_stand_everywhere() -> None:
         ("REFRESH_S", "soon", "SWINGS_SERVE_REFRESH_S: 'soon' is not a number"),
         ("STYLE", "xml", "SWINGS_SERVE_STYLE: 'xml' is not one of json, plain"),
         ("DOUBLED", "x", "SWINGS_SERVE_DOUBLED: 'x' is not a number to double"),
+        ("QUEUE_S", "1", "unknown setting 'SWINGS_SERVE_QUEUE_S'"),  # a constant
         ("OVERLOAD_SHED_FROM", "0.99", "SWINGS_SERVE_OVERLOAD_SHED_FROM: shed_from is 0.99"),
         ("SPREAD", "maybe", "SWINGS_SERVE_SPREAD: 'maybe' is neither true nor false"),
         ("MODE", "c", "SWINGS_SERVE_MODE: 'c' is not one of a, b"),
@@ -166,7 +167,6 @@ def test_any_text_is_printed_on_one_line_that_is_read_again_or_refused(text: str
         (AdmissionConfig, {"max_address_plays": 0}),
         (OverloadConfig, {"shed_from": 0.95}),
         (OverloadConfig, {"shed_from": 0.0}),
-        (OverloadConfig, {"refuse_from": 1.1}),
         (OverloadConfig, {"recover_margin": -0.1}),
         (OverloadConfig, {"recover_per_s": 0.0}),
         (OverloadConfig, {"smooth_s": float("inf")}),

@@ -18,11 +18,9 @@ from codec.slice import Slice
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import Record, RecordParser, SliceRecord, SnapshotRecord
-from server.abr.session import SessionConfig
 from server.library import Library
 from server.listener import bind
-from server.operate.log import EventLog
-from server.operate.log import LogRequests, LogStyle
+from server.operate.log import EventLog, LogRequests, LogStyle
 from server.operate.overload import OverloadConfig
 from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.runningserver import RunningServer
@@ -90,7 +88,7 @@ def quick_config(
 ) -> ServerConfig:
     """A config for tests, in which a slow machine ends nothing and is no load."""
     return ServerConfig(
-        session=SessionConfig(max_lead_s=max_lead_s),
+        max_lead_s=max_lead_s,
         max_plays=max_plays,
         timeouts=TimeoutConfig(
             keepalive_timeout_s=keepalive_timeout_s,
