@@ -6,6 +6,7 @@ Rule: no request causes a traceback, and only the operator's log names paths of 
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import math
 import time
@@ -83,6 +84,9 @@ EXPOSED = (
 )
 """Headers of responses that pages of other origins may read."""
 
+QUIET_S = 60.0
+"""Seconds between two lines that say that descriptors are out."""
+
 WORKERS_STOP_S = 0.5
 """Seconds for what other workers still ask when this one has ended."""
 
@@ -106,6 +110,7 @@ def create_app(state: ServerState, log: EventLog | None = None) -> web.Applicati
         )
     app.on_response_prepare.append(headers_adder(common_headers(state.config.cors_origin)))
     app.on_shutdown.append(end_plays)
+    app.on_startup.append(accept_quietly)
     app.cleanup_ctx.extend((follow_library, answer_workers, partial(measure, log=log)))
     return app
 
@@ -230,6 +235,23 @@ def headers_adder(
             request.app[STATE].metrics.ttfb.observe(waited_s)
 
     return add
+
+
+async def accept_quietly(_: web.Application) -> None:
+    """Has asyncio say once in QUIET_S that there is no descriptor for another client; it tries
+    hundreds of times a second."""
+    said_s = -math.inf
+
+    def handle(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        nonlocal said_s
+        error = context.get("exception")
+        if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
+            if loop.time() - said_s < QUIET_S:
+                return
+            said_s = loop.time()
+        loop.default_exception_handler(context)
+
+    asyncio.get_running_loop().set_exception_handler(handle)
 
 
 async def end_plays(app: web.Application) -> None:

@@ -35,6 +35,9 @@ async def create() -> web.AppRunner:
         )
         runner = create_runner(state, events)
     except (SwingsError, OSError) as error:
+        # It ends the server; a second one on the way would end gunicorn with a traceback.
+        if not shared.folder.is_first("failed"):
+            raise SystemExit(0) from None
         log.critical("%s", error)
         raise SystemExit(Arbiter.APP_LOAD_ERROR) from None
 

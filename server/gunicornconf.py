@@ -11,7 +11,9 @@ from __future__ import annotations
 import logging
 import math
 import secrets
+import signal
 import traceback
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from .listener import BACKLOG, bound_connections
@@ -86,10 +88,15 @@ def child_exit(server: Arbiter, worker: Worker) -> None:
     log.info("a worker ended", extra={"event": "worker_ended", "fields": fields})
 
 
-def worker_abort(worker: Worker) -> None:
-    """The event loop of this worker has not sent a heartbeat for `timeout`."""
-    stack = traceback.extract_stack()[: -HANG_FRAMES - 3 : -1][2:]
+def post_worker_init(worker: Worker) -> None:
+    """A worker that hangs says where. aiohttp's own handler of SIGABRT waits for the event loop."""
+    signal.signal(signal.SIGABRT, _say_where)
+
+
+def _say_where(number: int, frame: FrameType | None) -> None:
+    stack = traceback.extract_stack(frame)[: -HANG_FRAMES - 1 : -1]
     log.critical("the event loop hangs in %s", ", ".join(f"{f.filename}:{f.lineno}" for f in stack))
+    raise SystemExit(1)
 
 
 def on_exit(server: Arbiter) -> None:

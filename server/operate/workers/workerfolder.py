@@ -39,6 +39,14 @@ class WorkerFolder:
         """Makes the folder again if it is gone."""
         self.path.mkdir(mode=0o700, exist_ok=True)
 
+    def is_first(self, what: str) -> bool:
+        """Whether no process of the server has asked so before."""
+        try:
+            os.close(os.open(self.path / what, os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            return False
+        return True
+
     def remove(self) -> None:
         shutil.rmtree(self.path, ignore_errors=True)
 

@@ -13,7 +13,6 @@ import pytest
 import tyro
 from hypothesis import given
 from hypothesis import strategies as st
-from server.clients.timeouts import TimeoutConfig
 
 from codec.console import option
 from codec.errors import InvalidError

@@ -16,7 +16,7 @@ from aiohttp import web
 from server import app
 from server.http.connection import Connection
 from server.library import Library
-from server.operate.log.logline import LogRequests
+from server.operate.log import LogRequests
 from server.runningserver import create_runner
 from server.state.config import ServerConfig
 from server.state.serverstate import ServerState

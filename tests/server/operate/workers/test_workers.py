@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import re
+import shutil
 import signal
 import socket
 import sys
@@ -14,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from http.client import HTTPConnection, HTTPException, HTTPResponse
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
 
@@ -22,9 +24,11 @@ from server.abr.clientstatus import PLAY_HEADER, RATE_HEADER
 from server.errors import ServerError
 from server.operate.sign.keyfile import add_key, read_keys
 from server.operate.sign.signing import Signer
-from server.serving import Service
+from server.operate.workers.workerfolder import SHARED_MEMORY, WorkerFolder
+from server.serving import check_files
 from server.state.config import ServerConfig
 from tests.server.hostile.serverprocess import Comers, ServerProcess, ask, figures, server_process
+from tests.support.commands import run
 from tests.support.server.certificates import make_certificate
 from tests.support.server.running_server import births_with_layer_0, make_stream, parse_records
 from tests.support.suite.once import made_once
@@ -35,6 +39,17 @@ pytestmark = pytest.mark.skipif(
 )
 
 JSON = ("--log", "json")
+
+HANGING = """
+class Hanging:
+    def mends(self, *_):
+        return False
+
+    def choose(self, *_):
+        while True:
+            pass
+"""
+"""A policy of somebody's own."""
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +188,6 @@ def test_renewed_workers_say_where_to_go_on_and_nobody_is_refused(
                 os.kill(server.pid, signal.SIGHUP)
                 wait_until(lambda n=count: len(server.events("worker_ended")) == n)
         assert comers.troubles == []
-        assert not server.events("worker_died", "worker_killed", "renewal_failed")
         assert max(line["worker"] for line in server.events("worker_ready")) <= 3
         for play in plays:
             records = play.records()
@@ -199,12 +213,13 @@ def test_plays_of_a_worker_that_dies_go_on_at_another(root: Path, tmp_path: Path
         os.kill(pids[play.place], signal.SIGKILL)
         births = births_with_layer_0(play.records())
         wait_until(lambda: len(server.events("worker_ready")) == 3)
-        assert [line["pid"] for line in server.events("worker_died")] == [pids[play.place]]
+        assert [line["pid"] for line in server.events("worker_ended")] == [pids[play.place]]
         continued(server, births, births[-1] + 1)
         assert all(one.is_playing for one in plays if one.place != play.place)
 
 
-def test_broken_files_at_a_renewal_leave_the_server_as_it_was(root: Path, tmp_path: Path) -> None:
+def test_keys_are_read_again_and_broken_ones_are_found_before(root: Path, tmp_path: Path) -> None:
+    """As `systemctl reload` does: --check-config, then SIGHUP."""
     keys = tmp_path / "keys"
     add_key(keys)
 
@@ -212,61 +227,85 @@ def test_broken_files_at_a_renewal_leave_the_server_as_it_was(root: Path, tmp_pa
         signed = Signer(read_keys(keys)).sign("long", round(time.time()) + 600)
         return ask(server.port, f"{signed}/v1/streams/long/manifest.json").status
 
+    def checked() -> CompletedProcess[str]:
+        return run("swings-serve", root, "--keys", keys, "--check-config")
+
     with workers(root, tmp_path, "--keys", keys) as server:
         assert status() == 200
         before = keys.read_text()
         keys.write_text("no key")
-        os.kill(server.pid, signal.SIGHUP)
-        wait_until(lambda: server.events("renewal_failed"))
+        refused = checked()
+        assert (refused.returncode, refused.stderr.count("\n")) == (1, 1)
+        assert "line 1 is not NAME:SECRET" in refused.stderr
         keys.write_text(before)
-        assert status() == 200
         add_key(keys)
+        assert checked().returncode == 0
         assert status() == 403  # by its newest key, which the server has not read
         os.kill(server.pid, signal.SIGHUP)
         wait_until(lambda: len(server.events("worker_ended")) == 2)
         assert status() == 200
-        assert not server.events("worker_died")
+        keys.write_text("no key")
+        os.kill(server.pid, signal.SIGHUP)  # unchecked: the server ends, and says why
+        assert server.process.wait(BOUND_S) == 4
+        assert "line 1 is not NAME:SECRET" in server.log.read_text()
 
 
-def test_a_broken_certificate_is_found_before_a_renewal(tmp_path: Path) -> None:
+def test_a_broken_certificate_is_named(tmp_path: Path) -> None:
     cert, key = make_certificate(tmp_path)
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        service = Service(str(tmp_path), ServerConfig(tls_cert=cert, tls_key=key), listener)
-        service.check_files()
-        cert.write_text("no certificate")
-        with pytest.raises(ServerError, match="no valid certificate"):
-            service.check_files()
+    check_files(ServerConfig(tls_cert=cert, tls_key=key))
+    cert.write_text("no certificate")
+    with pytest.raises(ServerError, match="no valid certificate"):
+        check_files(ServerConfig(tls_cert=cert, tls_key=key))
 
 
-def test_nothing_around_the_server_changes_how_gunicorn_runs(
+def test_a_folder_called_gunicorn_and_a_cleared_tmpdir_change_nothing(
     root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    home, here = tmp_path / "home", tmp_path / "here"
-    for folder in (home, here):
-        folder.mkdir()
-    (here / "gunicorn.conf.py").write_text("workers = 7\n")
-    (here / "setproctitle.py").write_text(
-        "def getproctitle(): return ''\ndef setproctitle(title): open('renamed', 'w').close()\n"
-    )
+    here, temporary = tmp_path / "here", tmp_path / "t"
+    (here / "gunicorn").mkdir(parents=True)
+    (here / "gunicorn" / "__init__.py").write_text("raise SystemExit('not this one')\n")
+    temporary.mkdir()
     monkeypatch.chdir(here)
-    monkeypatch.setenv("HOME", str(home))
-    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
-    monkeypatch.setenv("GUNICORN_CMD_ARGS", "--workers 7 --pid gunicorn.pid")
-    monkeypatch.setenv("WEB_CONCURRENCY", "7")
-    with workers(root, tmp_path) as server:
-        assert ask(server.port, "/healthz").status == 200
-        found = {path.name for folder in (home, here) for path in folder.iterdir()}
-    assert found <= {"gunicorn.conf.py", "setproctitle.py", "__pycache__"}
-    assert len(server.events("worker_ready")) == 2
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    with workers(root, tmp_path) as server, closing(Play(server, "?layers=2")) as play:
+        assert [*temporary.iterdir()] == [] or SHARED_MEMORY is None
+        temporary.rename(tmp_path / "gone")
+        (worker,) = (line["pid"] for line in server.events("worker_ready")[:1])
+        os.kill(worker, signal.SIGKILL)
+        wait_until(lambda: len(server.events("worker_ready")) == 3)
+        assert figures(server.port)["swings_active_plays",] == play.is_playing
     others = [line for line in server.log_lines() if not line.startswith("{")]
     assert others == [f"serving http://127.0.0.1:{server.port}"]
+
+
+def test_a_hanging_worker_says_where_and_is_replaced(root: Path, tmp_path: Path) -> None:
+    (policy := tmp_path / "hanging.py").write_text(HANGING)
+    options = "--policy", f"{policy}:Hanging", "--worker-timeout-s", 2
+    with workers(root, tmp_path, *options) as server:
+        with closing(HTTPConnection("127.0.0.1", server.port)) as client:
+            client.request("GET", "/v1/streams/long/play")
+            wait_until(lambda: len(server.events("worker_ready")) == 3)
+        assert ask(server.port, "/healthz").status == 200
+        assert re.search(r"the event loop hangs in [^\n]*hanging\.py:\d+", server.log.read_text())
+
+
+def test_what_a_killed_server_left_is_removed_by_the_next(tmp_path: Path) -> None:
+    dead = WorkerFolder(str(tmp_path))
+    alive = WorkerFolder(str(tmp_path))
+    assert dead.path.exists()
+    os.close(dead._lock)  # as the kernel does
+    after = WorkerFolder(str(tmp_path))
+    assert {*tmp_path.iterdir()} == {alive.path, after.path}
+    shutil.rmtree(after.path)
+    after.make()
+    assert after.path.stat().st_mode & 0o777 == 0o700
 
 
 def test_under_load_all_workers_know_the_tokens_of_all_once_and_no_others(
     root: Path, tmp_path: Path
 ) -> None:
-    # A few objects overload a worker, which then needs days to recover.
-    options = "--max-egress-bps", 1e6, "--smooth-s", 1, "--max-late-s", 1e6, "--recover-per-s", 1e-6
+    # Each response overloads a worker for some seconds.
+    options = "--max-egress-bps", 1, "--shed-from", 0.8, "--refuse-from", 0.95
     query = "?until=1&layers=1"
     with workers(root, tmp_path, *options) as server, ExitStack() as stack:
         with closing(Play(server, query)) as play:
@@ -286,8 +325,12 @@ def test_under_load_all_workers_know_the_tokens_of_all_once_and_no_others(
             wait_until(is_full)
             altered = before[:-1] + ("B" if before[-1] == "A" else "A")
             for token in ("0-made_up_by_a_client_0000", altered, "nonsense"):
+                answer_of(one, "big/segments/0/0")
                 assert answer_of(one, f"long/play{query}", token).status == 503
-            tokens = (before, after)
-            admitted.append([answer_of(one, f"long/play{query}", t).status for t in tokens])
+            statuses = []
+            for token in (before, after):
+                answer_of(one, "big/segments/0/0")
+                statuses.append(answer_of(one, f"long/play{query}", token).status)
+            admitted.append(statuses)
         # Of a worker that has ended, nobody knows what its tokens were used for.
         assert admitted == [[200, 200], [200, 503]]
