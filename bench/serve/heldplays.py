@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.errors import SwingsError
+from server.abr.session import SessionConfig
 
 from .material import FPS, NUM_LAYERS, write_noise
 from .playfigures import PlayFigures, Seen, Shape, Spread, figures_of
@@ -23,8 +24,8 @@ from .playload import LoadConfig, load_command
 from .processes import pinned, serving
 
 SEGMENT_FRAMES = 30
-REST_S = 0.1
-"""The server's --rest-s, to which the pacing is compared."""
+REST_S = SessionConfig().rest_s
+"""The server's, to which the pacing is compared."""
 PLAYS_PER_REST = 100
 """swings-serve lengthens a rest at random, up to twice its length, and by one more length per this
 many running plays."""
@@ -45,7 +46,7 @@ def measure_plays(
         # The stream, with the lead, must not end before the measurement does.
         num_frames = round((seconds + 15) * FPS)
         write_noise(folder / "streams" / "long", frame_bytes, num_frames, SEGMENT_FRAMES)
-        limits = ("--max-plays", str(clients + 16), "--rest-s", str(REST_S))
+        limits = ("--max-plays", str(clients + 16))
         prefix, log = pinned(cores[0]), folder / "serve.log"
         server = serving(folder / "streams", *limits, *options, prefix=prefix, log=log)
         pid, port = stack.enter_context(server)

@@ -1,9 +1,8 @@
 """Workers of swings-serve that are killed while clients play; see `resumefigures` for the figures.
 
 Every `every_s` seconds a running worker, chosen at random, gets a SIGKILL and is restarted at once.
-With an `every_s` below one second these are crash loops: most restarts wait up to ten seconds, and
-the other worker serves alone and overloaded. It sends fewer layers first, and then answers 503 to
-returning clients.
+With an `every_s` below one second the other worker serves alone and overloaded most of the time. It
+sends fewer layers first, and then answers 503 to returning clients.
 """
 
 from __future__ import annotations
@@ -105,7 +104,7 @@ def _kill_again_and_again(config: KillConfig, log: Path) -> list[Kill]:
     for _ in range(config.kills):
         due_s = time.monotonic() + config.every_s
         living = {line["pid"]: line["worker"] for line in _events(log, "worker_ready")}
-        for line in _events(log, "worker_died"):
+        for line in _events(log, "worker_ended"):
             living.pop(line["pid"], None)
         if not living:
             raise SwingsError("no worker was restarted: kill workers less often")
