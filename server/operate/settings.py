@@ -1,9 +1,9 @@
-"""Settings from the environment, below those of the command line.
+"""Settings from the environment: words in front of those of the command line.
 
     flags > environment > defaults
 
 Rule: there is no second list of options: every flag that tyro makes is also a variable, and tyro
-reads its value. A variable that cannot be used ends the command with one line that names it.
+reads its value.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import os
 import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass
 from operator import attrgetter
 from typing import Any, get_type_hints
 
@@ -27,8 +27,6 @@ CHECK_CONFIG = "check_config"
 """The command's field for `--check-config`. It is a request, not a setting."""
 
 _TRUTH = {"true": True, "1": True, "false": False, "0": False}
-
-_WANTED = {"INT": "a whole number", "FLOAT": "a number"}
 
 _BARE = re.compile(r"[\w@%+=:,./*?\[\]-]*", re.ASCII)
 """Text that systemd, a shell and `docker run --env-file` read alike without quotes."""
@@ -44,31 +42,25 @@ class Setting:
     """Names of the fields that lead to it, with dots between them."""
     flag: str
     """Its flag without the dashes, as `overload.shed-from`."""
-    kind: Any
-    """The type of its value."""
+    is_switch: bool
+    """Whether it is true or false, and its flag takes no value."""
+    is_positional: bool
+    """Whether it has no flag."""
     spec: PrimitiveConstructorSpec[Any]
     """How tyro reads and writes its value."""
 
-    def from_text(self, text: str) -> Any:
-        """The value of a variable. Raises InvalidError with what is allowed."""
-        if self.kind is bool:
-            if text.lower() not in _TRUTH:
-                raise InvalidError(f"{text[:60]!a} is neither true nor false")
-            return _TRUTH[text.lower()]
-        if self.spec.choices and text not in self.spec.choices:
-            raise InvalidError(f"{text[:60]!a} is not one of {', '.join(self.spec.choices)}")
-        try:
-            return self.spec.instance_from_str([text])
-        except InvalidError:
-            raise
-        except ValueError as error:
-            wanted = _WANTED.get(self.spec.metavar, self.spec.metavar)
-            raise InvalidError(f"{text[:60]!a} is not {wanted}") from error
-
     def to_text(self, value: Any) -> str:
-        """The text that `from_text` reads as `value`, which is not None."""
+        """What the command line has for `value`, which is not None."""
         (text,) = self.spec.str_from_instance(value)
-        return text.lower() if self.kind is bool else text
+        return text.lower() if self.is_switch else text
+
+    def words(self, text: str) -> list[str]:
+        """What `text` is on the command line. Raises InvalidError."""
+        if not self.is_switch:
+            return [f"--{self.flag}={text}"]
+        if text.lower() not in _TRUTH:
+            raise InvalidError(f"{text[:60]!a} is neither true nor false")
+        return [f"--{self.flag}"] if _TRUTH[text.lower()] else []
 
 
 def settings_of(prefix: str, config_type: type[Any]) -> dict[str, Setting]:
@@ -95,25 +87,52 @@ def _walk(config_type: type[Any], path: str, flag: str, markers: set[Any]) -> It
             spec = ConstructorRegistry.get_primitive_spec(info)
             if not isinstance(spec, PrimitiveConstructorSpec):
                 raise TypeError(f"no setting can be of type {hint}")
-            yield Setting(path + name, own_flag, info.type, spec)
+            is_positional = tyro.conf.Positional in info.markers
+            yield Setting(path + name, own_flag, info.type is bool, is_positional, spec)
 
 
 def settings_parser(prefix: str, environment: Mapping[str, str] = os.environ) -> Callable[..., Any]:
-    """A `parse` for `run_command` that also reads environment variables.
+    """A `parse` for `run_command` that also reads environment variables: with the prefix
+    SWINGS_SERVE, `SWINGS_SERVE_MAX_PLAYS=5` is `--max-plays=5`.
 
-    prefix: of the variables: with SWINGS_SERVE, `SWINGS_SERVE_MAX_PLAYS=5` is `--max-plays 5`.
-    Raises InvalidError for a variable that cannot be used.
+    Raises InvalidError for a variable that no option has.
     """
 
     def parse(config_type: type[Any], args: Sequence[str], **options: Any) -> Any:
         if not {"-h", "--help", "--help-all"} & set(args):
-            known = settings_of(prefix, config_type)
-            given = {v: t for v, t in sorted(environment.items()) if v.startswith(f"{prefix}_")}
-            if given:
-                options["default"] = _with_given(prefix, config_type, known, given)
+            known, words = settings_of(prefix, config_type), list[str]()
+            for variable, text in sorted(environment.items()):
+                if not variable.startswith(f"{prefix}_"):
+                    continue
+                one = _found(variable, known, prefix)
+                if one.is_positional:  # one on the command line takes its place
+                    options["default"] = _defaults(config_type, {one.path: text})
+                else:
+                    try:
+                        words += one.words(text)
+                    except InvalidError as error:
+                        raise InvalidError(f"{variable}: {error}") from error
+            args = (*words, *args)
         return cli(config_type, args=args, **options)
 
     return parse
+
+
+def _found(variable: str, known: Mapping[str, Setting], prefix: str) -> Setting:
+    if variable not in known:
+        # Without the prefix, which would make any two variables look alike.
+        names = [name.removeprefix(f"{prefix}_") for name in known]
+        near = difflib.get_close_matches(variable.removeprefix(f"{prefix}_"), names, n=1)
+        hint = f"did you mean {prefix}_{near[0]}?" if near else "--help-all lists all settings"
+        raise InvalidError(f"environment: unknown setting {variable[:80]!a}; {hint}")
+    return known[variable]
+
+
+def _defaults(config_type: type[Any], given: Mapping[str, Any]) -> Any:
+    """The defaults of a command; fields that have none are as `given`, or tyro.MISSING, which tyro
+    reports."""
+    required = [one.name for one in fields(config_type) if one.default is one.default_factory]
+    return config_type(**{**dict.fromkeys(required, tyro.MISSING), **given})
 
 
 def settings_text(prefix: str, command: Any) -> str:
@@ -123,7 +142,7 @@ def settings_text(prefix: str, command: Any) -> str:
     Raises InvalidError for a value that no line of such a file can hold.
     """
     lines, given = [], settings_variables(prefix, command)
-    defaults = settings_variables(prefix, _with_given(prefix, type(command), {}, {}))
+    defaults = settings_variables(prefix, _defaults(type(command), {}))
     for variable in settings_of(prefix, type(command)):
         if variable not in given:
             lines.append(f"# {variable} is not set\n")
@@ -150,39 +169,3 @@ def settings_variables(prefix: str, command: Any) -> dict[str, str]:
         for variable, (one, value) in values.items()
         if value is not None and value is not tyro.MISSING
     }
-
-
-def _with_given(
-    prefix: str, config_type: type[Any], known: Mapping[str, Setting], given: Mapping[str, str]
-) -> Any:
-    """The defaults of `config_type` with the given variables. Required fields without a value are
-    tyro.MISSING, so that tyro reports them."""
-    values = {}
-    for variable, text in given.items():
-        if variable not in known:
-            # Without the prefix, which would make any two variables look alike.
-            names = [name.removeprefix(f"{prefix}_") for name in known]
-            near = difflib.get_close_matches(variable.removeprefix(f"{prefix}_"), names, n=1)
-            hint = f"did you mean {prefix}_{near[0]}?" if near else "--help lists all settings"
-            raise InvalidError(f"environment: unknown setting {variable[:80]!a}; {hint}")
-        try:
-            values[known[variable].path] = known[variable].from_text(text)
-        except InvalidError as error:
-            raise InvalidError(f"{variable}: {error}") from error
-    required = [one.name for one in fields(config_type) if one.default is one.default_factory]
-    try:
-        return _replaced(config_type(**dict.fromkeys(required, tyro.MISSING)), "", values)
-    except InvalidError as error:
-        words = set(re.findall(r"\w+", str(error)))
-        named = [v for v in given if known[v].path.rpartition(".")[2] in words]
-        raise InvalidError(f"{', '.join(named or given)}: {error}") from error
-
-
-def _replaced(part: Any, at: str, values: Mapping[str, Any]) -> Any:
-    """`part`, the dataclass at this path of the command, with the values given by their paths."""
-    changed = {}
-    for one in fields(part):
-        path, value = at + one.name, getattr(part, one.name)
-        inside = _replaced(value, f"{path}.", values) if is_dataclass(value) else value
-        changed[one.name] = values.get(path, inside)
-    return replace(part, **changed)

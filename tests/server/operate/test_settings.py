@@ -35,7 +35,7 @@ def twice(word: str) -> int:
 class Command:
     """A command similar to swings-serve."""
 
-    root: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="ROOT")]]
+    root: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="ROOT")]]
     host: str = "127.0.0.1"
     style: LogStyle = LogStyle.PLAIN
     mode: Literal["a", "b"] = "a"
@@ -71,7 +71,7 @@ def test_every_kind_of_setting_can_stand_everywhere() -> None:
         ROOT="streams", HOST="::", STYLE="json", MODE="b", SPREAD="true", KEY_FILE="keys",
         DOUBLED="21", REFRESH_S="3", OVERLOAD_SHED_FROM="0.5",
     )  # fmt: skip
-    assert command.root == Path("streams")
+    assert command.root == "streams"
     assert (command.host, command.style, command.mode) == ("::", LogStyle.JSON, "b")
     assert (command.spread, command.key_file, command.doubled) == (True, Path("keys"), 42)
     assert command.server.refresh_s == 3.0
@@ -84,24 +84,36 @@ def test_every_kind_of_setting_can_stand_everywhere() -> None:
     ("variable", "value", "message"),
     [
         ("MAX_PLAYZ", "5", "'SWINGS_SERVE_MAX_PLAYZ'; did you mean SWINGS_SERVE_MAX_PLAYS?"),
-        ("CONFIG", "x", "unknown setting 'SWINGS_SERVE_CONFIG'; --help lists all settings"),
+        ("CONFIG", "x", "unknown setting 'SWINGS_SERVE_CONFIG'; --help-all lists all settings"),
         ("CHECK_CONFIG", "1", "unknown setting 'SWINGS_SERVE_CHECK_CONFIG'"),
-        ("MAX_PLAYS", "many", "SWINGS_SERVE_MAX_PLAYS: 'many' is not a whole number"),
-        ("MAX_PLAYS", "", "SWINGS_SERVE_MAX_PLAYS: '' is not a whole number"),
-        ("MAX_PLAYS", "0", "SWINGS_SERVE_MAX_PLAYS: max_plays is 0; it must be positive"),
-        ("REFRESH_S", "soon", "SWINGS_SERVE_REFRESH_S: 'soon' is not a number"),
-        ("STYLE", "xml", "SWINGS_SERVE_STYLE: 'xml' is not one of json, plain"),
-        ("DOUBLED", "x", "SWINGS_SERVE_DOUBLED: 'x' is not a number to double"),
         ("QUEUE_S", "1", "unknown setting 'SWINGS_SERVE_QUEUE_S'"),  # a constant
-        ("OVERLOAD_SHED_FROM", "0.99", "SWINGS_SERVE_OVERLOAD_SHED_FROM: shed_from is 0.99"),
         ("SPREAD", "maybe", "SWINGS_SERVE_SPREAD: 'maybe' is neither true nor false"),
-        ("MODE", "c", "SWINGS_SERVE_MODE: 'c' is not one of a, b"),
     ],
 )
-def test_a_bad_setting_names_the_variable(variable: str, value: str, message: str) -> None:
+def test_a_bad_setting_is_named(variable: str, value: str, message: str) -> None:
     raised = refused(InvalidError, "", read, "r", **{variable: value})
     assert message in str(raised)
     assert "\n" not in str(raised)
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "told"),
+    [
+        ("MAX_PLAYS", "many", "--max-plays"),
+        ("MAX_PLAYS", "", "--max-plays"),
+        ("REFRESH_S", "soon", "--refresh-s"),
+        ("STYLE", "xml", "--style"),
+        ("MODE", "c", "--mode"),
+        ("MAX_PLAYS", "0", "max_plays is 0; it must be positive"),
+        ("DOUBLED", "x", "'x' is not a number to double"),
+        ("OVERLOAD_SHED_FROM", "0.99", "shed_from is 0.99"),
+    ],
+)
+def test_tyro_says_what_a_value_must_be(
+    variable: str, value: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert refused(SystemExit, "", read, "r", **{variable: value}).code == 2
+    assert told in capsys.readouterr().err
 
 
 def test_values_that_go_together_are_judged_together() -> None:
@@ -141,15 +153,15 @@ def test_the_settings_printed_give_them_again() -> None:
 
 def test_printed_settings_need_quotes_only_where_a_value_is_not_plain() -> None:
     """`docker run --env-file` treats quotes as part of the value."""
-    told = settings_text("SWINGS_SERVE", Command(Path("s3://b/a-b"), host="::"))
+    told = settings_text("SWINGS_SERVE", Command("s3://b/a-b", host="::"))
     assert not {"'", '"', "\\"} & set(told)
     assert "\n# SWINGS_SERVE_CORS_ORIGIN=*\n" in told  # a later version may have another default
-    assert "SWINGS_SERVE_HOST='a b'\n" in settings_text("SWINGS_SERVE", Command(Path("r"), "a b"))
+    assert "SWINGS_SERVE_HOST='a b'\n" in settings_text("SWINGS_SERVE", Command("r", "a b"))
 
 
 @given(st.text(st.characters()))
 def test_any_text_is_printed_on_one_line_that_is_read_again_or_refused(text: str) -> None:
-    command = Command(Path("r"), host=text)
+    command = Command("r", host=text)
     try:
         told = settings_text("SWINGS_SERVE", command)
     except InvalidError as error:
