@@ -30,6 +30,7 @@ from server.abr.clientstatus import (
     RECEIVED_HEADER,
     REPORT_HEADER,
 )
+from server.operate.overload import LoadSample, measure_lag, measure_load
 
 from .answers import download, objects, pages, play, statusreport
 from .http.connection import Connection, refusal
@@ -37,9 +38,7 @@ from .http.content import private_caching
 from .http.errors import RequestError
 from .http.requestlog import CLIENT_GONE, FACTS, GRANT, NOTE, SENT_BYTES, SIGNED, WAITS_FROM_S
 from .listener import BACKLOG
-from .operate.loadmeter import measure_lag, measure_load
 from .operate.log import EventLog
-from .operate.overload import LoadSample
 from .operate.sign.signing import Grant, Reason, needs_signature, without_signatures
 from .state.serverstate import STATE, ServerState
 

@@ -9,10 +9,9 @@ from aiohttp import web
 from gunicorn.arbiter import Arbiter
 
 from codec.errors import SwingsError
+from server.serving import create_runner, end_with_stdin, make_state
 
 from .operate.log import STDERR, EventLog, take_over_logging
-from .runningserver import create_runner
-from .serving import end_with_stdin, make_state
 
 log = logging.getLogger(__name__)
 

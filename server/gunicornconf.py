@@ -16,11 +16,12 @@ import traceback
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from server.operate.workerfolder import SHARED_MEMORY, WorkerFolder
+
 from .listener import BACKLOG, bound_connections
 from .operate.log import LineFormatter
 from .operate.prometheus import forget_worker
 from .operate.watchdog import Watchdog
-from .operate.workers.workerfolder import SHARED_MEMORY, WorkerFolder
 from .servecommand import command_of
 
 if TYPE_CHECKING:

@@ -53,7 +53,7 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("server/abr",),
         ("server/study/simulate",),
         ("server/study/policies",),
-        ("server/study", "server/operate/sign", "server/operate/workers"),
+        ("server/study", "server/operate/sign"),
         (
             "server/html",
             "server/library",

@@ -15,13 +15,13 @@ from pathlib import Path
 import pytest
 
 from codec.errors import InvalidError
-from server.operate.workers.supervisorconfig import SupervisorConfig
+from server.operate.workers import SupervisorConfig
 from tests.importlaw import PACKAGES
 from tests.support.commands import ENTRY, ROOT, environment
 from tests.support.tiny_stream import tiny_manifest, write_tiny
 from tests.support.waiting import BOUND_S
 
-NEEDS_GUNICORN = ("arbiter", "workerprocess")
+NEEDS_GUNICORN = ("factory", "gunicornconf", "workerfolder")
 """Modules that only `--workers` above 1 imports, because Windows cannot install gunicorn."""
 
 MODULES = [

@@ -20,7 +20,7 @@ from server.html.htmlpage import message_page
 from server.html.watchpage import WatchedStream, watch_page
 from server.http.errors import RequestError
 from server.library import ServedStream
-from server.operate.clientaddress import is_proxy
+from server.operate.admission import is_proxy
 from server.operate.prometheus import CONTENT_TYPE
 from server.state.serverstate import STATE
 

@@ -48,8 +48,8 @@ from server.http.content import accepted_codings, joined
 from server.http.requestlog import Facts
 from server.http.streaming import BodyWriter, stream
 from server.http.tcpinfo import TcpInfo
-from server.operate.workers.playtoken import is_issued, make_token
-from server.state.recordcache import CodedRecord
+from server.operate.workers import is_issued, make_token
+from server.state.caches import CodedRecord
 from server.state.serverstate import STATE
 from server.study.choice import make_policy
 

@@ -26,8 +26,7 @@ from server.abr.clientstatus import (
 )
 from server.http.content import NO_STORE
 from server.http.errors import RequestError
-from server.operate.workers.otherworkers import OtherWorkers
-from server.operate.workers.playtoken import issue_time_s, worker_of
+from server.operate.workers import OtherWorkers, issue_time_s, worker_of
 from server.state.register import CONTINUE_S, Continuation, StatusOutcome
 from server.state.serverstate import STATE, ServerState
 

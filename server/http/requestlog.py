@@ -8,7 +8,7 @@ from typing import Final
 from aiohttp import web
 from aiohttp.abc import AbstractAccessLogger
 
-from server.operate.clientaddress import Network, client_address, is_proxy
+from server.operate.admission import Network, client_address, is_proxy
 from server.operate.log import EventLog, LogRequests, Value
 from server.operate.prometheus import Metrics
 from server.operate.sign.signing import Grant, without_signatures

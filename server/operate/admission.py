@@ -1,21 +1,96 @@
-"""Admission control: limits on connections, or plays, for each address and in total.
+"""Whom a connection speaks for, its peer or the client of a proxy that is trusted; and limits on
+connections, or plays, for each of them and in total.
 
-Rule: no clock and no sockets. There is one entry for each address that holds something, and none
-for one that does not.
+Rule: no clock and no sockets. Only what a trusted proxy wrote counts. Everything left of the first
+stranger in X-Forwarded-For may have been made up by that stranger.
 """
 
 from __future__ import annotations
 
+import os
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
-from ipaddress import IPv6Address, IPv6Network
+from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
+from pathlib import Path
 
-from codec.errors import InvalidError
+from codec.errors import InvalidError, SwingsError
 
-from .clientaddress import Network, is_trusted, parse_address
+Address = IPv4Address | IPv6Address
+Network = IPv4Network | IPv6Network
+
+MAX_HOPS = 16
+"""Entries of X-Forwarded-For that are looked at, from the right."""
+
+
+def parse_proxies(text: str) -> tuple[Network, ...]:
+    """The networks in `text`, CIDRs between commas. Raises InvalidError for what is not one."""
+    networks = []
+    for word in filter(None, (word.strip() for word in text.split(","))):
+        try:
+            networks.append(ip_network(word))
+        except ValueError as error:
+            raise InvalidError(
+                f"trusted proxy {word[:60]!a} is not an address or a network such as 10.0.0.0/8"
+            ) from error
+    return tuple(networks)
+
+
+@lru_cache(maxsize=4096)
+def parse_address(text: str) -> Address | None:
+    """The address in `text`, which may have a port, brackets or a zone; None where it has none.
+
+    An IPv4 address that is written as an IPv6 one counts as IPv4.
+    """
+    text = text.strip()
+    if text.startswith("["):
+        text = text[1:].partition("]")[0]
+    elif text.count(":") == 1:  # an IPv6 address has more of them
+        text = text.partition(":")[0]
+    try:
+        address = ip_address(text.partition("%")[0])
+    except ValueError:
+        return None
+    mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else None
+    return mapped or address
+
+
+def is_trusted(address: Address, proxies: Sequence[Network]) -> bool:
+    return any(address in network for network in proxies)
+
+
+@lru_cache(maxsize=4096)
+def is_proxy(peer: str, proxies: tuple[Network, ...]) -> bool:
+    """Whether `peer`, the address of a connection, is one of the trusted proxies."""
+    address = parse_address(peer)
+    return address is not None and is_trusted(address, proxies)
+
+
+def client_address(peer: str, forwarded_for: Sequence[str], proxies: Sequence[Network]) -> str:
+    """The address of the client of a request.
+
+    peer: address of the connection; what cannot be read as one, as of a Unix socket, is given back.
+    forwarded_for: the values of all X-Forwarded-For lines, in order. The right-most entry that
+    is not itself a trusted proxy is the client; where all are, it is the left-most.
+    """
+    address = parse_address(peer)
+    if address is None:
+        return peer
+    if not proxies or not is_trusted(address, proxies):
+        return str(address)
+    entries = [entry for line in forwarded_for for entry in line.split(",")]
+    for entry in reversed(entries[-MAX_HOPS:]):
+        before = parse_address(entry)
+        if before is None:
+            break  # the proxy wrote "unknown", or let a stranger's nonsense through
+        address = before
+        if not is_trusted(address, proxies):
+            break
+    return str(address)
+
 
 CLIENT_BITS = 64
 """Leading bits of an IPv6 address that a provider assigns to a customer; the customer chooses the
@@ -102,3 +177,48 @@ def client_of(address: str, exempt: tuple[Network, ...]) -> str:
     if isinstance(parsed, IPv6Address):
         return str(IPv6Network((parsed, CLIENT_BITS), strict=False))
     return str(parsed)
+
+
+if sys.platform != "win32":
+    import resource
+
+RESERVE = 64
+"""Descriptors kept for what is not a connection: files of objects, the log, the event loop."""
+
+WINDOWS_SOCKETS = 512
+"""The most sockets that `select`, and so an event loop, watches on Windows."""
+
+RAISE_TO = 65_536
+"""The soft limit is raised to the hard one, but not above this: an unlimited table costs memory."""
+
+
+def connection_limit(wanted: int) -> int:
+    """The most connections, `wanted` or fewer, that this process has descriptors for.
+
+    Raises the process's own soft limit as far as the hard one allows. Raises SwingsError where
+    there is not room for one.
+    """
+    if sys.platform == "win32":
+        return min(wanted, WINDOWS_SOCKETS - RESERVE)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    ceiling = RAISE_TO if hard == resource.RLIM_INFINITY else min(hard, RAISE_TO)
+    if soft != resource.RLIM_INFINITY and soft < ceiling:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (ceiling, hard))
+        soft = ceiling
+    if soft == resource.RLIM_INFINITY:
+        return wanted
+    taken = open_descriptors() + RESERVE
+    if soft <= taken:
+        raise SwingsError(
+            f"the limit of open files is {soft}, which leaves none for connections; "
+            f"raise it (ulimit -n) to {taken + wanted}"
+        )
+    return min(wanted, soft - taken)
+
+
+def open_descriptors() -> int:
+    """How many this process has open."""
+    for folder in ("/proc/self/fd", "/dev/fd"):
+        if Path(folder).is_dir():
+            return len(os.listdir(folder)) - 1  # listing it takes one
+    return 3

@@ -8,11 +8,10 @@ from pathlib import Path
 from codec.console import Constant
 from codec.errors import InvalidError
 from server.abr.session import SessionConfig
-from server.operate.admission import AdmissionConfig
-from server.operate.clientaddress import parse_proxies
+from server.operate.admission import AdmissionConfig, parse_proxies
 from server.operate.log import LogRequests, LogStyle
 from server.operate.overload import OverloadConfig
-from server.operate.workers.supervisorconfig import SupervisorConfig
+from server.operate.workers import SupervisorConfig
 from server.study.choice import OWN, check_policy
 
 

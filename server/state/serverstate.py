@@ -12,20 +12,16 @@ from aiohttp import web
 
 from server.html.webplayer import WebPlayer
 from server.library import Library
-from server.operate.admission import Admission
-from server.operate.clientaddress import parse_proxies
-from server.operate.descriptors import connection_limit
+from server.operate.admission import Admission, connection_limit, parse_proxies
 from server.operate.overload import Overload
 from server.operate.prometheus import Metrics
 from server.operate.sign.keyfile import read_keys
 from server.operate.sign.signing import Signer
-from server.operate.workers.otherworkers import OtherWorkers
+from server.operate.workers import OtherWorkers
+from server.state.caches import ObjectCache, RecordCache, SoundCache
 
 from .config import ServerConfig
-from .objectcache import ObjectCache
-from .recordcache import RecordCache
 from .register import PlayRegister
-from .soundcache import SoundCache
 
 RECORDS_PART = 8
 """The records of plays may use 1 / RECORDS_PART of the memory for objects, in addition to it."""

@@ -22,7 +22,7 @@ from codec.stream.pictures import MAX_PICTURE_BYTES
 from codec.stream.sound import SAMPLE_RATE, SoundSource
 from codec.tools.streamsound import add_sound
 from server.library.servedstream import ServedStream
-from server.state.soundcache import SoundCache
+from server.state.caches import SoundCache
 from tests.support.server.running_server import fetch, make_stream, raw_get, running, served
 
 pytestmark = pytest.mark.anyio

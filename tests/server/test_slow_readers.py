@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from server.operate.workers.supervisorconfig import SupervisorConfig
+from server.operate.workers import SupervisorConfig
 from server.state.config import ServerConfig
 from tests.support.server.plain_site import in_memory
 from tests.support.server.running_server import (

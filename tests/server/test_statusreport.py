@@ -11,7 +11,7 @@ import pytest
 from server.abr.clientstatus import PLAY_HEADER, RECEIVED_HEADER, ClientStatus
 from server.abr.session import PlaySession
 from server.operate.overload import Overload, OverloadConfig
-from server.operate.workers.playtoken import make_token
+from server.operate.workers import make_token
 from tests.support.server.running_server import eventually, make_stream, served
 
 pytestmark = pytest.mark.anyio

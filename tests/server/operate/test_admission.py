@@ -9,8 +9,7 @@ from collections import Counter
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from server.operate.admission import Admission, Refusal
-from server.operate.clientaddress import parse_proxies
+from server.operate.admission import Admission, Refusal, parse_proxies
 from tests.support.commands import ROOT
 from tests.support.hostile import refused
 
@@ -68,7 +67,7 @@ def limited(soft: int, hard: int, wanted: int) -> subprocess.CompletedProcess[st
         "import resource\n"
         f"resource.setrlimit(resource.RLIMIT_NOFILE, ({soft}, {hard}))\n"
         "from codec.errors import SwingsError\n"
-        "from server.operate.descriptors import RESERVE, connection_limit\n"
+        "from server.operate.admission import RESERVE, connection_limit\n"
         "try:\n"
         f"    print(connection_limit({wanted}), resource.getrlimit(resource.RLIMIT_NOFILE)[0])\n"
         "except SwingsError as error:\n"

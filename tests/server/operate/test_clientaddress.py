@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from server.operate.clientaddress import client_address, parse_address, parse_proxies
+from server.operate.admission import client_address, parse_address, parse_proxies
 
 PROXIES = parse_proxies("10.0.0.0/8, ::1,2001:db8:5::/48")
 

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server.operate.loadmeter import measure_load
-from server.operate.overload import MAX_LOAD, LoadSample, Overload, OverloadConfig
+from server.operate.overload import MAX_LOAD, LoadSample, Overload, OverloadConfig, measure_load
 from tests.support.server.virtualtime import hold_up, in_virtual_time, passes
 
 CONFIG = OverloadConfig()
@@ -140,7 +139,7 @@ def test_whatever_happened_calm_brings_all_back(samples: list[tuple[float, float
 async def test_the_meter_sees_a_loop_that_is_held_up(monkeypatch: pytest.MonkeyPatch) -> None:
     samples: list[LoadSample] = []
     cpu_s = sent = 0.0
-    monkeypatch.setattr("server.operate.loadmeter.time.process_time", lambda: cpu_s)
+    monkeypatch.setattr("server.operate.overload.time.process_time", lambda: cpu_s)
     meter = asyncio.create_task(measure_load(samples.append, lambda: int(sent), 0.05))
     await passes(0.12)
     cpu_s, sent = 0.4, 125_000

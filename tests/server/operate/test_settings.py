@@ -20,7 +20,7 @@ from server.operate.admission import AdmissionConfig
 from server.operate.log import LogStyle
 from server.operate.overload import OverloadConfig
 from server.operate.settings import settings_of, settings_parser, settings_text
-from server.operate.workers.supervisorconfig import SupervisorConfig
+from server.operate.workers import SupervisorConfig
 from server.state.config import ServerConfig, TimeoutConfig
 from tests.support.hostile import refused
 

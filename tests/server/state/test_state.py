@@ -9,7 +9,7 @@ from pathlib import Path
 from server.abr.clientstatus import ClientStatus
 from server.library import Library
 from server.operate.prometheus import Metrics
-from server.state.objectcache import ObjectCache
+from server.state.caches import ObjectCache
 from server.state.register import PlayRegister, StatusOutcome
 from tests.support.server.running_server import make_stream
 

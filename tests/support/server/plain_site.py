@@ -17,7 +17,7 @@ from server import app
 from server.http.connection import Connection
 from server.library import Library
 from server.operate.log import LogRequests
-from server.runningserver import create_runner
+from server.serving import create_runner
 from server.state.config import ServerConfig
 from server.state.serverstate import ServerState
 from tests.support.server.running_server import Lines, Running, quick_config, running

@@ -22,8 +22,8 @@ from server.library import Library
 from server.listener import bind
 from server.operate.log import EventLog, LogRequests, LogStyle
 from server.operate.overload import OverloadConfig
-from server.operate.workers.supervisorconfig import SupervisorConfig
-from server.runningserver import RunningServer
+from server.operate.workers import SupervisorConfig
+from server.serving import RunningServer
 from server.state.config import ServerConfig, TimeoutConfig
 from server.state.serverstate import ServerState
 from tests.support import hosted_streams

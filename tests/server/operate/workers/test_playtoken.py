@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 
 from server.abr.clientstatus import TOKEN
 from server.listener import BACKLOG
-from server.operate.workers.otherworkers import MAX_WAITING, OtherWorkers
-from server.operate.workers.playtoken import (
+from server.operate.workers import (
     MAX_TOKEN_AGE_S,
+    MAX_WAITING,
+    OtherWorkers,
     is_issued,
     make_token,
     worker_of,
