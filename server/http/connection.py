@@ -26,6 +26,9 @@ MAX_FIELD_BYTES: Final = MAX_TARGET_BYTES - 1
 alone."""
 MAX_FIELDS: Final = 100
 
+QUEUE_BYTES: Final = 8 * 1024
+"""Bytes that may wait in the process before no more are written."""
+
 PIECES_BYTES: Final = 16 * 1024 * 1024
 """Bytes of bodies that may wait in the process, about, shared by all connections."""
 
@@ -88,6 +91,8 @@ class Connection(web.RequestHandler):
             return
         self._address = address
         self._socket: Any = transport.get_extra_info("socket")
+        # A piece that the kernel does not take is enough to wait for.
+        transport.set_write_buffer_limits(high=QUEUE_BYTES)
         super().connection_made(transport)
 
     def data_received(self, data: bytes) -> None:

@@ -73,7 +73,7 @@ def test_a_proxy_and_the_server_read_the_same_requests(name: str, tmp_path: Path
         for number, case in enumerate(smuggling())
     ]
     with (
-        server_process(root, tmp_path, "--log", "json") as server,
+        server_process(root, tmp_path, "--log", "json", "--log-requests", "all") as server,
         start(server.port, folder) as proxy,
         ThreadPoolExecutor(16) as pool,
     ):
