@@ -67,6 +67,9 @@ class ServeCommand:
 def command_of(environment: Mapping[str, str] = os.environ) -> ServeCommand:
     """What the variables of `environment` say. Raises InvalidError, or ends the process where they
     cannot be used."""
-    command: ServeCommand = settings_parser(PREFIX, environment)(ServeCommand, args=())
+    parse = settings_parser(PREFIX, environment)
+    command: ServeCommand = parse(
+        ServeCommand, args=(), prog="swings-serve", config=(tyro.conf.EnumChoicesFromValues,)
+    )
     command.check()
     return command
