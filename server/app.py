@@ -128,6 +128,8 @@ async def errors(request: web.Request, handler: Handler) -> web.StreamResponse:
         await asyncio.sleep(0)  # for the connection, which is told why it is lost
         return gone(request)
     except web.HTTPException as raised:
+        if raised.status < 400:  # a redirection
+            raise
         error = refusal_of(raised)
         request[NOTE] = str(error)
         if "text/html" in request.headers.get("Accept", ""):  # programs ask for no HTML

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -105,7 +106,10 @@ def test_every_route_is_described_and_every_description_is_of_a_route(root: Path
 
 
 def test_it_is_a_valid_openapi_document() -> None:
-    schemathesis.openapi.from_path(DOCUMENT).validate()
+    document = schemathesis.openapi.from_path(DOCUMENT)
+    document.validate()
+    for kind, name in re.findall(r"#/components/(\w+)/(\w+)", DOCUMENT.read_text()):
+        assert name in document.raw_schema["components"][kind], name
 
 
 @pytest.mark.parametrize("examples", EXAMPLES)
