@@ -211,7 +211,8 @@ async def test_a_page_describes_itself_to_those_that_link_to_it(site: Site) -> N
     assert f'src="{server.url}/watch/walk"' in found["html"]
     assert 'title="A &lt;walk&gt; &amp; back" width="320"' in found["html"]
     (shown,) = re.findall('<pre id="code">(.*?)</pre>', page, re.DOTALL)
-    assert found["html"].replace("320", "720").replace("240", "540") == unescape(shown)
+    small, large = 'width="320" height="240"', 'width="720" height="540"'
+    assert found["html"].replace(small, large) == unescape(shown)
     found = (await fetch(client, f"{link}?maxheight=120")).json()
     assert (found["width"], found["height"]) == (160, 120)
     for query, status in (("format=xml", 501), ("maxwidth=-1", 400), ("maxheight=1e9", 400)):

@@ -242,7 +242,7 @@ CASES: dict[str, Case] = {
     ),
     "spz claims": (lambda: spz_4()[:8] + b"\0\0\0\1" + spz_4()[12:], decode_any, 0, "claims to"),
     # The limit is effective.
-    "control": (bytes, lambda _: bytearray(SLACK_BYTES + (1 << 20)), 0, "MemoryError"),
+    "control": (bytes, lambda _: bytearray(2 * SLACK_BYTES), 0, "MemoryError"),
 }
 
 
