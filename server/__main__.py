@@ -24,10 +24,8 @@ def run(command: ServeCommand) -> None:
     more = f"\nwatch it in a browser: {url}/watch/{SAMPLE.stem}" if command.sample else ""
     if config.keys is not None:
         more = f"\nopens with links of: swings-sign {config.keys} STREAM --url {url}"
-    if config.supervisor.workers > 1:
-        print(f"serving {url}{more}", flush=True)  # the socket listens already
-        serve_with_workers(command, listener)
-    serve_alone(command, listener, lambda: print(f"serving {url}{more}", flush=True))
+    serve = serve_with_workers if config.supervisor.workers > 1 else serve_alone
+    serve(command, listener, lambda: print(f"serving {url}{more}", flush=True))
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from ipaddress import ip_address
 
-from .errors import ServerError
+from .http.errors import ServerError
 
 UNSENT_BYTES = 256 * 1024
 """Bytes that the kernel takes of one connection before they can be sent."""

@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import NoReturn
 
 from codec.errors import SwingsError
+from codec.stream.packedstorage import open_place
 from server.app import common_headers, create_app
-from server.errors import ServerError
 from server.http.connection import Clients, Connection
+from server.http.errors import ServerError
 from server.http.requestlog import request_log
 from server.http.runner import Runner, connections
 from server.library import Library
@@ -177,8 +178,13 @@ def serve_alone(command: ServeCommand, listener: socket.socket, ready: Callable[
         runner.run(serve())
 
 
-def serve_with_workers(command: ServeCommand, listener: socket.socket) -> NoReturn:
-    """Becomes gunicorn, whose workers serve on `listener`; see gunicornconf."""
+def serve_with_workers(
+    command: ServeCommand, listener: socket.socket, ready: Callable[[], None]
+) -> NoReturn:
+    """Becomes gunicorn, whose workers serve on `listener`; see gunicornconf. ready: called before,
+    as the socket listens already. Raises a CodecError for a place that is not there."""
+    open_place(command.place).check()
+    ready()
     os.set_inheritable(listener.fileno(), True)
     words = (
         # -P: else a folder of the user's that is called server would be taken for this package.

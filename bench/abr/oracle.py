@@ -1,4 +1,4 @@
-"""What a case has to give: a bound that no policy exceeds, and layer 0 alone."""
+"""The two ends that a case is judged between: a bound that no policy exceeds, and layer 0 alone."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""What befalls the workers of a server, one trial after the other: nothing may be lost but what a
-process held that died.
+"""Kills, stops and starves the workers of a server, one trial after the other: only what a process
+held that died may be lost.
 
 Usage: scripts/bench workertrials [--only NAME ...]
 
@@ -222,7 +222,7 @@ def damage(path: Path, what: str) -> None:
 
 
 def broken_keys(root: Path) -> str:
-    """What --check-config says of keys that cannot be used."""
+    """Checks that --check-config names keys that cannot be used."""
     with tempfile.TemporaryDirectory() as made:
         for what in BROKEN_KEYS:
             path = Path(made) / what
@@ -257,7 +257,8 @@ ALONE = {"broken keys": broken_keys, "arbiter killed": arbiter_killed}
 
 
 def tried(name: str, root: Path) -> tuple[str, list[float], list[str]]:
-    """What was done, the times of the requests beside it, seconds, and those that failed."""
+    """Runs a trial; gives its description, the times of the requests beside it, seconds, and the
+    troubles of those that failed."""
     if name in ALONE:
         return ALONE[name](root), [], []
     times_s: list[float] = []

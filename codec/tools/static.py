@@ -134,7 +134,7 @@ PAGE_NAME, PLAYER_FOLDER = "index.html", "player"
 INLINE = ("page.js", "watch.html")
 """Files of the bundle that become part of the page."""
 TITLE, PLACE = "<title>swings</title>", '="./'
-"""What the page of the bundle says, to be replaced."""
+"""Text of the bundle's page that an export replaces."""
 
 
 def write_page(folder: Path, manifest: Manifest) -> None:

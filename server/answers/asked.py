@@ -1,4 +1,4 @@
-"""What handlers find in a request: the stream that its URL names, its client, and room for it."""
+"""Helpers of all handlers: the stream that a URL names, the client, and room for a play."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors of requests, as answers to their clients."""
+"""Errors by who must act: the client of a request, or the operator of the server."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import json
 from collections.abc import Mapping
 
 from aiohttp import web
+
+from codec.errors import SwingsError
 
 
 class RequestError(web.HTTPException):
@@ -22,3 +24,7 @@ class RequestError(web.HTTPException):
 
     def __str__(self) -> str:
         return self.message
+
+
+class ServerError(SwingsError):
+    """The server cannot start, or go on, with what it was given."""

@@ -38,6 +38,8 @@ MAX_CHARS: Final = 512
 MAX_TRACEBACK_CHARS: Final = 3000
 """Characters kept of a text."""
 
+LEVELS: Final = logging.getLevelNamesMapping()
+
 CLOSE_S = 1.0
 """Maximum seconds to write what is queued at the end."""
 
@@ -108,9 +110,8 @@ class EventLog(QueueHandler):
 
     def event(self, event: str, level: str = "info", /, **fields: Value) -> None:
         """Logs one event. event, keys: our own words; values may come from strangers."""
-        names = logging.getLevelNamesMapping()
         told = {"event": event, "fields": fields, "levelname": level.upper()}
-        self.handle(logging.makeLogRecord({**told, "levelno": names[level.upper()]}))
+        self.handle(logging.makeLogRecord({**told, "levelno": LEVELS[level.upper()]}))
 
     def prepare(self, record: logging.LogRecord) -> logging.LogRecord:
         """The record as its line, written by the caller: what it names may change."""

@@ -84,6 +84,7 @@ def test_mistakes_are_one_clear_line(tmp_path: Path) -> None:
         port = str(taken.getsockname()[1])
         cases = [
             ([str(tmp_path / "absent")], "is not a folder"),
+            ([str(tmp_path / "absent"), "--workers", "2"], "is not a folder"),
             ([str(good / "manifest.json")], "is not a folder"),
             (["s3://"], "s3://"),
             (["ftp://host/streams"], "choose a folder on this machine, or a URL of s3://"),

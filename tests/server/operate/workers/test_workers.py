@@ -21,7 +21,7 @@ import pytest
 
 from codec.stream.playrecord import EndRecord, ErrorRecord, Record
 from server.abr.clientstatus import PLAY_HEADER, RATE_HEADER
-from server.errors import ServerError
+from server.http.errors import ServerError
 from server.operate.sign.keyfile import add_key, read_keys
 from server.operate.sign.signing import Signer
 from server.operate.workerfolder import SHARED_MEMORY, WorkerFolder
