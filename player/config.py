@@ -31,7 +31,7 @@ from player.source.locate import split_source
 from player.source.opener import SourceConfig
 from player.view.moment import MOMENT, Moment
 from player.view.path import CameraPath, Size, camera_path, check_path
-from server.abr.link.link import Link
+from server.abr.link import Link
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,10 +49,7 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("codec/tools",),
     ),
     "server": (
-        ("server/abr/link",),
         ("server/abr",),
-        ("server/study/simulate",),
-        ("server/study/policies",),
         ("server/study", "server/operate/sign"),
         (
             "server/html",

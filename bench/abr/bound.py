@@ -17,10 +17,10 @@ from itertools import pairwise
 from bench.abr.feasible import earliest_s, open_play
 from bench.abr.offers import GROUP_S
 from bench.abr.relaxation import Relaxation
-from server.abr.link.link import Link
+from server.abr.link import Link
 from server.abr.media import Media
 from server.abr.session import SessionConfig
-from server.study.simulate.qoe import Qoe, QoeConfig, score
+from server.study.qoe import Qoe, QoeConfig, score
 
 TOLERANCE_DB = 0.005
 """The bound may be so far above what the programmes themselves allow."""

@@ -6,9 +6,8 @@ more of a buffer, which is longer than ours may become: here it is half of the g
 
 from __future__ import annotations
 
-from server.study.policies.bola import BolaRule
-from server.study.policies.rule import Rule, Situation
-from server.study.policies.throughput import ThroughputRule
+from server.study.policies import BolaRule, ThroughputRule
+from server.study.rule import Rule, Situation
 
 TO_BOLA = 0.5
 """Share of the greatest lead from which BOLA decides, if it does not choose fewer layers."""

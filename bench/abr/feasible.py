@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from bench.abr.passage import Passage
 from codec.errors import InvalidError
-from server.abr.link.link import Link
+from server.abr.link import Link
 from server.abr.media import Media
 from server.abr.session import SessionConfig
 

@@ -24,7 +24,7 @@ from itertools import pairwise
 from bench.abr.feasible import Play
 from codec.errors import InvalidError
 from server.abr.media import SegmentSizes, segment_start
-from server.study.simulate.qoe import QoeConfig
+from server.study.qoe import QoeConfig
 
 GROUP_S = 0.5
 """Seconds of a group where nothing else is asked for."""

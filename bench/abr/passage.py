@@ -10,7 +10,7 @@ import math
 from bisect import bisect_left, bisect_right
 from itertools import accumulate
 
-from server.abr.link.link import Link
+from server.abr.link import Link
 
 
 class Passage:

@@ -22,7 +22,7 @@ from scipy.sparse import csr_array
 
 from bench.abr.feasible import Play, due_bytes, earliest_s, latest_s, waiting_s
 from bench.abr.offers import Offers, group_frames, make_offers
-from server.study.simulate.qoe import QoeConfig
+from server.study.qoe import QoeConfig
 
 Floats = NDArray[np.float64]
 Row = dict[int, float]

@@ -35,7 +35,7 @@ from bench.serve.processes import serving
 from codec.console import run_command
 from codec.errors import SwingsError
 from codec.stream import StreamReader
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 from server.study.choice import OWN
 from server.study.looped import LoopedMedia, open_media
 from server.study.plays import Case, Rules, at_load, run_play

@@ -34,8 +34,8 @@ from server.abr.media import SegmentSizes, segment_sizes
 from server.study.choice import OWN
 from server.study.looped import LoopedMedia
 from server.study.plays import LOADS, Case, Rules, at_load, run_play
-from server.study.simulate.qoe import Qoe, score
-from server.study.simulate.simulator import Arrival, Simulated, play_out
+from server.study.qoe import Qoe, score
+from server.study.simulator import Arrival, Simulated, play_out
 from server.study.tracefolder import Half, read_traces
 
 FPS = 30.0

@@ -36,7 +36,7 @@ from player.render.renderer import Renderer, RendererKind
 from player.source.opener import Opener
 from player.source.source import Source
 from player.view.path import Size, camera_path
-from server.abr.link.link import Link
+from server.abr.link import Link
 from tests.support.hosted_streams import static_host
 from tests.support.slots.slot_streams import slot_manifest
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates

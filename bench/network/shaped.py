@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 
 LEAST_BPS = 8e3
 """Minimum rate of the link, because tbf needs one; negligible here."""

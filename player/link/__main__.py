@@ -10,7 +10,7 @@ import sys
 import threading
 from typing import Any
 
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 
 from .relay import SEND_BUFFER_BYTES, Relay
 

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from codec.errors import SwingsError
-from server.abr.link.link import Link
+from server.abr.link import Link
 
 log = logging.getLogger(__name__)
 

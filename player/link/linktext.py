@@ -1,16 +1,17 @@
 """A link as the user writes it: a rate, `8M` (bits per second; k, M, G), a rate and a latency,
-`8M,20ms`, or the name of a trace, a file that server/abr/link/traces.py can read."""
+`8M,20ms`, or the name of a trace, a file that server/abr/traces.py can read."""
 
 from __future__ import annotations
 
 import re
 
 from codec.errors import InvalidError
-from server.abr.link.link import Link, LinkStep
-from server.abr.link.ratetext import RATE_PATTERN, rate_bps
-from server.abr.link.traces import MAX_TRACE_BYTES, parse_trace
+from server.abr.link import Link, LinkStep
+from server.abr.traces import MAX_TRACE_BYTES, parse_trace
 
-_LINK = re.compile(RATE_PATTERN + r"(?:,(\d+(?:\.\d+)?)ms)?")
+_LINK = re.compile(r"(\d+(?:\.\d+)?)([kMG]?)(?:,(\d+(?:\.\d+)?)ms)?")
+
+_PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "G": 1e9}
 
 _ROUND_S = 3600.0
 """Step length of a link that never changes, seconds; any would do."""
@@ -20,8 +21,8 @@ def read_link(text: str) -> Link:
     """The link that `text` describes, see above. Raises InvalidError."""
     match = _LINK.fullmatch(text)
     if match:
-        rate, latency_s = rate_bps(match[1], match[2]), float(match[3] or 0) / 1000
-        return Link([LinkStep(_ROUND_S, rate, latency_s)])
+        rate_bps, latency_s = float(match[1]) * _PREFIXES[match[2]], float(match[3] or 0) / 1000
+        return Link([LinkStep(_ROUND_S, rate_bps, latency_s)])
     try:
         with open(text, "rb") as file:
             data = file.read(MAX_TRACE_BYTES + 1)

@@ -23,7 +23,7 @@ import socket
 import struct
 import sys
 
-from server.abr.link.link import Link
+from server.abr.link import Link
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from typing import Generic, TypeVar
 
 from player.playout.timeline import FrameRecord
 from player.source.source import Packets, SlicePackets
-from server.abr.link.link import Link
+from server.abr.link import Link
 
 MAX_ROWS = 1 << 17
 """More than an hour of frames at 30 a second; about 30 MB of each kind."""

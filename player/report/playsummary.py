@@ -10,7 +10,7 @@ from typing import Any
 
 from codec.files import write_atomic
 from player.playout.timeline import PlayoutTotals
-from server.abr.link.link import Link
+from server.abr.link import Link
 
 from .journal import Journal
 from .soundcounts import SoundCounts

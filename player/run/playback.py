@@ -42,7 +42,7 @@ from player.source.preview import Preview
 from player.source.source import Source
 from player.view.path import CameraPath, Size
 from player.view.pathrecorder import PathRecorder
-from server.abr.link.link import Link
+from server.abr.link import Link
 from server.abr.playout import PlayoutConfig
 
 if TYPE_CHECKING:

@@ -17,10 +17,8 @@ from codec.files import describe_os_error
 from server.abr.decisioncontext import Policy
 from server.abr.sweep import Sweep
 
-from .policies.bola import BolaRule
-from .policies.robustmpc import RobustMpcRule
-from .policies.rule import InOrder, Rule
-from .policies.throughput import TailDropRule, ThroughputRule
+from .policies import BolaRule, RobustMpcRule, TailDropRule, ThroughputRule
+from .rule import InOrder, Rule
 
 OWN = "sweep"
 """The server's own."""

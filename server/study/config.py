@@ -13,11 +13,11 @@ from codec.console import option
 from codec.errors import InvalidError
 from codec.helptext import Groups
 from server.abr.session import SessionConfig
-from server.study.simulate.generate import GeneratorConfig
-from server.study.simulate.qoe import QoeConfig
 
 from .choice import POLICIES, check_policy, short_name
+from .generate import GeneratorConfig
 from .plays import LOADS, Rules
+from .qoe import QoeConfig
 from .tracefolder import Half
 
 MAX_LENGTH_S = 3600.0

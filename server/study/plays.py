@@ -15,15 +15,15 @@ from dataclasses import dataclass, field
 from statistics import fmean
 
 from codec.errors import InvalidError, SwingsError
-from server.abr.link.link import Link
-from server.abr.link.traces import scaled
+from server.abr.link import Link
 from server.abr.playout import PlayoutClock
 from server.abr.session import SessionConfig
-from server.study.simulate.qoe import QoeConfig, score
-from server.study.simulate.simulator import Shown, Simulated, play_out, simulate
+from server.abr.traces import scaled
 
 from .choice import make_policy, short_name
 from .looped import LoopedMedia
+from .qoe import QoeConfig, score
+from .simulator import Shown, Simulated, play_out, simulate
 from .tracefolder import Trace
 
 LOAD_WINDOW = 1.5

@@ -13,9 +13,10 @@ from typing import Literal
 
 from codec.errors import InvalidError
 from codec.files import read_bounded
-from server.abr.link.link import Link
-from server.abr.link.traces import MAX_TRACE_BYTES, parse_trace
-from server.study.simulate.generate import GeneratorConfig, generate
+from server.abr.link import Link
+from server.abr.traces import MAX_TRACE_BYTES, parse_trace
+
+from .generate import GeneratorConfig, generate
 
 GENERATED = "generated"
 """The folder, so to speak, of made-up traces."""

@@ -16,13 +16,13 @@ from bench.abr.feasible import earliest_s, latest_s, open_play, waiting_s
 from codec.errors import InvalidError
 from server.abr.decisioncontext import Policy
 from server.abr.fixedlayers import FixedLayers
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 from server.abr.media import SegmentSizes
 from server.abr.playout import PlayoutConfig
 from server.abr.session import SessionConfig
 from server.study.choice import POLICIES, make_policy
-from server.study.simulate.qoe import Qoe, QoeConfig, score
-from server.study.simulate.simulator import play_out, simulate
+from server.study.qoe import Qoe, QoeConfig, score
+from server.study.simulator import play_out, simulate
 from tests.support.delivery.media import MadeMedia
 
 

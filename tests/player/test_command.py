@@ -23,7 +23,7 @@ from player.run.playback import play
 from player.run.stills import draw_frames
 from player.view.moment import Moment
 from player.view.path import Size
-from server.abr.link.link import LinkStep
+from server.abr.link import LinkStep
 from tests.support.commands import run
 from tests.support.hosted_streams import ServerProcess
 

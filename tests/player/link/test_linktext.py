@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from codec.errors import InvalidError
 from player.link.linktext import read_link
-from server.abr.link.link import LinkStep
-from server.abr.link.traces import MAX_TRACE_BYTES
+from server.abr.link import LinkStep
+from server.abr.traces import MAX_TRACE_BYTES
 
 
 def test_rates() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from player.report.journal import STEPS_PER_S, WINDOW_STEPS, Journal, Rows
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 
 
 @given(st.lists(st.integers()), st.integers(0, 5))

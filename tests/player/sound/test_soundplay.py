@@ -32,7 +32,7 @@ from player.sound.soundplayer import SoundPlayer
 from player.source.opener import Opener
 from player.source.soundfiles import FolderSound
 from player.source.source import Source
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 from tests.player.playout.conducted import Played, World, playing
 from tests.support.hosted_streams import served, write_stream
 from tests.support.sounding import add_clicks, write_wav

@@ -20,7 +20,7 @@ from player.playout.queues import Events
 from player.playout.threads import Threads
 from player.playout.timeline import FrameRecord, Playout
 from player.source.opener import Opener
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 from server.abr.playout import PlayoutConfig
 from tests.player.source.test_hosted_play import LAWS, need_bps
 from tests.support.delivery.assembled import assembled, checked

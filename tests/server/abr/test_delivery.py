@@ -14,12 +14,12 @@ from server.abr.clientstatus import ClientStatus
 from server.abr.decisioncontext import SendSlices, SendSnapshots
 from server.abr.fixedlayers import FixedLayers
 from server.abr.holding import Holding
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 from server.abr.media import SegmentSizes
 from server.abr.playout import PlayoutClock
 from server.abr.session import PlaySession, SessionConfig
 from server.abr.sweep import Sweep
-from server.study.simulate.simulator import Shown, play_out, send_bytes, simulate
+from server.study.simulator import Shown, play_out, send_bytes, simulate
 from tests.support.delivery.media import MadeMedia, basketball_media, sizes_of
 
 LATENCY_S = 0.02

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
 from server.abr.fixedlayers import FixedLayers
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 from server.abr.session import PlaySession, SessionConfig
-from server.study.simulate.simulator import simulate
+from server.study.simulator import simulate
 from tests.support.delivery.media import MadeMedia, sizes_of
 
 MEDIA = MadeMedia((sizes_of((8e3, 2e3, 3e3), (25.0, 1.0, 1.0)),), num_frames=100, segment_frames=30)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from server.abr.decisioncontext import DecisionContext, Send, SendSlices, SendSnapshots
 from server.abr.holding import Holding
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 from server.abr.media import SegmentSizes, rising
-from server.study.simulate.simulator import simulate
+from server.study.simulator import simulate
 from tests.support.delivery.media import MadeMedia, basketball_media
 
 BIRTHS = range(1, 12)

@@ -9,7 +9,7 @@ import pytest
 from codec.errors import InvalidError
 from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
 from server.abr.fixedlayers import FixedLayers
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 from server.abr.playout import PlayoutConfig
 from server.abr.session import (
     Decision,
@@ -21,7 +21,7 @@ from server.abr.session import (
     WaitUntil,
 )
 from server.abr.sweep import Sweep
-from server.study.simulate.simulator import play_out, simulate
+from server.study.simulator import play_out, simulate
 from tests.support.delivery.media import MadeMedia, basketball_media, sizes_of
 
 CONFIG = SessionConfig()

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from codec.errors import InvalidError
 from codec.stream import StreamReader, StreamWriter
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 from server.abr.media import segment_sizes
+from server.study.generate import GeneratorConfig, generate
 from server.study.looped import LoopedMedia, open_media
 from server.study.plays import LOAD_WINDOW, Rules, at_load, run_play
-from server.study.simulate.generate import GeneratorConfig, generate
 from server.study.tracefolder import Trace, chosen_names, generated_traces, read_traces
 from tests.support.delivery.media import basketball_media
 from tests.support.hostile import refused
@@ -123,7 +123,7 @@ def test_a_play_that_does_not_end_is_told(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_policy_that_fails_is_told(tmp_path: Path) -> None:
     file = tmp_path / "failing.py"
     file.write_text(
-        "from server.study.policies.rule import Rule\n"
+        "from server.study.rule import Rule\n"
         "class Failing(Rule):\n"
         "    def choose_layers(self, situation): return 1 // 0\n"
     )

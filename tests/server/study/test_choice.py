@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from codec.errors import InvalidError
 from server.abr.decisioncontext import DecisionContext, Policy, Send, SendSlices, SendSnapshots
 from server.abr.fixedlayers import FixedLayers
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 from server.abr.media import SegmentSizes
 from server.abr.session import SessionConfig
 from server.study.choice import OWN, POLICIES, check_policy, make_policy
-from server.study.policies.rule import InOrder, Rule, Situation, group_end
-from server.study.simulate.simulator import play_out, simulate
+from server.study.rule import InOrder, Rule, Situation, group_end
+from server.study.simulator import play_out, simulate
 from tests.support.delivery.media import MadeMedia, sizes_of
 
 
@@ -141,7 +141,7 @@ def test_a_link_below_layer_0_gets_layer_0(name: str, media: MadeMedia) -> None:
 
 FILE = """
 from dataclasses import dataclass
-from server.study.policies.rule import Rule
+from server.study.rule import Rule
 
 @dataclass
 class Two(Rule):

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from server.abr.link.link import Link
-from server.study.simulate import generate as generator
-from server.study.simulate.generate import GeneratorConfig, chain_rates_bps, generate
+from server.abr.link import Link
+from server.study import generate as generator
+from server.study.generate import GeneratorConfig, chain_rates_bps, generate
 from tests.support.hostile import refused
 
 configs = st.builds(

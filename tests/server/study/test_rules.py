@@ -9,11 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from server.study.policies.bola import BolaRule, Lyapunov
-from server.study.policies.robustmpc import PAST, RobustMpcRule, best_plan
-from server.study.policies.rule import Group, Rule, Situation
-from server.study.policies.throughput import RISE_S, SAFETY, TailDropRule, ThroughputRule
-from server.study.simulate.qoe import QoeConfig
+from server.study.policies import (
+    PAST,
+    RISE_S,
+    SAFETY,
+    BolaRule,
+    Lyapunov,
+    RobustMpcRule,
+    TailDropRule,
+    ThroughputRule,
+    best_plan,
+)
+from server.study.qoe import QoeConfig
+from server.study.rule import Group, Rule, Situation
 
 MAX_LEAD_S = 6.0
 

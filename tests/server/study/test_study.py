@@ -9,7 +9,7 @@ from statistics import fmean
 
 import pytest
 
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 from server.study.choice import OWN, POLICIES
 from server.study.looped import LoopedMedia
 from server.study.plays import Case, Rules, score_play

@@ -17,7 +17,7 @@ import pytest
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.playrecord import SliceRecord, StartRecord, encode_record
 from player.link.linkprocess import LinkProcess
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 from tests.support.hosted_streams import (
     ServerProcess,
     answering,

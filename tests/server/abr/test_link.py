@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 
 links = st.lists(
     st.builds(

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from server.abr.link.link import Link, LinkStep
-from server.abr.link.traces import MAX_TRACE_BYTES, parse_trace, scaled
+from server.abr.link import Link, LinkStep
+from server.abr.traces import MAX_TRACE_BYTES, parse_trace, scaled
 from tests.support.hostile import flips, truncations
 
 gaps_ms = st.lists(st.one_of(st.just(0), st.integers(0, 30), st.integers(0, 5000)), min_size=1)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from server.abr.decisioncontext import Policy, Send, SendSlices, SendSnapshots
 from server.abr.holding import Holding
-from server.abr.link.link import Link
+from server.abr.link import Link
 from server.abr.media import Media
 from server.abr.playout import PlayoutClock
 from server.abr.session import (

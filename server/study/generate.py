@@ -8,7 +8,7 @@ from itertools import groupby
 import numpy as np
 
 from codec.errors import InvalidError
-from server.abr.link.link import Link, LinkStep
+from server.abr.link import Link, LinkStep
 
 GRID_S = 0.1
 """Rates change, and outages begin and end, at multiples of this only, seconds."""

@@ -1,1 +1,0 @@
-"""Links: how long bytes take to pass, from traces or made up."""

@@ -1,0 +1,280 @@
+"""The policies that ours is compared with, as rules: of the throughput of this moment, BOLA and
+RobustMPC, and the paper's own."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from itertools import accumulate
+from statistics import harmonic_mean
+
+from .qoe import QoeConfig
+from .rule import Group, Rule, Situation
+
+SAFETY = 0.9
+"""Share of the estimated rate that is planned with (dash.js, Sabre)."""
+RISE_S = 4.0
+"""Seconds over which the snapshots that a rise takes are spread (ours)."""
+
+
+class ThroughputRule(Rule):
+    """The most layers that the link carries, with something kept back.
+
+    Where dash.js takes the less of two moving averages with half lives of 3 s and 8 s, this goes by
+    the estimate as it is. The session's looks back 0.4 s already, decisions are ten times as
+    frequent, and with a lead of 6 s every second of delay in reacting costs more than a wrong step.
+    """
+
+    def choose_layers(self, situation: Situation) -> int:
+        if not situation.measured:
+            return 1
+        rate_bps = SAFETY * situation.rate_bps
+        counts = range(situation.most_layers, 1, -1)
+        return next((n for n in counts if situation.need_bps(n, RISE_S) <= rate_bps), 1)
+
+
+class TailDropRule(Rule):
+    """The paper SwinGS's own (section 5.5), slice by slice: the least opaque Gaussians are dropped
+    to fit the rate.
+
+    All layers are sent as long as the link carries them; else the tail of each slice is left out. A
+    layer is all or nothing, and after it is left out once it is gone until the next segment. The
+    paper's demonstration knows the rate and fits all of it; here it is what was measured, and
+    SAFETY of it, or there would never be a lead.
+    """
+
+    group_s = 0.0
+
+    def choose_layers(self, situation: Situation) -> int:
+        if not situation.measured:
+            return 1
+        group = situation.group
+        budget_bytes = SAFETY * situation.rate_bps * group.media_s / 8
+        counts = range(situation.most_layers, 1, -1)
+        return next((n for n in counts if group.slice_bytes[n - 1] <= budget_bytes), 1)
+
+
+LOW_LEAD = 0.25
+"""Share of the greatest lead up to which layer 0 is sent alone (paper: Q_low, 10 of 30 s)."""
+HIGH_LEAD = 0.9
+"""Share at which all layers are sent in any case (paper: Q_max, a chunk less than all)."""
+ENOUGH_S = 1.0
+"""Seconds of lead with which the start is over (BOLA-E: one chunk)."""
+MOST_WAIT = 0.7
+"""Share of the lead that a group may take to come (dash.js: insufficient buffer, 0.5 to 0.9)."""
+TIE_S = 1e-3
+"""Seconds of lead beyond where two numbers of layers are worth the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lyapunov:
+    """The rule of BOLA, by which the lead alone says how many layers (Spiteri, Urgaonkar,
+    Sitaraman).
+
+    Of each number of layers m it looks at what a byte of it is worth,
+
+        (V * (v_m + g) - lead) / S_m
+
+    with S_m the bytes of the group, v_m its utility and g what it is worth to play on at all, and
+    takes the best. The less lead, the more counts that S_m is small. Utilities are dB over layer 0
+    of the index, where the paper takes logarithms of bit rates. V and g follow from two leads:
+    where more than layer 0 begins, and up to which it pays to send all layers.
+    """
+
+    v_s_per_db: float
+    """V: seconds of lead that a dB is worth."""
+    g_db: float
+    """g (the paper's gamma * p): what playing on is worth, dB."""
+    sizes: tuple[float, ...]
+    """S_m of 1, 2, ... layers, bytes."""
+    utilities_db: tuple[float, ...]
+    """v_m of 1, 2, ... layers; 0 for layer 0 alone."""
+
+    @staticmethod
+    def between(low_s: float, high_s: float, group: Group, held: int, rise: float) -> Lyapunov:
+        """The rule that leaves layer 0 at a lead of low_s and wants nothing more at high_s.
+
+        rise: share of what it takes to rise that is counted, as the group is not the only one that
+        has the layers.
+        """
+        counted = (
+            max(1.0, size) + rise * group.rise_bytes(n, held)
+            for n, size in enumerate(group.slice_bytes, 1)
+        )
+        sizes = tuple(accumulate(counted, lambda before, size: max(size, before + 1.0)))
+        utilities_db = tuple(psnr_db - group.psnr_db[0] for psnr_db in group.psnr_db)
+        # m is better than 1 where the lead is over V * (g - S_1 * v_m / (S_m - S_1)).
+        first_db = max(
+            (
+                sizes[0] * v / (size - sizes[0])
+                for size, v in zip(sizes[1:], utilities_db[1:], strict=True)
+            ),
+            default=0.0,
+        )
+        v_s_per_db = (high_s - low_s) / max(utilities_db[-1] + first_db, 1e-9)
+        return Lyapunov(v_s_per_db, low_s / v_s_per_db + first_db, sizes, utilities_db)
+
+    def best(self, lead_s: float) -> int:
+        """The number of layers that is worth most per byte; the fewer of two that are equal."""
+        best, layers = -math.inf, 1
+        for n, (size, utility_db) in enumerate(zip(self.sizes, self.utilities_db, strict=True), 1):
+            worth = (self.v_s_per_db * (utility_db + self.g_db) - lead_s) / size
+            if worth > best:
+                best, layers = worth, n
+        return layers
+
+    def least_lead_s(self, num_layers: int) -> float:
+        """The least lead at which it chooses `num_layers` or more."""
+        sizes, values = self.sizes, [v + self.g_db for v in self.utilities_db]
+        # Each fewer layers must have become worse than the best of those that are enough.
+        leads = [
+            min(
+                self.v_s_per_db
+                * (sizes[m] * values[n] - sizes[n] * values[m])
+                / (sizes[m] - sizes[n])
+                for m in range(num_layers - 1, len(sizes))
+            )
+            for n in range(num_layers - 1)
+        ]
+        return max(leads, default=0.0)
+
+
+class BolaRule(Rule):
+    """BOLA with what BOLA-E adds.
+
+    As the paper has it the rule creeps at the start and follows every lead upwards. BOLA-E mends
+    both, and so does this: until there is a lead the throughput rule decides, its choice is made
+    good for by seconds that are added to the lead, and are used up as the real one grows; it never
+    climbs above what the link carries; and no group may take longer to come than a share of the
+    lead.
+    """
+
+    def __init__(self) -> None:
+        self._throughput = ThroughputRule()
+        self._starting = True
+        self._added_s = 0.0
+        """Seconds that are added to the lead (BOLA-E: the placeholder)."""
+
+    def choose_layers(self, situation: Situation) -> int:
+        group, lead_s, held = situation.group, situation.lead_s, situation.held
+        carried = self._throughput.choose_layers(situation)
+        low_s, high_s = LOW_LEAD * situation.max_lead_s, HIGH_LEAD * situation.max_lead_s
+        rule = Lyapunov.between(low_s, high_s, group, held, group.media_s / RISE_S)
+        if self._starting:
+            self._starting = lead_s < ENOUGH_S
+            self._added_s = max(0.0, rule.least_lead_s(carried) + TIE_S - lead_s)
+            return carried
+        self._added_s = min(self._added_s, max(0.0, situation.max_lead_s - lead_s))
+        layers = rule.best(lead_s + self._added_s)
+        if layers > max(carried, held):
+            layers = max(carried, held)
+            too_much_s = lead_s + self._added_s - rule.least_lead_s(layers) - TIE_S
+            self._added_s = max(0.0, self._added_s - max(0.0, too_much_s))
+        # At most as many layers as come while the lead lasts.
+        layers = min(layers, situation.most_layers)
+        most_bytes = MOST_WAIT * lead_s * situation.rate_bps / 8
+        while layers > 1 and group.cost_bytes(layers, held) > most_bytes:
+            layers -= 1
+        return layers
+
+
+PAST = 5
+"""Groups of which the rates and errors count (paper: 5)."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """The groups of a plan so far."""
+
+    first: int
+    """Layers of its first group."""
+    lead_s: float
+    worth: float
+    """dB times seconds."""
+
+
+class RobustMpcRule(Rule):
+    """RobustMPC: plans groups ahead against a rate that is promised to be low (Yin et al., 2015).
+
+    The rate is the harmonic mean of the last ones, over 1 + the greatest error that this very
+    prediction had made of late. Of all plans for the next groups the one is best that maximises the
+    sum of
+
+        quality - stall_db * seconds of stall - switch_db * steps between groups
+
+    with the weights of qoe.py, and its first group is sent. The paper plans 5 chunks of 4 s for a
+    buffer of 30 s; this plans 5 groups of 1 s for a lead of 6 s.
+
+    All plans are a tree; two of them that end with the same layers differ only in the lead and the
+    worth so far, and one that has less of both is never better. So few are kept.
+    """
+
+    horizon = 5
+    group_s = 1.0  # as much of the lead is planned as in the paper
+
+    def __init__(self) -> None:
+        self._rates_bps: deque[float] = deque(maxlen=PAST)
+        self._errors: deque[float] = deque(maxlen=PAST)
+        self._predicted_bps: float | None = None
+        self._lost_db: float | None = None
+
+    def choose_layers(self, situation: Situation) -> int:
+        layers = 1
+        if situation.measured:
+            rate_bps = self._rate_bps(situation)
+            layers = best_plan(situation, rate_bps, self._lost_db, QoeConfig())
+        self._lost_db = situation.group.lost_db(layers)
+        return layers
+
+    def _rate_bps(self, situation: Situation) -> float:
+        """Takes in the rate of now, and says what to plan with."""
+        rate_bps = situation.rate_bps
+        if self._predicted_bps is not None:
+            self._errors.append(abs(self._predicted_bps - rate_bps) / rate_bps)
+        self._rates_bps.append(rate_bps)
+        self._predicted_bps = harmonic_mean(self._rates_bps)
+        return self._predicted_bps / (1 + max(self._errors, default=0.0))
+
+
+def best_plan(situation: Situation, rate_bps: float, lost_db: float | None, qoe: QoeConfig) -> int:
+    """The layers of the first group of the best plan; of equal ones the fewest.
+
+    lost_db: what the group before lacks of all layers, dB; None at the beginning.
+    """
+    # Of each number of layers that a plan may end with, those plans that may still be best.
+    plans: dict[int, list[_Plan]] = {situation.held: [_Plan(0, situation.lead_s, 0.0)]}
+    for number, group in enumerate(situation.coming):
+        before = situation.coming[number - 1] if number else None
+        longer: dict[int, list[_Plan]] = {}
+        for held, kept in plans.items():
+            lost_before_db = before.lost_db(held) if before else lost_db
+            for layers in range(1, group.most_layers(held) + 1):
+                step_db = 0.0
+                if lost_before_db is not None:
+                    step_db = abs(group.lost_db(layers) - lost_before_db)
+                worth = group.psnr_db[layers - 1] * group.media_s
+                worth -= qoe.switch_db * qoe.stretch_s * step_db
+                takes_s = 8 * group.cost_bytes(layers, held) / rate_bps
+                longer.setdefault(layers, []).extend(
+                    _Plan(
+                        plan.first or layers,
+                        min(situation.max_lead_s, max(0.0, plan.lead_s - takes_s) + group.media_s),
+                        plan.worth + worth - qoe.stall_db * max(0.0, takes_s - plan.lead_s),
+                    )
+                    for plan in kept
+                )
+        plans = {layers: _undominated(found) for layers, found in longer.items()}
+    found = [plan for kept in plans.values() for plan in kept]
+    return max(found, key=lambda plan: (plan.worth, -plan.first)).first
+
+
+def _undominated(plans: list[_Plan]) -> list[_Plan]:
+    """The plans that no other plan surpasses in both lead and worth."""
+    plans.sort(key=lambda plan: (-plan.worth, -plan.lead_s, plan.first))
+    kept, longest_s = [], -1.0
+    for plan in plans:
+        if plan.lead_s > longest_s:
+            kept.append(plan)
+            longest_s = plan.lead_s
+    return kept

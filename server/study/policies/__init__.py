@@ -1,1 +1,0 @@
-"""The policies that ours is compared with. Each is one file."""

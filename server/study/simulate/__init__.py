@@ -1,1 +1,0 @@
-"""Plays in virtual time."""
