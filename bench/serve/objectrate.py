@@ -33,7 +33,7 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.errors import SwingsError
-from server.operate.sign.nginxlink import nginx_secrets, sign_for_nginx
+from server.operate.sign.signing import nginx_secrets, sign_for_nginx
 
 from .material import write_objects
 from .processes import ROOT, cpu_s, pinned, running, serving

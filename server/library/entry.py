@@ -8,17 +8,22 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 
 from codec.errors import CodecError, CorruptError, UnreadableError
 from codec.storage.storage import Stamp, Storage
 from codec.stream.index import INDEX_NAME
 from codec.stream.integrity import MAX_INDEX_BYTES
-from codec.stream.manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES
+from codec.stream.manifest import (
+    MANIFEST_NAME,
+    MAX_MANIFEST_BYTES,
+    SEGMENTS_NAME,
+    object_name,
+)
 from codec.stream.reader import read_stream_file
 
-from .objectcensus import LackingObject, first_lacking
 from .servedstream import ServedStream
-from .streamview import continued, index_of, is_continued, view_of
+from .streamview import StreamView, continued, index_of, is_continued, view_of
 
 log = logging.getLogger(__name__)
 
@@ -171,3 +176,50 @@ class Entry:
             self._said = key
             place, end = one_line(self._storage.name), f": {one_line(more)}" if more else ""
             log.log(level, "%s %s%s", place, what, end)
+
+
+FEW_SEGMENTS = 8
+"""Up to so many segments are looked at object by object; for more, all are listed at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class LackingObject:
+    """The first object that is not there as the index says: a copy may be half done."""
+
+    segment: int
+    path: str
+    size_bytes: int
+    """As the index says."""
+    found_bytes: int | None
+    """None if there is nothing."""
+
+    def __str__(self) -> str:
+        if self.found_bytes is None:
+            return f"{self.path} is missing"
+        return f"{self.path} has {self.found_bytes} bytes, not {self.size_bytes}"
+
+    def has_come(self, storage: Storage) -> bool:
+        """Whether it is there by now."""
+        return _size(storage, self.path) == self.size_bytes
+
+
+def first_lacking(
+    storage: Storage, view: StreamView, first_segment: int = 0
+) -> LackingObject | None:
+    """The first object that is missing or has another size, of the segments from `first_segment`
+    on; None if all are there. Checks sizes only: the content is checked when an object is read.
+    Raises UnreadableError."""
+    records, parts = view.records[first_segment:], view.manifest.parts
+    listed = dict(storage.sizes(SEGMENTS_NAME)) if len(records) > FEW_SEGMENTS else None
+    for record in records:
+        for part, size_bytes in zip(parts, record.part_bytes, strict=True):
+            path = object_name(record.segment, part)
+            found_bytes = _size(storage, path) if listed is None else listed.get(path)
+            if found_bytes != size_bytes:
+                return LackingObject(record.segment, path, size_bytes, found_bytes)
+    return None
+
+
+def _size(storage: Storage, path: str) -> int | None:
+    stamp = storage.stamp(path)
+    return stamp.size_bytes if stamp is not None and storage.holds(path) else None

@@ -20,8 +20,7 @@ from codec.stream.packedlayout import PACKED_SUFFIX
 from codec.stream.packedstorage import PackedStorage, open_place
 
 from .entry import FILES, Entry, Stamps, one_line
-from .growth import LIVE_POLL_S
-from .servedstream import ServedStream
+from .servedstream import LIVE_POLL_S, ServedStream
 
 log = logging.getLogger(__name__)
 

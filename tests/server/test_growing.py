@@ -15,7 +15,7 @@ from codec.stream import StreamReader
 from codec.stream.playrecord import ErrorRecord, RecordParser, StartRecord
 from server.answers.objects import index
 from server.library import Library
-from server.library.growth import LIVE_POLL_S
+from server.library.servedstream import LIVE_POLL_S
 from server.state.config import ServerConfig
 from server.state.serverstate import STATE, ServerState
 from tests.support.server.running_server import (

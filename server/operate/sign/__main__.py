@@ -15,8 +15,7 @@ from codec.console import run_command
 from codec.errors import InvalidError
 
 from .keyfile import add_key, read_keys
-from .nginxlink import nginx_secrets, sign_for_nginx
-from .signing import ALL, Signer
+from .signing import ALL, Signer, nginx_secrets, sign_for_nginx
 
 MAX_HOURS = 10 * 366 * 24
 

@@ -8,6 +8,7 @@ Rule: no clock and no files. Whatever path comes in, a verifier gives a grant or
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import re
 from base64 import urlsafe_b64encode
@@ -148,3 +149,30 @@ def without_signatures(text: str) -> str:
 def needs_signature(path: str) -> bool:
     """Whether `path` shows a stream, or which there are: what signed URLs are there to guard."""
     return path in _OF_ALL or path.startswith(("/v1/", "/watch/"))
+
+
+def nginx_secrets(keys: Mapping[str, bytes]) -> dict[str, str]:
+    """The secret that nginx needs for each key, by key name. nginx never gets a key itself: with
+    what is derived from it here, nobody can sign for swings-serve."""
+    message = b"swings nginx secure_link"
+    return {kid: hmac.digest(key, message, "sha256").hex() for kid, key in keys.items()}
+
+
+def sign_for_nginx(keys: Mapping[str, bytes], stream: str, expiry_s: int) -> str:
+    """The prefix /n/{digest}/t/{token}, without a slash at its end, that allows `stream` until
+    `expiry_s`, signed with the first of `keys`.
+
+    By the digest nginx verifies URLs of objects itself (its module secure_link) and sends them from
+    disk. From all other requests it removes the digest, and swings-serve verifies them as usual.
+    The module can compute the MD5 of a text and nothing else, so the text ends with a secret.
+
+    Raises InvalidError for what is not the name of one stream, or a time that is none.
+    """
+    if stream == ALL:
+        raise InvalidError(f"nginx verifies URLs of one stream; {ALL} cannot be signed for it")
+    prefix = Signer(keys).sign(stream, expiry_s)
+    kid, secret = next(iter(nginx_secrets(keys).items()))
+    # As secure_link_md5 has it in deploy/nginx.conf.
+    text = f"{expiry_s} {kid} /v1/streams/{stream} {secret}"
+    digest = urlsafe_b64encode(hashlib.md5(text.encode()).digest()).rstrip(b"=").decode()
+    return f"/n/{digest}{prefix}"

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from server.library import Library
-from server.library.growth import Growth
+from server.library.servedstream import Growth
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     append_frames,

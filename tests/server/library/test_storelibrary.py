@@ -10,7 +10,7 @@ import pytest
 
 from codec.errors import CodecError, SwingsError
 from server.library import Library
-from server.library.growth import LIVE_POLL_S
+from server.library.servedstream import LIVE_POLL_S
 from tests.server.library.test_watch import check_whole
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,

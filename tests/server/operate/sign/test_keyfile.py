@@ -10,8 +10,7 @@ import pytest
 
 from codec.errors import InvalidError
 from server.operate.sign.keyfile import add_key, read_keys
-from server.operate.sign.nginxlink import nginx_secrets, sign_for_nginx
-from server.operate.sign.signing import ALL, Grant, Signer
+from server.operate.sign.signing import ALL, Grant, Signer, nginx_secrets, sign_for_nginx
 from tests.support.commands import run, run_ok
 from tests.support.hostile import refused
 
