@@ -16,7 +16,7 @@ import traceback
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from server.operate.workerfolder import SHARED_MEMORY, WorkerFolder
+from server.operate.workers import SHARED_MEMORY, WorkerFolder
 
 from .listener import BACKLOG, bound_connections
 from .operate.log import LineFormatter

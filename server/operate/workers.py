@@ -1,5 +1,5 @@
 """What the workers of one server have of each other: requests over Unix sockets, such as a status
-report for a play that runs there, and tokens of plays that say which worker runs them.
+report for a play that runs there; tokens of plays that say which worker runs them; and a folder.
 
 Rule: no request waits for long for a worker that does not answer, and MAX_WAITING wait at most.
 """
@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import hmac
 import math
+import os
 import re
 import secrets
+import shutil
 import sys
+import tempfile
 from base64 import urlsafe_b64encode
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -20,6 +24,9 @@ from typing import Final
 import aiohttp
 
 from codec.errors import InvalidError
+
+if sys.platform != "win32":
+    import fcntl
 
 TIMEOUT_S: Final = 1.0
 """Seconds that an answer may take."""
@@ -95,17 +102,13 @@ class OtherWorkers:
             await session.close()
 
 
-_TOKEN = re.compile(r"(0|[1-9][0-9]{0,2})-[A-Za-z0-9_-]{16,60}", re.ASCII)
-
-_ISSUED = re.compile(r"[0-9]{1,3}-([0-9a-f]{9})[A-Za-z0-9_-]{42}", re.ASCII)
+_TOKEN = re.compile(r"(0|[1-9][0-9]{0,2})-([0-9a-f]{9})[A-Za-z0-9_-]{42}", re.ASCII)
+"""Worker, Unix time, a random text of 22 characters, and the HMAC of it all."""
 
 MAX_TOKEN_AGE_S = 86_400
 """Age at which a token can no longer continue a play, seconds."""
 
-_MAC_BYTES = 15
-
 _MAC_CHARS = 20
-"""Length of an HMAC of _MAC_BYTES in base64."""
 
 
 def make_token(number: int, secret: bytes, now_s: float) -> str:
@@ -117,30 +120,77 @@ def make_token(number: int, secret: bytes, now_s: float) -> str:
 
 def is_issued(token: str, secret: bytes, now_s: float) -> bool:
     """Whether `make_token` made `token` with this secret, in any worker, within MAX_TOKEN_AGE_S."""
-    match = _ISSUED.fullmatch(token)
-    if match is None:
+    if not _TOKEN.fullmatch(token):
         return False
-    text, mac = token[:-_MAC_CHARS], token[-_MAC_CHARS:]
-    is_ours = hmac.compare_digest(_mac(text, secret), mac)
-    return is_ours and now_s < int(match[1], 16) + MAX_TOKEN_AGE_S
+    is_ours = hmac.compare_digest(_mac(token[:-_MAC_CHARS], secret), token[-_MAC_CHARS:])
+    return is_ours and now_s < issue_time_s(token) + MAX_TOKEN_AGE_S
 
 
 def issue_time_s(token: str) -> int:
     """When `make_token` made `token`, which `is_issued`: Unix time."""
-    match = _ISSUED.fullmatch(token)
+    match = _TOKEN.fullmatch(token)
     assert match is not None
-    return int(match[1], 16)
-
-
-def _mac(text: str, secret: bytes) -> str:
-    digest = hmac.digest(secret, text.encode(), "sha256")
-    return urlsafe_b64encode(digest[:_MAC_BYTES]).decode()
+    return int(match[2], 16)
 
 
 def worker_of(token: str) -> int | None:
     """The worker that made `token`; None where none can have."""
     match = _TOKEN.fullmatch(token)
     return int(match[1]) if match else None
+
+
+def _mac(text: str, secret: bytes) -> str:
+    digest = hmac.digest(secret, text.encode(), "sha256")
+    return urlsafe_b64encode(digest).decode()[:_MAC_CHARS]
+
+
+SHARED_MEMORY: Final = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+"""Where files are memory; None where there is no such folder."""
+
+FOLDER_PREFIX: Final = "swings-serve-"
+
+LOCK: Final = ".lock"
+
+
+class WorkerFolder:
+    """The folder of one server's workers: their sockets, and the files of their metrics. It belongs
+    to the process that makes it and to those that it forks.
+
+    A lock that ends with these processes holds it, so that what killed servers left is known. It
+    lies in memory where there is such a place: a disk may be full, or cleared by age, and a page of
+    a mapped file that cannot be stored ends its process.
+    """
+
+    def __init__(self, place: str | None = SHARED_MEMORY) -> None:
+        """place: the folder for it; None for that of temporary files."""
+        root = Path(place or tempfile.gettempdir())
+        for other in root.glob(f"{FOLDER_PREFIX}*"):
+            _remove_dead(other)
+        self.path = Path(tempfile.mkdtemp(prefix=FOLDER_PREFIX, dir=root))
+        self._lock = os.open(self.path / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
+        fcntl.flock(self._lock, fcntl.LOCK_EX)
+
+    def make(self) -> None:
+        """Makes the folder again if it is gone."""
+        self.path.mkdir(mode=0o700, exist_ok=True)
+
+    def is_first(self, what: str) -> bool:
+        """Whether no process of the server has asked so before."""
+        try:
+            os.close(os.open(self.path / what, os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            return False
+        return True
+
+    def remove(self) -> None:
+        shutil.rmtree(self.path, ignore_errors=True)
+
+
+def _remove_dead(folder: Path) -> None:
+    """Removes the folder of a server that has died; of one that lives, or of others, nothing."""
+    with suppress(OSError), open(folder / LOCK, "rb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        shutil.rmtree(folder)
 
 
 MAX_WORKERS = 256

@@ -24,7 +24,7 @@ from server.abr.clientstatus import PLAY_HEADER, RATE_HEADER
 from server.http.errors import ServerError
 from server.operate.sign.keyfile import add_key, read_keys
 from server.operate.sign.signing import Signer
-from server.operate.workerfolder import SHARED_MEMORY, WorkerFolder
+from server.operate.workers import SHARED_MEMORY, WorkerFolder
 from server.serving import check_files
 from server.state.config import ServerConfig
 from tests.server.hostile.serverprocess import Comers, ServerProcess, ask, figures, server_process
