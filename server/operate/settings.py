@@ -2,7 +2,7 @@
 
     flags > environment > defaults
 
-Rule: there is no second list of options: every flag that tyro makes is also a variable, and tyro
+Rule: there is no second list of options: every field of a command is also a variable, and tyro
 reads its value.
 """
 
@@ -12,19 +12,20 @@ import difflib
 import os
 import re
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from operator import attrgetter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, get_type_hints
 
 import tyro
-from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from codec.console import cli
 from codec.errors import InvalidError
 
 CHECK_CONFIG = "check_config"
 """The command's field for `--check-config`. It is a request, not a setting."""
+
+ROOT = "root"
+"""The command's field without a flag."""
 
 _TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
@@ -34,61 +35,18 @@ _BARE = re.compile(r"[\w@%+=:,./*?\[\]-]*", re.ASCII)
 _NOT_ON_A_LINE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """A setting of a command."""
-
-    path: str
-    """Names of the fields that lead to it, with dots between them."""
-    flag: str
-    """Its flag without the dashes, as `overload.shed-from`."""
-    is_switch: bool
-    """Whether it is true or false, and its flag takes no value."""
-    is_positional: bool
-    """Whether it has no flag."""
-    spec: PrimitiveConstructorSpec[Any]
-    """How tyro reads and writes its value."""
-
-    def to_text(self, value: Any) -> str:
-        """What the command line has for `value`, which is not None."""
-        (text,) = self.spec.str_from_instance(value)
-        return text.lower() if self.is_switch else text
-
-    def words(self, text: str) -> list[str]:
-        """What `text` is on the command line. Raises InvalidError."""
-        if not self.is_switch:
-            return [f"--{self.flag}={text}"]
-        if text.lower() not in _TRUTH:
-            raise InvalidError(f"{text[:60]!a} is neither true nor false")
-        return [f"--{self.flag}"] if _TRUTH[text.lower()] else []
-
-
-def settings_of(prefix: str, config_type: type[Any]) -> dict[str, Setting]:
-    """The settings of a command by their variables, in the order of the fields."""
-    return {
-        f"{prefix}_{re.sub('[.-]', '_', one.flag).upper()}": one
-        for one in _walk(config_type, "", "", {tyro.conf.EnumChoicesFromValues})
-        if one.path != CHECK_CONFIG
-    }
-
-
-def _walk(config_type: type[Any], path: str, flag: str, markers: set[Any]) -> Iterator[Setting]:
-    hints = get_type_hints(config_type, include_extras=True)
-    for name, hint in ((one.name, hints[one.name]) for one in fields(config_type)):
-        info = PrimitiveTypeInfo.make(hint, markers)
-        if tyro.conf.Fixed in info.markers:
+def settings_of(prefix: str, command: Any) -> dict[str, Any]:
+    """The values of `command` by their variables, in the order of its fields."""
+    hints, found = get_type_hints(type(command), include_extras=True), dict[str, Any]()
+    for one in fields(command):
+        value, marks = getattr(command, one.name), getattr(hints[one.name], "__metadata__", ())
+        if one.name == CHECK_CONFIG or tyro.conf.Fixed in marks:  # no option, see Constant
             continue
-        own_flag = flag + name.replace("_", "-")
-        if is_dataclass(info.type):
-            # tyro applies the marker to all levels below.
-            below = flag if tyro.conf.OmitArgPrefixes in info.markers else f"{own_flag}."
-            yield from _walk(info.type, f"{path}{name}.", below, info.markers)
+        if is_dataclass(value):
+            found |= settings_of(prefix, value)
         else:
-            spec = ConstructorRegistry.get_primitive_spec(info)
-            if not isinstance(spec, PrimitiveConstructorSpec):
-                raise TypeError(f"no setting can be of type {hint}")
-            is_positional = tyro.conf.Positional in info.markers
-            yield Setting(path + name, own_flag, info.type is bool, is_positional, spec)
+            found[f"{prefix}_{one.name.upper()}"] = value
+    return found
 
 
 def settings_parser(prefix: str, environment: Mapping[str, str] = os.environ) -> Callable[..., Any]:
@@ -99,40 +57,44 @@ def settings_parser(prefix: str, environment: Mapping[str, str] = os.environ) ->
     """
 
     def parse(config_type: type[Any], args: Sequence[str], **options: Any) -> Any:
-        if not {"-h", "--help", "--help-all"} & set(args):
-            known, words = settings_of(prefix, config_type), list[str]()
-            for variable, text in sorted(environment.items()):
-                if not variable.startswith(f"{prefix}_"):
-                    continue
-                one = _found(variable, known, prefix)
-                if one.is_positional:  # one on the command line takes its place
-                    options["default"] = _defaults(config_type, {one.path: text})
-                else:
-                    try:
-                        words += one.words(text)
-                    except InvalidError as error:
-                        raise InvalidError(f"{variable}: {error}") from error
-            args = (*words, *args)
-        return cli(config_type, args=args, **options)
+        if {"-h", "--help", "--help-all"} & set(args):
+            return cli(config_type, args=args, **options)
+        known, words = settings_of(prefix, config_type()), list[str]()
+        for variable, text in sorted(environment.items()):
+            if not variable.startswith(f"{prefix}_"):
+                continue
+            if variable not in known:
+                raise InvalidError(_unknown(variable, prefix, known))
+            name = variable.removeprefix(f"{prefix}_").lower()
+            flag = f"--{name.replace('_', '-')}"
+            if name == ROOT:  # one on the command line takes its place
+                options["default"] = replace(config_type(), **{ROOT: text})
+            elif not isinstance(known[variable], bool):
+                words.append(f"{flag}={text}")
+            elif text.lower() not in _TRUTH:
+                raise InvalidError(f"{variable}: {text[:60]!a} is neither true nor false")
+            elif _TRUTH[text.lower()]:
+                words.append(flag)
+        return cli(config_type, args=(*words, *args), **options)
 
     return parse
 
 
-def _found(variable: str, known: Mapping[str, Setting], prefix: str) -> Setting:
-    if variable not in known:
-        # Without the prefix, which would make any two variables look alike.
-        names = [name.removeprefix(f"{prefix}_") for name in known]
-        near = difflib.get_close_matches(variable.removeprefix(f"{prefix}_"), names, n=1)
-        hint = f"did you mean {prefix}_{near[0]}?" if near else "--help-all lists all settings"
-        raise InvalidError(f"environment: unknown setting {variable[:80]!a}; {hint}")
-    return known[variable]
+def _unknown(variable: str, prefix: str, known: Mapping[str, Any]) -> str:
+    # Without the prefix, which would make any two variables look alike.
+    names = [name.removeprefix(f"{prefix}_") for name in known]
+    near = difflib.get_close_matches(variable.removeprefix(f"{prefix}_"), names, n=1)
+    hint = f"did you mean {prefix}_{near[0]}?" if near else "--help-all lists all settings"
+    return f"environment: unknown setting {variable[:80]!a}; {hint}"
 
 
-def _defaults(config_type: type[Any], given: Mapping[str, Any]) -> Any:
-    """The defaults of a command; fields that have none are as `given`, or tyro.MISSING, which tyro
-    reports."""
-    required = [one.name for one in fields(config_type) if one.default is one.default_factory]
-    return config_type(**{**dict.fromkeys(required, tyro.MISSING), **given})
+def settings_variables(prefix: str, command: Any) -> dict[str, str]:
+    """The variables that say what `command` says, but for what is not set."""
+    return {
+        variable: str(value).lower() if isinstance(value, bool) else str(value)
+        for variable, value in settings_of(prefix, command).items()
+        if value is not None
+    }
 
 
 def settings_text(prefix: str, command: Any) -> str:
@@ -142,8 +104,8 @@ def settings_text(prefix: str, command: Any) -> str:
     Raises InvalidError for a value that no line of such a file can hold.
     """
     lines, given = [], settings_variables(prefix, command)
-    defaults = settings_variables(prefix, _defaults(type(command), {}))
-    for variable in settings_of(prefix, type(command)):
+    defaults = settings_variables(prefix, type(command)())
+    for variable in settings_of(prefix, command):
         if variable not in given:
             lines.append(f"# {variable} is not set\n")
             continue
@@ -156,16 +118,3 @@ def settings_text(prefix: str, command: Any) -> str:
         mark = "# " if text == defaults.get(variable) else ""
         lines.append(f"{mark}{variable}={text if _BARE.fullmatch(text) else shlex.quote(text)}\n")
     return "".join(lines)
-
-
-def settings_variables(prefix: str, command: Any) -> dict[str, str]:
-    """The variables that say what `command` says, but for what is not set."""
-    values = {
-        variable: (one, attrgetter(one.path)(command))
-        for variable, one in settings_of(prefix, type(command)).items()
-    }
-    return {
-        variable: one.to_text(value)
-        for variable, (one, value) in values.items()
-        if value is not None and value is not tyro.MISSING
-    }

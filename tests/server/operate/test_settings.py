@@ -5,54 +5,31 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
 
 import pytest
 import tyro
 from hypothesis import given
 from hypothesis import strategies as st
 
-from codec.console import option
 from codec.errors import InvalidError
 from server.operate.admission import AdmissionConfig
 from server.operate.log import LogStyle
 from server.operate.overload import OverloadConfig
 from server.operate.settings import settings_of, settings_parser, settings_text
 from server.operate.workers import SupervisorConfig
+from server.servecommand import ServeCommand
 from server.state.config import ServerConfig, TimeoutConfig
 from tests.support.hostile import refused
 
 
-def twice(word: str) -> int:
-    if not word.isdigit():
-        raise InvalidError(f"{word!a} is not a number to double")
-    return 2 * int(word)
-
-
-@dataclass(frozen=True, slots=True)
-class Command:
-    """A command similar to swings-serve."""
-
-    root: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="ROOT")]]
-    host: str = "127.0.0.1"
-    style: LogStyle = LogStyle.PLAIN
-    mode: Literal["a", "b"] = "a"
-    spread: bool = False
-    key_file: Path | None = None
-    doubled: Annotated[int, option("N", twice, lambda number: str(number // 2))] = 0
-    check_config: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    server: tyro.conf.OmitArgPrefixes[ServerConfig] = field(default_factory=ServerConfig)
-    overload: OverloadConfig = field(default_factory=OverloadConfig)
-
-
-def read(*flags: str, **variables: str) -> Command:
+def read(*flags: str, **variables: str) -> ServeCommand:
     """The command for these flags and SWINGS_SERVE_* variables."""
     environment = {f"SWINGS_SERVE_{key}": value for key, value in variables.items()}
     parse = settings_parser("SWINGS_SERVE", environment | {"HOME": "/"})
-    command = parse(Command, args=flags, prog="x", config=(tyro.conf.EnumChoicesFromValues,))
-    assert isinstance(command, Command)
+    config = (tyro.conf.EnumChoicesFromValues,)
+    command = parse(ServeCommand, args=flags, prog="x", config=config)
+    assert isinstance(command, ServeCommand)
     return command
 
 
@@ -68,16 +45,16 @@ def test_each_source_goes_before_the_next() -> None:
 
 def test_every_kind_of_setting_can_stand_everywhere() -> None:
     command = read(
-        ROOT="streams", HOST="::", STYLE="json", MODE="b", SPREAD="true", KEY_FILE="keys",
-        DOUBLED="21", REFRESH_S="3", OVERLOAD_SHED_FROM="0.5",
+        ROOT="streams", HOST="::", LOG="json", PUBLIC="true", KEYS="keys", REFRESH_S="3",
+        SHED_FROM="0.5",
     )  # fmt: skip
-    assert command.root == "streams"
-    assert (command.host, command.style, command.mode) == ("::", LogStyle.JSON, "b")
-    assert (command.spread, command.key_file, command.doubled) == (True, Path("keys"), 42)
-    assert command.server.refresh_s == 3.0
-    assert command.overload == OverloadConfig(shed_from=0.5)
-    flags = "streams --host :: --style json --mode b --spread --key-file keys --doubled 21"
-    assert read(*f"{flags} --refresh-s 3 --overload.shed-from 0.5".split()) == command
+    server = command.server
+    assert (command.root, command.host) == ("streams", "::")
+    assert (server.log, server.public, server.keys) == (LogStyle.JSON, True, Path("keys"))
+    assert server.refresh_s == 3.0
+    assert server.overload == OverloadConfig(shed_from=0.5)
+    flags = "streams --host :: --log json --public --keys keys --refresh-s 3 --shed-from 0.5"
+    assert read(*flags.split()) == command
 
 
 @pytest.mark.parametrize(
@@ -87,7 +64,7 @@ def test_every_kind_of_setting_can_stand_everywhere() -> None:
         ("CONFIG", "x", "unknown setting 'SWINGS_SERVE_CONFIG'; --help-all lists all settings"),
         ("CHECK_CONFIG", "1", "unknown setting 'SWINGS_SERVE_CHECK_CONFIG'"),
         ("QUEUE_S", "1", "unknown setting 'SWINGS_SERVE_QUEUE_S'"),  # a constant
-        ("SPREAD", "maybe", "SWINGS_SERVE_SPREAD: 'maybe' is neither true nor false"),
+        ("PUBLIC", "maybe", "SWINGS_SERVE_PUBLIC: 'maybe' is neither true nor false"),
     ],
 )
 def test_a_bad_setting_is_named(variable: str, value: str, message: str) -> None:
@@ -102,11 +79,9 @@ def test_a_bad_setting_is_named(variable: str, value: str, message: str) -> None
         ("MAX_PLAYS", "many", "--max-plays"),
         ("MAX_PLAYS", "", "--max-plays"),
         ("REFRESH_S", "soon", "--refresh-s"),
-        ("STYLE", "xml", "--style"),
-        ("MODE", "c", "--mode"),
+        ("LOG", "xml", "--log"),
         ("MAX_PLAYS", "0", "max_plays is 0; it must be positive"),
-        ("DOUBLED", "x", "'x' is not a number to double"),
-        ("OVERLOAD_SHED_FROM", "0.99", "shed_from is 0.99"),
+        ("SHED_FROM", "0.99", "shed_from is 0.99"),
     ],
 )
 def test_tyro_says_what_a_value_must_be(
@@ -118,7 +93,7 @@ def test_tyro_says_what_a_value_must_be(
 
 def test_values_that_go_together_are_judged_together() -> None:
     """0.97 would be refused together with the default, but not together with 0.99."""
-    overload = read("r", OVERLOAD_SHED_FROM="0.97", OVERLOAD_REFUSE_FROM="0.99").overload
+    overload = read("r", SHED_FROM="0.97", REFUSE_FROM="0.99").server.overload
     assert (overload.shed_from, overload.refuse_from) == (0.97, 0.99)
 
 
@@ -127,7 +102,7 @@ def test_settings_are_called_what_the_help_calls_them(capsys: pytest.CaptureFixt
     assert ended.code == 0
     flags = set(re.findall(r"--([a-z][a-z0-9.-]+)", capsys.readouterr().out))
     flags = {flag.removeprefix("no-") for flag in flags}
-    names = {one.flag for one in settings_of("X", Command).values()}
+    names = {name[2:].lower().replace("_", "-") for name in settings_of("X", ServeCommand())}
     assert flags - {"help", "verbose", "version", "check-config"} == names - {"root"}
 
 
@@ -140,35 +115,37 @@ def variables_of(text: str) -> dict[str, str]:
 
 
 def test_the_settings_printed_give_them_again() -> None:
-    flags = ["r", "--host", "a\"\\'b $c", "--max-plays", "7", "--overload.shed-from", "0.125"]
-    given = {"STYLE": "json", "DOUBLED": "4", "CORS_ORIGIN": "", "SPREAD": "1"}
+    flags = ["r", "--host", "a\"\\'b $c", "--max-plays", "7", "--shed-from", "0.125"]
+    given = {"LOG": "json", "CORS_ORIGIN": "", "PUBLIC": "1"}
     before = read(*flags, **given)
     printed = settings_text("SWINGS_SERVE", before)
-    assert "SWINGS_SERVE_OVERLOAD_SHED_FROM=0.125\n" in printed
-    assert "# SWINGS_SERVE_KEY_FILE is not set\n" in printed
+    assert "SWINGS_SERVE_SHED_FROM=0.125\n" in printed
+    assert "# SWINGS_SERVE_KEYS is not set\n" in printed
     assert "CHECK_CONFIG" not in printed
-    assert (before.doubled, before.server.cors_origin) == (8, "")
+    assert before.server.cors_origin == ""
     assert read(**variables_of(printed)) == before
 
 
 def test_printed_settings_need_quotes_only_where_a_value_is_not_plain() -> None:
     """`docker run --env-file` treats quotes as part of the value."""
-    told = settings_text("SWINGS_SERVE", Command("s3://b/a-b", host="::"))
+    told = settings_text("SWINGS_SERVE", ServeCommand("s3://b/a-b", host="::"))
     assert not {"'", '"', "\\"} & set(told)
     assert "\n# SWINGS_SERVE_CORS_ORIGIN=*\n" in told  # a later version may have another default
-    assert "SWINGS_SERVE_HOST='a b'\n" in settings_text("SWINGS_SERVE", Command("r", "a b"))
+    assert "SWINGS_SERVE_HOST='a b'\n" in settings_text(
+        "SWINGS_SERVE", ServeCommand("r", host="a b")
+    )
 
 
 @given(st.text(st.characters()))
 def test_any_text_is_printed_on_one_line_that_is_read_again_or_refused(text: str) -> None:
-    command = Command("r", host=text)
+    command = ServeCommand("r", host=text)
     try:
         told = settings_text("SWINGS_SERVE", command)
     except InvalidError as error:
         assert not text.isprintable()
         assert str(error).startswith("SWINGS_SERVE_HOST: ")  # noqa: PT017
         return
-    assert told.count("\n") == len(told.splitlines()) == len(settings_of("X", Command))
+    assert told.count("\n") == len(told.splitlines()) == len(settings_of("X", command))
     assert variables_of(told)["HOST"] == text
 
 
