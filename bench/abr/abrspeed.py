@@ -20,10 +20,11 @@ from bench.abr.oracle import judge
 from codec.console import run_command
 from server.abr.media import SegmentSizes
 from server.study.choice import POLICIES, make_policy
+from server.study.config import Rules
 from server.study.generate import GeneratorConfig, generate
 from server.study.looped import LoopedMedia
-from server.study.plays import Case, Rules, at_load, score_play
 from server.study.simulator import simulate
+from server.study.study import Case, at_load, score_play
 from server.study.tracefolder import Trace
 
 FPS = 30.0

@@ -14,7 +14,7 @@ from statistics import fmean
 import numpy as np
 
 from codec.errors import InvalidError
-from server.study.plays import Play
+from server.study.study import Play
 
 RESAMPLES = 10_000
 LEVEL = 0.95

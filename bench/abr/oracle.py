@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bench.abr.bound import base_only, bound
+from server.study.config import Rules
 from server.study.looped import LoopedMedia
-from server.study.plays import DB_DIGITS, DIGITS, Case, Play, Rules, score_plays
+from server.study.study import DB_DIGITS, DIGITS, Case, Play, score_plays
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,8 +37,9 @@ from codec.errors import SwingsError
 from codec.stream import StreamReader
 from server.abr.link import Link, LinkStep
 from server.study.choice import OWN
+from server.study.config import Rules
 from server.study.looped import LoopedMedia, open_media
-from server.study.plays import Case, Rules, at_load, run_play
+from server.study.study import Case, at_load, run_play
 from server.study.tracefolder import read_traces
 from trainer.score.truth import open_held_out
 

@@ -32,10 +32,11 @@ from codec.stream.manifest import Manifest
 from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
 from server.abr.media import SegmentSizes, segment_sizes
 from server.study.choice import OWN
+from server.study.config import LOADS, Rules
 from server.study.looped import LoopedMedia
-from server.study.plays import LOADS, Case, Rules, at_load, run_play
 from server.study.qoe import Qoe, score
 from server.study.simulator import Arrival, Simulated, play_out
+from server.study.study import Case, at_load, run_play
 from server.study.tracefolder import Half, read_traces
 
 FPS = 30.0

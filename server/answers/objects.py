@@ -43,9 +43,9 @@ async def segment_object(request: web.Request) -> web.StreamResponse:
         waits(request)
         if stream.has_sound(segment, name):
             # Another may take its name, so whoever keeps it asks again.
-            content = await state.sounds.content(stream, segment, name)
+            content = await state.cache.load_sound(stream, segment, name)
         elif stream.has_object(segment, part):
-            content = await state.cache.load_content(stream, segment, part)
+            content = (await state.cache.load(stream, segment, part)).content
         else:
             raise RequestError(404, f"{stream.name} has no segment {segment} layer {name}")
     return await serve(request, content)

@@ -6,10 +6,10 @@ from __future__ import annotations
 import asyncio
 import hashlib
 from collections import OrderedDict
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import partial
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from codec.errors import CodecError
 from codec.storage.storage import Stamp
@@ -22,8 +22,16 @@ from server.http.content import IMMUTABLE, OBJECT_TYPE, REVALIDATE, Content
 from server.library import ServedStream
 from server.operate.prometheus import Metrics
 
+
+class Held(Protocol):
+    """What a cache holds."""
+
+    @property
+    def data(self) -> bytes: ...
+
+
 K = TypeVar("K", bound=Hashable)
-V = TypeVar("V")
+V = TypeVar("V", bound=Held)
 
 
 class ByteCache(Generic[K, V]):
@@ -32,39 +40,81 @@ class ByteCache(Generic[K, V]):
 
     def __init__(self, capacity_bytes: int) -> None:
         self._capacity_bytes = capacity_bytes
-        self._held: OrderedDict[K, tuple[V, int]] = OrderedDict()  # with its bytes
+        self._held: OrderedDict[K, V] = OrderedDict()
         self.size_bytes = 0
 
     def get(self, key: K) -> V | None:
         found = self._held.get(key)
-        if found is None:
-            return None
-        self._held.move_to_end(key)
-        return found[0]
+        if found is not None:
+            self._held.move_to_end(key)
+        return found
 
-    def keep(self, key: K, value: V, num_bytes: int) -> None:
+    def keep(self, key: K, value: V) -> None:
         """Holds `value` in place of what had this key, unless it is too large by itself."""
-        _, before_bytes = self._held.pop(key, (None, 0))
-        self.size_bytes -= before_bytes
-        if num_bytes > self._capacity_bytes:
+        before = self._held.pop(key, None)
+        self.size_bytes -= len(before.data) if before is not None else 0
+        if len(value.data) > self._capacity_bytes:
             return
-        self._held[key] = value, num_bytes
-        self.size_bytes += num_bytes
+        self._held[key] = value
+        self.size_bytes += len(value.data)
         while self.size_bytes > self._capacity_bytes:
-            _, (_, dropped_bytes) = self._held.popitem(last=False)
-            self.size_bytes -= dropped_bytes
+            _, dropped = self._held.popitem(last=False)
+            self.size_bytes -= len(dropped.data)
 
 
-ObjectKey = tuple[int, int, Part]
-"""Generation of the stream, segment and part."""
+class LoadingCache(ByteCache[K, V]):
+    """Reads what it does not hold, in a thread."""
+
+    def __init__(self, capacity_bytes: int, metrics: Metrics) -> None:
+        super().__init__(capacity_bytes)
+        self._metrics = metrics
+        self._loading: dict[K, asyncio.Task[V]] = {}
+
+    def get(self, key: K) -> V | None:
+        found = super().get(key)
+        if found is not None:
+            self._metrics.cache_hits.add(1)
+        return found
+
+    async def load(self, key: K, read: Callable[[], V]) -> V:
+        """The value, or what `read` gives, once for all that ask meanwhile. Raises what it does."""
+        found = self.get(key)
+        if found is not None:
+            return found
+        task = self._loading.get(key)
+        if task is None:
+            self._metrics.cache_misses.add(1)
+            task = self._loading[key] = asyncio.create_task(self._load(key, read))
+            # The exception must be retrieved even if all waiting tasks were cancelled.
+            task.add_done_callback(lambda done: done.cancelled() or done.exception())
+        # A client that goes away must not break the load for the others that wait for it.
+        return await asyncio.shield(task)
+
+    async def _load(self, key: K, read: Callable[[], V]) -> V:
+        try:
+            value = await asyncio.to_thread(read)
+        finally:
+            del self._loading[key]
+        before_bytes = self.size_bytes
+        self.keep(key, value)
+        self._metrics.cache_bytes.inc(self.size_bytes - before_bytes)
+        return value
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class CachedObject:
-    """An object, and its content as a URL gives it once there was a request."""
+    """An object, and its content as a URL gives it."""
 
     checked: CheckedObject
-    content: Content | None = None
+    content: Content
+
+    @property
+    def data(self) -> bytes:
+        return self.content.data
+
+
+SOUNDS_PART = 8
+"""Sound may use 1 / SOUNDS_PART of the memory for objects, in addition to it."""
 
 
 class ObjectCache:
@@ -72,67 +122,49 @@ class ObjectCache:
 
     def __init__(self, capacity_bytes: int, metrics: Metrics) -> None:
         self._metrics = metrics
-        self._objects = ByteCache[ObjectKey, CachedObject](capacity_bytes)
-        self._loading: dict[ObjectKey, asyncio.Task[CachedObject]] = {}
+        # By generation of the stream, segment and part; sound also by its stamp.
+        self._objects = LoadingCache[tuple[int, int, Part], CachedObject](capacity_bytes, metrics)
+        self._sounds = LoadingCache[tuple[int, int, str, Stamp | None], Content](
+            capacity_bytes // SOUNDS_PART, metrics
+        )
 
     @property
     def size_bytes(self) -> int:
-        return self._objects.size_bytes
-
-    async def load(self, stream: ServedStream, segment: int, part: Part) -> CheckedObject:
-        """The object of (segment, part), which `stream` has. Raises CodecError for a bad file."""
-        return (await self._cached(stream, segment, part)).checked
+        return self._objects.size_bytes + self._sounds.size_bytes
 
     def content(self, stream: ServedStream, segment: int, part: Part) -> Content | None:
-        """The object as an answer, if one was made already."""
+        """The object as an answer, if it is in memory."""
         found = self._objects.get((stream.generation, segment, part))
-        if found is None or found.content is None:
-            return None
-        self._metrics.cache_hits.add(1)
-        return found.content
+        return None if found is None else found.content
 
-    async def load_content(self, stream: ServedStream, segment: int, part: Part) -> Content:
-        """The object as an answer. Raises CodecError for a bad file."""
-        cached = await self._cached(stream, segment, part)
-        if cached.content is None:
-            data = cached.checked.data
-            cached.content = Content(
-                data,
-                stream.object_sha256(segment, part),
-                OBJECT_TYPE,
-                IMMUTABLE,
-                coded={ZSTD: data} if inflates_whole(data, cached.checked.entries) else {},
-                count=partial(self._count, str(part)),
-            )
-        return cached.content
+    async def load(self, stream: ServedStream, segment: int, part: Part) -> CachedObject:
+        """The object of (segment, part), which `stream` has. Raises CodecError for a bad file."""
+        key = stream.generation, segment, part
+        return await self._objects.load(key, partial(self._read, stream, segment, part))
 
-    def _count(self, layer: str, num_bytes: int) -> None:
-        self._metrics.layer_bytes.add(num_bytes, "object", layer)
+    async def load_sound(self, stream: ServedStream, segment: int, name: str) -> Content:
+        """The object that `stream.has_sound`. Raises a CodecError for a bad file."""
+        # Before the content: what is replaced between the two is read again at the next request.
+        stamp = await asyncio.to_thread(stream.sound_stamp, segment, name)
+        key = stream.generation, segment, name, stamp
+        return await self._sounds.load(key, partial(_read_sound, stream, segment, name))
 
-    async def _cached(self, stream: ServedStream, segment: int, part: Part) -> CachedObject:
-        key = (stream.generation, segment, part)
-        found = self._objects.get(key)
-        if found is not None:
-            self._metrics.cache_hits.add(1)
-            return found
-        task = self._loading.get(key)
-        if task is None:
-            self._metrics.cache_misses.add(1)
-            task = asyncio.create_task(self._load(key, stream))
-            # The exception must be retrieved even if all waiting tasks were cancelled.
-            task.add_done_callback(lambda done: done.cancelled() or done.exception())
-            self._loading[key] = task
-        # A client that goes away must not break the load for the others that wait for it.
-        return await asyncio.shield(task)
+    def _read(self, stream: ServedStream, segment: int, part: Part) -> CachedObject:
+        checked = stream.read_object(segment, part)
+        content = Content(
+            checked.data,
+            stream.object_sha256(segment, part),
+            OBJECT_TYPE,
+            IMMUTABLE,
+            coded={ZSTD: checked.data} if inflates_whole(checked.data, checked.entries) else {},
+            count=lambda sent: self._metrics.layer_bytes.add(sent, "object", str(part)),
+        )
+        return CachedObject(checked, content)
 
-    async def _load(self, key: ObjectKey, stream: ServedStream) -> CachedObject:
-        try:
-            loaded = CachedObject(await asyncio.to_thread(stream.read_object, *key[1:]))
-        finally:
-            del self._loading[key]
-        self._objects.keep(key, loaded, len(loaded.checked.data))
-        self._metrics.cache_bytes.set(self.size_bytes)
-        return loaded
+
+def _read_sound(stream: ServedStream, segment: int, name: str) -> Content:
+    data = stream.read_sound(segment, name)
+    return Content(data, hashlib.sha256(data).hexdigest(), OBJECT_TYPE, REVALIDATE)
 
 
 RecordKey = tuple[int, int, int, int, str | None]
@@ -185,14 +217,15 @@ class RecordCache:
         layers: list[Part] = [*range(first_layer, end_layer)]
         parts = layers if first_layer else [*layers, MASKS]
         packets = [
-            (await self._objects.load(stream, segment, part)).packet(birth) for part in parts
+            (await self._objects.load(stream, segment, part)).checked.packet(birth)
+            for part in parts
         ]
         mask = packets[-1] if len(parts) > len(layers) else None
         record = SliceRecord(birth, tuple(packets[: len(layers)]), mask, first_layer)
         coded = _coded(record, plain, parts, packets)
         # What continues the records before it is worth nothing to others.
         if plain is None or not plain.continues:
-            self._records.keep(key, coded, len(coded.data))
+            self._records.keep(key, coded)
         return coded
 
     async def snapshots(
@@ -211,7 +244,8 @@ class RecordCache:
         for layer in range(first_layer, end_layer):
             part = snapshot_part(layer)
             parts.append(part)
-            packets.append((await self._objects.load(stream, segment, part)).packet(frame))
+            found = await self._objects.load(stream, segment, part)
+            packets.append(found.checked.packet(frame))
             if sum(map(len, packets)) >= most_bytes:
                 break
         record = SnapshotRecord(frame, first_layer, tuple(packets))
@@ -230,39 +264,3 @@ def _coded(
     else:
         data, body_bytes = plain.encode_sized(record)
     return CodedRecord(data, tuple(parts), tuple(map(len, packets)), body_bytes)
-
-
-SoundKey = tuple[int, int, str]
-"""Generation of the stream, segment and name of the object."""
-
-
-class SoundCache:
-    """The objects of sound of all streams. Two requests at the same moment may both read what is
-    not there yet."""
-
-    def __init__(self, capacity_bytes: int) -> None:
-        self._objects = ByteCache[SoundKey, tuple[Stamp, Content]](capacity_bytes)
-
-    @property
-    def size_bytes(self) -> int:
-        return self._objects.size_bytes
-
-    async def content(self, stream: ServedStream, segment: int, name: str) -> Content:
-        """The object that `stream.has_sound`, as an answer. Raises a CodecError for a bad file."""
-        key = (stream.generation, segment, name)
-        # Before the content: what is replaced between the two is read again at the next request.
-        stamp = await asyncio.to_thread(stream.sound_stamp, segment, name)
-        found = self._objects.get(key)
-        if found is not None and found[0] == stamp:
-            return found[1]
-        content = await asyncio.to_thread(_load, stream, segment, name)
-        if stamp is not None:
-            self._objects.keep(key, (stamp, content), len(content.data))
-        return content
-
-
-def _load(stream: ServedStream, segment: int, name: str) -> Content:
-    """Blocks."""
-    data = stream.read_sound(segment, name)
-    sha256 = hashlib.sha256(data).hexdigest()
-    return Content(data, sha256, OBJECT_TYPE, REVALIDATE)

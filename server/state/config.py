@@ -78,10 +78,6 @@ class ServerConfig:
     """Seconds between two scans of the streams below the root."""
     live_idle_s: Constant[float] = 60.0
     """Seconds that a play waits for new slices of a live stream before it ends."""
-    remember_plays: Constant[int] = 1024
-    """Number of finished plays whose last rate estimate is kept, for returning clients."""
-    remember_s: Constant[float] = 60.0
-    """Seconds that the estimate of a finished play is kept."""
     cors_origin: str = "*"
     """Web origin whose pages may read the streams; empty for none."""
 
@@ -94,9 +90,8 @@ class ServerConfig:
         for name in ("max_plays", "send_queue_bytes", "poll_s", "refresh_s", "live_idle_s"):
             if not getattr(self, name) > 0:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must be positive")
-        for name in ("cache_bytes", "remember_plays", "remember_s"):
-            if not getattr(self, name) >= 0:
-                raise InvalidError(f"{name} is {getattr(self, name)}; it must not be negative")
+        if self.cache_bytes < 0:
+            raise InvalidError(f"cache_bytes is {self.cache_bytes}; it must not be negative")
         if any(not 0x20 < ord(c) < 0x7F for c in self.cors_origin):
             raise InvalidError("cors_origin is not a web origin; give *, an origin or nothing")
         if (self.tls_cert is None) != (self.tls_key is None):

@@ -1,7 +1,7 @@
-"""The running plays, by tokens that only their clients know, and the rates of ended plays.
+"""The running plays, by tokens that only their clients know, and those that ended lately.
 
 Rule: no clock and no sockets. Memory is bounded whatever clients send: each play keeps only its
-newest status report, and only the newest `max_ended` ended plays are kept, for `keep_s` seconds.
+newest status report, and only the newest ended plays are remembered.
 """
 
 from __future__ import annotations
@@ -37,8 +37,11 @@ class Continuation(StrEnum):
 CONTINUE_S = 300.0
 """Time after the end of a play within which its token lets another one continue it, seconds."""
 
-MAX_TOKENS = 4096
-"""Ended plays that can be continued, and tokens that have been used, at most."""
+RATE_S = 60.0
+"""Time for which the rate of an ended play is told to a client that returns, seconds."""
+
+MAX_ENDED = 4096
+"""Ended plays that are remembered."""
 
 
 @dataclass(slots=True)
@@ -60,19 +63,21 @@ class RegisteredPlay:
         return status
 
 
+@dataclass(slots=True)
+class _EndedPlay:
+    ended_s: float
+    rate_bps: float | None = None
+    is_continued: bool = False
+
+
 class PlayRegister:
     """The running plays and those that ended lately. The limit on running plays is enforced
     elsewhere (`operate.admission`)."""
 
-    def __init__(self, max_ended: int, keep_s: float) -> None:
-        """max_ended: plays remembered when they are over. keep_s: for how long, seconds."""
+    def __init__(self, max_ended: int = MAX_ENDED) -> None:
         self._max_ended = max_ended
-        self._keep_s = keep_s
         self._running: dict[str, RegisteredPlay] = {}
-        self._ended: OrderedDict[str, tuple[float, float]] = OrderedDict()  # rate, when it ended
-        self._ended_s: OrderedDict[str, float] = OrderedDict()
-        self._used: OrderedDict[str, None] = OrderedDict()
-        """Tokens of other workers' plays that have been continued here."""
+        self._ended: OrderedDict[str, _EndedPlay] = OrderedDict()
 
     def __len__(self) -> int:
         """Plays that run."""
@@ -85,13 +90,10 @@ class PlayRegister:
 
     def end(self, token: str, now_s: float) -> None:
         """Takes a play out; the last estimate of its link stays for a while."""
-        rate_bps = self._running.pop(token).rate_bps
-        self._ended_s[token] = now_s
-        if len(self._ended_s) > MAX_TOKENS:
-            self._ended_s.popitem(last=False)
-        if rate_bps is None:
-            return
-        self._ended[token] = rate_bps, now_s
+        self._remember(token, _EndedPlay(now_s, self._running.pop(token).rate_bps))
+
+    def _remember(self, token: str, ended: _EndedPlay) -> None:
+        self._ended[token] = ended
         if len(self._ended) > self._max_ended:
             self._ended.popitem(last=False)
 
@@ -102,14 +104,12 @@ class PlayRegister:
         """
         if token in self._running:
             return Continuation.RUNNING
-        ended_s = self._ended_s.pop(token, None)
-        if ended_s is not None and now_s - ended_s <= CONTINUE_S:
-            return Continuation.ALLOWED
-        if not is_lost or ended_s is not None or token in self._used:
+        if is_lost and token not in self._ended:
+            self._remember(token, _EndedPlay(now_s))
+        ended = self._ended.get(token)
+        if ended is None or ended.is_continued or now_s - ended.ended_s > CONTINUE_S:
             return Continuation.REFUSED
-        self._used[token] = None
-        if len(self._used) > MAX_TOKENS:
-            self._used.popitem(last=False)
+        ended.is_continued = True
         return Continuation.ALLOWED
 
     def find(self, token: str, stream: str) -> RegisteredPlay | None:
@@ -127,9 +127,8 @@ class PlayRegister:
         return outcome
 
     def rate_bps(self, token: str, now_s: float) -> float | None:
-        """The estimated rate of a play that runs or ended at most keep_s ago; None if unknown."""
-        entry = self._running.get(token)
-        if entry is not None:
-            return entry.rate_bps
-        rate_bps, ended_s = self._ended.get(token, (None, now_s))
-        return rate_bps if now_s - ended_s <= self._keep_s else None
+        """The estimated rate of a play that runs or ended at most RATE_S ago; None if unknown."""
+        if token in self._running:
+            return self._running[token].rate_bps
+        ended = self._ended.get(token)
+        return ended.rate_bps if ended is not None and now_s - ended.ended_s <= RATE_S else None

@@ -18,16 +18,13 @@ from server.operate.prometheus import Metrics
 from server.operate.sign.keyfile import read_keys
 from server.operate.sign.signing import Signer
 from server.operate.workers import OtherWorkers
-from server.state.caches import ObjectCache, RecordCache, SoundCache
+from server.state.caches import ObjectCache, RecordCache
 
 from .config import ServerConfig
 from .register import PlayRegister
 
 RECORDS_PART = 8
 """The records of plays may use 1 / RECORDS_PART of the memory for objects, in addition to it."""
-
-SOUNDS_PART = 8
-"""So may sound."""
 
 
 class ServerState:
@@ -69,8 +66,7 @@ class ServerState:
         """Set when the server begins to stop; plays then end at the next slice."""
         self.cache = ObjectCache(config.cache_bytes, self.metrics)
         self.records = RecordCache(self.cache, config.cache_bytes // RECORDS_PART)
-        self.sounds = SoundCache(config.cache_bytes // SOUNDS_PART)
-        self.plays = PlayRegister(config.remember_plays, config.remember_s)
+        self.plays = PlayRegister()
         self.overload = Overload(config.overload, config.max_plays)
         limits = config.admission
         self.play_admission = Admission(config.max_plays, limits.max_address_plays, self.proxies)

@@ -16,10 +16,11 @@ from server.abr.session import SessionConfig
 
 from .choice import POLICIES, check_policy, short_name
 from .generate import GeneratorConfig
-from .plays import LOADS, Rules
 from .qoe import QoeConfig
 from .tracefolder import Half
 
+LOADS = (0.6, 1.0, 1.8)
+"""Layer 0 and a little, nearly all layers, and more than all of them."""
 MAX_LENGTH_S = 3600.0
 MAX_GENERATED = 10_000
 
@@ -36,6 +37,14 @@ def parse_policies(text: str) -> tuple[str, ...]:
 
 
 POLICIES_OPTION = option("all|A,FILE.py:NAME,...", parse_policies, ",".join)
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """Settings shared by all plays."""
+
+    session: SessionConfig = field(default_factory=SessionConfig)
+    qoe: QoeConfig = field(default_factory=QoeConfig)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from rich import box
 from rich.table import Table
 
 from .choice import OWN
-from .plays import Play
+from .study import Play
 
 COLUMNS = (
     ("QoE\ndB", "quality_db", 1, 2),

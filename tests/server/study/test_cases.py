@@ -14,9 +14,10 @@ from codec.errors import InvalidError
 from codec.stream import StreamReader, StreamWriter
 from server.abr.link import Link, LinkStep
 from server.abr.media import segment_sizes
+from server.study.config import Rules
 from server.study.generate import GeneratorConfig, generate
 from server.study.looped import LoopedMedia, open_media
-from server.study.plays import LOAD_WINDOW, Rules, at_load, run_play
+from server.study.study import LOAD_WINDOW, at_load, run_play
 from server.study.tracefolder import Trace, chosen_names, generated_traces, read_traces
 from tests.support.delivery.media import basketball_media
 from tests.support.hostile import refused
@@ -114,7 +115,7 @@ def test_a_silent_trace_and_a_load_out_of_reach_are_refused() -> None:
 
 
 def test_a_play_that_does_not_end_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.study.plays.MOST_S", 4.0)
+    monkeypatch.setattr("server.study.study.MOST_S", 4.0)
     case = at_load(Trace("uneven", link_of((9, 1e6), (3, 2e5))), 0.5, MEDIA)
     with pytest.raises(InvalidError, match=r"trace uneven at load 0\.5: bola has shown"):
         run_play(MEDIA, case, "bola", Rules())

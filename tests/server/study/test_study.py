@@ -11,8 +11,9 @@ import pytest
 
 from server.abr.link import Link, LinkStep
 from server.study.choice import OWN, POLICIES
+from server.study.config import Rules
 from server.study.looped import LoopedMedia
-from server.study.plays import Case, Rules, score_play
+from server.study.study import Case, score_play
 from tests.support import commands
 from tests.support.delivery.media import basketball_media
 from tests.support.slots.folder import write_slots
