@@ -7,7 +7,6 @@ stranger in X-Forwarded-For may have been made up by that stranger.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -15,9 +14,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
-from pathlib import Path
 
 from codec.errors import InvalidError, SwingsError
+
+if sys.platform != "win32":
+    import resource
 
 Address = IPv4Address | IPv6Address
 Network = IPv4Network | IPv6Network
@@ -58,38 +59,30 @@ def parse_address(text: str) -> Address | None:
     return mapped or address
 
 
-def is_trusted(address: Address, proxies: Sequence[Network]) -> bool:
-    return any(address in network for network in proxies)
-
-
 @lru_cache(maxsize=4096)
-def is_proxy(peer: str, proxies: tuple[Network, ...]) -> bool:
-    """Whether `peer`, the address of a connection, is one of the trusted proxies."""
-    address = parse_address(peer)
-    return address is not None and is_trusted(address, proxies)
+def is_proxy(text: str, proxies: tuple[Network, ...]) -> bool:
+    """Whether the address in `text` is one of the trusted proxies."""
+    address = parse_address(text)
+    return address is not None and any(address in network for network in proxies)
 
 
-def client_address(peer: str, forwarded_for: Sequence[str], proxies: Sequence[Network]) -> str:
+def client_address(peer: str, forwarded_for: Sequence[str], proxies: tuple[Network, ...]) -> str:
     """The address of the client of a request.
 
     peer: address of the connection; what cannot be read as one, as of a Unix socket, is given back.
     forwarded_for: the values of all X-Forwarded-For lines, in order. The right-most entry that
     is not itself a trusted proxy is the client; where all are, it is the left-most.
     """
-    address = parse_address(peer)
-    if address is None:
-        return peer
-    if not proxies or not is_trusted(address, proxies):
-        return str(address)
+    client = peer
     entries = [entry for line in forwarded_for for entry in line.split(",")]
-    for entry in reversed(entries[-MAX_HOPS:]):
-        before = parse_address(entry)
-        if before is None:
+    for entry in (peer, *reversed(entries[-MAX_HOPS:])):
+        address = parse_address(entry)
+        if address is None:
             break  # the proxy wrote "unknown", or let a stranger's nonsense through
-        address = before
-        if not is_trusted(address, proxies):
+        client = str(address)
+        if not is_proxy(entry, proxies):
             break
-    return str(address)
+    return client
 
 
 CLIENT_BITS = 64
@@ -137,11 +130,6 @@ class Admission:
         self.num_held = 0
         """Number held by all addresses, exempt ones included."""
 
-    @property
-    def has_room(self) -> bool:
-        """Whether one more may be held in all."""
-        return self.num_held < self._max_all
-
     def admit(self, address: str) -> Refusal | None:
         """Counts one more for `address`, which `release` must give back; or says why not."""
         if self.num_held >= self._max_all:
@@ -172,17 +160,14 @@ def client_of(address: str, exempt: tuple[Network, ...]) -> str:
     parsed = parse_address(address)
     if parsed is None:
         return address
-    if is_trusted(parsed, exempt):
+    if is_proxy(address, exempt):
         return ""
     if isinstance(parsed, IPv6Address):
         return str(IPv6Network((parsed, CLIENT_BITS), strict=False))
     return str(parsed)
 
 
-if sys.platform != "win32":
-    import resource
-
-RESERVE = 64
+RESERVE = 80
 """Descriptors kept for what is not a connection: files of objects, the log, the event loop."""
 
 WINDOWS_SOCKETS = 512
@@ -201,24 +186,15 @@ def connection_limit(wanted: int) -> int:
     if sys.platform == "win32":
         return min(wanted, WINDOWS_SOCKETS - RESERVE)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    ceiling = RAISE_TO if hard == resource.RLIM_INFINITY else min(hard, RAISE_TO)
-    if soft != resource.RLIM_INFINITY and soft < ceiling:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (ceiling, hard))
-        soft = ceiling
     if soft == resource.RLIM_INFINITY:
         return wanted
-    taken = open_descriptors() + RESERVE
-    if soft <= taken:
+    most = RAISE_TO if hard == resource.RLIM_INFINITY else min(hard, RAISE_TO)
+    if soft < most:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+        soft = most
+    if soft <= RESERVE:
         raise SwingsError(
             f"the limit of open files is {soft}, which leaves none for connections; "
-            f"raise it (ulimit -n) to {taken + wanted}"
+            f"raise it (ulimit -n) to {RESERVE + wanted}"
         )
-    return min(wanted, soft - taken)
-
-
-def open_descriptors() -> int:
-    """How many this process has open."""
-    for folder in ("/proc/self/fd", "/dev/fd"):
-        if Path(folder).is_dir():
-            return len(os.listdir(folder)) - 1  # listing it takes one
-    return 3
+    return min(wanted, soft - RESERVE)

@@ -12,7 +12,6 @@ from functools import partial
 from typing import Generic, Protocol, TypeVar
 
 from codec.errors import CodecError
-from codec.storage.storage import Stamp
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import MASKS, Part, snapshot_part
 from codec.stream.plainrecord import ZSTD, PlainRecordEncoder, inflates_whole
@@ -62,23 +61,67 @@ class ByteCache(Generic[K, V]):
             self.size_bytes -= len(dropped.data)
 
 
-class LoadingCache(ByteCache[K, V]):
-    """Reads what it does not hold, in a thread."""
+@dataclass(frozen=True, slots=True)
+class CachedObject:
+    """An object, and its content as a URL gives it."""
+
+    content: Content
+    checked: CheckedObject | None = None
+    """None for one of sound."""
+
+    @property
+    def data(self) -> bytes:
+        return self.content.data
+
+
+class ObjectCache:
+    """The objects of all streams, also those of sound; a play or a response keeps those that it is
+    sending."""
 
     def __init__(self, capacity_bytes: int, metrics: Metrics) -> None:
-        super().__init__(capacity_bytes)
         self._metrics = metrics
-        self._loading: dict[K, asyncio.Task[V]] = {}
+        self._objects = ByteCache[tuple[object, ...], CachedObject](capacity_bytes)
+        self._loading: dict[tuple[object, ...], asyncio.Task[CachedObject]] = {}
 
-    def get(self, key: K) -> V | None:
-        found = super().get(key)
+    @property
+    def size_bytes(self) -> int:
+        return self._objects.size_bytes
+
+    def content(self, stream: ServedStream, segment: int, part: Part) -> Content | None:
+        """The object as an answer, if it is in memory."""
+        found = self._found((stream.generation, segment, part))
+        return None if found is None else found.content
+
+    async def load_content(self, stream: ServedStream, segment: int, part: Part) -> Content:
+        """The object of (segment, part), which `stream` has, as an answer. Raises CodecError for a
+        bad file."""
+        key = stream.generation, segment, part
+        return (await self._cached(key, partial(self._read, stream, segment, part))).content
+
+    async def load(self, stream: ServedStream, segment: int, part: Part) -> CheckedObject:
+        """The same object. Raises CodecError for a bad file."""
+        key = stream.generation, segment, part
+        checked = (await self._cached(key, partial(self._read, stream, segment, part))).checked
+        assert checked is not None
+        return checked
+
+    async def load_sound(self, stream: ServedStream, segment: int, name: str) -> Content:
+        """The object that `stream.has_sound`, as an answer. Raises a CodecError for a bad file."""
+        # Before the content: what is replaced between the two is read again at the next request.
+        stamp = await asyncio.to_thread(stream.sound_stamp, segment, name)
+        key = stream.generation, segment, name, stamp
+        return (await self._cached(key, partial(_read_sound, stream, segment, name))).content
+
+    def _found(self, key: tuple[object, ...]) -> CachedObject | None:
+        found = self._objects.get(key)
         if found is not None:
             self._metrics.cache_hits.add(1)
         return found
 
-    async def load(self, key: K, read: Callable[[], V]) -> V:
-        """The value, or what `read` gives, once for all that ask meanwhile. Raises what it does."""
-        found = self.get(key)
+    async def _cached(
+        self, key: tuple[object, ...], read: Callable[[], CachedObject]
+    ) -> CachedObject:
+        found = self._found(key)
         if found is not None:
             return found
         task = self._loading.get(key)
@@ -90,64 +133,16 @@ class LoadingCache(ByteCache[K, V]):
         # A client that goes away must not break the load for the others that wait for it.
         return await asyncio.shield(task)
 
-    async def _load(self, key: K, read: Callable[[], V]) -> V:
+    async def _load(
+        self, key: tuple[object, ...], read: Callable[[], CachedObject]
+    ) -> CachedObject:
         try:
-            value = await asyncio.to_thread(read)
+            loaded = await asyncio.to_thread(read)
         finally:
             del self._loading[key]
-        before_bytes = self.size_bytes
-        self.keep(key, value)
-        self._metrics.cache_bytes.inc(self.size_bytes - before_bytes)
-        return value
-
-
-@dataclass(frozen=True, slots=True)
-class CachedObject:
-    """An object, and its content as a URL gives it."""
-
-    checked: CheckedObject
-    content: Content
-
-    @property
-    def data(self) -> bytes:
-        return self.content.data
-
-
-SOUNDS_PART = 8
-"""Sound may use 1 / SOUNDS_PART of the memory for objects, in addition to it."""
-
-
-class ObjectCache:
-    """The objects of all streams; a play or a response keeps those that it is sending."""
-
-    def __init__(self, capacity_bytes: int, metrics: Metrics) -> None:
-        self._metrics = metrics
-        # By generation of the stream, segment and part; sound also by its stamp.
-        self._objects = LoadingCache[tuple[int, int, Part], CachedObject](capacity_bytes, metrics)
-        self._sounds = LoadingCache[tuple[int, int, str, Stamp | None], Content](
-            capacity_bytes // SOUNDS_PART, metrics
-        )
-
-    @property
-    def size_bytes(self) -> int:
-        return self._objects.size_bytes + self._sounds.size_bytes
-
-    def content(self, stream: ServedStream, segment: int, part: Part) -> Content | None:
-        """The object as an answer, if it is in memory."""
-        found = self._objects.get((stream.generation, segment, part))
-        return None if found is None else found.content
-
-    async def load(self, stream: ServedStream, segment: int, part: Part) -> CachedObject:
-        """The object of (segment, part), which `stream` has. Raises CodecError for a bad file."""
-        key = stream.generation, segment, part
-        return await self._objects.load(key, partial(self._read, stream, segment, part))
-
-    async def load_sound(self, stream: ServedStream, segment: int, name: str) -> Content:
-        """The object that `stream.has_sound`. Raises a CodecError for a bad file."""
-        # Before the content: what is replaced between the two is read again at the next request.
-        stamp = await asyncio.to_thread(stream.sound_stamp, segment, name)
-        key = stream.generation, segment, name, stamp
-        return await self._sounds.load(key, partial(_read_sound, stream, segment, name))
+        self._objects.keep(key, loaded)
+        self._metrics.cache_bytes.set(self.size_bytes)
+        return loaded
 
     def _read(self, stream: ServedStream, segment: int, part: Part) -> CachedObject:
         checked = stream.read_object(segment, part)
@@ -159,12 +154,12 @@ class ObjectCache:
             coded={ZSTD: checked.data} if inflates_whole(checked.data, checked.entries) else {},
             count=lambda sent: self._metrics.layer_bytes.add(sent, "object", str(part)),
         )
-        return CachedObject(checked, content)
+        return CachedObject(content, checked)
 
 
-def _read_sound(stream: ServedStream, segment: int, name: str) -> Content:
+def _read_sound(stream: ServedStream, segment: int, name: str) -> CachedObject:
     data = stream.read_sound(segment, name)
-    return Content(data, hashlib.sha256(data).hexdigest(), OBJECT_TYPE, REVALIDATE)
+    return CachedObject(Content(data, hashlib.sha256(data).hexdigest(), OBJECT_TYPE, REVALIDATE))
 
 
 RecordKey = tuple[int, int, int, int, str | None]
@@ -217,8 +212,7 @@ class RecordCache:
         layers: list[Part] = [*range(first_layer, end_layer)]
         parts = layers if first_layer else [*layers, MASKS]
         packets = [
-            (await self._objects.load(stream, segment, part)).checked.packet(birth)
-            for part in parts
+            (await self._objects.load(stream, segment, part)).packet(birth) for part in parts
         ]
         mask = packets[-1] if len(parts) > len(layers) else None
         record = SliceRecord(birth, tuple(packets[: len(layers)]), mask, first_layer)
@@ -244,8 +238,7 @@ class RecordCache:
         for layer in range(first_layer, end_layer):
             part = snapshot_part(layer)
             parts.append(part)
-            found = await self._objects.load(stream, segment, part)
-            packets.append(found.checked.packet(frame))
+            packets.append((await self._objects.load(stream, segment, part)).packet(frame))
             if sum(map(len, packets)) >= most_bytes:
                 break
         record = SnapshotRecord(frame, first_layer, tuple(packets))

@@ -196,7 +196,7 @@ def test_the_cache_drops_the_least_recently_used() -> None:
 
     async def check() -> None:
         shelf = Shelf()
-        stream, cache = cast(ServedStream, shelf), ObjectCache(200, Metrics())
+        stream, cache = cast(ServedStream, shelf), ObjectCache(25, Metrics())
         for segment, reads in ((0, 1), (1, 2), (0, 2), (2, 3), (0, 3), (1, 4)):
             content = await cache.load_sound(stream, segment, "audio-main")
             assert (content.data, shelf.reads) == (bytes([segment]) * 10, reads)
