@@ -75,29 +75,15 @@ def watch_page(stream: WatchedStream, player: WebPlayer, shared: bool) -> str:
     """shared: whether anyone may open the page by its address; else the page names no address that
     leads elsewhere than below its own."""
     data = f"../v1/streams/{stream.name}"
-    width_px, height_px = frame_px(stream.aspect)
-    graph = {
-        "title": stream.title,
-        "description": stream.about,
-        "type": "video.other",
-        "url": stream.url,
-        "video:url": stream.url,
-        "video:type": "text/html",
-        "video:width": str(width_px),
-        "video:height": str(height_px),
-    }
-    if stream.poster:
-        graph["image"] = f"{stream.data_url}/{stream.poster}"
     return rendered(
         "watch.html",
         title=stream.title,
         style=_STYLE,
         stream=stream,
         shared=shared,
-        graph=graph,  # what chats and social networks read
+        frame_px=frame_px(stream.aspect),
         code=str(frame_html(stream)),
         data=data,
-        poster=f"{data}/{stream.poster}" if stream.poster else "",
         file="" if stream.is_live else f"{data}/{DOWNLOAD_NAME}",
         script=player.page_script,
         modules=[f"../web/{name}" for name in player.modules],

@@ -16,19 +16,9 @@ from codec.errors import InvalidError
 
 _TYPES = {".js": "text/javascript", ".html": "text/html"}
 
-_BUNDLE = "bundle"
+_BUNDLE = "bundle/"
 _PAGE_SCRIPT = "page.js"
 _FIRST = ("player.js", "playworker.js", "sortworker.js")
-_MODULES = (
-    *_FIRST,
-    "controls.js",
-    "extras.js",
-    "tracks.js",
-    "smoothing.js",
-    "packedlayout.js",
-    "passing.js",
-    "ply.js",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,19 +45,23 @@ class WebPlayer:
             for path in sorted(folder.rglob("*"))
             if path.suffix in _TYPES
         }
-        bundle = {name: found.get(f"{_BUNDLE}/{name}", b"") for name in (_PAGE_SCRIPT, *_MODULES)}
-        if not all(bundle.values()):
+        bundle = {
+            name.removeprefix(_BUNDLE): data
+            for name, data in found.items()
+            if name.startswith(_BUNDLE) and name.endswith(".js")
+        }
+        if not {_PAGE_SCRIPT, *_FIRST} <= bundle.keys():
             raise InvalidError(f"{folder} does not hold the browser player; reinstall swings")
-        self.page_script = bundle[_PAGE_SCRIPT].decode().strip()
+        self.page_script = bundle.pop(_PAGE_SCRIPT).decode().strip()
         """The script that a page with the player has inline."""
         # One hash for all of them: they name each other by relative URLs.
-        version = hashlib.sha256(b"".join(bundle[name] for name in _MODULES)).hexdigest()[:16]
-        versioned = {name: f"{_BUNDLE}-{version}/{name}" for name in _MODULES}
+        version = hashlib.sha256(b"".join(bundle.values())).hexdigest()[:16]
+        versioned = {name: f"bundle-{version}/{name}" for name in bundle}
         self.modules = tuple(versioned[name] for name in _FIRST)
         """Names of the modules that a page begins with; the first one is the element."""
         self.assets: Mapping[str, Asset] = {
             name: _asset(name, data) for name, data in found.items()
-        } | {versioned[name]: _asset(name, bundle[name], immutable=True) for name in _MODULES}
+        } | {versioned[name]: _asset(name, bundle[name], immutable=True) for name in bundle}
 
 
 def _installed() -> Path:
