@@ -51,11 +51,14 @@ class Entry:
     def __init__(
         self,
         name: str,
+        path: str,
         storage: Storage,
         look: Callable[[], Awaitable[None]],
         live_poll_s: float,
     ) -> None:
-        """look: looks at this stream again, for the tasks that wait for its growth."""
+        """path: where it lies in the root. look: looks at this stream again, for the tasks that
+        wait for its growth."""
+        self.path = path
         self.stream: ServedStream | None = None
         self.reason = ""
         """Why there is no stream, in a line without the paths of this machine."""

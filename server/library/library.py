@@ -65,18 +65,12 @@ class Library:
         self._live_poll_s = live_poll_s
         self._single: bool | None = None
         self._entries: dict[str, Entry] = {}
-        self._paths: dict[str, str] = {}
-        """Where each entry lies in the root."""
         self._scanning = threading.Lock()  # a thread outlives the task that waits for it
         self._looking = asyncio.Lock()
         self._in_trouble = False
         self._storage.check()
         self._scan()
         self._apply()
-
-    def find(self, name: str) -> ServedStream | None:
-        """The stream called `name`, as it was at the last look; None where there is none."""
-        return self.streams.get(name)
 
     async def watch(self) -> None:
         """Looks at the root every refresh_s, until it is cancelled."""
@@ -106,17 +100,14 @@ class Library:
         """Brings the entries up to date. Blocks. Raises SwingsError if the root cannot be read."""
         with self._scanning:
             found = self._found()
-            for name, path in list(self._paths.items()):
-                if name not in found or found[name].path != path:
-                    del self._paths[name]
+            for name, entry in list(self._entries.items()):
+                if name not in found or found[name].path != entry.path:
                     self._entries.pop(name).leave()
-            for name in sorted(found):
-                one, entry = found[name], self._entries.get(name)
-                if entry is None:
-                    peek = partial(self._peek, name)
-                    storage = self._storage_of(one)
-                    entry = self._entries[name] = Entry(name, storage, peek, self._live_poll_s)
-                    self._paths[name] = one.path
+            for name, one in sorted(found.items()):
+                if name not in self._entries:
+                    look, storage = partial(self._peek, name), self._storage_of(one)
+                    self._entries[name] = Entry(name, one.path, storage, look, self._live_poll_s)
+                entry = self._entries[name]
                 refusal = one.refusal or ("" if STREAM_NAME.fullmatch(name) else MISNAMED)
                 if refusal:
                     entry.refuse(refusal)

@@ -84,7 +84,7 @@ def test_who_waits_for_a_stream_that_goes_is_told(tmp_path: Path, how: str) -> N
             await waiter
             assert now_s() < 1.0
             assert stream.gone
-            assert library.find("live") is not stream
+            assert library.streams.get("live") is not stream
 
     virtually(check())
 

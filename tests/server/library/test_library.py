@@ -205,7 +205,7 @@ def test_a_live_stream_that_breaks_keeps_its_last_good_view(
         file.write(b"\x01" * 2 * record_bytes(4))
     for _ in range(3):
         look(library)
-        assert library.find("live") is stream
+        assert library.streams.get("live") is stream
         assert stream.num_frames == 2 * SEGMENT_FRAMES
     lines = [line for line in said(caplog) if "index.bin" in line]
     assert len(lines) == 1
@@ -221,13 +221,13 @@ def test_a_root_that_goes_keeps_what_is_served_until_it_comes_back(
     (tmp_path / "root").rename(tmp_path / "away")
     for _ in range(3):
         look(library)
-        assert library.find("one") is stream
+        assert library.streams.get("one") is stream
     assert len(said(caplog)) == 1
     (tmp_path / "away").rename(tmp_path / "root")
     make_stream(tmp_path / "root" / "two", 3)
     look(library)
     assert list(library.streams) == ["one", "two"]
-    assert library.find("one") is stream
+    assert library.streams.get("one") is stream
     assert len(said(caplog)) == 2
 
 

@@ -100,7 +100,7 @@ def test_a_replaced_stream_is_another_one(tmp_path: Path, how: str, alike: bool)
             shutil.rmtree(root / "s")
         shutil.copytree(new, root / "s", dirs_exist_ok=True)
     asyncio.run(library.look())
-    assert library.find("s") not in (old, None)
+    assert library.streams.get("s") not in (old, None)
     assert old.gone
     assert old.view.index_sha256 == tag
     # Objects of the old stream never get the bytes of the new one.
@@ -162,7 +162,7 @@ def test_an_index_that_is_copied_before_its_objects_waits_for_them(tmp_path: Pat
             check_whole(stream)
             seen.append((stream.view.num_segments, stream.live))
         assert seen == [(2, True), (3, True), (4, False)]
-        assert library.find("s") is stream
+        assert library.streams.get("s") is stream
 
     asyncio.run(check())
 
