@@ -1,4 +1,5 @@
-"""The input of a policy when packets may be sent, and its possible decisions.
+"""The input of a policy when packets may be sent, its possible decisions, and the policy that only
+counts layers.
 
 Rule: a policy sees one `DecisionContext` and its own state, nothing else; any policy implements
 `Policy`."""
@@ -8,10 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from codec.errors import InvalidError
 from codec.stream.manifest import MAX_LAYERS
 
 from .holding import Holding
-from .media import Media
+from .media import Media, segment_start
 from .playout import PlayoutClock
 
 
@@ -110,3 +112,39 @@ class Policy(Protocol):
     def choose(self, context: DecisionContext) -> Send | None:
         """The packets to send now; None if none are worth sending until something changes."""
         ...
+
+
+class FixedLayers:
+    """The same number of layers whatever happens: what `?layers=N` asks for.
+
+    Sends slices in order, each complete at once. Fewer layers only where the server allows no
+    more; they come back at a segment's first frame, behind its slice.
+    """
+
+    mends = False
+
+    def __init__(self, num_layers: int) -> None:
+        """num_layers: as many as there are if it is more."""
+        if num_layers < 1:
+            raise InvalidError(f"layers is {num_layers}; give at least 1")
+        self._num_layers = num_layers
+
+    def choose(self, context: DecisionContext) -> Send | None:
+        media, holding = context.media, context.holding
+        wanted = min(self._num_layers, context.num_layers)
+        birth = holding.end_birth(0)
+        if birth is None:
+            first = segment_start(media, context.clock.first_frame)
+            return SendSnapshots(first, 0, wanted) if first < context.end_birth else None
+        held = next((n for n in range(wanted) if holding.end_birth(n) != birth), wanted)
+        if held < wanted and (birth - 1) % media.segment_frames == 0:
+            return SendSnapshots(birth - 1, held, wanted)
+        if birth >= context.end_birth:
+            return None
+        size = media.sizes(birth).slice_bytes[held - 1]
+        end = min(context.end_birth, birth + context.run_length(size, context.rate_bps))
+        if held < wanted:
+            # With the slice of a segment's first frame they stop: snapshots follow.
+            first = segment_start(media, birth + media.segment_frames - 1)
+            end = min(end, first + 1)
+        return SendSlices(range(birth, end), 0, held)

@@ -34,8 +34,7 @@ from server.abr.clientstatus import (
     parse_frame,
     parse_rate,
 )
-from server.abr.decisioncontext import SendSlices, SendSnapshots
-from server.abr.fixedlayers import FixedLayers
+from server.abr.decisioncontext import FixedLayers, SendSlices, SendSnapshots
 from server.abr.receipts import MOST_BEHIND_BYTES, REPORT_S, Receipts
 from server.abr.session import (
     Finished,

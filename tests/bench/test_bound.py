@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from bench.abr.bound import base_only, bound, normalised
 from bench.abr.feasible import earliest_s, latest_s, open_play, waiting_s
 from codec.errors import InvalidError
-from server.abr.decisioncontext import Policy
-from server.abr.fixedlayers import FixedLayers
+from server.abr.decisioncontext import FixedLayers, Policy
 from server.abr.link import Link, LinkStep
 from server.abr.media import SegmentSizes
 from server.abr.playout import PlayoutConfig

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from server.abr.clientstatus import ClientStatus
-from server.abr.decisioncontext import SendSlices, SendSnapshots
-from server.abr.fixedlayers import FixedLayers
+from server.abr.decisioncontext import FixedLayers, SendSlices, SendSnapshots
 from server.abr.holding import Holding
 from server.abr.link import Link, LinkStep
 from server.abr.media import SegmentSizes

@@ -5,8 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
-from server.abr.fixedlayers import FixedLayers
+from server.abr.decisioncontext import FixedLayers, Send, SendSlices, SendSnapshots
 from server.abr.link import Link, LinkStep
 from server.abr.session import PlaySession, SessionConfig
 from server.study.simulator import simulate

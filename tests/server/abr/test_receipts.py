@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from server.abr.clientstatus import MAX_POINT
-from server.abr.decisioncontext import Send
-from server.abr.fixedlayers import FixedLayers
+from server.abr.decisioncontext import FixedLayers, Send
 from server.abr.receipts import Receipts
 from server.abr.session import PlaySession, SessionConfig, WaitForAck
 from tests.support.delivery.media import basketball_media

@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from codec.errors import InvalidError
-from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
-from server.abr.fixedlayers import FixedLayers
+from server.abr.decisioncontext import FixedLayers, Send, SendSlices, SendSnapshots
 from server.abr.link import Link, LinkStep
 from server.abr.playout import PlayoutConfig
 from server.abr.session import (

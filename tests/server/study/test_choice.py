@@ -10,8 +10,14 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from server.abr.decisioncontext import DecisionContext, Policy, Send, SendSlices, SendSnapshots
-from server.abr.fixedlayers import FixedLayers
+from server.abr.decisioncontext import (
+    DecisionContext,
+    FixedLayers,
+    Policy,
+    Send,
+    SendSlices,
+    SendSnapshots,
+)
 from server.abr.link import Link, LinkStep
 from server.abr.media import SegmentSizes
 from server.abr.session import SessionConfig
