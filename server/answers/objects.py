@@ -45,7 +45,7 @@ async def segment_object(request: web.Request) -> web.StreamResponse:
             # Another may take its name, so whoever keeps it asks again.
             content = await state.cache.load_sound(stream, segment, name)
         elif stream.has_object(segment, part):
-            content = await state.cache.load_content(stream, segment, part)
+            content = await state.cache.load(stream, segment, part)
         else:
             raise RequestError(404, f"{stream.name} has no segment {segment} layer {name}")
     return await serve(request, content)

@@ -76,12 +76,7 @@ class Metrics:
             os.environ[FOLDER_VARIABLE] = str(folder)
             values.ValueClass = values.MultiProcessValue(lambda: place)
         self._registry = registry = CollectorRegistry()
-        self._counters: list[CounterSeries] = []
-
-        def counter(name: str, help: str, *labels: str) -> CounterSeries:
-            self._counters.append(CounterSeries(registry, name, help, *labels))
-            return self._counters[-1]
-
+        counter = partial(CounterSeries, registry)
         self.requests = counter("requests", "Responses by route and status code.", "route", "code")
         self.layer_bytes = counter(
             "layer_bytes",
@@ -135,8 +130,9 @@ class Metrics:
 
     def flush(self) -> None:
         """Counts what was added; the other workers see it from now on."""
-        for series in self._counters:
-            series.flush()
+        for series in vars(self).values():
+            if isinstance(series, CounterSeries):
+                series.flush()
 
     def text(self) -> str:
         """All families in the Prometheus text format: those of all workers, where there are

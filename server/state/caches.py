@@ -7,7 +7,7 @@ import asyncio
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Generic, Protocol, TypeVar
 
@@ -62,16 +62,10 @@ class ByteCache(Generic[K, V]):
 
 
 @dataclass(frozen=True, slots=True)
-class CachedObject:
-    """An object, and its content as a URL gives it."""
+class ObjectContent(Content):
+    """An object as an answer, and what a play takes of it."""
 
-    content: Content
-    checked: CheckedObject | None = None
-    """None for one of sound."""
-
-    @property
-    def data(self) -> bytes:
-        return self.content.data
+    checked: CheckedObject = field(kw_only=True)
 
 
 class ObjectCache:
@@ -80,8 +74,8 @@ class ObjectCache:
 
     def __init__(self, capacity_bytes: int, metrics: Metrics) -> None:
         self._metrics = metrics
-        self._objects = ByteCache[tuple[object, ...], CachedObject](capacity_bytes)
-        self._loading: dict[tuple[object, ...], asyncio.Task[CachedObject]] = {}
+        self._objects = ByteCache[tuple[object, ...], Content](capacity_bytes)
+        self._loading: dict[tuple[object, ...], asyncio.Task[Content]] = {}
 
     @property
     def size_bytes(self) -> int:
@@ -89,38 +83,29 @@ class ObjectCache:
 
     def content(self, stream: ServedStream, segment: int, part: Part) -> Content | None:
         """The object as an answer, if it is in memory."""
-        found = self._found((stream.generation, segment, part))
-        return None if found is None else found.content
+        return self._found((stream.generation, segment, part))
 
-    async def load_content(self, stream: ServedStream, segment: int, part: Part) -> Content:
-        """The object of (segment, part), which `stream` has, as an answer. Raises CodecError for a
-        bad file."""
+    async def load(self, stream: ServedStream, segment: int, part: Part) -> ObjectContent:
+        """The object of (segment, part), which `stream` has. Raises CodecError for a bad file."""
         key = stream.generation, segment, part
-        return (await self._cached(key, partial(self._read, stream, segment, part))).content
-
-    async def load(self, stream: ServedStream, segment: int, part: Part) -> CheckedObject:
-        """The same object. Raises CodecError for a bad file."""
-        key = stream.generation, segment, part
-        checked = (await self._cached(key, partial(self._read, stream, segment, part))).checked
-        assert checked is not None
-        return checked
+        found = await self._cached(key, partial(self._read, stream, segment, part))
+        assert isinstance(found, ObjectContent)
+        return found
 
     async def load_sound(self, stream: ServedStream, segment: int, name: str) -> Content:
         """The object that `stream.has_sound`, as an answer. Raises a CodecError for a bad file."""
         # Before the content: what is replaced between the two is read again at the next request.
         stamp = await asyncio.to_thread(stream.sound_stamp, segment, name)
         key = stream.generation, segment, name, stamp
-        return (await self._cached(key, partial(_read_sound, stream, segment, name))).content
+        return await self._cached(key, partial(_read_sound, stream, segment, name))
 
-    def _found(self, key: tuple[object, ...]) -> CachedObject | None:
+    def _found(self, key: tuple[object, ...]) -> Content | None:
         found = self._objects.get(key)
         if found is not None:
             self._metrics.cache_hits.add(1)
         return found
 
-    async def _cached(
-        self, key: tuple[object, ...], read: Callable[[], CachedObject]
-    ) -> CachedObject:
+    async def _cached(self, key: tuple[object, ...], read: Callable[[], Content]) -> Content:
         found = self._found(key)
         if found is not None:
             return found
@@ -133,9 +118,7 @@ class ObjectCache:
         # A client that goes away must not break the load for the others that wait for it.
         return await asyncio.shield(task)
 
-    async def _load(
-        self, key: tuple[object, ...], read: Callable[[], CachedObject]
-    ) -> CachedObject:
+    async def _load(self, key: tuple[object, ...], read: Callable[[], Content]) -> Content:
         try:
             loaded = await asyncio.to_thread(read)
         finally:
@@ -144,22 +127,22 @@ class ObjectCache:
         self._metrics.cache_bytes.set(self.size_bytes)
         return loaded
 
-    def _read(self, stream: ServedStream, segment: int, part: Part) -> CachedObject:
+    def _read(self, stream: ServedStream, segment: int, part: Part) -> ObjectContent:
         checked = stream.read_object(segment, part)
-        content = Content(
+        return ObjectContent(
             checked.data,
             stream.object_sha256(segment, part),
             OBJECT_TYPE,
             IMMUTABLE,
             coded={ZSTD: checked.data} if inflates_whole(checked.data, checked.entries) else {},
             count=lambda sent: self._metrics.layer_bytes.add(sent, "object", str(part)),
+            checked=checked,
         )
-        return CachedObject(content, checked)
 
 
-def _read_sound(stream: ServedStream, segment: int, name: str) -> CachedObject:
+def _read_sound(stream: ServedStream, segment: int, name: str) -> Content:
     data = stream.read_sound(segment, name)
-    return CachedObject(Content(data, hashlib.sha256(data).hexdigest(), OBJECT_TYPE, REVALIDATE))
+    return Content(data, hashlib.sha256(data).hexdigest(), OBJECT_TYPE, REVALIDATE)
 
 
 RecordKey = tuple[int, int, int, int, str | None]
@@ -212,7 +195,8 @@ class RecordCache:
         layers: list[Part] = [*range(first_layer, end_layer)]
         parts = layers if first_layer else [*layers, MASKS]
         packets = [
-            (await self._objects.load(stream, segment, part)).packet(birth) for part in parts
+            (await self._objects.load(stream, segment, part)).checked.packet(birth)
+            for part in parts
         ]
         mask = packets[-1] if len(parts) > len(layers) else None
         record = SliceRecord(birth, tuple(packets[: len(layers)]), mask, first_layer)
@@ -238,7 +222,8 @@ class RecordCache:
         for layer in range(first_layer, end_layer):
             part = snapshot_part(layer)
             parts.append(part)
-            packets.append((await self._objects.load(stream, segment, part)).packet(frame))
+            found = await self._objects.load(stream, segment, part)
+            packets.append(found.checked.packet(frame))
             if sum(map(len, packets)) >= most_bytes:
                 break
         record = SnapshotRecord(frame, first_layer, tuple(packets))
