@@ -21,7 +21,7 @@ from tests.support.commands import ENTRY, ROOT, environment
 from tests.support.tiny_stream import tiny_manifest, write_tiny
 from tests.support.waiting import BOUND_S
 
-NEEDS_GUNICORN = ("factory", "gunicornconf", "workerfolder")
+NEEDS_GUNICORN = ("factory", "gunicornconf")
 """Modules that only `--workers` above 1 imports, because Windows cannot install gunicorn."""
 
 MODULES = [
