@@ -41,8 +41,8 @@ class ServerState:
     ) -> None:
         """metrics: None for a server of one process. number: of the worker. workers: folder of the
         sockets of all; None where there is one. play_secret: shared by all workers; None for a
-        server of one process. Raises InvalidError for a file of keys that is not one, OSError
-        where it cannot be read, SwingsError if there may not be enough open files."""
+        server of one process. Raises InvalidError for a file of keys that is not one,
+        CorruptError where it cannot be read, SwingsError if there may not be enough open files."""
         self.library = library
         self.config = config
         self.metrics = metrics or Metrics()
@@ -82,7 +82,7 @@ class ServerState:
         """Since the worker began."""
 
     def read_keys(self) -> None:
-        """Reads the file of keys, if there is to be one. Raises InvalidError, OSError."""
+        """Reads the file of keys, if there is to be one. Raises InvalidError, CorruptError."""
         if self.config.keys is not None:
             self.signer = Signer(read_keys(self.config.keys))
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import re
 import secrets
-import stat
 from functools import partial
 from pathlib import Path
 
 from codec.errors import InvalidError
-from codec.files import replacing
+from codec.files import opened_regular, replacing
 
 from .signing import KID
 
@@ -25,7 +24,7 @@ def read_keys(path: Path) -> dict[str, bytes]:
     """The secrets by key name, in the order of the file; the first is the one to sign with.
 
     Empty lines and those that begin with # count for nothing. Raises InvalidError for a file that
-    others may read or that is not one of keys, OSError where it cannot be read.
+    others may read or that is not one of keys, CorruptError where it cannot be read.
     """
     keys: dict[str, bytes] = {}
     for number, line in enumerate(_read(path).splitlines(), start=1):
@@ -63,17 +62,8 @@ def add_key(path: Path) -> str:
 
 
 def _read(path: Path) -> str:
-    # Not blocking: a FIFO is refused below and must not hold us up here.
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    except FileNotFoundError as error:
-        raise InvalidError(f"{path} is missing; swings-sign {path} --new-key makes it") from error
-    status = os.fstat(descriptor)
-    if not stat.S_ISREG(status.st_mode):
-        os.close(descriptor)
-        raise InvalidError(f"{path} is not a regular file")
-    with os.fdopen(descriptor, "rb") as file:
-        if status.st_mode & 0o077:
+    with opened_regular(path, if_missing=f"swings-sign {path} --new-key makes it") as file:
+        if os.fstat(file.fileno()).st_mode & 0o077:
             raise InvalidError(
                 f"{path} holds secrets and other users can read it; run chmod 600 {path}"
             )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from codec.errors import InvalidError
+from codec.errors import CorruptError, InvalidError
 from server.operate.sign.keyfile import add_key, read_keys
 from server.operate.sign.signing import ALL, Grant, Signer, nginx_secrets, sign_for_nginx
 from tests.support.commands import run, run_ok
@@ -51,7 +51,7 @@ def test_a_file_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> No
 
 
 def test_a_missing_file_is_named_with_what_makes_it(tmp_path: Path) -> None:
-    with pytest.raises(InvalidError, match=r"keys is missing; swings-sign .*keys --new-key"):
+    with pytest.raises(CorruptError, match=r"keys is missing; swings-sign .*keys --new-key"):
         read_keys(tmp_path / "keys")
 
 
@@ -79,8 +79,8 @@ def test_what_is_not_a_file_of_keys_is_named_without_its_secrets(
 
 def test_a_fifo_does_not_hold_it_up(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "keys", 0o600)
-    for path in (tmp_path / "keys", tmp_path):
-        refused(InvalidError, "regular file", read_keys, path)
+    for path, reason in ((tmp_path / "keys", "regular file"), (tmp_path, "directory")):
+        refused(CorruptError, reason, read_keys, path)
 
 
 def test_the_command_prints_urls_that_the_server_grants(tmp_path: Path) -> None:
