@@ -54,7 +54,6 @@ class Entry:
         path: str,
         storage: Storage,
         look: Callable[[], Awaitable[None]],
-        live_poll_s: float,
     ) -> None:
         """path: where it lies in the root. look: looks at this stream again, for the tasks that
         wait for its growth."""
@@ -64,7 +63,7 @@ class Entry:
         """Why there is no stream, in a line without the paths of this machine."""
         self._name = name
         self._storage = storage
-        self._open_arguments = look, live_poll_s
+        self._look_again = look
         self._lock = threading.Lock()
         self._stamps: Stamps | None = None
         self._lacking: LackingObject | None = None
@@ -141,7 +140,7 @@ class Entry:
                 raise CorruptError(f"{self._lacking}; is the copy incomplete?")
             view = view_of(manifest_json, index_of(view, self._lacking.segment))
         known = self.stream is not None
-        self.stream = ServedStream(self._name, self._storage, view, *self._open_arguments)
+        self.stream = ServedStream(self._name, self._storage, view, self._look_again)
         self.reason = ""
         what = "was replaced" if known else "is served"
         self._say(logging.INFO, what, f"{view.num_frames} frames{', live' * view.manifest.live}")

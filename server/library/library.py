@@ -20,7 +20,7 @@ from codec.stream.packedlayout import PACKED_SUFFIX
 from codec.stream.packedstorage import PackedStorage, open_place
 
 from .entry import FILES, Entry, Stamps, one_line
-from .servedstream import LIVE_POLL_S, ServedStream
+from .servedstream import ServedStream
 
 log = logging.getLogger(__name__)
 
@@ -52,9 +52,7 @@ class Library:
     construction if there is no such root.
     """
 
-    def __init__(
-        self, root: Path | str, refresh_s: float, live_poll_s: float = LIVE_POLL_S
-    ) -> None:
+    def __init__(self, root: Path | str, refresh_s: float) -> None:
         self.streams: dict[str, ServedStream] = {}
         """Streams that can be served, by name."""
         self.broken: dict[str, str] = {}
@@ -62,7 +60,6 @@ class Library:
         machine."""
         self._storage = open_place(root)
         self._refresh_s = refresh_s
-        self._live_poll_s = live_poll_s
         self._single: bool | None = None
         self._entries: dict[str, Entry] = {}
         self._scanning = threading.Lock()  # a thread outlives the task that waits for it
@@ -106,7 +103,7 @@ class Library:
             for name, one in sorted(found.items()):
                 if name not in self._entries:
                     look, storage = partial(self._peek, name), self._storage_of(one)
-                    self._entries[name] = Entry(name, one.path, storage, look, self._live_poll_s)
+                    self._entries[name] = Entry(name, one.path, storage, look)
                 entry = self._entries[name]
                 refusal = one.refusal or ("" if STREAM_NAME.fullmatch(name) else MISNAMED)
                 if refusal:

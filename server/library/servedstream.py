@@ -31,10 +31,9 @@ class Growth:
     The stream is polled only while a task waits, and by one poller however many tasks wait.
     """
 
-    def __init__(self, look: Callable[[], Awaitable[None]], poll_s: float = LIVE_POLL_S) -> None:
+    def __init__(self, look: Callable[[], Awaitable[None]]) -> None:
         """look: looks at the stream, and calls `wake` if it has changed."""
         self._look = look
-        self._poll_s = poll_s
         self._woken = asyncio.Event()
         self._poller: asyncio.Task[None] | None = None
         self.num_waiting = 0
@@ -65,7 +64,7 @@ class Growth:
     async def _poll(self) -> None:
         while True:
             await self._look()
-            await asyncio.sleep(self._poll_s)
+            await asyncio.sleep(LIVE_POLL_S)
 
 
 async def _no_refresh() -> None:
@@ -85,7 +84,6 @@ class ServedStream:
         storage: Storage,
         view: StreamView,
         look: Callable[[], Awaitable[None]] = _no_refresh,
-        live_poll_s: float = LIVE_POLL_S,
     ) -> None:
         """look: looks at the files of this one, and calls `announce`."""
         self.name = name
@@ -96,7 +94,7 @@ class ServedStream:
         """Whether it is served no more; what was read of it is still right."""
         self._storage = storage
         self._sizes: dict[int, SegmentSizes] = {}
-        self._growth = Growth(look, live_poll_s)
+        self._growth = Growth(look)
         self._announced = view
 
     def announce(self, gone: bool = False) -> None:
