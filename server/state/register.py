@@ -74,8 +74,7 @@ class PlayRegister:
     """The running plays and those that ended lately. The limit on running plays is enforced
     elsewhere (`operate.admission`)."""
 
-    def __init__(self, max_ended: int = MAX_ENDED) -> None:
-        self._max_ended = max_ended
+    def __init__(self) -> None:
         self._running: dict[str, RegisteredPlay] = {}
         self._ended: OrderedDict[str, _EndedPlay] = OrderedDict()
 
@@ -94,7 +93,7 @@ class PlayRegister:
 
     def _remember(self, token: str, ended: _EndedPlay) -> None:
         self._ended[token] = ended
-        if len(self._ended) > self._max_ended:
+        if len(self._ended) > MAX_ENDED:
             self._ended.popitem(last=False)
 
     def continue_play(self, token: str, now_s: float, is_lost: bool) -> Continuation:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -48,8 +47,6 @@ class _Piece:
     """Bytes on their way."""
 
     comes_s: float
-    told_s: float
-    """When the sender hears of it."""
     num_bytes: float
     whole: Arrival | None
     """What has come whole with it."""
@@ -71,14 +68,9 @@ def simulate(
     first_frame: int = 0,
     until_frame: int | None = None,
     at_most_s: float = 1e5,
-    report_s: float = 0.0,
 ) -> Simulated:
-    """Plays `media` to its end, or for `at_most_s` seconds.
-
-    report_s: 0, or the time between two reports by which the client acknowledges.
-    """
+    """Plays `media` to its end, or for `at_most_s` seconds."""
     session = PlaySession(media, policy, config or SessionConfig(), 0.0, first_frame, until_frame)
-    session.report_s = report_s
     result = Simulated()
     underway: deque[_Piece] = deque()
     now_s = free_s = acked_bytes = 0.0
@@ -94,15 +86,11 @@ def simulate(
                 piece = min(left, PIECE_BYTES)
                 left -= piece
                 free_s = link.passed_s(free_s, piece)
-                latency_s = link.at(free_s).latency_s
-                comes_s = free_s + latency_s
+                comes_s = free_s + link.at(free_s).latency_s
                 if underway:
                     comes_s = max(comes_s, underway[-1].comes_s)
                 whole = None if left > 0 else Arrival(comes_s, num_bytes, decision)
-                told_s = comes_s
-                if report_s:
-                    told_s = math.ceil(comes_s / report_s) * report_s + latency_s
-                underway.append(_Piece(comes_s, told_s, piece, whole))
+                underway.append(_Piece(comes_s, piece, whole))
             result.estimates.append((now_s, session.rate_bps or 0.0, session.queued_bytes))
             continue
         until_s = at_most_s
@@ -114,16 +102,13 @@ def simulate(
             until_s = now_s + 0.05
         elif isinstance(decision, WaitForAck):
             assert underway, "nothing is on its way, and the session waits for it"
-        now_s = max(now_s, min(until_s, underway[0].told_s) if underway else until_s)
-        while underway and underway[0].told_s <= now_s:
+        now_s = max(now_s, min(until_s, underway[0].comes_s) if underway else until_s)
+        while underway and underway[0].comes_s <= now_s:
             one = underway.popleft()
             acked_bytes += one.num_bytes
             if one.whole is not None:
                 result.arrivals.append(one.whole)
-            if report_s:
-                session.acknowledge(one.comes_s, acked_bytes)
-        if not report_s:
-            session.acknowledge(now_s, acked_bytes)
+        session.acknowledge(now_s, acked_bytes)
     result.ended_s = now_s
     return result
 
