@@ -86,11 +86,7 @@ class LineFormatter(logging.Formatter):
 def _fields_of(record: logging.LogRecord) -> dict[str, Value]:
     """The fields of a record of the logging module. An exception that names its cause needs no
     traceback; others are bugs."""
-    try:
-        message = record.getMessage()
-    except Exception:
-        message = f"{record.msg} (with the wrong arguments)"
-    fields: dict[str, Value] = {"logger": record.name, "message": message}
+    fields: dict[str, Value] = {"logger": record.name, "message": record.getMessage()}
     error = record.exc_info[1] if record.exc_info else None
     if isinstance(error, SwingsError | OSError):
         fields["error"] = f"{type(error).__name__}: {error}"
@@ -153,7 +149,7 @@ class EventLog(logging.Handler):
                 self._lines.put_nowait(self.format(logging.makeLogRecord(told)))
                 self._num_reported = dropped
             self._lines.put_nowait(line)
-        except Exception:  # the queue is full, or nothing can be made of a field
+        except Exception:  # the queue is full, or no line can be made of the record
             self._num_refused += 1
 
     def _write_lines(self) -> None:
