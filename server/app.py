@@ -6,18 +6,16 @@ Rule: no request causes a traceback, and only the operator's log names paths of 
 from __future__ import annotations
 
 import asyncio
-import errno
 import logging
 import math
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Coroutine, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
-from typing import Any, NoReturn
+from typing import Any
 
 from aiohttp import web
 from aiohttp.typedefs import Handler
-from multidict import CIMultiDict
 
 from codec.errors import SwingsError
 from server.abr.clientstatus import (
@@ -33,7 +31,7 @@ from server.abr.clientstatus import (
 from server.operate.overload import LoadSample, measure_lag, measure_load
 
 from .answers import download, objects, pages, play, statusreport
-from .http.connection import Connection, refusal
+from .http.connection import Connection, connection_of
 from .http.content import private_caching
 from .http.errors import RequestError
 from .http.requestlog import CLIENT_GONE, FACTS, GRANT, NOTE, SENT_BYTES, SIGNED, WAITS_FROM_S
@@ -44,18 +42,13 @@ from .state.serverstate import STATE, ServerState
 
 log = logging.getLogger(__name__)
 
-ROUTES = [
-    one
-    for routes in (
-        objects.routes,
-        play.routes,
-        statusreport.routes,
-        download.routes,
-        pages.routes,
-        objects.last_routes,
-    )
-    for one in routes
-    if isinstance(one, web.RouteDef)
+ROUTES: list[web.AbstractRouteDef] = [
+    *objects.routes,
+    *play.routes,
+    *statusreport.routes,
+    *download.routes,
+    *pages.routes,
+    *objects.last_routes,
 ]
 """All routes of the server, the most used first."""
 
@@ -83,9 +76,6 @@ EXPOSED = (
 )
 """Headers of responses that pages of other origins may read."""
 
-QUIET_S = 60.0
-"""Seconds between two lines that say that descriptors are out."""
-
 WORKERS_STOP_S = 0.5
 """Seconds for what other workers still ask when this one has ended."""
 
@@ -104,14 +94,18 @@ def create_app(state: ServerState, log: EventLog | None = None) -> web.Applicati
     app[STATE] = state
     app.add_routes(ROUTES)
     if state.signer is not None:
-        app.add_routes(
-            web.RouteDef(one.method, SIGNED + one.path, one.handler, one.kwargs) for one in ROUTES
-        )
-    app.on_response_prepare.append(headers_adder(common_headers(state.config.cors_origin)))
+        app.add_routes(map(signed_route, ROUTES))
+    app.on_response_prepare.append(partial(complete, common_headers(state.config.cors_origin)))
     app.on_shutdown.append(end_plays)
-    app.on_startup.append(accept_quietly)
     app.cleanup_ctx.extend((follow_library, answer_workers, partial(measure, log=log)))
     return app
+
+
+def signed_route(route: web.AbstractRouteDef) -> web.RouteDef:
+    """The same below a signature."""
+    if not isinstance(route, web.RouteDef):
+        raise TypeError(f"{route!r} is a folder of files, which URLs with signatures cannot have")
+    return web.RouteDef(route.method, SIGNED + route.path, route.handler, route.kwargs)
 
 
 @web.middleware
@@ -119,7 +113,9 @@ async def errors(request: web.Request, handler: Handler) -> web.StreamResponse:
     """Answers every error with one line of JSON, or a person with a page; and preflights."""
     try:
         if request.version.major != 1:
-            refuse_version(request)
+            # aiohttp would answer in the version that was asked for.
+            connection_of(request).refuse(505)
+            raise RequestError(505, "this server supports only HTTP/1.1 and HTTP/1.0")
         if request.method == "OPTIONS":
             return web.Response(status=204, headers=PREFLIGHT)
         return await handler(request)
@@ -151,14 +147,6 @@ async def errors(request: web.Request, handler: Handler) -> web.StreamResponse:
         raise RequestError(500, message) from None
 
 
-def refuse_version(request: web.Request) -> NoReturn:
-    """Answers in HTTP/1.1; aiohttp would in the version that was asked for."""
-    if request.transport is not None:
-        request.transport.write(refusal(505, "HTTP Version Not Supported"))
-        request.transport.close()
-    raise RequestError(505, "this server supports only HTTP/1.1 and HTTP/1.0")
-
-
 def gone(request: web.Request) -> web.Response:
     """What the log says of a client that has gone, or now does; nothing of it is sent."""
     request[SENT_BYTES] = request.writer.output_size
@@ -174,13 +162,13 @@ def refusal_of(error: web.HTTPException) -> RequestError:
     """An error of aiohttp's in our words."""
     if isinstance(error, RequestError):
         return error
+    message = error.text or error.reason
     if isinstance(error, web.HTTPNotFound):
         message = "nothing is served at this URL; /v1/streams lists the streams"
-        return RequestError(404, message)
-    if isinstance(error, web.HTTPMethodNotAllowed):
-        allowed = error.headers["Allow"]
-        return RequestError(405, f"this URL accepts only {allowed}", {"Allow": allowed})
-    return RequestError(error.status, error.reason)
+    elif isinstance(error, web.HTTPMethodNotAllowed):
+        message = f"this URL accepts only {error.headers['Allow']}"
+    headers = {name: value for name, value in error.headers.items() if name != "Content-Type"}
+    return RequestError(error.status, message, headers)
 
 
 @web.middleware
@@ -219,40 +207,18 @@ def common_headers(cors_origin: str) -> dict[str, str]:
     return headers
 
 
-def headers_adder(
-    headers: Mapping[str, str],
-) -> Callable[[web.Request, web.StreamResponse], Awaitable[None]]:
-    """What completes each response when it begins."""
-    common = CIMultiDict(headers)
-
-    async def add(request: web.Request, response: web.StreamResponse) -> None:
-        response.headers.update(common)
-        if GRANT in request:
-            left_s = request[GRANT].expiry_s - math.ceil(time.time())
-            caching = private_caching(response.headers.get("Cache-Control", ""), left_s)
-            response.headers["Cache-Control"] = caching
-        if WAITS_FROM_S in request:
-            waited_s = asyncio.get_running_loop().time() - request[WAITS_FROM_S]
-            request.app[STATE].metrics.ttfb.observe(waited_s)
-
-    return add
-
-
-async def accept_quietly(_: web.Application) -> None:
-    """Has asyncio say once in QUIET_S that there is no descriptor for another client; it tries
-    hundreds of times a second."""
-    said_s = -math.inf
-
-    def handle(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        nonlocal said_s
-        error = context.get("exception")
-        if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
-            if loop.time() - said_s < QUIET_S:
-                return
-            said_s = loop.time()
-        loop.default_exception_handler(context)
-
-    asyncio.get_running_loop().set_exception_handler(handle)
+async def complete(
+    headers: Mapping[str, str], request: web.Request, response: web.StreamResponse
+) -> None:
+    """Completes a response when it begins. headers: of every response."""
+    response.headers.update(headers)
+    if GRANT in request:
+        left_s = request[GRANT].expiry_s - math.ceil(time.time())
+        caching = private_caching(response.headers.get("Cache-Control", ""), left_s)
+        response.headers["Cache-Control"] = caching
+    if WAITS_FROM_S in request:
+        waited_s = asyncio.get_running_loop().time() - request[WAITS_FROM_S]
+        request.app[STATE].metrics.ttfb.observe(waited_s)
 
 
 async def end_plays(app: web.Application) -> None:

@@ -1,6 +1,7 @@
-"""gunicorn's settings for several workers, and what these share. `swings-serve --workers N` becomes
+"""gunicorn's settings for several workers, what these share and what they serve with.
+`swings-serve --workers N` becomes
 
-    gunicorn --config python:server.gunicornconf server.factory:create
+    gunicorn --config python:server.gunicornconf server.gunicornconf:create
 
 with its own settings in variables, SWINGS_SERVE_ROOT=/srv/swings and so on. GUNICORN_CMD_ARGS adds
 gunicorn's. This module is read once, before gunicorn forks; its workers inherit it.
@@ -10,27 +11,35 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import secrets
 import signal
 import traceback
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import tyro
+from aiohttp import web
+from gunicorn.arbiter import Arbiter
+from gunicorn.workers.base import Worker
+
+from codec.errors import SwingsError
 from server.operate.workers import SHARED_MEMORY, WorkerFolder
 
 from .listener import BACKLOG, bound_connections
-from .operate.log import LineFormatter
+from .operate.log import STDERR, EventLog, LineFormatter, take_over_logging
 from .operate.prometheus import forget_worker
+from .operate.settings import settings_parser
 from .operate.watchdog import Watchdog
-from .servecommand import command_of
-
-if TYPE_CHECKING:
-    from gunicorn.arbiter import Arbiter
-    from gunicorn.workers.base import Worker
+from .servecommand import PREFIX, ServeCommand
+from .serving import create_runner, end_with_stdin, make_state
 
 log = logging.getLogger(__name__)
 
-command = command_of()
+command: ServeCommand = settings_parser(PREFIX)(
+    ServeCommand, args=(), prog="swings-serve", config=(tyro.conf.EnumChoicesFromValues,)
+)
+command.check()
 serving = command.server
 
 folder = WorkerFolder()
@@ -102,3 +111,28 @@ def _say_where(number: int, frame: FrameType | None) -> None:
 
 def on_exit(server: Arbiter) -> None:
     folder.remove()
+
+
+async def create() -> web.AppRunner:
+    """The runner of one worker. What cannot be served ends the server with one line."""
+    events = EventLog(STDERR, serving.log)
+    events.__enter__()  # logging closes it at the end of the process
+    take_over_logging(events)
+    try:
+        state = make_state(command.place, serving, events, number, folder.path, play_secret)
+        runner = create_runner(state, events)
+    except (SwingsError, OSError) as error:
+        # It ends the server; a second one on the way would end gunicorn with a traceback.
+        if not folder.is_first("failed"):
+            raise SystemExit(0) from None
+        log.critical("%s", error)
+        raise SystemExit(Arbiter.APP_LOAD_ERROR) from None
+
+    async def ready(_: web.Application) -> None:
+        events.event("worker_ready", worker=number, pid=os.getpid())
+        watchdog.ready()
+
+    runner.app.on_startup.append(ready)
+    if command.end_with_stdin:
+        end_with_stdin(os.getppid())
+    return runner

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 from ipaddress import ip_address
 
@@ -24,19 +25,20 @@ def bind(host: str, port: int) -> socket.socket:
         )[0]
     except (socket.gaierror, UnicodeError) as error:
         raise ServerError(f"host {host!r} has no known address; check --host") from error
-    listener = socket.socket(family, socket.SOCK_STREAM)
+    is_ipv6 = family == socket.AF_INET6
     try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
-        # Two servers may bind one port until one of them listens.
-        listener.listen(BACKLOG)
+        # It listens, as two servers may bind one port until one of them does.
+        return socket.create_server(
+            address,
+            family=family,
+            backlog=BACKLOG,
+            dualstack_ipv6=is_ipv6 and socket.has_dualstack_ipv6(),
+        )
     except OSError as error:
-        listener.close()
         raise ServerError(
-            f"cannot listen on {host} port {port}: {error.strerror}; "
+            f"cannot listen on {host} port {port}: {os.strerror(error.errno or 0)}; "
             f"choose another --port, or 0 for any free port"
         ) from error
-    return listener
 
 
 def url_of(listener: socket.socket, scheme: str = "http") -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar, Final
@@ -13,7 +11,6 @@ import tyro
 from codec.errors import InvalidError
 from codec.helptext import Groups
 
-from .operate.settings import settings_parser
 from .state.config import ServerConfig
 
 PREFIX: Final = "SWINGS_SERVE"
@@ -62,14 +59,3 @@ class ServeCommand:
         """Raises InvalidError if it does not say what to serve."""
         if bool(self.root) == self.sample:
             raise InvalidError("give the ROOT of your streams, or --sample to see one")
-
-
-def command_of(environment: Mapping[str, str] = os.environ) -> ServeCommand:
-    """What the variables of `environment` say. Raises InvalidError, or ends the process where they
-    cannot be used."""
-    parse = settings_parser(PREFIX, environment)
-    command: ServeCommand = parse(
-        ServeCommand, args=(), prog="swings-serve", config=(tyro.conf.EnumChoicesFromValues,)
-    )
-    command.check()
-    return command

@@ -12,17 +12,16 @@ import socket
 import ssl
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
 from codec.errors import SwingsError
 from codec.stream.packedstorage import open_place
 from server.app import common_headers, create_app
-from server.http.connection import Clients, Connection
+from server.http.connection import Clients, Runner
 from server.http.errors import ServerError
 from server.http.requestlog import request_log
-from server.http.runner import Runner, connections
 from server.library import Library
 from server.listener import BACKLOG, bound_connections, is_loopback
 from server.operate.log import STDERR, EventLog, take_over_logging
@@ -45,11 +44,15 @@ TLS_HANDSHAKE_S = 8.0
 def create_runner(state: ServerState, log: EventLog | None = None) -> Runner:
     """The runner of one worker's application. log: where requests get a line; None for nowhere."""
     config = state.config
-    logger = request_log(state.metrics, state.count_sent, state.proxies, log, config.log_requests)
-    clients = Clients(state.connections, state.metrics, common_headers(config.cors_origin))
+    clients = Clients(
+        state.connections,
+        state.metrics,
+        common_headers(config.cors_origin),
+        request_log(state.metrics, state.count_sent, state.proxies, log, config.log_requests),
+        config.timeouts.keepalive_timeout_s,
+    )
     stop_s = SHUTDOWN_SHARE * config.supervisor.shutdown_timeout_s
-    keepalive_timeout_s = config.timeouts.keepalive_timeout_s
-    return Runner(create_app(state, log), clients, logger, keepalive_timeout_s, stop_s)
+    return Runner(create_app(state, log), clients, stop_s)
 
 
 class RunningServer:
@@ -62,26 +65,15 @@ class RunningServer:
         that cannot be used."""
         self._state = state
         self._listener = listener
-        self._runner = create_runner(state, log)
+        self._tls = tls_context(state.config)
         self._server: asyncio.Server | None = None
-        self._tls = None
-        config = state.config
-        if config.tls_cert is not None and config.tls_key is not None:
-            self._tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-            self._tls.minimum_version = ssl.TLSVersion.TLSv1_2
-            self._tls.set_alpn_protocols(["http/1.1"])
-            load_certificate(self._tls, config.tls_cert, config.tls_key)
-
-    @property
-    def connections(self) -> list[Connection]:
-        """The open connections."""
-        return connections(self._runner.server)
+        self.runner = create_runner(state, log)
 
     async def start(self) -> None:
         """Begins to serve, what is in the library by then."""
         bound_connections(self._listener, self._state.config.timeouts.write_timeout_s)
-        await self._runner.setup()
-        gate = self._runner.server
+        await self.runner.setup()
+        gate = self.runner.server
         assert gate is not None
         self._server = await asyncio.get_running_loop().create_server(
             gate,
@@ -94,11 +86,10 @@ class RunningServer:
     def renew(self) -> None:
         """Reads keys and certificate again. Those that cannot be used are logged, and the previous
         ones stay in use."""
-        config = self._state.config
         try:
             self._state.read_keys()
-            if self._tls is not None and config.tls_cert is not None and config.tls_key is not None:
-                load_certificate(self._tls, config.tls_cert, config.tls_key)
+            if self._tls is not None:
+                load_certificate(self._tls, self._state.config)
         except (SwingsError, OSError) as error:
             log.error("keys and certificate were not reloaded: %s", error)
         else:
@@ -114,47 +105,34 @@ class RunningServer:
         asyncio.get_running_loop().remove_reader(self._listener)
         await asyncio.sleep(0)
         server.close()
-        await self._runner.cleanup()
+        await self.runner.cleanup()
 
 
-def load_certificate(context: ssl.SSLContext, cert: Path, key: Path) -> None:
-    """Has new connections of `context` use this certificate. Raises ServerError where it cannot be
+def tls_context(config: ServerConfig) -> ssl.SSLContext | None:
+    """What new connections use; None where they are to have no TLS. Raises ServerError."""
+    if config.tls_cert is None:
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.set_alpn_protocols(["http/1.1"])
+    load_certificate(context, config)
+    return context
+
+
+def load_certificate(context: ssl.SSLContext, config: ServerConfig) -> None:
+    """Has new connections of `context` use the certificate. Raises ServerError where it cannot be
     used; then the one before it stays."""
+    cert, key = config.tls_cert, config.tls_key
+    assert cert is not None
     try:
         context.load_cert_chain(cert, key)
     except (OSError, ssl.SSLError) as error:
         raise ServerError(f"{cert} and {key} are no valid certificate and key: {error}") from error
 
 
-async def run_until_stopped(
-    server: RunningServer,
-    ready: Callable[[], None],
-    signals: Iterable[signal.Signals],
-    renewing: Iterable[signal.Signals] = (),
-) -> None:
-    """Serves, calls `ready` once, and ends gracefully on one of `signals`; renews what it can on
-    one of `renewing`.
-
-    A second signal ends the process at once.
-    """
-    loop = asyncio.get_running_loop()
-    for number in renewing:
-        loop.add_signal_handler(number, server.renew)
-    stop = asyncio.Event()
-    for number in signals:
-        loop.add_signal_handler(number, stop.set)
-    await server.start()
-    try:
-        ready()
-        await stop.wait()
-    finally:
-        for number in signals:
-            loop.remove_signal_handler(number)
-        await server.stop()
-
-
 def serve_alone(command: ServeCommand, listener: socket.socket, ready: Callable[[], None]) -> None:
-    """Serves in this process until a signal. ready: called once, when connections are accepted.
+    """Serves in this process until a signal; a second one ends it at once, and SIGHUP renews keys
+    and certificate. ready: called once, when connections are accepted.
 
     Raises a SwingsError or OSError for what cannot be served, or not so.
     """
@@ -165,13 +143,25 @@ def serve_alone(command: ServeCommand, listener: socket.socket, ready: Callable[
     if command.end_with_stdin:
         end_with_stdin(os.getpid())
 
-    def started() -> None:
-        ready()
-        watchdog.ready()
-
     async def serve() -> None:
         server = RunningServer(make_state(command.place, config, log), listener, log)
-        await run_until_stopped(server, started, *handled_signals())
+        loop, stop = asyncio.get_running_loop(), asyncio.Event()
+        ends = [signal.SIGTERM, signal.SIGINT]
+        if sys.platform == "win32":  # event loops handle none there; Ctrl-C cancels the main task
+            ends = []
+        else:
+            loop.add_signal_handler(signal.SIGHUP, server.renew)
+        for number in ends:
+            loop.add_signal_handler(number, stop.set)
+        await server.start()
+        try:
+            ready()
+            watchdog.ready()
+            await stop.wait()
+        finally:
+            for number in ends:
+                loop.remove_signal_handler(number)
+            await server.stop()
 
     # The default on Windows is another one, which cannot watch the listener.
     with log, asyncio.Runner(loop_factory=asyncio.SelectorEventLoop) as runner:
@@ -190,7 +180,7 @@ def serve_with_workers(
         # -P: else a folder of the user's that is called server would be taken for this package.
         *(sys.executable, "-P", "-m", "gunicorn"),
         *("--config", "python:server.gunicornconf"),
-        *("--bind", f"fd://{listener.fileno()}", "server.factory:create"),
+        *("--bind", f"fd://{listener.fileno()}", "server.gunicornconf:create"),
     )
     os.execve(sys.executable, words, os.environ | settings_variables(PREFIX, command))
 
@@ -220,9 +210,7 @@ def check_files(config: ServerConfig) -> None:
     """Reads keys and certificate. Raises a SwingsError or OSError if they cannot be used."""
     if config.keys is not None:
         read_keys(config.keys)
-    if config.tls_cert is not None and config.tls_key is not None:
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        load_certificate(context, config.tls_cert, config.tls_key)
+    tls_context(config)
 
 
 def check_public(config: ServerConfig, listener: socket.socket) -> None:
@@ -233,14 +221,6 @@ def check_public(config: ServerConfig, listener: socket.socket) -> None:
             "other machines could access all streams; give --public to allow this, "
             "or --keys FILE to require signed URLs (swings-sign)"
         )
-
-
-def handled_signals() -> tuple[list[signal.Signals], list[signal.Signals]]:
-    """The signals that end the event loop of a process, and those that renew its keys and
-    certificate."""
-    if sys.platform == "win32":  # event loops handle none there; Ctrl-C cancels the main task
-        return [], []
-    return [signal.SIGTERM, signal.SIGINT], [signal.SIGHUP]
 
 
 def end_with_stdin(pid: int) -> None:

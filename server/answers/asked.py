@@ -1,27 +1,23 @@
-"""Helpers of all handlers: the stream that a URL names, the client, and room for a play."""
+"""What handlers ask first: the stream that the URL names, and room for a play."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
 from contextlib import contextmanager
-from urllib.parse import parse_qsl
 
 from aiohttp import web
 
 from server.http.errors import RequestError
 from server.http.requestlog import WAITS_FROM_S, address_of
 from server.library import ServedStream
-from server.state.serverstate import STATE, ServerState
+from server.state.serverstate import STATE
 
 RETRY_AFTER_S = 5
 """Seconds after which a refused client may ask again."""
 
 STREAM = "/v1/streams/{stream}"
 """How the routes of a stream begin."""
-
-_OF_PROXIES = ("X-Forwarded-For", "Forwarded", "Via")
-"""Fields that proxies add to a request."""
 
 
 def stream_of(request: web.Request) -> ServedStream:
@@ -33,24 +29,16 @@ def stream_of(request: web.Request) -> ServedStream:
     return stream
 
 
-def query_of(request: web.Request) -> list[tuple[str, str]]:
-    """The pairs of the query."""
-    return parse_qsl(request.rel_url.raw_query_string, keep_blank_values=True)
-
-
-def is_proxied(request: web.Request) -> bool:
-    """Whether something between the client and this server takes in what is sent to it."""
-    return any(name in request.headers for name in _OF_PROXIES)
-
-
 def waits(request: web.Request) -> None:
     """Has the time from now to the first byte of the response be measured."""
     request[WAITS_FROM_S] = asyncio.get_running_loop().time()
 
 
-def check_room(state: ServerState, continues: bool = False) -> None:
-    """Raises RequestError 503 unless one more play may begin. continues: see
-    `Overload.accepts_plays`."""
+@contextmanager
+def room_for_play(request: web.Request, continues: bool = False) -> Iterator[None]:
+    """Holds a play's place for the client. Raises RequestError 503 if there may not be one more
+    play, 429 if this client may not have one more. continues: see `Overload.accepts_plays`."""
+    state = request.app[STATE]
     if state.stopping.is_set():
         raise RequestError(503, "the server is stopping", {"Retry-After": str(RETRY_AFTER_S)})
     if not state.overload.accepts_plays(len(state.plays), continues):
@@ -58,12 +46,6 @@ def check_room(state: ServerState, continues: bool = False) -> None:
         message = f"the server is full, with {len(state.plays)} plays; try again later"
         after_s = max(RETRY_AFTER_S, state.overload.retry_after_s)
         raise RequestError(503, message, {"Retry-After": str(after_s)})
-
-
-@contextmanager
-def place_of(request: web.Request) -> Iterator[None]:
-    """Holds a play's place for the client. Raises RequestError 429."""
-    state = request.app[STATE]
     address = address_of(request, state.proxies)
     refusal = state.play_admission.admit(address)
     if refusal is not None:

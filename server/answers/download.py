@@ -9,15 +9,14 @@ from aiohttp import web
 
 from codec.errors import CorruptError
 from codec.stream.packedlayout import PACKED_SUFFIX
-from codec.stream.streampacker import StreamPacker
 from server.html.watchpage import DOWNLOAD_NAME
 from server.http.content import NO_STORE, OBJECT_TYPE
 from server.http.errors import RequestError
-from server.http.streaming import BodyWriter, stream
-from server.library import ServedStream
+from server.http.requestlog import FACTS
+from server.http.streaming import StreamedResponse
 from server.state.serverstate import STATE
 
-from .asked import STREAM, check_room, place_of, stream_of
+from .asked import STREAM, room_for_play, stream_of
 
 BLOCK_BYTES = 1 << 18
 """So many bytes at least are read, checked and written in one go."""
@@ -31,8 +30,7 @@ async def download(request: web.Request) -> web.StreamResponse:
     if packed.live or not packed.num_frames:
         raise RequestError(404, f"{packed.name} can be downloaded when it is finished")
     # It takes the place of a play: what limits those limits this.
-    check_room(state)
-    with place_of(request):
+    with room_for_play(request):
         packer = await asyncio.to_thread(packed.packer)
         headers = {
             "Content-Type": OBJECT_TYPE,
@@ -45,23 +43,17 @@ async def download(request: web.Request) -> web.StreamResponse:
             return web.Response(headers=headers)
         headers["X-Accel-Buffering"] = "no"  # nginx would take all of it to its disk
 
-        async def send(writer: BodyWriter) -> None:
-            writer.hold_at_most(state.config.send_queue_bytes)
-            await _send(packed, packer, writer)
-
-        return await stream(request, headers, send, state.count_sent)
-
-
-async def _send(packed: ServedStream, packer: StreamPacker, writer: BodyWriter) -> None:
-    """Writes the file. Raises a CodecError, which cuts the connection off, where it would not be
-    whole."""
-    pieces, left_bytes = packer.pieces(), packer.layout.size_bytes
-    while left_bytes:
-        block = await asyncio.to_thread(_next_block, pieces)
-        if packed.gone or not block:
-            raise CorruptError(f"{packed.name} was replaced or removed while it was downloaded")
-        await writer.write(block)
-        left_bytes -= len(block)
+        request[FACTS] = {}
+        response = StreamedResponse(request, headers, state.count_sent)
+        response.connection.hold_at_most(state.config.send_queue_bytes)
+        pieces, left_bytes = packer.pieces(), packer.layout.size_bytes
+        while left_bytes:
+            block = await asyncio.to_thread(_next_block, pieces)
+            if packed.gone or not block:  # the connection is cut off, as the file is not whole
+                raise CorruptError(f"{packed.name} was replaced or removed while it was downloaded")
+            await response.write(block)
+            left_bytes -= len(block)
+        return await response.end()
 
 
 def _next_block(pieces: Iterator[bytes]) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+from collections.abc import Mapping
 
 from aiohttp import web
 
@@ -17,7 +18,7 @@ from server.http.content import IMMUTABLE, OBJECT_TYPE, REVALIDATE, Content, ser
 from server.http.errors import RequestError
 from server.state.serverstate import STATE
 
-from .asked import STREAM, query_of, stream_of, waits
+from .asked import STREAM, stream_of, waits
 
 MAX_WAIT_S = 30
 """Seconds that a client may wait for an index to grow."""
@@ -62,7 +63,7 @@ async def manifest(request: web.Request) -> web.StreamResponse:
 async def index(request: web.Request) -> web.StreamResponse:
     """The index; with ?after=N and &wait=S once it has more than N bytes, or after S seconds."""
     stream, stopping = stream_of(request), request.app[STATE].stopping
-    after_bytes, wait_s = parse_index_query(dict(query_of(request)))
+    after_bytes, wait_s = parse_index_query(request.query)
     clock, num_segments = asyncio.get_running_loop().time, stream.view.num_segments
     until_s = clock() + wait_s
     while (
@@ -81,7 +82,7 @@ async def index(request: web.Request) -> web.StreamResponse:
     return await serve(request, content)
 
 
-def parse_index_query(values: dict[str, str]) -> tuple[int, int]:
+def parse_index_query(values: Mapping[str, str]) -> tuple[int, int]:
     """The bytes of the index that a client has, and the seconds that it waits for more. What is
     asked of other servers for other reasons, such as to get past a cache, is passed over."""
     numbers = []

@@ -18,17 +18,16 @@ from server.html import gallery, htmlpage, watchpage
 from server.html.gallery import Card, card_html, front_page
 from server.html.htmlpage import message_page
 from server.html.watchpage import WatchedStream, watch_page
+from server.http.content import NO_STORE, REVALIDATE
 from server.http.errors import RequestError
 from server.library import ServedStream
 from server.operate.admission import is_proxy
 from server.operate.prometheus import CONTENT_TYPE
 from server.state.serverstate import STATE
 
-from .asked import STREAM, query_of, stream_of
+from .asked import STREAM, stream_of
 
 log = logging.getLogger(__name__)
-
-REVALIDATE = {"Cache-Control": "no-cache"}
 
 _PREFIX = re.compile(r"(/[A-Za-z0-9._~-]{1,80}){1,8}")
 
@@ -37,7 +36,7 @@ _HOST = re.compile(r"(?:[A-Za-z0-9._-]{1,255}|\[[0-9A-Fa-f:.]{2,64}\])(?::(?P<po
 routes = web.RouteTableDef()
 
 
-def _page(text: str, security: str, status: int = 200, caching: str = "no-cache") -> web.Response:
+def _page(text: str, security: str, status: int = 200, caching: str = REVALIDATE) -> web.Response:
     headers = {
         "Content-Security-Policy": security,
         "Referrer-Policy": "no-referrer",  # its own URL may hold its signature
@@ -53,7 +52,7 @@ def refused_page(has_expired: bool) -> web.Response:
     else:
         text = "Ask whoever runs this server for one. A link that was cut short does not open."
         page = message_page("This page opens with a link made for it", text)
-    return _page(page, htmlpage.SECURITY, 403, "no-store")
+    return _page(page, htmlpage.SECURITY, 403, NO_STORE)
 
 
 def busy_page(error: RequestError) -> web.Response:
@@ -61,7 +60,7 @@ def busy_page(error: RequestError) -> web.Response:
     page = message_page(
         "This server is busy", "Try again in a moment; streams go on where they were."
     )
-    response = _page(page, htmlpage.SECURITY, error.status, "no-store")
+    response = _page(page, htmlpage.SECURITY, error.status, NO_STORE)
     if "Retry-After" in error.headers:
         response.headers["Retry-After"] = error.headers["Retry-After"]
     return response
@@ -178,7 +177,7 @@ async def oembed(request: web.Request) -> web.Response:
     """How a site shows a stream in a frame of its own, as oEmbed has it (https://oembed.com)."""
     if request.app[STATE].signer is not None:
         raise RequestError(404, "streams with signed URLs cannot be embedded by oEmbed")
-    query = dict(query_of(request))
+    query = request.query
     if query.get("format") not in (None, "", "json"):
         raise RequestError(501, "the only format is json")
     most_px = []
@@ -192,7 +191,9 @@ async def oembed(request: web.Request) -> web.Response:
     if stream.view.manifest.poster:
         data = await asyncio.to_thread(stream.read_picture, stream.view.manifest.poster)
         watched = replace(watched, poster_px=picture_size_px(data) if data else None)
-    return web.json_response(watchpage.oembed(watched, *most_px), headers=REVALIDATE)
+    return web.json_response(
+        watchpage.oembed(watched, *most_px), headers={"Cache-Control": REVALIDATE}
+    )
 
 
 @routes.get("/v1/streams")
@@ -213,7 +214,9 @@ async def streams(request: web.Request) -> web.Response:
         {"name": name, "reason": reason}
         for name, reason in sorted(request.app[STATE].library.broken.items())
     ]
-    return web.json_response({"streams": listed, "broken": broken}, headers=REVALIDATE)
+    return web.json_response(
+        {"streams": listed, "broken": broken}, headers={"Cache-Control": REVALIDATE}
+    )
 
 
 @routes.get("/healthz")

@@ -11,7 +11,6 @@ import math
 import random
 import time
 from collections.abc import Sequence
-from functools import partial
 
 from aiohttp import web
 
@@ -44,15 +43,15 @@ from server.abr.session import (
     WaitUntil,
 )
 from server.http.content import accepted_codings, joined
-from server.http.requestlog import Facts
-from server.http.streaming import BodyWriter, stream
+from server.http.requestlog import FACTS
+from server.http.streaming import StreamedResponse
 from server.http.tcpinfo import TcpInfo
 from server.operate.workers import is_issued, make_token
 from server.state.caches import CodedRecord
 from server.state.serverstate import STATE
 from server.study.choice import make_policy
 
-from .asked import STREAM, check_room, is_proxied, place_of, query_of, stream_of, waits
+from .asked import STREAM, room_for_play, stream_of, waits
 from .playquery import PlayQuery, parse_query
 from .statusreport import may_continue
 
@@ -94,6 +93,10 @@ TCP_INFO_S = 1.0
 is closed has no figures."""
 
 
+_OF_PROXIES = ("X-Forwarded-For", "Forwarded", "Via")
+"""Fields that proxies add to a request."""
+
+
 def _figure(value: float | None, scale: float) -> float | None:
     """`value`, scaled, for the log."""
     return None if value is None else round(value * scale, 1)
@@ -105,38 +108,39 @@ routes = web.RouteTableDef()
 @routes.get(f"{STREAM}/play", allow_head=False)
 async def play(request: web.Request) -> web.StreamResponse:
     waits(request)
-    query, rate_bps = await asked_play(request)
-    with place_of(request):
-        running = Play(request, query, rate_bps)
-        count = request.app[STATE].count_sent
-        return await stream(request, running.headers, running.run, count, running.facts)
+    query = asked_query(request)
+    with room_for_play(request, await _continues(request)):
+        running = Play(request, query)
+        response = StreamedResponse(request, running.headers, request.app[STATE].count_sent)
+        # Nothing may wait before: its end gives back what it holds.
+        await running.run(response)
+        return await response.end()
 
 
-async def asked_play(request: web.Request) -> tuple[PlayQuery, float | None]:
-    """What a client wants to play, and what its link is known to carry. Raises RequestError if it
-    cannot have it."""
-    played, state, headers = stream_of(request), request.app[STATE], request.headers
+def asked_query(request: web.Request) -> PlayQuery:
+    """What a client wants to play. Raises RequestError if there is no such thing."""
+    played = stream_of(request)
     num_layers, records = played.view.manifest.num_layers, played.view.records
     # A segment's start: there all that shows can be had at once.
     edge_frame = records[-1].first_frame if records else 0
-    query = parse_query(query_of(request), played.num_frames, played.live, num_layers, edge_frame)
-    # A returning client names its previous play and that play's rate, which this worker may know
-    # better.
-    token = headers.get(PLAY_HEADER, "")
-    accepts, continues = partial(state.overload.accepts_plays, len(state.plays)), False
-    if not accepts() and accepts(continues=True):
-        is_ours = is_issued(token, state.play_secret, time.time())
-        continues = is_ours and await may_continue(state, token)
-    check_room(state, continues)
-    rate_bps = state.plays.rate_bps(token, asyncio.get_running_loop().time())
-    return query, rate_bps or parse_rate(headers.get(RATE_HEADER, ""))
+    pairs = request.query.items()
+    return parse_query(pairs, played.num_frames, played.live, num_layers, edge_frame)
+
+
+async def _continues(request: web.Request) -> bool:
+    """Whether a client without which the server is full continues an earlier play."""
+    state, token = request.app[STATE], request.headers.get(PLAY_HEADER, "")
+    accepts, num_plays = state.overload.accepts_plays, len(state.plays)
+    if accepts(num_plays) or not accepts(num_plays, continues=True):
+        return False
+    return is_issued(token, state.play_secret, time.time()) and await may_continue(state, token)
 
 
 class Play:
     """One play in progress."""
 
-    def __init__(self, request: web.Request, query: PlayQuery, rate_bps: float | None) -> None:
-        """rate_bps: what the client's link is known to carry. It runs until `run` ends."""
+    def __init__(self, request: web.Request, query: PlayQuery) -> None:
+        """It is registered until `run` ends."""
         state, played, asked = request.app[STATE], stream_of(request), request.headers
         layers = query.num_layers
         policy = make_policy(state.config.policy) if layers is None else FixedLayers(layers)
@@ -152,11 +156,15 @@ class Play:
             coding = next((coding for coding in CODINGS if coding in codings), "")
             self.headers |= {"Content-Encoding": coding} if coding else {}
             self._plain = PlainRecordEncoder(coding)
+        self._request = request
         self._state = state
         self._stream = played
         self._from_frame = query.from_frame
         self._clock = asyncio.get_running_loop().time
         now_s = self._clock()
+        # A returning client names its previous play and that play's rate, which this worker may
+        # know better.
+        rate_bps = state.plays.rate_bps(asked.get(PLAY_HEADER, ""), now_s)
         self._session = PlaySession(
             played,
             policy,
@@ -164,7 +172,7 @@ class Play:
             now_s,
             query.from_frame,
             query.until_frame,
-            rate_bps,
+            rate_bps or parse_rate(asked.get(RATE_HEADER, "")),
             # Clients that begin together, as at the start of a show, must not burst in step. With
             # many plays, each is sent more at a time, but less often.
             rest_share=random.random() + len(state.plays) / PLAYS_PER_REST,
@@ -174,10 +182,10 @@ class Play:
             frame = query.from_frame if next_frame is None else next_frame
             self._session.on_status(now_s, ClientStatus(frame, paused=query.paused))
         self._limited_s = now_s
-        if is_proxied(request) and self._receipts is not None:
+        is_proxied = any(name in asked for name in _OF_PROXIES)
+        if is_proxied and self._receipts is not None:
             self._session.report_s = REPORT_S
             self.headers[REPORT_HEADER] = REPORT_MS
-        self._outcome = ""
         self._sent_slices = 0
         self._sent_layers = 0
         self._tcp_info = TcpInfo()
@@ -186,33 +194,30 @@ class Play:
         self._entry.report_s = self._session.report_s
         state.metrics.active_plays.set(len(state.plays))
 
-    async def run(self, writer: BodyWriter) -> None:
+    async def run(self, response: StreamedResponse) -> None:
         """Sends the whole play."""
-        self._writer = writer
+        self._response, self._connection = response, response.connection
         outcome = "failed"
         try:
             outcome = await self._send()
         except ConnectionError:
-            outcome = writer.cut or "gone"
+            outcome = self._connection.cut or "gone"
             raise
         except asyncio.CancelledError:
-            outcome = writer.cut or "stopped"
+            outcome = self._connection.cut or "stopped"
             raise
         finally:
             self._end(outcome)
 
     def _end(self, outcome: str) -> None:
+        """Gives its place back, and notes how it went."""
         plays, metrics = self._state.plays, self._state.metrics
         plays.end(self.token, self._clock())
         metrics.active_plays.set(len(plays))
         metrics.plays.add(1, outcome)
-        self._outcome = outcome
-
-    def facts(self) -> Facts:
-        """How the play went."""
         session, tcp = self._session, self._tcp_info
-        return {
-            "outcome": self._outcome,
+        self._request[FACTS] = {
+            "outcome": outcome,
             "layers": round(self._sent_layers / max(1, self._sent_slices), 2),
             "estimated_mbps": _figure(session.rate_bps, 1e-6),
             "tcp_mbps": _figure(tcp.delivery_rate_bps, 1e-6),
@@ -222,12 +227,12 @@ class Play:
 
     async def _send(self) -> str:
         """Sends the records; gives how the play ended."""
-        self._writer.hold_at_most(self._state.config.send_queue_bytes)
+        self._connection.hold_at_most(self._state.config.send_queue_bytes)
         view = self._stream.view
         start = StartRecord(self._from_frame, view.num_frames, view.manifest_json)
         if self._receipts is not None:
             self._receipts.sent(len(encode_record(start)), 0)
-        await self._writer.write(self._encode(start))
+        await self._response.write(self._encode(start))
         try:
             outcome, last = await self._send_slices()
         except ConnectionError:
@@ -240,7 +245,7 @@ class Play:
             else:
                 log.error("play of %s ended: %s", self._stream.name, error)
                 outcome, last = "damaged", ErrorRecord("this stream is damaged on the server")
-        await self._writer.write(self._encode(last, last=True))
+        await self._response.write(self._encode(last, last=True))
         return outcome
 
     async def _send_slices(self) -> tuple[str, Record]:
@@ -281,7 +286,7 @@ class Play:
         """Passes the acknowledged bytes and the client's newest status to the session."""
         session, entry = self._session, self._entry
         status = entry.pop_status()
-        took_bytes = session.sent_bytes - self._writer.queued_bytes()
+        took_bytes = session.sent_bytes - self._connection.queued_bytes()
         if self._receipts is not None and status is not None:
             came = self._receipts.take(status.received, self._clock())
             entry.received_bytes = self._receipts.came_bytes
@@ -297,7 +302,7 @@ class Play:
         if status is not None:
             session.on_status(self._clock(), status)
         if now_s >= self._tcp_info_s:
-            self._tcp_info = self._writer.tcp_info() or self._tcp_info
+            self._tcp_info = self._connection.tcp_info() or self._tcp_info
             self._tcp_info_s = now_s + TCP_INFO_S
 
     def _broken_off(self, reason: str) -> ErrorRecord:
@@ -309,7 +314,6 @@ class Play:
         first, end = send.births.start, send.births.start + len(coded)
         sent = SendSlices(range(first, end), send.first_layer, send.end_layer)
         self._session.sent_slices(sent, [len(one.data) for one in coded], self._clock())
-        self._note(coded)
         await self._write(coded)
         self._sent_slices += 0 if send.first_layer else len(coded)
         self._sent_layers += (send.end_layer - send.first_layer) * len(coded)
@@ -326,18 +330,14 @@ class Play:
             end = first + len(coded.parts)
             one = SendSnapshots(frame, first, end)
             self._session.sent(one, len(coded.data), self._clock())
-            self._note([coded])
             await self._write([coded])
             first = end
 
-    def _note(self, coded: Sequence[CodedRecord]) -> None:
-        """Notes what goes out, for what the client will say of it."""
-        if self._receipts is not None:
-            for one in coded:
-                self._receipts.sent(one.body_bytes, len(one.data))
-
     async def _write(self, coded: Sequence[CodedRecord]) -> None:
         """Writes records of the same parts, short ones together."""
+        if self._receipts is not None:  # for what the client will say of them
+            for one in coded:
+                self._receipts.sent(one.body_bytes, len(one.data))
         unsent = [one.data for one in coded]
         metrics = self._state.metrics
         for n, part in enumerate(coded[0].parts if coded else ()):
@@ -351,7 +351,7 @@ class Play:
                 count += 1
             data = b"".join(unsent[:count])
             del unsent[:count]
-            await self._writer.write(data)
+            await self._response.write(data)
 
     def _limit_lead(self, now_s: float) -> None:
         """In a busy worker, lets a sufficient lead grow only slowly, so that clients that wait for

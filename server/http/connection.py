@@ -1,15 +1,20 @@
-"""One client's connection: aiohttp speaks HTTP on it; here is what the kernel knows of it, why it
-ended, and how much of a response has arrived."""
+"""Connections of clients, on which aiohttp speaks HTTP: the gate limits them, each knows what the
+kernel says of it, why it ended and how much of a response has arrived, and the runner ends them."""
 
 from __future__ import annotations
 
 import asyncio
+import errno
+import logging
+import math
 import socket
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from http import HTTPStatus
 from typing import Any, Final
 
 from aiohttp import web
+from aiohttp.abc import AbstractAccessLogger
 from aiohttp.http import HttpProcessingError
 from aiohttp.http_exceptions import LineTooLong
 
@@ -43,73 +48,137 @@ FIRST_LOOK_S: Final = 0.005
 MAX_LOOK_S: Final = 0.5
 """Seconds until a connection first asks the kernel what was acknowledged, and most between two."""
 
+LINGER_S: Final = 2.0
+"""Seconds for the rest of a request whose answer did not need it."""
 
-def refusal(status: int, phrase: str, *fields: str) -> bytes:
-    """A response without a body, after which the connection ends."""
-    lines = (f"HTTP/1.1 {status} {phrase}", *fields, "Content-Length: 0", "Connection: close")
-    return "".join(f"{line}\r\n" for line in (*lines, "")).encode()
+LAST_CALL_S: Final = 0.5
+"""Seconds for the first request of a client that was accepted just before the server stopped."""
+
+STOP_LOOK_S: Final = 0.01
+"""How often it is looked whether a stopping server has done its work, seconds."""
+
+QUIET_S: Final = 60.0
+"""Seconds between two lines that say that descriptors are out."""
+
+log = logging.getLogger(__name__)
 
 
-TOO_MANY: Final = refusal(429, "Too Many Requests", "Retry-After: 5")
+def is_our_fault(record: logging.LogRecord) -> bool:
+    """Whether a record of aiohttp's is about this server, and not about a client."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not isinstance(error, HttpProcessingError | ConnectionError | web.RequestPayloadError)
 
 
-@dataclass(frozen=True, slots=True)
+log.addFilter(is_our_fault)
+
+
+class NoDescriptors(logging.Filter):
+    """Has asyncio say once in QUIET_S that there is no descriptor for another client; it tries
+    hundreds of times a second."""
+
+    _said_s = -math.inf
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else None
+        if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
+            if record.created < self._said_s + QUIET_S:
+                return False
+            self._said_s = record.created
+        return True
+
+
+logging.getLogger("asyncio").addFilter(NoDescriptors())
+
+
 class Clients:
-    """What all connections share."""
+    """The connections of a server, and what they share."""
 
-    admission: Admission
-    """Counts them."""
-    metrics: Metrics
-    headers: Mapping[str, str]
-    """Those of every response."""
+    def __init__(
+        self,
+        admission: Admission,
+        metrics: Metrics,
+        headers: Mapping[str, str],
+        access_log_class: type[AbstractAccessLogger],
+        keepalive_timeout_s: float,
+    ) -> None:
+        """headers: of every response. keepalive_timeout_s: for a whole request, from the connection
+        or the response before it on."""
+        self.admission = admission
+        self.metrics = metrics
+        self.headers = headers
+        self.open = set[Connection]()
+        """Those that are admitted, until they end."""
+        self.options: Mapping[str, Any] = {
+            "access_log": log,
+            "access_log_class": access_log_class,
+            "logger": log,
+            "keepalive_timeout": keepalive_timeout_s,
+            "lingering_time": LINGER_S,
+            "tcp_keepalive": False,
+            "max_line_size": MAX_TARGET_BYTES,
+            "max_field_size": MAX_FIELD_BYTES,
+            "max_headers": MAX_FIELDS,
+            "auto_decompress": False,
+        }
+        """Those of web.RequestHandler."""
 
 
 class Connection(web.RequestHandler):
     """aiohttp's protocol of a connection, within the limits of connections."""
 
-    def __init__(self, clients: Clients, server: web.Server, options: Mapping[str, Any]) -> None:
-        """options: of web.RequestHandler."""
-        loop = asyncio.get_running_loop()
-        super().__init__(server, loop=loop, **options)
+    def __init__(self, server: web.Server, clients: Clients) -> None:
+        super().__init__(server, loop=asyncio.get_running_loop(), **clients.options)
         self._clients = clients
-        self._event_loop = loop
         self._address: str | None = None  # where it is counted
         self.cut = ""
         """Why it is over: "gone" or "stalled"; empty while it is not."""
-        self.was_asked = False
-        """Whether a request has come."""
-        self._arrival: asyncio.Future[None] | None = None  # while a response is delivered
+        self.is_new = True
+        """Whether nothing has come yet."""
+        self._news = asyncio.Event()  # more has come, or the client has gone
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
         address = str(transport.get_extra_info("peername")[0])
         refused = self._clients.admission.admit(address)
         if refused is not None:
             self._clients.metrics.refused.add(1, f"connection_{refused}")
-            transport.write(TOO_MANY)
-            transport.close()
+            self.refuse(429, "Retry-After: 5")
             return
         self._address = address
+        self._clients.open.add(self)
         self._socket: Any = transport.get_extra_info("socket")
         # A piece that the kernel does not take is enough to wait for.
         transport.set_write_buffer_limits(high=QUEUE_BYTES)
         super().connection_made(transport)
 
     def data_received(self, data: bytes) -> None:
-        if self._arrival is not None:
-            self._wake()
+        self.is_new = False
+        self._news.set()
         super().data_received(data)
 
     def connection_lost(self, exc: BaseException | None) -> None:
         if self._address is None:
             return
         self._clients.admission.release(self._address)
+        self._clients.open.discard(self)
         self.cut = "gone"
         if isinstance(exc, TimeoutError):  # the kernel's, see `bound_connections`
             self._clients.metrics.timeouts.add(1, "write")
             self.cut = "stalled"
         super().connection_lost(exc)
-        self._wake()
+        self._news.set()
+
+    def refuse(self, status: int, *fields: str) -> None:
+        """Answers without a body and without aiohttp, and ends the connection."""
+        first = f"HTTP/1.1 {status} {HTTPStatus(status).phrase}"
+        lines = (first, *fields, "Content-Length: 0", "Connection: close", "", "")
+        self._transport.write("\r\n".join(lines).encode())
+        self._transport.close()
+
+    def abort(self) -> None:
+        """Drops the connection, with what the client has not taken."""
+        self._transport.abort()
 
     def handle_error(
         self,
@@ -151,19 +220,16 @@ class Connection(web.RequestHandler):
         return read_tcp_info(self._socket)
 
     async def deliver(self, closing: bool) -> None:
-        """Waits until the client has nearly all that was written, or sends more. Raises
-        ConnectionResetError if the client has gone. closing: whether it is the last response."""
+        """Waits until the client has nearly all that was written. Raises ConnectionResetError if
+        the client has gone. closing: whether it is the last response."""
         look_s = FIRST_LOOK_S
         while self.queued_bytes() > UNSEEN_BYTES:
             if closing and self._there.can_write_eof():
                 self._there.write_eof()  # the client need not wait for the looks
-            self._arrival = self._event_loop.create_future()
-            timer = self._event_loop.call_later(look_s, self._wake)
-            try:
-                await self._arrival
-            finally:
-                timer.cancel()
-                self._arrival = None
+            self._news.clear()
+            with suppress(TimeoutError):
+                async with asyncio.timeout(look_s):
+                    await self._news.wait()
             look_s = min(2 * look_s, MAX_LOOK_S)
 
     @property
@@ -171,10 +237,6 @@ class Connection(web.RequestHandler):
         if self.transport is None:
             raise ConnectionResetError("the client has gone")
         return self.transport
-
-    def _wake(self) -> None:
-        if self._arrival is not None and not self._arrival.done():
-            self._arrival.set_result(None)
 
 
 def _reason_of(error: HttpProcessingError) -> tuple[int, str]:
@@ -193,3 +255,60 @@ def connection_of(request: web.BaseRequest) -> Connection:
     connection = request.protocol
     assert isinstance(connection, Connection)
     return connection
+
+
+class Gate(web.Server):
+    """The server of an application, with a Connection for each client."""
+
+    def __init__(self, inner: web.Server, clients: Clients) -> None:
+        """inner: of the application."""
+        super().__init__(inner.request_handler, request_factory=inner.request_factory)
+        self._clients = clients
+
+    def __call__(self) -> Connection:
+        return Connection(self, self._clients)
+
+
+class Runner(web.AppRunner):
+    """Runs an application; also for aiohttp's worker of gunicorn, which takes an AppRunner."""
+
+    def __init__(self, app: web.Application, clients: Clients, stop_s: float) -> None:
+        """stop_s: for all responses when the server stops."""
+        super().__init__(app)
+        self.clients = clients
+        self._stop_s = stop_s
+        self._gate: Gate | None = None
+
+    @property
+    def server(self) -> Gate | None:
+        """What makes the protocols of new connections, once the application has started."""
+        return self._gate
+
+    async def setup(self) -> None:
+        await super().setup()
+        inner = super().server
+        assert inner is not None
+        self._gate = Gate(inner, self.clients)
+
+    async def shutdown(self) -> None:
+        """Has plays end, and waits until all that was asked is answered and has arrived."""
+        await super().shutdown()
+        gate, connections = self._gate, self.clients.open
+        assert gate is not None
+        with suppress(TimeoutError):
+            async with asyncio.timeout(self._stop_s):
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(LAST_CALL_S):
+                        await _until(lambda: not any(one.is_new for one in connections))
+                gate.pre_shutdown()  # those that are idle
+                await gate.shutdown(self._stop_s)
+                await _until(lambda: not connections)
+        await gate.shutdown(STOP_LOOK_S)  # who did not take it in time
+        for one in connections:
+            one.abort()
+        await asyncio.sleep(0)  # for the ends of these
+
+
+async def _until(done: Callable[[], bool]) -> None:
+    while not done():  # noqa: ASYNC110
+        await asyncio.sleep(STOP_LOOK_S)

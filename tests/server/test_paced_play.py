@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import pytest
 from aiohttp import web
@@ -19,7 +20,8 @@ from server.abr.clientstatus import (
     ClientStatus,
     parse_report_s,
 )
-from server.answers.play import Play, asked_play
+from server.answers.play import Play, asked_query
+from server.http.streaming import StreamedResponse
 from server.library import Library
 from server.state.config import ServerConfig
 from server.state.serverstate import STATE, ServerState
@@ -49,6 +51,7 @@ class Client:
     cut = ""
 
     def __init__(self, rate: float) -> None:
+        self.connection = self
         self._rate = rate
         self._room_bytes = 65_536
         self._parser = RecordParser()
@@ -85,7 +88,7 @@ class Played:
     def __init__(self, state: ServerState, play: Play, client: Client) -> None:
         self.state = state
         self.client = client
-        self.task = asyncio.ensure_future(play.run(client))
+        self.task = asyncio.ensure_future(play.run(cast(StreamedResponse, client)))
         self._token = play.headers[PLAY_HEADER]
         self._wanted = play.headers.get(REPORT_HEADER, "")
 
@@ -143,7 +146,7 @@ async def began(
     request = make_mocked_request(
         "GET", f"/?{query}", headers=fields, app=app, match_info={"stream": name}
     )
-    play = Play(request, *await asked_play(request))
+    play = Play(request, asked_query(request))
     return Played(state, play, rate if isinstance(rate, Client) else Client(rate))
 
 

@@ -14,7 +14,7 @@ import pytest
 from aiohttp import web
 
 from server.http.content import Content, serve
-from server.http.streaming import BodyWriter, stream
+from server.http.streaming import StreamedResponse
 from tests.support.server.certificates import make_certificate
 from tests.support.server.plain_site import (
     Answers,
@@ -32,16 +32,18 @@ pytestmark = pytest.mark.anyio
 BODY = random.Random(7).randbytes(6_000_000)
 
 
-def streamed(produce: Callable[[BodyWriter], Awaitable[None]]) -> Handler:
+def streamed(produce: Callable[[StreamedResponse], Awaitable[None]]) -> Handler:
     async def answer(request: web.Request) -> web.StreamResponse:
-        return await stream(request, {}, produce, lambda num_bytes: None)
+        response = StreamedResponse(request, {}, lambda num_bytes: None)
+        await produce(response)
+        return await response.end()
 
     return answer
 
 
-async def chunks(writer: BodyWriter) -> None:
+async def chunks(response: StreamedResponse) -> None:
     for word in (b"some ", b"", b"words"):
-        await writer.write(word)
+        await response.write(word)
 
 
 async def body(request: web.Request) -> web.StreamResponse:
@@ -119,13 +121,13 @@ async def test_times_run_out(
 async def test_a_client_that_goes_away_costs_its_own_response_only() -> None:
     ended: list[str] = []
 
-    async def endless(writer: BodyWriter) -> None:
+    async def endless(response: StreamedResponse) -> None:
         try:
             while True:
-                await writer.write(bytes(1000))
+                await response.write(bytes(1000))
                 await passes(0)
         finally:
-            ended.append(writer.cut)
+            ended.append(response.connection.cut)
 
     async with on_site({**ANSWERS, "/endless": streamed(endless)}) as site:
         for path in ("/endless", "/body?6000000"):
@@ -148,8 +150,8 @@ async def test_a_client_that_goes_away_costs_its_own_response_only() -> None:
 async def test_a_body_that_fails_is_cut_off_so_that_it_shows(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    async def failing(writer: BodyWriter) -> None:
-        await writer.write(b"some")
+    async def failing(response: StreamedResponse) -> None:
+        await response.write(b"some")
         raise ValueError("no more")
 
     async with on_site({"/failing": streamed(failing)}) as site, connected(site) as client:
@@ -173,7 +175,7 @@ async def test_a_flood_of_requests_is_bounded_and_others_have_their_turn() -> No
             other.get("/ok")
             assert (await other.answer())[0] == 200
         assert len(site.log.kept) < 2000  # it was not read on
-        assert max(one.queued_bytes() for one in site.server.connections) < 16 << 20
+        assert max(one.queued_bytes() for one in site.connections) < 16 << 20
         for _ in range(3000):
             assert len((await greedy.answer())[2]) == 12_000
 

@@ -87,10 +87,10 @@ async def test_one_address_has_so_many_connections(root: Path) -> None:
     async with running(root, limited(max_address_connections=3)) as server:
         with ExitStack() as stack:
             held = [connect(stack, server.port) for _ in range(3)]
-            await eventually(lambda: len(server.server.connections) == 3)
+            await eventually(lambda: len(server.connections) == 3)
             assert await status_of(server, "/healthz") == 429
             held.pop().close()
-            await eventually(lambda: len(server.server.connections) == 2)
+            await eventually(lambda: len(server.connections) == 2)
             assert await status_of(server, "/healthz") == 200
 
 
@@ -120,14 +120,14 @@ async def test_connections_above_the_limit_are_refused_at_once(root: Path) -> No
     async with running(root, limited(max_connections=4)) as server:
         with ExitStack() as stack:
             held = [connect(stack, server.port) for _ in range(4)]
-            await eventually(lambda: len(server.server.connections) == 4)
+            await eventually(lambda: len(server.connections) == 4)
             for _ in range(8):
                 assert await status_of(server, "/healthz") == 429
             assert server.state.metrics.refused.value("connection_full") == 8
             held[0].sendall(b"GET /healthz HTTP/1.1\r\nHost: h\r\n\r\n")
             assert await asyncio.to_thread(held[0].recv, 12) == b"HTTP/1.1 200"
             held.pop().close()
-            await eventually(lambda: len(server.server.connections) == 3)
+            await eventually(lambda: len(server.connections) == 3)
             assert await status_of(server, "/healthz") == 200
 
 

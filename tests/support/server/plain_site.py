@@ -167,7 +167,6 @@ async def in_memory(
     await runner.setup()
     assert runner.server is not None
     connection = runner.server()
-    assert isinstance(connection, Connection)
     with socket.socket(socket.AF_UNIX) as sock:
         transport = MemoryTransport(sock)
         transport.protocol = connection

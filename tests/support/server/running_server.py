@@ -18,6 +18,7 @@ from codec.slice import Slice
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import Record, RecordParser, SliceRecord, SnapshotRecord
+from server.http.connection import Connection
 from server.library import Library
 from server.listener import bind
 from server.operate.log import EventLog, LogRequests, LogStyle
@@ -124,6 +125,11 @@ class Running:
     server: RunningServer
     log: Lines
     """A line for each request."""
+
+    @property
+    def connections(self) -> list[Connection]:
+        """The open connections."""
+        return [*self.server.runner.clients.open]
 
     @property
     def url(self) -> str:
