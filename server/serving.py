@@ -19,7 +19,7 @@ from typing import NoReturn
 from codec.errors import SwingsError
 from codec.stream.packedstorage import open_place
 from server.app import common_headers, create_app
-from server.http.connection import Clients, Runner
+from server.http.connection import Runner
 from server.http.errors import ServerError
 from server.http.requestlog import request_log
 from server.library import Library
@@ -44,15 +44,15 @@ TLS_HANDSHAKE_S = 8.0
 def create_runner(state: ServerState, log: EventLog | None = None) -> Runner:
     """The runner of one worker's application. log: where requests get a line; None for nowhere."""
     config = state.config
-    clients = Clients(
+    return Runner(
+        create_app(state, log),
         state.connections,
         state.metrics,
         common_headers(config.cors_origin),
         request_log(state.metrics, state.count_sent, state.proxies, log, config.log_requests),
         config.timeouts.keepalive_timeout_s,
+        SHUTDOWN_SHARE * config.supervisor.shutdown_timeout_s,
     )
-    stop_s = SHUTDOWN_SHARE * config.supervisor.shutdown_timeout_s
-    return Runner(create_app(state, log), clients, stop_s)
 
 
 class RunningServer:

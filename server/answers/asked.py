@@ -1,4 +1,4 @@
-"""What handlers ask first: the stream that the URL names, and room for a play."""
+"""What handlers ask first: what the URL names, and room for a play."""
 
 from __future__ import annotations
 
@@ -27,6 +27,13 @@ def stream_of(request: web.Request) -> ServedStream:
     if stream is None:
         raise RequestError(404, f"no stream is named {name[:80]!a}; /v1/streams lists all")
     return stream
+
+
+def parse_number(key: str, text: str, most: int) -> int:
+    """A number of a query. Raises RequestError 400 for what is none from 0 to `most`."""
+    if not (text.isascii() and text.isdigit() and len(text) <= 10 and int(text) <= most):
+        raise RequestError(400, f"{key}={text[:40]!a} is not a number from 0 to {most}")
+    return int(text)
 
 
 def waits(request: web.Request) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-from collections.abc import Mapping
 
 from aiohttp import web
 
@@ -18,7 +17,7 @@ from server.http.content import IMMUTABLE, OBJECT_TYPE, REVALIDATE, Content, ser
 from server.http.errors import RequestError
 from server.state.serverstate import STATE
 
-from .asked import STREAM, stream_of, waits
+from .asked import STREAM, parse_number, stream_of, waits
 
 MAX_WAIT_S = 30
 """Seconds that a client may wait for an index to grow."""
@@ -63,7 +62,9 @@ async def manifest(request: web.Request) -> web.StreamResponse:
 async def index(request: web.Request) -> web.StreamResponse:
     """The index; with ?after=N and &wait=S once it has more than N bytes, or after S seconds."""
     stream, stopping = stream_of(request), request.app[STATE].stopping
-    after_bytes, wait_s = parse_index_query(request.query)
+    # What else is asked, such as to get past a cache of another server, is passed over.
+    after_bytes = parse_number("after", request.query.get("after", "0"), MAX_INDEX_BYTES)
+    wait_s = parse_number("wait", request.query.get("wait", "0"), MAX_WAIT_S)
     clock, num_segments = asyncio.get_running_loop().time, stream.view.num_segments
     until_s = clock() + wait_s
     while (
@@ -80,18 +81,6 @@ async def index(request: web.Request) -> web.StreamResponse:
     view = stream_of(request).view
     content = Content(view.index_data, view.index_sha256, OBJECT_TYPE, REVALIDATE)
     return await serve(request, content)
-
-
-def parse_index_query(values: Mapping[str, str]) -> tuple[int, int]:
-    """The bytes of the index that a client has, and the seconds that it waits for more. What is
-    asked of other servers for other reasons, such as to get past a cache, is passed over."""
-    numbers = []
-    for key, most in (("after", MAX_INDEX_BYTES), ("wait", MAX_WAIT_S)):
-        text = values.get(key, "0")
-        if not (text.isascii() and text.isdigit() and len(text) <= 10 and int(text) <= most):
-            raise RequestError(400, f"{key}={text[:40]!a} is not a number from 0 to {most}")
-        numbers.append(int(text))
-    return numbers[0], numbers[1]
 
 
 @routes.get("/web/{asset:.+}")

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from server.abr.clientstatus import MAX_FRAME
 from server.http.errors import RequestError
 
+from .asked import parse_number
+
 _KEYS = ("from", "until", "layers", "plain", "paused", "reports")
 
 LIVE = "live"
@@ -52,28 +54,24 @@ def parse_query(
         values[key] = value
     flags = [_flag(key, values.get(key, "0")) for key in ("plain", "paused", "reports")]
     text = values.get("from", "0")
-    from_frame = edge_frame if text == LIVE else _number("from", text)
+    from_frame = edge_frame if text == LIVE else parse_number("from", text, MAX_FRAME)
     # A live stream may be joined before it has its first segment.
     if from_frame >= (num_frames or int(live)):
         raise RequestError(
             400, f"from={from_frame}: the stream has {num_frames} frames; count from 0"
         )
-    until_frame = _number("until", values["until"]) if "until" in values else None
-    if until_frame is not None and until_frame <= from_frame:
-        raise RequestError(400, f"until={until_frame} must be greater than from={from_frame}")
+    until_frame = None
+    if "until" in values:
+        until_frame = parse_number("until", values["until"], MAX_FRAME)
+        if until_frame <= from_frame:
+            raise RequestError(400, f"until={until_frame} must be greater than from={from_frame}")
     layers = values.get("layers", "auto")
     if layers == "auto":
         return PlayQuery(from_frame, until_frame, None, *flags)
-    fixed = num_layers if layers == "all" else _number("layers", layers)
+    fixed = num_layers if layers == "all" else parse_number("layers", layers, MAX_FRAME)
     if not 1 <= fixed <= num_layers:
         raise RequestError(400, f"layers={fixed}: give auto, all or 1 to {num_layers}")
     return PlayQuery(from_frame, until_frame, fixed, *flags)
-
-
-def _number(key: str, text: str) -> int:
-    if not (text.isascii() and text.isdigit() and len(text) <= 10 and int(text) <= MAX_FRAME):
-        raise RequestError(400, f"{key}={text[:40]!r} is not a number from 0 to {MAX_FRAME}")
-    return int(text)
 
 
 def _flag(key: str, text: str) -> bool:

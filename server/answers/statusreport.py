@@ -67,20 +67,19 @@ async def answer_status(request: web.Request) -> web.Response:
 
 async def _body(request: web.Request, timeout_s: float) -> bytes:
     """The body. Raises RequestError for one that is too long, or does not come."""
-    try:
-        if "Transfer-Encoding" in request.headers:
-            raise RequestError(411, "send a Content-Length, not a Transfer-Encoding")
-        if (request.content_length or 0) > MAX_BODY_BYTES:
-            raise RequestError(413, f"the body may have at most {MAX_BODY_BYTES} bytes here")
+    if "Transfer-Encoding" in request.headers:
+        error = RequestError(411, "send a Content-Length, not a Transfer-Encoding")
+    elif (request.content_length or 0) > MAX_BODY_BYTES:
+        error = RequestError(413, f"the body may have at most {MAX_BODY_BYTES} bytes here")
+    else:
         if "Expect" in request.headers and request.transport is not None:
             request.transport.write(b"HTTP/1.1 100 Continue\r\n\r\n")
-        async with asyncio.timeout(timeout_s):
-            return await request.read()
-    except TimeoutError:
-        request.app[STATE].metrics.timeouts.add(1, "body")
-        error = RequestError(408, "the request was not complete in time")
-    except RequestError as refused:
-        error = refused
+        try:
+            async with asyncio.timeout(timeout_s):
+                return await request.read()
+        except TimeoutError:
+            request.app[STATE].metrics.timeouts.add(1, "body")
+            error = RequestError(408, "the request was not complete in time")
     error.force_close()  # nobody knows where the next request begins
     raise error
 

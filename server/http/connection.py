@@ -90,45 +90,12 @@ class NoDescriptors(logging.Filter):
 logging.getLogger("asyncio").addFilter(NoDescriptors())
 
 
-class Clients:
-    """The connections of a server, and what they share."""
-
-    def __init__(
-        self,
-        admission: Admission,
-        metrics: Metrics,
-        headers: Mapping[str, str],
-        access_log_class: type[AbstractAccessLogger],
-        keepalive_timeout_s: float,
-    ) -> None:
-        """headers: of every response. keepalive_timeout_s: for a whole request, from the connection
-        or the response before it on."""
-        self.admission = admission
-        self.metrics = metrics
-        self.headers = headers
-        self.open = set[Connection]()
-        """Those that are admitted, until they end."""
-        self.options: Mapping[str, Any] = {
-            "access_log": log,
-            "access_log_class": access_log_class,
-            "logger": log,
-            "keepalive_timeout": keepalive_timeout_s,
-            "lingering_time": LINGER_S,
-            "tcp_keepalive": False,
-            "max_line_size": MAX_TARGET_BYTES,
-            "max_field_size": MAX_FIELD_BYTES,
-            "max_headers": MAX_FIELDS,
-            "auto_decompress": False,
-        }
-        """Those of web.RequestHandler."""
-
-
 class Connection(web.RequestHandler):
     """aiohttp's protocol of a connection, within the limits of connections."""
 
-    def __init__(self, server: web.Server, clients: Clients) -> None:
-        super().__init__(server, loop=asyncio.get_running_loop(), **clients.options)
-        self._clients = clients
+    def __init__(self, server: web.Server, runner: Runner) -> None:
+        super().__init__(server, loop=asyncio.get_running_loop(), **runner.options)
+        self._runner = runner
         self._address: str | None = None  # where it is counted
         self.cut = ""
         """Why it is over: "gone" or "stalled"; empty while it is not."""
@@ -140,13 +107,13 @@ class Connection(web.RequestHandler):
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         address = str(transport.get_extra_info("peername")[0])
-        refused = self._clients.admission.admit(address)
+        refused = self._runner.admission.admit(address)
         if refused is not None:
-            self._clients.metrics.refused.add(1, f"connection_{refused}")
+            self._runner.metrics.refused.add(1, f"connection_{refused}")
             self.refuse(429, "Retry-After: 5")
             return
         self._address = address
-        self._clients.open.add(self)
+        self._runner.connections.add(self)
         self._socket: Any = transport.get_extra_info("socket")
         # A piece that the kernel does not take is enough to wait for.
         transport.set_write_buffer_limits(high=QUEUE_BYTES)
@@ -160,11 +127,11 @@ class Connection(web.RequestHandler):
     def connection_lost(self, exc: BaseException | None) -> None:
         if self._address is None:
             return
-        self._clients.admission.release(self._address)
-        self._clients.open.discard(self)
+        self._runner.admission.release(self._address)
+        self._runner.connections.discard(self)
         self.cut = "gone"
         if isinstance(exc, TimeoutError):  # the kernel's, see `bound_connections`
-            self._clients.metrics.timeouts.add(1, "write")
+            self._runner.metrics.timeouts.add(1, "write")
             self.cut = "stalled"
         super().connection_lost(exc)
         self._news.set()
@@ -191,7 +158,7 @@ class Connection(web.RequestHandler):
         if not isinstance(exc, HttpProcessingError) or request.writer.output_size:
             return super().handle_error(request, status, exc, message)
         status, request[NOTE] = _reason_of(exc)
-        error = RequestError(status, request[NOTE], self._clients.headers)
+        error = RequestError(status, request[NOTE], self._runner.headers)
         error.force_close()
         raise error
 
@@ -201,7 +168,7 @@ class Connection(web.RequestHandler):
     def piece_bytes(self) -> int:
         """How much of a body is written in one go: the transport keeps what the kernel does not
         take."""
-        share_bytes = PIECES_BYTES // max(1, self._clients.admission.num_held)
+        share_bytes = PIECES_BYTES // max(1, self._runner.admission.num_held)
         return max(MIN_PIECE_BYTES, min(MAX_PIECE_BYTES, share_bytes))
 
     def hold_at_most(self, queue_bytes: int) -> None:
@@ -260,22 +227,50 @@ def connection_of(request: web.BaseRequest) -> Connection:
 class Gate(web.Server):
     """The server of an application, with a Connection for each client."""
 
-    def __init__(self, inner: web.Server, clients: Clients) -> None:
+    def __init__(self, inner: web.Server, runner: Runner) -> None:
         """inner: of the application."""
         super().__init__(inner.request_handler, request_factory=inner.request_factory)
-        self._clients = clients
+        self._runner = runner
 
     def __call__(self) -> Connection:
-        return Connection(self, self._clients)
+        return Connection(self, self._runner)
 
 
 class Runner(web.AppRunner):
-    """Runs an application; also for aiohttp's worker of gunicorn, which takes an AppRunner."""
+    """Runs an application, and has what its connections share. It is an AppRunner for aiohttp's
+    worker of gunicorn, too."""
 
-    def __init__(self, app: web.Application, clients: Clients, stop_s: float) -> None:
-        """stop_s: for all responses when the server stops."""
+    def __init__(
+        self,
+        app: web.Application,
+        admission: Admission,
+        metrics: Metrics,
+        headers: Mapping[str, str],
+        access_log_class: type[AbstractAccessLogger],
+        keepalive_timeout_s: float,
+        stop_s: float,
+    ) -> None:
+        """headers: of every response. keepalive_timeout_s: for a whole request, from the connection
+        or the response before it on. stop_s: for all responses when the server stops."""
         super().__init__(app)
-        self.clients = clients
+        self.admission = admission
+        self.metrics = metrics
+        self.headers = headers
+        self.connections = set[Connection]()
+        """Those that are admitted, until they end."""
+        self.options: Mapping[str, Any] = {
+            "access_log": log,
+            "access_log_class": access_log_class,
+            "logger": log,
+            "keepalive_timeout": keepalive_timeout_s,
+            "lingering_time": LINGER_S,
+            "tcp_keepalive": False,
+            "max_line_size": MAX_TARGET_BYTES,
+            "max_field_size": MAX_FIELD_BYTES,
+            "max_headers": MAX_FIELDS,
+            "auto_decompress": False,
+        }
+        """Those of web.RequestHandler."""
         self._stop_s = stop_s
         self._gate: Gate | None = None
 
@@ -288,12 +283,12 @@ class Runner(web.AppRunner):
         await super().setup()
         inner = super().server
         assert inner is not None
-        self._gate = Gate(inner, self.clients)
+        self._gate = Gate(inner, self)
 
     async def shutdown(self) -> None:
         """Has plays end, and waits until all that was asked is answered and has arrived."""
         await super().shutdown()
-        gate, connections = self._gate, self.clients.open
+        gate, connections = self._gate, self.connections
         assert gate is not None
         with suppress(TimeoutError):
             async with asyncio.timeout(self._stop_s):

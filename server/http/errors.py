@@ -20,10 +20,7 @@ class RequestError(web.HTTPException):
             content_type="application/json",
             headers={"Cache-Control": "no-store", **(headers or {})},
         )
-        self.message = message
-
-    def __str__(self) -> str:
-        return self.message
+        self.args = (message,)  # what str() gives
 
 
 class ServerError(SwingsError):

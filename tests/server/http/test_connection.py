@@ -15,6 +15,7 @@ from aiohttp import web
 
 from server.http.content import Content, serve
 from server.http.streaming import StreamedResponse
+from server.operate.workers import SupervisorConfig
 from tests.support.server.certificates import make_certificate
 from tests.support.server.plain_site import (
     Answers,
@@ -26,6 +27,7 @@ from tests.support.server.plain_site import (
 )
 from tests.support.server.running_server import eventually, quick_config
 from tests.support.server.virtualtime import in_virtual_time, now_s, passes
+from tests.support.waiting import BOUND_S
 
 pytestmark = pytest.mark.anyio
 
@@ -162,6 +164,17 @@ async def test_a_body_that_fails_is_cut_off_so_that_it_shows(
     assert [record.getMessage() for record in caplog.records] == ["/failing failed"]
 
 
+async def test_what_a_handler_raises_keeps_its_text_and_headers() -> None:
+    async def locked(request: web.Request) -> web.Response:
+        raise web.HTTPForbidden(text="not today", headers={"X-Why": "Sunday"})
+
+    async with on_site({"/locked": locked}) as site, connected(site) as client:
+        client.get("/locked")
+        status, fields, said = await client.answer()
+        assert (status, fields["x-why"], said) == (403, "Sunday", b'{"error": "not today"}')
+        assert fields["content-type"] == "application/json; charset=utf-8"
+
+
 async def test_a_flood_of_requests_is_bounded_and_others_have_their_turn() -> None:
     """One client sends requests without end and reads nothing."""
     one = b"GET /short HTTP/1.1\r\nHost: h\r\n\r\n"
@@ -188,9 +201,10 @@ async def test_stopping_waits_for_what_was_asked_and_for_who_has_just_come() -> 
         await done.wait()
         return web.Response(body=b"done")
 
-    # The block of the server ends while these have no answer.
+    # The block of the server ends while these have no answer. Nothing waits for its time to be up.
     answers = {"/slow": slow, "/ok": text()}
-    async with on_site(answers) as site, connected(site) as idle, connected(site) as busy:
+    config = replace(quick_config(), supervisor=SupervisorConfig(shutdown_timeout_s=99 * BOUND_S))
+    async with on_site(answers, config) as site, connected(site) as idle, connected(site) as busy:
         idle.get("/ok")
         await idle.answer()
         busy.get("/slow")

@@ -129,7 +129,7 @@ class Running:
     @property
     def connections(self) -> list[Connection]:
         """The open connections."""
-        return [*self.server.runner.clients.open]
+        return [*self.server.runner.connections]
 
     @property
     def url(self) -> str:
