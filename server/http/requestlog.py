@@ -22,11 +22,9 @@ NOT_HTTP: Final = "UNKNOWN"
 SIGNED: Final = "/t/{signature}"
 """How the routes of signed URLs begin."""
 
-Facts = Mapping[str, Value]
-"""Facts about a response for the log, by field name."""
-
 FACTS = web.RequestKey("facts", Mapping[str, Value])
-"""More facts about a request; those that have some, such as plays, have a line in any case."""
+"""More facts about a request, by field name; requests that have some, such as plays, have a line in
+any case."""
 
 NOTE = web.RequestKey("note", str)
 """Why a request failed."""
