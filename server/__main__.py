@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from codec.console import run_command, say
-from server.serving import check_files, check_public, serve_alone, serve_with_workers
+from server.serving import check_files, serve_alone, serve_with_workers
 
-from .listener import bind, url_of
+from .listener import bind, check_public, url_of
 from .operate.settings import settings_parser, settings_text
 from .servecommand import PREFIX, SAMPLE, ServeCommand
 
@@ -19,7 +19,7 @@ def run(command: ServeCommand) -> None:
     if command.check_config:
         return
     listener = bind(command.host, command.port)
-    check_public(config, listener)
+    check_public(listener, config)
     url = url_of(listener, "http" if config.tls_cert is None else "https")
     more = f"\nwatch it in a browser: {url}/watch/{SAMPLE.stem}" if command.sample else ""
     if config.keys is not None:

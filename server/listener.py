@@ -7,6 +7,7 @@ import socket
 from ipaddress import ip_address
 
 from .http.errors import ServerError
+from .state.config import ServerConfig
 
 UNSENT_BYTES = 256 * 1024
 """Bytes that the kernel takes of one connection before they can be sent."""
@@ -48,9 +49,15 @@ def url_of(listener: socket.socket, scheme: str = "http") -> str:
     return f"{scheme}://{shown}:{port}"
 
 
-def is_loopback(listener: socket.socket) -> bool:
-    """Whether only this machine reaches a bound socket."""
-    return ip_address(listener.getsockname()[0].partition("%")[0]).is_loopback
+def check_public(listener: socket.socket, config: ServerConfig) -> None:
+    """Raises ServerError if other machines could reach the streams without a key, and the operator
+    did not allow that."""
+    host = listener.getsockname()[0].partition("%")[0]
+    if config.keys is None and not config.public and not ip_address(host).is_loopback:
+        raise ServerError(
+            "other machines could access all streams; give --public to allow this, "
+            "or --keys FILE to require signed URLs (swings-sign)"
+        )
 
 
 def bound_connections(listener: socket.socket, write_timeout_s: float) -> None:

@@ -23,7 +23,7 @@ from server.http.connection import Runner
 from server.http.errors import ServerError
 from server.http.requestlog import request_log
 from server.library import Library
-from server.listener import BACKLOG, bound_connections, is_loopback
+from server.listener import BACKLOG, bound_connections
 from server.operate.log import STDERR, EventLog, take_over_logging
 from server.operate.prometheus import Metrics
 from server.operate.settings import settings_variables
@@ -73,10 +73,8 @@ class RunningServer:
         """Begins to serve, what is in the library by then."""
         bound_connections(self._listener, self._state.config.timeouts.write_timeout_s)
         await self.runner.setup()
-        gate = self.runner.server
-        assert gate is not None
         self._server = await asyncio.get_running_loop().create_server(
-            gate,
+            self.runner.server,
             sock=self._listener,
             ssl=self._tls,
             ssl_handshake_timeout=None if self._tls is None else TLS_HANDSHAKE_S,
@@ -211,16 +209,6 @@ def check_files(config: ServerConfig) -> None:
     if config.keys is not None:
         read_keys(config.keys)
     tls_context(config)
-
-
-def check_public(config: ServerConfig, listener: socket.socket) -> None:
-    """Raises ServerError if other machines could reach the streams without a key, and the operator
-    did not allow that."""
-    if config.keys is None and not config.public and not is_loopback(listener):
-        raise ServerError(
-            "other machines could access all streams; give --public to allow this, "
-            "or --keys FILE to require signed URLs (swings-sign)"
-        )
 
 
 def end_with_stdin(pid: int) -> None:

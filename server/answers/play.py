@@ -42,7 +42,7 @@ from server.abr.session import (
     WaitForFrames,
     WaitUntil,
 )
-from server.http.content import accepted_codings, joined
+from server.http.content import NO_STORE, accepted_codings, joined
 from server.http.requestlog import FACTS
 from server.http.streaming import StreamedResponse
 from server.http.tcpinfo import TcpInfo
@@ -146,7 +146,7 @@ class Play:
         policy = make_policy(state.config.policy) if layers is None else FixedLayers(layers)
         # A status report may arrive at another worker, which finds this worker by the token.
         self.token = token = make_token(state.number, state.play_secret, time.time())
-        self.headers = {"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store"}
+        self.headers = {"Content-Type": CONTENT_TYPE, "Cache-Control": NO_STORE}
         self.headers["X-Accel-Buffering"] = "no"  # nginx passes each slice on at once
         self.headers[PLAY_HEADER] = token
         self._receipts = Receipts() if query.reports else None

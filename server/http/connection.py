@@ -272,11 +272,10 @@ class Runner(web.AppRunner):
         }
         """Those of web.RequestHandler."""
         self._stop_s = stop_s
-        self._gate: Gate | None = None
 
     @property
-    def server(self) -> Gate | None:
-        """What makes the protocols of new connections, once the application has started."""
+    def server(self) -> Gate:
+        """What makes the protocols of new connections; there is none before `setup`."""
         return self._gate
 
     async def setup(self) -> None:
@@ -289,7 +288,6 @@ class Runner(web.AppRunner):
         """Has plays end, and waits until all that was asked is answered and has arrived."""
         await super().shutdown()
         gate, connections = self._gate, self.connections
-        assert gate is not None
         with suppress(TimeoutError):
             async with asyncio.timeout(self._stop_s):
                 with suppress(TimeoutError):

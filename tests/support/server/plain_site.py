@@ -165,7 +165,6 @@ async def in_memory(
     state = ServerState(Library(root, config.refresh_s), config)
     runner = create_runner(state, log)
     await runner.setup()
-    assert runner.server is not None
     connection = runner.server()
     with socket.socket(socket.AF_UNIX) as sock:
         transport = MemoryTransport(sock)
