@@ -61,7 +61,7 @@ def asking(port: int, path: str, *lines: str) -> Iterator[socket.socket]:
 async def test_connections_inherit_the_limit_of_the_kernel(root: Path) -> None:
     config = ServerConfig()
     async with served(root, config) as (server, client), client.get(PLAY) as response:
-        (connection,) = server.connections
+        (connection,) = server.server.runner.connections
         assert connection.transport is not None
         sock = connection.transport.get_extra_info("socket")
         assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 60_000
@@ -114,7 +114,7 @@ async def test_the_server_ends_though_clients_read_nothing(root: Path) -> None:
     async with running(root, config) as server:
         with asking(server.port, PLAY), asking(server.port, OBJECT):
             plays = server.state.plays
-            await eventually(lambda: len(plays) and len(server.connections) == 2)
+            await eventually(lambda: len(plays) and server.state.connections.num_held == 2)
             await server.server.stop()
         assert server.state.metrics.plays.value("stopped") == 1
         assert [line["status"] for line in server.log.kept] == [499, 499]

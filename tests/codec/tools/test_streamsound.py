@@ -8,7 +8,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import aiohttp
 import av
 import numpy as np
 import pytest
@@ -33,7 +32,7 @@ from codec.tools.streamcaptions import add_captions, remove_captions
 from codec.tools.streamsound import add_sound, read_sound, remove_sound, samples
 from tests.support.commands import run, run_ok
 from tests.support.hostile import refused
-from tests.support.server.running_server import Running, on_server
+from tests.support.server.running_server import served
 from tests.support.sounding import add_clicks, best_shift, heard, write_clicks
 from tests.support.tiny_stream import append_tiny, files_of, tiny_manifest, write_tiny
 
@@ -323,7 +322,10 @@ def test_add_replace_and_remove(stream: Path, file: Path) -> None:
     assert files_of(stream) == before
 
 
-def test_captions_go_with_the_stream_but_for_cuts(stream: Path, file: Path, tmp_path: Path) -> None:
+@pytest.mark.anyio
+async def test_captions_go_with_the_stream_but_for_cuts(
+    stream: Path, file: Path, tmp_path: Path
+) -> None:
     add_captions(stream, file, Captions("en", "English"))
     export_static(stream, tmp_path / "static")
     assert (tmp_path / "static" / "captions-en.vtt").read_text() == VTT
@@ -335,15 +337,13 @@ def test_captions_go_with_the_stream_but_for_cuts(stream: Path, file: Path, tmp_
     assert "captions     left out" in str(said)
     (stream / "captions-fr.vtt").write_text(VTT)  # the manifest does not name it
 
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+    async with served(tmp_path) as (_, client):
         async with client.get("/v1/streams/s/captions-en.vtt") as answer:
             assert answer.headers["Content-Type"] == "text/vtt; charset=utf-8"
             assert await answer.text() == VTT
         for name in ("captions-fr.vtt", "captions-.vtt", "other.vtt"):
             async with client.get(f"/v1/streams/s/{name}") as answer:
                 assert answer.status == 404
-
-    on_server(tmp_path, check)
 
 
 def test_damaged_files_are_found(stream: Path, file: Path) -> None:

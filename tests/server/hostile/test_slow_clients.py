@@ -43,5 +43,5 @@ async def test_heads_without_an_end_and_bodies_that_nobody_reads_take_little(
             for number in range(NUM_CLIENTS):
                 connect(stack, server.port, number, head if number % 2 else head[:-3])
             await eventually(lambda: hits.value() == NUM_CLIENTS // 2)
-            assert len(server.connections) == NUM_CLIENTS + 1
+            assert server.state.connections.num_held == NUM_CLIENTS + 1
             assert (await fetch(client, "/healthz")).status == 200

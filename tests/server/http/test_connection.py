@@ -171,8 +171,7 @@ async def test_what_a_handler_raises_keeps_its_text_and_headers() -> None:
     async with on_site({"/locked": locked}) as site, connected(site) as client:
         client.get("/locked")
         status, fields, said = await client.answer()
-        assert (status, fields["x-why"], said) == (403, "Sunday", b'{"error": "not today"}')
-        assert fields["content-type"] == "application/json; charset=utf-8"
+    assert (status, fields["x-why"], said) == (403, "Sunday", b'{"error": "not today"}')
 
 
 async def test_a_flood_of_requests_is_bounded_and_others_have_their_turn() -> None:
@@ -188,7 +187,7 @@ async def test_a_flood_of_requests_is_bounded_and_others_have_their_turn() -> No
             other.get("/ok")
             assert (await other.answer())[0] == 200
         assert len(site.log.kept) < 2000  # it was not read on
-        assert max(one.queued_bytes() for one in site.connections) < 16 << 20
+        assert max(one.queued_bytes() for one in site.server.runner.connections) < 16 << 20
         for _ in range(3000):
             assert len((await greedy.answer())[2]) == 12_000
 

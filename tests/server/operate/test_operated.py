@@ -28,7 +28,6 @@ from tests.support.server.running_server import (
     Running,
     eventually,
     make_stream,
-    on_server,
     quick_config,
     running,
     served,
@@ -87,25 +86,25 @@ async def test_one_address_has_so_many_connections(root: Path) -> None:
     async with running(root, limited(max_address_connections=3)) as server:
         with ExitStack() as stack:
             held = [connect(stack, server.port) for _ in range(3)]
-            await eventually(lambda: len(server.connections) == 3)
+            await eventually(lambda: server.state.connections.num_held == 3)
             assert await status_of(server, "/healthz") == 429
             held.pop().close()
-            await eventually(lambda: len(server.connections) == 2)
+            await eventually(lambda: server.state.connections.num_held == 2)
             assert await status_of(server, "/healthz") == 200
 
 
-def test_one_client_of_a_proxy_has_so_many_plays(root: Path) -> None:
+async def test_one_client_of_a_proxy_has_so_many_plays(root: Path) -> None:
     one, other = forwarded("198.51.100.7"), forwarded("198.51.100.8")
-
-    async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        async with client.get(PLAY, headers=one), client.get(PLAY, headers=one):
-            assert await status_of(server, PLAY, **one) == 429
-            # What stands left of the proxy's own word is the client's.
-            assert await status_of(server, PLAY, **forwarded("1.2.3.4, 198.51.100.7")) == 429
-            assert await status_of(server, PLAY, **other) == 200
-
     trusting = replace(limited(max_address_plays=2), trusted_proxies="127.0.0.0/8")
-    on_server(root, check, trusting)
+    async with (
+        served(root, trusting) as (server, client),
+        client.get(PLAY, headers=one),
+        client.get(PLAY, headers=one),
+    ):
+        assert await status_of(server, PLAY, **one) == 429
+        # What stands left of the proxy's own word is the client's.
+        assert await status_of(server, PLAY, **forwarded("1.2.3.4, 198.51.100.7")) == 429
+        assert await status_of(server, PLAY, **other) == 200
 
 
 async def test_a_stranger_cannot_say_who_it_is(root: Path) -> None:
@@ -120,14 +119,14 @@ async def test_connections_above_the_limit_are_refused_at_once(root: Path) -> No
     async with running(root, limited(max_connections=4)) as server:
         with ExitStack() as stack:
             held = [connect(stack, server.port) for _ in range(4)]
-            await eventually(lambda: len(server.connections) == 4)
+            await eventually(lambda: server.state.connections.num_held == 4)
             for _ in range(8):
                 assert await status_of(server, "/healthz") == 429
             assert server.state.metrics.refused.value("connection_full") == 8
             held[0].sendall(b"GET /healthz HTTP/1.1\r\nHost: h\r\n\r\n")
             assert await asyncio.to_thread(held[0].recv, 12) == b"HTTP/1.1 200"
             held.pop().close()
-            await eventually(lambda: len(server.connections) == 3)
+            await eventually(lambda: server.state.connections.num_held == 3)
             assert await status_of(server, "/healthz") == 200
 
 

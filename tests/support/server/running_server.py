@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,6 @@ from codec.slice import Slice
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import Record, RecordParser, SliceRecord, SnapshotRecord
-from server.http.connection import Connection
 from server.library import Library
 from server.listener import bind
 from server.operate.log import EventLog, LogRequests, LogStyle
@@ -127,11 +126,6 @@ class Running:
     """A line for each request."""
 
     @property
-    def connections(self) -> list[Connection]:
-        """The open connections."""
-        return [*self.server.runner.connections]
-
-    @property
     def url(self) -> str:
         return f"http://127.0.0.1:{self.port}"
 
@@ -182,23 +176,18 @@ def births_with_layer_0(records: Iterable[Record]) -> list[int]:
     ]
 
 
-async def raw_request(port: int, request: bytes, timeout_s: float = BOUND_S) -> bytes:
-    """All data that the server sends for `request` until it closes the connection."""
+async def raw_get(port: int, path: str) -> tuple[bytes, bytes]:
+    """Head and body of the response to a GET; `path` is sent without normalisation."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     try:
-        writer.write(request)
-        async with asyncio.timeout(timeout_s):
-            return await reader.read()
+        head = f"GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
+        writer.write(head.encode("latin-1"))
+        async with asyncio.timeout(BOUND_S):
+            found, _, body = (await reader.read()).partition(b"\r\n\r\n")
+        return found, body
     finally:
         writer.close()
         await writer.wait_closed()
-
-
-async def raw_get(port: int, path: str, host: str = "x") -> tuple[bytes, bytes]:
-    """Head and body of the response to a GET; `path` is sent without normalisation."""
-    head = f"GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
-    head_bytes, _, body = (await raw_request(port, head.encode("latin-1"))).partition(b"\r\n\r\n")
-    return head_bytes, body
 
 
 async def eventually(condition: Callable[[], object]) -> None:
@@ -240,16 +229,3 @@ async def fetch(
     headers = {name.replace("_", "-"): value for name, value in fields.items()}
     async with client.request(method, url, headers=headers) as response:
         return Answer(response.status, response.headers, await response.read())
-
-
-Check = Callable[[Running, aiohttp.ClientSession], Awaitable[None]]
-
-
-def on_server(root: Path, check: Check, config: ServerConfig | None = None) -> None:
-    """Runs `check` against a server for `root`."""
-
-    async def run() -> None:
-        async with served(root, config) as (server, client):
-            await check(server, client)
-
-    asyncio.run(run())
