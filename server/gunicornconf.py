@@ -32,7 +32,7 @@ from .operate.prometheus import forget_worker
 from .operate.settings import settings_parser
 from .operate.watchdog import Watchdog
 from .servecommand import PREFIX, ServeCommand
-from .serving import create_runner, end_with_stdin, make_state
+from .serving import RunningServer, end_with_stdin, make_state
 
 log = logging.getLogger(__name__)
 
@@ -120,7 +120,7 @@ async def create() -> web.AppRunner:
     take_over_logging(events)
     try:
         state = make_state(command.place, serving, events, number, folder.path, play_secret)
-        runner = create_runner(state, events)
+        runner = RunningServer(state, events)
     except (SwingsError, OSError) as error:
         # It ends the server; a second one on the way would end gunicorn with a traceback.
         if not folder.is_first("failed"):

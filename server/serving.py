@@ -41,41 +41,36 @@ SHUTDOWN_SHARE = 0.9
 TLS_HANDSHAKE_S = 8.0
 
 
-def create_runner(state: ServerState, log: EventLog | None = None) -> Runner:
-    """The runner of one worker's application. log: where requests get a line; None for nowhere."""
-    config = state.config
-    return Runner(
-        create_app(state, log),
-        state.connections,
-        state.metrics,
-        common_headers(config.cors_origin),
-        request_log(state.metrics, state.count_sent, state.proxies, log, config.log_requests),
-        config.timeouts.keepalive_timeout_s,
-        SHUTDOWN_SHARE * config.supervisor.shutdown_timeout_s,
-    )
+class RunningServer(Runner):
+    """The server on one socket, between `start` and `stop`; gunicorn's workers run it as they run
+    any AppRunner."""
 
-
-class RunningServer:
-    """The server on one socket, between `start` and `stop`."""
-
-    def __init__(
-        self, state: ServerState, listener: socket.socket, log: EventLog | None = None
-    ) -> None:
-        """log: where requests get a line; None for nowhere. Raises ServerError for a certificate
-        that cannot be used."""
+    def __init__(self, state: ServerState, log: EventLog | None = None) -> None:
+        """log: where requests get a line; None for nowhere."""
+        config = state.config
+        super().__init__(
+            create_app(state, log),
+            state.connections,
+            state.metrics,
+            common_headers(config.cors_origin),
+            request_log(state.metrics, state.count_sent, state.proxies, log, config.log_requests),
+            config.timeouts.keepalive_timeout_s,
+            SHUTDOWN_SHARE * config.supervisor.shutdown_timeout_s,
+        )
         self._state = state
-        self._listener = listener
-        self._tls = tls_context(state.config)
-        self._server: asyncio.Server | None = None
-        self.runner = create_runner(state, log)
+        self._tls: ssl.SSLContext | None = None
+        self._accepting: asyncio.Server | None = None
 
-    async def start(self) -> None:
-        """Begins to serve, what is in the library by then."""
-        bound_connections(self._listener, self._state.config.timeouts.write_timeout_s)
-        await self.runner.setup()
-        self._server = await asyncio.get_running_loop().create_server(
-            self.runner.server,
-            sock=self._listener,
+    async def start(self, listener: socket.socket) -> None:
+        """Begins to serve, what is in the library by then. Raises ServerError for a certificate
+        that cannot be used."""
+        config = self._state.config
+        bound_connections(listener, config.timeouts.write_timeout_s)
+        self._tls = tls_context(config)
+        await self.setup()
+        self._accepting = await asyncio.get_running_loop().create_server(
+            self.server,
+            sock=listener,
             ssl=self._tls,
             ssl_handshake_timeout=None if self._tls is None else TLS_HANDSHAKE_S,
             backlog=BACKLOG,
@@ -96,14 +91,15 @@ class RunningServer:
     async def stop(self) -> None:
         """Lets plays end at their next slice and answers what was asked, within
         `shutdown_timeout_s`. Stopping twice is the same as once."""
-        server, self._server = self._server, None
-        if server is None:
+        accepting, self._accepting = self._accepting, None
+        if accepting is None:
             return
         # When its server closes, asyncio drops accepted connections that it does not serve yet.
-        asyncio.get_running_loop().remove_reader(self._listener)
+        for listener in accepting.sockets:
+            asyncio.get_running_loop().remove_reader(listener)
         await asyncio.sleep(0)
-        server.close()
-        await self.runner.cleanup()
+        accepting.close()
+        await self.cleanup()
 
 
 def tls_context(config: ServerConfig) -> ssl.SSLContext | None:
@@ -142,7 +138,7 @@ def serve_alone(command: ServeCommand, listener: socket.socket, ready: Callable[
         end_with_stdin(os.getpid())
 
     async def serve() -> None:
-        server = RunningServer(make_state(command.place, config, log), listener, log)
+        server = RunningServer(make_state(command.place, config, log), log)
         loop, stop = asyncio.get_running_loop(), asyncio.Event()
         ends = [signal.SIGTERM, signal.SIGINT]
         if sys.platform == "win32":  # event loops handle none there; Ctrl-C cancels the main task
@@ -151,7 +147,7 @@ def serve_alone(command: ServeCommand, listener: socket.socket, ready: Callable[
             loop.add_signal_handler(signal.SIGHUP, server.renew)
         for number in ends:
             loop.add_signal_handler(number, stop.set)
-        await server.start()
+        await server.start(listener)
         try:
             ready()
             watchdog.ready()

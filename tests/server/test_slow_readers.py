@@ -61,7 +61,7 @@ def asking(port: int, path: str, *lines: str) -> Iterator[socket.socket]:
 async def test_connections_inherit_the_limit_of_the_kernel(root: Path) -> None:
     config = ServerConfig()
     async with served(root, config) as (server, client), client.get(PLAY) as response:
-        (connection,) = server.server.runner.connections
+        (connection,) = server.server.connections
         assert connection.transport is not None
         sock = connection.transport.get_extra_info("socket")
         assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 60_000

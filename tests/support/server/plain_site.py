@@ -17,7 +17,7 @@ from server import app
 from server.http.connection import Connection
 from server.library import Library
 from server.operate.log import LogRequests
-from server.serving import create_runner
+from server.serving import RunningServer
 from server.state.config import ServerConfig
 from server.state.serverstate import ServerState
 from tests.support.server.running_server import Lines, Running, quick_config, running
@@ -163,7 +163,7 @@ async def in_memory(
     """A connection to a server for `root` without any socket, for virtual time."""
     config, log = ServerConfig(log_requests=LogRequests.ALL), Lines()
     state = ServerState(Library(root, config.refresh_s), config)
-    runner = create_runner(state, log)
+    runner = RunningServer(state, log)
     await runner.setup()
     connection = runner.server()
     with socket.socket(socket.AF_UNIX) as sock:

@@ -137,8 +137,8 @@ async def running(root: Path, config: ServerConfig | None = None) -> AsyncIterat
     listener = bind("127.0.0.1", 0)
     state = ServerState(Library(root, config.refresh_s), config)
     log = Lines()
-    server = RunningServer(state, listener, log)
-    await server.start()
+    server = RunningServer(state, log)
+    await server.start(listener)
     try:
         yield Running(listener.getsockname()[1], state, server, log)
     finally:
