@@ -8,7 +8,7 @@ from typing import Final
 from aiohttp import web
 from aiohttp.abc import AbstractAccessLogger
 
-from server.operate.admission import Network, client_address
+from server.operate.admission import Network, client_address, is_proxy
 from server.operate.log import EventLog, LogRequests, Value
 from server.operate.prometheus import Metrics
 from server.operate.sign.signing import Grant, without_signatures
@@ -44,8 +44,10 @@ COUNTED_BYTES = web.RequestKey("counted_bytes", int)
 
 def address_of(request: web.BaseRequest, proxies: tuple[Network, ...]) -> str:
     """The address of the client: that of the connection, or what a trusted proxy says it is."""
-    forwarded_for = request.headers.getall("X-Forwarded-For", ())
-    return client_address(request.remote or "", forwarded_for, proxies)
+    peer = request.remote or ""
+    if "X-Forwarded-For" in request.headers and is_proxy(peer, proxies):
+        return client_address(peer, request.headers.getall("X-Forwarded-For"), proxies)
+    return peer
 
 
 def request_log(
