@@ -38,7 +38,7 @@ PIECES_BYTES: Final = 16 * 1024 * 1024
 """Bytes of bodies that may wait in the process, about, shared by all connections."""
 
 MIN_PIECE_BYTES: Final = 16 * 1024
-MAX_PIECE_BYTES: Final = 512 * 1024
+MAX_PIECE_BYTES: Final = 1024 * 1024
 
 UNSEEN_BYTES: Final = 64 * 1024
 """Unacknowledged bytes with which a response counts as delivered: about what the client's kernel
