@@ -154,10 +154,11 @@ def test_what_cannot_be_written_is_counted_and_reported_once_it_can(
     with monkeypatch.context() as patched:
         patched.setattr(os, "write", full)
         told.log.event("request", path="x")
-        wait_until(lambda: told.log.num_dropped == 3)  # among them a report of the first
+        told.log.event("request", path="x")
+        wait_until(lambda: told.log.num_dropped == 4)  # among them a report of the first
     told.log.event("request", path="x")
     assert [(line["event"], line.get("lines", 0)) for line in told.lines()] == [
-        ("log_dropped", 2),
+        ("log_dropped", 3),
         ("request", 0),
     ]
     assert capsys.readouterr().err == ""
