@@ -222,11 +222,6 @@ def make_plan(survey: Survey, options: ImportOptions, example: Splats) -> SlotPl
     """How the slots of a stream of what `survey` found are laid out. example: a frame of it, by
     which the layers are weighed."""
     size_m = survey.size_m if survey.num_gs else 1.0
-    lattice = survey.lattice
-    wanted = _lattice(options.error, survey)
-    is_given = lattice is not None and 4 * lattice.position_m >= wanted.position_m
-    if lattice is None or not is_given:
-        lattice = wanted
     by_paint = options.by_paint if options.by_paint is not None else survey.sh_degree > 1
     # With room in each layer what is born finds a place where its errors suit it.
     num_slots = survey.num_gs
@@ -235,8 +230,9 @@ def make_plan(survey: Survey, options: ImportOptions, example: Splats) -> SlotPl
     slots = split_counts(max(1, num_slots), options.shares)
     if not min(slots):  # no layer is empty
         slots = (sum(slots),)
-    errors, lattices = (options.error,) * len(slots), (lattice,) * len(slots)
-    if by_paint and not is_given and survey.num_gs:
+    errors = (options.error,) * len(slots)
+    lattices = (_lattice(options.error, survey),) * len(slots)
+    if by_paint and survey.num_gs:
         layers = split_layers(example, slots, RANKS[options.rank])
         spread = spread_of(size_m, survey.lowest, survey.highest)
         errors = tuple(
@@ -247,7 +243,7 @@ def make_plan(survey: Survey, options: ImportOptions, example: Splats) -> SlotPl
     bounds = np.array([[error.of(kind) for kind in KINDS] for error in errors])
     bounds[:, 0] *= size_m
     shares = options.shares if len(slots) == options.layers else (1.0,)
-    return SlotPlan(slots, shares, survey.sh_degree, lattices, bounds, *survey.box, is_given)
+    return SlotPlan(slots, shares, survey.sh_degree, lattices, bounds, *survey.box)
 
 
 def _lattice(error: ErrorBound, survey: Survey) -> Lattice:
@@ -339,7 +335,7 @@ def import_stream(
         rank = RANKS[_known(options.rank)]
         plan = make_plan(survey, options, options.kept(read_frame(files[0])))
         filler, lattices = SlotFiller(plan, rank), plan.lattices
-        is_still = len(files) == 1 and survey.lattice is None
+        is_still = len(files) == 1
         if is_still and not options.exact:
             rounded = still_lattices(options.kept(splats), plan, options, survey)
             is_still, lattices = rounded is not None, rounded or lattices

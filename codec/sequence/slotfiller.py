@@ -32,7 +32,6 @@ from codec.splats import Floats, Splats
 from codec.stream.layers import RankFunction, split_counts
 
 from .errorbound import HOLD, KINDS, errors_of, steps_of
-from .findlattice import as_given
 from .matching import Rows, match
 
 SLACK = 1e-6
@@ -61,8 +60,6 @@ class SlotPlan:
     bounds: Doubles  # (L, 5) most that each of KINDS may be off in a layer; of positions in metres
     lower: Doubles  # (3,) metres, of the box along which newcomers are ordered
     upper: Doubles  # (3,)
-    is_given: bool = False
-    """Whether Gaussians lie on the lattices already, as those of another stream do."""
 
 
 class SlotFiller:
@@ -171,18 +168,6 @@ class SlotFiller:
         self, layer: int, splats: Splats, before: States | None
     ) -> tuple[States, Flags]:
         """`splats`, of `layer`, as integers, and which of them are within the bounds."""
-        if not self._plan.is_given:
-            return self._rounded(layer, splats, before)
-        states, fits = as_given(splats, self._plan.lattices[layer])
-        rest = np.flatnonzero(~fits)
-        if len(rest):
-            left = None if before is None else before.take(rest)
-            rounded, fits[rest] = self._rounded(layer, splats.take(rest), left)
-            states.put(rest, rounded)
-        return states, fits
-
-    def _rounded(self, layer: int, splats: Splats, before: States | None) -> tuple[States, Flags]:
-        """As `_on_lattice`, for Gaussians that do not lie there already."""
         lattice = self._plan.lattices[layer]
         values = lattice_values(splats, lattice, before)
         states, fits = round_values(values, lattice, before, float(self._holds[layer]))

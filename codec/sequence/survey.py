@@ -10,13 +10,11 @@ import numpy as np
 
 from codec.errors import InvalidError
 from codec.interop.formats import read_splats
-from codec.lattice.lattice import Lattice
 from codec.lattice.quantise import POSITION_PER_SIZE, position_step_m, to_luma
 from codec.pose import Doubles
 from codec.slots.slotlayout import MAX_SLOTS
 from codec.splats import Splats
 
-from .findlattice import find_lattice
 from .matching import Keys, row_keys
 from .numberedfiles import FramePlace
 
@@ -65,8 +63,6 @@ class Survey:
     """The log-scales, without the few largest ones."""
     reach: float = 0.0
     """The largest magnitude of Y, Co, Cg of a harmonic coefficient, in all but very few."""
-    lattice: Lattice | None = None
-    """The lattice on which the Gaussians of the first file that has any lie already."""
     num_moved: int = 0
     """Gaussians that are not, bit by bit, in the file before; the first file does not count."""
     num_later: int = 0
@@ -99,7 +95,6 @@ class Survey:
         usual = float(np.quantile(splats.log_scales, USUAL_SHARE))
         highest = min(float(splats.log_scales.max()), usual + FAR)
         if not self.num_gs:
-            self.lattice = find_lattice(splats)
             self.lowest, self.highest = lowest, highest
         self.lowest, self.highest = min(self.lowest, lowest), max(self.highest, highest)
         strongest = np.zeros(len(splats))

@@ -1,4 +1,4 @@
-"""Files imported within the stated errors, streams exported and imported again, and the page."""
+"""Files imported within the stated errors, and the page."""
 
 from __future__ import annotations
 
@@ -51,24 +51,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_commands_run(folder: Path) -> None:
-    assert len(COMMANDS) == 11
+    assert len(COMMANDS) == 9
     assert {line.split()[0] for line in COMMANDS} <= set(ENTRY)
 
 
 def test_they_do_what_the_page_says(folder: Path) -> None:
     sizes, streams = {}, {}
-    plain = "my-stream", "finer-stream", "back-stream", "exact-stream", "two-layers"
+    plain = "my-stream", "finer-stream", "exact-stream", "two-layers"
     for name in (*plain, "halved", "quartered"):
         streams[name] = StreamReader(folder / name)
         sizes[name] = sum(sum(record.part_bytes) for record in streams[name].records)
         assert streams[name].num_frames == 4
     assert sizes["my-stream"] < sizes["finer-stream"]
-    assert sizes["back-stream"] < 1.15 * sizes["my-stream"]
     for frame in range(4):
         file = read_splats(folder / "my-splats" / f"frame_{frame:04d}.ply")
         assert gaussians(streams["exact-stream"].active_splats(frame, 4)) == gaussians(file)
-        one, other = (streams[n].active_splats(frame, 4) for n in ("my-stream", "back-stream"))
-        assert gaussians(one) == gaussians(other)
     assert streams["two-layers"].manifest.num_layers == 2
     assert streams["halved"].manifest.num_layers == 5
     assert streams["halved"].manifest.temporal_period == 2
