@@ -26,7 +26,7 @@ from player.playout.clock import MAX_RATE, MIN_RATE
 from player.playout.outputtimes import check_fps
 from player.render.renderer import GlVersion, RendererKind
 from player.show.background import BLACK, TRANSPARENT, Colour
-from player.show.sink import VIDEO_SUFFIXES, check_output, check_still
+from player.show.sink import VIDEO_SUFFIX, check_output, check_still
 from player.source.locate import split_source
 from player.source.opener import SourceConfig
 from player.view.moment import MOMENT, Moment
@@ -172,9 +172,8 @@ class PlayConfig:
     such URLs of one stream may be given, separated by commas: if a host stops answering, the player
     switches to the next URL."""
     capture: Annotated[Path | None, tyro.conf.arg(metavar="OUT")] = None
-    """Write the frames to this .mp4 (H.264), .mov (ProRes 4444) or folder of PNGs: each exactly
-    once, or a picture for each moment of --fps. Without this option, the stream plays in a
-    window."""
+    """Write the frames to this .mp4 (H.264) or folder of PNGs: each exactly once, or a picture for
+    each moment of --fps. Without this option, the stream plays in a window."""
     fps: float | None = None
     """Pictures per second of the --capture, up to 1000. Without this option, the rate of the
     stream."""
@@ -185,8 +184,8 @@ class PlayConfig:
     """Number of layers of each slice, 1 to all. auto adapts it to the rate of the link in a window
     and with --link, and uses all layers otherwise."""
     camera: Annotated[CameraPathName, CAMERA] = CameraPathName("default")
-    """Camera path: default, camera:NAME, orbit, orbit:DEGREES, or a .json file of key frames, or
-    of a path of nerfstudio's or Blender's."""
+    """Camera path: default, camera:NAME, orbit, orbit:DEGREES, or a .json file of key frames or
+    of a camera path of nerfstudio."""
     size: Annotated[Size | None, SIZE] = None
     """Size of the picture, such as 1280x720. Without this option, it is the camera's size."""
     frames: Annotated[FrameRange, FRAMES] = field(default_factory=FrameRange)
@@ -218,23 +217,18 @@ class PlayConfig:
     """Play the frames N times, or forever. Each repetition requests the stream again."""
     rate: float = 1.0
     """Playback rate in a window: seconds of the stream per second, 0.1 to 4."""
-    record: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
-    """Record your camera movements in the window to this file, for use with --camera."""
     background: Annotated[Colour | None, BACKGROUND] = BLACK
-    """Colour behind the Gaussians; transparent gives PNGs and a .mov an alpha channel."""
+    """Colour behind the Gaussians; transparent gives PNGs an alpha channel."""
     still: Annotated[Moment | None, MOMENT] = None
     """Draw only this frame, or the frame at this time (2.5s), to the .png file of --capture. All
     layers are drawn unless --layers is given."""
     picture: PictureKind = PictureKind.COLOUR
     """Kind of the pictures of --capture, --still and --turntable: colour; depth along the viewing
     axis, 0 where nothing is; or mask, the share of a pixel that Gaussians cover. PNGs hold depth
-    in thousandths of the stream's unit (16 bits) and masks in 8 bits; a .exr holds either in 32-bit
-    floats, depth in the stream's unit."""
-    exr: bool = False
-    """Fill a folder with OpenEXR files instead of PNGs, for --picture depth and mask."""
+    in thousandths of the stream's unit (16 bits) and masks in 8 bits."""
     turntable: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Move the camera around the still once in this time, or along --camera if that path moves.
-    --capture names the .mp4 or .mov file or folder of PNGs."""
+    --capture names the .mp4 file or folder of PNGs."""
     mute: bool = False
     """Play without the stream's sound, and capture without a sound track."""
     volume: float = 1.0
@@ -295,7 +289,6 @@ class PlayConfig:
         written = (
             ("report", self.report),
             ("plot", self.plot),
-            ("record", self.record),
             ("profile", self.profile),
         )
         for name, path in written:
@@ -318,7 +311,6 @@ class PlayConfig:
         """Which options are given that only a window has."""
         return (
             ("--rate", self.rate != 1),
-            ("--record", self.record is not None),
             ("--captions", self.captions != NO_CAPTIONS),
         )
 
@@ -347,7 +339,7 @@ class PlayConfig:
             raise InvalidError("--still needs an output file; name it with --capture OUT.png")
         self._refuse("--still", ("--frames", self.frames != FrameRange()), *self._of_plays)
         if self.turntable is None:
-            check_still(self.capture, self.picture is not PictureKind.COLOUR)
+            check_still(self.capture)
             return
         if not (math.isfinite(self.turntable) and 0 < self.turntable <= MAX_TURN_S):
             raise InvalidError(
@@ -360,27 +352,23 @@ class PlayConfig:
         if self.background is not TRANSPARENT:
             return
         if self.capture is None:
-            raise InvalidError("--background transparent needs --capture with PNGs or a .mov")
-        if self.capture.suffix.lower() == ".mp4":
+            raise InvalidError("--background transparent needs --capture with PNGs")
+        if self.capture.suffix.lower() == VIDEO_SUFFIX:
             raise InvalidError(
                 f"{self.capture}: an .mp4 has no alpha channel for --background transparent; "
-                "write a .mov or a folder of PNGs instead"
+                "write a folder of PNGs instead"
             )
 
     def _check_picture(self) -> None:
         if self.picture is PictureKind.COLOUR:
-            self._refuse("--picture colour", ("--exr", self.exr))
             return
         self._refuse(f"--picture {self.picture}", ("--background", self.background != BLACK))
         if self.capture is None:
             raise InvalidError(f"--picture {self.picture} needs an output; name it with --capture")
-        if self.capture.suffix.lower() in VIDEO_SUFFIXES:
+        if self.capture.suffix.lower() == VIDEO_SUFFIX:
             raise InvalidError(
-                f"{self.capture}: --picture {self.picture} is written as PNGs or as .exr files; "
-                "name a folder"
+                f"{self.capture}: --picture {self.picture} is written as PNGs; name a folder"
             )
-        if self.exr and self.still is not None and self.turntable is None:
-            raise InvalidError(f"{self.capture}: --exr fills a folder; name a .exr file instead")
 
     @property
     def draws_frames(self) -> bool:

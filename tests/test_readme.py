@@ -97,10 +97,10 @@ MADE = {
     "swings-play my-stream --still 30 --turntable 4 --capture turn.mp4": "turn.mp4",
     "swings-play my-stream --still 30 --capture white.png --background ffffff": "white.png",
     "swings-play my-stream --still 30 --capture cut.png --background transparent": "cut.png",
-    "swings-play my-stream --capture cut.mov --background transparent": "cut.mov",
-    "swings-play my-stream --still 30 --capture depth.exr --picture depth": "depth.exr",
+    "swings-play my-stream --capture cut --background transparent": "cut/frame_00031.png",
+    "swings-play my-stream --still 30 --capture depth.png --picture depth": "depth.png",
     "swings-play my-stream --capture depth --picture depth": "depth/frame_00031.png",
-    "swings-play my-stream --capture masks --picture mask --exr": "masks/frame_00031.exr",
+    "swings-play my-stream --capture masks --picture mask": "masks/frame_00031.png",
     "swings-play my-stream --camera flight.json --capture flight.mp4": "flight.mp4",
     "swings-abr my-stream --traces DIR --out report": "report/plays.csv",
 }
@@ -138,7 +138,7 @@ NOT_RUN = {"git clone <this repository> swings"}
 
 @pytest.fixture(scope="module")
 def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with my-capture, my-stream, my-intro, model.ply, my-frames, the guide's region.json,
+    """A folder with my-capture, my-stream, my-intro, model.ply, my-frames, the guide's region.json and
     flight.json, and DIR, a folder of traces."""
     root = tmp_path_factory.mktemp("readme")
     write_dynerf(root / "my-capture", 5, 60)
@@ -147,10 +147,9 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run_words(root, "swings-stream export my-stream model.ply --frame 0")
     run_words(root, "swings-stream export my-stream my-frames/frame.ply --frames 0:3")
     run_words(root, "swings-stream edit trim my-stream my-intro --frames :5")
-    (region,) = (words for words in WORDS if words.startswith('[{"frame"'))
+    flight, region = (words for words in WORDS if words.startswith('[{"frame"'))
+    (root / "flight.json").write_text(flight)
     (root / "region.json").write_text(region)
-    pose = {"camera_to_world": np.eye(4).ravel().tolist(), "fov": 50}
-    (root / "flight.json").write_text(json.dumps({"camera_path": [pose] * NUM_FRAMES}))
     (root / "DIR").mkdir()
     (root / "DIR" / "link.json").write_text(
         '[{"duration_ms": 60000, "bandwidth_kbps": 4000, "latency_ms": 20}]'

@@ -13,10 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.camera import Camera
-from codec.files import write_atomic
 from codec.framerange import FrameRange
 from codec.progressline import Counter, counted
-from codec.stream.views import scene_centre
 from player.config import NO_CAPTIONS, PlayConfig
 from player.link.linkprocess import LinkProcess
 from player.playout.clock import Clock
@@ -35,13 +33,12 @@ from player.report.playsummary import PlayedOnce, PlaySummary, write_report
 from player.report.soundcounts import SoundCounts
 from player.show.background import BLACK, on_background
 from player.show.backgroundtask import BackgroundTask
-from player.show.sink import VIDEO_SUFFIXES, FrameSink, to_bytes
+from player.show.sink import VIDEO_SUFFIX, FrameSink, to_bytes
 from player.source.locate import check_url, is_url
 from player.source.opener import Opener
 from player.source.preview import Preview
 from player.source.source import Source
 from player.view.path import CameraPath, Size
-from player.view.pathrecorder import PathRecorder
 from server.abr.link import Link
 from server.abr.playout import PlayoutConfig
 
@@ -214,7 +211,6 @@ class _Playback:
             None if config.layers is not None else self._open_whole,
             self._smoothing,
         )
-        recorder: PathRecorder | None = None
         try:
             with conductor:
                 source = conductor.source
@@ -223,7 +219,6 @@ class _Playback:
                 captions = CaptionChoice(
                     source.manifest.captions, self._opener.read_captions, language
                 )
-                recorder = PathRecorder(scene_centre(source.manifest))
                 with self._sounding(conductor, path(source.frames.first)) as sound:
                     show_window(
                         window,
@@ -232,15 +227,12 @@ class _Playback:
                         path,
                         self._renderers,
                         self._note,
-                        recorder.add,
                         config.window_background,
                         captions=captions,
                         sound=sound,
                     )
         finally:
             self._summary.received_bytes += conductor.received_bytes
-            if config.record is not None and recorder:
-                write_atomic(config.record, recorder.to_json())
 
     @contextmanager
     def _sounding(self, conductor: Conductor, camera: Camera) -> Iterator[SoundPlayer | None]:
@@ -321,7 +313,7 @@ class _Playback:
         output = config.capture
         if config.mute or not manifest.sound or output is None:
             return None
-        if output.suffix.lower() not in VIDEO_SUFFIXES:
+        if output.suffix.lower() != VIDEO_SUFFIX:
             return None
         from player.sound.soundtrack import SoundTrack  # its decoder loads slowly
 

@@ -14,7 +14,7 @@ from codec.progressline import counted
 from player.config import PictureKind, PlayConfig
 from player.script.openscene import Scene
 from player.show.filesinks import open_sink
-from player.show.sink import EXR_SUFFIX, Picture, to_bytes, write_picture
+from player.show.sink import Picture, to_bytes, write_picture
 from player.view.path import CameraPath, Size, orbit
 
 
@@ -50,10 +50,7 @@ def draw_frames(config: PlayConfig) -> str:
             path = _around(config, scene, count)
             first = path(0)
             size = Size(first.width_px, first.height_px)
-            with (
-                open_sink(out, scene.fps, size, exr=config.exr) as sink,
-                counted("drawing") as show,
-            ):
+            with open_sink(out, scene.fps, size) as sink, counted("drawing") as show:
                 for number in range(count):
                     sink.write(number, _drawn(config, scene, frame, path(number)))
                     show(number + 1, count)
@@ -69,7 +66,7 @@ def _draw_each(config: PlayConfig, scene: Scene, out: Path) -> str:
     path = config.camera.of(scene.manifest, config.size, FrameRange(frames.start, frames.stop))
     first = path(frames.start)
     size = Size(first.width_px, first.height_px)
-    with open_sink(out, scene.fps, size, exr=config.exr) as sink, counted("drawing") as show:
+    with open_sink(out, scene.fps, size) as sink, counted("drawing") as show:
         for frame in frames:
             sink.write(frame, _drawn(config, scene, frame, path(frame)))
             show(frame - frames.start + 1, len(frames))
@@ -81,18 +78,12 @@ def _draw_each(config: PlayConfig, scene: Scene, out: Path) -> str:
 
 def _drawn(config: PlayConfig, scene: Scene, frame: int, camera: Camera) -> Picture:
     """The picture of `config.picture`, as it is written."""
-    assert config.capture is not None
-    in_floats = config.exr or config.capture.suffix.lower() == EXR_SUFFIX
     match config.picture:
         case PictureKind.DEPTH:
-            depth_m = np.nan_to_num(scene.depth(frame, camera))
-            if in_floats:
-                return depth_m
-            depth_mm = 1000 * depth_m
+            depth_mm = 1000 * np.nan_to_num(scene.depth(frame, camera))
             return np.rint(np.minimum(depth_mm, np.iinfo(np.uint16).max)).astype(np.uint16)
         case PictureKind.MASK:
-            covered = scene.render(frame, camera, background=None)[:, :, 3]
-            return np.ascontiguousarray(covered) if in_floats else to_bytes(covered)
+            return to_bytes(scene.render(frame, camera, background=None)[:, :, 3])
     return to_bytes(scene.render(frame, camera, background=config.background))
 
 

@@ -1,13 +1,12 @@
-"""Pictures into files: an .mp4, a .mov with alpha, or a folder of PNGs or OpenEXR files.
+"""Pictures into files: an .mp4 or a folder of PNGs.
 
 Rule: a file under its final name is whole. What is being written has a temporary name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import av
@@ -19,7 +18,7 @@ from player.playout.outputtimes import exact_rate
 from player.view.path import Size
 
 from .sink import (
-    EXR_SUFFIX,
+    VIDEO_SUFFIX,
     FrameSink,
     Picture,
     SinkError,
@@ -28,40 +27,13 @@ from .sink import (
     write_picture,
 )
 
-VIDEO_CRF = 16
-"""Constant rate factor of libx264: visually lossless."""
-
-
-@dataclass(frozen=True, slots=True)
-class VideoFormat:
-    """How a kind of video file is encoded."""
-
-    container: str
-    encoder: str
-    pixels: str
-    """Pixel format, as FFmpeg names it."""
-    picture: str
-    """Format of the pictures that are written: rgb24 or rgba."""
-    options: Mapping[str, str]
-    multiple_px: int
-    """Width and height are multiples of this: the last column or row is repeated."""
-    sound: str
-    """Encoder of the sound track."""
-
-
-FORMATS = {
-    # Equal pictures should give equal files. x264's macroblock tree does not: with AVX-512 its
-    # bytes differ from run to run.
-    ".mp4": VideoFormat(
-        "mp4", "libx264", "yuv420p", "rgb24",
-        {"crf": str(VIDEO_CRF), "preset": "fast", "x264-params": "mbtree=0"}, 2, "aac",
-    ),
-    ".mov": VideoFormat(
-        "mov", "prores_ks", "yuva444p10le", "rgba", {"profile": "4444"}, 1, "pcm_s16le",
-    ),
-}  # fmt: skip
-"""Video formats by suffix: .mp4 has H.264 in 8 bits 4:2:0 and AAC; .mov has ProRes 4444, which
-keeps the alpha channel, and plain samples. Colours are BT.709."""
+VIDEO_ENCODER, SOUND_ENCODER = "libx264", "aac"
+PIXELS = "yuv420p"
+"""Pixel format, as FFmpeg names it. Colours are BT.709."""
+# Equal pictures should give equal files. x264's macroblock tree does not: with AVX-512 its bytes
+# differ from run to run.
+ENCODER_OPTIONS = {"crf": "16", "preset": "fast", "x264-params": "mbtree=0"}
+"""Constant rate factor 16 is visually lossless."""
 
 SOUND_BITRATE_BPS = 192000
 """Bitrate of the AAC track."""
@@ -72,19 +44,16 @@ _LIMITED_RANGE = 1
 
 
 @contextmanager
-def open_sink(
-    path: Path, fps: float, size: Size, *, sound: bool = False, exr: bool = False
-) -> Iterator[FrameSink]:
+def open_sink(path: Path, fps: float, size: Size, *, sound: bool = False) -> Iterator[FrameSink]:
     """Gives what writes pictures of `size` to `path`, by its suffix. sound: a video gets a sound
-    track of what `write_sound` is given; pictures in a folder have none. exr: whether a folder gets
-    OpenEXR files.
+    track of what `write_sound` is given; pictures in a folder have none.
 
     Leaving by an error leaves nothing, so that the same command can be given again. Ctrl-C leaves
     no video, but the pictures that are written.
     """
     check_output(path)
-    if path.suffix.lower() not in FORMATS:
-        pictures = FolderSink(path, EXR_SUFFIX if exr else ".png")
+    if path.suffix.lower() != VIDEO_SUFFIX:
+        pictures = FolderSink(path)
         try:
             yield pictures
         except Exception:
@@ -101,17 +70,16 @@ def open_sink(
 
 
 class FolderSink:
-    """frame_00000.png, frame_00001.png, ... by frame number; or .exr."""
+    """frame_00000.png, frame_00001.png, ... by frame number."""
 
-    def __init__(self, folder: Path, suffix: str) -> None:
-        self._suffix = suffix
+    def __init__(self, folder: Path) -> None:
         self._was_there = folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
         self._written: list[Path] = []
 
     def write(self, frame: int, picture: Picture) -> None:
-        path = self._folder / f"frame_{frame:05d}{self._suffix}"
+        path = self._folder / f"frame_{frame:05d}.png"
         write_picture(path, picture)
         self._written.append(path)
 
@@ -128,24 +96,24 @@ class FolderSink:
 
 
 class VideoSink:
-    """A video of FORMATS. `finish` makes it whole; `close` in any case."""
+    """An .mp4: H.264 in 8 bits 4:2:0, and AAC. `finish` makes it whole; `close` in any case."""
 
     def __init__(
         self, path: Path, temporary: Path, fps: float, size: Size, sound: bool = False
     ) -> None:
         """path: what errors call it. temporary: what is written."""
         self._path = path
-        self._format = form = FORMATS[path.suffix.lower()]
-        more_px = -size.height_px % form.multiple_px, -size.width_px % form.multiple_px
+        # Both sides of a 4:2:0 picture are even: the last column or row is repeated.
+        more_px = size.height_px % 2, size.width_px % 2
         self._padding = ((0, more_px[0]), (0, more_px[1]), (0, 0))
-        self._container = av.open(str(temporary), "w", format=form.container)
+        self._container = av.open(str(temporary), "w", format="mp4")
         try:
             rate = exact_rate(fps)
-            stream: av.VideoStream = self._container.add_stream(form.encoder, rate=rate)  # type: ignore[assignment]
+            stream: av.VideoStream = self._container.add_stream(VIDEO_ENCODER, rate=rate)  # type: ignore[assignment]
             stream.width = size.width_px + more_px[1]
             stream.height = size.height_px + more_px[0]
-            stream.pix_fmt = form.pixels
-            stream.options = dict(form.options)
+            stream.pix_fmt = PIXELS
+            stream.options = dict(ENCODER_OPTIONS)
             stream.codec_context.colorspace = _BT709
             stream.codec_context.color_primaries = _BT709
             stream.codec_context.color_trc = _BT709
@@ -153,27 +121,23 @@ class VideoSink:
             self._track: av.AudioStream | None = None
             if sound:
                 track: av.AudioStream = self._container.add_stream(  # type: ignore[assignment]
-                    form.sound, rate=SAMPLE_RATE, layout="stereo"
+                    SOUND_ENCODER, rate=SAMPLE_RATE, layout="stereo"
                 )
-                if form.sound == "aac":
-                    track.bit_rate = SOUND_BITRATE_BPS
+                track.bit_rate = SOUND_BITRATE_BPS
                 self._track = track
         except Exception as error:  # PyAV lacks the encoder: ValueError, or an FFmpeg error
             self.close()
             raise SinkError(
-                f"{path}: this PyAV has no encoder {form.encoder} or {form.sound}: {error}"
+                f"{path}: this PyAV has no encoder {VIDEO_ENCODER} or {SOUND_ENCODER}: {error}"
             ) from error
         self._stream = stream
         self._written = 0
         self._heard = 0  # samples
 
     def write(self, frame: int, picture: Picture) -> None:
-        form = self._format
         padded = np.pad(picture, self._padding, mode="edge")
-        if form.picture == "rgba" and padded.shape[2] == 3:
-            padded = np.pad(padded, ((0, 0), (0, 0), (0, 1)), constant_values=255)
-        image = av.VideoFrame.from_ndarray(np.ascontiguousarray(padded), format=form.picture)
-        image = image.reformat(format=form.pixels, dst_colorspace="ITU709")
+        image = av.VideoFrame.from_ndarray(np.ascontiguousarray(padded), format="rgb24")
+        image = image.reformat(format=PIXELS, dst_colorspace="ITU709")
         image.pts = self._written
         self._written += 1
         try:

@@ -17,14 +17,14 @@ Words = npt.NDArray[np.uint16]
 Floats = npt.NDArray[np.float32]
 Sound = npt.NDArray[np.int16]
 
-Picture = Bytes | Words | Floats
-"""(H, W, 3) uint8 RGB or (H, W, 4) RGBA, row 0 on top; or (H, W) grey of uint8, uint16 or
-float32."""
+Picture = Bytes | Words
+"""(H, W, 3) uint8 RGB or (H, W, 4) RGBA, row 0 on top; or (H, W) grey of uint8 or uint16."""
 
-VIDEO_SUFFIXES = {".mp4", ".mov"}
-EXR_SUFFIX = ".exr"
+VIDEO_SUFFIX = ".mp4"
 
-OTHER_SUFFIXES = {EXR_SUFFIX, ".avi", ".gif", ".jpeg", ".jpg", ".m4v", ".mkv", ".png", ".webm"}
+OTHER_SUFFIXES = {
+    *(".avi", ".exr", ".gif", ".jpeg", ".jpg", ".m4v", ".mkv", ".mov", ".png", ".webm")
+}
 """Names that ask for something other than a folder."""
 
 
@@ -36,7 +36,7 @@ class FrameSink(Protocol):
     """Takes pictures in frame order."""
 
     def write(self, frame: int, picture: Picture) -> None:
-        """picture: in a video of colours, in OpenEXR files of floats."""
+        """picture: in a video of colours."""
         ...
 
     def write_sound(self, samples: Sound) -> None:
@@ -51,24 +51,15 @@ def to_bytes(picture: Floats) -> Bytes:
 
 
 def write_picture(path: Path, picture: Picture) -> None:
-    """Puts the picture at `path`, all of it or nothing: as OpenEXR if it is of floats, else as
-    PNG."""
+    """Puts the picture at `path` as PNG, all of it or nothing."""
     with replacing(path) as temporary:
-        if picture.dtype == np.float32:
-            from .exr import encode_exr  # the library for videos loads slowly
-
-            temporary.write_bytes(encode_exr(picture.astype(np.float32, copy=False)))
-        else:
-            Image.fromarray(picture).save(temporary, "PNG", compress_level=4)
+        Image.fromarray(picture).save(temporary, "PNG", compress_level=4)
 
 
-def check_still(path: Path, may_be_exr: bool) -> None:
+def check_still(path: Path) -> None:
     """Raises InvalidError when no single picture can be written to `path`."""
-    if may_be_exr and path.suffix.lower() == EXR_SUFFIX:
-        pass
-    elif path.suffix.lower() != ".png":
-        wanted = "a .png or .exr file" if may_be_exr else "a .png file"
-        raise InvalidError(f"{path}: a still is one picture; name {wanted}")
+    if path.suffix.lower() != ".png":
+        raise InvalidError(f"{path}: a still is one picture; name a .png file")
     if path.is_dir():
         raise InvalidError(f"{path} is a folder")
     if not path.parent.is_dir():
@@ -78,13 +69,13 @@ def check_still(path: Path, may_be_exr: bool) -> None:
 def check_output(path: Path) -> None:
     """Raises InvalidError when no capture can be written to `path`."""
     if path.suffix.lower() in OTHER_SUFFIXES:
-        raise InvalidError(f"{path}: name an .mp4 or .mov file, or a folder for PNGs")
-    if path.suffix.lower() in VIDEO_SUFFIXES:
+        raise InvalidError(f"{path}: name an .mp4 file, or a folder for PNGs")
+    if path.suffix.lower() == VIDEO_SUFFIX:
         if path.is_dir():
             raise InvalidError(f"{path} is a folder")
         if not path.parent.is_dir():
             raise InvalidError(f"{path}: there is no folder {path.parent}")
     elif path.exists() and not path.is_dir():
-        raise InvalidError(f"{path} is a file; name an .mp4 or .mov file, or a folder for PNGs")
+        raise InvalidError(f"{path} is a file; name an .mp4 file, or a folder for PNGs")
     elif path.is_dir() and any(path.glob("frame_*.*")):
         raise InvalidError(f"{path} already contains frames; remove them or name another folder")

@@ -48,7 +48,6 @@ def show_window(
     path: CameraPath,
     renderers: list[Renderer],
     note: Note,
-    record_camera: Callable[[int, Camera], object],
     background: Colour = BLACK,
     *,
     captions: CaptionChoice,
@@ -56,8 +55,7 @@ def show_window(
 ) -> None:
     """Shows what plays until the window is closed: first the poster, at last the last picture.
 
-    renderers: gets the one that draws, for its name and counters. record_camera: is told which one
-    showed which frame. sound: is heard from the camera.
+    renderers: gets the one that draws, for its name and counters. sound: is heard from the camera.
     """
     manifest = conductor.source.manifest
     check_drawable(manifest)
@@ -66,9 +64,7 @@ def show_window(
     with closing(renderer):
         conductor.smoothing.pictures_hz = window.pictures_hz
         conductor.attach(renderer)
-        _Shown(window, poster, conductor, path, background, captions, sound).show(
-            renderer, note, record_camera
-        )
+        _Shown(window, poster, conductor, path, background, captions, sound).show(renderer, note)
 
 
 class _Shown:
@@ -96,9 +92,7 @@ class _Shown:
         self._meter = PlayMeter()
         self._overlays = Overlays(self._meter, source.manifest.fps, captions)
 
-    def show(
-        self, renderer: GlRenderer, note: Note, record_camera: Callable[[int, Camera], object]
-    ) -> None:
+    def show(self, renderer: GlRenderer, note: Note) -> None:
         """Returns when the window is closed."""
         frame, drawn, camera, glides = None, None, None, 0
         waiting: list[FrameRecord] = []
@@ -132,7 +126,6 @@ class _Shown:
             if renderer.times is not None:
                 self._meter.took(renderer.times)
             self._window.swap()
-            record_camera(frame, camera)
             if self._sound is not None:
                 self._sound.camera = camera
             drawn = state

@@ -3,11 +3,16 @@
     [{"frame": 0, "position": [0, 1, -3], "look_at": [0, 1, 0], "fov_deg": 50},
      {"frame": 90, "w2c": [16 numbers, row by row]}]
 
-The paths of nerfstudio and of Blender's NeRF add-ons are read, too (foreignpaths.py).
-
 A key frame has `position` with `look_at` (and `up` if wanted), or `w2c`, a world-to-camera matrix
 (x right, y down, z forward). `fov_deg` is the vertical field of view; without it the default
 camera's stays.
+
+A camera path of nerfstudio is read, too, one pose a frame:
+
+    {"camera_path": [{"camera_to_world": [16 numbers], "fov": vertical degrees}, ...]}
+
+Its poses lead from camera to world, in OpenGL's axes: x right, y up, z backwards. They must be in
+the coordinates of the stream: nerfstudio moves and scales a scene unless it is told not to.
 """
 
 from __future__ import annotations
@@ -26,10 +31,9 @@ from codec.camera import Camera
 from codec.errors import InvalidError, SwingsError
 from codec.pose import Doubles, look_at, quat_of, rotation_of, slerp, world_to_camera
 
-from .foreignpaths import keyframes_of
-
 MAX_FILE_BYTES = 16 << 20
 KEYS = {"frame", "w2c", "position", "look_at", "up", "fov_deg"}
+OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +61,7 @@ def read_keyframes(path: Path, camera: Camera, up: Doubles) -> Callable[[float],
         raise InvalidError(f"camera path {path} is not JSON: {error}") from error
     if isinstance(value, dict):
         try:
-            value = keyframes_of(value, camera.width_px / camera.height_px)
+            value = _of_nerfstudio(value)
         except InvalidError as error:
             raise InvalidError(f"camera path {path}: {error}") from error
     if not isinstance(value, list) or not value:
@@ -71,6 +75,24 @@ def read_keyframes(path: Path, camera: Camera, up: Doubles) -> Callable[[float],
         except SwingsError as error:
             raise InvalidError(f"camera path {path}, key frame {number}: {error}") from error
     return lambda frame: _between(keyframes, frame, camera)
+
+
+def _of_nerfstudio(value: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The key frames, as in a file of ours, of a camera path of nerfstudio."""
+    poses = value.get("camera_path")
+    if not isinstance(poses, list) or not poses:
+        raise InvalidError("it is no list of key frames and has no camera_path (nerfstudio)")
+    entries: list[dict[str, Any]] = []
+    for number, pose in enumerate(poses):
+        try:
+            c2w = np.array(pose["camera_to_world"], np.float64).reshape(4, 4)
+            w2c = np.linalg.inv(c2w @ OPENGL_FROM_OPENCV)
+        except (KeyError, TypeError, ValueError, OverflowError, np.linalg.LinAlgError) as error:
+            raise InvalidError(f"pose {number} has no camera_to_world of 4x4 numbers") from error
+        entries.append({"frame": number, "w2c": w2c.ravel().tolist()})
+        if "fov" in pose:
+            entries[-1]["fov_deg"] = pose["fov"]
+    return entries
 
 
 def _numbers(entry: Mapping[str, Any], key: str, count: int) -> Doubles:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import av
 import numpy as np
 import pytest
 from PIL import Image
@@ -91,19 +90,6 @@ def test_a_transparent_png_composited_elsewhere_is_the_picture_on_that_colour(
         shown = np.asarray(Image.alpha_composite(ground, image))[..., :3].astype(int)
         exact = before(stream, background)
         assert int(np.abs(shown - exact)[sayable].max()) <= 2
-
-
-def test_a_mov_has_the_colours_and_the_alpha_of_pngs(stream: Path, tmp_path: Path) -> None:
-    play(config(stream, tmp_path / "all", None))
-    expected = read(tmp_path / "all" / f"frame_{FRAME:05d}.png").astype(int)
-    play(config(stream, tmp_path / "all.mov", None))
-    with av.open(str(tmp_path / "all.mov")) as video:
-        frames = [frame.to_ndarray(format="rgba") for frame in video.decode(video=0)]
-    found, cover = frames[FRAME].astype(int), expected[..., 3]
-    assert np.abs(found[..., 3] - cover).max() <= 2
-    # ProRes compresses colours; those of nearly invisible pixels do not matter.
-    error = np.abs(found[..., :3] - expected[..., :3]) * (cover[..., None] / 255)
-    assert error.mean() < 2.5
 
 
 def test_opengl_covers_what_the_cpu_covers(stream: Path) -> None:

@@ -81,7 +81,7 @@ def test_what_a_failed_drawing_made_is_removed_and_only_that(tmp_path: Path) -> 
 
 
 def test_a_png_that_cannot_be_written_is_not_there(tmp_path: Path) -> None:
-    sink = FolderSink(tmp_path / "out", ".png")
+    sink = FolderSink(tmp_path / "out")
     (tmp_path / "out" / "frame_00001.png").mkdir()
     with pytest.raises(OSError, match="frame_00001"):
         sink.write(1, picture(1, 8, 8))

@@ -192,7 +192,7 @@ def test_options_that_do_not_go_together() -> None:
         ({"json": True}, drawing),
         ({"sheet": Path("s.png")}, drawing),
         ({"training_cameras": True}, drawing),
-        ({"compare": ("cam00", Path("x.gif"))}, "name an .mp4 or .mov file, or a folder"),
+        ({"compare": ("cam00", Path("x.gif"))}, "name an .mp4 file, or a folder"),
     ]
     for options, message in cases:
         with pytest.raises(InvalidError, match=message):
