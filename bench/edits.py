@@ -17,14 +17,13 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.console import run_command
-from codec.edit.editing import Options, edit_stream
-from codec.edit.recolour import ColourOptions
+from codec.edit.editing import edit_stream
 from codec.edit.transform import TransformOptions
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.interop.formats import SplatFormat, write_splats
 from codec.sequence.importing import ImportOptions, import_stream
-from codec.splats import SH_C0, Splats
+from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import snapshot_part
 from codec.tools.cutting import join, trim_stream
@@ -33,14 +32,10 @@ from tests.support.slots.slot_streams import slot_manifest
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
 from tests.support.trained_like import trained_like_splats
 
-EDITS: dict[str, Options] = {
+EDITS = {
     "transform --move 1 2 3": TransformOptions(move=(1, 2, 3)),
     "transform --turn 90 0 0": TransformOptions(turn=(90, 0, 0)),
     "transform --turn 10 20 30 --move 1 2 3": TransformOptions(turn=(10, 20, 30), move=(1, 2, 3)),
-    "colour --exposure -1": ColourOptions(exposure=-1),
-    "colour --exposure 1": ColourOptions(exposure=1),
-    "colour --white 0.9 0.8 0.6": ColourOptions(white=(0.9, 0.8, 0.6)),
-    "colour --gain 1.2 1 0.9": ColourOptions(gain=(1.2, 1.0, 0.9)),
 }
 ROOM_M = 4.0
 ACTIVE = 0.3
@@ -90,20 +85,10 @@ def sequence(config: EditsConfig, root: Path, swin_size: int) -> Path:
     return path
 
 
-def on_frames(options: Options) -> FrameEdit:
+def on_frames(options: TransformOptions) -> FrameEdit:
     """The edit that `options` describe, as a function of one exported frame."""
-    if isinstance(options, TransformOptions):
-        similarity = options.similarity()
-        return lambda splats, _: similarity.moved(splats)
-    assert isinstance(options, ColourOptions)
-    gains = options.gains()
-
-    def gained(splats: Splats, _: int) -> Splats:
-        sh = splats.sh * gains
-        sh[:, 0] += (gains - 1) / (2 * SH_C0)
-        return Splats(*splats.arrays[:4], sh.astype(np.float32))
-
-    return gained
+    similarity = options.similarity()
+    return lambda splats, _: similarity.moved(splats)
 
 
 def edited(sources: list[Path], root: Path) -> Iterator[list[str]]:

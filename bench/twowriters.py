@@ -35,7 +35,7 @@ KINDS = {
     "import": "stream import MODELS OUT --fps 15",
     "follow": "stream import MODELS OUT --fps 15 --follow --live.end-after-s 4",
     "follow --resume": "stream import MODELS OUT --fps 15 --follow --resume --live.end-after-s 4",
-    "edit": "stream edit colour STREAM OUT --exposure 1",
+    "edit": "stream edit transform STREAM OUT --turn 10 20 30",
     "join": "stream edit join STREAM OUT --then STREAM",
     "audio": "stream audio add OUT SOUND.wav --name NAME",
     "captions": "stream captions add OUT LINES.vtt --language NAME",

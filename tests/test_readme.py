@@ -7,7 +7,6 @@ checked here; test_demo.py runs the demo.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shlex
@@ -23,7 +22,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from PIL import Image
 
@@ -78,12 +76,9 @@ MADE = {
     "swings-stream export my-stream site/stream.swings --static": "site/stream.swings",
     "swings-stream edit crop my-stream my-crop --box -1 0 -1 1 2 1": "my-crop/index.bin",
     "swings-stream edit crop my-stream my-ball --sphere 0 1 0 1.5": "my-ball/index.bin",
-    "swings-stream edit crop my-stream my-walk --keyframes region.json": "my-walk/index.bin",
     "swings-stream edit transform my-stream my-turned --turn 90 0 0 --scale 3": (
         "my-turned/index.bin"
     ),
-    "swings-stream edit colour my-stream my-graded --exposure 0.5 --white 0.9 0.8 0.7 "
-    "--gain 1 1 0.95": "my-graded/index.bin",
     "swings-stream edit floaters my-stream my-clean": "my-clean/index.bin",
     "swings-stream edit view my-stream my-better --view=-0.6,0.2,0.8,0,0 --title Fox": "my-better",
     "swings-stream edit view my-stream my-front --camera cam03": "my-front/index.bin",
@@ -138,8 +133,8 @@ NOT_RUN = {"git clone <this repository> swings"}
 
 @pytest.fixture(scope="module")
 def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with my-capture, my-stream, my-intro, model.ply, my-frames, the guide's region.json and
-    flight.json, and DIR, a folder of traces."""
+    """A folder with my-capture, my-stream, my-intro, model.ply, my-frames, the guide's flight.json,
+    and DIR, a folder of traces."""
     root = tmp_path_factory.mktemp("readme")
     write_dynerf(root / "my-capture", 5, 60)
     manifest = replace(seen_by(tiny_manifest(), root / "my-capture"), poster=POSTER_NAME)
@@ -147,9 +142,8 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run_words(root, "swings-stream export my-stream model.ply --frame 0")
     run_words(root, "swings-stream export my-stream my-frames/frame.ply --frames 0:3")
     run_words(root, "swings-stream edit trim my-stream my-intro --frames :5")
-    flight, region = (words for words in WORDS if words.startswith('[{"frame"'))
+    (flight,) = (words for words in WORDS if words.startswith('[{"frame"'))
     (root / "flight.json").write_text(flight)
-    (root / "region.json").write_text(region)
     (root / "DIR").mkdir()
     (root / "DIR" / "link.json").write_text(
         '[{"duration_ms": 60000, "bandwidth_kbps": 4000, "latency_ms": 20}]'

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -16,14 +15,14 @@ from codec.slots.slotstate import holds
 from codec.stream.manifest import Manifest, Point
 
 from .edit import Edit, Turn
-from .region import Box, Keyframes, Region, Sphere
+from .region import Box, Region, Sphere
 
 Corners = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class CropOptions:
-    """Where to crop: exactly one of the regions."""
+    """Where to crop: one of the regions."""
 
     box: Annotated[Corners | None, tyro.conf.arg(metavar="X Y Z X Y Z")] = None
     """Lower and upper corner of a box along the axes, metres."""
@@ -31,30 +30,23 @@ class CropOptions:
         tuple[float, float, float, float] | None, tyro.conf.arg(metavar="X Y Z RADIUS")
     ] = None
     """Centre and radius of a sphere, metres."""
-    keyframes: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
-    """File of a region that changes over time: a list such as [{"frame": 0, "box": [X, Y, Z, X, Y,
-    Z]}, ...], or the same with "sphere": [X, Y, Z, RADIUS]. Between two keyframes it changes
-    evenly."""
     outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Keep what lies outside the region instead."""
 
     def region(self) -> Region:
-        """The region. Raises a SwingsError."""
-        if sum(one is not None for one in (self.box, self.sphere, self.keyframes)) != 1:
-            raise InvalidError("give exactly one of --box, --sphere and --keyframes")
-        if self.box is not None:
-            return Box.of(np.array(self.box))
-        if self.sphere is not None:
-            return Sphere.of(np.array(self.sphere))
-        assert self.keyframes is not None
-        return Keyframes.read(self.keyframes)
+        """The region. Raises InvalidError."""
+        if self.box is not None and self.sphere is None:
+            return Box(np.array(self.box[:3]), np.array(self.box[3:]))
+        if self.sphere is not None and self.box is None:
+            return Sphere(np.array(self.sphere[:3]), self.sphere[3])
+        raise InvalidError("give either --box or --sphere")
 
 
 class Crop(Edit):
     """Keeps the Gaussians inside a region, or those outside it."""
 
     def __init__(self, options: CropOptions) -> None:
-        """Raises a SwingsError."""
+        """Raises InvalidError."""
         self._region, self._outside = options.region(), options.outside
         self._kept, self._first, self._first_kept = 0, 0, 0
 
@@ -67,13 +59,13 @@ class Crop(Edit):
         upper = np.clip(source.bounds[1], low, high)
         return replace(source, bounds=(_point(lower), _point(upper)))
 
-    def holds(self, means: Doubles, frame: int) -> Flags:
-        """(N,) which of the Gaussians at (N, 3) `means` stay at `frame`."""
-        inside = self._region.holds(means, frame)
+    def holds(self, means: Doubles) -> Flags:
+        """(N,) which of the Gaussians at (N, 3) `means` stay."""
+        inside = self._region.holds(means)
         return ~inside if self._outside else inside
 
     def keeps(self, turn: Turn) -> Flags:
-        kept = self.holds(turn.means(), max(turn.frame, 0))
+        kept = self.holds(turn.means())
         held = holds(turn.slots.conditions)
         count = int(np.count_nonzero(kept & held))
         self._kept += count

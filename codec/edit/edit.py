@@ -45,10 +45,6 @@ class Turn:
 class Edit:
     """One edit. This one changes nothing; each kind of edit overrides what it alters."""
 
-    keeps_pictures = True
-    """Whether a segment whose objects stay as they were looks as it did, so that the PSNR in its
-    index record still holds."""
-
     rounds = False
     """Whether `states` may give the same integers for Gaussians that differ."""
 

@@ -11,13 +11,12 @@ from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 
 from .crop import Crop, CropOptions
 from .floaters import FloaterOptions, Floaters
-from .recolour import Colour, ColourOptions
 from .rewrite import Edited, Progress, no_progress, open_source, rewrite
 from .transform import Transform, TransformOptions
 from .view import View, ViewOptions
 from .walk import Walk
 
-Options = CropOptions | TransformOptions | ColourOptions | FloaterOptions | ViewOptions
+Options = CropOptions | TransformOptions | FloaterOptions | ViewOptions
 """Options of an edit that `edit_stream` applies to every frame."""
 
 
@@ -43,8 +42,6 @@ def edit_stream(
             crop = Crop(options)
             made = rewrite(reader, out, crop, draw, progress)
             return replace(made, notes=crop.notes)
-        case ColourOptions():
-            return rewrite(reader, out, Colour(options, manifest), draw, progress)
         case ViewOptions():
             return rewrite(reader, out, View(options), draw, progress)
         case TransformOptions():

@@ -1,8 +1,8 @@
 """The steps of an edit that rounds, chosen so that the edited stream is not larger than its source.
 
-Grey colours that are tinted, and Gaussians along the axes that are turned, take more bits. Slightly
-larger steps save them, but not always: an oblique turn of a model with few harmonics gives it many.
-Then the steps stay as they were, and the stream grows.
+Gaussians along the axes that are turned take more bits. Slightly larger steps save them, but not
+always: an oblique turn of a model with few harmonics gives it many. Then the steps stay as they
+were, and the stream grows.
 """
 
 from __future__ import annotations

@@ -30,7 +30,6 @@ class Recoder:
         """Frames in the segment that is not written yet."""
         self._same_as: Walk | None = None
         """Whose segment it is so far, packet for packet."""
-        self._keeps_pictures = False
         self.num_copied = 0
         """Segments written that a source has in the same place, byte for byte."""
 
@@ -74,7 +73,6 @@ class Recoder:
                 snapshots = enumerate(self._encoder.snapshots())
                 chunks += [(snapshot_part(layer), chunk) for layer, chunk in snapshots]
                 self._same_as = walk if is_alike else None
-                self._keeps_pictures = edit.keeps_pictures
             for part, chunk in chunks:
                 content, packet = walk.content(birth, part) if is_alike else (b"", b"")
                 if content != chunk.data or (packet and coder_of(packet) != self._files.coder):
@@ -95,7 +93,7 @@ class Recoder:
             record = reader.records[self._files.num_frames // reader.manifest.segment_frames]
             if record.num_frames == self._num_frames:
                 self.num_copied += 1
-                psnr_db = record.psnr_db if self._keeps_pictures else None
+                psnr_db = record.psnr_db
         self._files.end_segment(self._num_frames, psnr_db)
         self._num_frames = 0
 

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
 from codec.edit.crop import Crop, CropOptions
-from codec.edit.region import Box, Keyframes, Region
+from codec.edit.region import Box, Region
 from codec.edit.rewrite import open_source
 from codec.errors import InvalidError
 from codec.files import write_atomic
@@ -38,9 +38,8 @@ def draw_crop(
     region = options.region()
     splats = reader.active_splats(0, reader.manifest.num_layers)
     means = splats.means.astype(np.float64)
-    kept = Crop(options).holds(means, 0)
-    first = region.at(0) if isinstance(region, Keyframes) else region
-    low, high = _room(np.array(reader.manifest.bounds), first)
+    kept = Crop(options).holds(means)
+    low, high = _room(np.array(reader.manifest.bounds), region)
     shown = np.flatnonzero(((low <= means) & (means <= high)).all(axis=1))
     if len(shown) > MOST_POINTS:
         shown = np.sort(np.random.default_rng(0).choice(shown, MOST_POINTS, replace=False))
@@ -53,7 +52,7 @@ def draw_crop(
         stays, goes = shown[kept[shown]], shown[~kept[shown]]
         axes.scatter(*means[goes][:, [right, down]].T, s=3, color=GONE_COLOUR, alpha=0.35, lw=0)
         axes.scatter(*means[stays][:, [right, down]].T, s=6, c=rgba[stays], lw=0)
-        _outline(axes, first, right, down)
+        _outline(axes, region, right, down)
         axes.set(
             title=title,
             xlabel=f"{'xyz'[right]} (m)",

@@ -11,7 +11,6 @@ import tyro
 from codec.edit.crop import CropOptions
 from codec.edit.editing import edit_stream
 from codec.edit.floaters import FloaterOptions
-from codec.edit.recolour import ColourOptions
 from codec.edit.rewrite import Edited
 from codec.edit.transform import TransformOptions
 from codec.edit.view import ViewOptions
@@ -59,13 +58,6 @@ class Transform(_Job):
 
 
 @dataclass(frozen=True, slots=True)
-class Colour(_Job):
-    """Change exposure, white balance, or the gain of each channel."""
-
-    options: Annotated[ColourOptions, tyro.conf.arg(name="")] = field(default_factory=ColourOptions)
-
-
-@dataclass(frozen=True, slots=True)
 class Floaters(_Job):
     """Remove the Gaussians that too few cameras see at any time of their life."""
 
@@ -108,12 +100,12 @@ class Temporal(_Job):
     """2 moves every second frame, 4 three of four, up to 8; 1 removes the layer."""
 
 
-Edits = Crop | Transform | Colour | Floaters | View | Trim | Join | Temporal
+Edits = Crop | Transform | Floaters | View | Trim | Join | Temporal
 
 
 @dataclass(frozen=True, slots=True)
 class Edit:
-    """Edit a whole stream without training: crop, transform, colour, floaters, view, trim, join,
+    """Edit a whole stream without training: crop, transform, floaters, view, trim, join,
     temporal."""
 
     edit: Annotated[Edits, tyro.conf.arg(name="")]

@@ -207,7 +207,7 @@ def test_one_edit_after_another(stream: Path, tmp_path: Path) -> None:
 def test_what_goes_wrong_is_one_line_and_leaves_nothing(stream: Path, tmp_path: Path) -> None:
     before, out = segment_files(stream), tmp_path / "out"
     for arguments, word in (
-        (["crop", stream, out, "--keyframes", tmp_path / "none.json"], "none.json is missing"),
+        (["crop", stream, out], "give either --box or --sphere"),
         (["trim", stream, out, "--frames", "90:"], "has frames 0:14"),
         (["crop", stream, stream, "--sphere", 0, 0, 0, 1], "is not empty"),
         (["join", stream, out, "--then", tmp_path], "manifest.json"),

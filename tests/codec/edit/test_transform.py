@@ -12,14 +12,13 @@ import pytest
 from codec.edit.crop import CropOptions
 from codec.edit.editing import Options, edit_stream
 from codec.edit.fitting import first_segment_bytes, fitted
-from codec.edit.recolour import ColourOptions
 from codec.edit.rewrite import coder_of_stream
 from codec.edit.transform import Transform, TransformOptions
 from codec.edit.view import ViewOptions
 from codec.errors import SwingsError
 from codec.pose import Doubles, rotation_about
 from codec.similarity import harmonics
-from codec.splats import SH_C0, Splats
+from codec.splats import Splats
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
 from player.render.cpu import render_splats
@@ -77,8 +76,8 @@ NAN, INFINITE = float("nan"), float("inf")
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (CropOptions(), "exactly one"),
-        (CropOptions(box=(0, 0, 0, 1, 1, 1), sphere=(0, 0, 0, 1)), "exactly one"),
+        (CropOptions(), "either --box or --sphere"),
+        (CropOptions(box=(0, 0, 0, 1, 1, 1), sphere=(0, 0, 0, 1)), "either --box or --sphere"),
         (CropOptions(box=(0, 0, 0, 1, -1, 1)), "must lie below"),
         (CropOptions(box=(0, 0, 0, 1, NAN, 1)), "must lie below"),
         (CropOptions(sphere=(0, 0, 0, 0)), "radius"),
@@ -88,7 +87,6 @@ NAN, INFINITE = float("nan"), float("inf")
         (ViewOptions(camera="nobody"), "no camera is called"),
         (ViewOptions(camera="front", view="0,0,1,0,0"), "cannot be combined"),
         (ViewOptions(), "nothing to change"),
-        *((ColourOptions(gain=gain), "") for gain in ((0, 1, 1), (1, INFINITE, 1))),
     ],
 )
 def test_options_that_no_stream_takes(options: Options, message: str, tmp_path: Path) -> None:
@@ -179,22 +177,6 @@ def test_what_moves_off_the_lattice_is_sent_as_floats(tmp_path: Path) -> None:
         found, wanted = after.means[:, 0], far.similarity().moved(before).means[:, 0]
         assert len(found)
         np.testing.assert_allclose(np.sort(found), np.sort(wanted), atol=0.03)
-
-
-def gained(splats: Splats, gains: tuple[float, ...]) -> Splats:
-    """`splats` with multiplied colours, coefficient by coefficient."""
-    sh = splats.sh * np.array(gains)
-    sh[:, 0] += (np.array(gains) - 1) / (2 * SH_C0)
-    return Splats(*splats.arrays[:4], sh.astype(np.float32))
-
-
-def test_recoloured_frames_give_the_same_pictures(tmp_path: Path) -> None:
-    gains = 0.6 / 0.8, 1.0, 0.6 / 0.4
-    source = write_moving(tmp_path / "s")
-    edit_stream(source, tmp_path / "t", ColourOptions(white=(0.8, 0.6, 0.4)))
-    verify_stream(tmp_path / "t")
-    assert least_psnr_db(source, tmp_path / "t", lambda splats, _: gained(splats, gains)) >= 45
-    assert objects_bytes(tmp_path / "t") <= objects_bytes(source)
 
 
 TURN = TransformOptions(turn=(10, 20, 30))

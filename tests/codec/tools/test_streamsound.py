@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from codec.edit.crop import CropOptions
 from codec.edit.editing import edit_stream
-from codec.edit.recolour import ColourOptions
 from codec.edit.transform import TransformOptions
 from codec.errors import CodecError, CorruptError, SwingsError
 from codec.framerange import FrameRange
@@ -217,7 +217,7 @@ def test_a_live_stream_has_sound_as_far_as_it_goes(tmp_path: Path) -> None:
 def test_edits_of_all_frames_keep_the_sound(stream: Path, tmp_path: Path) -> None:
     add(stream)
     add(stream, name="voice", at_m=(0, 1, 2))
-    edit_stream(stream, tmp_path / "c", ColourOptions(exposure=0.5))
+    edit_stream(stream, tmp_path / "c", CropOptions(sphere=(0, 0, 0, 1e4)))
     edit_stream(stream, tmp_path / "t", TransformOptions(2, move=(1, 0, 0)))
     for name in ("c", "t"):
         verify_stream(tmp_path / name)
@@ -330,9 +330,9 @@ async def test_captions_go_with_the_stream_but_for_cuts(
     export_static(stream, tmp_path / "static")
     assert (tmp_path / "static" / "captions-en.vtt").read_text() == VTT
     verify_stream(tmp_path / "static")
-    edit_stream(stream, tmp_path / "dark", ColourOptions(exposure=-1))
-    verify_stream(tmp_path / "dark")
-    assert (tmp_path / "dark" / "captions-en.vtt").read_text() == VTT
+    edit_stream(stream, tmp_path / "moved", TransformOptions(move=(1, 0, 0)))
+    verify_stream(tmp_path / "moved")
+    assert (tmp_path / "moved" / "captions-en.vtt").read_text() == VTT
     said = run_ok("swings-stream", "edit", "trim", stream, tmp_path / "cut", "--frames", "2:8")
     assert "captions     left out" in str(said)
     (stream / "captions-fr.vtt").write_text(VTT)  # the manifest does not name it
