@@ -1,4 +1,4 @@
-"""swings-play: a stream in a window, in a browser, or into files."""
+"""swings-play: a stream in a window or into files."""
 
 from __future__ import annotations
 
@@ -11,11 +11,7 @@ from .config import PlayConfig
 
 def run(config: PlayConfig) -> None:
     # What most plays have no use for loads slowly.
-    if config.viser is not None:
-        from .script.viserview import show_in_viser
-
-        show_in_viser(config)
-    elif config.draws_frames:
+    if config.draws_frames:
         from .run.stills import draw_frames
 
         say(draw_frames(config))

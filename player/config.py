@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 import tyro
-from tyro.constructors import PrimitiveConstructorSpec
 
 from codec.console import option
 from codec.errors import InvalidError
@@ -102,28 +101,6 @@ BACKGROUND = option("RRGGBB|transparent", parse_background, _background_text)
 LOOP = option("N|forever", parse_loop, lambda loop: "forever" if loop is None else str(loop))
 
 
-VISER_PORT = 8080
-"""viser's own."""
-
-
-def parse_port(words: list[str]) -> int:
-    """The port in the words behind --viser, which may be none. Raises InvalidError."""
-    if not words:
-        return VISER_PORT
-    if len(words) > 1 or not (words[0].isdecimal() and int(words[0]) < 1 << 16):
-        raise InvalidError(f"viser: {' '.join(words)!r} is not a port; put SOURCE before --viser")
-    return int(words[0])
-
-
-PORT: PrimitiveConstructorSpec[int] = PrimitiveConstructorSpec(
-    nargs="*",
-    metavar="[PORT]",
-    instance_from_str=parse_port,
-    is_instance=lambda value: isinstance(value, int),
-    str_from_instance=lambda port: [str(port)],
-)
-
-
 def parse_patience(text: str) -> RetryConfig:
     """Seconds to go on trying. Raises InvalidError."""
     try:
@@ -163,7 +140,6 @@ class PlayConfig:
         "Files": ("capture", "fps", "still", "turntable", "picture"),
         "Sound and captions": ("mute", "volume", "captions"),
         "Network": ("link", "report", "plot"),
-        "In a browser": ("viser",),
     }
 
     source: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="SOURCE")]]
@@ -235,9 +211,6 @@ class PlayConfig:
     """Loudness of the sound, 0 to 1."""
     captions: Annotated[str, tyro.conf.arg(metavar="LANG|off")] = NO_CAPTIONS
     """Show the captions in this language, such as en, in the window. The key C changes it."""
-    viser: Annotated[int | None, PORT] = None
-    """Show the stream in a browser with viser (pip install '.[viser]' in the swings folder), at
-    this port or the next free port. Without PORT, the port is 8080."""
 
     @property
     def name(self) -> str:
@@ -252,9 +225,7 @@ class PlayConfig:
         """Raises InvalidError for options that do not go together, whatever the stream is."""
         if self.link is not None and not self.source.lower().startswith("http://"):
             raise InvalidError(f"--link works only with http:// URLs, not with {self.name}")
-        if self.viser is not None:
-            self._refuse("--viser", *self._of_plays, *self._of_pictures)
-        elif self.still is not None or self.turntable is not None:
+        if self.still is not None or self.turntable is not None:
             self._check_still()
         elif self.capture is not None:
             check_output(self.capture)
@@ -312,19 +283,6 @@ class PlayConfig:
         return (
             ("--rate", self.rate != 1),
             ("--captions", self.captions != NO_CAPTIONS),
-        )
-
-    @property
-    def _of_pictures(self) -> tuple[tuple[str, bool], ...]:
-        """Which options are given that say how swings draws, and where to."""
-        return (
-            ("--capture", self.capture is not None),
-            ("--still", self.still is not None),
-            ("--turntable", self.turntable is not None),
-            ("--size", self.size is not None),
-            ("--renderer", self.renderer is not RendererKind.AUTO),
-            ("--gl", self.gl is not GlVersion.AUTO),
-            ("--background", self.background != BLACK),
         )
 
     def _refuse(self, option: str, *others: tuple[str, bool]) -> None:

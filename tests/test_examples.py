@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import runpy
+import subprocess
 import sys
 import urllib.request
 from collections.abc import Callable
@@ -11,11 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import av
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import codec
+from codec.splats import SH_C0
 from codec.stream.playrecord import RecordParser, SliceRecord
-from tests.support.commands import ROOT, run_ok, serving
+from tests.support.commands import ROOT, environment, run_ok, serving
 from tests.support.slots.slot_streams import write_slot_stream
 from tests.support.slots.updates import small_layout
 from tests.support.tiny_capture import write_dynerf
@@ -114,10 +119,46 @@ def test_policy(folder: Path) -> None:
     assert {len(record.packets) for record in slices} == {1}  # it never has 3 s to send ahead
 
 
+@pytest.mark.skipif(importlib.util.find_spec("viser") is None, reason="viser is not installed")
+def test_viserview(folder: Path) -> None:
+    """A connection like a browser's receives the Gaussians of another frame."""
+    import viser
+    from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
+
+    splats = codec.open_stream(folder / "demo" / "stream").frame(5)
+    turns = Rotation.from_quat(splats.quats[:, [1, 2, 3, 0]]).as_matrix()
+    variances = np.einsum("nij,nj,nkj->nik", turns, np.exp(2 * splats.log_scales), turns)
+    variances = variances[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    command = [sys.executable, str(ROOT / "examples" / "viserview.py"), "demo/stream", "0"]
+    process = subprocess.Popen(
+        command, cwd=folder, env=environment(), stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    printed = next(line for line in process.stdout if line.startswith("showing "))
+    address = printed.split()[-1].replace("http", "ws")
+    protocols = [Subprotocol(f"viser-v{viser.__version__}")]
+    size_bytes, rows = 32 * len(splats), np.zeros((0, 32), np.uint8)
+    try:
+        with connect(address, subprotocols=protocols, max_size=None, compression=None) as browser:
+            while not np.array_equal(rows[:, :12].copy().view(np.float32), splats.means):
+                message = browser.recv(decode=False)
+                at = max(message.find(splats.means[0].tobytes()), 0)
+                found = message[at : at + size_bytes].ljust(size_bytes)
+                rows = np.frombuffer(found, np.uint8).reshape(-1, 32)
+    finally:
+        process.terminate()
+        process.communicate()
+    # Rows of 3 float32, a gap, the upper half of the covariance as float16, and RGBA.
+    np.testing.assert_allclose(rows[:, 16:28].copy().view(np.float16), variances, 0.01, 1e-6)
+    rgba = np.c_[np.clip(0.5 + SH_C0 * splats.sh[:, 0], 0, 1), splats.opacities]
+    np.testing.assert_allclose(rows[:, 28:], 255 * rgba, atol=1)
+
+
 def test_every_script_has_a_test_and_a_row() -> None:
     tested = Path(__file__).read_text(encoding="utf-8")
     table = (ROOT / "examples" / "README.md").read_text(encoding="utf-8")
-    assert len(SCRIPTS) >= 5
+    assert len(SCRIPTS) >= 6
     for script in SCRIPTS:
         assert f'"{script.name}"' in tested, script
         assert len(script.read_text(encoding="utf-8").splitlines()) <= 60, script

@@ -1,1 +1,1 @@
-"""Streams in Python: a scene that gives any frame, by itself or in viser."""
+"""Streams in Python: a scene that gives any frame."""

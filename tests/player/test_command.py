@@ -128,14 +128,9 @@ def test_a_report_has_the_layers_of_a_slow_link_and_the_plays_of_a_loop(
         ("--still 3 --turntable 3 --capture o.png", "name an .mp4 file, or a folder"),
         ("--still 3 --turntable nan --capture o.mp4", "more than 0"),
         ("--still 3 --turntable 1e9 --capture o.mp4", "at most 3600 seconds"),
-        ("--viser x", "'x' is not a port; put SOURCE before --viser"),
         *(
             (f"--still 3 --capture o.png {option}", f"{option.split()[0]} cannot be combined with")
             for option in ("--frames 3:4", "--loop 2", "--report r.json", "--plot p.png")
-        ),
-        *(
-            (f"--viser {option}", f"{option.split()[0]} cannot be combined with --viser")
-            for option in ("--capture o.mp4", "--still 3", "--loop 2", "--renderer cpu")
         ),
         ("--profile p.png --loop 2", "--loop cannot be combined with --profile"),
         ("--capture o.mp4 --renderer cpu --gl 4.3", "--gl 4.3 cannot be combined with --renderer"),
@@ -143,7 +138,6 @@ def test_a_report_has_the_layers_of_a_slow_link_and_the_plays_of_a_loop(
         ("--capture o.mp4 --fps 0", "fps 0"),
         ("--capture o.mp4 --background transparent", "an .mp4 has no alpha channel"),
         ("--background transparent", "needs --capture with PNGs"),
-        ("--background transparent --viser", "--background cannot be combined with --viser"),
     ],
 )
 def test_options_that_are_wrong_for_any_stream(

@@ -108,7 +108,7 @@ def test_between_two_frames_it_comes_from_one_and_goes_to_the_other(
         assert repr(scene).endswith(
             f"{name}: {NUM_FRAMES} frames at {scene.fps:g} a second, 2 layers>"
         )
-        assert {"Scene", "ViserView"} <= set(dir(player))
+        assert "Scene" in dir(player)
         for wrong in (NUM_FRAMES - 0.5, -0.5, float("nan")):
             with pytest.raises(InvalidError, match="there is no frame"):
                 scene.splats(wrong)

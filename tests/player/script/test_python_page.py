@@ -21,7 +21,6 @@ from tests.support.commands import ENTRY, ROOT, environment, run_ok
 from tests.support.tiny_capture import write_dynerf
 from tests.support.tiny_stream import tiny_manifest, write_tiny
 
-HAS_VISER = importlib.util.find_spec("viser") is not None
 HAS_GSPLAT = importlib.util.find_spec("gsplat") is not None and torch.cuda.is_available()
 
 STAND_IN = """
@@ -75,8 +74,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("script", OTHERS, ids=range(len(OTHERS)))
 def test_a_script_runs(folder: Path, script: str) -> None:
-    if "viser" in script.lower() and not HAS_VISER:
-        pytest.skip("viser is not installed (extra viser)")
     run_script(script, folder)
 
 
@@ -116,7 +113,7 @@ def test_what_gsplat_is_given_means_to_it_what_it_means_to_us(
 
 
 def test_the_arrays_are_what_the_table_says(folder: Path) -> None:
-    assert (len(SCRIPTS), len(COMMANDS)) == (8, 6)
+    assert (len(SCRIPTS), len(COMMANDS)) == (7, 5)
     rows = dict(re.findall(r"^\| `(\w+)` \| \(([^)]*)\)", PAGE, re.MULTILINE))
     with codec.open_stream(folder / "my-stream") as stream:
         splats = stream.frame(30)
@@ -134,8 +131,6 @@ def test_the_arrays_are_what_the_table_says(folder: Path) -> None:
 def test_a_command_runs(folder: Path, line: str) -> None:
     name, *words = line.split()
     assert name in ENTRY
-    if "--viser" in words:
-        pytest.skip("runs until it is ended; test_viserview.py runs it")
     run_ok(name, *words, folder=folder)
     written = [word for word in words if word.endswith((".png", ".mp4"))]
     assert len(written) == 1
