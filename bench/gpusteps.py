@@ -28,7 +28,14 @@ from trainer.step.device.deviceview import DeviceView
 from trainer.step.device.tensorloss import dissimilarity_map, seen_colours
 from trainer.step.device.torchproject import Solids
 from trainer.step.loss import TAPS
-from trainer.step.optimiser import Adam, OptimiserConfig
+from trainer.step.optimiser import (
+    LOG_SCALES_LR,
+    LOGIT_OPACITIES_LR,
+    QUATS_LR,
+    SH_LR,
+    Adam,
+    OptimiserConfig,
+)
 from trainer.step.raster import Parameters, View
 from trainer.step.scalebound import CameraSpread
 
@@ -147,14 +154,13 @@ def bare_step_s(case: StepCase, backend: DeviceBackend) -> float:
     parts = [
         crossing.send(array[: case.count]).requires_grad_() for array in training.values.arrays
     ]
-    rates = OptimiserConfig()
     groups = zip(
         parts,
-        (MEANS_LR_M, rates.log_scales_lr, rates.quats_lr, rates.logit_opacities_lr, rates.sh_lr),
+        (MEANS_LR_M, LOG_SCALES_LR, QUATS_LR, LOGIT_OPACITIES_LR, SH_LR),
         strict=True,
     )
     optimiser = torch.optim.Adam(
-        [{"params": [part], "lr": lr} for part, lr in groups], eps=rates.eps, fused=True
+        [{"params": [part], "lr": lr} for part, lr in groups], eps=OptimiserConfig().eps, fused=True
     )
     view, taps = DeviceView.send(training.views[0], crossing), crossing.send(TAPS)
     pixels = crossing.send_picture(training.pictures.shot(0, 0).picture)

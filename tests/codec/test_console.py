@@ -95,7 +95,7 @@ def test_everyday_options_come_first_and_lines_are_full(columns: int) -> None:
         for word in ("--help", "--help-all")
     )
     assert re.search(r"Quality and time:\n  --preset \{cpu,fast,fine,gpu,paper\}\n +Set of", told)
-    assert "--calm-end" not in told
+    assert "--calm-from" not in told
     assert "\n\nMore options:\n" in whole
     assert "\n\nLearning rates:\n  --optimiser." in whole
     assert "--no-" not in whole

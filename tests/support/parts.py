@@ -22,7 +22,7 @@ FRAMES = 14
 SETTINGS = (
     "--num-gs", 100, "--genesis-iterations", 40, "--settle-rounds", 1, "--window-iterations", 20,
     "--segment-frames", 2, "--seam-frames", 3, "--warm-frames", 2, "--part-frames", 7,
-    "--mcmc.relocate-period", 5, "--title", "parts", "--lease.trade-share", 0.05,
+    "--mcmc.relocate-period", 5, "--title", "parts",
 )  # fmt: skip
 
 

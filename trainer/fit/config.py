@@ -40,8 +40,6 @@ class FitConfig:
     settle_rounds: int = 20
     """Number of settling rounds after genesis. Each trains the first window once more like a later
     window: Gaussians are renewed first, and the learning rates start high again."""
-    settle_renew_share: float = 0.1
-    """Share of the Gaussians that each settling round renews: those with the least contribution."""
     window_iterations: int = 400
     """Number of iterations of every later window. Paper: 2,000 on a GPU."""
     newest_share: float = 0.5
@@ -57,9 +55,7 @@ class FitConfig:
     """Learning rate of the per-camera colour correction; 0 switches it off."""
     calm_from: float = 0.7
     """Share of a window's iterations after which the learning rates other than the positions' fall
-    too; 1 keeps them constant."""
-    calm_end: float = 0.1
-    """Factor that those learning rates have reached at the end of a window."""
+    too, to a tenth; 1 keeps them constant."""
     together_share: float = 0.1
     """Share of a window's iterations in which all Gaussians of a large cell move together, followed
     by the same share for smaller cells. Applies only to leased slots."""
@@ -77,7 +73,7 @@ class FitConfig:
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
     """Learning rates."""
     mcmc: McmcConfig = field(default_factory=McmcConfig)
-    """Relocation, noise and regularisers."""
+    """Relocation, renewal and regularisers."""
     lease: LeaseConfig = field(default_factory=LeaseConfig)
     """Share of each slice that is trained and sent."""
 
@@ -106,7 +102,6 @@ class FitConfig:
             "calm_from",
             "error_share",
             "prefix_share",
-            "settle_renew_share",
             "settle_prefix_share",
         ):
             if not 0 <= getattr(self, name) <= 1:

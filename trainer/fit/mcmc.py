@@ -23,23 +23,15 @@ MAX_COPIES = 51
 
 @dataclass(frozen=True)
 class McmcConfig:
-    """Relocation, noise and the two regularisers."""
+    """Relocation, renewal and the two regularisers."""
 
     relocate_period: int = 100
     """Iterations between relocations. From 3DGS-MCMC."""
-    relocate_until: float = 0.8
-    """Share of a window's iterations after which relocation stops, so that all Gaussians settle.
-    3DGS-MCMC: 25K of 30K."""
     dead_opacity: float = 0.005
     """Opacity at or below which a Gaussian is dead. From 3DGS-MCMC."""
     settle_dead_opacity: float = 0.2
     """The same in the settling rounds of genesis. Fainter Gaussians form a haze that explains what
     single training cameras see; other cameras see more clearly without it."""
-    noise_lr: float = 5e5
-    """Noise of genesis, as a multiple of the positions' learning rate. From 3DGS-MCMC."""
-    window_noise_lr: float = 5e4
-    """Noise of later windows, as a multiple of the positions' learning rate, which restarts higher
-    there. Paper, section 8.1."""
     renew_share: float = 0.01
     """Largest share of a slice's Gaussians that are moved at a window's start to places that its
     newest frame shows but the model does not render. The Gaussians with the least contribution in
@@ -58,17 +50,13 @@ class McmcConfig:
 
     def __post_init__(self) -> None:
         if self.relocate_period < 1:
-            raise InvalidError(
-                f"relocate_period {self.relocate_period}: choose 1 or more; relocate_until 0 "
-                "switches relocation off"
-            )
+            raise InvalidError(f"relocate_period {self.relocate_period}: choose 1 or more")
         for name in ("dead_opacity", "settle_dead_opacity"):
             if not 0 < getattr(self, name) < 1:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose above 0, below 1")
-        for name in ("relocate_until", "renew_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
-        for name in ("noise_lr", "window_noise_lr", "opacity_reg", "scale_reg", "max_scale"):
+        if not 0 <= self.renew_share <= 1:
+            raise InvalidError(f"renew_share {self.renew_share:g}: choose 0 to 1")
+        for name in ("opacity_reg", "scale_reg", "max_scale"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 or more")
 

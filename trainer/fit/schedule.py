@@ -10,6 +10,16 @@ import numpy.typing as npt
 
 from .config import FitConfig
 
+CALM_END = 0.1
+"""Factor that the learning rates other than the positions' have reached at the end of a window."""
+
+GENESIS_NOISE = 5e5
+"""Noise of genesis, as a multiple of the positions' learning rate. From 3DGS-MCMC."""
+
+WINDOW_NOISE = 5e4
+"""Noise of later windows, as a multiple of the positions' learning rate, which restarts higher
+there. Paper, section 8.1."""
+
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
 
@@ -37,11 +47,10 @@ class Schedule:
     """Learning rate of positions at the beginning, over the scene's extent."""
     means_lr_end: float
     """The same at the end."""
-    noise_lr: float
+    noise: float
+    """Multiple of that learning rate."""
     calm_from: float
     """Share of the iterations after which the other rates fall."""
-    calm_end: float
-    """Share of those rates that is left at the end."""
 
     @staticmethod
     def genesis(config: FitConfig) -> Schedule:
@@ -52,9 +61,8 @@ class Schedule:
             config.coarse_share * config.genesis_iterations,
             rates.means_lr,
             rates.means_lr_end,
-            config.mcmc.noise_lr,
+            GENESIS_NOISE,
             config.calm_from,
-            config.calm_end,
         )
 
     @staticmethod
@@ -66,9 +74,8 @@ class Schedule:
             config.window_coarse_share * config.window_iterations,
             means_lr,
             means_lr * rates.window_means_lr_end / rates.window_means_lr,
-            config.mcmc.window_noise_lr,
+            WINDOW_NOISE,
             config.calm_from,
-            config.calm_end,
         )
 
     def is_half(self, iteration: int) -> bool:
@@ -80,8 +87,8 @@ class Schedule:
         decay = self.means_lr_end / self.means_lr
         means_lr_m = float(extent_m * self.means_lr * decay ** (iteration / self.iterations))
         over = iteration / self.iterations - self.calm_from
-        calm = float(self.calm_end ** (over / (1 - self.calm_from))) if over > 0 else 1.0
-        return Rates(means_lr_m, self.noise_lr * means_lr_m, calm)
+        calm = float(CALM_END ** (over / (1 - self.calm_from))) if over > 0 else 1.0
+        return Rates(means_lr_m, self.noise * means_lr_m, calm)
 
 
 @dataclass(frozen=True, slots=True)

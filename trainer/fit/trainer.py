@@ -53,6 +53,16 @@ LAYERED_FROM = 0.6
 """Share of genesis after which Gaussians have layers, each trained to look right without those
 above, if it does not settle: otherwise this begins with the first settling round."""
 
+SETTLE_MEANS_LR = 1e-3
+"""Learning rate of positions at the start of every settling round, over the scene's extent."""
+
+SETTLE_RENEW_SHARE = 0.1
+"""Share of the Gaussians that each settling round renews: those with the least contribution."""
+
+RELOCATE_UNTIL = 0.8
+"""Share of a window's iterations after which relocation stops, so that all Gaussians settle.
+3DGS-MCMC: 25K of 30K."""
+
 TOGETHER_SIZES = (0.05, 0.02)
 """Sides of the cells in which Gaussians move together, one after the other, over the scene's
 extent."""
@@ -159,7 +169,7 @@ class Trainer:
         """Trains the first window, from the iteration on that a restored state has reached."""
         schedule = Schedule.genesis(self._config)
         self._train(self._plan(frames, schedule), self._steps)
-        schedule = Schedule.window(self._config, self._config.optimiser.settle_means_lr)
+        schedule = Schedule.window(self._config, SETTLE_MEANS_LR)
         for settled in range(self._config.settle_rounds):
             plan = self._plan(frames, schedule, settled)
             if self._steps <= plan.before:
@@ -330,8 +340,8 @@ class Trainer:
                 self._resident.bound_scales(everyone, config.mcmc.max_scale)
             is_due = done % PROGRESS_PERIOD == 0 or done == plan.schedule.iterations
             loss = self._note_losses(is_due)
-            period, until = config.mcmc.relocate_period, config.mcmc.relocate_until
-            if done % period == 0 and done <= until * plan.schedule.iterations:
+            relocates = done <= RELOCATE_UNTIL * plan.schedule.iterations
+            if relocates and done % config.mcmc.relocate_period == 0:
                 generations.relocate(frames[-1], plan.dead_opacity, self._rng)
                 self._selections.forget()
             if is_due:
@@ -378,7 +388,7 @@ class Trainer:
         seen, contributions, _ = self._comparer.compare(
             generations.values, rows, self._pictures, frame, self._colour
         )
-        each = round(self._config.settle_renew_share * len(rows))
+        each = round(SETTLE_RENEW_SHARE * len(rows))
         least = generations.least(rows, contributions, each)
         found = missing_splats(seen, len(least), *self._search_m, self._config.sh_degree, self._rng)
         generations.place(least[: len(found)], found, frame)

@@ -28,6 +28,10 @@ Flags = npt.NDArray[np.bool_]
 Doubles = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]
 
+TRADE_SHARE = 0.001
+"""Share of a slice's slots that may swap with a slot of a higher layer that contributes much
+more. Both slots are sent anew, so a swap costs twice as much as a new Gaussian."""
+
 TRADE_GAIN = 4.0
 """How many times as much a Gaussian of a higher layer must contribute to be worth a trade."""
 
@@ -44,9 +48,6 @@ class LeaseConfig:
     refresh_share: float = 0.02
     """Share of a slice's slots that is always trained, oldest leases first, so that still parts of
     a scene continue to learn."""
-    trade_share: float = 0.001
-    """Share of a slice's slots that may swap with a slot of a higher layer that contributes much
-    more. Both slots are sent anew, so a swap costs twice as much as a new Gaussian."""
     hold: float = 0.75
     """Largest change of a value, in quantisation steps, that is not sent: 0.5 rounds to the nearest
     step; more makes the stream smaller and coarser."""
@@ -55,7 +56,7 @@ class LeaseConfig:
     the largest share of a slice. Unlimited by default."""
 
     def __post_init__(self) -> None:
-        for name in ("active_share", "refresh_share", "trade_share"):
+        for name in ("active_share", "refresh_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
         if self.bytes_per_frame is not None and not self.bytes_per_frame > 0:
@@ -160,8 +161,8 @@ class Leases:
     def trades(self, rows: Ints, contributions: npt.NDArray[np.float32]) -> tuple[Ints, Ints]:
         """Pairs of `rows`, the slots of one slice, that had better change places: the first of each
         lies in a lower layer than the second, which contributes over TRADE_GAIN times as much. At
-        most `trade_share` of the slice, those that gain most first."""
-        most = round(self.config.trade_share * len(rows))
+        most TRADE_SHARE of the slice, those that gain most first."""
+        most = round(TRADE_SHARE * len(rows))
         low, high = (np.zeros(0, np.int32) for _ in range(2))
         layers = self.layers[rows]
         for layer in range(len(self.slots) - 1):

@@ -24,6 +24,10 @@ Ints = npt.NDArray[np.int32]
 BETA1 = 0.9
 BETA2 = 0.999
 
+LOG_SCALES_LR, QUATS_LR, LOGIT_OPACITIES_LR, SH_LR = 5e-3, 1e-3, 5e-2, 2.5e-3
+"""Learning rates of all but positions. SH_LR is that of the constant colour, and a twentieth of it
+that of the other harmonics. From 3DGS."""
+
 GATE_STEEPNESS = 100.0
 """How sharply the noise ends where opacity rises above that of the dead. 3DGS-MCMC."""
 
@@ -42,7 +46,7 @@ AgeScaling = Literal["off", "gradient", "update"]
 
 @dataclass(frozen=True)
 class OptimiserConfig:
-    """Learning rates, per Adam step."""
+    """Learning rates of positions per Adam step, and Adam's settings."""
 
     means_lr: float = 1.6e-4
     """Learning rate of positions at the start of genesis, multiplied by the scene's extent
@@ -50,22 +54,12 @@ class OptimiserConfig:
     means_lr_end: float = 1.6e-6
     """Learning rate of positions at the end of genesis, in the same unit; it falls log-linearly.
     From 3DGS."""
-    settle_means_lr: float = 1e-3
-    """Learning rate of positions at the start of every settling round, in the same unit."""
     window_means_lr: float = 4e-4
     """Learning rate of positions at the start of every later window, in the same unit. Paper:
     1.6e-4, as in genesis."""
     window_means_lr_end: float = 6.4e-6
     """Learning rate of positions at the end of a later window, in the same unit; settling rounds
     fall by the same factor."""
-    log_scales_lr: float = 5e-3
-    """Learning rate of log-scales. From 3DGS."""
-    quats_lr: float = 1e-3
-    """Learning rate of quaternions. From 3DGS."""
-    logit_opacities_lr: float = 5e-2
-    """Learning rate of logit opacities. From 3DGS."""
-    sh_lr: float = 2.5e-3
-    """Learning rate of the constant colour; the linear terms use a twentieth of it. From 3DGS."""
     eps: float = 1e-15
     """Adam's epsilon. From 3DGS."""
     carry_adam: bool = True
@@ -114,12 +108,12 @@ class Adam:
         self.second = Parameters.zeros(rows, sh_degree)
         self.steps = np.zeros(rows, np.int32)
         self._ones = np.ones(rows, np.float32)
-        sh_rates = np.full(self.first.sh[0].size, config.sh_lr / 20, np.float32)
-        sh_rates[:3] = config.sh_lr
+        sh_rates = np.full(self.first.sh[0].size, SH_LR / 20, np.float32)
+        sh_rates[:3] = SH_LR
         self._rates = (
-            np.full(3, config.log_scales_lr, np.float32),
-            np.full(4, config.quats_lr, np.float32),
-            np.full(1, config.logit_opacities_lr, np.float32),
+            np.full(3, LOG_SCALES_LR, np.float32),
+            np.full(4, QUATS_LR, np.float32),
+            np.full(1, LOGIT_OPACITIES_LR, np.float32),
             sh_rates,
         )
 

@@ -197,8 +197,9 @@ def test_a_trainer_keeps_to_the_bytes_that_it_may_send() -> None:
     assert min(active[1:]) >= 5
 
 
-def test_a_gaussian_that_matters_comes_into_a_lower_layer() -> None:
-    leases = Leases(LeaseConfig(trade_share=0.2), layout(1, 4, 3, 3))
+def test_a_gaussian_that_matters_comes_into_a_lower_layer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("trainer.lease.leases.TRADE_SHARE", 0.2)
+    leases = Leases(LeaseConfig(), layout(1, 4, 3, 3))
     leases.is_shown[:] = True
     contributions = np.array([9, 1, 9, 9, 5, 3, 5, 8, 3.9, 9], np.float32)
     rows = np.arange(10, dtype=np.int32)

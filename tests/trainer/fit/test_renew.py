@@ -264,15 +264,20 @@ def test_nothing_moves_where_nothing_changed() -> None:
 
 
 @pytest.mark.parametrize("scene_flow", [False, True])
-def test_a_window_begins_where_things_went(scene_flow: bool) -> None:
+def test_a_window_begins_where_things_went(
+    scene_flow: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("trainer.fit.trainer.SETTLE_RENEW_SHARE", 0)
+    monkeypatch.setattr("trainer.fit.schedule.WINDOW_NOISE", 0)
+    monkeypatch.setattr("trainer.lease.leases.TRADE_SHARE", 0)
     moved = np.array([0.3, 0, 0], np.float32)
     before = Splats.concatenate([room(), thing()])
     film = Film([before, Splats.concatenate([room(), thing(NEW_AT_M + moved)])])
     config = FitConfig(
-        num_gs=len(before), genesis_iterations=0, settle_rounds=1, settle_renew_share=0,
+        num_gs=len(before), genesis_iterations=0, settle_rounds=1,
         window_iterations=1, scene_flow=scene_flow,
-        mcmc=McmcConfig(renew_share=0, noise_lr=0, window_noise_lr=0),
-        lease=LeaseConfig(active_share=0.5, trade_share=0),
+        mcmc=McmcConfig(renew_share=0),
+        lease=LeaseConfig(active_share=0.5),
     )  # fmt: skip
     layout = SlotLayout(1, (len(before),), 0, (Lattice.suiting(before),), 15)
     trainer = Trainer(config, film, before, NEAR_M, layout=layout)

@@ -244,9 +244,11 @@ def test_relocation_lets_the_dead_start_with_their_targets_and_never_early() -> 
     assert (generations.adam.steps == 20).any()
 
 
-def test_settling_relocates_what_is_faint() -> None:
+def test_settling_relocates_what_is_faint(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("trainer.fit.trainer.RELOCATE_UNTIL", 1.0)
+
     def faint_share(settle_dead_opacity: float) -> float:
-        mcmc = replace(CONFIG.mcmc, relocate_until=1.0, settle_dead_opacity=settle_dead_opacity)
+        mcmc = replace(CONFIG.mcmc, settle_dead_opacity=settle_dead_opacity)
         config = replace(CONFIG, swin_size=1, settle_rounds=1, mcmc=mcmc)
         window = next(Trainer(config, Rendered(), start(), NEAR_M).windows())
         logits = np.concatenate([part.splats.logit_opacities for part in window.slices])
@@ -275,8 +277,8 @@ def test_settings_that_cannot_work_are_refused() -> None:
     bad: list[tuple[Callable[..., object], dict[str, float]]] = [
         (FitConfig, {"num_gs": 0, "swin_size": 256, "sh_degree": 4, "window_iterations": 0,
                      "newest_share": 1.5, "seed": -1}),
-        (McmcConfig, {"relocate_period": 0, "relocate_until": 1.1, "dead_opacity": 0.0,
-                      "noise_lr": -1.0, "settle_dead_opacity": 1.0, "renew_share": -0.1,
+        (McmcConfig, {"relocate_period": 0, "dead_opacity": 0.0,
+                      "settle_dead_opacity": 1.0, "renew_share": -0.1,
                       "scale_reg": float("nan"), "max_scale": -0.1}),
         (LeaseConfig, {"active_share": 1.1, "refresh_share": -1, "hold": 0.4}),
     ]  # fmt: skip

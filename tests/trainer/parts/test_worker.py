@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import shutil
 from collections import defaultdict
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -22,12 +23,20 @@ from trainer.parts.joiner import Joiner
 from trainer.parts.task import STATE_FOLDER, Kind, Task
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module", autouse=True)
+def trades() -> Iterator[None]:
+    """Some Gaussians of so few change their layers."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("trainer.lease.leases.TRADE_SHARE", 0.05)
+        yield
+
+
+@pytest.fixture(scope="module")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return capture_of(tmp_path_factory)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def trained(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the stream, and with `pieces`: all that workers left before they were joined,
     in a stream whose driver died after genesis."""
@@ -47,7 +56,7 @@ def trained(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made_once(tmp_path_factory, "parts", make)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def stream(trained: Path) -> Path:
     return trained / "stream"
 

@@ -9,7 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.pose import rotation_of
-from trainer.step.optimiser import GATE_STEEPNESS, Adam, AgeScaling, OptimiserConfig, add_noise
+from trainer.step.optimiser import (
+    GATE_STEEPNESS,
+    LOG_SCALES_LR,
+    LOGIT_OPACITIES_LR,
+    QUATS_LR,
+    SH_LR,
+    Adam,
+    AgeScaling,
+    OptimiserConfig,
+    add_noise,
+)
 from trainer.step.raster import Parameters
 from trainer.step.together import cells_of, move_together
 
@@ -60,7 +70,7 @@ def test_adam_is_torchs_and_leaves_other_rows_alone() -> None:
     config = OptimiserConfig(age_scaling="off")
     values, gradients = Parameters.zeros(6, 1), Parameters.zeros(6, 1)
     leaves = [torch.zeros(4, *a.shape[1:], requires_grad=True) for a in values.arrays]
-    rates = [0.01, config.log_scales_lr, config.quats_lr, config.logit_opacities_lr, config.sh_lr]
+    rates = [0.01, LOG_SCALES_LR, QUATS_LR, LOGIT_OPACITIES_LR, SH_LR]
     theirs = torch.optim.Adam(
         [{"params": [p], "lr": lr} for p, lr in zip(leaves, rates, strict=True)], eps=config.eps
     )
