@@ -1,19 +1,19 @@
 """`swings-synth`: a procedural capture, so that everything here can be tried without anyone's data.
 
-A figure walks and waves in a room beside a bouncing ball (motion.py, scene.py). The capture has the
-DyNeRF layout of capture/dynerf.py, ground truth for every camera, and coloured points on the
-surfaces of frame 0, as a structure-from-motion tool would give them.
+A figure walks and waves in a room beside a bouncing ball (motion.py, scene.py); the player's
+renderer draws their surfaces as small discs (surfels.py). The capture has the DyNeRF layout of
+capture/dynerf.py, ground truth for every camera, and coloured points on the surfaces of frame 0, as
+a structure-from-motion tool would give them.
 """
 
 from __future__ import annotations
 
 import io
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import count
+from itertools import count, product
 from pathlib import Path
 
 import av
@@ -28,27 +28,25 @@ from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.files import making_folder, name_file
 from codec.progressline import counted
+from codec.splats import Splats
+from player.render.cpu import render_splats
+from player.render.depth import render_depth
 from trainer.capture.capture import Picture
 from trainer.capture.dynerf import POINTS_NAME, POSES_NAME, encode_pose
 from trainer.capture.held_out import HELD_OUT_NAME
 
-from .motion import WALK_RADIUS_M, Moving, moving_parts
-from .scene import (
-    LAMP_AT,
-    ROOM,
-    camera_rig,
-    fixtures,
-    furniture,
-    held_out_cameras,
-    wall_pictures,
-)
-from .solid import Boxes, Parts, Table
-from .trace import BUFFER_COLUMNS, RAYS_PER_PIXEL, trace_frame, trace_room
+from .motion import WALK_RADIUS_M
+from .scene import Scene, camera_rig, held_out_cameras
 
 Floats = npt.NDArray[np.float32]
 
 MAX_SIDE_PX = 4096
-"""Largest width or height: one camera's room buffer takes 208 bytes a pixel."""
+"""Largest width or height."""
+NEAR_M = 0.05
+"""Nearest depth that is drawn, metres."""
+HIDDEN_M = 0.15
+"""How far behind the surface of the room that a pixel shows things are hidden by it, metres: more
+than surfaces recede within a pixel."""
 BT709 = 1
 """Code of BT.709 for matrix, primaries and transfer in H.264."""
 KEY_FRAME_S = 1.0
@@ -70,7 +68,7 @@ class SynthConfig:
     held_out: int = 2
     """Number of cameras kept out of training, spread evenly among the others."""
     width_px: int = 320
-    """Width of the pictures, pixels."""
+    """Width of the pictures, pixels. Above 450, surfaces look softer than the pictures could."""
     height_px: int = 180
     """Height of the pictures, pixels."""
     arc_deg: float = 200.0
@@ -82,29 +80,6 @@ class SynthConfig:
     """Number of points on the surfaces that training cameras see at frame 0; 0 writes none."""
     seed: int = 0
     """Seed of the textures and of the start of the motion."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """All that every camera sees: the room, and the moving parts of every frame."""
-
-    boxes: Boxes
-    fixtures: Parts
-    wall_pictures: Table
-    moving: tuple[Moving, ...]
-    seed: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Take:
-    """Facts about one filmed camera, besides its video."""
-
-    near_m: float
-    """Least depth of anything seen, metres."""
-    far_m: float
-    """Largest."""
-    xyz: Floats  # (P, 3) metres, world: sampled from frame 0
-    rgb: npt.NDArray[np.uint8]  # (P, 3)
 
 
 def synthesise(config: SynthConfig, console: Console | None = None) -> None:
@@ -140,122 +115,112 @@ def check_config(config: SynthConfig) -> None:
             raise InvalidError(f"{name} {value:g}: must be between {least:g} and {most:g}")
 
 
-def make_scene(
-    num_frames: int, fps: float, seed: int, walk_radius_m: float = WALK_RADIUS_M
-) -> Scene:
-    """The scene in each of its frames."""
-    moving = tuple(moving_parts(frame / fps, seed, walk_radius_m) for frame in range(num_frames))
-    return Scene(furniture(), fixtures(seed), wall_pictures(), moving, seed)
+def spacing_m(width_px: int) -> float:
+    """Distance of the scene's surfels for pictures of a width: about a pixel, as far as a gigabyte
+    holds them."""
+    return float(np.clip(3.6 / width_px, 0.008, 0.03))
 
 
 class Studio:
-    """One camera's view of a scene: the room is traced at construction, frames on demand."""
+    """One camera's view of a scene: the room is drawn at construction, frames on demand."""
 
     def __init__(self, scene: Scene, camera: Camera) -> None:
-        self._scene = scene
-        self._camera = camera
-        size = camera.height_px, camera.width_px
-        self._buffer = np.empty((*size, RAYS_PER_PIXEL, BUFFER_COLUMNS), np.float32)
-        self._room = np.empty((*size, 3), np.uint8)
-        lens = [camera.fx_px, camera.cx_px, camera.cy_px]
-        pose = np.concatenate([camera.w2c[:3, :3].ravel(), camera.position, lens])
-        trace_room(
-            pose, ROOM, LAMP_AT, scene.boxes, scene.fixtures, scene.wall_pictures, scene.seed,
-            self._buffer, self._room,
-        )  # fmt: skip
-        # Directions of each pixel's first ray, a quarter pixel in from its corner.
-        rows, columns = np.mgrid[: size[0], : size[1]] + 0.25
-        x, y = (columns - camera.cx_px) / camera.fx_px, (rows - camera.cy_px) / camera.fx_px
-        directions = np.stack([x, y, np.ones_like(x)], axis=-1)
-        self._depth_per_m = (1 / np.linalg.norm(directions, axis=-1)).astype(np.float32)
-        self._directions = (directions * self._depth_per_m[..., None]) @ camera.w2c[:3, :3]
+        self._scene, self._camera = scene, camera
+        room = scene.room()
+        self._picture = render_splats(room, camera, NEAR_M)
+        self._depth_m = render_depth(room, camera, NEAR_M)
 
-    def film(self, frame: int) -> tuple[Picture, Floats]:
-        """(picture (h, w, 3), distance (h, w) in metres along each pixel's first ray)."""
-        picture = np.empty_like(self._room)
-        distance = np.empty(self._room.shape[:2], np.float32)
-        moving = self._scene.moving[frame]
-        trace_frame(
-            self._camera.position, LAMP_AT, moving.parts, moving.groups, self._scene.seed,
-            self._buffer, self._room, picture, distance,
-        )  # fmt: skip
-        return picture, distance
+    def film(self, frame: int) -> tuple[Picture, float]:
+        """The picture (h, w, 3) of a frame, and the least depth that it shows, metres."""
+        moving, nearest_m = self._visible(frame)
+        drawn = render_splats(moving, self._camera, NEAR_M, alpha=True)
+        picture = drawn[..., :3] + (1 - drawn[..., 3:]) * self._picture
+        encoded = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
+        return encoded, min(nearest_m, float(self._depth_m.min()))
 
-    def depth_range(self, distance: Floats) -> tuple[float, float]:
-        """(least, largest) depth of what a frame shows, metres."""
-        depth = distance * self._depth_per_m
-        return float(depth.min()), float(depth.max())
+    def depth(self, frame: int) -> Floats:
+        """(h, w) depth of what each pixel of a frame shows, metres."""
+        moving_m = render_depth(self._visible(frame)[0], self._camera, NEAR_M)
+        return np.where(np.isnan(moving_m), self._depth_m, moving_m)
+
+    @property
+    def farthest_m(self) -> float:
+        """Largest depth of the room."""
+        return float(self._depth_m.max())
+
+    def _visible(self, frame: int) -> tuple[Splats, float]:
+        """What moves in a frame and is not hidden by the room, and its least depth in the picture,
+        metres."""
+        splats, camera = self._scene.moving(frame), self._camera
+        u_px, v_px, depth_m = camera.project(splats.means)
+        columns = np.clip(np.nan_to_num(u_px), 0, camera.width_px - 1).astype(int)
+        rows = np.clip(np.nan_to_num(v_px), 0, camera.height_px - 1).astype(int)
+        shows = (depth_m > NEAR_M) & (depth_m < self._depth_m[rows, columns] + HIDDEN_M)
+        inside = shows & (np.abs(u_px - columns) <= 1) & (np.abs(v_px - rows) <= 1)
+        return splats.take(np.flatnonzero(shows)), float(depth_m[inside].min(initial=np.inf))
 
     def sample_points(
-        self, picture: Picture, distance: Floats, count: int, rng: np.random.Generator
+        self, count: int, rng: np.random.Generator
     ) -> tuple[Floats, npt.NDArray[np.uint8]]:
-        """(xyz (P, 3), rgb (P, 3)) of what randomly chosen pixels show."""
+        """(xyz (P, 3), rgb (P, 3)) of what randomly chosen pixels of frame 0 show."""
+        picture, depth_m = self.film(0)[0], self.depth(0).astype(np.float64)
         rows = rng.integers(0, picture.shape[0], count)
         columns = rng.integers(0, picture.shape[1], count)
-        offsets = self._directions[rows, columns] * distance[rows, columns, None]
-        return (self._camera.position + offsets).astype(np.float32), picture[rows, columns]
+        xyz = self._camera.unproject(columns + 0.5, rows + 0.5, depth_m[rows, columns])
+        return xyz.astype(np.float32), picture[rows, columns]
 
 
 def _write_capture(config: SynthConfig, folder: Path, console: Console | None) -> None:
-    scene = make_scene(config.frames, config.fps, config.seed, config.walk_radius_m)
+    scene = Scene(config.fps, config.seed, config.walk_radius_m, spacing_m(config.width_px))
     arc_rad = float(np.radians(config.arc_deg))
     cameras = camera_rig(config.cameras, config.width_px, config.height_px, arc_rad)
     held_out = held_out_cameras(cameras, config.held_out)
-    training = [camera.name for camera in cameras if camera.name not in held_out]
-    per_camera = -(-config.points // len(training))
-    total, number = config.frames * config.cameras, count(1)
-    with counted("filming", console) as show:
-
-        def film(camera: Camera) -> Take:
-            num_points = per_camera if camera.name in training else 0
-            try:
-                return _film_camera(
-                    config, folder, scene, camera, num_points, lambda: show(next(number), total)
-                )
-            except OSError as error:
-                place = config.out / f"{camera.name}.mp4"
-                if str(error.filename).startswith("file:"):  # as FFmpeg calls what it writes
-                    raise OSError(error.errno, error.strerror, str(place)) from error
-                name_file(error, place)
-                raise
-
-        # After a failure or an interrupt `map` cancels the cameras that have not begun.
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            takes = list(pool.map(film, cameras))
-    rows = [encode_pose(c, t.near_m, t.far_m) for c, t in zip(cameras, takes, strict=True)]
+    places = [config.out / f"{camera.name}.mp4" for camera in cameras]
+    studios, videos, near_m = [], [], [np.inf] * len(cameras)
+    steps, total = count(1), (1 + config.frames) * len(cameras)
+    with ExitStack() as stack, counted("filming", console) as show:
+        for camera, place in zip(cameras, places, strict=True):
+            studios.append(Studio(scene, camera))
+            stack.enter_context(_named(place))
+            video = VideoWriter(folder / place.name, camera, config.fps)
+            videos.append(stack.enter_context(video))
+            show(next(steps), total)
+        # Frame by frame: what moves is made once for all cameras.
+        for frame, one in product(range(config.frames), range(len(cameras))):
+            picture, nearest_m = studios[one].film(frame)
+            with _named(places[one]):
+                videos[one].write(picture)
+            near_m[one] = min(near_m[one], nearest_m)
+            show(next(steps), total)
+    rows = [
+        encode_pose(camera, near, studio.farthest_m)
+        for camera, near, studio in zip(cameras, near_m, studios, strict=True)
+    ]
     poses = io.BytesIO()  # of a full disk numpy itself does not tell
     np.save(poses, np.stack(rows))
     (folder / POSES_NAME).write_bytes(poses.getvalue())
     (folder / HELD_OUT_NAME).write_text("".join(f"{name}\n" for name in held_out))
     if config.points:
-        xyz = np.concatenate([take.xyz for take in takes])[: config.points]
-        rgb = np.concatenate([take.rgb for take in takes])[: config.points]
+        training = [n for n, camera in enumerate(cameras) if camera.name not in held_out]
+        each = -(-config.points // len(training))
+        found = [
+            studios[n].sample_points(each, np.random.default_rng([config.seed, n]))
+            for n in training
+        ]
+        xyz, rgb = (np.concatenate(part)[: config.points] for part in zip(*found, strict=True))
         np.savez(folder / POINTS_NAME, xyz=xyz, rgb=rgb)
 
 
-def _film_camera(
-    config: SynthConfig,
-    folder: Path,
-    scene: Scene,
-    camera: Camera,
-    num_points: int,
-    advance: Callable[[], None],
-) -> Take:
-    """Films one camera into its video."""
-    studio = Studio(scene, camera)
-    near_m, far_m = np.inf, 0.0
-    xyz, rgb = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
-    with VideoWriter(folder / f"{camera.name}.mp4", camera, config.fps) as video:
-        for frame in range(config.frames):
-            picture, distance = studio.film(frame)
-            video.write(picture)
-            low_m, high_m = studio.depth_range(distance)
-            near_m, far_m = min(near_m, low_m), max(far_m, high_m)
-            if frame == 0 and num_points:
-                rng = np.random.default_rng([config.seed, int(camera.name[3:])])
-                xyz, rgb = studio.sample_points(picture, distance, num_points, rng)
-            advance()
-    return Take(near_m, far_m, xyz, rgb)
+@contextmanager
+def _named(place: Path) -> Iterator[None]:
+    """Has errors of a full or broken disk name `place`."""
+    try:
+        yield
+    except OSError as error:
+        if str(error.filename).startswith("file:"):  # as FFmpeg calls what it writes
+            raise OSError(error.errno, error.strerror, str(place)) from error
+        name_file(error, place)
+        raise
 
 
 class VideoWriter:

@@ -5,18 +5,14 @@ Everything is a function of the time, so any number of frames at any rate shows 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
-
 import numpy as np
 
-from .light import REACH_RADII
-from .paint import BALL, FACE, JEANS, PLAIN, SHOE, STRIPES
-from .scene import PartList
-from .solid import FIRST, RADIUS, SECOND, Parts, Table
+from codec.pose import Doubles
+
+from . import paint
+from .surfels import Cone, cone, upright
 
 BALL_RADIUS_M = 0.15
-BALL_COLOUR = "ef7d1f"
 
 WALK_RADIUS_M = 0.72
 """Radius of the circle that the figure walks, unless another is chosen."""
@@ -31,27 +27,20 @@ _THIGH_M, _SHIN_M, _ANKLE_M = 0.43, 0.41, 0.085
 _UPPER_ARM_M, _FOREARM_M = 0.29, 0.25
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Moving:
-    """The moving parts at one time."""
-
-    parts: Parts
-    groups: Table  # (G, 7), columns GROUP_FIRST and so on of solid.py
-
-
-def moving_parts(time_s: float, seed: int, radius_m: float) -> Moving:
-    """The figure, on a circle of that radius, and the ball at a time. The seed shifts where they
-    start."""
-    parts = PartList()
+def moving_cones(time_s: float, seed: int, radius_m: float) -> list[Cone]:
+    """The figure, on a circle of that radius, and last the ball at a time. The seed shifts where
+    they start."""
+    cones: list[Cone] = []
     start_m = 1.7 + 0.37 * (seed % 97)
-    ends = _add_figure(parts, _WALK_M_PER_S * time_s + start_m, time_s, radius_m)
-    _add_ball(parts, time_s, seed)
-    built = parts.parts()
-    bounds = pairwise([0, *ends, len(parts)])
-    return Moving(built, np.array([_group(built, first, end) for first, end in bounds]))
+    _add_figure(cones, _WALK_M_PER_S * time_s + start_m, time_s, radius_m)
+    c, s = np.cos(3.1 * time_s), np.sin(3.1 * time_s)
+    tilt = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    spin = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ tilt
+    cones.append(cone(paint.ball, ball_place(time_s, seed), BALL_RADIUS_M, axes=spin))
+    return cones
 
 
-def ball_place(time_s: float, seed: int) -> Table:
+def ball_place(time_s: float, seed: int) -> Doubles:
     """(3,) the ball's middle, metres: free fall between bounces 0.9 s apart."""
     phase = (time_s + 0.13 * (seed % 7)) / 0.9 % 1.0
     height = BALL_RADIUS_M + 4.0 * 0.99 * phase * (1.0 - phase)  # g t^2 / 8 = 0.99 m
@@ -59,18 +48,8 @@ def ball_place(time_s: float, seed: int) -> Table:
     return np.array([1.35 * np.cos(angle), -height, 0.1 + 1.35 * np.sin(angle)])
 
 
-def _add_ball(parts: PartList, time_s: float, seed: int) -> None:
-    spin = 3.1 * time_s
-    c, s = np.cos(spin), np.sin(spin)
-    tilt = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
-    axes = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ tilt
-    place = ball_place(time_s, seed)
-    parts.add(BALL, BALL_COLOUR, place, BALL_RADIUS_M, axes=axes, second_colour="2a1a14")
-
-
-def _add_figure(parts: PartList, walked_m: float, time_s: float, radius_m: float) -> list[int]:
-    """Adds a person after `walked_m` along the circle; gives where each group of parts
-    ends."""
+def _add_figure(cones: list[Cone], walked_m: float, time_s: float, radius_m: float) -> None:
+    """Adds a person after `walked_m` along the circle."""
     root, forward = _path_place(walked_m, radius_m)
     right = np.cross(-_UP, forward)
     stride = walked_m / _STRIDE_M
@@ -86,57 +65,52 @@ def _add_figure(parts: PartList, walked_m: float, time_s: float, radius_m: float
     neck, head = hips + 0.55 * lean, hips + 0.73 * lean + 0.02 * forward
     axes = np.stack([right, _UP, forward])
 
-    parts.add(STRIPES, "f4efe2", waist, 0.125, chest, 0.16, axes, "d8432f")
+    cones.append(cone(paint.stripes("f4efe2", "d8432f"), waist, 0.125, chest, 0.16, axes))
     shoulders = (chest + 0.09 * lean - 0.13 * chest_right, chest + 0.09 * lean + 0.13 * chest_right)
-    parts.add(PLAIN, "d8432f", shoulders[0], 0.075, shoulders[1], 0.075)
-    parts.add(PLAIN, "e8b48f", neck - 0.03 * lean, 0.055, head, 0.055)
+    cones.append(cone("d8432f", shoulders[0], 0.075, shoulders[1], 0.075))
+    cones.append(cone("e8b48f", neck - 0.03 * lean, 0.055, head, 0.055))
     # A scarf with a tail that swings behind.
-    parts.add(PLAIN, "f2b632", neck - 0.035 * lean, 0.088, neck - 0.01 * lean, 0.08)
+    cones.append(cone("f2b632", neck - 0.035 * lean, 0.088, neck - 0.01 * lean, 0.08))
     tail = neck - 0.05 * lean - 0.13 * forward + 0.05 * right
     drift = 0.05 * np.sin(beat) * right - (0.1 + 0.04 * np.cos(beat)) * forward
-    parts.add(PLAIN, "f2b632", tail + 0.07 * forward, 0.04, tail - 0.24 * _UP + drift, 0.045)
+    cones.append(cone("f2b632", tail + 0.07 * forward, 0.04, tail - 0.24 * _UP + drift, 0.045))
 
     look = _unit(forward + 0.35 * np.sin(1.7 * time_s) * right)
-    face = np.stack([np.cross(-_UP, look), _UP, look])
-    parts.add(FACE, "e8b48f", head, 0.138, axes=face)
-    parts.add(PLAIN, "dfa27c", head + 0.136 * look - 0.012 * _UP, 0.02)
+    face = upright(look)
+    cones.append(cone(paint.face, head, 0.138, axes=face))
+    cones.append(cone("dfa27c", head + 0.136 * look - 0.012 * _UP, 0.02))
     for side in (-1.0, 1.0):
-        parts.add(PLAIN, "e0a37e", head + 0.136 * side * face[0] - 0.01 * _UP, 0.03)
+        cones.append(cone("e0a37e", head + 0.136 * side * face[0] - 0.01 * _UP, 0.03))
     bun = head - 0.11 * look + 0.1 * _UP
-    parts.add(PLAIN, "4b2a1d", bun, 0.062)
-
-    ends = [len(parts)]
+    cones.append(cone("4b2a1d", bun, 0.062))
 
     # The left arm swings against the left leg, the right one waves.
     swing = 0.5 * np.sin(2 * np.pi * stride)
     upper = _unit(-_UP + swing * forward - 0.22 * chest_right)
     lower = _unit(-_UP + (swing + 0.45) * forward - 0.08 * chest_right)
-    _add_arm(parts, shoulders[0] - 0.045 * chest_right, upper, lower)
-    ends.append(len(parts))
+    _add_arm(cones, shoulders[0] - 0.045 * chest_right, upper, lower)
     wave = 0.45 * np.sin(2 * np.pi * 1.4 * time_s)
     upper = _unit(chest_right + 0.25 * _UP + 0.15 * chest_forward)
     lower = _unit(np.cos(wave) * _UP + (np.sin(wave) + 0.15) * chest_right)
-    _add_arm(parts, shoulders[1] + 0.045 * chest_right, upper, lower)
-    ends.append(len(parts))
+    _add_arm(cones, shoulders[1] + 0.045 * chest_right, upper, lower)
 
-    parts.add(JEANS, "31507f", hips - 0.075 * right, 0.115, hips + 0.075 * right, 0.115)
+    jeans = paint.even("31507f", 0.22)
+    cones.append(cone(jeans, hips - 0.075 * right, 0.115, hips + 0.075 * right, 0.115))
     for side, offset in ((-1.0, 0.0), (1.0, 0.5)):
         hip = hips + side * 0.085 * right - 0.03 * _UP
         foot, pitch, heading = foot_place(stride + offset, offset, side, radius_m)
         ankle = foot + _ANKLE_M * _UP
         knee = _knee(hip, ankle, _THIGH_M, _SHIN_M, heading)
-        parts.add(JEANS, "31507f", hip, 0.092, knee, 0.066)
-        parts.add(JEANS, "31507f", knee, 0.065, ankle + 0.05 * _UP, 0.05)
+        cones.append(cone(jeans, hip, 0.092, knee, 0.066))
+        cones.append(cone(jeans, knee, 0.065, ankle + 0.05 * _UP, 0.05))
         toe_to = np.cos(pitch) * heading - np.sin(pitch) * _UP
-        sole = np.stack([np.cross(-_UP, toe_to), _UP, toe_to])
+        sole = upright(toe_to)
         heel = ankle - 0.03 * _UP - 0.04 * toe_to
         toe = heel + 0.17 * toe_to - 0.006 * _UP
-        parts.add(SHOE, "c9372c", heel, 0.055, toe, 0.048, sole, "f4f1ea")
-    ends.append(len(parts))
-    return ends
+        cones.append(cone(paint.shoe, heel, 0.055, toe, 0.048, sole))
 
 
-def _path_place(walked_m: float, radius_m: float) -> tuple[Table, Table]:
+def _path_place(walked_m: float, radius_m: float) -> tuple[Doubles, Doubles]:
     """(place, direction) on the floor after walking that far along the circle."""
     angle = walked_m / radius_m
     out = np.array([np.cos(angle), 0.0, np.sin(angle)])
@@ -146,7 +120,7 @@ def _path_place(walked_m: float, radius_m: float) -> tuple[Table, Table]:
 
 def foot_place(
     cycle: float, offset: float, side: float, radius_m: float
-) -> tuple[Table, float, Table]:
+) -> tuple[Doubles, float, Doubles]:
     """(place on or above the floor, pitch of the toes down in radians, heading) of a foot.
 
     A foot stands still for the first part of its cycle, below where the body passes in the middle
@@ -167,20 +141,22 @@ def foot_place(
     return here + ease * (there - here) + lift * _UP, float(pitch), heading
 
 
-def _footfall(number: float, offset: float, side: float, radius_m: float) -> tuple[Table, Table]:
+def _footfall(
+    number: float, offset: float, side: float, radius_m: float
+) -> tuple[Doubles, Doubles]:
     place, heading = _path_place((number - offset + _STANCE / 2) * _STRIDE_M, radius_m)
     return place + side * 0.085 * np.cross(-_UP, heading), heading
 
 
-def _add_arm(parts: PartList, shoulder: Table, upper: Table, lower: Table) -> None:
+def _add_arm(cones: list[Cone], shoulder: Doubles, upper: Doubles, lower: Doubles) -> None:
     elbow = shoulder + _UPPER_ARM_M * upper
     wrist = elbow + _FOREARM_M * lower
-    parts.add(PLAIN, "d8432f", shoulder, 0.066, elbow, 0.052)
-    parts.add(STRIPES, "d8432f", elbow, 0.052, wrist, 0.043, None, "f4efe2")
-    parts.add(PLAIN, "e8b48f", wrist + 0.045 * lower, 0.05, wrist + 0.08 * lower, 0.04)
+    cones.append(cone("d8432f", shoulder, 0.066, elbow, 0.052))
+    cones.append(cone(paint.stripes("d8432f", "f4efe2"), elbow, 0.052, wrist, 0.043))
+    cones.append(cone("e8b48f", wrist + 0.045 * lower, 0.05, wrist + 0.08 * lower, 0.04))
 
 
-def _knee(hip: Table, ankle: Table, thigh_m: float, shin_m: float, front: Table) -> Table:
+def _knee(hip: Doubles, ankle: Doubles, thigh_m: float, shin_m: float, front: Doubles) -> Doubles:
     """The knee between hip and ankle, as far from them as the two lengths say, and to the front."""
     axis = ankle - hip
     span = min(float(np.linalg.norm(axis)), 0.999 * (thigh_m + shin_m))
@@ -190,15 +166,5 @@ def _knee(hip: Table, ankle: Table, thigh_m: float, shin_m: float, front: Table)
     return hip + along * axis + float(np.sqrt(max(0.0, thigh_m**2 - along**2))) * bend
 
 
-def _unit(v: Table) -> Table:
+def _unit(v: Doubles) -> Doubles:
     return v / np.linalg.norm(v)
-
-
-def _group(parts: Parts, first: int, end: int) -> tuple[float, ...]:
-    """A row of `Moving.groups`."""
-    cones = parts.cones[first:end]
-    centres = np.concatenate([cones[:, at : at + RADIUS] for at in (FIRST, SECOND)])
-    radii = np.concatenate([cones[:, at + RADIUS] for at in (FIRST, SECOND)])
-    middle = (centres.min(axis=0) + centres.max(axis=0)) / 2
-    radius = float((np.linalg.norm(centres - middle, axis=1) + radii).max())
-    return (first, end, *middle, radius + 1e-3, (REACH_RADII - 1) * float(radii.max()))

@@ -2,293 +2,246 @@
 
 All colours are linear RGB reflectances 0..1. Nothing here looks at the viewer, so the scene is
 Lambertian: what a capture of it needs to be explained by Gaussians without view-dependent colour.
+Surfaces are painted at u, v metres from their upper left corner, solids at places seen from their
+middle.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 
-from codec.kernel import kernel
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import map_coordinates
 
-from .solid import HALF, Boxes, Parts, Table, Vector, vector_at
+from codec.pose import Doubles
 
-Rgb = tuple[float, float, float]
+Flat = Callable[[Doubles, Doubles, float, float, int], Doubles]
+"""Paints (N,) places u, v on a surface of a width and a height, metres, with a seed: (N, 3)."""
 
-PLAIN, STRIPES, FACE, BALL, SHOE, LAMP, LEAF, CRATE, BOOKS, WOOD, JEANS = range(11)
-"""Patterns of solids."""
-
-FLOOR, CEILING, BACK, FRONT, LEFT, RIGHT = range(6)
-"""Faces of the room."""
-
-BLOBS, SUNSET, BLOCKS, ARCHES, WINDOW = range(5)
-"""Pictures on the walls."""
+Solid = Callable[[Doubles, Doubles, int], Doubles]
+"""Paints (N, 3) places right, up and forward from the middle, in radii, and (N,) metres along the
+axis, with a seed: (N, 3)."""
 
 RUG_RADIUS_M = 1.85
 
 
-def linear(hex_colour: str) -> Rgb:
-    """The linear reflectance of an sRGB colour "rrggbb"."""
-    values = [int(hex_colour[i : i + 2], 16) / 255 for i in (0, 2, 4)]
-    r, g, b = (v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in values)
-    return r, g, b
+def linear(hex_colour: str) -> Doubles:
+    """(3,) the linear reflectance of an sRGB colour "rrggbb"."""
+    values = np.array([int(hex_colour[i : i + 2], 16) / 255 for i in (0, 2, 4)])
+    light: Doubles = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    return light
 
 
-_WHITE, _CREAM, _INK = linear("f4f1ea"), linear("efe3cc"), linear("23262e")
-_OAK, _OAK_DARK = linear("b98a5a"), linear("8f6238")
-_PLASTER, _CLAY, _SAND, _SAGE = map(linear, ("3f6f7d", "c9775a", "e3c596", "9db28f"))
-_RED, _YELLOW, _BLUE, _PINK = map(linear, ("d8432f", "f2b632", "2c5fa8", "e58fa0"))
-_TEAL, _ORANGE = linear("2f7f86"), linear("f0803c")
-_SKY, _SKY_HIGH, _HILL, _DUSK = map(linear, ("cfe6f2", "6fb0dc", "6f9a5c", "4a2f63"))
-_SKIN, _HAIR, _BLUSH = linear("e8b48f"), linear("4b2a1d"), linear("dc8872")
-
-_RUG = (0.26, _YELLOW), (0.2, _CREAM), (0.1, _TEAL)
-"""The rug's rings, from the inmost: how far each reaches in from the rug's edge, metres."""
-_SPINES = (0.86, _CLAY), (0.72, _BLUE), (0.55, _YELLOW), (0.38, _TEAL), (0.2, _RED)
-"""Books: the share of them that has this colour or one after it."""
-_SPOTS = _PINK, _YELLOW, _SKY_HIGH, _ORANGE
-_ARCHES = _CLAY, _TEAL, _CREAM
+WHITE, CREAM, INK = map(linear, ("f4f1ea", "efe3cc", "23262e"))
+OAK, OAK_DARK, SAGE, SAND = map(linear, ("b98a5a", "8f6238", "9db28f", "e3c596"))
+PLASTER, CLAY, TEAL, ORANGE = map(linear, ("3f6f7d", "c9775a", "2f7f86", "f0803c"))
+RED, YELLOW, BLUE, PINK = map(linear, ("d8432f", "f2b632", "2c5fa8", "e58fa0"))
+SKY, SKY_HIGH, HILL, DUSK = map(linear, ("cfe6f2", "6fb0dc", "6f9a5c", "4a2f63"))
+SKIN, HAIR, BLUSH = map(linear, ("e8b48f", "4b2a1d", "dc8872"))
 
 
-@kernel(error_model="numpy")
-def mix(a: Rgb, b: Rgb, t: float) -> Rgb:
-    """a at t = 0, b at t = 1."""
-    return a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t
+def mix(a: Doubles, b: Doubles, t: Doubles) -> Doubles:
+    """(N, 3) a at t = 0, b at t = 1."""
+    return np.asarray(a + (b - a) * t[:, None])
 
 
-@kernel(error_model="numpy")
-def toned(colour: Rgb, tone: float) -> Rgb:
-    """A colour made darker or lighter."""
-    return colour[0] * tone, colour[1] * tone, colour[2] * tone
-
-
-@kernel(error_model="numpy")
-def step(low: float, high: float, x: float) -> float:
+def step(low: float, high: float, x: Doubles) -> Doubles:
     """0 below low, 1 above high, smooth between."""
-    t = min(1.0, max(0.0, (x - low) / (high - low)))
-    return t * t * (3.0 - 2.0 * t)
+    t = np.clip((x - low) / (high - low), 0, 1)
+    return np.asarray(t * t * (3 - 2 * t))
 
 
-@kernel(error_model="numpy")
-def lattice(ix: int, iy: int, iz: int, seed: int) -> float:
-    """A fixed random number in [0, 1) for each lattice point."""
-    mask = 0xFFFFFFFF
-    h = (ix * 73856093 ^ iy * 19349663 ^ iz * 83492791 ^ seed * 40503) & mask
-    h = ((h ^ (h >> 15)) * 739981) & mask
-    h = ((h ^ (h >> 13)) * 961748) & mask
-    h = ((h ^ (h >> 16)) * 668265) & mask
-    return ((h ^ (h >> 15)) & 0xFFFFFF) / 16777216.0
+def where(holds: npt.NDArray[np.bool_], a: Doubles, b: Doubles) -> Doubles:
+    """(N, 3) a where (N,) `holds`, else b."""
+    chosen: Doubles = np.where(holds[:, None], a, b)
+    return chosen
 
 
-@kernel(error_model="numpy")
-def noise(x: float, y: float, z: float, seed: int) -> float:
-    """Smooth random values 0..1 with one feature per unit."""
-    ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
-    u, v, w = x - ix, y - iy, z - iz
-    u, v, w = u * u * (3 - 2 * u), v * v * (3 - 2 * v), w * w * (3 - 2 * w)
-    total = 0.0
-    for i in range(2):
-        for j in range(2):
-            for k in range(2):
-                weight = (u if i else 1 - u) * (v if j else 1 - v) * (w if k else 1 - w)
-                total += weight * lattice(ix + i, iy + j, iz + k, seed)
-    return total
+def noise(u: Doubles, v: Doubles, seed: int) -> Doubles:
+    """(N,) smooth random values 0..1 with one feature per unit."""
+    grid = np.random.default_rng(seed).random((64, 64))
+    values: Doubles = map_coordinates(grid, [u % 64, v % 64], order=1, mode="grid-wrap")
+    return values
 
 
-@kernel(error_model="numpy")
-def grain(colour: Rgb, x: float, y: float, z: float, strength: float, seed: int) -> Rgb:
+def picks(number: Doubles, seed: int) -> Doubles:
+    """(N,) a fixed random value 0..1 for each whole number."""
+    values: Doubles = np.random.default_rng(seed).random(4096)[number.astype(int) % 4096]
+    return values
+
+
+def grain(colour: Doubles, u: Doubles, v: Doubles, strength: float, seed: int) -> Doubles:
     """The colour made lighter and darker by two octaves of noise."""
-    n = 0.65 * noise(x, y, z, seed) + 0.35 * noise(2.7 * x, 2.7 * y, 2.7 * z, seed + 1)
-    return toned(colour, 1.0 + strength * (2.0 * n - 1.0))
+    n = 0.65 * noise(u, v, seed) + 0.35 * noise(2.7 * u, 2.7 * v, seed + 1)
+    return np.asarray(colour * (1 + strength * (2 * n - 1))[:, None])
 
 
-@kernel(error_model="numpy")
-def paint_floor(x: float, z: float, seed: int) -> Rgb:
-    """Oak boards, and in the middle a round rug with checks and two rings."""
-    r = math.sqrt(x * x + z * z)
-    if r < RUG_RADIUS_M:
-        even = (math.floor(x / 0.42 + 0.5) + math.floor(z / 0.42 + 0.5)) % 2 == 0
-        colour = _CREAM if even else _TEAL
-        for reach, ring in _RUG:
-            if r > RUG_RADIUS_M - reach:
-                colour = ring
-        return grain(colour, 9 * x, 0.0, 9 * z, 0.16, seed)
-    board = math.floor(x / 0.28)
-    shift = lattice(board, 0, 0, seed) * 1.7
-    along = (z + shift) / 1.7
-    end = math.floor(along)
-    colour = mix(_OAK_DARK, _OAK, 0.35 + 0.65 * lattice(board, end, 1, seed))
-    colour = grain(colour, 26 * x, 0.0, 2.2 * z, 0.22, seed + 3)
-    gap = min(abs(x / 0.28 - board - 0.5), 0.5)
-    seam = max(step(0.47, 0.5, gap), step(0.488, 0.5, abs(along - end - 0.5)))
-    return mix(colour, mix(colour, _INK, 0.7), seam)
+def plain(colour: str, strength: float = 0.1) -> Flat:
+    """A surface of one colour."""
+    return lambda u, v, width, height, seed: grain(linear(colour), 6 * u, 6 * v, strength, seed)
 
 
-@kernel(error_model="numpy")
-def paint_picture(kind: int, u: float, v: float, seed: int) -> Rgb:
-    """A picture at u (left to right) and v (top to bottom), both 0..1, its border included."""
-    if kind == WINDOW:
-        if min(u, 1 - u, v, 1 - v) < 0.05 or abs(u - 0.5) < 0.022 or abs(v - 0.42) < 0.02:
-            return _WHITE
-        sky = mix(_SKY_HIGH, _SKY, step(0.0, 0.75, v))
-        cloud = noise(4.0 * u, 7.0 * v, 0.0, seed + 11) + 0.4 * noise(9 * u, 15 * v, 0.0, seed + 12)
-        sky = mix(sky, _WHITE, 0.8 * step(0.72, 1.0, cloud))
-        ridge = 0.72 + 0.09 * math.sin(5.0 * u + 0.6 * seed) + 0.03 * math.sin(13.0 * u)
-        return mix(
-            sky, mix(_HILL, _SAGE, step(0.0, 0.3, v - ridge)), step(-0.006, 0.006, v - ridge)
-        )
-    edge = min(u, 1 - u, v, 1 - v)
-    if edge < 0.1:
-        return _INK if edge < 0.035 else _WHITE
-    u, v = (u - 0.1) / 0.8, (v - 0.1) / 0.8
-    if kind == SUNSET:
-        colour = mix(_DUSK, _ORANGE, step(0.05, 0.6, v))
-        sun = math.sqrt((u - 0.58) ** 2 + 1.6 * (v - 0.47) ** 2)
-        colour = mix(_YELLOW, colour, step(0.145, 0.155, sun))
-        ridge = 0.62 - 0.13 * noise(3.2 * u, 0.5, 0.0, seed + 21) - 0.05 * math.sin(9 * u)
-        colour = mix(colour, _DUSK, step(-0.006, 0.006, v - ridge))
-        if v > 0.74:
-            colour = mix(_BLUE, _ORANGE, 0.45 * step(0.3, 0.0, abs(u - 0.58)) * (1 - v) * 4)
-        return colour
-    if kind == BLOCKS:
-        colour = _CREAM
-        if u < 0.34 and v < 0.42:
-            colour = _RED
-        elif u > 0.68 and v > 0.62:
-            colour = _BLUE
-        elif (u < 0.34 and v > 0.78) or (u > 0.68 and v < 0.2):
-            colour = _YELLOW
-        lines = min(min(abs(u - 0.34), abs(u - 0.68)), min(abs(v - 0.42), abs(v - 0.78)))
-        if u > 0.68:
-            lines = min(lines, min(abs(v - 0.62), abs(v - 0.2)))
-        return mix(_INK, colour, step(0.014, 0.022, lines))
-    if kind == ARCHES:
-        colour = _SAND
-        for i in range(5):
-            radius = 0.46 - 0.085 * i
-            d = math.sqrt((u - 0.5) ** 2 + min(0.0, v - 0.56) ** 2)
-            if v < 0.93 and d < radius:
-                colour = _ARCHES[i % 3]
-        return colour
-    # BLOBS: soft spots on ink, much like a scene made of Gaussians.
-    colour = _INK
-    for i in range(14):
-        cu, cv = lattice(i, 1, 0, seed + 31), lattice(i, 2, 0, seed + 31)
-        su = 0.06 + 0.12 * lattice(i, 3, 0, seed + 31)
-        sv = 0.05 + 0.1 * lattice(i, 4, 0, seed + 31)
-        q = ((u - cu) / su) ** 2 + ((v - cv) / sv) ** 2
-        colour = mix(colour, _SPOTS[i % 4], 0.92 * math.exp(-0.5 * q))
+def wood(colour: str) -> Flat:
+    return lambda u, v, width, height, seed: grain(linear(colour), 3 * u, 18 * v, 0.2, seed)
+
+
+def floor(u: Doubles, v: Doubles, width: float, height: float, seed: int) -> Doubles:
+    """Oak boards, and in the middle a round rug with checks and rings."""
+    x, z = u - width / 2, v - height / 2
+    r = np.hypot(x, z)
+    is_even = (np.floor(x / 0.42 + 0.5) + np.floor(z / 0.42 + 0.5)) % 2 == 0
+    rug = where(is_even, CREAM, TEAL)
+    for reach, ring in (0.26, YELLOW), (0.2, CREAM), (0.1, TEAL):
+        rug = where(r > RUG_RADIUS_M - reach, ring, rug)
+    board, along = np.floor(x / 0.28), z / 1.7
+    along = along + picks(board, seed)
+    plank = picks(31 * board + np.floor(along), seed + 2)
+    colour = grain(mix(OAK_DARK, OAK, 0.35 + 0.65 * plank), 26 * x, 2.2 * z, 0.22, seed + 3)
+    across = np.abs(x / 0.28 - board - 0.5)
+    seam = np.maximum(step(0.47, 0.5, across), step(0.488, 0.5, np.abs(along % 1 - 0.5)))
+    colour = mix(colour, 0.3 * colour + 0.7 * INK, seam)
+    return where(r < RUG_RADIUS_M, grain(rug, 9 * x, 9 * z, 0.16, seed), colour)
+
+
+def ceiling(u: Doubles, v: Doubles, width: float, height: float, seed: int) -> Doubles:
+    """White, with beams."""
+    is_beam = np.abs((u - width / 2 + 0.6) / 1.2 % 1 - 0.5) < 0.07
+    return grain(where(is_beam, OAK_DARK, WHITE), 5 * u, 1.2 * v, 0.08, seed)
+
+
+def wall(colour: Doubles) -> Flat:
+    """Plaster above white panels."""
+
+    def paint(u: Doubles, v: Doubles, width: float, height: float, seed: int) -> Doubles:
+        h, panel = height - v, (u - width / 2) / 0.62 % 1
+        inset = np.minimum(np.minimum(panel, 1 - panel) * 0.62, np.minimum(h - 0.12, 0.92 - h))
+        tone = np.where(h > 0.87, 1.06, np.where((inset > 0.07) & (inset < 0.085), 0.84, 1.0))
+        low = where(h < 0.12, WHITE, CREAM * tone[:, None])
+        return where(h < 0.92, low, grain(colour, 1.7 * u, 1.7 * v, 0.2, seed + 5))
+
+    return paint
+
+
+def crate(colour: str, frame: str) -> Flat:
+    """Boards in a frame with a diagonal."""
+
+    def paint(u: Doubles, v: Doubles, width: float, height: float, seed: int) -> Doubles:
+        edge = np.minimum(np.minimum(u, width - u), np.minimum(v, height - v))
+        is_frame = (edge < 0.055) | (np.abs(u / width - v / height) < 0.085)
+        tone = np.where(v / 0.11 % 1 < 0.09, 0.6, 1.0)[:, None]
+        boards = grain(linear(colour) * tone, 5 * u, 22 * v, 0.2, seed)
+        return where(is_frame, grain(linear(frame), 20 * u, 20 * v, 0.15, seed), boards)
+
+    return paint
+
+
+def books(u: Doubles, v: Doubles, width: float, height: float, seed: int) -> Doubles:
+    """Shelves full of books."""
+    level, rise, book = np.floor(v / 0.4), v / 0.4 % 1, np.floor(u / 0.065)
+    pick = picks(97 * level + book, seed)
+    spine = np.broadcast_to(CREAM, (len(u), 3))
+    for share, colour in (0.86, CLAY), (0.72, BLUE), (0.55, YELLOW), (0.38, TEAL), (0.2, RED):
+        spine = where(pick < share, colour, spine)
+    case = linear("7a5132")
+    spine = where(rise < 0.12 + 0.4 * picks(97 * level + book, seed + 1), 0.3 * case, spine)
+    edge = np.minimum(np.minimum(u, width - u), np.minimum(v, height - v))
+    return where((rise > 0.9) | (edge < 0.03), case, spine)
+
+
+def framed(picture: Callable[[Doubles, Doubles, int], Doubles]) -> Flat:
+    """A picture, of places 0..1 from left to right and top to bottom, in a frame."""
+
+    def paint(u: Doubles, v: Doubles, width: float, height: float, seed: int) -> Doubles:
+        u, v = u / width, v / height
+        edge = np.minimum(np.minimum(u, 1 - u), np.minimum(v, 1 - v))
+        inner = picture((u - 0.1) / 0.8, (v - 0.1) / 0.8, seed)
+        return where(edge < 0.035, INK, where(edge < 0.1, WHITE, inner))
+
+    return paint
+
+
+def window(u: Doubles, v: Doubles, width: float, height: float, seed: int) -> Doubles:
+    """Clouds over a hill, behind white bars."""
+    u, v = u / width, v / height
+    cloud = noise(4 * u, 7 * v, seed + 11) + 0.4 * noise(9 * u, 15 * v, seed + 12)
+    sky = mix(mix(SKY_HIGH, SKY, step(0, 0.75, v)), WHITE, 0.8 * step(0.72, 1, cloud))
+    below = v - 0.72 - 0.09 * np.sin(5 * u + 0.6 * seed) - 0.03 * np.sin(13 * u)
+    view = mix(sky, mix(HILL, SAGE, step(0, 0.3, below)), step(-0.006, 0.006, below))
+    edge = np.minimum(np.minimum(u, 1 - u), np.minimum(v, 1 - v))
+    is_bar = (edge < 0.05) | (np.abs(u - 0.5) < 0.022) | (np.abs(v - 0.42) < 0.02)
+    return where(is_bar, WHITE, view)
+
+
+def sunset(u: Doubles, v: Doubles, seed: int) -> Doubles:
+    sun = np.sqrt((u - 0.58) ** 2 + 1.6 * (v - 0.47) ** 2)
+    colour = mix(YELLOW, mix(DUSK, ORANGE, step(0.05, 0.6, v)), step(0.145, 0.155, sun))
+    ridge = 0.62 - 0.13 * noise(3.2 * u, 0 * u, seed + 21) - 0.05 * np.sin(9 * u)
+    colour = mix(colour, DUSK, step(-0.006, 0.006, v - ridge))
+    shine = mix(BLUE, ORANGE, 1.8 * (1 - step(0, 0.3, np.abs(u - 0.58))) * (1 - v))
+    return where(v > 0.74, shine, colour)
+
+
+def blocks(u: Doubles, v: Doubles, seed: int) -> Doubles:
+    """Fields of colour between black lines."""
+    left, right = u < 0.34, u > 0.68
+    colour = where(left & (v < 0.42), RED, np.broadcast_to(CREAM, (len(u), 3)))
+    colour = where((left & (v > 0.78)) | (right & (v < 0.2)), YELLOW, colour)
+    colour = where(right & (v > 0.62), BLUE, colour)
+    lines = np.minimum(np.abs(u[:, None] - (0.34, 0.68)), np.abs(v[:, None] - (0.42, 0.78)))
+    return where(lines.min(axis=1) < 0.013, INK, colour)
+
+
+def arches(u: Doubles, v: Doubles, seed: int) -> Doubles:
+    d = np.sqrt((u - 0.5) ** 2 + np.minimum(0, v - 0.56) ** 2)
+    colour = np.broadcast_to(SAND, (len(u), 3))
+    for i, arch in enumerate((CLAY, TEAL, CREAM, CLAY, TEAL)):
+        colour = where((v < 0.93) & (d < 0.46 - 0.085 * i), arch, colour)
     return colour
 
 
-@kernel(error_model="numpy")
-def paint_room(face: int, p: Vector, wall_pictures: Table, seed: int) -> Rgb:
-    """The colour of a face of the room at a place on it."""
-    x, y, z = p
-    if face == FLOOR:
-        return paint_floor(x, z, seed)
-    if face == CEILING:
-        beam = abs((x + 0.6) / 1.2 - math.floor((x + 0.6) / 1.2) - 0.5)
-        return grain(_OAK_DARK if beam < 0.07 else _WHITE, 5 * x, 0.0, 1.2 * z, 0.08, seed)
-    # u grows to the right as one looks at the wall.
-    u, wall = x, _PLASTER
-    if face == FRONT:
-        u, wall = -x, _SAGE
-    elif face == LEFT:
-        u, wall = z, _SAND
-    elif face == RIGHT:
-        u, wall = -z, _CLAY
-    h = -y
-    for i in range(wall_pictures.shape[0]):
-        picture = wall_pictures[i]
-        if int(picture[0]) == face:
-            pu = (u - picture[1]) / picture[3] + 0.5
-            pv = 0.5 - (h - picture[2]) / picture[4]
-            if 0 < pu < 1 and 0 < pv < 1:
-                return paint_picture(int(picture[5]), pu, pv, seed)
-    if h < 0.12:
-        return _WHITE
-    if h < 0.92:
-        panel = u / 0.62 - math.floor(u / 0.62)
-        inset = min(min(panel, 1 - panel) * 0.62, min(h - 0.12, 0.92 - h))
-        tone = 0.84 if 0.07 < inset < 0.085 else 1.0
-        return toned(_CREAM, 1.06 if h > 0.87 else tone)
-    return grain(wall, 1.7 * u, 1.7 * h, 3.1 * face, 0.2, seed + 5)
+def blobs(u: Doubles, v: Doubles, seed: int) -> Doubles:
+    """Soft spots on ink, much like a scene made of Gaussians."""
+    colour = np.broadcast_to(INK, (len(u), 3))
+    rows = np.random.default_rng(seed + 31).random((14, 4))
+    for i, (x, y, wide, high) in enumerate(rows):
+        q = ((u - x) / (0.06 + 0.12 * wide)) ** 2 + ((v - y) / (0.05 + 0.1 * high)) ** 2
+        colour = mix(colour, (PINK, YELLOW, SKY_HIGH, ORANGE)[i % 4], 0.92 * np.exp(-0.5 * q))
+    return colour
 
 
-@kernel(error_model="numpy")
-def paint_box(boxes: Boxes, i: int, p: Vector, axis: int, seed: int) -> Rgb:
-    """The colour of a box at a place, as of `in_box`, on the face across `axis`."""
-    pattern = boxes.patterns[i]
-    a, b = vector_at(boxes.colours, i, 0), vector_at(boxes.colours, i, 3)
-    half = vector_at(boxes.places, i, HALF)
-    x, y, z = p
-    u, v, hu, hv = x, y, half[0], half[1]
-    if axis == 0:
-        u, hu = z, half[2]
-    elif axis == 1:
-        v, hv = z, half[2]
-    if pattern == CRATE:
-        edge = min(hu - abs(u), hv - abs(v))
-        diagonal = abs(u / hu - v / hv)
-        if edge < 0.055 or diagonal < 0.17:
-            fine = 20 if edge < 0.055 else 15
-            return grain(b, fine * u, fine * v, 1.0 * axis, 0.15, seed + i)
-        board = (v + hv) / 0.11
-        tone = 0.6 if board - math.floor(board) < 0.09 else 1.0
-        return grain(toned(a, tone), 5 * u, 22 * v, 1.0 * axis, 0.2, seed)
-    if pattern == BOOKS and axis == 2:
-        shelf = (y + half[1]) / 0.4
-        level, rise = math.floor(shelf), shelf - math.floor(shelf)
-        if rise > 0.9 or min(hu - abs(u), hv - abs(v)) < 0.03:
-            return a
-        book = math.floor((x + half[0]) / 0.065)
-        pick = lattice(book, level, i, seed)
-        if rise < 0.12 + 0.4 * lattice(book, level, i + 1, seed):
-            return toned(a, 0.3)
-        spine = _CREAM
-        for share, colour in _SPINES:
-            if pick < share:
-                spine = colour
-        return spine
-    if pattern == WOOD:
-        return grain(a, 3 * u, 18 * v, 1.0 * axis, 0.2, seed + i)
-    return grain(a, 6 * x, 6 * y, 6 * z, 0.1, seed + i)
+def even(colour: str, strength: float = 0.06) -> Solid:
+    """A solid of one colour."""
+    return lambda p, along_m, seed: grain(
+        linear(colour), 3 * (p[:, 0] + p[:, 2]), 3 * p[:, 1] + 14 * along_m, strength, seed
+    )
 
 
-@kernel(error_model="numpy")
-def paint_part(parts: Parts, i: int, local: Vector, along_m: float, seed: int) -> Rgb:
-    """The colour of a part.
+def stripes(first: str, second: str) -> Solid:
+    return lambda p, along_m, seed: where(
+        along_m / 0.1 % 1 < 0.55, linear(first), np.tile(linear(second), (len(p), 1))
+    )
 
-    local: the place as seen from the first centre, along the pattern's axes, in units of the first
-    radius; along_m: metres along the part's axis.
-    """
-    pattern = parts.patterns[i]
-    a, b = vector_at(parts.colours, i, 0), vector_at(parts.colours, i, 3)
-    x, y, z = local
-    if pattern == STRIPES:
-        t = along_m / 0.1
-        return a if t - math.floor(t) < 0.55 else b
-    if pattern == FACE:
-        if y > 0.3 + 0.25 * math.cos(3.0 * x) * z - 0.75 * (1.0 - z) * (0.9 if z < 0.55 else 0.2):
-            return grain(_HAIR, 9 * x, 3 * y, 9 * z, 0.35, seed)
-        if z > 0:
-            eye = math.sqrt(((abs(x) - 0.36) / 0.1) ** 2 + ((y - 0.06) / 0.15) ** 2)
-            if eye < 1:
-                glint = (abs(x) - 0.39) ** 2 + (y - 0.12) ** 2
-                return _WHITE if glint < 0.0016 else _INK
-            smile = y + 0.42 - 0.7 * x * x
-            if abs(smile) < 0.045 and abs(x) < 0.32:
-                return _RED
-            blush = math.sqrt((abs(x) - 0.56) ** 2 + (y + 0.2) ** 2)
-            return mix(_BLUSH, _SKIN, step(0.08, 0.22, blush))
-        return _SKIN
-    if pattern == BALL:
-        seam = min(min(abs(x), abs(y)), abs(math.sqrt((abs(x) - 1.12) ** 2 + y * y) - 0.72))
-        return mix(b, grain(a, 5 * x, 5 * y, 5 * z, 0.08, seed), step(0.03, 0.055, seam))
-    if pattern == SHOE:
-        return b if y < -0.45 else a
-    if pattern == JEANS:
-        return grain(a, 6 * x, 14 * along_m, 6 * z, 0.22, seed)
-    if pattern == LEAF:
-        return mix(a, b, step(0.25, 0.8, noise(3.5 * x, 3.5 * y, 3.5 * z, seed + i)))
-    return grain(a, 3 * x, 3 * y, 3 * z, 0.06, seed + i)
+
+def shoe(p: Doubles, along_m: Doubles, seed: int) -> Doubles:
+    return where(p[:, 1] < -0.45, WHITE, np.tile(linear("c9372c"), (len(p), 1)))
+
+
+def ball(p: Doubles, along_m: Doubles, seed: int) -> Doubles:
+    x, y, _ = np.abs(p).T
+    seam = np.minimum(np.minimum(x, y), np.abs(np.hypot(x - 1.12, y) - 0.72))
+    leather = grain(linear("ef7d1f"), 5 * p[:, 0], 5 * p[:, 1], 0.08, seed)
+    return mix(linear("2a1a14"), leather, step(0.045, 0.06, seam))
+
+
+def face(p: Doubles, along_m: Doubles, seed: int) -> Doubles:
+    """Eyes, a smile and hair."""
+    x, y, z = np.abs(p[:, 0]), p[:, 1], p[:, 2]
+    colour = mix(BLUSH, SKIN, step(0.08, 0.22, np.hypot(x - 0.56, y + 0.2)))
+    is_smile = (np.abs(y + 0.42 - 0.7 * x * x) < 0.045) & (x < 0.32)
+    colour = where(is_smile, RED, colour)
+    is_eye = np.hypot((x - 0.36) / 0.11, (y - 0.06) / 0.17) < 1
+    colour = where(is_eye, INK, colour)
+    colour = where(z > 0, colour, SKIN)
+    line = 0.3 + 0.25 * np.cos(3 * x) * z - 0.75 * (1 - z) * np.where(z < 0.55, 0.9, 0.2)
+    return where(y > line, grain(HAIR, 9 * p[:, 0], 3 * y, 0.35, seed), colour)

@@ -1,43 +1,38 @@
-"""The objects of the synthetic scene: the room, its furniture, the lamp, the cameras.
+"""The room of the synthetic scene, its furniture, the cameras, and what moves in it.
 
 The world's y points down and the floor is y = 0, so a height of h metres is y = -h.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.pose import look_at
+from codec.splats import Splats
 
-from .paint import (
-    ARCHES,
-    BACK,
-    BLOBS,
-    BLOCKS,
-    BOOKS,
-    CRATE,
-    FRONT,
-    LAMP,
-    LEAF,
-    LEFT,
-    PLAIN,
-    RIGHT,
-    SUNSET,
-    WINDOW,
-    WOOD,
-    linear,
+from . import paint
+from .motion import moving_cones
+from .surfels import (
+    LAMP_AT,
+    LAMP_RADIUS_M,
+    REACH_RADII,
+    Cone,
+    Floats,
+    Surfels,
+    cone,
+    cone_surfels,
+    light_of,
+    past_cones,
+    rectangle,
 )
-from .solid import Boxes, Parts, Table, Vector
 
-ROOM = np.array([3.75, 3.1])
+HALF_M, HEIGHT_M = 3.75, 3.1
 """Half the width of the square room, and its height, metres."""
-
-LAMP_AT = np.array([0.5, -2.72, -0.45])
-"""The middle of the lamp, metres."""
 
 CAMERA_RADIUS_M = 3.2
 """Horizontal distance of the cameras from the middle of the room."""
@@ -49,128 +44,175 @@ UP = np.array([0.0, -1.0, 0.0])
 FIELD_OF_VIEW_RAD = np.radians(74.0)
 """Horizontal."""
 
+GLOW = np.array([3.0, 2.75, 2.3])
+"""The light of the lamp's own surface."""
+CELL_M = 0.25
+"""Side of the cells of the room that are looked at together for what moves near them."""
+MOVING_SPACING = 0.85
+"""Distance of the surfels of what moves, which has finer details, in those of the room."""
+INSET = 1.2
+"""How much thinner round things are made, in distances of surfels: discs at an edge reach beyond
+it."""
+SEEN = 0.98
+"""Share of its light above which a surface is as bright as without what moves."""
 
-class PartList:
-    """Collects parts one by one."""
+X, Y, Z = np.eye(3)
+Vector = tuple[float, float, float]
 
-    def __init__(self) -> None:
-        self._rows: list[tuple[Table, Table, int, tuple[float, ...]]] = []
-
-    def add(
-        self,
-        pattern: int,
-        colour: str,
-        first: npt.ArrayLike,
-        first_radius_m: float,
-        second: npt.ArrayLike | None = None,
-        second_radius_m: float | None = None,
-        axes: Table | None = None,
-        second_colour: str | None = None,
-    ) -> None:
-        """Adds a round cone, or a sphere when there is no second centre.
-
-        axes: (3, 3) unit vectors right, up and forward of the pattern; by default, forward is -z.
-        """
-        a = np.asarray(first, np.float64)
-        b = a if second is None else np.asarray(second, np.float64)
-        rb = first_radius_m if second_radius_m is None else second_radius_m
-        if axes is None:
-            axes = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
-        colours = linear(colour) + linear(second_colour or colour)
-        around = float(np.linalg.norm(b - a)) / 2 + max(first_radius_m, rb)
-        cone = np.array([*a, first_radius_m, *b, rb, *((a + b) / 2), around])
-        self._rows.append((cone, axes.ravel(), pattern, colours))
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def parts(self) -> Parts:
-        cones, axes, patterns, colours = zip(*self._rows, strict=True)
-        return Parts(
-            np.array(cones), np.array(axes), np.array(patterns, np.int64), np.array(colours)
-        )
-
-
-def furniture() -> Boxes:
-    """The boxes of the room: shelf, sofa, crates, cupboards, the plant's pot."""
-    rows: list[tuple[list[float], int, tuple[float, ...]]] = []
-
-    def add(
-        pattern: int,
-        colour: str,
-        centre: Vector,
-        size: Vector,
-        turn_rad: float = 0.0,
-        second_colour: str | None = None,
-    ) -> None:
-        x, height, z = centre
-        half = [s / 2 for s in size]
-        place = [x, -height, z, *half, float(np.cos(turn_rad)), float(np.sin(turn_rad))]
-        rows.append((place, pattern, linear(colour) + linear(second_colour or colour)))
-
-    add(BOOKS, "7a5132", (2.1, 1.0, 3.5), (1.5, 2.0, 0.42))
+FURNITURE: tuple[tuple[str | paint.Flat, Vector, Vector, float], ...] = (
+    ("7a5132", (2.1, 1.0, 3.5), (1.5, 2.0, 0.42), 0.0),  # the shelf
     # The sofa: seat, back, two arms, cushions.
-    add(PLAIN, "d9694f", (-0.75, 0.24, 2.95), (2.1, 0.4, 0.85))
-    add(PLAIN, "c75b44", (-0.75, 0.52, 3.38), (2.1, 0.86, 0.24))
-    add(PLAIN, "c75b44", (-1.9, 0.34, 2.97), (0.24, 0.62, 0.9))
-    add(PLAIN, "c75b44", (0.4, 0.34, 2.97), (0.24, 0.62, 0.9))
-    add(PLAIN, "f2b632", (-1.45, 0.62, 3.12), (0.42, 0.36, 0.16), 0.25)
-    add(PLAIN, "f1e6d2", (-0.05, 0.6, 3.13), (0.4, 0.34, 0.16), -0.3)
-    # Crates in the right corner, the upper one turned.
-    add(CRATE, "cf9f63", (3.05, 0.33, 2.05), (0.66, 0.66, 0.66), 0.12, "9c6a38")
-    add(CRATE, "5f9ea0", (3.08, 0.9, 2.08), (0.48, 0.48, 0.48), 0.6, "f0e4cf")
-    # A low cupboard on the left, with the plant's pot beside it.
-    add(WOOD, "a8744a", (-3.45, 0.4, 1.9), (0.55, 0.8, 1.2))
-    add(PLAIN, "f0e8da", (-3.12, 0.22, 2.95), (0.42, 0.44, 0.42), 0.4)
-    # A cupboard behind the cameras.
-    add(WOOD, "8d5f3a", (1.3, 0.35, -3.52), (1.6, 0.7, 0.42))
-    return Boxes(
-        np.array([row[0] for row in rows]),
-        np.array([row[1] for row in rows], np.int64),
-        np.array([row[2] for row in rows]),
-    )
+    ("d9694f", (-0.75, 0.24, 2.95), (2.1, 0.4, 0.85), 0.0),
+    ("c75b44", (-0.75, 0.52, 3.38), (2.1, 0.86, 0.24), 0.0),
+    ("c75b44", (-1.9, 0.34, 2.97), (0.24, 0.62, 0.9), 0.0),
+    ("c75b44", (0.4, 0.34, 2.97), (0.24, 0.62, 0.9), 0.0),
+    ("f2b632", (-1.45, 0.62, 3.12), (0.42, 0.36, 0.16), 0.25),
+    ("f1e6d2", (-0.05, 0.6, 3.13), (0.4, 0.34, 0.16), -0.3),
+    # Crates in the right corner, the upper one turned; cupboards; the plant's pot.
+    (paint.crate("cf9f63", "9c6a38"), (3.05, 0.33, 2.05), (0.66, 0.66, 0.66), 0.12),
+    (paint.crate("5f9ea0", "f0e4cf"), (3.08, 0.9, 2.08), (0.48, 0.48, 0.48), 0.6),
+    (paint.wood("a8744a"), (-3.45, 0.4, 1.9), (0.55, 0.8, 1.2), 0.0),
+    (paint.wood("8d5f3a"), (1.3, 0.35, -3.52), (1.6, 0.7, 0.42), 0.0),
+    ("f0e8da", (-3.12, 0.22, 2.95), (0.42, 0.44, 0.42), 0.4),
+)
+"""Colour or pattern, middle (its height up) and size in metres, and turn about the vertical."""
+
+WALLS = (
+    (X, Z, paint.PLASTER, ((-1.55, 1.85, 1.15, 1.3, paint.framed(paint.sunset)),
+                           (0.15, 1.85, 1.15, 1.3, paint.framed(paint.blobs)))),
+    (Z, -X, paint.SAND, ((-0.6, 1.85, 1.9, 1.35, paint.window),
+                         (2.0, 1.85, 0.9, 1.1, paint.framed(paint.arches)))),
+    (-Z, X, paint.CLAY, ((0.4, 1.85, 1.0, 1.3, paint.framed(paint.blocks)),
+                         (-1.9, 1.95, 0.9, 1.1, paint.framed(paint.blobs)))),
+    (-X, -Z, paint.SAGE, ((-1.6, 1.85, 1.2, 1.2, paint.framed(paint.arches)),
+                          (0.9, 1.85, 1.9, 1.35, paint.window))),
+)  # fmt: skip
+"""Of each wall: right and back as one looks at it, its colour, and what hangs there: the middle's
+place to the right and its height, width and height, metres, and the pattern."""
 
 
-def fixtures(seed: int) -> Parts:
-    """The parts that do not move: the lamp and its cord, the plant, things on the cupboards."""
-    parts = PartList()
+def fixtures(seed: int) -> list[Cone]:
+    """The round things that do not move: the lamp first, its cord, the plant, vases."""
     x, y, z = LAMP_AT
-    parts.add(LAMP, "ffffff", (x, y, z), 0.17)
-    parts.add(PLAIN, "23262e", (x, y - 0.17, z), 0.018, (x, -ROOM[1], z), 0.018)
-    parts.add(PLAIN, "23262e", (x, y - 0.15, z), 0.07, (x, y - 0.22, z), 0.03)
-    rng = np.random.default_rng(seed)
+    cones = [
+        cone("ffffff", LAMP_AT, 0.17),
+        cone("23262e", (x, y - 0.15, z), 0.07, (x, y - 0.22, z), 0.03),
+        cone("23262e", (x, y - 0.17, z), 0.018, (x, -HEIGHT_M, z), 0.018),
+        cone("2c5fa8", (-3.42, -0.94, 1.6), 0.13, (-3.42, -1.13, 1.6), 0.07),
+        cone("f2b632", (-3.42, -0.92, 2.12), 0.12),
+        cone("e58fa0", (1.0, -0.85, -3.5), 0.14, (1.0, -1.1, -3.5), 0.05),
+    ]
+    rng, root = np.random.default_rng(seed), np.array([-3.12, -0.44, 2.95])
     for _ in range(15):
-        around, tilt = rng.uniform(0, 2 * np.pi), rng.uniform(0.15, 0.95)
-        reach = rng.uniform(0.45, 0.95)
-        root = np.array([-3.12, -0.44, 2.95])
-        out = np.array(
-            [np.sin(tilt) * np.cos(around), -np.cos(tilt), np.sin(tilt) * np.sin(around)]
-        )
-        tip = np.clip(root + reach * out, -3.6, 3.6)
-        middle = root + 0.5 * (tip - root) + (0, -0.05, 0)
-        parts.add(LEAF, "3f7d4a", middle, 0.1, tip, 0.03, None, "7fb069")
-    parts.add(PLAIN, "2c5fa8", (-3.42, -0.94, 1.6), 0.13, (-3.42, -1.13, 1.6), 0.07)
-    parts.add(PLAIN, "f2b632", (-3.42, -0.92, 2.12), 0.12)
-    parts.add(PLAIN, "e58fa0", (1.0, -0.85, -3.5), 0.14, (1.0, -1.1, -3.5), 0.05)
-    return parts.parts()
+        around, tilt, reach = rng.uniform((0, 0.15, 0.45), (2 * np.pi, 0.95, 0.95))
+        out = np.cos(around) * np.sin(tilt), -np.cos(tilt), np.sin(around) * np.sin(tilt)
+        tip = np.clip(root + reach * np.array(out), -3.6, 3.6)
+        middle = 0.5 * (root + tip) + (0, -0.05, 0)
+        cones.append(cone(paint.even("4f8d50", 0.5), middle, 0.08, tip, 0.02))
+    return cones
 
 
-def wall_pictures() -> Table:
-    """(K, 6) what hangs on the walls: the face of the room, the middle's place to the right along
-    the wall and its height above the floor, the picture's width and height, its kind; metres."""
-    return np.array(
-        [
-            (BACK, -1.55, 1.85, 1.15, 1.3, SUNSET),
-            (BACK, 0.15, 1.85, 1.15, 1.3, BLOBS),
-            (LEFT, -0.6, 1.85, 1.9, 1.35, WINDOW),
-            (LEFT, 2.0, 1.85, 0.9, 1.1, ARCHES),
-            (RIGHT, 0.4, 1.85, 1.0, 1.3, BLOCKS),
-            (RIGHT, -1.9, 1.95, 0.9, 1.1, BLOBS),
-            (FRONT, -1.6, 1.85, 1.2, 1.2, ARCHES),
-            (FRONT, 0.9, 1.85, 1.9, 1.35, WINDOW),
-        ],
-        np.float64,
-    )
+def room_surfels(spacing_m: float, seed: int) -> Iterator[Surfels]:
+    """The surfaces that do not move, but for the fixtures."""
+    low, wide = HALF_M, 2 * HALF_M
+    yield rectangle(low * (Z - X), wide * X, -wide * Z, paint.floor, spacing_m, seed)
+    top = -HEIGHT_M * Y - low * (X + Z)
+    yield rectangle(top, wide * X, wide * Z, paint.ceiling, 2 * spacing_m, seed)
+    for right, back, colour, pictures in WALLS:
+        corner = low * (back - right) - HEIGHT_M * Y
+        yield rectangle(corner, wide * right, HEIGHT_M * Y, paint.wall(colour), spacing_m, seed)
+        for x, height, w, h, pattern in pictures:
+            middle = (low - 0.02) * back + x * right - height * Y
+            corner = middle - w / 2 * right - h / 2 * Y
+            yield rectangle(corner, w * right, h * Y, pattern, spacing_m, seed)
+    for number, (look, (x, height, z), (w, h, d), turn) in enumerate(FURNITURE):
+        pattern = paint.plain(look) if isinstance(look, str) else look
+        right = np.array([np.cos(turn), 0, np.sin(turn)])
+        back, middle = np.cross(right, Y), np.array([x, -height, z])
+        for one, other, width, depth in (
+            *((right, back, w, d), (-back, right, d, w)),
+            *((-right, -back, w, d), (back, -right, d, w)),
+        ):
+            corner = middle - width / 2 * one - depth / 2 * other - h / 2 * Y
+            front = paint.books if not number and width == w else pattern
+            yield rectangle(corner, width * one, h * Y, front, spacing_m, seed + number)
+        corner = middle - w / 2 * right + d / 2 * back - h / 2 * Y
+        yield rectangle(corner, w * right, -d * back, pattern, spacing_m, seed + number)
+
+
+def room_occlusion(surfels: Surfels) -> Floats:
+    """(N,) the share of the ambient light that corners and furniture leave."""
+    left, p, n = np.ones(len(surfels.places), np.float32), surfels.places, surfels.normals
+    for axis, low, high in (0, -HALF_M, HALF_M), (1, -HEIGHT_M, 0.0), (2, -HALF_M, HALF_M):
+        for gap in p[:, axis] - low, high - p[:, axis]:
+            dark = 0.42 * np.exp(-np.maximum(0, gap) / 0.22)
+            left *= 1 - np.where(np.abs(n[:, axis]) > 0.9, 0, dark)
+    for _, (x, height, z), size, turn in FURNITURE:
+        near = np.flatnonzero(np.abs(p - (x, -height, z)).max(axis=1) < max(size) / 2 + 0.6)
+        c, s = np.cos(turn), np.sin(turn)
+        at = (p[near] - (x, -height, z)) @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+        gap = np.linalg.norm(np.maximum(0, np.abs(at) - np.array(size) / 2), axis=1)
+        left[near] *= 1 - np.where(gap > 1e-3, 0.5 * np.exp(-gap / 0.14), 0)
+    return left
+
+
+class Scene:
+    """All that every camera sees."""
+
+    def __init__(self, fps: float, seed: int, walk_radius_m: float, spacing_m: float) -> None:
+        """spacing_m: from one surfel to the next."""
+        self._fps, self._seed, self._walk_radius_m = fps, seed, walk_radius_m
+        self._spacing_m = spacing_m
+        still = [cone.thinner(INSET * spacing_m) for cone in fixtures(seed)]
+        surfaces = [*room_surfels(spacing_m, seed), cone_surfels(still, spacing_m, seed)]
+        room = Surfels.joined(surfaces)
+        self._ambient, self._lamp = light_of(room)
+        # The lamp, the first of the round things, hides nothing and glows.
+        dim, lit = past_cones(room._replace(owners=room.owners - 1), still[1:])
+        self._ambient *= (dim * room_occlusion(room))[:, None]
+        self._lamp *= lit[:, None]
+        self._ambient[room.owners == 0], self._lamp[room.owners == 0] = GLOW, 0
+        self._room = room._replace(owners=np.full_like(room.owners, -1))
+        cells = np.floor(room.places / CELL_M)
+        keys = cells @ np.array([1 << 12, 1 << 6, 1], np.float32)
+        _, first, self._cell_of = np.unique(keys, return_index=True, return_inverse=True)
+        self._cells = cells[first]
+        self.moving = lru_cache(maxsize=1)(self._moving)
+        """Gives what moves in a frame, and the surfaces of the room that it takes light from."""
+
+    def room(self) -> Splats:
+        """What does not move."""
+        return self._room.splats(self._ambient + self._lamp)
+
+    def _moving(self, frame: int) -> Splats:
+        made = moving_cones(frame / self._fps, self._seed, self._walk_radius_m)
+        cones = [cone.thinner(INSET * self._spacing_m) for cone in made]
+        movers = cone_surfels(cones, MOVING_SPACING * self._spacing_m, self._seed)
+        dim, lit = past_cones(movers, cones)
+        # The floor is near.
+        dim *= 1 - 0.3 * np.maximum(0, movers.normals[:, 1]) * np.exp(movers.places[:, 1] / 0.3)
+        ambient, lamp = light_of(movers)
+        own = movers.splats(ambient * dim[:, None] + lamp * lit[:, None])
+        rows = self._near(cones)
+        shaded = self._room.take(rows)
+        dim, lit = past_cones(shaded, cones)
+        changed = np.flatnonzero(np.minimum(dim, lit) < SEEN)
+        dim, lit, rows = dim[changed, None], lit[changed, None], rows[changed]
+        light = self._ambient[rows] * dim + self._lamp[rows] * lit
+        return Splats.concatenate([own, shaded.take(changed).splats(light)])
+
+    def _near(self, cones: Sequence[Cone]) -> npt.NDArray[np.intp]:
+        """Rows of the room that cones may take light from."""
+        table = np.array([cone.row() for cone in cones])
+        middles, half = (self._cells[:, None] + 0.5) * CELL_M, CELL_M * 0.87
+        around, thick = (table[:, :3] + table[:, 4:7]) / 2, np.maximum(table[:, 3], table[:, 7])
+        radii = np.linalg.norm(table[:, :3] - table[:, 4:7], axis=1) / 2 + thick + half
+        away, to = around - middles, LAMP_AT - middles
+        dims = np.linalg.norm(away, axis=2) < radii + (REACH_RADII - 1) * thick
+        along = np.clip((away * to).sum(axis=2) / (to**2).sum(axis=2), 0, 1)
+        gaps = np.linalg.norm(away - along[..., None] * to, axis=2)
+        near = (dims | (gaps < radii + LAMP_RADIUS_M * along)).any(axis=1)
+        return np.flatnonzero(near[self._cell_of])
 
 
 def camera_rig(num_cameras: int, width_px: int, height_px: int, arc_rad: float) -> list[Camera]:

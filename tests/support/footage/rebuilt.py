@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.pose import Doubles, look_at
-from trainer.synth.film import Scene, Studio, make_scene
-from trainer.synth.scene import UP, camera_rig
+from trainer.synth.film import Studio, spacing_m
+from trainer.synth.motion import WALK_RADIUS_M
+from trainer.synth.scene import UP, Scene, camera_rig
 
 Picture = npt.NDArray[np.uint8]
 
@@ -21,7 +22,7 @@ WIDTH_PX, HEIGHT_PX = SIZE_PX = 128, 72
 
 @cache
 def room() -> Scene:
-    return make_scene(2, 30.0, 0)
+    return Scene(30.0, 0, WALK_RADIUS_M, spacing_m(WIDTH_PX))
 
 
 def filmed(camera: Camera) -> list[Picture]:
@@ -33,9 +34,8 @@ def points_seen(cameras: Sequence[Camera], count: int) -> tuple[Doubles, Picture
     """(P, 3) points on the surfaces that the cameras see in frame 0, and their colours."""
     found = []
     for number, camera in enumerate(cameras):
-        studio = Studio(room(), camera)
         rng = np.random.default_rng(number)
-        found.append(studio.sample_points(*studio.film(0), count // len(cameras), rng))
+        found.append(Studio(room(), camera).sample_points(count // len(cameras), rng))
     xyz, rgb = zip(*found, strict=True)
     return np.concatenate(xyz).astype(np.float64), np.concatenate(rgb)
 

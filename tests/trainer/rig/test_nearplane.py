@@ -42,8 +42,7 @@ def write(root: Path, cameras: list[Camera], points: int) -> Capture:
 
 def least_depth(camera: Camera) -> float:
     """Minimum depth of everything that the camera sees."""
-    studio = Studio(room(), camera)
-    return studio.depth_range(studio.film(0)[1])[0]
+    return float(Studio(room(), camera).depth(0).min())
 
 
 def near_of(capture: Capture) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,14 @@ from rich.console import Console
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.rig import rig_depths
+from codec.splats import Splats
+from player.render.cpu import render_splats
 from tests.support.commands import run_ok
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
-from trainer.synth.film import Studio, SynthConfig, check_config, make_scene, synthesise
-from trainer.synth.motion import BALL_RADIUS_M, WALK_RADIUS_M, ball_place, foot_place, moving_parts
-from trainer.synth.scene import camera_rig
+from trainer.synth.film import Studio, SynthConfig, check_config, spacing_m, synthesise
+from trainer.synth.motion import BALL_RADIUS_M, WALK_RADIUS_M, ball_place, foot_place, moving_cones
+from trainer.synth.scene import Scene, camera_rig
 
 TINY = SynthConfig(
     Path("unset"), frames=3, cameras=4, held_out=1, width_px=64, height_px=36, points=300
@@ -55,69 +58,78 @@ def test_the_capture_is_complete(made: Capture) -> None:
     assert [path.name for path in made.root.parent.iterdir()] == ["capture"]
 
 
-def test_videos_hold_what_was_traced(made: Capture) -> None:
-    scene = make_scene(3, 30.0, 0)
+@cache
+def scene_for(width_px: int) -> Scene:
+    """The scene for pictures of a width."""
+    return Scene(30.0, 0, WALK_RADIUS_M, spacing_m(width_px))
+
+
+def test_videos_hold_what_was_drawn(made: Capture) -> None:
+    scene = scene_for(64)
     rig = camera_rig(4, 64, 36, float(np.radians(200.0)))
     for index in (0, 2):
         assert np.allclose(made.cameras[index].camera.w2c, rig[index].w2c, atol=1e-12)
-        traced, _ = Studio(scene, rig[index]).film(2)
-        error = made.open_images(index).read(2).astype(float) - traced
+        drawn, _ = Studio(scene, rig[index]).film(2)
+        error = made.open_images(index).read(2).astype(float) - drawn
         assert 10 * np.log10(255**2 / (error**2).mean()) > 48
 
 
-def places_seen(distance: npt.NDArray[np.float32], camera: Camera) -> npt.NDArray[np.float64]:
-    """(h, w, 3) places that the first ray of each pixel, a quarter pixel off its corner, hits."""
-    rows, columns = np.mgrid[: camera.height_px, : camera.width_px] + 0.25
-    ways = np.stack([columns - camera.cx_px, rows - camera.cy_px], axis=-1) / camera.fx_px
-    ways = np.concatenate([ways, np.ones((*ways.shape[:2], 1))], axis=-1)
-    ways *= (distance / np.linalg.norm(ways, axis=-1))[..., None]
-    return camera.position + ways @ camera.w2c[:3, :3]
-
-
 def test_the_ball_is_where_the_cameras_see_it() -> None:
-    scene = make_scene(9, 10.0, 0)
+    scene = scene_for(192)
     checked = 0
-    for camera in camera_rig(5, 256, 144, float(np.radians(200.0))):
+    for camera in camera_rig(5, 192, 108, float(np.radians(200.0))):
         studio = Studio(scene, camera)
-        for frame in (4, 8):
-            picture, distance = studio.film(frame)
-            centre = ball_place(frame / 10, 0)
-            away = np.linalg.norm(places_seen(distance, camera) - centre, axis=-1)
-            on_ball = np.abs(away - BALL_RADIUS_M) < 1e-3
-            column, row, depth = project(centre[None], camera)[0]
-            radius_px = camera.fx_px * BALL_RADIUS_M / depth
-            if on_ball.sum() < 0.97 * np.pi * radius_px**2:  # partly hidden or cut by the border
+        for frame in (12, 24):
+            picture, depth = studio.film(frame)[0], studio.depth(frame)
+            centre = ball_place(frame / 30, 0)
+            rows, columns = np.mgrid[:108, :192] + 0.5
+            places = camera.unproject(columns, rows, depth.astype(np.float64))
+            on_ball = np.abs(np.linalg.norm(places - centre, axis=-1) - BALL_RADIUS_M) < 0.03
+            column, row, away = project(centre[None], camera)[0]
+            radius_px = camera.fx_px * BALL_RADIUS_M / away
+            is_cut = min(column, row, 192 - column, 108 - row) < radius_px
+            if is_cut or on_ball.sum() < 0.9 * np.pi * radius_px**2:  # or partly hidden
                 continue
             rows, columns = np.nonzero(on_ball)
             assert np.hypot(columns.mean() + 0.5 - column, rows.mean() + 0.5 - row) < 0.7
+            assert np.sqrt(on_ball.sum() / np.pi) < radius_px + 1
             red, green, blue = picture[on_ball].mean(axis=0)
             assert red > green + 30 > blue + 60  # orange in the pictures, too
             checked += 1
     assert checked >= 4
 
 
-def test_points_lie_on_what_the_cameras_see(made: Capture) -> None:
-    assert made.points is not None
-    scene = make_scene(1, 30.0, 0)
-    camera = camera_rig(5, 128, 72, float(np.radians(200.0)))[2]
-    picture, distance = Studio(scene, camera).film(0)
-    columns, rows, depth = project(made.points.xyz, camera).T
-    inside = (depth > 0.1) & (columns >= 0) & (columns < 128) & (rows >= 0) & (rows < 72)
+def test_points_lie_on_what_the_cameras_see() -> None:
+    scene, rig = scene_for(192), camera_rig(5, 192, 108, float(np.radians(200.0)))
+    xyz, rgb = Studio(scene, rig[1]).sample_points(300, np.random.default_rng(0))
+    studio = Studio(scene, rig[2])
+    picture, depths = studio.film(0)[0], studio.depth(0)
+    columns, rows, depth = project(xyz, rig[2]).T
+    inside = (depth > 0.1) & (columns >= 0) & (columns < 192) & (rows >= 0) & (rows < 108)
     at = rows[inside].astype(int), columns[inside].astype(int)
-    away = np.linalg.norm(made.points.xyz[inside] - camera.position, axis=1)
-    seen = np.abs(distance[at] - away) < 0.03 * away  # the others are hidden here
+    seen = np.abs(depths[at] / depth[inside] - 1) < 0.03  # the others are hidden here
     assert seen.mean() > 0.5
-    error = np.abs(picture[at].astype(int) - made.points.rgb[inside])[seen].mean(axis=1)
+    error = np.abs(picture[at].astype(int) - rgb[inside])[seen].mean(axis=1)
     assert np.median(error) < 6
 
 
 def test_the_scene_moves_and_the_room_stands_still() -> None:
-    scene = make_scene(16, 30.0, 0)
-    studio = Studio(scene, camera_rig(3, 96, 54, 1.0)[1])
+    studio = Studio(scene_for(96), camera_rig(3, 96, 54, 1.0)[1])
     pictures = np.stack([studio.film(frame)[0] for frame in (0, 5, 10, 15)]).astype(int)
     change = np.abs(pictures - pictures[0]).max(axis=(0, 3))
     assert 0.03 < (change > 30).mean() < 0.5
     assert (change == 0).mean() > 0.3
+
+
+def test_what_moves_is_hidden_and_shaded_like_the_room() -> None:
+    """A picture of the parts put together is one of all Gaussians at once, whatever hides what."""
+    for walk_m, frame in (WALK_RADIUS_M, 12), (2.6, 0):
+        scene = Scene(30.0, 0, walk_m, spacing_m(96))
+        for camera in camera_rig(4, 96, 54, float(np.radians(200.0))):
+            at_once = Splats.concatenate([scene.moving(frame), scene.room()])
+            wanted = np.clip(render_splats(at_once, camera, 0.05), 0, 1)
+            error = Studio(scene, camera).film(frame)[0] / 255 - wanted
+            assert np.abs(error).mean() < 0.01
 
 
 def test_same_seed_same_bytes_other_seed_other_picture(tmp_path: Path, made: Capture) -> None:
@@ -138,7 +150,7 @@ def test_a_standing_foot_stands(radius_m: float) -> None:
         assert np.ptp(places, axis=0).max() < 1e-9
         assert places[0, 1] == 0.0
     for time_s in np.linspace(0, 3, 40):
-        cones = moving_parts(float(time_s), 1, radius_m).parts.cones
+        cones = np.array([cone.row() for cone in moving_cones(float(time_s), 1, radius_m)])
         lowest = np.maximum(cones[:, 1] + cones[:, 3], cones[:, 5] + cones[:, 7]).max()
         assert lowest < 0.035  # shoes and ball may sink into the floor by no more
 
@@ -149,8 +161,13 @@ def test_on_a_wide_circle_the_figure_passes_right_before_a_camera() -> None:
     assert depths is not None
     nearest = {}
     for radius_m in (WALK_RADIUS_M, 2.5):
-        scene = make_scene(1, 30.0, 22, radius_m)
-        nearest[radius_m] = min(Studio(scene, camera).film(0)[1].min() for camera in cameras)
+        scene = Scene(30.0, 22, radius_m, spacing_m(256))
+        means = np.concatenate([scene.room().means, scene.moving(0).means])
+        nearest[radius_m] = np.inf
+        for camera in cameras:
+            columns, rows, depth = camera.project(means)
+            seen = (depth > 0.1) & (columns >= 0) & (columns < 64) & (rows >= 0) & (rows < 36)
+            nearest[radius_m] = min(nearest[radius_m], float(depth[seen].min()))
     assert nearest[2.5] < 0.6 * depths[0]
     assert nearest[WALK_RADIUS_M] > 0.9 * depths[0]
 
