@@ -11,7 +11,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 WEB = ROOT / "player" / "web"
-NODE_MODULES = ROOT / "tests" / "player" / "web" / "node_modules"
+NODE_MODULES = WEB / "node_modules"
 
 MODULES = {
     "player.js": "element/swingsplayer.js",

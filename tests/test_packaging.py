@@ -163,13 +163,6 @@ def test_the_help_of_the_trainer_waits_for_no_large_library(command: str) -> Non
     assert done.stderr.strip() == ""
 
 
-def test_the_npm_package_needs_node_and_the_standard_library() -> None:
-    program = ROOT / "scripts" / "npmpackage.py"
-    tops = {module.split(".")[0] for module in imported_modules(program)}
-    assert tops <= sys.stdlib_module_names
-    assert "\nscripts/setup" not in program.with_suffix("").read_text()
-
-
 def test_no_module_imports_from_a_command() -> None:
     """A `__main__` is only started; code that others need belongs into a module."""
     for file in house_files():
@@ -235,10 +228,8 @@ def test_a_test_sleeps_for_a_reason_and_is_of_three_kinds() -> None:
     """docs/TESTING.md says which kinds there are."""
     known = {"anyio", "filterwarnings", "parametrize", "skipif", "timeout", "usefixtures", "xfail"}
     known |= {"realtime", "deep"}
-    files = [*python_files("tests"), *(ROOT / "tests").rglob("*.mjs")]
-    for file in files:
-        if "node_modules" in file.parts:
-            continue
+    scripts = [*ROOT.glob("player/web/test/**/*.mjs"), *ROOT.glob("tests/codec/interop/*.mjs")]
+    for file in [*python_files("tests"), *scripts]:
         text = file.read_text(encoding="utf-8")
         for line in text.splitlines():
             assert not re.search(r"sleep\(", line) or re.search(r"(#|//) sleeps: ", line), file

@@ -1,4 +1,4 @@
-"""The browser player as it is installed: the files of player/web, and its bundle under names that
+"""The browser player as it is installed: the files of its bundle, its scripts also under names that
 change with the content."""
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ class Asset:
 
 
 class WebPlayer:
-    """All files of player/web, in memory: a request finds one by its name in a table."""
+    """All files of player/web/bundle, in memory: a request finds one by its name in a table."""
 
     def __init__(self, folder: Path | None = None) -> None:
         """folder: None for the one that is installed. Raises InvalidError where it is not whole."""
         folder = folder or _installed()
         found = {
             path.relative_to(folder).as_posix(): path.read_bytes()
-            for path in sorted(folder.rglob("*"))
+            for path in sorted((folder / _BUNDLE).glob("*"))
             if path.suffix in _TYPES
         }
         bundle = {

@@ -193,7 +193,7 @@ def test_the_image_is_built_and_serves(root: Path, tmp_path: Path) -> None:
     commands = sorted(path.name for path in (opt / "swings/bin").glob("swings-*"))
     assert commands == ["swings-serve", "swings-sign"]
     site = next((opt / "swings/lib").glob("python*/site-packages"))
-    for wanted in ("codec/FORMAT.md", "server/app.py", "player/web/watch.html"):
+    for wanted in ("codec/FORMAT.md", "server/app.py", "player/web/bundle/watch.html"):
         assert (site / wanted).exists(), wanted
     for left_out in ("pip", "numba", "scipy", "matplotlib", "moderngl", "torch"):
         assert not (site / left_out).exists(), left_out

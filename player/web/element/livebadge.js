@@ -7,7 +7,7 @@ const STOPPED_SEGMENTS = 5;
 const LEAST_STOPPED_S = 10;
 
 /** @param {{ fps: number, segmentFrames: number }} manifest */
-export function stoppedAfterS({ fps, segmentFrames }) {
+function stoppedAfterS({ fps, segmentFrames }) {
   return Math.max(LEAST_STOPPED_S, (STOPPED_SEGMENTS * segmentFrames) / fps);
 }
 

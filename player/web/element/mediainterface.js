@@ -216,7 +216,8 @@ export class MediaInterface extends PictureInterface {
 
   /** Loads the stream of `src` again, from its beginning. */
   load() {
-    this.muted = this.muted; // from now on the attribute has no effect, as in HTML
+    const { muted } = this;
+    this.muted = muted; // from now on the attribute has no effect, as in HTML
     this.#unload();
     if (this.player === null) return;
     this.error = null;

@@ -278,6 +278,7 @@ function readPicture(value, what) {
   if (value === null) return null;
   const path = text(value, what);
   const numBytes = new TextEncoder().encode(path).length;
+  // eslint-disable-next-line no-control-regex -- these are what it looks for
   if (numBytes > MAX_POSTER_BYTES || /[\u0000-\u001f\u007f]/.test(path)) {
     throw corrupt(`manifest: ${what} is too long or contains a control character`);
   }

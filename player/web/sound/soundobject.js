@@ -71,7 +71,7 @@ export function checkSpan({ preSkip, packets, positions }, begin, end) {
  * Number of samples that an Opus packet decodes to (RFC 6716, section 3.1). Throws a FormatError.
  * @param {Uint8Array} packet
  */
-export function packetSamples(packet) {
+function packetSamples(packet) {
   if (packet.length === 0) throw corrupt("sound: an empty packet");
   const config = packet[0] >> 3;
   const sizes =

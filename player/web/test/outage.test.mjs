@@ -121,8 +121,8 @@ for (const [what, first] of [
     const host = new VirtualHost(context, answer, delayS);
     const { fetcher, troubles } = fetching();
     const opening = openSource(SERVED, fetcher);
-    let failure = null;
-    let atS = 0;
+    let failure;
+    let atS;
     if (first === null) ({ message: failure, atS } = await failureOf(host, opening));
     else {
       await host.until(() => host.asked.length > 0 && host.waiting.size === 0, isBusy);

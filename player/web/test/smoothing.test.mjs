@@ -30,7 +30,7 @@ function smoothed(
 ) {
   const inbetween = { share: 1, isMoving: moves };
   const line = { zeroMs: performance.timeOrigin, rate: 1 };
-  let isAsked = false;
+  let isAsked;
   const view = {
     session: { line, numFrames: 1000 },
     manifest: { fps, numGs: 1 },

@@ -18,15 +18,13 @@ from codec.stream.reader import StreamReader
 from codec.tools.static import export_static
 from player.render.cpu import render_splats
 from player.render.recipe import ALPHA_MIN
-from scripts.npmpackage import assemble, pack
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.waiting import wait_until
 from tests.support.web.canvas import psnr_db
 from tests.support.web.chromium import Page, why_not
-from tests.support.web.nodeprocess import NODE, SCRIPTS
+from tests.support.web.nodeprocess import NODE, PACKAGES, packed_once
 
 ROOT = Path(__file__).parents[3]
-PACKAGES = SCRIPTS / "node_modules"
 EXAMPLE_HOST = "https://streams.example.com"
 MOST_LINES = 10
 NUM_FRAMES = 30
@@ -34,14 +32,11 @@ NUM_FRAMES = 30
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project folder with the packed package, without its types, in node_modules."""
-    if why_not() is not None or not (PACKAGES / "esbuild").is_dir():
-        pytest.skip("needs the npm packages of the tests: scripts/setup dev")
+    """A project folder with the packed package in node_modules."""
+    if why_not() is not None:
+        pytest.skip(f"{why_not()}")
     path = tmp_path_factory.mktemp("project")
-    (path / "assembled").mkdir()
-    assemble(path / "assembled")
-    tarball = pack(path / "assembled", path)
-    with tarfile.open(tarball) as packed:
+    with tarfile.open(packed_once(tmp_path_factory)) as packed:
         packed.extractall(path / "unpacked", filter="data")
     (path / "npm").mkdir()
     shutil.move(path / "unpacked" / "package", path / "npm" / "swings-player")
@@ -69,11 +64,11 @@ def test_it_has_what_its_description_names(installed: Path) -> None:
     for name, targets in description["exports"].items():
         module = targets["default"] if isinstance(targets, dict) else targets
         assert "*" in name or (package / module).is_file(), name
-    assert {path.name for path in (package / "workers").iterdir()} == {
+    assert {path.name for path in (package / "dist" / "workers").glob("*.js")} == {
         *("feedworker.js", "playworker.js", "sortworker.js")
     }
     # Nothing from the tests, nothing from three.js and other engines.
-    assert sum(path.stat().st_size for path in package.rglob("*")) < 2_000_000
+    assert sum(path.stat().st_size for path in package.rglob("*.js")) < 2_000_000
 
 
 CORE = """
@@ -121,7 +116,7 @@ def test_it_plays_from_a_bundle(page: Page, installed: Path, host: str) -> None:
     (installed / "page.js").write_text('import "swings-player";', encoding="utf-8")
     command = [str(PACKAGES / ".bin" / "esbuild"), "page.js", "--bundle", "--format=esm"]
     subprocess.run([*command, "--outdir=built/app", "--log-level=error"], cwd=installed, check=True)
-    workers = installed / "npm" / "swings-player" / "workers"
+    workers = installed / "npm" / "swings-player" / "dist" / "workers"
     shutil.copytree(workers, installed / "built" / "workers")
     (installed / "bundled.html").write_text(
         f'{PAGE}<script type="module" src="built/app/page.js"></script>'
@@ -133,10 +128,10 @@ def test_it_plays_from_a_bundle(page: Page, installed: Path, host: str) -> None:
 
 def test_a_second_copy_only_warns(page: Page, installed: Path, host: str) -> None:
     """The package runs unbundled from a plain server, beside the player of another folder."""
-    (installed / "other").symlink_to(ROOT / "player" / "web")
+    (installed / "other").symlink_to(ROOT / "player" / "web" / "bundle")
     (installed / "twice.html").write_text(
-        f'{PAGE}<script type="module" src="npm/swings-player/element/swingsplayer.js"></script>'
-        '<script type="module" src="other/element/swingsplayer.js"></script>'
+        f'{PAGE}<script type="module" src="npm/swings-player/dist/element/swingsplayer.js">'
+        '</script><script type="module" src="other/player.js"></script>'
         '<swings-player src="stream" autoplay></swings-player>'
     )
     page.open(f"{host}/twice.html", 160, 120)

@@ -24,6 +24,7 @@ from tests.support.slots.updates import small_layout
 from tests.support.web.browsercode import fields_in_browser
 from tests.support.web.canvas import LEAST_PSNR_DB, psnr_db
 from tests.support.web.chromium import Page
+from tests.support.web.nodeprocess import SCRIPTS
 from tests.support.web.site import player_host, watch
 
 FRAME = 7
@@ -134,7 +135,7 @@ def drawn(
     """(height, width, 3) pictures of FRAME by the browser for each of `cameras`, of one size, and
     for each of the shares."""
     (tmp_path / "player").symlink_to(ROOT / "player")  # render.html takes a picture apart
-    (tmp_path / "render.html").write_bytes((Path(__file__).parent / "render.html").read_bytes())
+    (tmp_path / "render.html").write_bytes((SCRIPTS / "render.html").read_bytes())
     export_static(stream, tmp_path / "static")
     with static_host(tmp_path) as url:
         page.open(f"{url}/render.html")
@@ -152,7 +153,7 @@ def for_browser(camera: Camera) -> dict[str, object]:
     return {**fields_in_browser(camera, names), "w2c": camera.w2c.ravel().tolist()}
 
 
-PROGRAMS = Path(__file__).with_name("programs.js")
+PROGRAMS = SCRIPTS / "programs.js"
 
 NUM_PROGRAMS = {1: 7, 3: 8}
 """By degree of the harmonics: splats, depths, the screen, two that expand what arrives, two that

@@ -17,9 +17,10 @@ from codec.stream.sound import SoundSource
 from tests.support.hosted_streams import static_host
 from tests.support.web.chromium import Page
 from tests.support.web.clicks import CLICK_FRAMES, write_clicking_stream
+from tests.support.web.nodeprocess import SCRIPTS
 from tests.support.web.site import LINKS, player_host
 
-TAP = Path(__file__).with_name("soundtap.js")
+TAP = SCRIPTS / "soundtap.js"
 NUM_FRAMES = 90
 FPS = 30
 CLICK_MS = 1000 * CLICK_FRAMES / FPS

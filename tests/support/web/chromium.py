@@ -8,15 +8,22 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from tests.support.waiting import BOUND_S
-from tests.support.web.nodeprocess import NODE, SCRIPTS, Json, NodeProcess, running_script
+from tests.support.web.nodeprocess import (
+    NO_PACKAGES,
+    NODE,
+    PACKAGES,
+    Json,
+    NodeProcess,
+    running_script,
+)
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 def why_not() -> str | None:
     """The reason why there is no browser; None if there is one."""
-    if NODE is None or not (SCRIPTS / "node_modules" / "playwright-core").is_dir():
-        return "needs Node.js with npm: apt-get install npm, then scripts/setup dev"
+    if NODE is None or not (PACKAGES / "playwright-core").is_dir():
+        return NO_PACKAGES
     if CHROMIUM is None:
         return "needs Chromium: apt-get install chromium"
     return None

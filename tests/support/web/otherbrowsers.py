@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.screen.xserver import x_server
 from tests.support.web.chromium import Page
-from tests.support.web.nodeprocess import NODE, SCRIPTS, running_script
+from tests.support.web.nodeprocess import NO_PACKAGES, NODE, PACKAGES, running_script
 
 FIREFOX = shutil.which("firefox-esr") or shutil.which("firefox")
 WEBKIT_DRIVER = shutil.which("WebKitWebDriver")
@@ -20,8 +20,8 @@ MINI_BROWSERS = sorted(Path("/usr").glob("lib*/**/webkit2gtk-4.*/MiniBrowser"))
 
 def _command(kind: str) -> list[str]:
     """The arguments of otherbrowsers.mjs. Skips the test where there is no such browser."""
-    if NODE is None or not (SCRIPTS / "node_modules" / "puppeteer-core").is_dir():
-        pytest.skip("needs Node.js with npm: apt-get install npm, then scripts/setup dev")
+    if NODE is None or not (PACKAGES / "puppeteer-core").is_dir():
+        pytest.skip(NO_PACKAGES)
     if kind == "firefox":
         if FIREFOX is None:
             pytest.skip("needs Firefox: apt-get install firefox-esr")

@@ -15,9 +15,9 @@ from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 from tests.support.web.canvas import PIXELS
 from tests.support.web.chromium import Page
-from tests.support.web.nodeprocess import SCRIPTS
+from tests.support.web.nodeprocess import PACKAGES
 
-LINKS = {"player": webbundle.WEB / "bundle", "web": webbundle.WEB, "npm": SCRIPTS / "node_modules"}
+LINKS = {"player": webbundle.WEB / "bundle", "web": webbundle.WEB, "npm": PACKAGES}
 """Folders of a host: the bundle, which is what viewers get; the single modules, for tests that
 reach inside of one; and packages of others."""
 

@@ -20,9 +20,10 @@ from tests.support.sounding import add_clicks
 from tests.support.tiny_stream import files_of
 from tests.support.web.browsercode import BrowserCode
 from tests.support.web.chromium import Page
+from tests.support.web.nodeprocess import SCRIPTS
 from tests.support.web.site import LINKS, watch
 
-TAP = Path(__file__).parents[1] / "soundtap.js"
+TAP = SCRIPTS / "soundtap.js"
 NUM_FRAMES = 30
 
 

@@ -220,7 +220,7 @@ def test_a_live_stream_is_followed_to_its_end(page: Page, tmp_path: Path) -> Non
 
 def test_what_is_not_there_and_what_is_no_stream(page: Page, server: ServerProcess) -> None:
     page.expect("404")
-    page.open(f"{server.url}/web/watch.html?src=/v1/streams/nobody", 160, 120)
+    page.open(f"{server.url}/web/bundle/watch.html?src=/v1/streams/nobody", 160, 120)
     page.wait("part('.note:not(.soft)').textContent.includes('HTTP 404')")
 
 

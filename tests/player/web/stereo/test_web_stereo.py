@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,11 +20,11 @@ from tests.support.web.canvas import (
     psnr_db,
 )
 from tests.support.web.chromium import Page
-from tests.support.web.nodeprocess import SCRIPTS, Json
+from tests.support.web.nodeprocess import PACKAGES, SCRIPTS, Json
 from tests.support.web.site import Site
 
-EMULATOR = SCRIPTS / "node_modules" / "iwer" / "build" / "iwer.min.js"
-HEADSET = Path(__file__).with_name("headset.js")
+EMULATOR = PACKAGES / "iwer" / "build" / "iwer.min.js"
+HEADSET = SCRIPTS / "headset.js"
 EMULATED_EYES_M = 1.6
 SIZE_PX = WIDTH_PX, HEIGHT_PX = 640, 320
 IN_HEADSET = "player.headset?.last"

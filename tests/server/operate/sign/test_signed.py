@@ -22,6 +22,7 @@ from tests.support.hosted_streams import write_stream
 from tests.support.server.running_server import parse_records
 from tests.support.waiting import wait_until
 
+WATCH = "/web/bundle/watch.html"
 STREAM = "/v1/streams/walk"
 
 
@@ -133,13 +134,13 @@ def test_no_shared_cache_may_keep_the_answer_to_a_signed_url(
         f"{STREAM}/manifest.json",
         f"{STREAM}/index.bin",
         "/watch/walk",
-        "/web/watch.html",
+        WATCH,
     ):
         assert caching(good + path) == "private, no-cache", path
     assert caching(f"{good}{STREAM}/segments/9/9") == "no-store"
     assert caching(f"{STREAM}/segments/0/0") == "no-store"
     # Files of the player are the same for all who ask without a signature.
-    assert caching("/web/watch.html") == "no-cache"
+    assert caching(WATCH) == "no-cache"
     assert caching(f"{good}{STREAM}/play?layers=1", "GET") == "no-store"
     in_ten_years = signer.sign("walk", soon() + 10 * 366 * 86400)
     found = caching(f"{in_ten_years}{STREAM}/segments/0/0")
@@ -179,8 +180,8 @@ def test_the_log_has_no_signature(folder: Path, tmp_path: Path, signer: Signer) 
         good,
         f"{edge}{STREAM}/segments/0/0",
         f"/web/none?u={edge.replace('/', '%2F').replace('.', '%2E')}",
-        f"/web/watch.html?src=http://host{edge}{STREAM}&{good.replace('.', '%2E')}",
-        f"/web/watch.html?src=http%3A%2F%2Fhost{good.replace('/', '%2F')}%2Fv1%2Fstreams%2Fwalk",
+        f"{WATCH}?src=http://host{edge}{STREAM}&{good.replace('.', '%2E')}",
+        f"{WATCH}?src=http%3A%2F%2Fhost{good.replace('/', '%2F')}%2Fv1%2Fstreams%2Fwalk",
     )
     with server_process(root, tmp_path, "--keys", keys, "--log-requests", "all") as server:
         statuses = [ask(server.port, path).status for path in paths]

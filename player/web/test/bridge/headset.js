@@ -1,3 +1,4 @@
+/* global IWER */
 /**
  * An emulated headset, before the player loads, and what the tests ask the page. The emulator's eyes
  * see as far to each side; these see farther outwards and upwards, as those of real headsets do.

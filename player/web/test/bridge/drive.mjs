@@ -2,6 +2,7 @@
  * Drives a page in a browser as a person would, for the tests: one JSON object a line in, one out.
  */
 import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
 import { createInterface } from "node:readline";
 
 import * as playwright from "playwright-core";
@@ -20,6 +21,7 @@ async function launch(/** @type {"chromium"} */ kind, /** @type {string} */ exec
 }
 
 const [kind, executablePath, boundS, keeps] = process.argv.slice(2);
+const AXE = createRequire(import.meta.url).resolve("axe-core/axe.min.js");
 const BOUND_MS = 1000 * Number(boundS);
 const browser = await launch(/** @type {"chromium"} */ (kind), executablePath);
 /** Runs before all else in a page: the person has been there, so the hint of a first visit is over. */
@@ -160,10 +162,7 @@ const ACTIONS = {
    * element. What fades has faded.
    */
   async axe({ selector }) {
-    const source = await readFile(
-      new URL("node_modules/axe-core/axe.min.js", import.meta.url),
-      "utf8",
-    );
+    const source = await readFile(AXE, "utf8");
     // A page's policy may forbid code made of text; that of a debugger is not the page's own.
     await scene.evaluate(source);
     const faded = `Promise.allSettled(

@@ -4,35 +4,35 @@
  */
 import { createInterface } from "node:readline";
 
-import { copyRows, emptyScene, Scene } from "../../../player/web/feed/scene.js";
-import { FormatError } from "../../../player/web/format/bytes/errors.js";
-import { readManifest } from "../../../player/web/format/manifest.js";
-import { framePly } from "../../../player/web/format/ply.js";
-import { openSource } from "../../../player/web/source/source.js";
-import { readObject } from "../../../player/web/format/objecttable.js";
-import { inflatePacket } from "../../../player/web/format/packet.js";
-import { RecordParser } from "../../../player/web/format/playrecord.js";
-import { SlotDecoder } from "../../../player/web/format/slots/slotdecoder.js";
-import { passingDecoder } from "../../../player/web/format/slots/passing.js";
-import { passingDecoder as bundledDecoder } from "../../../player/web/bundle/passing.js";
-import { SlotLayout } from "../../../player/web/format/slots/slotlayout.js";
-import { EMPTY, ON_LATTICE, UNKNOWN } from "../../../player/web/constants.js";
-import { Fetcher, SourceError } from "../../../player/web/source/fetcher.js";
-import { SegmentCache } from "../../../player/web/source/segmentcache.js";
-import { ChunkFeed } from "../../../player/web/playback/chunkfeed.js";
-import { StreamPlay } from "../../../player/web/playback/streamplay.js";
-import { DepthOrder } from "../../../player/web/renderer/depthorder.js";
-import { readCaptionTracks } from "../../../player/web/captions/captiontracks.js";
-import { readCues, textAt } from "../../../player/web/captions/webvtt.js";
-import { oggOf } from "../../../player/web/sound/ogg.js";
-import { checkSpan, readSoundObject } from "../../../player/web/sound/soundobject.js";
-import { placeAt, readSources } from "../../../player/web/sound/soundsource.js";
-import { Timeline } from "../../../player/web/sound/timeline.js";
-import { Orbit, TURN_RAD_PER_PX } from "../../../player/web/view/orbit.js";
-import { nearOf } from "../../../player/web/view/pose.js";
-import { storyboardLayout } from "../../../player/web/format/storyboard.js";
-import { readIndex } from "../../../player/web/format/streamindex.js";
-import { opacityLogits } from "../../../player/web/format/dequantise.js";
+import { copyRows, emptyScene, Scene } from "../../feed/scene.js";
+import { FormatError } from "../../format/bytes/errors.js";
+import { readManifest } from "../../format/manifest.js";
+import { framePly } from "../../format/ply.js";
+import { openSource } from "../../source/source.js";
+import { readObject } from "../../format/objecttable.js";
+import { inflatePacket } from "../../format/packet.js";
+import { RecordParser } from "../../format/playrecord.js";
+import { SlotDecoder } from "../../format/slots/slotdecoder.js";
+import { passingDecoder } from "../../format/slots/passing.js";
+import { passingDecoder as bundledDecoder } from "../../bundle/passing.js";
+import { SlotLayout } from "../../format/slots/slotlayout.js";
+import { EMPTY, ON_LATTICE, UNKNOWN } from "../../constants.js";
+import { Fetcher, SourceError } from "../../source/fetcher.js";
+import { SegmentCache } from "../../source/segmentcache.js";
+import { ChunkFeed } from "../../playback/chunkfeed.js";
+import { StreamPlay } from "../../playback/streamplay.js";
+import { DepthOrder } from "../../renderer/depthorder.js";
+import { readCaptionTracks } from "../../captions/captiontracks.js";
+import { readCues, textAt } from "../../captions/webvtt.js";
+import { oggOf } from "../../sound/ogg.js";
+import { checkSpan, readSoundObject } from "../../sound/soundobject.js";
+import { placeAt, readSources } from "../../sound/soundsource.js";
+import { Timeline } from "../../sound/timeline.js";
+import { Orbit, TURN_RAD_PER_PX } from "../../view/orbit.js";
+import { nearOf } from "../../view/pose.js";
+import { storyboardLayout } from "../../format/storyboard.js";
+import { readIndex } from "../../format/streamindex.js";
+import { opacityLogits } from "../../format/dequantise.js";
 
 /** @param {ArrayBufferView} array */
 const hex = (array) =>
@@ -84,7 +84,7 @@ function held() {
 /**
  * What is new in each frame from `first` on. Of layers above 0 the objects come `lateness` frames after
  * their segment has begun to show.
- * @param {import("../../../player/web/format/manifest.js").Manifest} manifest
+ * @param {import("../../format/manifest.js").Manifest} manifest
  * @param {Record<string, string>} files
  * @param {number} first
  * @param {number} lateness
@@ -95,7 +95,7 @@ async function* played(manifest, files, first, lateness) {
   const cache = new SegmentCache(manifest);
   const feed = new ChunkFeed(cache, play, manifest, first, manifest.numLayers, 1);
   const last = records[records.length - 1];
-  /** @type {[number, import("../../../player/web/format/streamindex.js").SegmentRecord, string][]} */
+  /** @type {[number, import("../../format/streamindex.js").SegmentRecord, string][]} */
   const coming = records.flatMap((record) =>
     [...manifest.parts].reverse().map((part) => {
       const isLate = part !== "masks" && !part.endsWith("0");
