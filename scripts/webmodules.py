@@ -1,4 +1,4 @@
-"""Writes the modules of player/web that repeat Python and GLSL sources; a test compares them.
+"""Writes the module of player/web that repeats constants of Python; a test compares them.
 
 Run by scripts/webmodules.
 """
@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import re
 import struct
 import tomllib
 from enum import Enum, EnumType
-from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -157,32 +155,14 @@ def constants() -> str:
     return "\n".join([*lines, f" * @typedef {{{union}}} PlayRecord", " */"]) + "\n"
 
 
-WEB_BRANCHES = {
-    r"#ifdef RESIDENT_BUFFER\n.*?#else\n(.*?)#endif\n": r"\1",  # WebGL2 has no storage buffers
-    r"#ifdef STALE_ORDER\n(.*?)#endif\n": r"\1",  # its orders come from another thread
-}
-"""Branches of a shader, and their replacement for the browser."""
-
-
 def camel(name: str) -> str:
     first, *rest = name.split("_")
     return first + "".join(map(str.capitalize, rest))
 
 
-def glsl() -> str:
-    """The shaders that OpenGL and WebGL2 share."""
-    lines = ["/** Written by scripts/webmodules from player/render/gl/shaders. */"]
-    for name in ("splat", "colours", "screen"):
-        text = (files("player.render.gl") / "shaders" / f"{name}.glsl").read_text(encoding="utf-8")
-        for branches, ours in WEB_BRANCHES.items():
-            text = re.sub(branches, ours, text, flags=re.DOTALL)
-        lines += ["", f"export const {name.upper()} = /* glsl */ `", text.rstrip(), "`;"]
-    return "\n".join(lines) + "\n"
-
-
 def modules() -> dict[Path, str]:
     """The text of each generated file."""
-    return {WEB / "constants.js": constants(), WEB / "renderer" / "glsl.js": glsl()}
+    return {WEB / "constants.js": constants()}
 
 
 def main() -> None:

@@ -5,8 +5,8 @@ Usage: scripts/bench pagestart [--rounds N] [--rtt-ms MS]
 swings-serve serves a stream of 10,000 Gaussians like trained ones, behind a TCP proxy that adds
 half of the round trip each way, and a whole round trip for the handshake of each connection.
 Chromium opens the page with an empty cache (cold) and, 2 s after closing it, once more (warm), for
-each page in turn. bundle: the page that the server sends. modules: the page of the sources, with a
-request for each module. The first picture is the first frame of the stream, not its poster. GETs
+each page in turn. bundle: the page that the server sends. frame: the page for frames, which
+expects a static host. The first picture is the first frame of the stream, not its poster. GETs
 and kB: on the link until then, with page, poster and stream.
 """
 
@@ -37,7 +37,7 @@ NUM_GS = 10_000
 ACTIVE = 0.3
 PAGES = {
     "bundle": "/watch/room",
-    "modules": "/web/watch.html?src=/v1/streams/room",
+    "frame": "/web/bundle/watch.html?src=/v1/streams/room",
 }
 REST_S = 2.0
 """Rest before a warm start: Chromium still ends a page for a while after closing it."""

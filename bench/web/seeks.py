@@ -140,7 +140,10 @@ def slow(url: str, path: str, link: Link) -> Iterator[str]:
 @contextmanager
 def on_host(folder: Path, kind: str, name: str, link: Link) -> Iterator[str]:
     if kind == "static host":
-        with static_host(folder) as url, slow(url, "/web/watch.html?src=../", link) as page:
+        with (
+            static_host(folder) as url,
+            slow(url, "/web/bundle/watch.html?src=../../", link) as page,
+        ):
             yield f"{page}{name}-static&autoplay=0"
     else:
         log = folder / "log"

@@ -6,6 +6,7 @@ Everything lies at a fixed relative path, and each file is fetched whole: no ran
 from __future__ import annotations
 
 import hashlib
+import json
 from dataclasses import dataclass, replace
 from html import escape
 from importlib.util import find_spec
@@ -131,8 +132,8 @@ def _copy_pictures(reader: StreamReader, folder: Path) -> None:
 
 
 PAGE_NAME, PLAYER_FOLDER = "index.html", "player"
-INLINE = ("page.js", "watch.html")
-"""Files of the bundle that become part of the page."""
+FOR_PAGES = ("page.js", "watch.html", "manifest.json")
+"""Files of the bundle that a page is made of."""
 TITLE, PLACE = "<title>swings</title>", '="./'
 """Text of the bundle's page that an export replaces."""
 
@@ -144,10 +145,13 @@ def write_page(folder: Path, manifest: Manifest) -> None:
     page = (bundle / "watch.html").read_text(encoding="utf-8")
     title = escape(manifest.title or "swings")
     head = f'<title>{title}</title>\n    <meta property="og:title" content="{title}" />'
+    if manifest.sh_degree >= 2:
+        harmonics = json.loads((bundle / "manifest.json").read_bytes())["harmonics"]
+        head += f'\n    <link rel="modulepreload" href="./{harmonics}" />'
     page = page.replace(TITLE, head, 1).replace(PLACE, f"{PLACE}{PLAYER_FOLDER}/")
     (folder / PLAYER_FOLDER).mkdir()
     for path in sorted(bundle.iterdir()):
-        if path.name not in INLINE:
+        if path.name not in FOR_PAGES and path.suffix != ".map":
             write_atomic(folder / PLAYER_FOLDER / path.name, path.read_bytes())
     write_atomic(folder / PAGE_NAME, page.encode())
 

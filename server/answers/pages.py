@@ -169,7 +169,16 @@ def _watched(stream: ServedStream, origin: str) -> WatchedStream:
     aspect = camera.width_px / camera.height_px
     poster = quote(picture_path(manifest.poster) or "")
     title, about = _title(stream), _about(stream)
-    return WatchedStream(stream.name, title, about, origin, aspect, poster, is_live=stream.live)
+    return WatchedStream(
+        name=stream.name,
+        title=title,
+        about=about,
+        origin=origin,
+        aspect=aspect,
+        poster=poster,
+        is_live=stream.live,
+        sh_degree=manifest.sh_degree,
+    )
 
 
 @routes.get(f"{STREAM}/oembed.json")

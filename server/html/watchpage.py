@@ -49,6 +49,7 @@ class WatchedStream:
     poster_px: tuple[int, int] | None = None
     """Width and height of the poster; None where they are not known."""
     is_live: bool = False
+    sh_degree: int = 0
 
     @property
     def url(self) -> str:
@@ -75,6 +76,7 @@ def watch_page(stream: WatchedStream, player: WebPlayer, shared: bool) -> str:
     """shared: whether anyone may open the page by its address; else the page names no address that
     leads elsewhere than below its own."""
     data = f"../v1/streams/{stream.name}"
+    modules = [*player.modules, *([player.harmonics] if stream.sh_degree >= 2 else [])]
     return rendered(
         "watch.html",
         title=stream.title,
@@ -86,7 +88,7 @@ def watch_page(stream: WatchedStream, player: WebPlayer, shared: bool) -> str:
         data=data,
         file="" if stream.is_live else f"{data}/{DOWNLOAD_NAME}",
         script=player.page_script,
-        modules=[f"../web/{name}" for name in player.modules],
+        modules=[f"../web/{name}" for name in modules],
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -16,9 +17,7 @@ from codec.errors import InvalidError
 
 _TYPES = {".js": "text/javascript", ".html": "text/html"}
 
-_BUNDLE = "bundle/"
-_PAGE_SCRIPT = "page.js"
-_FIRST = ("player.js", "playworker.js", "sortworker.js")
+_BUNDLE = "bundle"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,29 +38,29 @@ class WebPlayer:
 
     def __init__(self, folder: Path | None = None) -> None:
         """folder: None for the one that is installed. Raises InvalidError where it is not whole."""
-        folder = folder or _installed()
-        found = {
-            path.relative_to(folder).as_posix(): path.read_bytes()
-            for path in sorted((folder / _BUNDLE).glob("*"))
-            if path.suffix in _TYPES
-        }
-        bundle = {
-            name.removeprefix(_BUNDLE): data
-            for name, data in found.items()
-            if name.startswith(_BUNDLE) and name.endswith(".js")
-        }
-        if not {_PAGE_SCRIPT, *_FIRST} <= bundle.keys():
-            raise InvalidError(f"{folder} does not hold the browser player; reinstall swings")
-        self.page_script = bundle.pop(_PAGE_SCRIPT).decode().strip()
-        """The script that a page with the player has inline."""
+        folder = (folder or _installed()) / _BUNDLE
+        found = {path.name: path.read_bytes() for path in folder.glob("*") if path.suffix in _TYPES}
+        try:
+            described = json.loads((folder / "manifest.json").read_bytes())
+            first, harmonics = described["first"]["served"], described["harmonics"]
+            self.page_script = found["page.js"].decode().strip()
+            """The script that a page with the player has inline."""
+            if not all(found[name] for name in (*first, harmonics)):
+                raise KeyError("an empty script")
+        except (OSError, KeyError, ValueError) as error:
+            message = f"{folder} does not hold the browser player; reinstall swings"
+            raise InvalidError(message) from error
+        scripts = [name for name in sorted(found) if name.endswith(".js")]
         # One hash for all of them: they name each other by relative URLs.
-        version = hashlib.sha256(b"".join(bundle.values())).hexdigest()[:16]
-        versioned = {name: f"bundle-{version}/{name}" for name in bundle}
-        self.modules = tuple(versioned[name] for name in _FIRST)
+        together = b"".join(found[name] for name in scripts)
+        version = f"{_BUNDLE}-{hashlib.sha256(together).hexdigest()[:16]}"
+        self.modules = tuple(f"{version}/{name}" for name in first)
         """Names of the modules that a page begins with; the first one is the element."""
+        self.harmonics = f"{version}/{harmonics}"
+        """The module that a stream with harmonics of degree 2 or 3 needs, too."""
         self.assets: Mapping[str, Asset] = {
-            name: _asset(name, data) for name, data in found.items()
-        } | {versioned[name]: _asset(name, bundle[name], immutable=True) for name in bundle}
+            f"{_BUNDLE}/{name}": _asset(name, data) for name, data in found.items()
+        } | {f"{version}/{name}": _asset(name, found[name], immutable=True) for name in scripts}
 
 
 def _installed() -> Path:

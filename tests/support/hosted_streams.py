@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import io
+import json
 import subprocess
 import sys
 import threading
@@ -135,6 +137,19 @@ def static_host(
     link = threading.Lock()
 
     class Handler(SimpleHTTPRequestHandler):
+        def send_head(self) -> Any:
+            """For modules of player/web, a shader or a style is one, too (tools/textmodules.js)."""
+            file = Path(self.translate_path(self.path))
+            is_text = file.suffix in (".glsl", ".css") and file.is_file()
+            if not is_text or self.headers["Sec-Fetch-Dest"] != "script":
+                return super().send_head()
+            data = f"export default {json.dumps(file.read_text())};".encode()
+            self.send_response(200)
+            self.send_header("Content-Type", "text/javascript")
+            self.send_header("Content-Length", f"{len(data)}")
+            self.end_headers()
+            return io.BytesIO(data)
+
         def end_headers(self) -> None:
             if cors:
                 self.send_header("Access-Control-Allow-Origin", "*")

@@ -1,8 +1,10 @@
 import { liftCameraKey } from "../view/camerakeys.js";
+import { CameraMotion } from "../view/cameramotion.js";
 import { listenToGestures } from "./gestures.js";
 import { Gyroscope } from "./gyroscope.js";
+import { prefersStill } from "./motion.js";
 
-/** All controls of the camera except key presses (view/camerakeys.js): gestures, gyroscope, key releases. */
+/** All controls of the camera except key presses (view/camerakeys.js): its motion, gestures, gyroscope, key releases. */
 export class CameraControls {
   /**
    * @param {HTMLElement} host
@@ -11,6 +13,7 @@ export class CameraControls {
    * @param {AbortSignal} signal ends the listening
    */
   constructor(host, surface, player, signal) {
+    player.view.steer((scene, orbit) => new CameraMotion(scene, prefersStill, orbit));
     this.gyroscope = new Gyroscope(player);
     signal.addEventListener("abort", () => this.gyroscope.end());
     listenToGestures(surface, player, signal);

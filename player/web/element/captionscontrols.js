@@ -9,18 +9,6 @@ import { drawn, node } from "./nodes.js";
 const ICON =
   "M4 5h16a1 1 0 0 1 1 1v12a1 1 0 0 1-1 1H4a1 1 0 0 1-1-1V6a1 1 0 0 1 1-1zm6.5 5.5a3 3 0 1 0 0 3l-1.3-.8a1.5 1.5 0 1 1 0-1.4zm7 0a3 3 0 1 0 0 3l-1.3-.8a1.5 1.5 0 1 1 0-1.4z";
 
-export const CAPTIONS_STYLE = /* css */ `
-.captions {
-  position: absolute; inset-inline: 0; bottom: calc(1.5 * max(var(--least), 2cqw) + 40px);
-  margin-inline: auto; width: fit-content; max-width: 86%; box-sizing: border-box; padding: 0.15em 0.6em; border-radius: 6px; background: rgb(0 0 0 / 0.78); color: #fff;
-  font-size: clamp(14px, 2.4cqw, 44px); line-height: 1.35; text-align: center; white-space: pre-line;
-  overflow-wrap: anywhere; pointer-events: none; unicode-bidi: plaintext;
-}
-.captions:empty { display: none; }
-@container (max-height: 260px) { .captions { bottom: calc(var(--least) + 28px); padding-block: 0; } }
-@media (forced-colors: active) { .captions { border: 1px solid CanvasText; background: Canvas; color: CanvasText; } }
-`;
-
 /** Captions over the picture, and their button in the bar, which cycles through the languages and off. */
 export class CaptionsControls {
   /** @type {import("../captions/captiontracks.js").CaptionTrack[]} */

@@ -17,8 +17,8 @@ import { isPacked } from "../source/addresses.js";
  * The commands of a player, in the order of the bar and of the menu.
  * @param {import("./swingsplayer.js").SwingsPlayerElement} element
  * @param {import("./stereocontrols.js").StereoControls} stereo
- * @param {import("./lazypart.js").LazyPart<import("./sharing.js").Sharing>} sharing
- * @param {import("./lazypart.js").LazyPart<import("./panels.js").Panels>} panels
+ * @param {import("./sharing.js").Sharing} sharing
+ * @param {() => import("./panels.js").Panels} panels which are made of the commands
  * @returns {Command[]}
  */
 export function commandsOf(element, stereo, sharing, panels) {
@@ -31,7 +31,7 @@ export function commandsOf(element, stereo, sharing, panels) {
       icon: "share",
       key: "",
       isInBar: true,
-      run: () => sharing.use((part) => part.share()),
+      run: () => sharing.share(),
     },
     {
       name: "reset",
@@ -78,46 +78,46 @@ export function commandsOf(element, stereo, sharing, panels) {
       label: "Picture in picture",
       key: "",
       isThere: () => document.pictureInPictureEnabled ?? false,
-      run: () => sharing.use((part) => part.openPictureInPicture()),
+      run: () => sharing.openPictureInPicture(),
     },
     {
       name: "download",
       label: "Download the video",
       key: "",
       isThere: () => fileOf(element) !== null,
-      run: () => sharing.use((part) => part.download(fileOf(element) ?? "")),
+      run: () => sharing.download(fileOf(element) ?? ""),
     },
     {
       name: "save",
       label: "Download this picture",
       key: "",
-      run: () => sharing.use((part) => part.savePicture()),
+      run: () => sharing.savePicture(),
     },
     {
       name: "save-frame",
       label: "Download this frame as PLY",
       key: "",
-      run: () => sharing.use((part) => part.saveFrame()),
+      run: () => sharing.saveFrame(),
     },
     {
       name: "embed",
       label: "Copy the embed code",
       key: "",
-      run: () => sharing.use((part) => part.copyEmbedCode()),
+      run: () => sharing.copyEmbedCode(),
     },
     {
       name: "statistics",
       label: "Statistics",
       key: "i",
       run: () => element.toggleStats(),
-      isOn: () => panels.part?.statistics.isOn ?? false,
+      isOn: () => panels().statistics.isOn,
     },
     {
       name: "keys",
       label: "Keys",
       key: "?",
       isThere: () => matchMedia("(any-pointer: fine)").matches,
-      run: () => panels.use(({ keyList }) => keyList.toggle()),
+      run: () => panels().keyList.toggle(),
     },
     {
       name: "headset",

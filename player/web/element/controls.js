@@ -9,16 +9,17 @@ import { BarVisibility } from "./barvisibility.js";
 import { CameraControls } from "./cameracontrols.js";
 import { choicesOf } from "./choices.js";
 import { commandsOf } from "./commands.js";
-import { CONTROLS_STYLE } from "./controlsstyle.js";
+import CONTROLS_STYLE from "./controls.css";
 import { Failure } from "./failure.js";
 import { FullScreen } from "./fullscreen.js";
 import { keysOf, pressKey } from "./keys.js";
-import { LazyPart } from "./lazypart.js";
 import { LiveBadge } from "./livebadge.js";
 import { hintToLook } from "./lookhint.js";
 import { prefersStill } from "./motion.js";
 import { addStyle } from "./nodes.js";
+import { Panels } from "./panels.js";
 import { Scrubber } from "./scrubber.js";
+import { Sharing } from "./sharing.js";
 import { StereoControls } from "./stereocontrols.js";
 import { Turntable } from "../view/turntable.js";
 
@@ -55,24 +56,8 @@ export class Controls {
     this.frame = frame;
     this.signal = signal;
     addStyle(frame, SHEET);
-    const notLoaded = (/** @type {unknown} */ error) => {
-      console.warn("swings: a part of the controls could not be loaded:", error);
-      hints.say("This could not be loaded; check the network and try again", LONG_MS);
-    };
     this.failure = new Failure(() => element.retry());
-    /** @type {LazyPart<import("./sharing.js").Sharing>} */
-    this.sharing = new LazyPart(async () => {
-      const { Sharing } = await import("./extras.js");
-      return new Sharing(element, (message, forMs) => hints.say(message, forMs));
-    }, notLoaded);
-    /** @type {LazyPart<import("./panels.js").Panels>} */
-    this.panels = new LazyPart(async () => {
-      const { Panels } = await import("./extras.js");
-      if (signal.aborted) return null;
-      return new Panels(player, place, { bar: this.bar, choices, commands, actions }, () =>
-        this.visibility.wake(),
-      );
-    }, notLoaded);
+    this.sharing = new Sharing(element, (message, forMs) => hints.say(message, forMs));
     const stereo = new StereoControls(player, (message) => hints.say(message, LONG_MS));
     this.scrubber = new Scrubber(player, signal);
     this.live = new LiveBadge(
@@ -86,7 +71,8 @@ export class Controls {
       signal,
     );
     this.live.root.addEventListener("click", () => element.goLive());
-    const commands = (this.commands = commandsOf(element, stereo, this.sharing, this.panels));
+    /** @type {import("./commands.js").Command[]} */
+    const commands = (this.commands = commandsOf(element, stereo, this.sharing, () => this.panels));
     for (const command of commands) {
       const { run } = command;
       command.run = () => {
@@ -103,14 +89,16 @@ export class Controls {
     this.bar = new Bar(this.scrubber, this.live.root, choices, commands, {
       togglePlaying: () => element.togglePlaying(),
       toggleFullScreen: () => this.fullScreen.toggle(),
-      openMenu: (opener, at) => this.panels.use(({ menu }) => menu.openFor(opener, at)),
+      openMenu: (opener, at) => this.panels.menu.openFor(opener, at),
     });
+    const actions = (this.actions = keysOf(element, player, commands));
+    const parts = { bar: this.bar, choices, commands, actions };
+    this.panels = new Panels(player, place, parts, () => this.visibility.wake());
     this.bar.follow(signal);
     const plays = () => player.isStill || (!element.paused && !this.live.hasStopped);
-    const isInUse = () => this.panels.part?.isInUse || this.scrubber.isScrubbing;
+    const isInUse = () => this.panels.isInUse || this.scrubber.isScrubbing;
     this.visibility = new BarVisibility(frame, canvas, plays, isInUse, setIdle);
     this.visibility.listen(element, () => this.fullScreen.toggle(), signal);
-    const actions = (this.actions = keysOf(element, player, commands));
     this.camera = new CameraControls(element, canvas, player, signal);
     const { headset } = this.bar;
     stereo.watch((isThere) => (headset.hidden = !isThere), signal);
@@ -139,8 +127,8 @@ export class Controls {
     on("pointerdown", (event) => {
       frame.classList.remove("tabbed");
       const path = event.composedPath();
-      const menu = this.panels.part?.menu;
-      if (menu && !path.includes(menu.root) && !path.includes(menu.opener)) menu.close(false);
+      const { menu } = this.panels;
+      if (!path.includes(menu.root) && !path.includes(menu.opener)) menu.close(false);
     });
     // The focus ring shows after Tab, but not after any other key.
     on("keyup", ({ key }) => {
@@ -167,7 +155,7 @@ export class Controls {
 
   async #showSlides() {
     try {
-      const { SlideShow } = await import("./extras.js");
+      const { SlideShow } = await import("./slideshow.js");
       if (!this.failure.isFinal || this.#slides !== null) return; // another stream was opened
       this.#slides = new SlideShow(this.player);
       this.failure.root.before(this.#slides.root);
@@ -222,7 +210,7 @@ export class Controls {
 
   #close() {
     this.fullScreen.leave();
-    this.panels.part?.statistics.close();
+    this.panels.statistics.close();
     this.scrubber.close();
     this.clearFailure();
     this.failure.root.remove();

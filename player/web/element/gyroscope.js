@@ -1,11 +1,5 @@
 import { deviceTurn, turnBetween } from "../view/deviceturn.js";
 
-/** Whether this device may report its orientation. Many computers define the event but never send it. */
-export function hasGyroscope() {
-  const isTouched = globalThis.matchMedia?.("(pointer: coarse)").matches ?? false;
-  return isTouched && globalThis.isSecureContext && "DeviceOrientationEvent" in globalThis;
-}
-
 /** Turns the camera with the phone's orientation. Events: `change` (this.isOn). */
 export class Gyroscope extends EventTarget {
   isOn = false;

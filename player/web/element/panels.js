@@ -1,7 +1,7 @@
 import { KeyList } from "./keylist.js";
 import { Menu } from "./menu.js";
 import { addStyle } from "./nodes.js";
-import { PANEL_STYLE } from "./panelstyle.js";
+import PANEL_STYLE from "./panels.css";
 import { Statistics } from "./statistics.js";
 
 /** Shared by all elements. */

@@ -11,6 +11,8 @@ export class PictureInterface extends MediaAttributes {
   #frameCallbacks = new FrameCallbacks();
   /** @type {Capture | null} */
   #capture = null;
+  /** @type {import("./pictureinpicture.js").PictureInPicture | null} */
+  #window = null;
   /** @type {(() => void) | null} lets the player pause out of view again */
   #release = null;
   #sizePx = [0, 0];
@@ -59,7 +61,10 @@ export class PictureInterface extends MediaAttributes {
     if (this.videoWidth === 0) {
       throw new DOMException("the stream is not open yet", "InvalidStateError");
     }
-    const opening = this.#capturing().pictureInPicture();
+    const capture = this.#capturing();
+    const { PictureInPicture } = await import("./pictureinpicture.js");
+    this.#window ??= new PictureInPicture(capture, this);
+    const opening = this.#window.open();
     this.#redraw();
     return opening;
   }
@@ -92,6 +97,8 @@ export class PictureInterface extends MediaAttributes {
 
   /** @protected Ends all captures of this player. */
   endCapture() {
+    this.#window?.close();
+    this.#window = null;
     this.#capture?.close();
     this.#capture = null;
     this.keepDrawing();
@@ -108,7 +115,7 @@ export class PictureInterface extends MediaAttributes {
     if (player === null) {
       throw new DOMException("the element is in no page", "InvalidStateError");
     }
-    this.#capture ??= new Capture(player.canvas, this);
+    this.#capture ??= new Capture(player.canvas);
     return this.#capture;
   }
 }

@@ -1,20 +1,16 @@
 import { Painter } from "../renderer/painter.js";
-import { EYE_DISTANCE_M, oneEye, sideBySide } from "../stereo/eyes.js";
-import { CameraMotion } from "../view/cameramotion.js";
+import { Orbit } from "../view/orbit.js";
 import { nearOf, pointAt, poseOf } from "../view/pose.js";
-import { length, subtract } from "../view/vectors.js";
 import { CanvasSize } from "./canvassize.js";
 import { FrameLoop } from "./frameloop.js";
-import { prefersStill } from "./motion.js";
 
-/** Side by side, the minimum distance from the eyes to the plane of the screen. */
-const LEAST_FOCUS_M = 0.5;
 /** If a request waits for longer than this, the browser is not drawing this page. */
 const IDLE_MS = 100;
 
 /** @typedef {import("../playback/playerworkers.js").PlayerWorkers} PlayerWorkers */
 /** @typedef {import("../playback/sortworker.js").SortedFrame} SortedFrame */
 /** @typedef {import("../stereo/headset.js").Headset} Headset */
+/** @typedef {(scene: import("../view/orbit.js").OrbitScene, orbit: Orbit) => import("../view/cameramotion.js").CameraMotion} MakeMotion */
 
 /**
  * Durations of the last frame, and the picture rate.
@@ -50,8 +46,14 @@ export class SceneView extends EventTarget {
     this.painter = new Painter(canvas);
     this.loop = new FrameLoop((nowMs) => this.#drawOnCanvas(nowMs));
     this.size = new CanvasSize(canvas, () => this.redraw());
-    /** @type {CameraMotion | null} */
+    /** @type {Orbit | null} the camera's position and direction; null until a stream is open */
+    this.orbit = null;
+    /** @type {import("../view/cameramotion.js").CameraMotion | null} null until `steer`, or until a stream is open */
     this.motion = null;
+    /** @type {typeof import("../renderer/colourpass.js").ColourPass | null} null until a stream needs it */
+    this.ColourPass = null;
+    /** @type {MakeMotion | null} */
+    this.makeMotion = null;
     /** @type {any} the manifest of the open stream */
     this.manifest = null;
     /** @type {PlayerWorkers | null} */
@@ -64,8 +66,8 @@ export class SceneView extends EventTarget {
     this.shownFrame = -1;
     /** Number of seeks that had been made when the worker showed that frame. */
     this.lastSeeks = 0;
-    this.isSideBySide = false;
-    this.eyeDistanceM = EYE_DISTANCE_M;
+    /** @type {typeof import("../stereo/eyes.js").eyesAt | null} two pictures in place of one, if set */
+    this.eyesAt = null;
     /** @type {Headset | null} set while a headset shows the scene in place of the canvas */
     this.headset = null;
     this.isDisposed = false;
@@ -82,24 +84,31 @@ export class SceneView extends EventTarget {
     });
   }
 
+  /** Loads what only some streams need. @param {any} manifest */
+  async load(manifest) {
+    if (manifest.shDegree < 2) return;
+    ({ ColourPass: this.ColourPass } = await import("../renderer/colourpass.js"));
+  }
+
   /**
-   * Prepares to draw another stream, or the same one again. Throws a RendererError without WebGL2, or if
+   * Prepares to draw another stream, or the same one again, after `load`. Throws a RendererError without WebGL2, or if
    * the device cannot hold the stream.
    * @param {any} manifest
    * @param {PlayerWorkers} workers
    */
   show(manifest, workers) {
     const { painter, size } = this;
-    this.motion ??= new CameraMotion(manifest, prefersStill); // a player that was parked keeps its camera
+    this.orbit ??= new Orbit(manifest); // a player that was parked keeps its camera
+    this.motion ??= this.makeMotion?.(manifest, this.orbit) ?? null;
     this.manifest = manifest;
     this.workers = workers;
-    this.sorted = null;
     this.isEmpty = true;
     // Later, this call would block the page until the device has finished all work queued by then.
     painter.context.fit(size.widthPx, size.heightPx);
     painter.prepare({
       numSlots: manifest.numGs,
       shDegree: manifest.shDegree,
+      ColourPass: manifest.shDegree < 2 ? null : this.ColourPass,
       nearM: Math.min(manifest.nearM, ...manifest.cameraNearM), // the order omits Gaussians nearer than that
       lattices: manifest.lattices,
     });
@@ -139,9 +148,12 @@ export class SceneView extends EventTarget {
     return this.sorted === null && !isMoving && (this.workers?.isSettled ?? true);
   }
 
-  /** The camera's position and direction; null until a stream is open. */
-  get orbit() {
-    return this.motion?.orbit ?? null;
+  /** Lets viewers move the camera, of this stream and of later ones. @param {MakeMotion} make */
+  steer(make) {
+    this.makeMotion = make;
+    if (this.manifest !== null && this.orbit !== null) {
+      this.motion = make(this.manifest, this.orbit);
+    }
   }
 
   /**
@@ -161,7 +173,7 @@ export class SceneView extends EventTarget {
   /** The current camera, with the size of the canvas, or of half the canvas side by side. */
   get camera() {
     const { orbit, manifest, size } = this;
-    const widthPx = this.isSideBySide ? Math.max(1, size.widthPx >> 1) : size.widthPx;
+    const widthPx = this.eyesAt !== null ? Math.max(1, size.widthPx >> 1) : size.widthPx;
     return orbit?.camera(manifest.defaultCamera, widthPx, size.heightPx) ?? null;
   }
 
@@ -170,7 +182,7 @@ export class SceneView extends EventTarget {
    * gesture. Throws a HeadsetError.
    */
   async enterHeadset() {
-    const { Headset } = await import("./extras.js");
+    const { Headset } = await import("../stereo/headset.js");
     const headset = await Headset.begin(this.painter.context.gl);
     if (this.isDisposed) {
       headset.end();
@@ -195,10 +207,7 @@ export class SceneView extends EventTarget {
     if (this.motion?.step(nowMs)) this.redraw();
     const { camera, orbit } = this;
     if (camera === null || orbit === null) return;
-    const focusM = length(subtract(orbit.centre, poseOf(camera).position));
-    const viewpoint = this.isSideBySide
-      ? sideBySide(camera, this.eyeDistanceM, Math.max(focusM, LEAST_FOCUS_M))
-      : oneEye(camera);
+    const viewpoint = this.eyesAt?.(camera, orbit.centre) ?? oneEye(camera);
     this.#draw(viewpoint, nowMs);
   }
 
@@ -275,6 +284,7 @@ export class SceneView extends EventTarget {
   close() {
     this.release();
     this.manifest = null;
+    this.orbit = null;
     this.motion = null;
     this.shownFrame = -1;
   }
@@ -299,4 +309,13 @@ function joined(earlier, later) {
   if (later.isWhole) return later;
   const updates = [...earlier.updates, ...later.updates];
   return { ...later, isWhole: earlier.isWhole, updates };
+}
+
+/**
+ * One eye on the whole canvas.
+ * @param {import("../format/camera.js").Camera} camera
+ * @returns {import("../stereo/eyes.js").Viewpoint}
+ */
+function oneEye(camera) {
+  return { w2c: camera.w2c, views: [{ camera, corner: { xPx: 0, yPx: 0 } }], framebuffer: null };
 }

@@ -1,5 +1,6 @@
 import { isBehind } from "../source/liveedge.js";
 import { node } from "./nodes.js";
+import { Storyboard } from "./storyboard.js";
 import { frameTimeText, positionText } from "./timetext.js";
 
 const THUMB_PX = 14;
@@ -13,7 +14,7 @@ export class Scrubber {
   #scrubbing = false;
   #request = 0;
   #track = "";
-  /** @type {import("./storyboard.js").Storyboard | null} null until the first stream that has one */
+  /** @type {Storyboard | null} null until the first stream that has one */
   #storyboard = null;
   /** The frame that the preview shows. */
   #previewed = 0;
@@ -102,18 +103,11 @@ export class Scrubber {
     preview.style.left = `${Math.max(halfPx, Math.min(widthPx - halfPx, atPx))}px`;
   }
 
-  async #showPicture() {
+  #showPicture() {
     const { player, preview } = this;
     if (!player.manifest?.storyboard) return;
     if (this.#storyboard === null) {
-      let Storyboard;
-      try {
-        ({ Storyboard } = await import("./extras.js"));
-      } catch (error) {
-        console.warn("swings: the pictures over the scrub bar could not be loaded:", error);
-        return; // the time still shows
-      }
-      this.#storyboard ??= new Storyboard();
+      this.#storyboard = new Storyboard();
       preview.prepend(this.#storyboard.root);
     }
     this.#storyboard.show(player, this.#previewed);

@@ -132,9 +132,7 @@ export class Sharing {
 
 /** The page beside this code. */
 function pageUrl() {
-  // @ts-ignore scripts/webbundle defines it
-  if (typeof SWINGS_BUNDLE === "undefined") return new URL("../watch.html", import.meta.url).href;
+  const { href } = new URL("../watch.html", import.meta.url);
   // A server also has the bundle under a name that changes with its content; a link has to last.
-  const lasting = import.meta.url.replace(/\/bundle-[0-9a-f]{16}\//, "/bundle/");
-  return new URL("./watch.html", lasting).href;
+  return href.replace(/\/bundle-[0-9a-f]{16}\//, "/bundle/");
 }

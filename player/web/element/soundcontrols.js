@@ -6,17 +6,6 @@ const ICONS = {
   silent: `${SPEAKER}M15.4 8L14 9.4l2.6 2.6-2.6 2.6 1.4 1.4 2.6-2.6 2.6 2.6 1.4-1.4-2.6-2.6L22 9.4 20.6 8 18 10.6z`,
 };
 
-export const SOUND_STYLE = /* css */ `
-.row .volume { width: clamp(64px, 6cqw, 140px); height: var(--button); }
-.unmute {
-  position: absolute; right: 12px; top: 12px; min-height: max(36px, var(--least)); padding: 0 1em;
-  background: #e8e8ea; color: #111; font-weight: 600; --icon: 1.5em;
-}
-.unmute:hover { background: #fff; }
-.unmute svg { margin-right: 0.4em; }
-@media (forced-colors: active) { .unmute { border: 1px solid CanvasText; background: Canvas; color: CanvasText; } }
-`;
-
 /** Mute and volume in the bar, and a button over the picture if the browser requires a user gesture. */
 export class SoundControls {
   /** @param {import("./mediainterface.js").MediaInterface} element */

@@ -1,3 +1,5 @@
+import { eyesAt } from "../stereo/eyes.js";
+
 /** The commands for side-by-side pictures and VR. */
 export class StereoControls {
   #isStarting = false;
@@ -33,7 +35,7 @@ export class StereoControls {
       report(this.isThere);
       if (!this.isThere) return;
       // A session has to begin within the click that requests it, so the code is loaded in advance.
-      await import("./extras.js").catch((error) =>
+      await import("../stereo/headset.js").catch((error) =>
         console.warn("swings: the code for headsets could not be loaded:", error),
       );
     };
@@ -42,7 +44,7 @@ export class StereoControls {
   }
 
   toggleSideBySide() {
-    this.player.setSideBySide(!this.player.isSideBySide);
+    this.player.setSideBySide(this.player.isSideBySide ? null : eyesAt);
   }
 
   async toggleHeadset() {
@@ -56,8 +58,8 @@ export class StereoControls {
     try {
       await player.enterHeadset();
     } catch (error) {
-      // `instanceof` would fail: a bundle and the code loaded later do not share a class.
-      if (!(error instanceof Error) || error.name !== "HeadsetError") throw error;
+      const { HeadsetError } = await import("../stereo/headset.js");
+      if (!(error instanceof HeadsetError)) throw error;
       this.hint(error.message);
     } finally {
       this.#isStarting = false;

@@ -202,7 +202,11 @@ export class StreamSession extends EventTarget {
     }
   }
 
-  /** Called when the stream is open. @param {boolean} isFirst whether for the first time */
+  /**
+   * Called when the stream is open.
+   * @param {boolean} isFirst whether for the first time
+   * @returns {void | Promise<void>}
+   */
   onOpened(isFirst) {
     if (isFirst) this.dispatch("opened");
   }

@@ -1,16 +1,19 @@
 import { PLAYER_VERSION } from "../constants.js";
 import { pictureUrl } from "../source/pictures.js";
 import { shareAt } from "../view/framing.js";
-import { hasGyroscope } from "./gyroscope.js";
 import { Hints } from "./hints.js";
 import { LazyPart } from "./lazypart.js";
 import { MediaInterface } from "./mediainterface.js";
-import { prefersStill } from "./motion.js";
+import { hasGyroscope, prefersStill } from "./motion.js";
 import { node } from "./nodes.js";
+import OVERLAY_STYLE from "./overlay.css";
 import { Overlay } from "./overlay.js";
 import { NETWORK } from "./readiness.js";
-import { STYLE } from "./style.js";
+import STYLE from "./style.css";
 import { WebPlayer } from "./webplayer.js";
+
+/** @typedef {import("../format/camera.js").Camera} Camera */
+/** @typedef {import("../view/cameramotion.js").CameraMotion} CameraMotion */
 
 const LONG_MS = 10_000;
 
@@ -63,7 +66,7 @@ export class SwingsPlayerElement extends MediaInterface {
     const root = this.attachShadow({ mode: "open", delegatesFocus: true });
     // A page's content security policy may forbid a <style>.
     const sheet = new CSSStyleSheet();
-    sheet.replaceSync(STYLE);
+    sheet.replaceSync(STYLE + OVERLAY_STYLE);
     root.adoptedStyleSheets = [sheet];
     root.append(this.#frame);
   }
@@ -308,19 +311,24 @@ export class SwingsPlayerElement extends MediaInterface {
   }
 
   toggleFlying() {
-    const { player } = this;
-    player?.motion?.fly(!player.motion.isFlying);
-    player?.moved();
+    this.#steer((motion) => motion.fly(!motion.isFlying));
   }
 
   resetView() {
-    this.player?.motion?.reset();
-    this.player?.moved();
+    this.#steer((motion) => motion.reset());
+  }
+
+  /** Moves the camera, once the code for that is loaded. @param {(motion: CameraMotion) => void} action */
+  #steer(action) {
+    this.#controls?.use(({ player }) => {
+      if (player.motion !== null) action(player.motion);
+      player.moved();
+    });
   }
 
   /** Names of the rig's cameras, for `flyToCamera`; none until `loadedmetadata`. @returns {string[]} */
   get cameras() {
-    return this.player?.motion?.cameras.map(({ name }) => name) ?? [];
+    return this.player?.manifest?.cameras.map((/** @type {Camera} */ { name }) => name) ?? [];
   }
 
   /** Flies to a camera of the rig. @param {number} index into `cameras` */
@@ -328,7 +336,7 @@ export class SwingsPlayerElement extends MediaInterface {
     if (!Number.isInteger(index)) {
       throw new RangeError(`flyToCamera: ${index} is not the index of a camera`);
     }
-    this.player?.flyToCamera(index);
+    this.#steer((motion) => motion.flyToCamera(index));
   }
 
   /** Whether this device's orientation may be able to turn the camera. */
@@ -356,11 +364,11 @@ export class SwingsPlayerElement extends MediaInterface {
 
   /** Copies a link that opens the page at the current time and view. */
   async copyLink() {
-    await this.#controls?.use(({ sharing }) => sharing.use((part) => part.copyLink()));
+    await this.#controls?.use(({ sharing }) => sharing.copyLink());
   }
 
   toggleStats() {
-    this.#controls?.use(({ panels }) => panels.use(({ statistics }) => statistics.toggle()));
+    this.#controls?.use(({ panels }) => panels.statistics.toggle());
   }
 
   /** Opens the stream again after a failure, at the time, rate and view it had. */

@@ -3,11 +3,13 @@
  * it in a separate file.
  */
 
-import { CAPTIONS_STYLE, CaptionsControls } from "./captionscontrols.js";
+import CAPTIONS_STYLE from "./captions.css";
+import { CaptionsControls } from "./captionscontrols.js";
 import { addStyle } from "./nodes.js";
 import { RemoteControl } from "./remotecontrol.js";
 import { SoundPlay } from "../sound/soundplay.js";
-import { SOUND_STYLE, SoundControls } from "./soundcontrols.js";
+import SOUND_STYLE from "./sound.css";
+import { SoundControls } from "./soundcontrols.js";
 
 const LONG_MS = 10_000;
 

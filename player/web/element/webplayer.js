@@ -115,12 +115,6 @@ export class WebPlayer extends StreamSession {
     this.view.redraw();
   }
 
-  /** Flies to a camera of the rig. @param {number} index */
-  flyToCamera(index) {
-    this.motion?.flyToCamera(index);
-    this.moved();
-  }
-
   /**
    * Flies to the point of the scene at a place of the canvas, and turns around it from then on.
    * @param {number} xPx from the left, in CSS pixels
@@ -135,9 +129,12 @@ export class WebPlayer extends StreamSession {
     return true;
   }
 
-  /** Shows two pictures, for the left and the right eye, or one. @param {boolean} isOn */
-  setSideBySide(isOn) {
-    this.view.isSideBySide = isOn;
+  /**
+   * Shows two pictures, for the left and the right eye, or one.
+   * @param {typeof import("../stereo/eyes.js").eyesAt | null} eyesAt null: one
+   */
+  setSideBySide(eyesAt) {
+    this.view.eyesAt = eyesAt;
     this.view.redraw();
   }
 
@@ -185,9 +182,17 @@ export class WebPlayer extends StreamSession {
   }
 
   /** @override @param {boolean} isFirst */
-  onOpened(isFirst) {
+  async onOpened(isFirst) {
     const { manifest, workers, view } = this;
     if (workers === null) return;
+    try {
+      await view.load(manifest);
+    } catch (error) {
+      console.warn("swings: the colours could not be loaded:", error);
+      this.fail("Part of the player could not be loaded; check the network and try again");
+      return;
+    }
+    if (workers !== this.workers) return; // closed, or parked
     try {
       view.show(manifest, workers);
     } catch (error) {
@@ -243,7 +248,7 @@ export class WebPlayer extends StreamSession {
     return this.view.painter.renderer;
   }
 
-  /** The camera's motion; null until a stream is open. */
+  /** The camera's motion; null until a stream is open and the controls are loaded. */
   get motion() {
     return this.view.motion;
   }
@@ -271,7 +276,7 @@ export class WebPlayer extends StreamSession {
   }
 
   get isSideBySide() {
-    return this.view.isSideBySide;
+    return this.view.eyesAt !== null;
   }
 
   get timings() {

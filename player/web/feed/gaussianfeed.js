@@ -1,4 +1,5 @@
 import { folderUrl } from "../source/addresses.js";
+import { preloadSource } from "../playback/preload.js";
 import { startWorker } from "../playback/startworker.js";
 import { copyRows, emptyScene } from "./scene.js";
 
@@ -48,6 +49,7 @@ export class GaussianFeed extends EventTarget {
     const base = folderUrl(src, document.baseURI);
     const channel = new MessageChannel();
     this.player = startWorker(new URL("../playback/playworker.js", import.meta.url));
+    preloadSource(base);
     this.keeper = startWorker(new URL("./feedworker.js", import.meta.url));
     this.keeper.onmessage = ({ data }) => (this.#change = data);
     /** @type {Promise<FeedStream>} rejects with the reason if the stream cannot be opened */

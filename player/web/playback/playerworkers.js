@@ -1,5 +1,6 @@
 import { firstUrls } from "../source/addresses.js";
 import { offerEarly } from "../source/early/earlyrequests.js";
+import { preloadSource } from "./preload.js";
 import { startWorker } from "./startworker.js";
 
 /** @typedef {import("./sortworker.js").SortedFrame} SortedFrame */
@@ -43,6 +44,7 @@ export class PlayerWorkers {
     };
     this.sorter.postMessage({ port: port2 }, [port2]);
     this.player = startWorker(new URL("./playworker.js", import.meta.url));
+    preloadSource(source.base);
     this.player.onmessage = ({ data }) => onMessage(data);
     for (const worker of [this.player, this.sorter]) {
       worker.onerror = ({ message }) => {

@@ -1,7 +1,8 @@
 /** Network and decoding, in a separate thread; see WebPlayer. */
 
+import { FormatError } from "../format/bytes/errors.js";
 import { expectEarly } from "../source/early/earlyresponses.js";
-import { Fetcher } from "../source/fetcher.js";
+import { Fetcher, SourceError } from "../source/fetcher.js";
 import { openSource } from "../source/source.js";
 import { StreamPlayer } from "./streamplayer.js";
 import { scope } from "./workerscope.js";
@@ -19,12 +20,10 @@ let base = "";
 
 /** @param {unknown} error */
 function fail(error) {
-  // `instanceof` would fail: a bundle and the code loaded later do not share a class.
-  const isOurs = error instanceof Error && /^(Source|Format)Error$/.test(error.name);
+  const isOurs = error instanceof FormatError || error instanceof SourceError;
   const message = error instanceof Error ? error.message : String(error);
   // Viewers are not told what is wrong with the bytes: a message that has an address is a detail.
-  const place =
-    isOurs && error.name === "FormatError" && !/https?:/.test(message) ? `${base}: ` : "";
+  const place = error instanceof FormatError && !/https?:/.test(message) ? `${base}: ` : "";
   scope.postMessage({
     kind: "failed",
     message: isOurs ? place + message : `The player failed: ${message}`,

@@ -9,12 +9,9 @@ const POLICY = Symbol.for(`swings-worker ${HOME}`);
  * Starts one of the player's workers. It works from any origin, although a page may not directly start
  * a worker of another origin, and also on pages whose content security policy requires Trusted Types and
  * lists the allowed policies.
- * @param {URL} url of the module in the sources; in a bundle, the workers are in the same folder
+ * @param {URL} module
  */
-export function startWorker(url) {
-  const name = /** @type {string} */ (url.pathname.split("/").pop());
-  // @ts-ignore scripts/webbundle defines it
-  const module = typeof SWINGS_BUNDLE === "undefined" ? url : new URL(name, import.meta.url);
+export function startWorker(module) {
   const page = /** @type {any} */ (globalThis);
   page[POLICY] ??= page.trustedTypes?.createPolicy("swings-worker", { createScriptURL: startable });
   const script = page[POLICY]?.createScriptURL(module.href) ?? startable(module.href);

@@ -1,7 +1,6 @@
 import { edgeFrame } from "../source/liveedge.js";
 import { buffersOf } from "./packing.js";
 import { Round } from "./round.js";
-import { Scrubber } from "./scrubber.js";
 
 const STATE_PERIOD_S = 0.1;
 /** A change of the frames' due times by more than this is reported to the page. */
@@ -67,11 +66,8 @@ export class StreamPlayer {
     this.timer = undefined;
     /** @type {Round | null} the next round of a loop, begun ahead */
     this.nextRound = null;
-    this.scrubber = new Scrubber(
-      stream,
-      (shown) => this.show(shown),
-      () => this.round.source.close(),
-    );
+    /** @type {import("./scrubber.js").Scrubber | null} */
+    this.scrubber = null;
     const { manifest, numFrames } = stream;
     this.round = this.#newRound(frame ?? (manifest.live ? edgeFrame(manifest, numFrames) : 0));
     this.wake();
@@ -96,8 +92,26 @@ export class StreamPlayer {
   }
 
   /** Shows a picture near `frame` while the thumb moves; a seek ends it. @param {number} frame */
-  scrub(frame) {
-    this.scrubber.scrub(frame);
+  async scrub(frame) {
+    const { seeks } = this;
+    try {
+      const loaded = this.scrubber ?? (await this.#loadScrubber());
+      this.scrubber ??= loaded; // another call may have been faster
+      if (seeks === this.seeks && !this.isClosed) this.scrubber.scrub(frame);
+    } catch (error) {
+      console.warn("swings: no pictures near the thumb:", error);
+    }
+  }
+
+  async #loadScrubber() {
+    const { Scrubber } = await import("./scrubber.js");
+    const stopFetching = () => this.round.source.close();
+    return new Scrubber(this.stream, (shown) => this.show(shown), stopFetching);
+  }
+
+  /** Whether pictures near the thumb show, instead of the play. */
+  get isScrubbing() {
+    return this.scrubber?.isActive ?? false;
   }
 
   /** To be called when a live stream has more frames, or has ended. */
@@ -109,8 +123,8 @@ export class StreamPlayer {
 
   /** Plays from `frame` on, using the data that has arrived. @param {number} frame */
   begin(frame) {
-    const isScrubbed = this.scrubber.isActive;
-    this.scrubber.end();
+    const isScrubbed = this.isScrubbing;
+    this.scrubber?.end();
     const first = Math.max(0, Math.min(this.stream.numFrames - 1, Math.round(frame)));
     const stepped = isScrubbed ? null : this.playback.stepTo(first);
     if (stepped !== null) {
@@ -167,7 +181,7 @@ export class StreamPlayer {
     const restS = (stream.numFrames - playback.nextFrame) / (playback.fps * this.rate);
     const isDue =
       loop && playing && stream.numFrames > 1 && !stream.manifest.live && restS < NEXT_ROUND_S;
-    if (!isDue || !this.round.source.isDone || this.scrubber.isActive) {
+    if (!isDue || !this.round.source.isDone || this.isScrubbing) {
       if (!loop) this.#dropNextRound();
       return;
     }
@@ -224,7 +238,7 @@ export class StreamPlayer {
   setPlaying(playing) {
     this.playing = playing;
     if (playing && this.playback.hasEnded) this.begin(0);
-    else if (playing && this.scrubber.isActive) this.begin(this.playback.frame);
+    else if (playing && this.isScrubbing) this.begin(this.playback.frame);
     this.playback.setPlaying(playing);
     this.reportPosition();
   }
@@ -247,7 +261,7 @@ export class StreamPlayer {
 
   /** Reports the due times of frames to the page if they have changed. */
   #postLine() {
-    const isRunning = this.playing && !this.scrubber.isActive;
+    const isRunning = this.playing && !this.isScrubbing;
     const zeroS = isRunning ? this.playback.zeroS(nowS()) : null;
     const differS = Math.abs((zeroS ?? Infinity) - (this.zeroS ?? Infinity)); // NaN: still none
     if (!(differS > SAME_S)) return;
@@ -266,7 +280,7 @@ export class StreamPlayer {
   step() {
     const { round, playback, playing } = this;
     try {
-      if (this.scrubber.isActive) return this.#postLine();
+      if (this.isScrubbing) return this.#postLine();
       const { cache, numFrames, manifest } = this.stream;
       cache.setPlayhead(playback.nextFrame, this.loop && !manifest.live ? numFrames : null);
       // A prepared round follows one that has all it needs, and what that began would be aborted.
@@ -382,7 +396,7 @@ export class StreamPlayer {
     this.isClosed = true;
     clearTimeout(this.timer);
     this.#dropNextRound();
-    this.scrubber.end();
+    this.scrubber?.end();
     this.round.close();
   }
 }

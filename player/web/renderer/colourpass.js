@@ -1,7 +1,12 @@
-import { COLOUR_COLUMNS, COLOUR_TURN_RAD } from "../constants.js";
-import { COLOURS } from "./glsl.js";
+import { COLOUR_COLUMNS, COLOUR_TURN_RAD, SH_C2, SH_C3 } from "../constants.js";
+import COLOURS from "../../render/gl/shaders/colours.glsl";
 import { makeProgram } from "./program.js";
 import { makeTexture, STAGED_WIDTH_PX } from "./texture.js";
+
+const HARMONICS = {
+  ...Object.fromEntries(SH_C2.map((value, n) => [`SH_C2_${n}`, value])),
+  ...Object.fromEntries(SH_C3.map((value, n) => [`SH_C3_${n}`, value])),
+};
 
 /**
  * The colour of each slot from harmonics of degree 2 or 3, in a texture for the splat shader.
@@ -25,7 +30,7 @@ export class ColourPass {
     this.framebuffer = gl.createFramebuffer();
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
-    this.program = makeProgram(gl, COLOURS, { ...defines, STAGED_WIDTH_PX });
+    this.program = makeProgram(gl, COLOURS, { ...defines, ...HARMONICS, STAGED_WIDTH_PX });
     /** Has no attributes: the shader uses only the number of each point. */
     this.points = gl.createVertexArray();
     /** @type {number[] | null} the viewing position of all colours, metres */

@@ -6,8 +6,6 @@ import {
   MAX_EXTENT_SIGMA,
   SH_C0,
   SH_C1,
-  SH_C2,
-  SH_C3,
 } from "../constants.js";
 
 /** The constants of the recipe by name. @returns {Record<string, number>} */
@@ -20,8 +18,6 @@ function recipe() {
     MAX_EXTENT_SIGMA,
     SH_C0,
     SH_C1,
-    ...Object.fromEntries(SH_C2.map((value, n) => [`SH_C2_${n}`, value])),
-    ...Object.fromEntries(SH_C3.map((value, n) => [`SH_C3_${n}`, value])),
   };
 }
 

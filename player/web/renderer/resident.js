@@ -1,6 +1,9 @@
 import { ContextLostError, makeProgram, RendererError } from "./program.js";
-import { EXPAND_FLOATS, EXPAND_LATTICE } from "./shaders.js";
+import EXPAND from "./shaders/expand.glsl";
+import EXPAND_FLOATS from "./shaders/expandfloats.glsl";
+import EXPAND_LATTICE from "./shaders/expandlattice.glsl";
 import { makeTexture, STAGED_WIDTH_PX } from "./texture.js";
+import { floatWords, latticeWords } from "./words.js";
 
 /** Staging textures in rotation, so that none is written while an earlier upload may still be read. */
 const NUM_STAGED = 3;
@@ -8,22 +11,6 @@ const NUM_STAGED = 3;
 /** Texels of a drawn Gaussian, as in pack.py. @param {number} shDegree */
 function texelsPerGaussian(shDegree) {
   return Math.ceil((15 + 3 * ((shDegree + 1) ** 2 - 1)) / 4);
-}
-
-/** Words of an uploaded Gaussian on the lattice. @param {number} shDegree */
-export function latticeWords(shDegree) {
-  const numBytes = 4 + 3 * (shDegree + 1) ** 2; // the log scales lie with the position
-  return 4 + Math.ceil(numBytes / 4);
-}
-
-/** Words of an uploaded Gaussian of floats. @param {number} shDegree */
-export function floatWords(shDegree) {
-  return 12 + 3 * (shDegree + 1) ** 2;
-}
-
-/** Room for `count` Gaussians, in whole texels. @param {number} count @param {number} wordsEach */
-export function roomFor(count, wordsEach) {
-  return new Uint32Array(4 * Math.ceil((count * wordsEach) / 4));
 }
 
 /**
@@ -70,11 +57,11 @@ export class Resident {
       STAGED_WIDTH_PX,
       K: (shDegree + 1) ** 2,
     };
-    this.lattice = makeProgram(gl, EXPAND_LATTICE, {
+    this.lattice = makeProgram(gl, EXPAND + EXPAND_LATTICE, {
       ...defines,
       ITEM_WORDS: latticeWords(shDegree),
     });
-    this.floats = makeProgram(gl, EXPAND_FLOATS, {
+    this.floats = makeProgram(gl, EXPAND + EXPAND_FLOATS, {
       ...defines,
       ITEM_WORDS: floatWords(shDegree),
     });

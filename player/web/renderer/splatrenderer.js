@@ -1,7 +1,7 @@
 import { JACOBIAN_CLAMP } from "../constants.js";
-import { ColourPass } from "./colourpass.js";
+import SCREEN from "../../render/gl/shaders/screen.glsl";
+import SPLAT from "../../render/gl/shaders/splat.glsl";
 import { DepthQuery } from "./depthquery.js";
-import { SCREEN, SPLAT } from "./glsl.js";
 import { makeProgram, RendererError, SLOT } from "./program.js";
 import { Resident } from "./resident.js";
 import { makeTexture } from "./texture.js";
@@ -11,6 +11,7 @@ import { makeTexture } from "./texture.js";
  * @typedef {object} Shape
  * @property {number} numSlots
  * @property {number} shDegree
+ * @property {typeof import("./colourpass.js").ColourPass | null} ColourPass its class, from degree 2 on
  * @property {number} nearM minimum depth; nothing nearer is drawn
  * @property {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer
  */
@@ -30,7 +31,7 @@ export class SplatRenderer {
     const { shDegree } = shape;
     const defines = { COLUMNS: columns, TEXELS: texels, SH_DEGREE: shDegree };
     this.defines = defines;
-    this.colours = shDegree >= 2 ? new ColourPass(gl, shape, defines) : null;
+    this.colours = shape.ColourPass && new shape.ColourPass(gl, shape, defines);
     this.resident.colours = this.colours;
     this.splats = this.makeSplats();
     /** @type {import("./inbetween.js").Inbetween | null} draws between two frames */

@@ -2,6 +2,9 @@ import { fetchOnce } from "./early/earlyresponses.js";
 import { fileUrl } from "./addresses.js";
 import { delayS, Gate, rest } from "./gate.js";
 
+/** Another stream is at the URL of the one that plays. */
+export const REPLACED = "This video was replaced";
+
 /** A stream cannot be fetched; the message gives the remedy. */
 export class SourceError extends Error {
   /** @param {string} message */
@@ -33,14 +36,6 @@ export const TRIES_BEFORE_DOUBT = 3;
 /** Ends a response that is not read, so that its host stops sending. @param {Response} response */
 export function discard({ body }) {
   body?.cancel().catch(() => {}); // it may have broken off itself
-}
-
-/** The error for a host that works, but refuses this page (CORS). @param {string} url */
-function refusal(url) {
-  return new SourceError(
-    `${new URL(url).origin} answers, but does not let pages of other hosts read ${url}; ` +
-      "configure that host to send the header Access-Control-Allow-Origin (docs/EMBED.md)",
-  );
 }
 
 /**
@@ -196,53 +191,20 @@ export class Fetcher {
   }
 
   /**
-   * A byte range of the file at a URL, shorter only at the file's end, and the size of the file, which is
-   * null if the host hides it. Rejects like `get`, and if the host does not support ranges.
-   * @param {string} url
-   * @param {import("../format/packedlayout.js").Place} place
-   * @param {(numBytes: number) => void} [onBytes] see `get`
-   * @param {RequestInit} [init]
-   */
-  async range(url, { first, size }, onBytes, init = {}) {
-    /** @type {number | null} */
-    let fileBytes = null;
-    const check = (/** @type {Response} */ response) => {
-      if (response.status !== 206) {
-        throw new SourceError(
-          `${url}: this host does not send parts of a file, as a .swings file needs; use another host, ` +
-            "or swings-stream unpack",
-        );
-      }
-      // From another origin, the header is visible only if the host exposes it.
-      const found = /^bytes (\d+)-\d+\/(\d+)$/.exec(response.headers.get("Content-Range") ?? "");
-      if (found === null) return;
-      fileBytes = Number(found[2]);
-      if (Number(found[1]) !== first)
-        throw new SourceError(`${url}: the host sent another part than requested`);
-    };
-    const headers = { Range: `bytes=${first}-${first + size - 1}` };
-    // The browser's cache would serialise the requests for parts of the same file.
-    const request = /** @type {RequestInit} */ ({ ...init, headers, cache: "no-store" });
-    const bytes = await this.get(url, size, onBytes, request, check);
-    return { bytes, fileBytes: /** @type {number | null} */ (fileBytes) };
-  }
-
-  /**
    * The reason why a host that is reachable cannot be read; null if there is none. To a page, such a host
    * looks like a missing network.
    * @param {string} url
    */
   async findRefusal(url) {
     if (this.receivedBytes > 0) return null;
-    const ask = (/** @type {RequestInit} */ how) =>
-      fetch(url, { method: "HEAD", ...how }).catch(() => null);
-    if (new URL(url).origin !== globalThis.origin && (await ask({ mode: "no-cors" })))
-      return refusal(url);
-    if ((await ask({ redirect: "manual" }))?.type === "opaqueredirect")
-      return new SourceError(
-        `${url} leads to an address that cannot be reached, or back to itself`,
-      );
-    return null;
+    try {
+      const { refusalOf } = await import("./refusal.js");
+      const message = await refusalOf(url);
+      return message === null ? null : new SourceError(message);
+    } catch (error) {
+      console.warn("swings: no reason found:", error);
+      return null;
+    }
   }
 
   /**

@@ -1,4 +1,5 @@
 import { fileUrl } from "./addresses.js";
+import { fetchRange } from "./byteranges.js";
 import { SourceError } from "./fetcher.js";
 
 /**
@@ -17,5 +18,5 @@ export async function fileBytes(fetcher, base, path, files, mostBytes, init) {
   const { size } = files[path];
   if (!(size > 0 && size <= mostBytes))
     throw new SourceError(`${base}: ${path} has ${size} bytes, at most ${mostBytes}`);
-  return (await fetcher.range(base, files[path], undefined, init)).bytes;
+  return (await fetchRange(fetcher, base, files[path], undefined, init)).bytes;
 }

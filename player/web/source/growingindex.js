@@ -1,10 +1,7 @@
 import { MAX_INDEX_BYTES } from "../constants.js";
 import { FormatError } from "../format/bytes/errors.js";
 import { readIndex, recordBytes } from "../format/streamindex.js";
-import { Fetcher, SourceError } from "./fetcher.js";
-
-/** Another stream is at the URL of the one that plays. */
-export const REPLACED = "This video was replaced";
+import { Fetcher, REPLACED, SourceError } from "./fetcher.js";
 
 /** The index of a stream that may grow. */
 export class GrowingIndex {

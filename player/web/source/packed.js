@@ -1,19 +1,21 @@
 import { FIRST_PACKED_BYTES } from "../constants.js";
 import { corrupt, FormatError } from "../format/bytes/errors.js";
 import { checkGaussians, readManifest } from "../format/manifest.js";
+import { PackedLayout, readPackedHead } from "../format/packedlayout.js";
 import { readIndex } from "../format/streamindex.js";
-import { Fetcher, SourceError } from "./fetcher.js";
-import { isSame, REPLACED } from "./growingindex.js";
+import { fetchRange } from "./byteranges.js";
+import { Fetcher, REPLACED, SourceError } from "./fetcher.js";
+import { isSame } from "./growingindex.js";
 import { HostedStream } from "./hosted.js";
 
 /** @typedef {import("../format/packedlayout.js").Place} Place */
 
-/** A stream in one file on any static host that supports ranges. The code for its layout is loaded on use. */
+/** A stream in one file on any static host that supports ranges. */
 export class PackedStream extends HostedStream {
   /**
    * @param {string} url
    * @param {import("./fetcher.js").Fetcher} fetcher
-   * @param {import("../format/packedlayout.js").PackedLayout} layout
+   * @param {PackedLayout} layout
    * @param {number | null} fileBytes null if the host hides it
    * @param {number} [bufferBytes] limit for the received data that is kept
    */
@@ -35,17 +37,14 @@ export class PackedStream extends HostedStream {
    * @param {number} [bufferBytes] limit for the received data that is kept
    */
   static async open(url, fetcher, maxGaussians = null, _otherHosts = false, bufferBytes) {
-    const [{ PackedLayout, readPackedHead }, first] = await Promise.all([
-      import("../format/packedlayout.js"),
-      fetcher.range(url, { first: 0, size: FIRST_PACKED_BYTES }),
-    ]);
+    const first = await fetchRange(fetcher, url, { first: 0, size: FIRST_PACKED_BYTES });
     const { fileBytes } = first;
     const head = readPackedHead(first.bytes);
     const end = head.tracks.first + head.tracks.size;
     let { bytes } = first;
     if (end > bytes.length) {
       const missing = { first: bytes.length, size: end - bytes.length };
-      const rest = await fetcher.range(url, missing);
+      const rest = await fetchRange(fetcher, url, missing);
       if (rest.bytes.length !== missing.size || rest.fileBytes !== fileBytes)
         throw corrupt(`${url} ends before its index`);
       bytes = new Uint8Array(end);
@@ -92,7 +91,9 @@ export class PackedStream extends HostedStream {
    */
   async objectBytes(record, part, onBytes, signal) {
     const place = this.layout.object(record, part);
-    const { bytes, fileBytes } = await this.fetcher.range(this.base, place, onBytes, { signal });
+    const { bytes, fileBytes } = await fetchRange(this.fetcher, this.base, place, onBytes, {
+      signal,
+    });
     if (this.fileBytes !== fileBytes) throw new SourceError(REPLACED);
     return { url: `${this.base}, segment ${record.segment}, ${part},`, bytes };
   }

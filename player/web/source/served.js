@@ -1,10 +1,8 @@
 import { checkGaussians, readManifest } from "../format/manifest.js";
 import { CODERS, SKIPPABLE_MAGIC } from "../constants.js";
-import { readObject } from "../format/objecttable.js";
 import { limitBytes } from "../format/packet.js";
 import { FIRST_PLAY } from "./addresses.js";
-import { SourceError } from "./fetcher.js";
-import { REPLACED } from "./growingindex.js";
+import { REPLACED, SourceError } from "./fetcher.js";
 import { openPlay, ServerRetry } from "./playresponse.js";
 import { SegmentCache } from "./segmentcache.js";
 import { ServedPlay } from "./servedplay.js";
@@ -119,6 +117,7 @@ export class ServedStream {
     const bytes = await this.fetcher.get(url, most, undefined, { signal });
     const magic = new DataView(bytes.buffer, bytes.byteOffset, bytes.length);
     if (bytes.length < 4 || magic.getUint32(0, true) !== SKIPPABLE_MAGIC) return bytes;
+    const { readObject } = await import("../format/objecttable.js");
     const { coder, packets } = readObject(bytes);
     return coder === CODERS.GZIP ? (packets.values().next().value ?? null) : null;
   }

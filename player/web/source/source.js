@@ -1,9 +1,4 @@
-import { FormatError } from "../format/bytes/errors.js";
-import { SlotDecoder } from "../format/slots/slotdecoder.js";
 import { isPacked, servedBase } from "./addresses.js";
-import { HostedStream } from "./hosted.js";
-import { PackedStream } from "./packed.js";
-import { ServedStream } from "./served.js";
 
 /**
  * Parameters of one play.
@@ -69,15 +64,31 @@ export async function openSource(
   otherHosts = false,
   bufferBytes,
 ) {
-  const served = servedBase(url);
-  const Hosted = isPacked(url) ? PackedStream : HostedStream;
-  const stream = await (served === null
-    ? Hosted.open(url, fetcher, maxGaussians, otherHosts, bufferBytes)
-    : ServedStream.open(served, fetcher, maxGaussians, bufferBytes));
+  const stream = await opened(url, fetcher, maxGaussians, otherHosts, bufferBytes);
   const { layout } = stream.manifest;
   if (layout.period > 1) {
-    const { passingDecoder } = await import("../format/slots/passing.js");
-    layout.Decoder = passingDecoder(SlotDecoder, FormatError);
+    layout.Decoder = (await import("../format/slots/passing.js")).PassingDecoder;
   }
   return stream;
+}
+
+/**
+ * The stream, by the code of its kind; see openSource.
+ * @param {string} url
+ * @param {import("./fetcher.js").Fetcher} fetcher
+ * @param {number | null} maxGaussians
+ * @param {boolean} otherHosts
+ * @param {number} [bufferBytes]
+ */
+async function opened(url, fetcher, maxGaussians, otherHosts, bufferBytes) {
+  const served = servedBase(url);
+  if (served !== null) {
+    const { ServedStream } = await import("./served.js");
+    return ServedStream.open(served, fetcher, maxGaussians, bufferBytes);
+  }
+  const hosting = import("./hosted.js"); // a packed stream needs it too
+  const Stream = isPacked(url)
+    ? (await import("./packed.js")).PackedStream
+    : (await hosting).HostedStream;
+  return Stream.open(url, fetcher, maxGaussians, otherHosts, bufferBytes);
 }

@@ -1,13 +1,15 @@
 /** Cameras for the two eyes of a viewer. */
 
 import { poseOf, worldToCamera } from "../view/pose.js";
-import { add, cross, dot, subtract, times, unit } from "../view/vectors.js";
+import { add, cross, dot, length, subtract, times, unit } from "../view/vectors.js";
 
 /** @typedef {import("../format/camera.js").Camera} Camera */
 /** @typedef {import("../view/pose.js").Pose} Pose */
 
 /** Typical distance between the pupils of adults. */
-export const EYE_DISTANCE_M = 0.063;
+const EYE_DISTANCE_M = 0.063;
+/** Side by side, the minimum distance from the eyes to the plane of the screen. */
+const LEAST_FOCUS_M = 0.5;
 
 /**
  * The view of one eye, and its part of the screen.
@@ -23,15 +25,6 @@ export const EYE_DISTANCE_M = 0.063;
  * @property {EyeView[]} views
  * @property {WebGLFramebuffer | null} framebuffer null: the canvas
  */
-
-/**
- * One eye on the whole canvas.
- * @param {Camera} camera
- * @returns {Viewpoint}
- */
-export function oneEye(camera) {
-  return { w2c: camera.w2c, views: [{ camera, corner: { xPx: 0, yPx: 0 } }], framebuffer: null };
-}
 
 /**
  * The left eye on the left half of the canvas, the right one on the right.
@@ -57,6 +50,17 @@ export function sideBySide(camera, eyeDistanceM, focusM) {
     return { camera: eye, corner: { xPx: index * camera.widthPx, yPx: 0 } };
   });
   return { w2c: camera.w2c, views, framebuffer: null };
+}
+
+/**
+ * Both eyes of an adult at the place of `camera`, for whom `centre` is in the plane of the screen.
+ * @param {Camera} camera as large as one half of the canvas
+ * @param {import("../view/vectors.js").Vector} centre
+ * @returns {Viewpoint}
+ */
+export function eyesAt(camera, centre) {
+  const focusM = length(subtract(centre, poseOf(camera).position));
+  return sideBySide(camera, EYE_DISTANCE_M, Math.max(focusM, LEAST_FOCUS_M));
 }
 
 /**

@@ -8,7 +8,7 @@ import { pinholeOf, poseOfTransform } from "./xrview.js";
 const MODE = "immersive-vr";
 
 /** A headset cannot be used; the message says what the user can do. */
-class HeadsetError extends Error {
+export class HeadsetError extends Error {
   /** @param {string} message */
   constructor(message) {
     super(message);

@@ -6,7 +6,12 @@ import { GaussianFeed } from "../feed/gaussianfeed.js";
 
 /** A feed of `src` in a page whose workers only note what is posted to them. */
 function made(context, src) {
-  const page = Object.assign(new EventTarget(), { baseURI: "http://page/dir/", hidden: false });
+  const page = Object.assign(new EventTarget(), {
+    baseURI: "http://page/dir/",
+    hidden: false,
+    createElement: () => ({}),
+    head: { append: () => {} },
+  });
   const workers = [];
   class Worker {
     constructor() {

@@ -3,6 +3,10 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { Fetcher } from "../source/fetcher.js";
+// What sources import meanwhile is there at once: only the host takes time.
+import "../source/hosted.js";
+import "../source/refusal.js";
+import "../source/served.js";
 import { openSource } from "../source/source.js";
 import { manifestBytes, playRecord, settled, startRecord } from "./support.mjs";
 import { VirtualHost } from "./virtualhost.mjs";

@@ -4,6 +4,7 @@ import { test } from "node:test";
 
 import { Fetcher, SourceError } from "../source/fetcher.js";
 import { fileUrl, folderUrl } from "../source/addresses.js";
+import { fetchRange } from "../source/byteranges.js";
 import { fileBytes } from "../source/filebytes.js";
 import { follow } from "../source/follow.js";
 import { GrowingIndex } from "../source/growingindex.js";
@@ -374,8 +375,8 @@ test("what a refusing host goes on sending is ended", async (context) => {
   const place = { first: 5, size: 3 };
   const cases = [
     [404, () => fetcher.get(URL_, 10), /HTTP 404/],
-    [200, () => fetcher.range(URL_, place), /does not send parts/],
-    [206, () => fetcher.range(URL_, place), /another part/],
+    [200, () => fetchRange(fetcher, URL_, place), /does not send parts/],
+    [206, () => fetchRange(fetcher, URL_, place), /another part/],
     [500, () => fetcher.get(URL_, 10), /cannot be reached/],
     [403, () => openPlay(fetcher, BASE, { fromFrame: 0 }), /HTTP 403/],
     [503, () => openPlay(fetcher, BASE, { fromFrame: 0 }), /busy/],
@@ -442,7 +443,7 @@ test("a part of a file is what was asked for, and tells the size of the file", a
   const { fetcher } = trying(context);
   let reply = { status: 206, headers: { "Content-Range": "bytes 5-7/99" } };
   const calls = answering(context, () => new Response("abc", reply));
-  const range = () => fetcher.range(URL_, { first: 5, size: 3 });
+  const range = () => fetchRange(fetcher, URL_, { first: 5, size: 3 });
   assert.deepEqual(await range(), { bytes: Uint8Array.from(Buffer.from("abc")), fileBytes: 99 });
   const init = calls.mock.calls[0].arguments[1];
   assert.deepEqual([init.headers, init.cache], [{ Range: "bytes=5-7" }, "no-store"]);

@@ -164,7 +164,7 @@ test("scrubbing that ends and begins during a request shows the picture of the n
   await until(() => shown.length > 0);
   player.stream.cache.segments.clear();
   shown.length = 0;
-  player.scrub(9);
+  await player.scrub(9);
   await until(() => host.waiting.size > 0);
   player.scrubber.end();
   player.scrub(9);

@@ -9,6 +9,8 @@ import { fileURLToPath } from "node:url";
 
 import { rollup } from "rollup";
 
+import { texts } from "./textmodules.js";
+
 const WEB = fileURLToPath(new URL("../", import.meta.url));
 const DIST = `${WEB}dist/`;
 const ENTRIES = [
@@ -32,6 +34,9 @@ declare global {
 }
 `;
 
+/** Workers of the package are whole. */
+const NO_PRELOAD = "export function preloadSource() {}\n";
+
 /** @type {Set<string>} paths of the modules that start as workers */
 const workers = new Set();
 
@@ -39,6 +44,7 @@ const workers = new Set();
 const packedWorkers = {
   name: "packed-workers",
   transform(code, id) {
+    if (id === `${WEB}playback/preload.js`) return { code: NO_PRELOAD, map: { mappings: "" } };
     const up = "../".repeat(id.slice(WEB.length).split("/").length - 1) || "./";
     const packed = code.replace(WORKER, (_, path) => {
       workers.add(fileURLToPath(new URL(path, `file://${id}`)));
@@ -60,11 +66,14 @@ async function write(from, to) {
 async function writeModules() {
   const input = ENTRIES.map((name) => `${WEB}${name}`);
   const each = { dir: DIST, preserveModules: true, preserveModulesRoot: WEB };
-  await write({ input, plugins: [packedWorkers] }, each);
+  await write({ input, plugins: [texts(), packedWorkers] }, each);
   // Bundlers copy a worker without following its imports.
   for (const input of [...workers].sort()) {
     const file = `${DIST}workers/${basename(input)}`;
-    await write({ input, treeshake: true }, { file, inlineDynamicImports: true });
+    await write(
+      { input, plugins: [texts()], treeshake: true },
+      { file, inlineDynamicImports: true },
+    );
   }
 }
 

@@ -66,9 +66,10 @@ export class CameraMotion {
   /**
    * @param {import("./orbit.js").OrbitScene} scene
    * @param {() => boolean} isReduced whether the user prefers reduced motion; then every move is immediate
+   * @param {Orbit} orbit the camera
    */
-  constructor(scene, isReduced = () => false) {
-    this.orbit = new Orbit(scene);
+  constructor(scene, isReduced = () => false, orbit = new Orbit(scene)) {
+    this.orbit = orbit;
     this.bounds = boundsOf(scene);
     this.isReduced = isReduced;
     this.cameras = scene.cameras;

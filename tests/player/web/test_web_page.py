@@ -13,7 +13,6 @@ from PIL import Image
 from codec.files import write_atomic
 from codec.stream import StreamReader
 from codec.tools.static import export_static
-from scripts import webbundle
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.web import nodeprocess
 from tests.support.web.chromium import Page
@@ -75,7 +74,7 @@ def test_without_the_code_of_its_controls_a_player_plays(
 ) -> None:
     """A key tries again to load it, and is not lost."""
     page.expect("404", "controls could not be loaded")
-    shutil.copytree(webbundle.WEB / "bundle", tmp_path / "player")
+    shutil.copytree(nodeprocess.WEB / "bundle", tmp_path / "player")
     (tmp_path / "long").symlink_to(site.folder / "long")
     controls = (tmp_path / "player" / "controls.js").rename(tmp_path / "controls.js")
     with player_host(tmp_path) as url:

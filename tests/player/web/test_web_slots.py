@@ -125,10 +125,10 @@ def both_apply(
 
 
 def begun(
-    browser: BrowserCode, layout: SlotLayout, chunks: Chunks, is_bundled: bool = False
+    browser: BrowserCode, layout: SlotLayout, chunks: Chunks
 ) -> tuple[SlotDecoder, BrowserSlots]:
     """Decoders that have the first snapshots of `chunks`."""
-    ours, theirs = SlotDecoder(layout), BrowserSlots(browser, layout, None, is_bundled)
+    ours, theirs = SlotDecoder(layout), BrowserSlots(browser, layout)
     for snapshot in chunks.snapshots[0]:
         assert theirs.load(snapshot) == ours.load(snapshot)
     return ours, theirs
@@ -211,7 +211,6 @@ def test_a_passing_slice_that_comes_late(browser: BrowserCode, seed: int) -> Non
 
 
 def test_a_damaged_slice_ahead_does_not_end_a_play(browser: BrowserCode) -> None:
-    """This holds also in the bundle, whose module for passing slices has its own error classes."""
     rng = random.Random(4)
     plain, layout = (small_layout(1, (6, 5), 0, 4, period) for period in (1, 2))
     chunks = encoded_chunks(layout, patternless_updates(plain, 5, 3, calm=1))
@@ -219,14 +218,11 @@ def test_a_damaged_slice_ahead_does_not_end_a_play(browser: BrowserCode) -> None
     for _ in range(30):
         torn = [altered(change, rng) if change else change for change in chunks.changes[2]]
         found = []
-        for is_bundled in (False, True):
-            _, theirs = begun(browser, layout, chunks, is_bundled)
-            theirs.apply(1, chunks.masks[1], come, (2, chunks.masks[2], torn))
+        for ahead in (2, chunks.masks[2], torn), None:
+            _, theirs = begun(browser, layout, chunks)
+            theirs.apply(1, chunks.masks[1], come, ahead)
             found.append(theirs.held())
-        assert found[0] == found[1]
-        _, theirs = begun(browser, layout, chunks)
-        theirs.apply(1, chunks.masks[1], come)
-        moved.append(found[0] != theirs.held())
+        moved.append(found[0] != found[1])
     assert not all(moved)
 
 

@@ -70,10 +70,7 @@ class BrowserSlots:
         browser: BrowserCode,
         layout: SlotLayout,
         num_layers: int | None = None,
-        is_bundled: bool = False,
     ) -> None:
-        """is_bundled: passing slices are read by the module of the bundle, which has its own error
-        classes."""
         self._browser = browser
         self._edges = layout.row_edges
         self.moves: list[int] = []
@@ -90,7 +87,6 @@ class BrowserSlots:
             ],
             period=layout.temporal_period,
             numLayers=num_layers,
-            isBundled=is_bundled,
         )
 
     def load(self, snapshot: bytes) -> bool:

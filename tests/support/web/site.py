@@ -9,15 +9,14 @@ from pathlib import Path
 
 from codec.stream.reader import StreamReader
 from codec.tools.static import export_static
-from scripts import webbundle
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 from tests.support.web.canvas import PIXELS
 from tests.support.web.chromium import Page
-from tests.support.web.nodeprocess import PACKAGES
+from tests.support.web.nodeprocess import PACKAGES, WEB
 
-LINKS = {"player": webbundle.WEB / "bundle", "web": webbundle.WEB, "npm": PACKAGES}
+LINKS = {"player": WEB / "bundle", "web": WEB, "npm": PACKAGES}
 """Folders of a host: the bundle, which is what viewers get; the single modules, for tests that
 reach inside of one; and packages of others."""
 

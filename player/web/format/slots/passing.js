@@ -9,6 +9,7 @@ import { decodeChange } from "./change.js";
 import { MaskHistory, decodeMask } from "./mask.js";
 import { jumps, moveOf } from "./moves.js";
 import { PASSING, expectChunk, readSlotHead } from "./slotchunk.js";
+import { SlotDecoder } from "./slotdecoder.js";
 import { changedRows, signed } from "./slots.js";
 
 /** @typedef {import("./slots.js").Slots} Slots */
@@ -35,143 +36,130 @@ import { changedRows, signed } from "./slots.js";
  * @property {number} share of the motion to it that is over
  */
 
-/**
- * Makes the decoder class for streams with a temporal layer.
- * @param {typeof import("./slotdecoder.js").SlotDecoder} Decoder the decoder class of other streams
- * @param {typeof FormatError} Refusal the FormatError of that class
- */
-export function passingDecoder(Decoder, Refusal) {
-  /** @template T @param {() => T} action @returns {T} */
-  const refusing = (action) => {
-    try {
-      return action();
-    } catch (error) {
-      if (error instanceof FormatError) throw new Refusal(error.kind, error.message);
-      throw error;
+/** The decoder for streams with a temporal layer. */
+export class PassingDecoder extends SlotDecoder {
+  /** @type {Passing | null} the last slice, if it is a passing one */
+  passing = null;
+  /** @type {Uint8Array | null} mask history for the last passing slice, if that is missing */
+  #historyOfMissing = null;
+
+  /**
+   * @override
+   * @param {number} birth
+   * @param {Uint8Array | null} mask
+   * @param {(Uint8Array | null)[]} changes
+   * @param {import("./slotdecoder.js").Ahead} [ahead]
+   */
+  apply(birth, mask, changes, ahead) {
+    const { layout } = this;
+    const last = layout.numLayers - 1;
+    const passes = birth % layout.period > 0;
+    const chunk = changes[last] ?? null;
+    const history = this.history.isReadable(birth) ? this.history.of(birth) : null;
+    let passing = null;
+    if (history !== null) {
+      if (passes && mask?.length && decodeMask(layout, birth, mask, history).some(Boolean))
+        throw corrupt("mask: a passing slice does not keep all slots");
+      if (chunk !== null) passing = decodePassing(this, birth, chunk, history);
+      else if (passes) passing = interpolated(this, birth, ahead);
     }
-  };
-
-  return class extends Decoder {
-    /** @type {Passing | null} the last slice, if it is a passing one */
-    passing = null;
-    /** @type {Uint8Array | null} mask history for the last passing slice, if that is missing */
-    #historyOfMissing = null;
-
-    /**
-     * @param {number} birth
-     * @param {Uint8Array | null} mask
-     * @param {(Uint8Array | null)[]} changes
-     * @param {import("./slotdecoder.js").Ahead} [ahead]
-     */
-    apply(birth, mask, changes, ahead) {
-      const { layout } = this;
-      const last = layout.numLayers - 1;
-      const passes = birth % layout.period > 0;
-      const chunk = changes[last] ?? null;
-      const history = this.history.isReadable(birth) ? this.history.of(birth) : null;
-      const passing = refusing(() => {
-        if (history === null) return null;
-        if (passes && mask?.length && decodeMask(layout, birth, mask, history).some(Boolean))
-          throw corrupt("mask: a passing slice does not keep all slots");
-        if (chunk !== null) return decodePassing(this, birth, chunk, history);
-        return passes ? interpolated(this, birth, ahead) : null;
-      });
-      const isMissing = passes && chunk === null;
-      const historyOfMissing = isMissing && history !== null ? history.slice() : null;
-      const before = this.passing;
-      const from = before?.slots ?? [...this.lanes[0]];
-      const slice = super.apply(birth, passes ? none : mask, changes.slice(0, last), ahead);
-      this.passing = passing;
-      this.#historyOfMissing = historyOfMissing;
-      if (passes) this.numMissing = isMissing ? 1 : 0;
-      const { moves } = slice;
-      const said = this.statuses && byLayer(this, this.statuses);
-      const rows = slice.rows.map((own, layer) => {
-        const parts = [passing, before].flatMap((one) => one?.parts[layer] ?? []);
-        if (!parts.some((part) => part.some(Boolean))) return own;
-        const all = joined(own, parts);
-        // Slots altered by late bytes do not move, nor do slots that a passing slice no longer fits.
-        const isKnown = moves?.[layer].length === own.length;
-        if (moves === undefined || !isKnown) return all;
-        const slots = passing?.slots[layer] ?? this.lanes[0][layer];
-        if (from[layer] === slots) moves[layer] = new Uint8Array();
-        else {
-          if (said !== null) parts.push(said[layer]);
-          moves[layer] = movesBetween(from[layer], slots, all, parts, layout.lattices[layer]);
-        }
-        return all;
-      });
-      return { ...slice, rows, moves, slots: passing?.slots };
-    }
-
-    /** @param {number} birth */
-    whole(birth) {
-      return { ...super.whole(birth), slots: this.passing?.slots };
-    }
-
-    /**
-     * @param {number} birth
-     * @param {Uint8Array | null} mask
-     * @param {number} layer
-     * @param {Uint8Array} change
-     */
-    takes(birth, mask, layer, change) {
-      if (layer < this.layout.numLayers - 1) return super.takes(birth, mask, layer, change);
-      return (
-        refusing(() => decodePassing(this, birth, change, this.history.of(birth))) !== undefined
-      );
-    }
-
-    /**
-     * @param {number} birth
-     * @param {number} layer
-     * @param {Uint8Array} bytes
-     */
-    late(birth, layer, bytes) {
-      if (layer === this.layout.numLayers - 1) return this.#latePassing(birth, bytes);
-      const used = super.late(birth, layer, bytes);
-      this.#showAgain(layer);
-      return used;
-    }
-
-    /**
-     * Applies a late passing slice whose frame shows already.
-     * @param {number} birth
-     * @param {Uint8Array} bytes
-     */
-    #latePassing(birth, bytes) {
-      const history = this.#historyOfMissing;
-      if (birth !== this.frame || history === null) return false;
-      const passing = refusing(() => decodePassing(this, birth, bytes, history));
-      for (const one of [this.passing, passing])
-        for (const [layer, part] of one?.parts.entries() ?? []) this.alter(0, layer, part);
-      this.passing = passing;
-      this.#historyOfMissing = null;
-      this.numMissing = 0;
-      return true;
-    }
-
-    /**
-     * @param {Uint8Array} bytes
-     * @param {number} [layer]
-     * @param {number} [frame]
-     */
-    load(bytes, layer, frame) {
-      const used = super.load(bytes, layer, frame);
-      for (let n = 0; n < this.numLayers; n++) this.#showAgain(n);
-      return used;
-    }
-
-    /** Shows a layer again after its slots changed; ignored if it no longer fits them. @param {number} layer */
-    #showAgain(layer) {
-      if (this.passing === null) return;
-      try {
-        show(this, this.passing, layer);
-      } catch (error) {
-        if (!isFormatError(error)) throw error;
+    const isMissing = passes && chunk === null;
+    const historyOfMissing = isMissing && history !== null ? history.slice() : null;
+    const before = this.passing;
+    const from = before?.slots ?? [...this.lanes[0]];
+    const slice = super.apply(birth, passes ? none : mask, changes.slice(0, last), ahead);
+    this.passing = passing;
+    this.#historyOfMissing = historyOfMissing;
+    if (passes) this.numMissing = isMissing ? 1 : 0;
+    const { moves } = slice;
+    const said = this.statuses && byLayer(this, this.statuses);
+    const rows = slice.rows.map((own, layer) => {
+      const parts = [passing, before].flatMap((one) => one?.parts[layer] ?? []);
+      if (!parts.some((part) => part.some(Boolean))) return own;
+      const all = joined(own, parts);
+      // Slots altered by late bytes do not move, nor do slots that a passing slice no longer fits.
+      const isKnown = moves?.[layer].length === own.length;
+      if (moves === undefined || !isKnown) return all;
+      const slots = passing?.slots[layer] ?? this.lanes[0][layer];
+      if (from[layer] === slots) moves[layer] = new Uint8Array();
+      else {
+        if (said !== null) parts.push(said[layer]);
+        moves[layer] = movesBetween(from[layer], slots, all, parts, layout.lattices[layer]);
       }
+      return all;
+    });
+    return { ...slice, rows, moves, slots: passing?.slots };
+  }
+
+  /** @override @param {number} birth */
+  whole(birth) {
+    return { ...super.whole(birth), slots: this.passing?.slots };
+  }
+
+  /**
+   * @override
+   * @param {number} birth
+   * @param {Uint8Array | null} mask
+   * @param {number} layer
+   * @param {Uint8Array} change
+   */
+  takes(birth, mask, layer, change) {
+    if (layer < this.layout.numLayers - 1) return super.takes(birth, mask, layer, change);
+    decodePassing(this, birth, change, this.history.of(birth));
+    return true;
+  }
+
+  /**
+   * @override
+   * @param {number} birth
+   * @param {number} layer
+   * @param {Uint8Array} bytes
+   */
+  late(birth, layer, bytes) {
+    if (layer === this.layout.numLayers - 1) return this.#latePassing(birth, bytes);
+    const used = super.late(birth, layer, bytes);
+    this.#showAgain(layer);
+    return used;
+  }
+
+  /**
+   * Applies a late passing slice whose frame shows already.
+   * @param {number} birth
+   * @param {Uint8Array} bytes
+   */
+  #latePassing(birth, bytes) {
+    const history = this.#historyOfMissing;
+    if (birth !== this.frame || history === null) return false;
+    const passing = decodePassing(this, birth, bytes, history);
+    for (const one of [this.passing, passing])
+      for (const [layer, part] of one?.parts.entries() ?? []) this.alter(0, layer, part);
+    this.passing = passing;
+    this.#historyOfMissing = null;
+    this.numMissing = 0;
+    return true;
+  }
+
+  /**
+   * @override
+   * @param {Uint8Array} bytes
+   * @param {number} [layer]
+   * @param {number} [frame]
+   */
+  load(bytes, layer, frame) {
+    const used = super.load(bytes, layer, frame);
+    for (let n = 0; n < this.numLayers; n++) this.#showAgain(n);
+    return used;
+  }
+
+  /** Shows a layer again after its slots changed; ignored if it no longer fits them. @param {number} layer */
+  #showAgain(layer) {
+    if (this.passing === null) return;
+    try {
+      show(this, this.passing, layer);
+    } catch (error) {
+      if (!(error instanceof FormatError)) throw error;
     }
-  };
+  }
 }
 
 const none = new Uint8Array();
@@ -183,13 +171,6 @@ function joined(own, parts) {
   for (const part of parts) for (let i = 0; i < part.length; i++) changed[i] |= part[i];
   return changedRows(changed);
 }
-
-/** Whether bytes were refused. `instanceof` fails across bundles. @param {unknown} error */
-function isFormatError(error) {
-  return error instanceof Error && error.name === "FormatError";
-}
-
-/** @typedef {import("./slotdecoder.js").SlotDecoder} SlotDecoder */
 
 /** @param {SlotDecoder} decoder @param {Uint8Array} statuses of a lane */
 function byLayer(decoder, statuses) {
@@ -311,7 +292,7 @@ function interpolated(decoder, birth, ahead) {
     for (const layer of parts.keys()) show(decoder, passing, layer);
     return passing;
   } catch (error) {
-    if (!isFormatError(error)) throw error;
+    if (!(error instanceof FormatError)) throw error;
     return null;
   }
 }

@@ -13,10 +13,10 @@ import { readObject } from "../../format/objecttable.js";
 import { inflatePacket } from "../../format/packet.js";
 import { RecordParser } from "../../format/playrecord.js";
 import { SlotDecoder } from "../../format/slots/slotdecoder.js";
-import { passingDecoder } from "../../format/slots/passing.js";
-import { passingDecoder as bundledDecoder } from "../../bundle/passing.js";
+import { PassingDecoder } from "../../format/slots/passing.js";
 import { SlotLayout } from "../../format/slots/slotlayout.js";
 import { EMPTY, ON_LATTICE, UNKNOWN } from "../../constants.js";
+import { fetchRange } from "../../source/byteranges.js";
 import { Fetcher, SourceError } from "../../source/fetcher.js";
 import { SegmentCache } from "../../source/segmentcache.js";
 import { ChunkFeed } from "../../playback/chunkfeed.js";
@@ -187,10 +187,9 @@ const ANSWERS = {
       ),
     );
   },
-  layout({ swinSize, segmentFrames, shDegree, slots, lattices, period, numLayers, isBundled }) {
+  layout({ swinSize, segmentFrames, shDegree, slots, lattices, period, numLayers }) {
     const layout = new SlotLayout(swinSize, segmentFrames, shDegree, slots, lattices, period);
-    const made = /** @type {typeof passingDecoder} */ (isBundled ? bundledDecoder : passingDecoder);
-    if (period > 1) layout.Decoder = made(SlotDecoder, FormatError);
+    if (period > 1) layout.Decoder = PassingDecoder;
     decoder = new (layout.Decoder ?? SlotDecoder)(layout, numLayers ?? undefined);
     return null;
   },
@@ -308,7 +307,7 @@ const ANSWERS = {
       }
       const files = await Promise.all(
         Object.entries(stream.files).map(async ([path, place]) => {
-          const { bytes } = await stream.fetcher.range(stream.base, place);
+          const { bytes } = await fetchRange(stream.fetcher, stream.base, place);
           return [path, Buffer.from(bytes).toString("hex")];
         }),
       );

@@ -1,0 +1,45 @@
+// Before the splat shader: mixes Gaussians changed by the newest update with their saved state.
+
+#ifdef VERTEX_STAGE
+
+uniform usampler2D before;  // SAVED texels for each Gaussian, COLUMNS of them in a row
+uniform uint serial;        // of the newest update
+uniform float share;        // progress of the motion, 0..1
+
+int number = -1;            // index of this Gaussian's saved state; -1: none
+float back = 0.0;           // weight of the saved state
+float fade = 1.0;
+
+void set_out(int slot, uvec2 came) {
+  if (slot >= NUM_SLOTS) {
+    number = slot - NUM_SLOTS;
+    back = 1.0;
+    fade = 1.0 - share;
+  } else if (came.x == serial && share < 1.0) {
+    int move = int(came.y) & 3;
+    if (move == ENTERS) fade = share;
+    if (move == MOVES) {
+      number = int(came.y >> 2);
+      back = 1.0 - share;
+    }
+  }
+}
+
+vec4 saved(int n) {
+  ivec2 at = ivec2(number % COLUMNS * SAVED + n, number / COLUMNS);
+  return uintBitsToFloat(texelFetch(before, at, 0));
+}
+
+vec4 on_its_way(vec4 there, int n) {
+  if (number >= 0) there = back < 1.0 ? mix(there, saved(n), back) : saved(n);
+  if (n == 0) there.w *= fade;
+  return there;
+}
+
+vec3 colour_on_its_way(vec3 there) {
+  if (number < 0) return there;
+  vec3 was = vec3(saved(2).zw, saved(3).x);
+  return back < 1.0 ? mix(there, was, back) : was;
+}
+
+#endif
