@@ -3,6 +3,8 @@ import { preloadSource } from "../playback/preload.js";
 import { startWorker } from "../playback/startworker.js";
 import { copyRows, emptyScene } from "./scene.js";
 
+export { poseOf, rigUp } from "../view/pose.js";
+
 /** @typedef {import("./scene.js").SceneGaussians} SceneGaussians */
 
 /**
