@@ -12,11 +12,12 @@ from urllib.request import urlopen
 
 import pytest
 
-from server.html.watchpage import WatchedStream, frame_html
+from codec.tools.static import write_page
+from server.html.watchpage import WatchedStream, frame_html, watch_page
 from server.html.webplayer import WebPlayer
 from tests.server.hostile.serverprocess import ServerProcess, server_process
 from tests.support.commands import ROOT
-from tests.support.hosted_streams import write_stream
+from tests.support.hosted_streams import small_manifest, write_stream
 from tests.support.waiting import wait_until
 from tests.support.web.chromium import Page
 from tests.support.web.nodeprocess import WEB
@@ -27,7 +28,9 @@ MOST_SCRIPT_BYTES = 49_000
 """Of a first load, from a server that compresses by zstd; `npm run size` limits it with gzip."""
 
 BUNDLE = WEB / "bundle"
-FIRST = json.loads((BUNDLE / "manifest.json").read_text())["first"]
+BUILT = json.loads((BUNDLE / "manifest.json").read_text())
+FIRST, HARMONICS = BUILT["first"], BUILT["harmonics"]
+PRELOADS = r'modulepreload" href="\.+/(.*?)"'
 LATER = {path.name for path in BUNDLE.glob("*.js")} - {*FIRST["served"]}
 
 
@@ -38,7 +41,19 @@ def test_what_a_page_begins_with_is_what_the_build_says() -> None:
         asset = player.assets[name]
         assert gzip.decompress(asset.coded["gzip"]) == asset.data
     page = (BUNDLE / "watch.html").read_text(encoding="utf-8")
-    assert re.findall('modulepreload" href="./(.*?)"', page) == FIRST["hosted"]
+    assert re.findall(PRELOADS, page) == FIRST["hosted"]
+
+
+def test_a_page_of_a_stream_with_many_harmonics_loads_their_code_at_once(tmp_path: Path) -> None:
+    for sh_degree, count in (1, 0), (2, 1):
+        watched = WatchedStream("walk", "", "", "http://127.0.0.1", 1.5, sh_degree=sh_degree)
+        served = watch_page(watched, WebPlayer(), shared=False)
+        (tmp_path / f"{sh_degree}").mkdir()
+        write_page(tmp_path / f"{sh_degree}", small_manifest(sh_degree=sh_degree))
+        exported = (tmp_path / f"{sh_degree}" / "index.html").read_text(encoding="utf-8")
+        for page in str(served), exported:
+            names = [Path(name).name for name in re.findall(PRELOADS, page)]
+            assert names.count(HARMONICS) == count
 
 
 COPIED = """
