@@ -23,7 +23,9 @@ function recipe() {
 
 // Marked as pure, so that the bundles of workers, which do not draw, omit it.
 const RECIPE = /* @__PURE__ */ recipe();
+// There are no storage buffers, so RESIDENT_BUFFER is not defined; and orders come from another thread.
 const HEAD = `#version 300 es
+#define STALE_ORDER
 precision highp float;
 precision highp int;
 precision highp sampler2D;

@@ -19,13 +19,15 @@ const compactCss = (text) =>
     .trim();
 
 const OPERATOR = / ?([*/%=<>(){};,?:&|]|(?<![-+] ?)[-+](?! ?[-+])) ?/g;
-/** Branches of the shared shaders that WebGL2 never takes: it has no storage buffers, and its orders come from a thread. */
-const BRANCHES = /#ifdef (?:RESIDENT_BUFFER|STALE_ORDER)\n.*?(?:#else\n(.*?))?#endif\n/gs;
+/** Branches of the shared shaders, of which WebGL2 takes always the same: see `HEAD` in renderer/program.js. */
+const BUFFERED = /#ifdef RESIDENT_BUFFER\n.*?#else\n(.*?)#endif\n/gs;
+const STALE = /#ifdef STALE_ORDER\n(.*?)#endif\n/gs;
 
 /** A line of the preprocessor stays one, and `a - -b` keeps its spaces. @param {string} text of a shader */
 const compactGlsl = (text) =>
   text
-    .replace(BRANCHES, "$1")
+    .replace(BUFFERED, "$1")
+    .replace(STALE, "$1")
     .split("\n")
     .map((line) => line.replace(/\/\/.*/, "").trim())
     .filter((line) => line !== "")
