@@ -177,7 +177,7 @@ async def test_every_stream_has_a_page_that_plays_it(site: Site) -> None:
     head = await fetch(client, "/watch/walk", "HEAD")
     assert (head.status, int(head.headers["Content-Length"])) == (200, len(page))
     scripts = set(re.findall('modulepreload" href="([^"]*)"', page))
-    assert len(scripts) == 4
+    assert len(scripts) == 5
     assert set(re.findall('script type="module" src="([^"]*)"', page)) < scripts
     for script in scripts:
         asset = urljoin(f"{server.url}/watch/walk", script)

@@ -3,6 +3,7 @@ import { CameraMotion } from "../view/cameramotion.js";
 import { listenToGestures } from "./gestures.js";
 import { Gyroscope } from "./gyroscope.js";
 import { prefersStill } from "./motion.js";
+import { focusAt } from "./pointing.js";
 
 /** All controls of the camera except key presses (view/camerakeys.js): its motion, gestures, gyroscope, key releases. */
 export class CameraControls {
@@ -16,7 +17,9 @@ export class CameraControls {
     player.view.steer((scene, orbit) => new CameraMotion(scene, prefersStill, orbit));
     this.gyroscope = new Gyroscope(player);
     signal.addEventListener("abort", () => this.gyroscope.end());
-    listenToGestures(surface, player, signal);
+    const focus = (/** @type {number} */ xPx, /** @type {number} */ yPx) =>
+      focusAt(player, xPx, yPx);
+    listenToGestures(surface, player, focus, signal);
     host.addEventListener("keyup", ({ key }) => liftCameraKey(player, key), { signal });
     // After a loss of focus, the keyup event may go elsewhere.
     const letGo = () => player.motion?.letGo();

@@ -11,7 +11,6 @@ const HINT_PERIOD_MS = 1000;
  * @property {import("../format/camera.js").Camera | null} camera
  * @property {number} pixelRatio
  * @property {() => void} moved
- * @property {(xPx: number, yPx: number) => boolean} focusAt
  */
 
 /**
@@ -27,9 +26,10 @@ const HINT_PERIOD_MS = 1000;
  * A double tap, or a double click with alt, flies to the point of the scene at that place.
  * @param {HTMLElement} surface
  * @param {Gestured} player
+ * @param {(xPx: number, yPx: number) => void} focus flies to what shows at a place of the surface
  * @param {AbortSignal} signal ends the listening
  */
-export function listenToGestures(surface, player, signal) {
+export function listenToGestures(surface, player, focus, signal) {
   /** @type {Map<number, { x: number, y: number, firstX: number }>} */
   const pointers = new Map();
   const taps = new Taps();
@@ -53,7 +53,7 @@ export function listenToGestures(surface, player, signal) {
   };
   const focusAt = (/** @type {number} */ x, /** @type {number} */ y) => {
     const { left, top } = surface.getBoundingClientRect();
-    player.focusAt(x - left, y - top);
+    focus(x - left, y - top);
   };
 
   let hasAll = false;

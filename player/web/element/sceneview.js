@@ -1,6 +1,6 @@
 import { Painter } from "../renderer/painter.js";
 import { Orbit } from "../view/orbit.js";
-import { nearOf, pointAt, poseOf } from "../view/pose.js";
+import { nearOf, poseOf } from "../view/pose.js";
 import { CanvasSize } from "./canvassize.js";
 import { FrameLoop } from "./frameloop.js";
 
@@ -154,20 +154,6 @@ export class SceneView extends EventTarget {
     if (this.manifest !== null && this.orbit !== null) {
       this.motion = make(this.manifest, this.orbit);
     }
-  }
-
-  /**
-   * The point of the scene at a place of the canvas; null where the picture is empty.
-   * @param {number} xPx from the left, in CSS pixels
-   * @param {number} yPx from the top
-   */
-  pointAt(xPx, yPx) {
-    const { camera, painter, size } = this;
-    if (camera === null || this.isEmpty) return null;
-    const x = (xPx * size.pixelRatio) % camera.widthPx; // side by side there are two pictures
-    const y = yPx * size.pixelRatio;
-    const depthM = painter.renderer?.depthAt(camera, x, y) ?? null;
-    return depthM === null ? null : pointAt(camera, x, y, depthM);
   }
 
   /** The current camera, with the size of the canvas, or of half the canvas side by side. */

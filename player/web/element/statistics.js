@@ -1,4 +1,5 @@
 import { node } from "./nodes.js";
+import { scenePointAt } from "./pointing.js";
 
 const PERIOD_MS = 250;
 
@@ -43,7 +44,7 @@ export class Statistics {
     const buffered = (state.endFrame - state.frame) / manifest.fps;
     const rate =
       state.rateBps === null ? "rate not known yet" : `${(state.rateBps / 1e6).toFixed(1)} Mbit/s`;
-    const point = this.#pointer && player.view.pointAt(...this.#pointer);
+    const point = this.#pointer && scenePointAt(player.view, ...this.#pointer);
     return [
       `frame     ${state.frame} of ${player.numFrames}, ${manifest.fps} per second`,
       `pictures  ${timings.framesPerS.toFixed(0)} per second`,

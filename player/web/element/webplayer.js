@@ -116,20 +116,6 @@ export class WebPlayer extends StreamSession {
   }
 
   /**
-   * Flies to the point of the scene at a place of the canvas, and turns around it from then on.
-   * @param {number} xPx from the left, in CSS pixels
-   * @param {number} yPx from the top
-   * @returns {boolean} whether there is such a point
-   */
-  focusAt(xPx, yPx) {
-    const point = this.view.pointAt(xPx, yPx);
-    if (point === null) return false;
-    this.motion?.focusOn(point);
-    this.moved();
-    return true;
-  }
-
-  /**
    * Shows two pictures, for the left and the right eye, or one.
    * @param {typeof import("../stereo/eyes.js").eyesAt | null} eyesAt null: one
    */

@@ -30,7 +30,13 @@ const THREADS = [
 
 /** Sources of a page before anything else, by the kind of stream that it plays. */
 const KINDS = { hosted: "hosted.js", served: "served.js" };
-const FIRST = ["player.js", "playworker.js", "sortworker.js"];
+const FIRST = ["player.js", "playworker.js", "streamplayer.js", "sortworker.js"];
+
+/**
+ * The script with the modules of a worker that loads others later. It is not the worker's own script: WebKit runs that
+ * once more when a module imports it.
+ */
+const INNER = { playworker: "streamplayer" };
 
 /** How a source names a file beside it, such as a worker. */
 const BESIDE = /new URL\("\.{1,2}\/(?:[\w.]+\/)*([\w.]+)", import\.meta\.url\)/g;
@@ -100,10 +106,10 @@ const HOMES = { controls: "element/controls.js", hosted: "source/hosted.js" };
  * Few files: what both kinds of source need is part of the worker itself, and what several later scripts need has
  * one of HOMES.
  * @param {string} main path of the entry
- * @param {string} name
+ * @param {string} inner name of the script with the entry
  * @returns {import("rollup").GetManualChunk}
  */
-function placing(main, name) {
+function placing(main, inner) {
   return (id, { getModuleInfo }) => {
     const reach = (/** @type {string} */ from, seen = new Set()) => {
       if (seen.has(from)) return seen;
@@ -112,7 +118,7 @@ function placing(main, name) {
       return seen;
     };
     const kinds = Object.values(KINDS).map((file) => reach(`${WEB}source/${file}`));
-    if (reach(main).has(id) || kinds.every((kind) => kind.has(id))) return name;
+    if (reach(main).has(id) || kinds.every((kind) => kind.has(id))) return inner;
     return Object.entries(HOMES).find(([, path]) => reach(`${WEB}${path}`).has(id))?.[0];
   };
 }
@@ -124,12 +130,14 @@ async function scripts(entry) {
   const [[name, path]] = Object.entries(entry);
   const main = `${WEB}${path}`;
   const input = { [name]: main };
-  const built = await rollup({ input, plugins, preserveEntrySignatures: "allow-extension" });
+  const inner = INNER[/** @type {keyof typeof INNER} */ (name)];
+  const preserveEntrySignatures = inner ? "strict" : "allow-extension";
+  const built = await rollup({ input, plugins, preserveEntrySignatures });
   const { output } = await built.generate({
     format: "es",
     entryFileNames: "[name].js",
     chunkFileNames: "[name].js",
-    manualChunks: placing(main, name),
+    manualChunks: placing(main, inner ?? name),
     sourcemap: "hidden",
   });
   return output;
@@ -162,7 +170,7 @@ const pageScript = await inlineScript("watch.js");
 const first = Object.fromEntries(
   Object.entries(KINDS).map(([kind, file]) => [
     kind,
-    [...FIRST.slice(0, 2), file, ...FIRST.slice(2)],
+    [...FIRST.slice(0, 3), file, ...FIRST.slice(3)],
   ]),
 );
 /** @type {Record<string, string>} each file, and its text */

@@ -37,7 +37,7 @@ const server = createServer(async (request, response) => {
     return;
   }
   // Only tools read the maps: a comment with their address would be first load of all viewers.
-  if (pathname.endsWith(".js")) response.setHeader("SourceMap", `${pathname}.map`);
+  if (/\/bundle\/[^/]+\.js$/.test(pathname)) response.setHeader("SourceMap", `${pathname}.map`);
   files(request, response);
 });
 server.listen(PORT, "127.0.0.1", () => {

@@ -23,8 +23,8 @@ from tests.support.web.chromium import Page
 from tests.support.web.nodeprocess import WEB
 from tests.support.web.site import Site
 
-MOST_REQUESTS = 9
-MOST_SCRIPT_BYTES = 50_500
+MOST_REQUESTS = 10
+MOST_SCRIPT_BYTES = 51_000
 """Of a first load, with the heads of the responses; `npm run size` limits the scripts alone."""
 
 BUNDLE = WEB / "bundle"
