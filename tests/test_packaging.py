@@ -35,7 +35,8 @@ PURE = (
 
 
 def python_files(folder: str) -> list[Path]:
-    return sorted((ROOT / folder).rglob("*.py"))
+    # An npm package may have some of its own.
+    return sorted(f for f in (ROOT / folder).rglob("*.py") if "node_modules" not in f.parts)
 
 
 def house_files() -> list[Path]:

@@ -28,6 +28,7 @@ MODULES = [
     ".".join(file.relative_to(ROOT).with_suffix("").parts)
     for package in PACKAGES
     for file in sorted((ROOT / package).rglob("*.py"))
+    if "node_modules" not in file.parts
     if file.stem not in ("__init__", *NEEDS_GUNICORN)
 ]
 
