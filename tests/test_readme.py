@@ -33,9 +33,11 @@ from tests.support.tiny_stream import tiny_manifest, write_tiny
 from tests.support.waiting import BOUND_S, wait_until
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+RESULTS = (ROOT / "docs" / "RESULTS.md").read_text(encoding="utf-8")
 PAGES = README + (ROOT / "docs" / "GUIDE.md").read_text(encoding="utf-8")
 MOST_WORDS = 700
 FIGURE = r"\d+(?:,\d{3})*(?:\.\d+)?"
+OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9.-]*")
 NUM_FRAMES = 32
 IS_COMMAND = re.compile(r"(swings-\w+|python3?|pip|cp|git|scripts/\w+)( |$)")
 
@@ -181,10 +183,19 @@ def test_the_readme_is_short_and_begins_with_a_moving_picture() -> None:
 
 def test_every_figure_that_the_readme_claims_was_measured() -> None:
     """They are among the results of docs/RESULTS.md."""
-    results = (ROOT / "docs" / "RESULTS.md").read_text(encoding="utf-8")
     claimed = re.findall(FIGURE, README.partition("## Measured")[2].partition("\n## ")[0])
     assert len(claimed) > 20
-    assert not set(claimed) - set(re.findall(rf"(?<![\d.]){FIGURE}(?!\d)", results))
+    assert not set(claimed) - set(re.findall(rf"(?<![\d.]){FIGURE}(?!\d)", RESULTS))
+
+
+def test_the_results_can_be_measured_again() -> None:
+    """Every bench exists, and every option of our commands."""
+    lines = re.findall(r"^ {4}(\S.*)$", RESULTS, re.MULTILINE)
+    benches = {words[1] for words in map(str.split, lines) if words[0] == "scripts/bench"}
+    assert len(benches) > 10
+    assert benches <= {path.stem for path in (ROOT / "bench").rglob("*.py")}
+    named = {o for line in lines if line.startswith("swings-") for o in OPTION.findall(line)}
+    assert not named - all_options()
 
 
 @pytest.mark.parametrize("words", MADE)
@@ -261,7 +272,7 @@ def test_every_option_that_is_named_is_one() -> None:
         option
         for words in WORDS
         if not words.startswith(("python", "pip", "cp", "scripts"))
-        for option in re.findall(r"(?<![\w-])--[a-z][a-z0-9.-]*", words)
+        for option in OPTION.findall(words)
     }
     assert len(named) > 30
     assert not named - all_options() - {"--help-all"}  # itself

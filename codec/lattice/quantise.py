@@ -18,7 +18,7 @@ MAX_OPACITY_LEVELS = 256
 MAX_LOGIT = 16.0
 
 # Found on trained models by rendering: each bit then buys about the same in every attribute, and
-# the picture loses about 0.05 dB, measured in docs/RESULTS.md.
+# the picture loses about 0.05 dB, measured in bench/NOTEBOOK.md.
 POSITION_PER_SIZE = 1 / 11
 BASE_LOG_SCALE = 0.125
 BASE_ROTATION = 1 / 60

@@ -23,7 +23,8 @@ from tests.support.commands import ROOT, run_ok
 from tests.support.drawn import angles_rad
 from tests.support.trained_like import trained_like_splats
 
-PAGE = (ROOT / "docs" / "FORMATS.md").read_text(encoding="utf-8")
+FORMATS = (ROOT / "docs" / "FORMATS.md").read_text(encoding="utf-8")
+PAGE = FORMATS.partition("\n## A sequence as a stream\n")[0]
 COMMANDS = [line.strip() for line in re.findall(r"^ {4}swings-stream .*$", PAGE, re.M)]
 FIGURE = (
     Path(os.environ.get("SWINGS_DATA", ROOT / ".." / "shared" / "data"))

@@ -136,7 +136,7 @@ class TrainConfig:
     """With --ray: CPU cores that each worker reserves in the cluster, and its number of threads."""
     worker_gpus: float = 0
     """With --ray: GPUs that each worker reserves; below 1 if several workers share one GPU.
-    Backends cuda and torch need more than 0; see docs/SCALE.md."""
+    Backends cuda and torch need more than 0; see docs/OPERATE.md."""
     part_frames: int = 300
     """With --ray: number of frames in a part, rounded up to whole segments. One worker trains the
     frames of a part one after another."""

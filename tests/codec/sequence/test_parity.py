@@ -31,7 +31,8 @@ from tests.support.slots.rotating import figure, turned
 from tests.support.slots.slot_streams import gaussians
 from tests.support.trained_like import trained_like_splats
 
-PAGE = (ROOT / "docs" / "SEQUENCES.md").read_text(encoding="utf-8")
+FORMATS = (ROOT / "docs" / "FORMATS.md").read_text(encoding="utf-8")
+PAGE = FORMATS.partition("\n## A sequence as a stream\n")[2]
 COMMANDS = re.findall(r"^ {4}(swings-.*)$", PAGE, re.MULTILINE)
 
 
