@@ -21,7 +21,7 @@ from bench.train import DSSIM_WEIGHT, MEANS_LR_M, NEAR_M, bench_camera, bench_sh
 from trainer.capture.capture import Mask
 from trainer.fit.config import FitConfig
 from trainer.pictures.shot import Shot
-from trainer.step.backend import Step, Training
+from trainer.step.backend import Selection, Step, Training
 from trainer.step.colour import CameraColour
 from trainer.step.device.device import DeviceBackend
 from trainer.step.device.deviceview import DeviceView
@@ -198,7 +198,7 @@ def measured_step(case: StepCase) -> StepRow:
     resident = backend.start(bench_training(case))
     resident.begin_window(np.zeros(case.count, np.float32), [])
     rows = np.arange(case.count, dtype=np.int32)
-    selection = resident.select(rows, rows)
+    selection = Selection(rows, rows)
 
     def step(i: int) -> None:
         given = Step(i % CAMERAS, 0, False, True, MEANS_LR_M, 1.0, 1e-9, i)

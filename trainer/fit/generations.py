@@ -1,9 +1,12 @@
-"""The Gaussians in training: both generations of every slot, and how one follows the other.
+"""The Gaussians in training: both generations of every slot, when they show, and every way to
+change them but steps.
 
-Steps change them where they live (`Rows`). Here they are fetched before they are read or changed,
-and what was changed is sent back.
+`Lifespans` is the bookkeeping of the sliding window over slots, slices and generations (paper,
+Algorithm 1), in frames. Steps change Gaussians where they live (`Home`). Here they are fetched
+before they are read or changed, and what was changed is sent back. A strategy decides what changes
+when.
 
-Rule: a matured generation is written by `mature` alone, so what has left the trainer as a slice
+Rule: a matured generation is written by `freeze` alone, so what has left the trainer as a slice
 never changes in its later pictures.
 """
 
@@ -14,22 +17,115 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from codec.slice import Slice
-from codec.slots.update import PREDICTED, Update
 from codec.splats import Splats
-from trainer.lease.leases import Leases
-from trainer.lease.takeover import Crossfade, PlayerState
-from trainer.step.backend import Rows
-from trainer.step.cpubackend import HostRows
+from trainer.step.backend import Home, Selection
 from trainer.step.optimiser import Adam
 from trainer.step.raster import Parameters
 
 from .config import FitConfig
-from .lifespans import Lifespans
 from .mcmc import relocate
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
+Longs = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+
+
+class Lifespans:
+    """Birth, start and expiry of both generations of every slot. Rows as in `Generations`.
+
+    During genesis all Gaussians live in [0, swin_size) and there is no matured generation.
+    `stagger` ends genesis; afterwards `mature` hands over one slice a frame.
+    """
+
+    def __init__(self, num_gs: int, swin_size: int) -> None:
+        self.num_gs = num_gs
+        self.swin_size = swin_size
+        self.slice_size = num_gs // swin_size
+        self.births = np.zeros(num_gs, np.int32)
+        self.starts = np.zeros(num_gs, np.int32)
+        self.expires = np.full(num_gs, swin_size, np.int32)
+        # An empty lifespan: no frame shows a matured generation yet.
+        self.matured_starts = np.zeros(num_gs, np.int32)
+        self.matured_expires = np.zeros(num_gs, np.int32)
+
+    def stagger(self) -> None:
+        """Ends genesis: the lanes live on for one frame more each.
+
+        The slice that expires at e is as if born at e - swin_size, and lies in lane (e - swin_size)
+        % swin_size.
+        """
+        for birth in range(1 - self.swin_size, 1):
+            lane = self.lane_rows(birth % self.swin_size)
+            self.births[lane] = birth
+            self.starts[lane] = birth
+            self.expires[lane] = birth + self.swin_size
+
+    def move(self, frames: int) -> None:
+        """Makes everything happen so many frames later."""
+        for times in (self.births, self.starts, self.expires):
+            times += frames
+        self.matured_starts += frames
+        self.matured_expires += frames
+
+    def deal(self, ranking: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """The order that puts the rows in `ranking` into lanes, the first slice into that which
+        lives longest, each next one into that which lives a frame less. Row i becomes what row
+        order[i] was."""
+        order = np.empty(self.num_gs, np.int64)
+        for rank in range(self.swin_size):
+            lane = self.lane_rows(-rank % self.swin_size)
+            order[lane] = ranking[rank * self.slice_size : (rank + 1) * self.slice_size]
+        return order
+
+    def lane_rows(self, lane: int) -> slice:
+        return slice(lane * self.slice_size, (lane + 1) * self.slice_size)
+
+    def due(self, first_frame: int) -> list[int]:
+        """Births of the slices that no frame from `first_frame` on may change, oldest first."""
+        return sorted({int(b) for b in self.births[:: self.slice_size] if b < first_frame})
+
+    def mature(self, birth: int) -> slice:
+        """Freezes the slice born at `birth` and begins the next generation of its slots.
+
+        Gives the rows of its lane, whose parameters the caller copies to the matured rows, except
+        those of kept slots.
+        """
+        rows = self.lane_rows(birth % self.swin_size)
+        trained = ~self.kept(rows)
+        self.matured_starts[rows][trained] = self.starts[rows][trained]
+        self.matured_expires[rows][trained] = self.expires[rows][trained]
+        self.births[rows] = self.expires[rows]
+        self.starts[rows] = self.expires[rows]
+        self.expires[rows] += self.swin_size
+        return rows
+
+    def keep(self, rows: slice) -> None:
+        """Leases the slots `rows`, all of one lane whose new generation is not shown yet: what has
+        matured in them goes on for another life."""
+        self.starts[rows] = self.expires[rows]
+        self.matured_expires[rows] = self.expires[rows]
+
+    def take_up(self, rows: Ints) -> None:
+        """Ends the leases of `rows`: their new generation shows from its birth on."""
+        self.starts[rows] = self.births[rows]
+        self.matured_expires[rows] = self.births[rows]
+
+    def kept(self, rows: slice) -> npt.NDArray[np.bool_]:
+        """Which of the slots `rows` are kept: their new generation never shows."""
+        kept: npt.NDArray[np.bool_] = self.starts[rows] == self.expires[rows]
+        return kept
+
+    def active_rows(self, frame: int) -> Ints:
+        """Rows of both generations that show at `frame`; trainable ones first."""
+        current = np.flatnonzero((self.starts <= frame) & (frame < self.expires))
+        matured = np.flatnonzero((self.matured_starts <= frame) & (frame < self.matured_expires))
+        return np.concatenate([current, matured + self.num_gs]).astype(np.int32)
+
+    def ages(self, first_frame: int) -> npt.NDArray[np.float32]:
+        """(num_gs,) float32: windows that each row has been trained for before this one."""
+        trained = first_frame + self.swin_size - 1 - self.starts
+        return np.maximum(trained, 0).astype(np.float32)
 
 
 class Generations:
@@ -39,21 +135,20 @@ class Generations:
     generation before it in the same slots, which has no history.
     """
 
-    home: Rows
-    """Where they live; the host's arrays until a resident takes them in."""
-
-    def __init__(
-        self, config: FitConfig, initial: Splats | None, leases: Leases | None = None
-    ) -> None:
-        """initial: num_gs Gaussians; None when the arrays of `state` will be filled. leases: None
-        where every slice is sent whole."""
-        self.leases = leases
-        self.home = HostRows()
+    def __init__(self, config: FitConfig, initial: Splats | None) -> None:
+        """initial: num_gs Gaussians; None when the arrays of `state` will be filled."""
+        self.home = Home()
+        """Where they live; the host's arrays until a resident takes them in."""
         self.num_gs = config.num_gs
         self.lifespans = Lifespans(config.num_gs, config.swin_size)
         self._adam = Adam(config.num_gs, config.sh_degree, config.optimiser)
-        self.takeover: Crossfade | None = None
-        """Where slots come to follow another training."""
+        self._selections: dict[tuple[int, int | None], Selection] = {}
+        # A strategy that uses one of these two puts its own array here.
+        self.layers = np.zeros(config.num_gs, np.uint8)
+        """The layer of each slot."""
+        self.follows = np.zeros(config.num_gs, np.bool_)
+        """The slots that show what another training has in them: steps and relocation leave them as
+        they are."""
         self._values = Parameters.zeros(2 * config.num_gs, config.sh_degree)
         self._values.quats[:, 0] = 1
         self.motions = np.zeros((config.num_gs, 3), np.float32)
@@ -93,126 +188,81 @@ class Generations:
         ):
             for i, array in enumerate(parameters.arrays):
                 arrays[f"{name}{i}"] = array
-        if self.leases is not None:
-            arrays |= self.leases.state()
         return arrays
 
     def shown(self, frame: int) -> Splats:
         """A copy of what shows at `frame`."""
-        return self._read(self.lifespans.active_rows(frame))
+        return self.read(self.lifespans.active_rows(frame))
 
-    def stagger(self, rng: np.random.Generator) -> None:
-        """Ends genesis: deals the Gaussians out to slices that expire one after another."""
-        if self.leases is None:
-            # At random: slots hand their Gaussians on for the whole video, so slices that are
-            # unequal now would stay so, and frames alternate in quality and layers in worth.
-            order = self.lifespans.deal(rng.permutation(self.num_gs))
-        else:
-            order = self.leases.deal(self.values.means[: self.num_gs], rng)
+    def selection(self, frame: int, layers: int | None = None) -> Selection:
+        """What a step renders that sees `frame`: everything that shows there; of the first `layers`
+        layers, if that is given.
+
+        It is kept until `deselect`, so that a resident need not be sent the rows with each step.
+        There are at most swin_size frames times the layers of them.
+        """
+        if (frame, layers) not in self._selections:
+            rows = self.lifespans.active_rows(frame)
+            if layers is not None:
+                rows = rows[self.layers[rows % self.num_gs] < layers]
+            trained = rows[rows < self.num_gs]
+            trained = trained[~self.follows[trained]]
+            self._selections[frame, layers] = Selection(rows, trained)
+        return self._selections[frame, layers]
+
+    def deselect(self) -> None:
+        """To be called when a lifespan, a layer or what follows another training has changed; each
+        window begins with it."""
+        self._selections.clear()
+
+    def stagger(self, order: Longs) -> None:
+        """Ends genesis: deals the Gaussians out to slices that expire one after another. Row i
+        becomes what row order[i] was."""
         self.lifespans.stagger()
         self._move(np.arange(self.num_gs), order)
 
-    def mature(self, first_frame: int) -> list[Slice]:
-        """Freezes what no frame from `first_frame` on may change, and gives it in the order of
-        birth. The next generation of these slots begins with the same parameters."""
-        matured = []
-        for birth in self.lifespans.due(first_frame):
-            rows = self.lifespans.mature(birth)
-            frozen = self.matured_rows(birth)
-            for array in self.values.arrays:
-                array[frozen] = array[rows]
-            self.home.send(frozen)
-            offsets = self.lifespans.matured_starts[rows] - birth
-            matured.append(Slice(birth, self._read(frozen), offsets.astype(np.uint8)))
-        return matured
-
-    def mature_leased(self, first_frame: int, leases: Leases) -> list[Update]:
-        """The same where slots are leased: what matured goes on with the values that a player has,
-        the next generation with its own."""
-        updates = []
-        for birth in self.lifespans.due(first_frame):
-            lane = self.lifespans.lane_rows(birth % self.lifespans.swin_size)
-            active = ~self.lifespans.kept(lane)
-            went = self.values.means[lane] - self.values.means[self.matured_rows(birth)]
-            goes_on = active & ~leases.is_other[lane]
-            self.motions[lane] = np.where(goes_on[:, None], went, 0)
-            self.lifespans.mature(birth)
-            offsets = np.where(active, self.lifespans.matured_starts[lane] - birth, 0)
-            theirs = None if self.takeover is None else self.takeover.held(birth)
-            other = None
-            if self.takeover is not None and theirs is not None:
-                follows = self.takeover.follows[lane]
-                other, active = (follows, theirs), active & ~follows
-            update, exact = leases.mature(birth, lane, active, self._read(lane), offsets, other)
-            updates.append(update)
-            changed = active if other is None else active | other[0]
-            rows = np.flatnonzero(changed) + self.matured_rows(birth).start
-            for array, decoded in zip(self.values.arrays, exact.arrays, strict=True):
-                array[rows] = decoded[changed]
-            self.home.send(rows)
-        return updates
-
-    def held(self, update: Update) -> PlayerState:
-        """A player's slots of the lane of `update`, which has just matured."""
-        offsets = np.zeros(self.lifespans.slice_size, np.uint8)
-        offsets[update.statuses >= PREDICTED] = update.start_offsets
-        assert self.leases is not None
-        lane = self.lifespans.lane_rows(update.birth % self.lifespans.swin_size)
-        drawn = self._read(self.matured_rows(update.birth))
-        return self.leases.held(update.birth, lane, offsets, drawn)
-
-    def follow(self, birth: int) -> None:
-        """Has slots of the slice that is born at `birth` follow another training: they are shown as
-        that has them, and not trained."""
-        if self.takeover is None:
-            return
-        lifespans, theirs = self.lifespans, self.takeover.held(birth)
-        lane = lifespans.lane_rows(birth % lifespans.swin_size)
-        rows = self.takeover.go_on(birth, lane)
-        if theirs is None:
-            return
-        of_lane = rows - lane.start
-        lifespans.take_up(rows)
-        self.home.fetch(history=True)  # it is sent along
-        self._write(rows, theirs.splats.take(of_lane))
-        shows = theirs.shows[of_lane]
-        lifespans.starts[rows[shows]] += theirs.start_offsets[of_lane][shows]
-        lifespans.starts[rows[~shows]] = lifespans.expires[rows[~shows]]
+    def freeze(self, birth: int, splats: Splats, changed: Flags) -> None:
+        """Writes the slots of the slice born at `birth` that have `changed` as they have matured:
+        those of `splats`, a whole slice."""
+        changed_rows = np.flatnonzero(changed)
+        self._write(self.matured_rows(birth).start + changed_rows, splats.take(changed_rows))
 
     def matured_rows(self, birth: int) -> slice:
         """The rows of the slice born at `birth` from its maturing until the next of its lane."""
         rows = self.lifespans.lane_rows(birth % self.lifespans.swin_size)
         return slice(rows.start + self.num_gs, rows.stop + self.num_gs)
 
-    def relocate(self, last_frame: int, dead_opacity: float, rng: np.random.Generator) -> None:
+    def relocate(
+        self, slots: Flags, last_frame: int, dead_opacity: float, rng: np.random.Generator
+    ) -> Longs:
         """Moves dead Gaussians of every slice in the window that ends with `last_frame` to living
-        ones born no earlier.
+        ones born no earlier, among `slots` (num_gs,). Gives the rows that moved.
 
         A dead one keeps its expiry and takes over its target's start, so it may show later than its
         slice is due (the paper's "birth" and "start").
         """
         lifespans = self.lifespans
-        own = np.ones(self.num_gs, np.bool_) if self.takeover is None else ~self.takeover.follows
-        values, changed = self.values, [np.zeros(0, np.int64)]
+        values, moved, changed = self.values, [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         births = np.unique(lifespans.births)
         for birth in births[births <= last_frame]:
             logits = values.logit_opacities[: self.num_gs]
             is_dead = logits <= np.log(dead_opacity / (1 - dead_opacity))
-            born = (lifespans.births == birth) & (lifespans.starts < lifespans.expires) & own
+            born = (lifespans.births == birth) & (lifespans.starts < lifespans.expires) & slots
             dead = np.flatnonzero(is_dead & born)
             # Slices that no frame of the video shows yet must not attract any.
             alive = np.flatnonzero(
-                ~is_dead & (lifespans.births >= birth) & (lifespans.starts <= last_frame) & own
+                ~is_dead & (lifespans.births >= birth) & (lifespans.starts <= last_frame) & slots
             )
             targets = relocate(values, dead, alive, dead_opacity, rng)
             if len(targets):
                 lifespans.starts[dead] = lifespans.starts[targets]
-                if self.leases is not None:
-                    self.leases.is_other[dead] = True
-                changed += [dead, np.unique(targets)]
-                for rows in changed[-2:]:
-                    self._adam.reset(rows)
-        self.home.send(np.unique(np.concatenate(changed)))
+                moved.append(dead)
+                changed += [dead, targets]
+        rows = np.unique(np.concatenate(changed))
+        self._adam.reset(rows)
+        self.home.send(rows)
+        self.deselect()
+        return np.concatenate(moved)
 
     def least(self, rows: Ints, contributions: Floats, each: int) -> Ints:
         """The `each` of every slice that contribute least among `rows`, which are being optimised,
@@ -227,8 +277,12 @@ class Generations:
         self.lifespans.starts[rows] = start
         self._adam.reset(rows)
         self._write(rows, splats)
-        if self.leases is not None:
-            self.leases.is_other[rows] = True
+        self.deselect()
+
+    def show(self, rows: Ints, splats: Splats) -> None:
+        """Has the rows `rows` be `splats`, with the histories that they have."""
+        self.home.fetch(history=True)  # it is sent along
+        self._write(rows, splats)
 
     def forget(self) -> None:
         """Begins the histories of all Gaussians afresh."""
@@ -244,8 +298,6 @@ class Generations:
     def trade(self, rows: Ints, others: Ints) -> None:
         """Gaussians in training change places: those of `rows` with those of `others`."""
         self._move(np.concatenate([rows, others]), np.concatenate([others, rows]))
-        if self.leases is not None:
-            self.leases.is_other[rows] = self.leases.is_other[others] = True
 
     def _move(self, rows: npt.NDArray[np.integer], origins: npt.NDArray[np.integer]) -> None:
         """Row rows[i] takes over what is trained in row origins[i]."""
@@ -254,10 +306,11 @@ class Generations:
             array[rows] = array[origins]
         self.home.send(rows)
 
-    def _read(self, rows: slice | Ints) -> Splats:
+    def read(self, rows: slice | Ints) -> Splats:
+        """A copy of the Gaussians `rows`."""
         return Splats(*(array[rows].copy() for array in self.values.arrays))
 
-    def _write(self, rows: slice | Ints, splats: Splats) -> None:
+    def _write(self, rows: slice | npt.NDArray[np.integer], splats: Splats) -> None:
         for array, given in zip(self.values.arrays, splats.arrays, strict=True):
             array[rows] = given
         self.home.send(rows)

@@ -18,6 +18,7 @@ from PIL import Image
 from codec.camera import Camera
 from codec.kernel import kernel, prange
 from codec.splats import Splats
+from player.render.recipe import TILE_PX
 from trainer.pictures.feed import Pictures
 from trainer.pictures.scale import scaled_mask
 from trainer.seed.gaussians import initial_splats
@@ -30,9 +31,7 @@ from trainer.seed.stereo import (
 )
 from trainer.step.colour import CameraColour
 from trainer.step.contribution import contribution
-from trainer.step.raster import Parameters, View, render
-
-from .changescores import ChangeScores
+from trainer.step.raster import Parameters, Rendered, View, render, weighed
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
@@ -42,6 +41,12 @@ Doubles = npt.NDArray[np.float64]
 LEAST_ERROR = 0.05
 """Mean colour difference, of 1, from which on a pixel is wrong. In the other cameras half of it is
 enough."""
+
+LEAST_CHANGE = 3e-4
+"""Squared colour difference that may come from noise."""
+
+ERROR_WEIGHT = 0.03
+"""Weight of the error of pixels that did not change, beside those that did."""
 
 FINER = 4
 """Finer steps tried to either side of the best of stereo's depths; together one of its steps."""
@@ -55,6 +60,53 @@ COST_ACCEPTED = 0.06
 
 SMALLEST_PX, LARGEST_PX = 0.5, 2.0
 """Bounds of a new Gaussian's standard deviation, in pixels of the small pictures."""
+
+
+def _smoothed(differences: Floats) -> Floats:
+    """(H, W, 3): means over 3 x 3 pixels; beyond the border the nearest pixel counts again."""
+    padded = np.pad(differences, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    rows = padded[:-2] + padded[1:-1] + padded[2:]
+    blurred: Floats = (rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / np.float32(9)
+    return blurred
+
+
+class ChangeScores:
+    """Sums over cameras of what M Gaussians have to do with change.
+
+    For a camera let W be a Gaussian's blending weights summed over the pixels, X the same of
+    weight times the pixel's growth in squared error since the frame before, R of weight times its
+    squared error. A score is (sum sqrt(W X))^2 / sum W + 0.03 (sum sqrt(W R))^2 / sum W: what many
+    cameras see changed counts more than what one does.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._weights, self._changed, self._wrong = (np.zeros(count) for _ in range(3))
+
+    def add(self, rendered: Rendered, now: Floats, before: Floats, counts: Flags) -> Floats:
+        """Takes in one camera; gives (M,) the Gaussians' weights.
+
+        now, before: (H, W, 3) the rendered picture minus what the camera sees now, and saw before;
+        counts: (H, W) the pixels that count.
+        """
+        wrong = np.square(_smoothed(now)).sum(axis=2)
+        changed = np.maximum(wrong - np.square(_smoothed(before)).sum(axis=2) - LEAST_CHANGE, 0)
+        height, width = counts.shape
+        planes = np.zeros_like(rendered.picture)
+        assert planes.shape[1] % TILE_PX == 0
+        for plane, values in zip(planes, (np.ones_like(wrong), changed, wrong), strict=True):
+            plane[:height, :width] = np.where(counts, values, 0)
+        weights, of_changed, of_wrong = weighed(rendered, planes)
+        self._weights += weights
+        self._changed += np.sqrt(np.maximum(weights * of_changed, 0))
+        self._wrong += np.sqrt(np.maximum(weights * of_wrong, 0))
+        return weights
+
+    @property
+    def scores(self) -> Doubles:
+        """(M,) the scores; 0 for what no camera sees."""
+        weights = np.maximum(self._weights, 1e-12)
+        scores: Doubles = (self._changed**2 + ERROR_WEIGHT * self._wrong**2) / weights
+        return scores
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,26 +132,26 @@ def _surrounded(counts: Flags) -> Flags:
 class Comparer:
     """Compares what is rendered with what the cameras saw, on small pictures."""
 
-    def __init__(self, views: Sequence[View], for_flow: bool = False) -> None:
+    def __init__(
+        self,
+        views: Sequence[View],
+        pictures: Pictures,
+        colour: CameraColour,
+        for_flow: bool = False,
+    ) -> None:
         """views: at any size. for_flow: whether comparisons hold what scene flow needs."""
-        self._for_flow = for_flow
+        self._pictures, self._colour, self._for_flow = pictures, colour, for_flow
         self._views = [View.prepare(small_camera(v.camera), v.near_m) for v in views]
         height = max(v.camera.height_px for v in self._views)
         width = max(v.camera.width_px for v in self._views)
         self._shape = len(self._views), height, width
 
     def compare(
-        self,
-        values: Parameters,
-        rows: Ints,
-        pictures: Pictures,
-        frame: int,
-        colour: CameraColour,
-        before: int | None = None,
+        self, values: Parameters, rows: Ints, frame: int, before: int | None = None
     ) -> tuple[Comparison, Floats, Doubles]:
         """The Gaussians `rows` against `frame`; (M,) what each of them contributes there, and (M,)
         how much each has to do with what has changed since the frame `before`: zeros if None."""
-        scores = ChangeScores(len(rows))
+        pictures, colour, scores = self._pictures, self._colour, ChangeScores(len(rows))
         saw = np.zeros((*self._shape, 3), np.float32)
         errors = np.zeros(self._shape, np.float32)
         usable = np.zeros(self._shape, np.bool_)

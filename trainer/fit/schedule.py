@@ -20,7 +20,6 @@ WINDOW_NOISE = 5e4
 """Noise of later windows, as a multiple of the positions' learning rate, which restarts higher
 there. Paper, section 8.1."""
 
-Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
 
 
@@ -97,28 +96,31 @@ class WindowPlan:
 
     frames: range
     schedule: Schedule
+    settled: int | None
+    """In genesis, the settling rounds before this one; None while it has not begun to settle."""
     before: int
     """Iterations of this window that earlier plans have done."""
-    is_ranked: bool
-    """Whether its Gaussians are put into layers at `layered_from`."""
-    dead_opacity: float
-    """Opacity at or below which a Gaussian is relocated."""
-    layered_from: int
-    """The iteration from which on layers are trained as such."""
-    prefix_share: float
-    """Share of the iterations from there on that render only the first layers."""
+    begin: int
+    """Iterations of this plan that a restored state has behind it."""
+    brings_new: bool
+    """Whether no earlier window has seen the newest frame: not in genesis, nor in the last windows
+    of a video."""
     newest_share: float
     """Share of the iterations that see the newest frame in any case."""
-    error_share: float
-    """Share of the iterations that goes to cameras by how much is wrong in them."""
-    whole: bool
-    """Whether all of a picture is compared, see `Backend.step`."""
-    ages: Floats
-    """(N,) frames that each Gaussian has lived."""
-    together: Sequence[Ints]
-    """(N,) the cell of each Gaussian, for ever smaller cells whose Gaussians move together."""
     together_share: float
     """Share of the iterations that each size of cells gets."""
+    # A strategy may choose otherwise when the window begins.
+    error_share: float = 0.0
+    """Share of the iterations that goes to cameras by how much is wrong in them."""
+    whole: bool = True
+    """Whether all of a picture is compared, see `Backend.step`."""
+    together: Sequence[Ints] = ()
+    """(N,) the cell of each Gaussian, for ever smaller cells whose Gaussians move together."""
+
+    @property
+    def is_genesis(self) -> bool:
+        """Whether it is the first window, from which nothing has been sent yet."""
+        return self.frames.start == 0
 
     def level(self, iteration: int) -> int | None:
         """Which of the cells move together in an iteration; None if each Gaussian moves by

@@ -1,14 +1,15 @@
 """Sliding-window training (paper, Algorithm 1): pictures in, one matured slice per frame out.
 
 Nothing here opens a file or prints: the pictures come from a `Pictures`, slices leave through an
-iterator, and observers are called on the way.
+iterator, and observers are called on the way. What becomes of the Gaussians besides their steps is
+decided by a `Strategy`.
 """
 
 from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,30 +18,21 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import KEPT
 from codec.splats import Splats
-from trainer.lease.leases import Leases
-from trainer.lease.takeover import Crossfade, PlayerState
 from trainer.pictures.feed import Pictures
 from trainer.step.backend import Backend, Selection, Step, Training
 from trainer.step.colour import CameraColour
-from trainer.step.contribution import summed_contribution
 from trainer.step.raster import View
 from trainer.step.scalebound import CameraSpread
-from trainer.step.together import cells_of
 
-from .cameradraws import CameraDraws
 from .config import FitConfig
 from .generations import Generations
 from .observer import Observer, Progress, Window
-from .renew import Comparer, Comparison, missing_splats
-from .sceneflow import scene_flow
+from .renew import Comparer
 from .schedule import Schedule, WindowPlan
-from .selections import Selections
+from .strategy import Fit, Strategy, WholeSlices
 
 Doubles = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int32]
 
 FALLBACK_FAR_M = 100.0
 """Depth up to which new things are sought where the rig gives none."""
@@ -49,23 +41,8 @@ SMALLEST_HALVED_PX = 64
 """Genesis halves no pictures whose shorter side is below: the windows of SSIM would see little but
 the border."""
 
-LAYERED_FROM = 0.6
-"""Share of genesis after which Gaussians have layers, each trained to look right without those
-above, if it does not settle: otherwise this begins with the first settling round."""
-
 SETTLE_MEANS_LR = 1e-3
 """Learning rate of positions at the start of every settling round, over the scene's extent."""
-
-SETTLE_RENEW_SHARE = 0.1
-"""Share of the Gaussians that each settling round renews: those with the least contribution."""
-
-RELOCATE_UNTIL = 0.8
-"""Share of a window's iterations after which relocation stops, so that all Gaussians settle.
-3DGS-MCMC: 25K of 30K."""
-
-TOGETHER_SIZES = (0.05, 0.02)
-"""Sides of the cells in which Gaussians move together, one after the other, over the scene's
-extent."""
 
 BOUND_PERIOD = 10
 """Iterations after which scales are brought back within their bound."""
@@ -80,6 +57,47 @@ def scene_extent_m(cameras: Sequence[Camera]) -> float:
     return extent if extent > 0 else 1.0
 
 
+class CameraDraws:
+    """Draws cameras by their errors, so that none falls behind its share for long.
+
+    Every draw adds its share to what each camera is owed; one of those that are owed most is drawn
+    and pays 1. So it is a shuffle of all cameras while they are equally wrong.
+    """
+
+    def __init__(self, num_cameras: int) -> None:
+        self._owed = np.zeros(num_cameras)
+        self._losses = np.zeros(num_cameras)
+
+    def state(self) -> dict[str, npt.NDArray[Any]]:
+        """The values that training changes. Views, not copies."""
+        return {"cameras_owed": self._owed, "cameras_losses": self._losses}
+
+    def shares(self, error_share: float) -> npt.NDArray[np.float64]:
+        """(C,) how often each camera is drawn, as a share of all draws. error_share: of them, those
+        that go by errors; the rest is for all alike."""
+        count = len(self._losses)
+        even = np.full(count, 1 / count)
+        seen = self._losses > 0
+        if not seen.any():
+            return even
+        # A camera that was not drawn yet counts with the mean error of the others.
+        losses = np.where(seen, self._losses, self._losses[seen].mean())
+        shares: npt.NDArray[np.float64] = losses / losses.sum()
+        return (1 - error_share) * even + error_share * shares
+
+    def draw(self, rng: np.random.Generator, error_share: float) -> int:
+        """The camera of the next iteration; error_share as in `shares`."""
+        self._owed += self.shares(error_share)
+        most = np.flatnonzero(self._owed > self._owed.max() - 0.5)
+        camera = int(rng.choice(most))
+        self._owed[camera] -= 1
+        return camera
+
+    def note(self, camera: int, loss: float) -> None:
+        """Takes in the loss of an iteration that looked through `camera`."""
+        self._losses[camera] = loss
+
+
 class Trainer:
     """One training run; `windows` does the work."""
 
@@ -92,12 +110,12 @@ class Trainer:
         far_m: float = FALLBACK_FAR_M,
         backend: Backend | None = None,
         observers: Sequence[Observer] = (),
-        layout: SlotLayout | None = None,
+        strategy: Callable[[Fit], Strategy] = WholeSlices,
         search_from_m: float | None = None,
     ) -> None:
         """near_m: nearest depth drawn, for all cameras or for each. initial: num_gs Gaussians to
-        begin with; None when `restore` follows. backend: by default the CPU's. layout: where slots
-        are leased. search_from_m: least depth at which new places are looked for, by default
+        begin with; None when `restore` follows. backend: by default the CPU's. strategy: makes that
+        of this training. search_from_m: least depth at which new places are looked for, by default
         near_m."""
         if initial is not None and (len(initial), initial.sh_degree) != (
             config.num_gs,
@@ -118,25 +136,27 @@ class Trainer:
             for view in self._views
             if config.coarse_share or config.window_coarse_share
         ]
-        self._search_m = min(planes_m) if search_from_m is None else search_from_m, far_m
-        self._extent_m = scene_extent_m(cameras)
-        self._comparer = Comparer(self._views, config.scene_flow)
+        search_from_m = min(planes_m) if search_from_m is None else search_from_m
         # What changes while training; `state` gives all of it.
-        self._leases = None if layout is None else Leases(config.lease, layout)
-        self._generations = Generations(config, initial, self._leases)
+        self._generations = Generations(config, initial)
         self._colour = CameraColour(len(cameras), config.colour_lr)
         self._cameras = CameraDraws(len(cameras))
         self._rng = np.random.default_rng(config.seed)
         self._next_window = 0
         self._steps = 0
         self._unread: deque[int | None] = deque()
+        self._fit = Fit(
+            config, self._generations, pictures, self._views,
+            Comparer(self._views, pictures, self._colour, config.scene_flow),
+            (search_from_m, far_m), scene_extent_m(cameras), self._rng,
+        )  # fmt: skip
+        self.strategy = strategy(self._fit)
         training = Training(
             self._generations.values, self._generations.adam, self._colour, pictures, self._views,
             self._half_views, CameraSpread.of(cameras), config.mcmc.dead_opacity,
         )  # fmt: skip
         self._resident = (backend or config.backend("cpu").backend).start(training)
         self._generations.home = self._resident
-        self._selections = Selections(self._resident, self._generations)
 
     @property
     def next_window(self) -> int:
@@ -157,32 +177,16 @@ class Trainer:
                 rate = self._config.optimiser.window_means_lr
                 self._train(self._plan(frames, Schedule.window(self._config, rate)))
             self._next_window += 1
-            if self._leases is None:
-                yield Window(frames, tuple(self._generations.mature(self._next_window)))
-            else:
-                updates = self._generations.mature_leased(self._next_window, self._leases)
-                yield Window(frames, updates=tuple(updates))
+            yield self.strategy.mature(frames)
             for observer in self._observers:
                 observer.window_ended(first_frame)
 
     def _train_genesis(self, frames: range) -> None:
         """Trains the first window, from the iteration on that a restored state has reached."""
-        schedule = Schedule.genesis(self._config)
-        self._train(self._plan(frames, schedule), self._steps)
+        self._train(self._plan(frames, Schedule.genesis(self._config)))
         schedule = Schedule.window(self._config, SETTLE_MEANS_LR)
         for settled in range(self._config.settle_rounds):
-            plan = self._plan(frames, schedule, settled)
-            if self._steps <= plan.before:
-                self._renew(0)
-            self._train(plan, self._steps - plan.before)
-        self._generations.stagger(self._rng)
-
-    def record_sent_bytes(self, window: Window, num_bytes: int) -> None:
-        """Records the bytes that the update of `window`, which `windows` has just given, takes in
-        the stream."""
-        if self._leases is not None and self._leases.budget is not None and window.first_frame:
-            sent = sum(int((update.statuses != KEPT).sum()) for update in window.updates)
-            self._leases.budget.record_sent_bytes(num_bytes, sent)
+            self._train(self._plan(frames, schedule, settled))
 
     def contributions(self, window: Window) -> list[Doubles]:
         """For each slice of `window`, which `windows` has just given, (N,) what its Gaussians
@@ -194,13 +198,8 @@ class Trainer:
         sums = np.zeros(2 * generations.num_gs, np.float64)
         for frame in window.frames:
             rows = generations.lifespans.active_rows(frame)
-            sums[rows] += self._contributions(rows, frame)
+            sums[rows] += self._fit.contributions(rows, frame)
         return [sums[generations.matured_rows(part.birth)] for part in window.slices]
-
-    def _contributions(self, rows: Ints, frame: int) -> Doubles:
-        """(M,) what the Gaussians `rows`, all that show, contribute to a frame of all views."""
-        masks = [self._pictures.mask(c, frame) for c in range(len(self._views))]
-        return summed_contribution(self._generations.values, rows, self._views, masks)
 
     def shown(self, frame: int) -> Splats:
         """The Gaussians that show at `frame`, of the window just trained or to be trained next."""
@@ -219,6 +218,7 @@ class Trainer:
         random = json.dumps(self._rng.bit_generator.state)
         return {
             **self._generations.state(),
+            **self.strategy.state(),
             **self._colour.state(),
             **self._cameras.state(),
             "random": np.frombuffer(random.encode(), np.uint8),
@@ -251,99 +251,54 @@ class Trainer:
                 f"swin_size {self._config.swin_size}"
             )
         self._generations.lifespans.move(by)
-        if self._leases is not None:
-            self._leases.trained += by
+        self.strategy.jump(by)
         self._next_window = frame
 
-    def take_over(self, takeover: Crossfade | None) -> None:
-        """Has slots follow another training from the next window on; None: none from now on."""
-        self._generations.takeover = takeover
-
-    def held(self, window: Window) -> list[PlayerState]:
-        """A player's slots of the lanes of `window`, which `windows` has just given; slots are
-        leased."""
-        return [self._generations.held(update) for update in window.updates]
-
     def _plan(self, frames: range, schedule: Schedule, settled: int | None = None) -> WindowPlan:
-        """How a window is trained; gives it its new slices. settled: the rounds that genesis has
-        settled for already."""
-        config, generations, leases = self._config, self._generations, self._leases
-        genesis = frames.start == 0
-        before, dead_opacity = 0, config.mcmc.dead_opacity
+        """How a window is trained. settled: the rounds that genesis has settled for already."""
+        config, before = self._config, 0
         if settled is not None:
             before = config.genesis_iterations + settled * config.window_iterations
-            dead_opacity = config.mcmc.settle_dead_opacity
-        layered_from = schedule.iterations
-        if leases is not None and len(leases.slots) > 1:
-            if not genesis or settled is not None:
-                layered_from = 0
-            elif not config.settle_rounds:
-                layered_from = int(LAYERED_FROM * schedule.iterations)
-        # Neither genesis nor the last windows of a video.
-        brings_new = not genesis and len(frames) == config.swin_size
-        if brings_new:
-            # The window after genesis is the first of all its slices.
-            first_is_new = leases is not None and frames.start == 1
-            for birth in frames if first_is_new else frames[-1:]:
-                self._begin_slice(birth)
-        together: list[Ints] = []
-        if brings_new and leases is not None and config.together_share:
-            means = generations.values.means[: config.num_gs]
-            together = [cells_of(means, size * self._extent_m) for size in TOGETHER_SIZES]
-        ages = generations.lifespans.ages(frames.start)
-        if genesis:
-            ages[:] = 0
-        # Where most slots are kept, what their tiles show reaches no gradient.
-        whole = genesis or leases is None
+        brings_new = frames.start > 0 and len(frames) == config.swin_size
         return WindowPlan(
             frames=frames,
             schedule=schedule,
+            settled=settled,
             before=before,
-            is_ranked=genesis and leases is not None and not settled,
-            dead_opacity=dead_opacity,
-            layered_from=layered_from,
-            prefix_share=config.settle_prefix_share if genesis else config.prefix_share,
+            begin=0 if frames.start else max(0, self._steps - before),
+            brings_new=brings_new,
             newest_share=config.newest_share if brings_new else 0.0,
-            # The loss of a whole picture says more of its camera than of what is still wrong.
-            error_share=0.0 if whole else config.error_share,
-            whole=whole,
-            ages=ages,
-            together=together,
             together_share=config.together_share,
         )
 
-    def _train(self, plan: WindowPlan, begin: int = 0) -> None:
-        """Optimises the current generation on the frames of a window. begin: iterations of the plan
-        that were done before."""
+    def _train(self, plan: WindowPlan) -> None:
+        """Optimises the current generation on the frames of a window."""
         config, generations, frames = self._config, self._generations, plan.frames
+        plan = self.strategy.begin_window(plan)
         if frames.start and not config.optimiser.carry_adam:
             generations.forget()
-        self._resident.begin_window(plan.ages, plan.together)
-        self._selections.forget()
-        for iteration in range(begin, plan.schedule.iterations):
+        generations.deselect()
+        ages = generations.lifespans.ages(frames.start)
+        if plan.is_genesis:
+            ages[:] = 0
+        self._resident.begin_window(ages, plan.together)
+        for iteration in range(plan.begin, plan.schedule.iterations):
             frame = int(self._rng.integers(frames.start, frames.stop))
             if plan.newest_share and self._rng.random() < plan.newest_share:
                 frame = frames[-1]
             camera = self._cameras.draw(self._rng, plan.error_share)
-            if plan.is_ranked and iteration == plan.layered_from and self._leases is not None:
-                rows = generations.lifespans.active_rows(0)
-                self._leases.rank(self._contributions(rows, 0))
-            has_all = iteration < plan.layered_from or self._rng.random() >= plan.prefix_share
-            layers = None if has_all else self._prefix()
-            self._step(plan, iteration, camera, frame, self._selections.at(frame, layers))
+            layers = self.strategy.before_step(plan, iteration)
+            self._step(plan, iteration, camera, frame, generations.selection(frame, layers))
             # The losses of half pictures are smaller: cameras are compared by those of whole ones.
-            is_noted = has_all and not plan.whole and not plan.schedule.is_half(iteration)
+            is_noted = layers is None and not plan.whole and not plan.schedule.is_half(iteration)
             self._unread.append(camera if is_noted else None)
             done = iteration + 1
             if not frames.start and config.mcmc.max_scale and done % BOUND_PERIOD == 0:
-                everyone = self._selections.at(frame)
+                everyone = generations.selection(frame)
                 self._resident.bound_scales(everyone, config.mcmc.max_scale)
             is_due = done % PROGRESS_PERIOD == 0 or done == plan.schedule.iterations
             loss = self._note_losses(is_due)
-            relocates = done <= RELOCATE_UNTIL * plan.schedule.iterations
-            if relocates and done % config.mcmc.relocate_period == 0:
-                generations.relocate(frames[-1], plan.dead_opacity, self._rng)
-                self._selections.forget()
+            self.strategy.after_step(plan, done)
             if is_due:
                 total = config.iterations(frames.start)
                 progress = Progress(frames.start, plan.before + done, total, loss)
@@ -363,7 +318,7 @@ class Trainer:
         self, plan: WindowPlan, iteration: int, camera: int, frame: int, selection: Selection
     ) -> None:
         """One iteration on the Gaussians of `selection`, seen by a camera at a frame."""
-        rates = plan.schedule.rates(iteration, self._extent_m)
+        rates = plan.schedule.rates(iteration, self._fit.extent_m)
         step = Step(
             camera, frame, plan.schedule.is_half(iteration), plan.whole, rates.means_lr_m,
             rates.calm, rates.noise_m, self._config.seed * 1_000_003 + self._steps,
@@ -371,73 +326,3 @@ class Trainer:
         )  # fmt: skip
         self._resident.step(step, selection)
         self._steps += 1
-
-    def _prefix(self) -> int:
-        """A random number of the first layers, which a step renders alone."""
-        leases = self._leases
-        assert leases is not None
-        # All but the last layer alone lack little, and learn with the whole.
-        chances = np.minimum(np.arange(len(leases.slots) - 1, 0, -1), 2)
-        return 1 + int(self._rng.choice(len(chances), p=chances / chances.sum()))
-
-    def _renew(self, frame: int) -> None:
-        """Replaces the Gaussians of genesis that contribute least, where `frame` shows what is not
-        rendered."""
-        generations = self._generations
-        rows = generations.lifespans.active_rows(frame)
-        seen, contributions, _ = self._comparer.compare(
-            generations.values, rows, self._pictures, frame, self._colour
-        )
-        each = round(SETTLE_RENEW_SHARE * len(rows))
-        least = generations.least(rows, contributions, each)
-        found = missing_splats(seen, len(least), *self._search_m, self._config.sh_degree, self._rng)
-        generations.place(least[: len(found)], found, frame)
-
-    def _begin_slice(self, frame: int) -> None:
-        """Prepares the slice that is born in `frame`, which no window saw before: leases
-        what stands still, and places the least contributing Gaussians of every slice where the
-        frame shows what is not rendered. Those show from then on."""
-        config, generations, leases = self._config, self._generations, self._leases
-        lifespans = generations.lifespans
-        lane = lifespans.lane_rows(frame % lifespans.swin_size)
-        if leases is not None:
-            lifespans.keep(lane)
-            generations.follow(frame)
-        elif config.mcmc.renew_share == 0:
-            return
-        # Without leases, whatever has matured before this window expires before its last frame.
-        rows = lifespans.active_rows(frame)
-        before = None if leases is None else frame - 1
-        seen, contributions, scores = self._comparer.compare(
-            generations.values, rows, self._pictures, frame, self._colour, before
-        )
-        if leases is None:
-            each = round(config.mcmc.renew_share * lifespans.slice_size)
-            least = generations.least(rows, contributions, each)
-        else:
-            slots = rows % config.num_gs
-            mine = (slots >= lane.start) & (slots < lane.stop)
-            if generations.takeover is not None:
-                mine &= ~generations.takeover.follows[slots]
-            active = leases.choose(slots[mine], scores[mine])
-            if config.scene_flow:
-                self._follow_flow(seen, rows, active)
-            traded = leases.trades(slots[mine], contributions[mine])
-            generations.trade(*traded)
-            least = leases.least(slots[mine], contributions[mine], config.mcmc.renew_share)
-            least = least[~np.isin(least, traded[0])]  # those matter now
-        found = missing_splats(seen, len(least), *self._search_m, config.sh_degree, self._rng)
-        if leases is not None:
-            least = self._rng.permutation(least).astype(np.int32)
-            lifespans.take_up(np.unique(np.concatenate([active, *traded, least[: len(found)]])))
-        generations.place(least[: len(found)], found, frame)
-
-    def _follow_flow(self, seen: Comparison, rows: Ints, active: Ints) -> None:
-        """Moves the slots `active` to where the cameras saw them go. rows: those of `seen`."""
-        generations, num_gs = self._generations, self._config.num_gs
-        slots = rows % num_gs
-        motions = scene_flow(
-            seen, generations.values.means[slots], generations.motions[slots], self._rng
-        )
-        moves = np.isin(slots, active)
-        generations.shift(slots[moves], motions[moves])

@@ -22,6 +22,7 @@ from codec.storage.openstorage import open_growing
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
 from codec.stream.writer import SHAPE, StreamWriter
 from trainer.fit.config import FitConfig
+from trainer.fit.leasedslots import LeasedSlots
 from trainer.fit.observer import Observer, Progress, Window
 from trainer.fit.trainer import Trainer
 from trainer.lease.takeover import Crossfade, PlayerState
@@ -131,23 +132,26 @@ class Worker:
             case Kind.SEAM:
                 self._train_seam()
 
-    def _resumed(self, manifest: Manifest, arrays: Arrays, fit: FitConfig | None = None) -> Trainer:
-        """A trainer that goes on from what `part_state` or `_keep` gave, with the run's settings or
-        `fit`."""
-        trainer = self._trainer(manifest, None, fit)
-        trainer.restore(without_prefix("state", arrays))
-        return trainer
-
     def _trainer(
-        self, manifest: Manifest, initial: Splats | None, fit: FitConfig | None = None
+        self,
+        manifest: Manifest,
+        start: Splats | Arrays,
+        fit: FitConfig | None = None,
+        takeover: Crossfade | None = None,
     ) -> Trainer:
+        """A trainer with the run's settings or `fit`. start: its first Gaussians, or what
+        `part_state` or `_keep` gave. takeover: another training that its slots come to follow."""
         prepared = self.prepared
+        leased = partial(LeasedSlots, layout=manifest.slot_layout, takeover=takeover)
         keeper = GenesisKeeper(lambda: self._keep(trainer), self.timer)
         trainer = Trainer(
-            fit or self.task.run.config.fit, self.pictures, initial, prepared.training_planes,
-            prepared.far_m, prepared.picked.backend, (self.reporter, keeper), manifest.slot_layout,
+            fit or self.task.run.config.fit, self.pictures,
+            start if isinstance(start, Splats) else None, prepared.training_planes,
+            prepared.far_m, prepared.picked.backend, (self.reporter, keeper), leased,
             prepared.search_from_m,
         )  # fmt: skip
+        if not isinstance(start, Splats):
+            trainer.restore(without_prefix("state", start))
         return trainer
 
     def _keep(self, trainer: Trainer, piece: _Piece | None = None) -> None:
@@ -175,8 +179,8 @@ class Worker:
             self.files.put(MANIFEST_PATH, manifest.to_json())
             trainer = self._trainer(manifest, initial)
         else:
-            trainer = self._resumed(self._manifest(), kept)
-        (held,) = trainer.held(next(trainer.windows()))
+            trainer = self._trainer(self._manifest(), kept)
+        (held,) = trainer.strategy.held(next(trainer.windows()))
         self._leave("state", part_state(trainer, held))
 
     def _train_part(self) -> None:
@@ -184,11 +188,11 @@ class Worker:
         kept, begin = self._kept(), task.frames.start
         if kept is None:
             genesis = self._left(task.other(Kind.GENESIS), "state")
-            trainer = self._resumed(manifest, genesis)
+            trainer = self._trainer(manifest, genesis)
             if part.number:
                 trainer.jump(max(1, part.first_frame - task.run.config.warm_frames))
         else:
-            trainer = self._resumed(manifest, kept)
+            trainer = self._trainer(manifest, kept)
         if trainer.next_window < begin:
             trainer = self._approach(trainer, manifest)
         if kept is not None and (of_piece := without_prefix("piece", kept)):
@@ -210,12 +214,12 @@ class Worker:
         task, part, run = self.task, self.task.part, self.task.run
         for _ in self._windows(trainer, part.first_frame):
             self.timer.keep_if_due(partial(self._keep, trainer))
-        trainer = self._resumed(manifest, with_prefix("state", trainer.state()), run.seam_fit)
+        trainer = self._trainer(manifest, with_prefix("state", trainer.state()), run.seam_fit)
         for window in self._windows(trainer, task.frames.start):
-            (held,) = trainer.held(window)
+            (held,) = trainer.strategy.held(window)
             self._leave(f"approach-{held.birth}", held.to_arrays())
             self.timer.keep_if_due(partial(self._keep, trainer))
-        return self._resumed(manifest, with_prefix("state", trainer.state()))
+        return self._trainer(manifest, with_prefix("state", trainer.state()))
 
     def _train_seam(self) -> None:
         task, part, run = self.task, self.task.part, self.task.run
@@ -226,8 +230,8 @@ class Worker:
             for birth in task.frames
         }
         before = kept or self._left(task.other(Kind.PART, part.number - 1), "end")
-        trainer = self._resumed(manifest, before, run.seam_fit)
-        trainer.take_over(Crossfade(other, config.fit.swin_size, config.fit.seed))
+        takeover = Crossfade(other, config.fit.swin_size, config.fit.seed)
+        trainer = self._trainer(manifest, before, run.seam_fit, takeover)
         if kept is None:
             piece = self._piece(manifest, task.frames.start, player_state_in(before))
         else:
@@ -242,8 +246,8 @@ class Worker:
         for window in self._windows(trainer, end_frame):
             piece.append(window.updates)
             if self.task.kind is Kind.PART:
-                trainer.record_sent_bytes(window, piece.writer.slice_bytes)
-            (held,) = trainer.held(window)
+                trainer.strategy.record_sent_bytes(window, piece.writer.slice_bytes)
+            (held,) = trainer.strategy.held(window)
             if trainer.next_window % piece.writer.manifest.segment_frames == 0:
                 piece.close_segment(held)
             if trainer.next_window < end_frame:

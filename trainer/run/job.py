@@ -18,7 +18,9 @@ from codec.progressline import ProgressLine
 from codec.storage.openstorage import Target
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
+from trainer.fit.leasedslots import LeasedSlots
 from trainer.fit.observer import Observer
+from trainer.fit.strategy import WholeSlices
 from trainer.fit.trainer import Trainer
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
@@ -217,8 +219,8 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
                   if config.serve is not None and manifest is not None else []),
                 *observers,
             ),
-            None if config.whole_slices or manifest is None
-            else manifest.slot_layout.without_temporal(),
+            WholeSlices if config.whole_slices or manifest is None
+            else partial(LeasedSlots, layout=manifest.slot_layout.without_temporal()),
             prepared.search_from_m,
         )  # fmt: skip
         if found is not None:
@@ -250,7 +252,7 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
             pictures.prefetch(frame + 1 + swin_size, max(0, frame + 1 - config.temporal))
             if window.updates:
                 outputs.deliver(window.updates)
-                trainer.record_sent_bytes(window, outputs.slice_bytes)
+                trainer.strategy.record_sent_bytes(window, outputs.slice_bytes)
             elif config.rank == CONTRIBUTION:
                 outputs.deliver(matured_by_contribution(trainer, window))
             else:

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numba.core.event import Event, Listener, install_listener
@@ -31,6 +32,7 @@ from player.render.cpu import render_splats
 from trainer.capture.capture import Mask
 from trainer.capture.lens import Lens, straightened
 from trainer.fit.config import FitConfig
+from trainer.fit.leasedslots import LeasedSlots
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.trainer import SMALLEST_HALVED_PX, Trainer
 from trainer.lease.leases import LeaseConfig
@@ -142,7 +144,7 @@ def _train_with_slots(config: FitConfig, pictures: _Noise, initial: Splats) -> N
     config = replace(config, prefix_share=0.5, scene_flow=True, lease=lease)
     lattices = (Lattice.suiting(initial),) * 2
     layout = SlotLayout(config.swin_size, (3, 1), config.sh_degree, lattices, 4)
-    trainer = Trainer(config, pictures, initial, 0.2, layout=layout)
+    trainer = Trainer(config, pictures, initial, 0.2, strategy=partial(LeasedSlots, layout=layout))
     encoder, decoder = SlotEncoder(layout), SlotDecoder(layout)
     for window in trainer.windows():
         for update in window.updates:

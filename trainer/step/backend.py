@@ -9,6 +9,7 @@ both only where a window begins or ends, or where Gaussians are relocated.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
@@ -95,17 +96,20 @@ class Step:
     """Which of the window's cells move together; None: each Gaussian by itself."""
 
 
-class Selection(Protocol):
-    """The Gaussians of a step, as a resident holds them."""
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
+class Selection:
+    """The Gaussians of some steps. A resident may keep what it made of one as long as the selection
+    lives."""
 
-    @property
-    def rows(self) -> Ints:
-        """Those that are rendered."""
-        ...
+    rows: Ints
+    """Those that are rendered."""
+    trained: Ints
+    """Those of them that are updated, all below num_gs."""
 
 
-class Rows(Protocol):
-    """Rows of a training that live somewhere."""
+class Home:
+    """Where the rows of a training live. These live in the host's arrays: nothing has to be fetched
+    or sent."""
 
     def fetch(self, history: bool = False) -> None:
         """Brings the host's parameters and colours up to date; with history Adam's as well."""
@@ -118,24 +122,24 @@ class Rows(Protocol):
         """Takes over all of the host's arrays."""
 
 
-class Resident(Rows, Protocol):
+class Resident(Home, ABC):
     """The Gaussians of a training where their steps are computed."""
 
+    @abstractmethod
     def begin_window(self, ages: Floats, cells: Sequence[Ints]) -> None:
         """Prepares the steps of a window. ages: (num_gs,) windows that each row has been trained
         for; cells: (num_gs,) each, what moves together, by `Step.level`."""
 
-    def select(self, rows: Ints, trained: Ints) -> Selection:
-        """The Gaussians `rows`, of which `trained` (below num_gs) are updated, for the steps until
-        any lifespan changes."""
-
+    @abstractmethod
     def step(self, step: Step, selection: Selection) -> None:
         """Renders, compares, differentiates and updates. Need not wait for the result."""
 
+    @abstractmethod
     def losses(self, wait: bool) -> list[float]:
         """The losses of the steps since the last call, oldest first; without `wait` only those that
         are known already."""
 
+    @abstractmethod
     def bound_scales(self, selection: Selection, max_scale: float) -> None:
         """Keeps the scales of the trained rows within their bound, see `bound_scales`."""
 

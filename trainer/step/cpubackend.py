@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from .backend import Floats, MemoryNeeds, Resident, Selection, Step, StepInput, Training
 from .loss import Loss, photometric_loss
@@ -51,28 +48,7 @@ class CpuBackend:
         return HostResident(self, training)
 
 
-@dataclass(frozen=True, slots=True)
-class HostSelection:
-    """Rows of the host's arrays."""
-
-    rows: Ints
-    trained: Ints
-
-
-class HostRows:
-    """Rows that live in the host's arrays: nothing has to be fetched or sent."""
-
-    def fetch(self, history: bool = False) -> None:
-        """See `Rows.fetch`."""
-
-    def send(self, rows: npt.NDArray[np.integer[Any]] | slice) -> None:
-        """See `Rows.send`."""
-
-    def send_all(self) -> None:
-        """See `Rows.send_all`."""
-
-
-class HostResident(HostRows):
+class HostResident(Resident):
     """A training whose steps change the host's arrays."""
 
     def __init__(self, backend: CpuBackend, training: Training) -> None:
@@ -86,13 +62,8 @@ class HostResident(HostRows):
         """See `Resident.begin_window`."""
         self._ages, self._cells = ages, cells
 
-    def select(self, rows: Ints, trained: Ints) -> HostSelection:
-        """See `Resident.select`."""
-        return HostSelection(rows, trained)
-
     def step(self, step: Step, selection: Selection) -> None:
         """See `Resident.step`."""
-        assert isinstance(selection, HostSelection)
         training, trained = self._training, selection.trained
         values, colour, camera = training.values, training.colour, step.camera
         view, shot = training.views[camera], training.pictures.shot(camera, step.frame)
@@ -122,6 +93,5 @@ class HostResident(HostRows):
 
     def bound_scales(self, selection: Selection, max_scale: float) -> None:
         """See `Resident.bound_scales`."""
-        assert isinstance(selection, HostSelection)
         training = self._training
         bound_scales(training.values, selection.trained, training.spread, max_scale)

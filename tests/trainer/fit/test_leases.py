@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,13 +19,14 @@ from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from player.render.cpu import render_splats
-from trainer.fit.changescores import ChangeScores
 from trainer.fit.config import FitConfig
 from trainer.fit.generations import Generations
+from trainer.fit.leasedslots import LeasedSlots
 from trainer.fit.mcmc import McmcConfig
+from trainer.fit.renew import ChangeScores
+from trainer.fit.schedule import Schedule, WindowPlan
 from trainer.fit.trainer import Trainer
-from trainer.lease.budget import ByteBudget
-from trainer.lease.leases import LeaseConfig, Leases
+from trainer.lease.leases import ByteBudget, LeaseConfig, Leases
 from trainer.lease.takeover import Crossfade, PlayerState, turns
 from trainer.step.contribution import contribution
 from trainer.step.loss import psnr_db
@@ -47,6 +49,12 @@ def config(swin_size: int, **lease: float) -> FitConfig:
         mcmc=replace(McmcConfig(), relocate_period=25, renew_share=0.05),
         lease=LeaseConfig(**lease),
     )  # fmt: skip
+
+
+def trainer_of(chosen: FitConfig, layout: SlotLayout, takeover: Crossfade | None = None) -> Trainer:
+    leased = partial(LeasedSlots, layout=layout, takeover=takeover)
+    initial = start().with_degree(chosen.sh_degree)
+    return Trainer(chosen, Rendered(), initial, NEAR_M, strategy=leased)
 
 
 class Player:
@@ -79,11 +87,10 @@ def sorted_rows(splats: Splats) -> np.ndarray:
     [(1, 1.0, 0), (1, 0.3, 0), (3, 1.0, 0), (3, 0.3, 0), (1, 0.3, 3)],
 )
 def test_a_player_shows_what_training_shows(swin_size: int, share: float, sh_degree: int) -> None:
-    pictures = Rendered()
     chosen = config(swin_size, active_share=share, refresh_share=0.05)
     chosen = replace(chosen, sh_degree=sh_degree)
     sizes = layout(swin_size, *SLOTS[swin_size], sh_degree=sh_degree)
-    trainer = Trainer(chosen, pictures, start().with_degree(sh_degree), NEAR_M, layout=sizes)
+    trainer = trainer_of(chosen, sizes)
     player, kept = Player(sizes), 0
     for window in trainer.windows():
         assert not window.slices
@@ -97,7 +104,7 @@ def test_a_player_shows_what_training_shows(swin_size: int, share: float, sh_deg
         frame = window.first_frame
         assert np.array_equal(sorted_rows(player.shown(frame)), sorted_rows(trainer.shown(frame)))
     assert kept or share == 1
-    for camera in pictures.cameras[:2]:
+    for camera in Rendered().cameras[:2]:
         shown = render_splats(player.shown(4), camera, NEAR_M)
         seen = render_splats(truth(4), camera, NEAR_M)
         assert psnr_db(np.clip(shown, 0, 1), np.clip(seen, 0, 1)) > 22
@@ -187,11 +194,11 @@ def test_a_budget_is_kept_over_time() -> None:
 
 def test_a_trainer_keeps_to_the_bytes_that_it_may_send() -> None:
     chosen = config(1, active_share=1.0, bytes_per_frame=100.0)
-    trainer = Trainer(chosen, Rendered(), start(), NEAR_M, layout=layout(1, *SLOTS[1]))
+    trainer = trainer_of(chosen, layout(1, *SLOTS[1]))
     active = []
     for window in trainer.windows():
         active.append(int((window.updates[-1].statuses != KEPT).sum()))
-        trainer.record_sent_bytes(window, 10 * active[-1])
+        trainer.strategy.record_sent_bytes(window, 10 * active[-1])
     assert active[0] >= 80  # of 90: all visible ones
     assert max(active[1:]) <= 20 + 5  # the price is 5 at first; renewal is added
     assert min(active[1:]) >= 5
@@ -209,26 +216,43 @@ def test_a_gaussian_that_matters_comes_into_a_lower_layer(monkeypatch: pytest.Mo
     assert leases.trades(rows, contributions)[0].tolist() == []
 
 
-def test_who_changes_places_takes_everything_along() -> None:
-    leases = Leases(LeaseConfig(), layout(1, 50, 40))
-    generations = Generations(config(1), start(), leases)
+def test_a_window_marks_what_it_exchanges_as_another_gaussian(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("trainer.lease.leases.TRADE_SHARE", 0.1)
+    chosen = replace(config(1, active_share=0.5), together_share=0.0)
+    strategy = trainer_of(chosen, layout(1, *SLOTS[1])).strategy
+    assert isinstance(strategy, LeasedSlots)
+    strategy.mature(range(1))
+    generations, leases = strategy.fit.generations, strategy.leases
     leases.is_other[:] = False
+    before = generations.values.means[:90].copy()
+    schedule = Schedule.window(chosen, 1e-3)
+    plan = WindowPlan(range(1, 2), schedule, None, 0, 0, True, 0.0, 0.0)
+    assert not strategy.begin_window(plan).whole
+    changed = (generations.values.means[:90] != before).any(axis=1)
+    assert 2 < changed.sum() < 45
+    assert np.array_equal(changed, leases.is_other)
+    assert not generations.lifespans.kept(slice(90))[changed].any()
+
+
+def test_who_changes_places_takes_everything_along() -> None:
+    generations = Generations(config(1), start())
     generations.adam.steps[:] = np.arange(90)
     before = [array[:90].copy() for array in generations.values.arrays]
     generations.trade(np.array([3, 7]), np.array([60, 80]))
     for was, now in zip(before, generations.values.arrays, strict=True):
         assert (now[[3, 7, 60, 80]] == was[[60, 80, 3, 7]]).all()
     assert generations.adam.steps[[3, 60]].tolist() == [60, 3]
-    assert np.flatnonzero(leases.is_other).tolist() == [3, 7, 60, 80]
 
 
 SEAM = range(1, 4)
 
 
-def untrained(seed: int) -> tuple[Trainer, SlotEncoder]:
+def untrained(seed: int, takeover: Crossfade | None = None) -> tuple[Trainer, SlotEncoder]:
     """A trainer before its first window, and an encoder for its updates."""
     settings, slots = replace(config(1, active_share=0.4), seed=seed), layout(1, *SLOTS[1])
-    return Trainer(settings, Rendered(), start(), NEAR_M, layout=slots), SlotEncoder(slots)
+    return trainer_of(settings, slots, takeover), SlotEncoder(slots)
 
 
 def assert_same_slots(one: SlotEncoder, other: SlotEncoder) -> None:
@@ -239,7 +263,6 @@ def assert_same_slots(one: SlotEncoder, other: SlotEncoder) -> None:
 
 
 def test_after_a_seam_the_other_training_goes_on_as_if_heard_from_the_beginning() -> None:
-    one, encoder = untrained(0)
     other, other_encoder = untrained(1)
     held: dict[int, PlayerState] = {}
     theirs: dict[int, Update] = {}
@@ -247,13 +270,13 @@ def test_after_a_seam_the_other_training_goes_on_as_if_heard_from_the_beginning(
         for update in window.updates:
             other_encoder.append(update)
             theirs[update.birth] = update
-        held |= {h.birth: h for h in other.held(window)}
-    one.take_over(Crossfade({birth: held[birth] for birth in SEAM}, 1, 0))
+        held |= {h.birth: h for h in other.strategy.held(window)}
+    one, encoder = untrained(0, Crossfade({birth: held[birth] for birth in SEAM}, 1, 0))
     changed = []
     for window in one.windows():
         for update in window.updates:
             encoder.append(update)
-        (mine,) = one.held(window)
+        (mine,) = one.strategy.held(window)
         if window.first_frame in SEAM:
             wanted = held[window.first_frame]
             same = (mine.states.positions == wanted.states.positions).all(axis=1)
@@ -287,7 +310,7 @@ def test_what_is_held_survives_as_arrays_and_as_an_opening() -> None:
     window = next(one.windows())
     (update,) = window.updates
     encoder.append(update)
-    (held,) = one.held(window)
+    (held,) = one.strategy.held(window)
     again = PlayerState.from_arrays(held.to_arrays())
     for name, array in held.to_arrays().items():
         assert np.array_equal(array, again.to_arrays()[name])

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from codec.camera import Camera
 from player.render.recipe import ALPHA_MAX
-from trainer.fit.cameradraws import CameraDraws
-from trainer.fit.lifespans import Lifespans
+from trainer.fit.generations import Lifespans
 from trainer.fit.mcmc import MAX_COPIES, relocate, split_opacity_and_scale
+from trainer.fit.trainer import CameraDraws
 from trainer.step.raster import Parameters, View, render
 from trainer.step.scalebound import CameraSpread, bound_scales
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,7 @@ from player.render.cpu import render_splats
 from tests.support.tiny_capture import tiny_rig
 from trainer.capture.capture import Mask
 from trainer.fit.config import FitConfig
-from trainer.fit.generations import Generations
+from trainer.fit.leasedslots import LeasedSlots
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.renew import Comparer, Comparison, missing_splats
 from trainer.fit.sceneflow import scene_flow as flow_of
@@ -93,8 +94,8 @@ def compare(film: Film, splats: Splats, colour: CameraColour | None = None) -> C
     """Comparison of the film's first frame with `splats`."""
     colour = colour or CameraColour(len(film.cameras), 0)
     rows = np.arange(len(splats), dtype=np.int32)
-    comparer = Comparer([View.prepare(c, NEAR_M) for c in film.cameras])
-    return comparer.compare(Parameters(*splats.arrays), rows, film, 0, colour)[0]
+    comparer = Comparer([View.prepare(c, NEAR_M) for c in film.cameras], film, colour)
+    return comparer.compare(Parameters(*splats.arrays), rows, 0)[0]
 
 
 def find(compared: Comparison, count: int = 200) -> Splats:
@@ -204,10 +205,11 @@ def test_what_jumps_is_followed() -> None:
 
 
 def test_only_the_least_of_each_slice_are_placed_and_show_from_the_frame_on() -> None:
-    generations, rng, frame = Generations(CONFIG, before_the_jump()), np.random.default_rng(0), 4
-    generations.stagger(rng)
-    for first_frame in (1, 2):
-        generations.mature(first_frame)
+    film, rng, frame = Film([room()] * 6), np.random.default_rng(0), 4
+    strategy = Trainer(CONFIG, film, before_the_jump(), NEAR_M, FAR_M).strategy
+    generations = strategy.fit.generations
+    for first_frame in (0, 1):
+        strategy.mature(range(first_frame, first_frame + 3))
     lifespans, num_gs = generations.lifespans, CONFIG.num_gs
     before = [array.copy() for array in generations.values.arrays]
     starts, rows = lifespans.starts.copy(), lifespans.active_rows(frame)
@@ -242,8 +244,8 @@ def flow(
     rows = np.arange(len(before), dtype=np.int32)
     colour = CameraColour(len(film.cameras), 0)
     values = Parameters(*before.arrays)
-    comparer = Comparer([View.prepare(c, NEAR_M) for c in film.cameras], for_flow=True)
-    compared, _, _ = comparer.compare(values, rows, film, 1, colour, 0)
+    views = [View.prepare(c, NEAR_M) for c in film.cameras]
+    compared, _, _ = Comparer(views, film, colour, for_flow=True).compare(values, rows, 1, 0)
     guesses = np.full_like(before.means, guess_m)
     return flow_of(compared, before.means, guesses, np.random.default_rng(0)), is_thing
 
@@ -267,7 +269,7 @@ def test_nothing_moves_where_nothing_changed() -> None:
 def test_a_window_begins_where_things_went(
     scene_flow: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("trainer.fit.trainer.SETTLE_RENEW_SHARE", 0)
+    monkeypatch.setattr("trainer.fit.strategy.SETTLE_RENEW_SHARE", 0)
     monkeypatch.setattr("trainer.fit.schedule.WINDOW_NOISE", 0)
     monkeypatch.setattr("trainer.lease.leases.TRADE_SHARE", 0)
     moved = np.array([0.3, 0, 0], np.float32)
@@ -280,7 +282,8 @@ def test_a_window_begins_where_things_went(
         lease=LeaseConfig(active_share=0.5),
     )  # fmt: skip
     layout = SlotLayout(1, (len(before),), 0, (Lattice.suiting(before),), 15)
-    trainer = Trainer(config, film, before, NEAR_M, layout=layout)
+    leased = partial(LeasedSlots, layout=layout)
+    trainer = Trainer(config, film, before, NEAR_M, strategy=leased)
     for _ in trainer.windows():
         pass
     apart_m = np.linalg.norm(trainer.shown(1).means - NEW_AT_M - moved, axis=1)

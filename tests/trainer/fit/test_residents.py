@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,9 @@ from player.render.cpu import render_splats
 from tests.trainer.fit.test_leases import SLOTS, layout
 from tests.trainer.fit.test_trainer import CONFIG, FRAMES, NEAR_M, Rendered, ring_camera, start
 from trainer.fit.config import FitConfig
+from trainer.fit.leasedslots import LeasedSlots
 from trainer.fit.observer import Observer, Progress
+from trainer.fit.strategy import WholeSlices
 from trainer.fit.trainer import Trainer
 from trainer.step.backend import Backend, BackendName
 from trainer.step.device.device import DeviceBackend
@@ -40,9 +43,10 @@ def backend_of(name: BackendName, config: FitConfig) -> Backend:
 def trainer_of(
     backend: Backend, config: FitConfig, initial: Splats | None, *observers: Observer
 ) -> Trainer:
+    leased = partial(LeasedSlots, layout=layout(1, *SLOTS[1]))
     return Trainer(
         config, Rendered(), initial, NEAR_M, backend=backend, observers=observers,
-        layout=layout(1, *SLOTS[1]) if config.swin_size == 1 else None,
+        strategy=leased if config.swin_size == 1 else WholeSlices,
     )  # fmt: skip
 
 

@@ -17,9 +17,10 @@ from player.render.cpu import render_splats
 from tests.support.hostile import refused
 from trainer.capture.capture import Mask
 from trainer.fit.config import FitConfig
-from trainer.fit.generations import Generations
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.observer import Observer, Progress
+from trainer.fit.schedule import WindowPlan
+from trainer.fit.strategy import Strategy, WholeSlices
 from trainer.fit.trainer import Trainer
 from trainer.lease.leases import LeaseConfig
 from trainer.pictures.shot import Shot
@@ -228,14 +229,15 @@ def test_the_same_seed_and_other_ignored_pixels_give_the_same_slices() -> None:
 
 def test_relocation_lets_the_dead_start_with_their_targets_and_never_early() -> None:
     rng = np.random.default_rng(0)
-    generations = Generations(CONFIG, start())
-    generations.stagger(rng)
-    generations.mature(1)
+    strategy = Trainer(CONFIG, Rendered(), start(), NEAR_M).strategy
+    generations = strategy.fit.generations
+    strategy.mature(range(SWIN))
     generations.adam.steps[:] = 20
     lifespans = generations.lifespans
     dead = lifespans.births == 1
     generations.values.logit_opacities[:90][dead] = -9
-    generations.relocate(3, CONFIG.mcmc.dead_opacity, rng)
+    moved = generations.relocate(~generations.follows, 3, CONFIG.mcmc.dead_opacity, rng)
+    assert moved.tolist() == np.flatnonzero(dead).tolist()
     assert (lifespans.starts >= lifespans.births).all()
     assert (lifespans.expires == lifespans.births + SWIN).all()  # each keeps its own end
     assert (lifespans.starts[dead] > 1).any()  # some moved to a later slice
@@ -244,18 +246,27 @@ def test_relocation_lets_the_dead_start_with_their_targets_and_never_early() -> 
     assert (generations.adam.steps == 20).any()
 
 
-def test_settling_relocates_what_is_faint(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("trainer.fit.trainer.RELOCATE_UNTIL", 1.0)
+class Unrelocated(WholeSlices):
+    """A strategy as docs/EXTENDING.md describes one: what is faint stays where it is."""
 
-    def faint_share(settle_dead_opacity: float) -> float:
-        mcmc = replace(CONFIG.mcmc, settle_dead_opacity=settle_dead_opacity)
-        config = replace(CONFIG, swin_size=1, settle_rounds=1, mcmc=mcmc)
-        window = next(Trainer(config, Rendered(), start(), NEAR_M).windows())
+    def after_step(self, plan: WindowPlan, done: int) -> None:
+        pass
+
+
+def test_settling_relocates_what_is_faint_unless_a_strategy_does_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("trainer.fit.strategy.RELOCATE_UNTIL", 1.0)
+
+    def faint_share(strategy: type[Strategy]) -> float:
+        window = next(Trainer(config, Rendered(), start(), NEAR_M, strategy=strategy).windows())
         logits = np.concatenate([part.splats.logit_opacities for part in window.slices])
         return float((logits < np.log(0.1 / 0.9) - 1e-3).mean())
 
-    assert faint_share(0.005) > 0.1
-    assert faint_share(0.1) == 0
+    mcmc = replace(CONFIG.mcmc, settle_dead_opacity=0.1)
+    config = replace(CONFIG, swin_size=1, settle_rounds=1, mcmc=mcmc)
+    assert faint_share(WholeSlices) == 0
+    assert faint_share(Unrelocated) > 0.1
 
 
 def test_genesis_bounds_gaussians_and_keeps_the_mean_of_the_cameras_colours() -> None:

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from trainer.step.backend import Selection, Step, Training
+from trainer.step.backend import Resident, Selection, Step, Training
 from trainer.step.raster import Ints
 
 from .crossing import Crossing
@@ -33,15 +34,6 @@ MAX_UNREAD = 256
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DeviceSelection:
-    """Rows on the device: those that are trained, then the others."""
-
-    rows: Ints
-    trained: Tensor  # (T,) int64
-    others: Tensor  # (M - T,) int64
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Cells:
     """Rows that move together."""
 
@@ -49,8 +41,8 @@ class _Cells:
     count: int
 
 
-class DeviceResident:
-    """The steps of a training on a device; see `Resident`."""
+class DeviceResident(Resident):
+    """The steps of a training on a device."""
 
     def __init__(
         self, training: Training, loss: TensorLoss, crossing: Crossing, picture_bytes: int
@@ -65,6 +57,8 @@ class DeviceResident:
         self._colour = TensorColour(training.colour, crossing)
         self._decay = self._centre.new_ones(training.num_gs)
         self._cells: list[_Cells] = []
+        # Of each selection its trained rows (T,) and its others (M - T,), int64.
+        self._selected = WeakKeyDictionary[Selection, tuple[Tensor, Tensor]]()
         self._losses: list[Tensor] = []
         self._read: list[float] = []
         # Whether steps have changed what the host has.
@@ -72,7 +66,7 @@ class DeviceResident:
         self.send_all()
 
     def send_all(self) -> None:
-        """See `Rows.send_all`."""
+        """See `Home.send_all`."""
         training, send = self._training, self._crossing.send
         every = np.arange(len(training.values.means))
         self._values = send(pack(training.values, every))
@@ -81,7 +75,7 @@ class DeviceResident:
         self._is_ahead = self._history_is_ahead = False
 
     def send(self, rows: npt.NDArray[np.integer[Any]] | slice) -> None:
-        """See `Rows.send`."""
+        """See `Home.send`."""
         training = self._training
         given = np.arange(len(training.values.means))[rows]
         if not len(given):
@@ -100,7 +94,7 @@ class DeviceResident:
         self._adam.steps.index_copy_(0, there, send(adam.steps[rows]))
 
     def fetch(self, history: bool = False) -> None:
-        """See `Rows.fetch`. What has matured does not change on the device."""
+        """See `Home.fetch`. What has matured does not change on the device."""
         training, receive = self._training, self._crossing.receive
         if self._is_ahead:
             unpack(receive(self._values[: training.num_gs]), training.values)
@@ -120,20 +114,22 @@ class DeviceResident:
             for c in cells
         ]
 
-    def select(self, rows: Ints, trained: Ints) -> DeviceSelection:
-        """See `Resident.select`."""
-        others = np.setdiff1d(rows, trained, assume_unique=True)
-        sent = (self._crossing.send(part).long() for part in (trained, others))
-        return DeviceSelection(rows, *sent)
+    def _of(self, selection: Selection) -> tuple[Tensor, Tensor]:
+        """The trained rows of `selection`, and its others; they are sent with its first step."""
+        if selection not in self._selected:
+            send, trained = self._crossing.send, selection.trained
+            others = np.setdiff1d(selection.rows, trained, assume_unique=True)
+            self._selected[selection] = send(trained).long(), send(others).long()
+        return self._selected[selection]
 
     def step(self, step: Step, selection: Selection) -> None:
         """See `Resident.step`."""
-        assert isinstance(selection, DeviceSelection)
+        trained, others = self._of(selection)
         self._crossing.count_numbers(step)
         view = (self._half_views if step.is_half else self._views)[step.camera]
         target, counts = self._pictures.take(step.camera, step.frame).planes(step.is_half)
-        leaf = self._values.index_select(0, selection.trained).requires_grad_()
-        packed = torch.cat([leaf, self._values.index_select(0, selection.others)])
+        leaf = self._values.index_select(0, trained).requires_grad_()
+        packed = torch.cat([leaf, self._values.index_select(0, others)])
         correction = self._colour.of(step.camera).requires_grad_()
         compared = self._loss.compare(
             packed, view, target, counts, correction, len(leaf), step.whole
@@ -144,7 +140,7 @@ class DeviceResident:
             self._read += self._received_losses()
         with torch.no_grad():
             if leaf.grad is not None:
-                self._update(step, selection.trained, leaf, leaf.grad)
+                self._update(step, trained, leaf, leaf.grad)
             if correction.grad is not None and compared.is_whole:
                 self._colour.update(step.camera, correction.grad)
         self._is_ahead = self._history_is_ahead = True
@@ -175,7 +171,6 @@ class DeviceResident:
 
     def bound_scales(self, selection: Selection, max_scale: float) -> None:
         """See `Resident.bound_scales`."""
-        assert isinstance(selection, DeviceSelection)
-        radius_m = self._training.spread.radius_m
-        bound_tensor_scales(self._values, selection.trained, self._centre, radius_m, max_scale)
+        radius_m, (trained, _) = self._training.spread.radius_m, self._of(selection)
+        bound_tensor_scales(self._values, trained, self._centre, radius_m, max_scale)
         self._is_ahead = True

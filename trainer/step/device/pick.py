@@ -12,7 +12,7 @@ import numpy as np
 from codec.camera import Camera
 from codec.errors import InvalidError
 from trainer.pictures.shot import Shot
-from trainer.step.backend import Backend, BackendName, Step, StepInput, Training
+from trainer.step.backend import Backend, BackendName, Selection, Step, StepInput, Training
 from trainer.step.colour import CameraColour
 from trainer.step.cpubackend import CpuBackend
 from trainer.step.optimiser import Adam, OptimiserConfig
@@ -129,7 +129,7 @@ def _resident_loss(backend: Backend) -> float:
     training = Training(values, adam, colour, _OneShot(), [view], [], spread, 0.005)
     resident = backend.start(training)
     resident.begin_window(np.zeros(3, np.float32), [np.zeros(3, np.int32)])
-    resident.step(Step(0, 0, False, True, 1e-3, 1.0, 1.0, 1, 0), resident.select(rows, rows))
+    resident.step(Step(0, 0, False, True, 1e-3, 1.0, 1.0, 1, 0), Selection(rows, rows))
     (loss,) = resident.losses(wait=True)
     before = values.means[:3].copy()
     resident.fetch(history=True)

@@ -16,7 +16,7 @@ from codec.camera import Camera
 from tests.support.reference_render import turned_camera
 from trainer.capture.capture import Mask
 from trainer.pictures.shot import Shot
-from trainer.step.backend import Resident, Step, Training
+from trainer.step.backend import Resident, Selection, Step, Training
 from trainer.step.colour import CameraColour
 from trainer.step.cpubackend import CpuBackend
 from trainer.step.device.crossing import Crossing
@@ -114,7 +114,7 @@ def steps(count: int, first: int = 0) -> list[Step]:
 
 
 def run(resident: Resident, some: list[Step]) -> list[float]:
-    selection = resident.select(SHOWN, TRAINED)
+    selection = Selection(SHOWN, TRAINED)
     for i, step in enumerate(some):
         resident.step(step, selection)
         if i % 10 == 9:
@@ -164,7 +164,7 @@ def test_where_few_are_trained_only_their_tiles_are_compared(is_half: bool) -> N
         begin(resident)
         # The rows that numba treats as trained are all below NUM_GS.
         rows = np.concatenate([few, SHOWN[SHOWN >= NUM_GS]]).astype(np.int32)
-        selection = resident.select(rows, few)
+        selection = Selection(rows, few)
         for step in some:
             resident.step(step, selection)
         losses.append(resident.losses(wait=True))
@@ -185,7 +185,7 @@ def test_where_nothing_is_trained_nothing_moves(rows: Ints, whole: bool) -> None
         shown = rows[rows >= NUM_GS]
         resident = started(on_torch, given)
         begin(resident)
-        selection = resident.select(shown, SHOWN[:0])
+        selection = Selection(shown, SHOWN[:0])
         for step in steps(6):
             resident.step(replace(step, whole=whole), selection)
         resident.bound_scales(selection, 0.05)
@@ -235,7 +235,7 @@ def test_a_step_looks_at_no_value_on_the_device() -> None:
     given = training(3)
     resident = CudaBackend(*WEIGHTS, shape_only, "meta").start(given)
     begin(resident)
-    selection = resident.select(SHOWN, TRAINED)
+    selection = Selection(SHOWN, TRAINED)
     for step in steps(30):
         resident.step(replace(step, whole=step.seed % 2 == 0), selection)
         assert resident.losses(wait=False) == []
@@ -245,7 +245,7 @@ def test_a_step_looks_at_no_value_on_the_device() -> None:
     # The rasteriser in plain torch fails here, because it reads the lengths of its lists.
     plain = TorchBackend(*WEIGHTS, "meta").start(given)
     with pytest.raises((NotImplementedError, RuntimeError)):
-        plain.step(steps(1)[0], plain.select(SHOWN, TRAINED))
+        plain.step(steps(1)[0], Selection(SHOWN, TRAINED))
 
 
 CROSSES = {
@@ -319,7 +319,7 @@ def test_on_a_gpu_a_step_does_not_wait() -> None:
     given = training(3)
     resident = CudaBackend(*WEIGHTS, shape_only, "cuda").start(given)
     begin(resident)
-    selection = resident.select(SHOWN, TRAINED)
+    selection = Selection(SHOWN, TRAINED)
     for step in steps(CAMERAS * FRAMES):
         resident.step(step, selection)
     torch.cuda.set_sync_debug_mode("error")

@@ -17,7 +17,7 @@ from codec.errors import InvalidError
 from tests.support.reference_render import turned_camera
 from tests.trainer.step.device.test_resident import NUM_GS, begin, steps, training
 from trainer.pictures.shot import Shot
-from trainer.step.backend import Backend, MemoryNeeds, StepInput
+from trainer.step.backend import Backend, MemoryNeeds, Selection, StepInput
 from trainer.step.cpubackend import CpuBackend
 from trainer.step.device.devicememory import planned
 from trainer.step.device.torchblend import PAIR_BYTES, SLAB, blend
@@ -192,7 +192,7 @@ def test_a_step_keeps_to_the_plan(sh_degree: int, times: int) -> None:
     resident = backend.start(given)
     begin(resident)
     every = np.arange(NUM_GS, dtype=np.int32)
-    selection = resident.select(every, every)
+    selection = Selection(every, every)
     resident.step(steps(1)[0], selection)
     peak = peak_bytes(lambda: resident.step(steps(1)[0], selection))
     assert peak < plan.step_bytes
