@@ -34,7 +34,7 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("trainer/calibration", "trainer/pictures", "trainer/seed", "trainer/synth"),
         ("trainer/step", "trainer/rig"),
         ("trainer/step/device",),
-        ("trainer/fit", "trainer/score"),
+        ("trainer/calibrate", "trainer/fit", "trainer/score"),
         ("trainer/run",),
         ("trainer/parts",),
     ),

@@ -122,6 +122,7 @@ ELSEWHERE = {
         "swings-play https://streams.example.com/my-stream.swings"
     ],
     "codec/test_fuzz.py": ["python -m fuzz", "python -m fuzz FOUND fuzz/corpus"],
+    "trainer/calibrate/test_calibrate.py": ["swings-capture calibrate my-videos my-capture"],
     "test_demo.py": ["scripts/demo", "scripts/demo --no-serve"],
     "bench/test_cuda.py": ["scripts/bench cuda"],
 }

@@ -41,9 +41,14 @@ def synth() -> None:
     from trainer.synth.film import SynthConfig, synthesise
 
     def film(config: SynthConfig) -> None:
+        if config.plain is not None:
+            from trainer.synth.plain import TRUTH_NAME, synthesise_plain
+
+            synthesise_plain(config)
+            return say(f"{config.out}: {config.cameras} videos, and {TRUTH_NAME}")
         synthesise(config)
         cameras = f"{config.cameras} cameras, {config.held_out} of them held out"
-        say(f"{config.out}: {cameras}, {config.frames} frames at {config.fps:g} a second")
+        return say(f"{config.out}: {cameras}, {config.frames} frames at {config.fps:g} a second")
 
     run_command(SynthConfig, film, "swings-synth", "Generates a procedural capture to try swings.")
 
@@ -57,12 +62,10 @@ def train() -> None:
 
 
 def capture() -> None:
-    from trainer.calibration.rigimport import CaptureConfig, import_calibration
+    from trainer.calibrate.capturecommand import CaptureCommand, run_capture
 
-    what = "Makes a capture of a calibrated rig and its videos."
-    run_command(
-        CaptureConfig, lambda config: say(import_calibration(config)), "swings-capture", what
-    )
+    what = "Makes a capture of videos: calibrates their cameras, or imports a calibration."
+    run_command(CaptureCommand, run_capture, "swings-capture", what)
 
 
 def evaluate() -> None:

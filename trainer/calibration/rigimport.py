@@ -27,11 +27,9 @@ _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
-class CaptureConfig:
+class Import:
     """Makes a capture of a calibration and the videos of its cameras."""
 
-    action: tyro.conf.Positional[Literal["import"]]
-    """The command."""
     calibration: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CALIBRATION")]]
     """Calibration: a .toml or .json with OpenCV's parameters, as caliscope, Pose2Sim and anipose
     write it, or the folder of a sparse COLMAP model with an image for each camera."""
@@ -43,7 +41,7 @@ class CaptureConfig:
     """Unit of the calibration's positions. A COLMAP model has none; its unit is taken as metres."""
 
 
-def import_calibration(config: CaptureConfig) -> str:
+def import_calibration(config: Import) -> str:
     """Writes transforms.json and opens the capture that it makes; gives a line about it, and a
     warning for each doubt.
 
@@ -62,7 +60,7 @@ def import_calibration(config: CaptureConfig) -> str:
             f"{config.capture / config.videos} videos {_listed(videos.keys())}: give both the same "
             "names"
         )
-    frames = [_entry(each, videos[each.camera.name]) for each in cameras]
+    frames = [transforms_entry(each, videos[each.camera.name]) for each in cameras]
     text = json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1)
     write_atomic(target, text.encode())
     try:
@@ -75,7 +73,7 @@ def import_calibration(config: CaptureConfig) -> str:
     return "\n".join([told, *doubts])
 
 
-def _videos(config: CaptureConfig) -> Mapping[str, str]:
+def _videos(config: Import) -> Mapping[str, str]:
     """Paths within the capture, by the names of their cameras."""
     folder = config.capture / config.videos
     if not folder.is_dir():
@@ -89,12 +87,12 @@ def _listed(names: Any) -> str:
     return ", ".join(sorted(names)) or "none"
 
 
-def _entry(calibrated: CalibratedCamera, video: str) -> dict[str, Any]:
-    """The entry of `frames` for one camera."""
+def transforms_entry(calibrated: CalibratedCamera, file_path: str) -> dict[str, Any]:
+    """The entry of `frames` in transforms.json for one camera."""
     camera = calibrated.camera
     pose = np.linalg.inv(camera.w2c) @ _OPENGL_FROM_OPENCV
     return {
-        "file_path": video,
+        "file_path": file_path,
         "transform_matrix": pose.tolist(),
         "w": camera.width_px,
         "h": camera.height_px,

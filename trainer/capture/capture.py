@@ -125,6 +125,8 @@ class Capture:
     """Makes the source of the camera of this index; `open_images` checks the index first."""
     videos: tuple[Path, ...] = ()
     """The cameras' videos, which may have sound; empty for single pictures."""
+    starts_s: tuple[float, ...] = ()
+    """The time in each of them at which frame 0 of the capture is; empty if it is their first."""
     doubts: tuple[str, ...] = ()
     """What was passed over or corrected as the capture was opened, a line each."""
 

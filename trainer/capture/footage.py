@@ -12,7 +12,7 @@ from trainer.pixels import opened_picture
 from .capture import PictureSource, check_fps
 from .lens import Lens, straight_source
 from .picturefiles import picture_source, read_fps
-from .synchrony import check_synchronised
+from .synchrony import Ints, ShownSource, check_synchronised, shown_frames
 from .video import VIDEO_SUFFIXES, VideoSource, check_video_size, probe_video
 
 
@@ -25,6 +25,7 @@ class Footage:
     open: Callable[[int], PictureSource]
     """Opens the pictures of the camera of this index."""
     videos: tuple[Path, ...] = ()
+    starts_s: tuple[float, ...] = ()
 
 
 def filmed(
@@ -33,21 +34,32 @@ def filmed(
     lenses: Sequence[Lens],
     declared_in: Path,
     fps: float | None = None,
+    starts_s: Sequence[float | None] = (),
 ) -> Footage:
-    """A video of each camera, whose size `declared_in` declares; fps: overrides theirs. Raises
-    CaptureError unless the videos run in step."""
+    """A video of each camera, whose size `declared_in` declares; fps: overrides theirs. starts_s:
+    the time in each video of the capture's frame 0; without any, the videos must run in step, or
+    CaptureError is raised."""
     facts = [probe_video(video) for video in videos]
-    check_synchronised(videos, facts)
+    starts = [start or 0.0 for start in starts_s]
+    shown: list[Ints] = []
+    if any(start is not None for start in starts_s):
+        fps = fps or facts[0].fps
+        shown = shown_frames(videos, facts, starts, fps)
+    else:
+        starts = []
+        check_synchronised(videos, facts)
     for video, camera, fact in zip(videos, cameras, facts, strict=True):
         check_video_size(video, fact, camera, declared_in)
-    num_frames, fps = facts[0].num_frames, fps or facts[0].fps
+    num_frames, fps = len(shown[0]) if shown else facts[0].num_frames, fps or facts[0].fps
     check_fps(fps, videos[0])
 
     def open_video(index: int) -> PictureSource:
-        source = VideoSource(videos[index], cameras[index], num_frames)
+        source: PictureSource = VideoSource(videos[index], cameras[index], facts[index].num_frames)
+        if shown:
+            source = ShownSource(source, shown[index], cameras[index].name)
         return straight_source(source, cameras[index], lenses[index])
 
-    return Footage(num_frames, fps, open_video, tuple(videos))
+    return Footage(num_frames, fps, open_video, tuple(videos), tuple(starts))
 
 
 def photographed(

@@ -80,9 +80,9 @@ def _open_folder(path: Path, choice: CameraChoice) -> Capture:
         ]
         if videos:
             raise CaptureError(
-                f"{place}: {len(videos)} videos, but no poses of their cameras; a capture needs "
-                "both, and videos that run in step (frame n of each shows the same moment): see "
-                "'From videos' in docs/CAPTURES.md"
+                f"{place}: {len(videos)} videos, but no poses of their cameras; make a capture of "
+                f"them with swings-capture calibrate {place} CAPTURE: see 'From videos' in "
+                "docs/CAPTURES.md"
             )
     *others, last = (f"{layout.contents} ({layout.title})" for layout in LAYOUTS)
     raise CaptureError(f"{path}: unknown layout; expected {', '.join(others)} or {last}")

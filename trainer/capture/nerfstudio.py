@@ -23,6 +23,10 @@ An entry's mask_path, optional, is the mask of its picture (see masks.py), or of
 camera that the entry stands for. A camera has one in each of its entries or in none. If no entry
 has one, the folder masks/ may have them, see maskfolders.py.
 
+An entry of a video may have `start_s`: its time, in seconds after its first frame, at which the
+capture begins. Videos then need neither one length nor one rate: each frame of the capture is the
+nearest in time of every video.
+
 `fps` tells the frames per second; without it the videos do, or fps.txt beside pictures (see
 picturefiles.py). Pictures of lenses that bend are straightened as they are read; fisheye models are
 refused.
@@ -66,7 +70,9 @@ def open_nerfstudio(root: Path, choice: CameraChoice = ALL_CAMERAS) -> Capture:
     cameras = [replace(p.entry.camera, name=name) for p, name in zip(rig, names, strict=True)]
     lenses, fps = [p.entry.lens for p in rig], _declared_fps(transforms)
     if is_video(entries[0]):
-        footage = filmed([p.files[0] for p in rig], cameras, lenses, transforms.path, fps)
+        starts_s = [p.entry.start_s for p in rig]
+        videos = [p.files[0] for p in rig]
+        footage = filmed(videos, cameras, lenses, transforms.path, fps, starts_s)
     else:
         footage = photographed([p.files for p in rig], cameras, lenses, transforms.path, fps)
     masks = _mask_sources(transforms.root, rig, cameras, footage.num_frames, choice)
@@ -88,6 +94,7 @@ def open_nerfstudio(root: Path, choice: CameraChoice = ALL_CAMERAS) -> Capture:
         far_m=far_m,
         opener=footage.open,
         videos=footage.videos,
+        starts_s=footage.starts_s,
     )
 
 

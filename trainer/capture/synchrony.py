@@ -1,5 +1,5 @@
-"""Whether the videos of a capture show the same moments: frame n of one camera is taken for the
-moment of frame n of each other."""
+"""Which frames of the videos of a capture show the same moments: frame n of each of them, or the
+nearest ones in time where it is known when each video begins."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
+from codec.pose import Doubles
 from trainer.errors import CaptureError
 
 from .camerachoice import named
+from .capture import Picture, PictureSource, check_frame
 from .video import VideoFacts
 
 FPS_TOLERANCE = 1e-3
@@ -19,6 +22,53 @@ FPS_TOLERANCE = 1e-3
 
 MAX_APART_FRAMES = 0.5
 """Largest difference between the times of a frame in two cameras."""
+
+Ints = npt.NDArray[np.int64]
+
+
+def frame_times_s(facts: VideoFacts) -> Doubles:
+    """(F,) the time of each frame after the first one."""
+    if facts.times_s is None:
+        return np.arange(facts.num_frames) / facts.fps
+    return np.array(facts.times_s)
+
+
+def nearest_frames(times_s: Doubles, wanted_s: Doubles) -> Ints:
+    """(N,) the frames, of times (F,) in ascending order, that are nearest to the wanted times."""
+    between = (times_s[1:] + times_s[:-1]) / 2
+    return np.searchsorted(between, wanted_s).astype(np.int64)
+
+
+def shown_frames(
+    videos: Sequence[Path], facts: Sequence[VideoFacts], starts_s: Sequence[float], fps: float
+) -> list[Ints]:
+    """For each video its frames that show those of the capture, which begins at `starts_s` of them
+    and ends with the first video. Raises CaptureError where they have no time in common."""
+    times = [frame_times_s(fact) for fact in facts]
+    left_s = min(t[-1] - start for t, start in zip(times, starts_s, strict=True))
+    early = min(zip(starts_s, videos, strict=True))
+    # Half a frame before its first picture a video still shows that one.
+    if left_s < 0 or early[0] < -MAX_APART_FRAMES / fps:
+        raise CaptureError(
+            f"{early[1].parent}: with these starts ({early[0]:.3f} s in {early[1].name}) the "
+            "videos have no time in common"
+        )
+    wanted_s = np.arange(int(left_s * fps + MAX_APART_FRAMES) + 1) / fps
+    return [nearest_frames(t, start + wanted_s) for t, start in zip(times, starts_s, strict=True)]
+
+
+class ShownSource:
+    """The frames of a source that a capture shows."""
+
+    def __init__(self, source: PictureSource, frames: Ints, name: str) -> None:
+        self._source, self._frames, self._name = source, frames, name
+
+    def read(self, frame: int) -> Picture:
+        check_frame(frame, len(self._frames), self._name)
+        return self._source.read(int(self._frames[frame]))
+
+    def close(self) -> None:
+        self._source.close()
 
 
 def check_synchronised(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> None:

@@ -28,6 +28,11 @@ from .points import MAX_COORDINATE_M
 from .video import VIDEO_SUFFIXES
 
 TRANSFORMS_NAME = "transforms.json"
+
+START_KEY = "start_s"
+"""In the entry of a video: the time in it at which frame 0 of the capture is, seconds after its
+first frame. `fps` is then the capture's rate, and each of its frames the nearest of the video."""
+
 CAMERA_MODELS = frozenset({"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"})
 
 _OPENCV_FROM_OPENGL = np.array([1.0, -1.0, -1.0])
@@ -100,6 +105,8 @@ class Entry:
     lens: Lens
     time: float | None
     mask: PurePosixPath | None
+    start_s: float | None = None
+    """See START_KEY."""
 
 
 def read_entries(transforms: Transforms) -> list[Entry]:
@@ -129,7 +136,9 @@ def _read_entry(given: Transforms) -> Entry:
     mask = value.get("mask_path")
     if not isinstance(mask, str | None):
         raise given.error(f"{below}: mask_path is {str(mask)[:40]!r}, not a path")
-    return Entry(below, camera, lens, time, None if mask is None else safe_path(mask, given.path))
+    start_s = given.number(START_KEY) if START_KEY in value else None
+    mask_path = None if mask is None else safe_path(mask, given.path)
+    return Entry(below, camera, lens, time, mask_path, start_s)
 
 
 def _check_model(given: Transforms, below: PurePosixPath) -> None:

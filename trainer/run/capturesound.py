@@ -57,11 +57,12 @@ def capture_sound(
         return _encoded(config.audio, frames, fps_of())
     if config.silent:
         return None
-    for video in capture.videos:
+    starts_s = capture.starts_s or (0.0,) * len(capture.videos)
+    for video, start_s in zip(capture.videos, starts_s, strict=True):
         try:
             if not _has_sound(video):
                 continue
-            found = _encoded(video, frames, fps_of())
+            found = _encoded(video, frames, fps_of(), start_s)
         except SwingsError as error:
             log.warning("the sound of a video is left out: %s", error)
             continue
@@ -70,8 +71,9 @@ def capture_sound(
     return None
 
 
-def _encoded(file: Path, frames: range, fps: float) -> CaptureSound:
-    offset_s = -first_sample(frames.start, fps) / SAMPLE_RATE
+def _encoded(file: Path, frames: range, fps: float, start_s: float = 0.0) -> CaptureSound:
+    """start_s: the time in the file at which frame 0 is."""
+    offset_s = -start_s - first_sample(frames.start, fps) / SAMPLE_RATE
     pieces = shifted(_samples(file), SOURCE.channels, offset_s)
     length = first_sample(len(frames), fps)
     return CaptureSound(encode(pieces, SOURCE.channels, length, DEFAULT_BITRATE_BPS), fps)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from itertools import count, product
 from pathlib import Path
+from typing import Literal
 
 import av
 import av.video.stream
@@ -80,6 +81,9 @@ class SynthConfig:
     """Number of points on the surfaces that training cameras see at frame 0; 0 writes none."""
     seed: int = 0
     """Seed of the textures and of the start of the motion."""
+    plain: Literal["sound", "silent"] | None = None
+    """Makes what plain cameras film instead, for swings-capture calibrate: videos of lenses that
+    bend, that begin up to 2 s apart, with claps to hear or without sound; and truth.json."""
 
 
 def synthesise(config: SynthConfig, console: Console | None = None) -> None:

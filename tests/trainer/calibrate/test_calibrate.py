@@ -1,0 +1,124 @@
+"""Videos alone become a capture; with pycolmap, a rig is found of what its cameras saw."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.commands import run
+from tests.support.tiny_capture import tiny_rig, write_video
+from tests.support.tiny_models import write_videos
+from tests.trainer.calibrate.test_rigs import FOCAL, HEIGHT, WIDTH, arc
+from trainer.calibrate.alignment import align, centres
+from trainer.calibrate.geometry import geometric_lags
+from trainer.calibrate.lags import lags_of
+from trainer.calibrate.mapping import Job, Mapper
+from trainer.calibrate.solution import Rig
+from trainer.calibrate.synchrony import synchronise
+from trainer.calibrate.takes import find_takes
+from trainer.capture.layout import open_capture
+from trainer.errors import CaptureError
+
+
+def test_a_capture_shows_the_frames_that_are_nearest_in_time(tmp_path: Path) -> None:
+    """One camera begins 3 frames early, one films at half the rate."""
+    root = tmp_path / "c"
+    write_videos(root, cameras := tiny_rig(3), 12)
+    write_video(root / "videos/cam01.mp4", 1, 15)
+    write_video(root / "videos/cam02.mp4", 2, 7, times=[40 * n for n in range(7)])
+    entries = [
+        {
+            "file_path": f"videos/{camera.name}.mp4", "fl_x": 50, "start_s": start_s,
+            "transform_matrix": np.linalg.inv(camera.w2c).tolist(),
+        }
+        for camera, start_s in zip(cameras, (0.0, 0.1, 0.0), strict=True)
+    ]  # fmt: skip
+    (root / "transforms.json").write_text(json.dumps({"fps": 30, "frames": entries}))
+    capture = open_capture(root)
+    assert capture.num_frames == 12
+    assert capture.starts_s == (0.0, 0.1, 0.0)
+    sources = [capture.open_images(index) for index in range(3)]
+    for frame in (0, 5, 10):
+        greens = [int(source.read(frame)[0, 0, 1]) for source in sources]
+        np.testing.assert_allclose(greens[:2], [20 + 4 * frame, 32 + 4 * frame], atol=2)
+        assert abs(greens[2] - 20 - 2 * frame) <= 4
+    entries[1]["start_s"] = 3.0
+    (root / "transforms.json").write_text(json.dumps({"fps": 30, "frames": entries}))
+    with pytest.raises(CaptureError, match=r"3\.000 s|no time in common"):
+        open_capture(root)
+
+
+def test_takes_are_videos_or_folders_and_offsets_may_be_given(tmp_path: Path) -> None:
+    for name in ("cam2", "cam10"):
+        write_video(tmp_path / f"{name}.mp4", 0, 40)
+    takes = find_takes([tmp_path])
+    assert [take.name for take in takes] == ["cam2", "cam10"]
+    (tmp_path / "offsets.txt").write_text("cam10 0.5\ncam2 0.1\n")
+    found = synchronise(takes, tmp_path / "offsets.txt", lambda share: None)
+    np.testing.assert_allclose(found.starts_s, [0, 0.4], atol=1e-9)
+    assert found.num_frames == 28
+    (tmp_path / "b").mkdir()
+    write_video(tmp_path / "b/cam2.mp4", 0, 4)
+    for given, says in (
+        ([tmp_path, tmp_path / "b/cam2.mp4"], "are both camera cam2"),
+        ([tmp_path / "b"], "1 videos or folders"),
+    ):
+        with pytest.raises(CaptureError, match=says):
+            find_takes(given)
+    (tmp_path / "offsets.txt").write_text("cam10 0.5\n")
+    with pytest.raises(CaptureError, match="lacks the offset of cam2"):
+        synchronise(takes, tmp_path / "offsets.txt", lambda share: None)
+    refused = run("swings-capture", "calibrate", tmp_path, tmp_path / "c", "--moments", "3")
+    assert "moments 3: must be at least 6" in refused.stderr
+
+
+def test_places_of_movement_tell_the_offsets_to_the_frame() -> None:
+    """A ball that hops along a spiral seen by six cameras with noise."""
+    rng, poses = np.random.default_rng(0), arc(6)
+    starts = [0, 17, -9, 30, 4, -21]
+    turns = np.arange(-60, 220) / 30
+    walk = np.column_stack(
+        [np.cos(turns), np.sin(turns), 0.5 * np.sin(2.3 * turns) + 0.3 * np.sin(3.9 * turns)]
+    ) * (0.4 + turns[:, None] / 9)
+    places = []
+    for pose, start in zip(poses, starts, strict=True):
+        local = walk[60 - start : 210 - start] @ pose[:, :3].T + pose[:, 3]
+        xy = FOCAL * local[:, :2] / local[:, 2:] + (WIDTH / 2, HEIGHT / 2)
+        xy += rng.normal(0, 6, xy.shape)
+        xy[rng.random(len(xy)) < 0.1] = np.nan
+        places.append(xy)
+    lenses = np.tile([FOCAL, WIDTH / 2, HEIGHT / 2, 0.0], (6, 1))
+    rig = Rig(lenses, poses, np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+    found = geometric_lags(rig, places, 3)
+    np.testing.assert_allclose(found.lags - found.lags[0], starts, atol=0.7)
+    assert (found.score > found.rest).all()
+    assert np.isnan(lags_of({}, 3, 3).lags).all()
+
+
+def test_rigs_are_found_of_matches_with_lenses_of_each_camera(tmp_path: Path) -> None:
+    """Eight cameras of one kind, whose lenses differ by 2 %, and points between them."""
+    pytest.importorskip("pycolmap")
+    rng, poses, count = np.random.default_rng(0), arc(), 400
+    mapper = Mapper(tmp_path, Job([(WIDTH, HEIGHT)] * 8, [0] * 8, ([0], [1]), 1000, 2))
+    xyz = rng.uniform(-1.2, 1.2, (count, 3))
+    focal = FOCAL * (1 + 0.02 * rng.uniform(-1, 1, 8))
+    mapper.keypoints = []
+    for camera, pose in enumerate(poses):
+        local = xyz @ pose[:, :3].T + pose[:, 3]
+        xy = focal[camera] * local[:, :2] / local[:, 2:] + (WIDTH / 2, HEIGHT / 2)
+        xy += rng.normal(0, 0.3, xy.shape)
+        mapper.keypoints.append(np.column_stack([xy, np.zeros(count)]))
+    pairs = [(i, j) for i in range(8) for j in range(i + 1, min(i + 4, 8))]
+    verified = {
+        pair: np.repeat(np.flatnonzero(rng.random(count) < 0.6)[:, None], 2, 1) for pair in pairs
+    }
+    found = mapper.rigs("whole", verified)
+    for lens in ("like", "free"):
+        rig = Rig(*(found[f"whole_{lens}_{key}"] for key in Rig.__dataclass_fields__))
+        placed = align(rig.poses, poses).poses(rig.poses)
+        assert np.linalg.norm(centres(placed) - centres(poses), axis=1).max() < 0.03
+        np.testing.assert_allclose(rig.lenses[:, 0], focal, rtol=0.015)
+        assert len(rig.seen) > 1500

@@ -1,0 +1,60 @@
+"""Lags between series of one thing, as several observers saw or heard it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trainer.calibrate.lags import correlate, series_lags
+
+
+def observed(
+    rng: np.random.Generator, starts: list[float], lengths: list[int], clock: float = 0.0
+) -> list[np.ndarray]:
+    """Series that begin at `starts`, in samples, of one signal, louder or softer and with noise;
+    the clock of the last one runs fast by `clock`."""
+    signal = np.convolve(rng.gamma(0.2, 1.0, 14_000), np.hanning(9), "same")
+    found = []
+    for number, (start, length) in enumerate(zip(starts, lengths, strict=True)):
+        steps = np.arange(length) * (1 - clock * (number == len(starts) - 1))
+        seen = np.interp(start + steps, np.arange(len(signal)), signal)
+        noise = rng.normal(0, seen.std(), length)
+        found.append(rng.uniform(0.2, 3) * (seen + 0.5 * noise))
+    return found
+
+
+def test_correlation_is_one_at_the_true_shift_whatever_the_size() -> None:
+    rng = np.random.default_rng(0)
+    whole = rng.normal(size=300)
+    shifts, alike = correlate(whole[50:250], 7 * whole[20:220])
+    best = int(np.argmax(alike))
+    assert shifts[best] == 30
+    np.testing.assert_allclose(alike[best], np.sqrt(170 / 200), atol=0.01)
+    assert -shifts.min() == 140  # an overlap of 60 of 200 is the least that counts
+
+
+def test_lags_are_found_to_a_fraction_of_a_sample_with_their_spread() -> None:
+    rng = np.random.default_rng(1)
+    starts = [2000.0, 1500.0, 3250.5, 1.25, 900.0]
+    series = observed(rng, starts, [8000, 9000, 6500, 10_000, 9500])
+    found, spread, drift = series_lags(series, 20)
+    lags = found.lags - found.lags[0]
+    np.testing.assert_allclose(lags, starts[0] - np.array(starts), atol=0.3)
+    assert (found.score > 1.5 * found.rest).all()
+    assert spread.max() < 0.5
+    assert np.abs(drift).max() < 1e-4
+
+
+def test_a_clock_that_runs_fast_is_seen_as_drift() -> None:
+    rng = np.random.default_rng(2)
+    series = observed(rng, [100.0, 300.0, 500.0, 800.0], [9000] * 4, clock=1e-3)
+    _, _, drift = series_lags(series, 20)
+    np.testing.assert_allclose(drift[3] - drift[:3], 1e-3, atol=2e-4)
+
+
+def test_a_series_of_something_else_is_not_alike() -> None:
+    rng = np.random.default_rng(3)
+    series = observed(rng, [100.0, 300.0, 500.0, 800.0], [9000] * 4)
+    series[2] = rng.gamma(0.2, 1.0, 9000)
+    found, _, _ = series_lags(series, 20)
+    assert (found.score > 1.5 * found.rest).tolist() == [True, True, False, True]
+    np.testing.assert_allclose(found.lags[[1, 3]] - found.lags[0], [-200, -700], atol=0.5)

@@ -1,0 +1,1 @@
+"""A rig calibrated and synchronised from its pictures: swings-capture calibrate."""

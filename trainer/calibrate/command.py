@@ -1,0 +1,142 @@
+"""swings-capture calibrate: videos of cameras that stand still become a capture."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from codec.errors import InvalidError
+from codec.files import making_folder
+from codec.progressline import counted
+from trainer.capture.layout import open_capture
+from trainer.errors import CaptureError
+from trainer.rig.rigdrawing import draw_capture
+
+from .capturecommand import Calibrate
+from .mapping import RESULT_NAME, Job
+from .moments import UNCHANGED, write_moments
+from .report import REPORT_NAME, report_lines
+from .solution import Solution, read_solution
+from .synchrony import Synchrony, confirmed, synchronise
+from .takes import Take, find_takes
+from .truth import judge
+from .world import metres_of_unit, world_of
+from .writing import calibrated, coloured_points, write_capture
+
+PICTURE_NAME = "rig.png"
+
+LEAST_MOMENTS = 6
+"""Fewer moments cannot be cut into halves that each give a rig."""
+
+
+def calibrate(config: Calibrate, console: Console | None = None) -> str:
+    """Writes the capture, and gives its report. Raises CaptureError for a rig that cannot be found,
+    or that is found and is wrong; then nothing is written."""
+    if len(config.videos) < 2:
+        raise InvalidError("name the videos, or their folder, and last the folder to make")
+    if config.moments < LEAST_MOMENTS:
+        raise InvalidError(f"moments {config.moments}: must be at least {LEAST_MOMENTS}")
+    if find_spec("pycolmap") is None:
+        raise CaptureError("pycolmap is not installed; pip install 'swings[calibrate]'")
+    *given, target = config.videos
+    takes = find_takes(given, config.without_cameras)
+    for name in config.metres[:2] if config.metres else ():
+        if name not in [take.name for take in takes]:
+            raise InvalidError(f"--metres: there is no camera {name!r}")
+    with (
+        making_folder(target) as folder,
+        tempfile.TemporaryDirectory(prefix="swings-calibrate-") as temporary,
+        counted("calibrating", console) as show,
+    ):
+        work = Path(temporary)
+
+        def advance(share: float) -> None:
+            show(round(100 * share), 100)
+
+        synchrony = synchronise(takes, config.offsets, lambda share: advance(0.1 * share))
+        sizes, changes = write_moments(
+            takes, synchrony, config.moments, config.longest_px, work,
+            lambda share: advance(0.1 + 0.1 * share),
+        )  # fmt: skip
+        if float(np.median(changes.max(axis=0))) < UNCHANGED:
+            raise CaptureError(
+                f"{given[0]}: all {config.moments} moments look the same, and a rig made of one "
+                "moment cannot be told from a wrong one: film while something moves"
+            )
+        solution = _solve(config, takes, sizes, work, lambda share: advance(0.2 + 0.8 * share))
+        return _write(config, takes, sizes, synchrony, solution, work, folder)
+
+
+def _solve(
+    config: Calibrate,
+    takes: Sequence[Take],
+    sizes: Sequence[tuple[int, int]],
+    work: Path,
+    advance: Callable[[float], None],
+) -> Solution:
+    """What pycolmap finds, in a process of its own."""
+    shapes = [(take.width_px, take.height_px) for take in takes]
+    kinds = [shapes.index(shape) for shape in shapes]
+    moments = range(config.moments)
+    halves = list(moments[: len(moments) // 2]), list(moments[len(moments) // 2 :])
+    Job(sizes, kinds, halves, config.features, config.threads).write(work)
+    log = work / "log.txt"
+    command = [sys.executable, "-m", "trainer.calibrate.mapping", str(work)]
+    with (
+        log.open("wb") as errors,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process,
+    ):
+        try:
+            for line in process.stdout or ():
+                if line.startswith("progress "):
+                    advance(float(line.split()[1]))
+        except BaseException:
+            process.kill()
+            raise
+    if process.returncode != 0:
+        last = log.read_text(errors="replace").strip().splitlines()[-1:]
+        raise CaptureError(f"pycolmap ended with {process.returncode}: {' '.join(last)[:300]}")
+    return read_solution(work / RESULT_NAME, len(takes))
+
+
+def _write(
+    config: Calibrate,
+    takes: Sequence[Take],
+    sizes: Sequence[tuple[int, int]],
+    synchrony: Synchrony,
+    solution: Solution,
+    work: Path,
+    folder: Path,
+) -> str:
+    names = [take.name for take in takes]
+    lens, verdicts = judge(solution, names, [size[0] for size in sizes])
+    right = [i for i, verdict in enumerate(verdicts) if not verdict.wrong]
+    for verdict in verdicts:
+        if verdict.wrong and config.metres is not None and verdict.name in config.metres:
+            raise CaptureError(f"--metres: {verdict.name} {verdict.wrong}")
+    rig = solution.rigs["whole", lens]
+    synchrony = confirmed(takes, synchrony, rig, right)
+    cameras = calibrated(rig, takes, sizes, right)
+    plain = [each.camera for each in cameras]
+    scale = None if config.metres is None else metres_of_unit(plain, *config.metres)
+    world, has_floor = world_of(plain, rig.points, scale)
+    poses = world.poses(np.array([camera.w2c[:3] for camera in plain]))
+    placed = [
+        replace(each, camera=replace(each.camera, w2c=np.vstack([pose, [0, 0, 0, 1]])))
+        for each, pose in zip(cameras, poses, strict=True)
+    ]
+    points = coloured_points(rig, solution, world, right, work)
+    write_capture(folder, placed, [takes[i] for i in right], synchrony, points)
+    capture = replace(open_capture(folder), root=config.videos[-1])
+    draw_capture(capture, folder / PICTURE_NAME)
+    lines = report_lines(capture, synchrony, lens, verdicts, has_floor, config.metres is not None)
+    (folder / REPORT_NAME).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return "\n".join(lines)

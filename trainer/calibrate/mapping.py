@@ -1,0 +1,374 @@
+"""Rigs from pictures, by pycolmap, in a process of its own: python -m trainer.calibrate.mapping
+FOLDER. In one process with PyAV and numba, pycolmap ended with a double free.
+
+FOLDER holds job.json (see `Job`) and pictures/<moment>_<camera>.jpg; result.npz is written (see
+solution.py, which reads it). The cameras stand still while the scene moves, so features and matches
+of many moments are pooled, as if each camera had taken one picture with all of them.
+
+The moments are cut into two halves, and each half gives a rig of its own: two rigs that agree were
+not found by chance, and the moments of one half are unseen by the rig of the other.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+JOB_NAME, RESULT_NAME, PICTURES_NAME = "job.json", "result.npz", "pictures"
+
+SCOUT_MOMENTS = 4
+"""Moments in which every two cameras are compared; in the others only those two that share some of
+what these show, so that 60 cameras do not take 1,770 comparisons a moment."""
+
+LEAST_SHARED = 15
+"""Verified matches over the scout moments from which on two cameras are compared in the others."""
+
+FOCAL_GUESS = 1.2
+"""Focal length over the longer side before anything is known: COLMAP's own guess."""
+
+LENSES = ("one", "like", "free")
+"""How lenses are found. one: one for all cameras of a kind. like: that at first, then one for each
+with its principal point. free: that from the start. Cameras that are alike need one of the first
+two, or rigs of few points come out wrong; those that differ need the last. Unseen moments decide.
+"""
+
+FILTER_PX = (2.0, 1.5)
+"""Reprojection errors over which observations are dropped, adjustment by adjustment, at 640 pixels
+of width."""
+
+LEAST_OBSERVATIONS, GRID, LEAST_CELLS = 80, 6, 0.4
+"""A camera gets a lens of its own if it has so many observations, in this share of the cells of a
+grid over its picture; with fewer it keeps that of its kind."""
+
+LEAST_ANGLE_DEG = 1.5
+"""Points whose rays meet at less are dropped."""
+
+LEAST_STILL, LEAST_MATCHES = 8, 30
+"""So many matches of a picture with another of the same camera show what stands still, if it did;
+with fewer matches that cannot be told."""
+
+MAX_TRIALS = 3000
+"""Samples when the matches of two cameras are verified."""
+
+Pair = tuple[int, int]
+Ints = npt.NDArray[np.int64]
+Doubles = npt.NDArray[np.float64]
+Arrays = dict[str, npt.NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What the process is asked for."""
+
+    sizes_px: Sequence[tuple[int, int]]
+    """Width and height of each camera's pictures."""
+    kinds: Sequence[int]
+    """For each camera the number of its kind: those of one kind have one lens at first."""
+    halves: tuple[Sequence[int], Sequence[int]]
+    """The moments of each half."""
+    features: int
+    """Most features of a picture."""
+    threads: int
+    seed: int = 0
+
+    def write(self, folder: Path) -> None:
+        (folder / JOB_NAME).write_text(json.dumps(asdict(self)))
+
+
+def picture_name(moment: int, camera: int) -> str:
+    return f"{moment:05d}_{camera:05d}.jpg"
+
+
+class Mapper:
+    """Finds rigs in FOLDER."""
+
+    def __init__(self, folder: Path, job: Job) -> None:
+        self._colmap: Any = import_module("pycolmap")
+        self._folder, self._job = folder, job
+        self._cameras = range(len(job.sizes_px))
+        self._moments = [moment for half in job.halves for moment in half]
+        self._colmap.set_random_seed(job.seed)
+        self._pictures = folder / "pictures.db"
+        (folder / "none").mkdir()
+
+    def run(self) -> Arrays:
+        options = self._colmap.FeatureExtractionOptions()
+        options.sift.max_num_features = self._job.features
+        options.num_threads = self._job.threads
+        mode = self._colmap.CameraMode.PER_IMAGE
+        pictures = self._folder / PICTURES_NAME
+        self._colmap.extract_features(
+            self._pictures, pictures, camera_mode=mode, extraction_options=options
+        )
+        self._progress(0.3)
+        self._read_keypoints()
+        pairs = [(a, b) for a in self._cameras for b in self._cameras[a + 1 :]]
+        scouts = self._moments[:: max(1, len(self._moments) // SCOUT_MOMENTS)]
+        self._match([((m, a), (m, b)) for m in scouts for a, b in pairs])
+        shared = self._verified(pairs, scouts)
+        pairs = [pair for pair in pairs if len(shared[pair]) >= LEAST_SHARED]
+        rest = [m for m in self._moments if m not in scouts]
+        self._match([((m, a), (m, b)) for m in rest for a, b in pairs])
+        self._progress(0.5)
+        result: Arrays = {"moved": self._moved()}
+        for camera in self._cameras:
+            result[f"keypoints{camera}"] = self.keypoints[camera]
+        both = {pair: np.zeros((0, 2), np.int64) for pair in pairs}
+        for name, half in zip(("first", "second"), self._job.halves, strict=True):
+            verified = self._verified(pairs, half)
+            for (a, b), matches in verified.items():
+                result[f"matches_{name}_{a}_{b}"] = matches
+                both[a, b] = np.concatenate([both[a, b], matches])
+            result |= self.rigs(name, verified)
+            self._progress(0.7 if name == "first" else 0.8)
+        return result | self.rigs("whole", both)
+
+    def _progress(self, share: float) -> None:
+        """A line that the parent reads."""
+        sys.stdout.write(f"progress {share}\n")
+        sys.stdout.flush()
+
+    def _read_keypoints(self) -> None:
+        """Of each camera (N, 3) x, y and moment of the keypoints of all moments, and where those of
+        each picture begin."""
+        database = self._colmap.Database.open(self._pictures)
+        self._ids = {image.name: image.image_id for image in database.read_all_images()}
+        self.keypoints: list[Doubles] = []
+        self._first: dict[tuple[int, int], int] = {}
+        for camera in self._cameras:
+            parts: list[Doubles] = []
+            for moment in self._moments:
+                found = np.asarray(database.read_keypoints(self._ids[picture_name(moment, camera)]))
+                self._first[moment, camera] = sum(len(part) for part in parts)
+                parts.append(np.column_stack([found[:, :2], np.full(len(found), moment)]))
+            self.keypoints.append(np.concatenate(parts).astype(np.float64))
+        database.close()
+
+    def _match(self, pairs: Sequence[tuple[tuple[int, int], tuple[int, int]]]) -> None:
+        """Matches pictures, each a moment and a camera."""
+        options = self._colmap.FeatureMatchingOptions()
+        options.num_threads = self._job.threads
+        options.skip_geometric_verification = True  # one moment has too few; it follows, pooled
+        listed = self._folder / "pairs.txt"
+        lines = [f"{picture_name(*one)} {picture_name(*other)}\n" for one, other in pairs]
+        listed.write_text("".join(lines))
+        pairing = self._colmap.ImportedPairingOptions()
+        pairing.match_list_path = str(listed)
+        self._colmap.match_image_pairs(self._pictures, options, pairing)
+
+    def _matches(self, database: Any, one: tuple[int, int], other: tuple[int, int]) -> Ints:
+        """(N, 2) pooled keypoints that match in two pictures, each a moment and a camera."""
+        ids = self._ids[picture_name(*one)], self._ids[picture_name(*other)]
+        found = np.asarray(database.read_matches(*ids)).reshape(-1, 2).astype(np.int64)
+        start = np.array([self._first[one], self._first[other]])
+        pooled: Ints = found + start
+        return pooled
+
+    def _moved(self) -> Doubles:
+        """(C, M) by how many pixels the still part of a picture lies elsewhere than in the middle
+        moment; NaN where too few match."""
+        middle = self._moments[len(self._moments) // 2]
+        others = [m for m in self._moments if m != middle]
+        self._match([((middle, c), (m, c)) for c in self._cameras for m in others])
+        database = self._colmap.Database.open(self._pictures)
+        moved = np.zeros((len(self._cameras), len(self._moments)))
+        for camera in self._cameras:
+            for column, moment in enumerate(self._moments):
+                matches = self._matches(database, (middle, camera), (moment, camera))
+                if moment != middle:
+                    a, b = self.keypoints[camera][matches.T, :2]
+                    away = np.sort(np.hypot(*(a - b).T))
+                    few = len(matches) < LEAST_MATCHES
+                    moved[camera, column] = np.nan if few else away[LEAST_STILL - 1]
+        database.close()
+        return moved
+
+    def _verified(self, pairs: Sequence[Pair], moments: Sequence[int]) -> dict[Pair, Ints]:
+        """(N, 2) matches of each two cameras in the moments that one geometry explains."""
+        colmap = self._colmap
+        database = colmap.Database.open(self._pictures)
+        found = {
+            (a, b): np.concatenate([self._matches(database, (m, a), (m, b)) for m in moments])
+            for a, b in pairs
+        }
+        database.close()
+        options = colmap.TwoViewGeometryOptions()
+        options.ransac.random_seed = self._job.seed
+        options.ransac.max_num_trials = MAX_TRIALS
+        lenses = [self._lens(camera) for camera in self._cameras]
+
+        def verify(pair: Pair) -> Ints:
+            a, b = pair
+            geometry = colmap.estimate_two_view_geometry(
+                lenses[a], self.keypoints[a][:, :2], lenses[b], self.keypoints[b][:, :2],
+                found[pair].astype(np.uint32), options,
+            )  # fmt: skip
+            return np.asarray(geometry.inlier_matches).reshape(-1, 2).astype(np.int64)
+
+        with ThreadPoolExecutor(self._job.threads) as pool:
+            return dict(zip(pairs, pool.map(verify, pairs), strict=True))
+
+    def _lens(self, camera: int, number: int = 0) -> Any:
+        width, height = self._job.sizes_px[camera]
+        model = self._colmap.CameraModelId.SIMPLE_RADIAL
+        focal_px = FOCAL_GUESS * max(width, height)
+        return self._colmap.Camera.create_from_model_id(number, model, focal_px, width, height)
+
+    def _write(self, name: str, verified: Mapping[Pair, Ints], kinds: Sequence[int]) -> None:
+        """Writes the database NAME.db, with an image for each camera, image N + 1 of camera N.
+        Images of one kind share a lens."""
+        colmap = self._colmap
+        database = colmap.Database.open(self._folder / f"{name}.db")
+        lenses: dict[int, tuple[Any, int]] = {}
+        for camera, kind in enumerate(kinds):
+            if kind not in lenses:
+                lens_id = database.write_camera(self._lens(camera))
+                sensor = colmap.sensor_t(type=colmap.SensorType.CAMERA, id=lens_id)
+                rig = colmap.Rig()
+                rig.add_ref_sensor(sensor)
+                lenses[kind] = sensor, database.write_rig(rig)
+            sensor, rig_id = lenses[kind]
+            image = colmap.Image(name=str(camera), camera_id=sensor.id)
+            image_id = database.write_image(image)
+            frame = colmap.Frame()
+            frame.rig_id = rig_id
+            frame.add_data_id(colmap.data_t(sensor_id=sensor, id=image_id))
+            database.write_frame(frame)
+            xy = np.ascontiguousarray(self.keypoints[camera][:, :2], np.float32)
+            database.write_keypoints(image_id, xy)
+        for (a, b), matches in verified.items():
+            if len(matches):
+                geometry = colmap.TwoViewGeometry()
+                geometry.config = colmap.TwoViewGeometryConfiguration.UNCALIBRATED
+                geometry.inlier_matches = matches.astype(np.uint32)
+                database.write_matches(a + 1, b + 1, matches.astype(np.uint32))
+                database.write_two_view_geometry(a + 1, b + 1, geometry)
+        database.close()
+
+    def rigs(self, name: str, verified: Mapping[Pair, Ints]) -> Arrays:
+        """The rigs of verified matches, with each of LENSES: arrays by name, of which there are
+        none where no rig was found."""
+        found: dict[str, Any] = {}
+        own = f"{name}_own"
+        self._write(name, verified, self._job.kinds)
+        self._write(own, verified, self._cameras)
+        model = self._mapped(name)
+        if model is not None:
+            self._adjust(model, "one")
+            found["one"] = self._arrays(model)
+            model = self._with_own_lenses(model)
+            self._adjust(model, "like")
+            # With other lenses other matches fit.
+            out, options = self._folder / f"{name}.points", self._options()
+            out.mkdir()
+            model = self._colmap.triangulate_points(
+                model, self._folder / f"{own}.db", self._folder / "none", out, options=options
+            )
+            self._adjust(model, "like")
+            found["like"] = self._arrays(model)
+        model = self._mapped(own)
+        if model is not None:
+            self._adjust(model, "free")
+            found["free"] = self._arrays(model)
+        return {f"{name}_{lens}_{k}": v for lens, rig in found.items() for k, v in rig.items()}
+
+    def _options(self) -> Any:
+        options = self._colmap.IncrementalPipelineOptions()
+        options.extract_colors = False
+        options.num_threads = self._job.threads
+        options.random_seed = self._job.seed
+        options.min_model_size = 3
+        return options
+
+    def _mapped(self, name: str) -> Any:
+        """The largest rig of the database NAME.db; None if there is none."""
+        out = self._folder / f"{name}.rig"
+        out.mkdir()
+        models = self._colmap.incremental_mapping(
+            self._folder / f"{name}.db", self._folder / "none", out, self._options()
+        )
+        return max(models.values(), key=lambda each: each.num_reg_images(), default=None)
+
+    def _adjust(self, model: Any, lens: str) -> None:
+        """Bundle adjustment with a robust loss, and without what lies off."""
+        colmap = self._colmap
+        scale = max(1.0, max(max(size) for size in self._job.sizes_px) / 640)
+        options = colmap.BundleAdjustmentOptions()
+        options.refine_principal_point = lens != "one"
+        options.print_summary = False
+        options.ceres.loss_function_type = colmap.LossFunctionType.SOFT_L1
+        options.ceres.loss_function_scale = scale
+        options.ceres.solver_options.num_threads = self._job.threads
+        options.ceres.solver_options.function_tolerance = 1e-6
+        options.ceres.solver_options.max_num_iterations = 50
+        config = colmap.BundleAdjustmentConfig()
+        for image_id in model.reg_image_ids():
+            config.add_image(image_id)
+            image = model.image(image_id)
+            if lens != "one" and not self._is_determined(image):
+                config.set_constant_cam_intrinsics(image.camera_id)
+        config.fix_gauge(colmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+        for limit_px in FILTER_PX:
+            colmap.create_default_bundle_adjuster(options, config, model).solve()
+            colmap.ObservationManager(model).filter_all_points3D(limit_px * scale, LEAST_ANGLE_DEG)
+
+    def _is_determined(self, image: Any) -> bool:
+        """Whether an image's points determine a lens of its own."""
+        seen = np.array([p.xy for p in image.points2D if p.has_point3D()]).reshape(-1, 2)
+        cells = np.unique((seen * GRID / self._job.sizes_px[int(image.name)]).astype(int), axis=0)
+        return len(seen) >= LEAST_OBSERVATIONS and len(cells) >= LEAST_CELLS * GRID * GRID
+
+    def _with_own_lenses(self, model: Any) -> Any:
+        """The same rig, in which each image has a camera of its own, with its number."""
+        colmap = self._colmap
+        copy = colmap.Reconstruction()
+        for image_id in model.reg_image_ids():
+            image = model.image(image_id)
+            lens = model.camera(image.camera_id)
+            own = self._lens(int(image.name), image_id)
+            own.params = lens.params
+            copy.add_camera_with_trivial_rig(own)
+            xy = self.keypoints[int(image.name)][:, :2]
+            fresh = colmap.Image(
+                name=image.name, camera_id=image_id, image_id=image_id, keypoints=xy
+            )
+            copy.add_image_with_trivial_frame(fresh, image.cam_from_world())
+        for point in model.points3D.values():
+            copy.add_point3D(point.xyz, point.track)
+        return copy
+
+    def _arrays(self, model: Any) -> Arrays:
+        """The rig as the fields of `solution.Rig`."""
+        lenses = np.full((len(self._cameras), 4), np.nan)
+        poses = np.full((len(self._cameras), 3, 4), np.nan)
+        for image_id in model.reg_image_ids():
+            image = model.image(image_id)
+            lenses[int(image.name)] = model.camera(image.camera_id).params
+            poses[int(image.name)] = image.cam_from_world().matrix()
+        seen = [
+            (number, element.image_id - 1, element.point2D_idx)
+            for number, point in enumerate(model.points3D.values())
+            for element in point.track.elements
+        ]
+        points = np.array([point.xyz for point in model.points3D.values()]).reshape(-1, 3)
+        seen_by = np.array(seen, np.int64).reshape(-1, 3)
+        return {"lenses": lenses, "poses": poses, "points": points, "seen": seen_by}
+
+
+def main(folder: Path) -> None:
+    job = Job(**json.loads((folder / JOB_NAME).read_text()))
+    arrays: dict[str, Any] = Mapper(folder, job).run()
+    np.savez(folder / RESULT_NAME, **arrays)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,194 @@
+"""What the process of mapping.py found, and whether unseen moments bear it out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from codec.pose import Doubles
+
+from .mapping import LENSES
+
+Ints = npt.NDArray[np.int64]
+Pair = tuple[int, int]
+
+UNSEEN_PX = 4.0
+"""Largest median error, at 640 pixels of width, of points of unseen moments in a right rig; and how
+far the rays of a point may miss each other for its place to be believed."""
+
+PASSES = 3
+"""How often wrong cameras are looked for, without those that were found before: one that is wrong
+spoils all points that it shares."""
+
+LEAST_BASE = 0.02
+"""Least squared sine of the angles between the rays of a track: with less, its depth is noise."""
+
+SIMPLER = 0.97
+"""An ampler lens is taken where it lowers the error of unseen moments below this share."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """A rig as it was solved. NaN for the cameras that are not in it."""
+
+    lenses: Doubles  # (C, 4) focal length, principal point, pixels; radial term
+    poses: Doubles  # (C, 3, 4) world to camera
+    points: Doubles  # (P, 3)
+    seen: Ints  # (N, 3) of each observation the point, the camera and its keypoint
+
+    @property
+    def has(self) -> npt.NDArray[np.bool_]:
+        """(C,) whether a camera is in the rig."""
+        found: npt.NDArray[np.bool_] = np.isfinite(self.poses[:, 0, 0])
+        return found
+
+    def straightened(self, camera: int, xy_px: Doubles) -> Doubles:
+        """(N, 2) straight positions over the focal length of pixels (N, 2)."""
+        focal_px, cx_px, cy_px, k1 = self.lenses[camera]
+        bent: Doubles = (xy_px - (cx_px, cy_px)) / focal_px
+        straight = bent
+        for _ in range(10):
+            straight = bent / (1 + k1 * (straight**2).sum(axis=1, keepdims=True))
+        return straight
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """All rigs, and what they were made of."""
+
+    keypoints: list[Doubles]
+    """(N, 3) of each camera: x and y in pixels, and the moment."""
+    moved_px: Doubles
+    """(C, M) by how much the still part of each moment's picture lies elsewhere than in the middle
+    moment's; NaN where that cannot be told."""
+    matches: Mapping[str, Mapping[Pair, Ints]]
+    """(N, 2) verified keypoints of each pair of cameras, by name of a half: "first" or "second"."""
+    rigs: Mapping[tuple[str, str], Rig]
+    """By that name or "whole" and the kind of lens; rigs that were not found are missing."""
+
+
+def read_solution(path: Path, num_cameras: int) -> Solution:
+    """The result.npz of mapping.py."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    matches: dict[str, dict[Pair, Ints]] = {"first": {}, "second": {}}
+    for key, value in arrays.items():
+        if key.startswith("matches_"):
+            _, name, a, b = key.split("_")
+            matches[name][int(a), int(b)] = value
+    rigs = {
+        (name, lens): Rig(*(arrays[f"{name}_{lens}_{key}"] for key in Rig.__dataclass_fields__))
+        for name in (*matches, "whole")
+        for lens in LENSES
+        if f"{name}_{lens}_poses" in arrays
+    }
+    keypoints = [arrays[f"keypoints{camera}"].astype(np.float64) for camera in range(num_cameras)]
+    return Solution(keypoints, arrays["moved"], matches, rigs)
+
+
+def unseen_errors(solution: Solution, lens: str, widths_px: Sequence[int]) -> list[Doubles]:
+    """Of each camera, in pixels: how far points of the moments of each half, placed by the other
+    cameras of the other half's rig, lie from where this camera saw them."""
+    limits_px = UNSEEN_PX * np.maximum(1, np.array(widths_px) / 640)
+    found: dict[int, Doubles] = {}
+    for _ in range(PASSES):
+        parts: list[list[Doubles]] = [[np.zeros(0)] for _ in solution.keypoints]
+        for half, other in (("first", "second"), ("second", "first")):
+            rig = solution.rigs.get((half, lens))
+            if rig is None:
+                continue
+            matches = {p: m for p, m in solution.matches[other].items() if not found.keys() & p}
+            errors, cameras = _left_out(rig, solution.keypoints, matches, limits_px)
+            for camera, of_camera in enumerate(parts):
+                of_camera.append(errors[cameras == camera])
+        joined = [np.concatenate(of_camera) for of_camera in parts]
+        wrong = {
+            i: errors
+            for i, errors in enumerate(joined)
+            if len(errors) and np.median(errors) > limits_px[i]
+        }
+        found |= wrong
+        if not wrong:
+            break
+    return [found.get(i, errors) for i, errors in enumerate(joined)]
+
+
+def choose_lens(solution: Solution, widths_px: Sequence[int]) -> str:
+    """Of LENSES the simplest that unseen moments bear out as well as any."""
+    chosen, least = LENSES[0], np.inf
+    for lens in LENSES:
+        found = unseen_errors(solution, lens, widths_px)
+        medians = [float(np.median(errors)) for errors in found if len(errors)]
+        error = float(np.mean(medians)) if medians else np.inf
+        if error < SIMPLER * least:
+            chosen, least = lens, error
+    return chosen
+
+
+def _left_out(
+    rig: Rig, keypoints: list[Doubles], matches: Mapping[Pair, Ints], limits_px: Doubles
+) -> tuple[Doubles, Ints]:
+    """(errors in pixels, cameras) of observations: each of a track of three or more, whose others
+    agree on a place."""
+    starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])])
+    pairs = {p: m for p, m in matches.items() if rig.has[p[0]] and rig.has[p[1]]}
+    none = np.zeros(0), np.zeros(0, np.int64)
+    if not pairs:
+        return none
+    edges = np.concatenate([m + starts[[a, b]] for (a, b), m in pairs.items()])
+    graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(starts[-1], starts[-1]))
+    track = connected_components(graph, directed=False)[1].astype(np.int64)
+    used = np.unique(edges)
+    camera = np.searchsorted(starts, used, side="right") - 1
+    track = np.unique(track[used], return_inverse=True)[1]
+    size = np.bincount(track)
+    distinct = np.bincount(np.unique(np.stack([track, camera]), axis=1)[0], minlength=len(size))
+    kept = ((size >= 3) & (size == distinct))[track]
+    used, camera, track = used[kept], camera[kept], track[kept]
+    if not len(used):
+        return none
+    rays, origins = np.zeros((len(used), 3)), np.zeros((len(used), 3))
+    for one in np.unique(camera):
+        mine = camera == one
+        xy = keypoints[one][used[mine] - starts[one], :2]
+        straight = rig.straightened(one, xy)
+        local = np.column_stack([straight, np.ones(len(straight))])
+        local /= np.linalg.norm(local, axis=1, keepdims=True)
+        rotation, offset = rig.poses[one, :, :3], rig.poses[one, :, 3]
+        rays[mine], origins[mine] = local @ rotation, -rotation.T @ offset
+    # The place nearest to the rays of the others: sum (I - r r^T) (x - o) = 0.
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    reached = np.einsum("nij,nj->ni", across, origins)
+    squares = np.einsum("ni,ni->n", origins, reached)
+    others, others_reached, others_squares = (
+        _sums(each, track) - each for each in (across, reached, squares)
+    )
+    count = np.bincount(track)[track] - 1
+    base = np.linalg.eigvalsh(others)[:, 0] / count
+    sound = base >= LEAST_BASE
+    place = np.full((len(used), 3), np.nan)
+    place[sound] = np.linalg.solve(others[sound], others_reached[sound, :, None])[..., 0]
+    missed = np.einsum("ni,nij,nj->n", place, others, place) + others_squares
+    missed = np.sqrt(np.maximum((missed - 2 * np.einsum("ni,ni->n", place, others_reached)), 0))
+    away = np.linalg.norm(place - origins, axis=1)
+    focal_px = rig.lenses[camera, 0]
+    agreed = sound & (missed / np.sqrt(count) / away * focal_px <= limits_px[camera])
+    offset = np.einsum("nij,nj->ni", across, place - origins)
+    ahead = np.einsum("ni,ni->n", rays, place - origins)
+    error_px = focal_px * np.linalg.norm(offset, axis=1) / np.maximum(ahead, 1e-9)
+    error_px[ahead <= 0] = np.inf
+    return error_px[agreed], camera[agreed]
+
+
+def _sums(values: Doubles, track: Ints) -> Doubles:
+    """Sums of the values over each track, for each of its members."""
+    sums = np.zeros((track.max() + 1, *values.shape[1:]))
+    np.add.at(sums, track, values)
+    gathered: Doubles = sums[track]
+    return gathered
