@@ -83,7 +83,7 @@ def test_a_host_that_lets_nobody_else_read(page: Page, site: Site) -> None:
         message = page.value("element.error.message")
         assert message.startswith(f"{streams} answers, but does not let pages of other hosts read")
         assert "Access-Control-Allow-Origin" in message
-        assert page.value("part('.note:not(.soft)').textContent") == message
+        page.wait("part('.note:not(.soft)')?.textContent === element.error.message")
 
 
 MEMBER = re.compile(
