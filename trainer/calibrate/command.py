@@ -23,11 +23,11 @@ from trainer.rig.rigdrawing import draw_capture
 from .capturecommand import Calibrate
 from .mapping import RESULT_NAME, Job
 from .moments import UNCHANGED, write_moments
-from .report import REPORT_NAME, report_lines
+from .rigreport import REPORT_NAME, report_lines
+from .rigtruth import judge
 from .solution import Solution, read_solution
-from .synchrony import Synchrony, confirmed, synchronise
+from .takeoffsets import Synchrony, confirmed, synchronise
 from .takes import Take, find_takes
-from .truth import judge
 from .world import metres_of_unit, world_of
 from .writing import calibrated, coloured_points, write_capture
 
@@ -45,7 +45,7 @@ def calibrate(config: Calibrate, console: Console | None = None) -> str:
     if config.moments < LEAST_MOMENTS:
         raise InvalidError(f"moments {config.moments}: must be at least {LEAST_MOMENTS}")
     if find_spec("pycolmap") is None:
-        raise CaptureError("pycolmap is not installed; pip install 'swings[calibrate]'")
+        raise CaptureError("pycolmap is not installed; pip install '.[calibrate]'")
     *given, target = config.videos
     takes = find_takes(given, config.without_cameras)
     for name in config.metres[:2] if config.metres else ():

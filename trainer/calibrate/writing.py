@@ -26,7 +26,7 @@ from trainer.capture.transforms import START_KEY, TRANSFORMS_NAME
 from .alignment import Similarity
 from .mapping import PICTURES_NAME, picture_name
 from .solution import Rig, Solution
-from .synchrony import Synchrony
+from .takeoffsets import Synchrony
 from .takes import Take
 
 VIDEOS_NAME = "videos"

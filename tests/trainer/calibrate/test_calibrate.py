@@ -17,7 +17,7 @@ from trainer.calibrate.geometry import geometric_lags
 from trainer.calibrate.lags import lags_of
 from trainer.calibrate.mapping import Job, Mapper
 from trainer.calibrate.solution import Rig
-from trainer.calibrate.synchrony import synchronise
+from trainer.calibrate.takeoffsets import synchronise
 from trainer.calibrate.takes import find_takes
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError

@@ -8,8 +8,8 @@ import numpy as np
 
 from trainer.capture.capture import Capture
 
-from .synchrony import Synchrony
-from .truth import Verdict
+from .rigtruth import Verdict
+from .takeoffsets import Synchrony
 
 REPORT_NAME = "calibration.txt"
 

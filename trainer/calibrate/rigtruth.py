@@ -1,5 +1,6 @@
 """Whether a rig is right, and not merely complete: what two halves of the take, and moments that a
-rig has not seen, say of it, camera by camera."""
+rig has not seen, say of it, camera by camera.
+"""
 
 from __future__ import annotations
 
