@@ -23,11 +23,11 @@ from trainer.rig.rigdrawing import draw_capture
 from .capturecommand import Calibrate
 from .mapping import RESULT_NAME, Job
 from .moments import UNCHANGED, write_moments
+from .offsets import Synchrony, confirmed, synchronise
 from .rigreport import REPORT_NAME, report_lines
-from .rigtruth import judge
 from .solution import Solution, read_solution
-from .takeoffsets import Synchrony, confirmed, synchronise
 from .takes import Take, find_takes
+from .verdicts import judge
 from .world import metres_of_unit, world_of
 from .writing import calibrated, coloured_points, write_capture
 

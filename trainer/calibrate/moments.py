@@ -12,7 +12,7 @@ from PIL import Image
 from codec.pose import Doubles
 
 from .mapping import PICTURES_NAME, picture_name
-from .takeoffsets import Synchrony
+from .offsets import Synchrony
 from .takes import Take
 
 JPEG_QUALITY = 95

@@ -8,8 +8,8 @@ import numpy as np
 
 from trainer.capture.capture import Capture
 
-from .rigtruth import Verdict
-from .takeoffsets import Synchrony
+from .offsets import Synchrony
+from .verdicts import Verdict
 
 REPORT_NAME = "calibration.txt"
 

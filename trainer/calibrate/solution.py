@@ -29,9 +29,6 @@ spoils all points that it shares."""
 LEAST_BASE = 0.02
 """Least squared sine of the angles between the rays of a track: with less, its depth is noise."""
 
-SIMPLER = 0.97
-"""An ampler lens is taken where it lowers the error of unseen moments below this share."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
@@ -117,18 +114,6 @@ def unseen_errors(solution: Solution, lens: str, widths_px: Sequence[int]) -> li
         if not wrong:
             break
     return [found.get(i, errors) for i, errors in enumerate(joined)]
-
-
-def choose_lens(solution: Solution, widths_px: Sequence[int]) -> str:
-    """Of LENSES the simplest that unseen moments bear out as well as any."""
-    chosen, least = LENSES[0], np.inf
-    for lens in LENSES:
-        found = unseen_errors(solution, lens, widths_px)
-        medians = [float(np.median(errors)) for errors in found if len(errors)]
-        error = float(np.mean(medians)) if medians else np.inf
-        if error < SIMPLER * least:
-            chosen, least = lens, error
-    return chosen
 
 
 def _left_out(

@@ -25,8 +25,8 @@ from trainer.capture.transforms import START_KEY, TRANSFORMS_NAME
 
 from .alignment import Similarity
 from .mapping import PICTURES_NAME, picture_name
+from .offsets import Synchrony
 from .solution import Rig, Solution
-from .takeoffsets import Synchrony
 from .takes import Take
 
 VIDEOS_NAME = "videos"

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from codec.camera import Camera
 from codec.pose import Doubles, look_at
 from trainer.calibrate.alignment import Similarity, align, angles_deg, centres
-from trainer.calibrate.rigtruth import judge, moved
 from trainer.calibrate.solution import Rig, Solution, unseen_errors
+from trainer.calibrate.verdicts import judge, moved
 from trainer.calibrate.world import metres_of_unit, world_of
 from trainer.errors import CaptureError
 
