@@ -1,4 +1,4 @@
-"""What handlers ask first: what the URL names, and room for a play."""
+"""Helpers of all handlers: the stream that a URL names, and room for a play."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ async def manifest(request: web.Request) -> web.StreamResponse:
 async def index(request: web.Request) -> web.StreamResponse:
     """The index; with ?after=N and &wait=S once it has more than N bytes, or after S seconds."""
     stream, stopping = stream_of(request), request.app[STATE].stopping
-    # What else is asked, such as to get past a cache of another server, is passed over.
+    # Other keys, such as one that gets past a cache of another server, are passed over.
     after_bytes = parse_number("after", request.query.get("after", "0"), MAX_INDEX_BYTES)
     wait_s = parse_number("wait", request.query.get("wait", "0"), MAX_WAIT_S)
     clock, num_segments = asyncio.get_running_loop().time, stream.view.num_segments

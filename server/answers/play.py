@@ -118,7 +118,7 @@ async def play(request: web.Request) -> web.StreamResponse:
 
 
 def asked_query(request: web.Request) -> PlayQuery:
-    """What a client wants to play. Raises RequestError if there is no such thing."""
+    """Parses the query of a play. Raises RequestError for one that cannot be played."""
     played = stream_of(request)
     num_layers, records = played.view.manifest.num_layers, played.view.records
     # A segment's start: there all that shows can be had at once.

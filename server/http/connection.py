@@ -257,7 +257,7 @@ class Runner(web.AppRunner):
         self.metrics = metrics
         self.headers = headers
         self.connections = set[Connection]()
-        """Those that are admitted, until they end."""
+        """The admitted connections, until they end."""
         self.options: Mapping[str, Any] = {
             "access_log": log,
             "access_log_class": access_log_class,
@@ -270,7 +270,7 @@ class Runner(web.AppRunner):
             "max_headers": MAX_FIELDS,
             "auto_decompress": False,
         }
-        """Those of web.RequestHandler."""
+        """The options of web.RequestHandler."""
         self._stop_s = stop_s
 
     @property

@@ -12,6 +12,7 @@ export class VirtualHost {
    */
   constructor(context, answer, delayS) {
     this.nowMs = 0;
+    this.wasAsked = false;
     this.asked = [];
     this.aborted = [];
     this.waiting = new Set();
@@ -20,6 +21,7 @@ export class VirtualHost {
     context.mock.method(globalThis, "fetch", (url, { signal } = {}) => {
       const path = new URL(url).pathname.slice(1);
       this.asked.push(path);
+      this.wasAsked = true;
       return new Promise((resolve, reject) => {
         const one = {
           dueMs: this.nowMs + 1000 * delayS(path),

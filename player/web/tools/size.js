@@ -1,4 +1,4 @@
-/** What a page loads before its first picture, with gzip, by the kind of its stream: fails above the budget. */
+/** Measures with gzip what a page loads before its first picture, by the kind of its stream; fails above the budget. */
 import { readFileSync } from "node:fs";
 import { gzipSync } from "node:zlib";
 
