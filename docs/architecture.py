@@ -1,10 +1,15 @@
 """Writes docs/architecture.svg and the tables of docs/ARCHITECTURE.md from tests/importlaw.py.
 
+Given folders, it prints what each of their files is for.
+
 Run by scripts/architecture.
 """
 
 from __future__ import annotations
 
+import ast
+import re
+import sys
 from pathlib import Path
 
 from tests.importlaw import FLOORS, MAY_USE, PACKAGES
@@ -234,7 +239,31 @@ def page(old: str) -> str:
     return f"{before}{BEGIN}\n\n{tables()}\n{END}{after}"
 
 
+def opening(file: Path) -> str:
+    """The first paragraph of what a file opens with: a docstring, or a comment of JavaScript."""
+    words = file.read_text(encoding="utf-8")
+    if file.suffix == ".py":
+        said = ast.get_docstring(ast.parse(words)) or ""
+    else:
+        found = re.match(r"\s*/\*\*?(.*?)\*/", words, re.DOTALL)
+        said = re.sub(r"(?m)^\s*\* ?", "", found[1]).strip() if found else ""
+    return " ".join(said.split("\n\n")[0].split())
+
+
+def print_files(folder: Path) -> None:
+    files = [f for f in sorted(folder.rglob("*")) if f.suffix in {".py", ".js"}]
+    for file in files:
+        path = file.relative_to(folder)
+        if file.name == "__init__.py" or {"node_modules", "bundle", "test"} & set(path.parts):
+            continue
+        sys.stdout.write(f"{path.as_posix():<28} {opening(file)}\n")
+
+
 def main() -> None:
+    if sys.argv[1:]:
+        for folder in sys.argv[1:]:
+            print_files(Path(folder))
+        return
     PICTURE.write_text(picture(), encoding="utf-8")
     PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
 
