@@ -21,11 +21,6 @@ function fetching() {
   return { troubles, fetcher: new Fetcher({ onTrouble: (message) => troubles.push(message) }) };
 }
 
-/** Waits in real time for the first request, before which a source's module is loaded. */
-async function isAsking(host, isOver = () => false) {
-  while (!host.wasAsked && !isOver()) await settled();
-}
-
 /** Waits in virtual time until a promise is settled; gives the message of its error, and when it came. */
 async function failureOf(host, promise) {
   let failure = null;
@@ -33,7 +28,6 @@ async function failureOf(host, promise) {
     () => (failure = { message: null }),
     ({ message }) => (failure = { message, atS: host.nowMs / 1000 }),
   );
-  await isAsking(host, () => failure !== null);
   await host.until(() => failure !== null, isBusy, 200);
   return failure;
 }
@@ -135,7 +129,6 @@ for (const [what, first] of [
     let atS;
     if (first === null) ({ message: failure, atS } = await failureOf(host, opening));
     else {
-      await isAsking(host);
       await host.until(() => host.asked.length > 0 && host.waiting.size === 0, isBusy);
       const play = (await opening).play({
         firstFrame: 0,
@@ -169,7 +162,6 @@ test("a server that reports the same error three times in a row is believed", as
   );
   const { fetcher } = fetching();
   const opening = openSource(SERVED, fetcher);
-  await isAsking(host);
   await host.until(() => host.asked.length > 0 && host.waiting.size === 0, isBusy);
   const play = (await opening).play({
     firstFrame: 0,

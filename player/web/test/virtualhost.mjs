@@ -38,11 +38,12 @@ export class VirtualHost {
   }
 
   /**
-   * Lets time pass until `isOver`.
+   * Lets time pass until `isOver`, from the first request on: a source's module is loaded before it, in real time.
    * @param {() => boolean} isOver
    * @param {() => boolean} isBusy whether something is under way that takes no virtual time
    */
   async until(isOver, isBusy, mostS = 60) {
+    while (!this.wasAsked && !isOver()) await settled();
     for (const endMs = this.nowMs + 1000 * mostS; !isOver(); ) {
       if (this.nowMs >= endMs) throw new Error(`nothing in ${mostS} s`);
       this.nowMs += STEP_MS;
