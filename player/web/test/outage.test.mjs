@@ -28,6 +28,7 @@ async function failureOf(host, promise) {
     () => (failure = { message: null }),
     ({ message }) => (failure = { message, atS: host.nowMs / 1000 }),
   );
+  await host.untilAsked(() => failure !== null);
   await host.until(() => failure !== null, isBusy, 200);
   return failure;
 }
@@ -129,6 +130,7 @@ for (const [what, first] of [
     let atS;
     if (first === null) ({ message: failure, atS } = await failureOf(host, opening));
     else {
+      await host.untilAsked();
       await host.until(() => host.asked.length > 0 && host.waiting.size === 0, isBusy);
       const play = (await opening).play({
         firstFrame: 0,
@@ -162,6 +164,7 @@ test("a server that reports the same error three times in a row is believed", as
   );
   const { fetcher } = fetching();
   const opening = openSource(SERVED, fetcher);
+  await host.untilAsked();
   await host.until(() => host.asked.length > 0 && host.waiting.size === 0, isBusy);
   const play = (await opening).play({
     firstFrame: 0,

@@ -30,6 +30,7 @@ test("nothing follows on a failure, also if it is found while a live stream is l
   posts({ kind: "open", base: "http://host/", port: port1 });
   const has = (kind) => posted.some((message) => message.kind === kind);
   const isBusy = () => false;
+  await host.untilAsked();
   await host.until(() => has("opened"), isBusy);
   posts({ kind: "play", playing: true });
   await host.until(() => has("state"), isBusy);
@@ -53,6 +54,7 @@ test("what is wrong with the bytes is a detail of a message that names the strea
   );
   await import("../playback/playworker.js?another");
   scope.onmessage({ data: { kind: "open", base: "http://host/clip/" } });
+  await host.untilAsked();
   await host.until(
     () => posted.length > 0,
     () => false,

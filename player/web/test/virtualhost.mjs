@@ -37,13 +37,17 @@ export class VirtualHost {
     this.timers = context.mock.timers;
   }
 
+  /** Waits in real time for the first request, before which a source's module is loaded. */
+  async untilAsked(isOver = () => false) {
+    while (!this.wasAsked && !isOver()) await settled();
+  }
+
   /**
-   * Lets time pass until `isOver`, from the first request on: a source's module is loaded before it, in real time.
+   * Lets time pass until `isOver`.
    * @param {() => boolean} isOver
    * @param {() => boolean} isBusy whether something is under way that takes no virtual time
    */
   async until(isOver, isBusy, mostS = 60) {
-    while (!this.wasAsked && !isOver()) await settled();
     for (const endMs = this.nowMs + 1000 * mostS; !isOver(); ) {
       if (this.nowMs >= endMs) throw new Error(`nothing in ${mostS} s`);
       this.nowMs += STEP_MS;
