@@ -21,8 +21,7 @@ from .segmentfiles import SegmentFiles
 from .walk import SourceSlice, Walk
 
 SAME = (
-    "fps", "swin_size", "slots", "lattice", "segment_frames", "temporal_period", "sh_degree",
-    "antialias",
+    "fps", "swin_size", "slots", "lattice", "segment_frames", "sh_degree", "antialias",
 )  # fmt: skip
 """Fields of the manifest in which joined streams must agree."""
 

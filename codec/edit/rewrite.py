@@ -110,17 +110,13 @@ def rewrite(
     edit: Edit,
     draw: Draw | None,
     progress: Progress,
-    sound: AddSound | None = None,
 ) -> Edited:
     """Writes the stream of `reader`, as far as it has come, with `edit` to `out`; see `writing`.
-
-    sound: adds the sound where segments are longer or shorter afterwards, which leaves out
-    captions; without it both go along. Raises a SwingsError that names the file at fault.
+    Raises a SwingsError that names the file at fault.
     """
     coder, num_frames = coder_of_stream(reader), reader.num_frames
     edit = fitted(reader, edit, coder)
-    tracks = reader if sound is None else None
-    with writing(out, edit.manifest(reader.manifest), coder, draw, tracks, sound) as files:
+    with writing(out, edit.manifest(reader.manifest), coder, draw, reader) as files:
         walk, recoder = Walk(reader), Recoder(files)
         for slices in (walk.opening(0), walk.slices(range(1, num_frames))):
             for birth in recoder.append(walk, slices, edit):

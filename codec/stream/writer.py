@@ -202,7 +202,6 @@ class StreamWriter:
     def _write_segment(self, draft: Draft, next_birth: int) -> None:
         """Writes the segment of `draft`; only then takes note of it, so that it may fail."""
         segment, num_layers = self._num_segments, self.manifest.num_layers
-        draft = draft.settled()
         first_frame = segment * self.manifest.segment_frames
         objects = draft.objects()
         files = {str(part): data for part, data in objects.items()}

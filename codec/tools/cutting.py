@@ -8,9 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from codec.edit.join import join_streams
-from codec.edit.rewrite import AddSound, Edited, Progress, no_progress, open_source, rewrite
+from codec.edit.rewrite import AddSound, Edited, Progress, no_progress, open_source
 from codec.edit.segmentfiles import SegmentFiles
-from codec.edit.temporal import TemporalLayer
 from codec.edit.trim import trim
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
@@ -50,24 +49,6 @@ def join(
     readers = [open_source(stream, max_gaussians) for stream in streams]
     cuts = [(reader, range(reader.num_frames)) for reader in readers]
     return _with_sound(cuts, lambda sound: join_streams(readers, out, draw, progress, sound))
-
-
-def set_temporal_layer(
-    stream: Place,
-    out: Path,
-    period: int,
-    draw: Draw | None = None,
-    progress: Progress = no_progress,
-    max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
-) -> Edited:
-    """Writes the stream at `stream` to `out`, with its sound and a temporal layer of `period`; see
-    `TemporalLayer` and `edit_stream`."""
-    reader, edit = open_source(stream, max_gaussians), TemporalLayer(period)
-    length = edit.manifest(reader.manifest).segment_frames
-    if length == reader.manifest.segment_frames:
-        return rewrite(reader, out, edit, draw, progress)
-    cut = reader, range(reader.num_frames)
-    return _with_sound([cut], lambda sound: rewrite(reader, out, edit, draw, progress, sound))
 
 
 def _with_sound(cuts: Sequence[Cut], write: Callable[[AddSound], Edited]) -> Edited:

@@ -70,9 +70,7 @@ def update_thread(
             if due is None:
                 break
             began_s = time.perf_counter()
-            slices = assembler.assemble(
-                due.record.frame, due.packets, events.shows_between, due.ahead
-            )
+            slices = assembler.assemble(due.record.frame, due.packets, events.shows_between)
             for slice in slices:
                 renderer.put(slice)
             handoff.put(replace(due.record, decode_s=time.perf_counter() - began_s))

@@ -202,7 +202,6 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
         **({"camera_near_m": list(prepared.camera_near_m)} if prepared.camera_near_m else {}),
         "far_m": prepared.far_m,
         "search_from_m": prepared.search_from_m,
-        **({"temporal": config.temporal} if config.temporal > 1 else {}),
         **({"without_cameras": config.without_cameras} if config.without_cameras else {}),
         **{
             name: getattr(config, name)
@@ -306,7 +305,7 @@ def make_manifest(
     if config.whole_slices:
         rows = split_layers(gaussians, slots, RANKS[writer_rank(config.rank)])
         coarseness = layer_coarseness([gaussians.take(part) for part in rows])
-    manifest = Manifest(
+    return Manifest(
         fps=fps_of(capture, config),
         swin_size=config.fit.swin_size,
         slots=slots,
@@ -328,4 +327,3 @@ def make_manifest(
         title=config.title or capture.root.resolve().name,
         capture_frame=prepared.frames.start,
     )
-    return manifest.with_temporal_layer(config.temporal)

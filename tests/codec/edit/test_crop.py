@@ -66,9 +66,9 @@ def test_a_box_and_its_complement_share_the_gaussians(swin_size: int, tmp_path: 
         assert gaussians(inside) + gaussians(outside) == gaussians(whole)
 
 
-@pytest.mark.parametrize(("swin_size", "period"), [(1, 1), (2, 1), (3, 1), (1, 2), (1, 4)])
-def test_patternless_streams_cropped(swin_size: int, period: int, tmp_path: Path) -> None:
-    layout = small_layout(swin_size, (20, 10), 1, 4, period)
+@pytest.mark.parametrize("swin_size", [1, 2, 3])
+def test_patternless_streams_cropped(swin_size: int, tmp_path: Path) -> None:
+    layout = small_layout(swin_size, (20, 10), 1, 4)
     source = write_slot_stream(tmp_path / "s", 14, layout, 1)
     box = (-2.0, -2.0, -50.0, 1.5, 2.0, 3.0)
     for whole, found in edited_frames(source, tmp_path / "t", CropOptions(box=box)):

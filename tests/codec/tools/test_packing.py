@@ -163,7 +163,6 @@ LAYOUTS = [
     small_layout(3, (9, 6), 0, 4),
     small_layout(1, (4,), 2, 3),
     small_layout(2, (5, 4, 3), 1, 8),
-    small_layout(1, (5, 3), 0, 4, 2),
 ]
 
 
