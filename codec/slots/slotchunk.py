@@ -10,7 +10,7 @@ from codec.errors import CorruptError, InvalidError, UnsupportedError
 
 from .slotlayout import HEADER_BYTES
 
-SLOT_MAGIC = b"SWG2"
+SLOT_MAGIC = b"SWG1"
 
 FLAG_SLOT_OFFSETS = 1
 """Set when start offsets are stored; clear when all are zero."""

@@ -32,8 +32,8 @@ from .manifestjson import (
 )
 from .sound import SoundSource, check_sources, sources_of
 
-VERSION = 2
-"""1 was a draft that no released program wrote."""
+VERSION = 1
+"""Of the format, in the manifest and in every object."""
 
 MANIFEST_NAME = "manifest.json"
 SEGMENTS_NAME = "segments"
@@ -356,7 +356,7 @@ class Manifest:
 
     @staticmethod
     def from_json(data: bytes) -> Manifest:
-        """The manifest in `data`. Raises CorruptError, or UnsupportedError for a later version."""
+        """The manifest in `data`. Raises CorruptError, or UnsupportedError for another version."""
         if len(data) > MAX_MANIFEST_BYTES:
             raise CorruptError(f"manifest: {len(data)} bytes, at most {MAX_MANIFEST_BYTES}")
         value = parse_manifest(data)
@@ -364,7 +364,10 @@ class Manifest:
         if type(version) is not int:
             raise CorruptError("manifest: has no version; this is not a swings stream")
         if version != VERSION:
-            raise UnsupportedError(f"manifest: version {version}; this program reads {VERSION}")
+            raise UnsupportedError(
+                f"manifest: version {version}, and this program reads {VERSION}; make the stream "
+                "anew, or read it with the swings that made it"
+            )
         try:
             with np.errstate(all="ignore"):
                 return _from_value(value)

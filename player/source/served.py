@@ -121,7 +121,7 @@ class ServedSource:
         self._asked_layers = "auto" if self.adaptive else layers or "all"
         self._asked = frames
         self._response: Response | None = None
-        self._token = last_play.token  # an older server gives none
+        self._token = last_play.token  # a server that takes no reports gives none
         self._rate_bps = last_play.rate_bps  # only `send_status` changes it
         self._ended_play = ""
         self._received = ReceivedPoints()

@@ -40,7 +40,7 @@ export const HIDDEN = 255;
 export const MAX_IMAGE_PX = 16384;
 
 // codec.stream.manifest
-export const VERSION = 2;
+export const VERSION = 1;
 export const MAX_MANIFEST_BYTES = 1048576;
 export const MAX_CAMERAS = 256;
 export const MIN_FPS = 0.001;
@@ -72,7 +72,7 @@ export const MAX_OPACITY_LEVELS = 256;
 export const MAX_LOGIT = 16;
 
 // codec.slots.slotchunk
-export const CHUNK_MAGIC = "SWG2";
+export const CHUNK_MAGIC = "SWG1";
 export const CHUNK_HEAD = "<4sBBBBi";
 export const CHUNK_KINDS = { MASK: 0, CHANGE: 1, SNAPSHOT: 2 };
 export const HAS_STARTS = 1;
@@ -151,10 +151,9 @@ export const ZIP_LOCAL_MAGIC = 67324752;
 
 // codec.stream.packedlayout
 export const PACKED_SUFFIX = ".swings";
-export const PACKED_EXTRA = "<HHHHIII";
+export const PACKED_EXTRA = "<HHHHIIII";
 export const PACKED_EXTRA_ID = 22355;
 export const PACKED_VERSION = 1;
-export const PACKED_TRACKS_VERSION = 2;
 export const FIRST_PACKED_BYTES = 32768;
 
 // codec.stream.playrecord

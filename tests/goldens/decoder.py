@@ -130,7 +130,7 @@ def decode_head(chunk: bytes, kind: int, shape: Shape) -> Head:
     """The first 12 bytes of a chunk in the place of one of this kind."""
     assert len(chunk) >= 12
     magic, found, layer, flags, zero, birth = struct.unpack_from("<4sBBBBi", chunk)
-    assert magic == b"SWG2"
+    assert magic == b"SWG1"
     if found > SNAPSHOT or zero or flags & (0xFF if found == MASK else 0xFE):
         raise Unsupported
     assert found == kind

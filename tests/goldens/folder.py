@@ -65,7 +65,7 @@ def read_manifest(text: bytes) -> Shape:
     manifest: Any = json.loads(text)
     version = value_of(manifest, "version")
     assert isinstance(version, int)
-    if version != 2:
+    if version != 1:
         raise Unsupported
     swin_size = integer(value_of(manifest, "swin_size"), 1, 255)
     num_gs = integer(value_of(manifest, "num_gs"), 1, 2**24)

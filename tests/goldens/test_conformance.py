@@ -63,7 +63,7 @@ def test_a_stream(row: dict[str, Any]) -> None:
     path, wanted = FOLDER / row["stream"], row["state_sha256"]
     coder = 2 if path.name.endswith("gzip") else 1
     assert all(
-        HEAD.unpack_from(p.read_bytes())[3:5] == (2, coder) for p in path.glob("segments/*/*")
+        HEAD.unpack_from(p.read_bytes())[3:5] == (1, coder) for p in path.glob("segments/*/*")
     )
     assert verify_stream(path).num_frames == len(wanted)
     reader = StreamReader(path)

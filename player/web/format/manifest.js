@@ -67,7 +67,8 @@ export function readManifest(bytes) {
   const value = parsed(bytes);
   const version = field(value, "version");
   if (!Number.isInteger(version)) throw corrupt("manifest: this is not a swings stream");
-  if (version !== VERSION) throw unsupported(`manifest: unknown version ${version}`);
+  if (version !== VERSION)
+    throw unsupported(`manifest: version ${version}, not ${VERSION}; the stream must be made anew`);
   const swinSize = integer(field(value, "swin_size"), 1, MAX_SWIN_SIZE, "swin_size");
   const numGs = integer(field(value, "num_gs"), 1, MAX_NUM_GS, "num_gs");
   if (numGs % swinSize !== 0 || numGs / swinSize > MAX_SLOTS) {

@@ -93,7 +93,7 @@ def spelled_out(shape: plain.Shape, chunks: Chunks) -> Chunks:
 
 
 def _head(kind: int, birth: int, layer: int = 0) -> bytes:
-    return struct.pack("<4sBBBBi", b"SWG2", kind, layer, 0, 0, birth)
+    return struct.pack("<4sBBBBi", b"SWG1", kind, layer, 0, 0, birth)
 
 
 def onto(change: Slice, before: Slice) -> Slice:
