@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from codec.lattice.lattice import Bytes, States
+from codec.arrays import Bytes
+from codec.lattice.lattice import States
 from codec.slice import window_births
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotstate import ESCAPED, holds

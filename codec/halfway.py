@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .errors import InvalidError
-from .splats import Floats, Splats
+from codec.arrays import Flags, Floats
 
-Flags = npt.NDArray[np.bool_]
+from .errors import InvalidError
+from .splats import Splats
+
 Rows = npt.NDArray[np.int32]
 
 JUMP_SIGMAS = 8.0

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from codec.lattice.lattice import Bytes, States, dequantise
+from codec.arrays import Bytes
+from codec.lattice.lattice import States, dequantise
 from codec.slots.slotstate import ESCAPED, ON_LATTICE, Rows, Slots, holds
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from codec.arrays import Doubles, Flags
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.lattice.lattice import Flags
-from codec.pose import Doubles
 from codec.slots.slotstate import Rows, holds
 from codec.slots.update import KEPT, NEW
 from codec.stream.manifest import Manifest

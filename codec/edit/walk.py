@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from codec.arrays import Bytes
 from codec.errors import InvalidError
-from codec.lattice.lattice import Bytes
 from codec.slice import window_births
 from codec.slots.mask import decode_mask
 from codec.slots.slotdecoder import SlotDecoder

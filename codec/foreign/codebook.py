@@ -6,11 +6,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Bytes, Doubles, Floats
 from codec.kernel import kernel
-from codec.pose import Doubles
-from codec.splats import Floats
-
-from .levels import Bytes
 
 CODES = 256
 MAX_ROUNDS = 60

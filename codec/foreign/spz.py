@@ -33,12 +33,12 @@ from enum import IntEnum
 import numpy as np
 import zstandard
 
+from codec.arrays import Bytes, Floats
 from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.similarity import Similarity, half_turned, mirrored
-from codec.splats import MAX_SH_DEGREE, Floats, Splats, sh_count
+from codec.splats import MAX_SH_DEGREE, Splats, sh_count
 
 from .levels import (
-    Bytes,
     byte_logits,
     clipped_bytes,
     opacity_bytes,

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from codec.arrays import Doubles, Floats
 from codec.kernel import kernel
-from codec.pose import Doubles
-from codec.splats import Floats
 
 _H = 0.5
 _R = 0.5**0.5

@@ -15,6 +15,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.files import making_folder
@@ -23,7 +24,6 @@ from codec.framerange import FRAMES, FrameRange
 from codec.interop.containers import ContainedFrame
 from codec.lattice.lattice import Lattice
 from codec.lattice.quantise import layer_coarseness
-from codec.pose import Doubles
 from codec.slice import Slice
 from codec.slots.slotlayout import (
     MAX_LAYERS,

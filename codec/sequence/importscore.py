@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from codec.arrays import Doubles
 from codec.camera import Camera
-from codec.pose import Doubles, rotation_about
+from codec.pose import rotation_about
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream.pictures import Draw

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles, Flags, Floats
 from codec.kernel import kernel
-from codec.pose import Doubles
-from codec.splats import SH_C0, Floats, Splats
+from codec.splats import SH_C0, Splats
 
 Rows = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 Keys = npt.NDArray[np.uint64]
 
 ALIKE = (0.5, 0.5, 0.3, 0.15, 0.15, 0.15)

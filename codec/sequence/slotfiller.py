@@ -16,19 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from codec.lattice.lattice import (
-    Bytes,
-    Flags,
-    Lattice,
-    States,
-    lattice_values,
-    round_values,
-)
+from codec.arrays import Bytes, Doubles, Flags, Floats
+from codec.lattice.lattice import Lattice, States, lattice_values, round_values
 from codec.lattice.morton import interleave
-from codec.pose import Doubles
 from codec.slots.slotstate import ESCAPED, Slots, empty_arrays, holds
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
-from codec.splats import Floats, Splats
+from codec.splats import Splats
 from codec.stream.layers import RankFunction, split_counts
 
 from .errorbound import HOLD, KINDS, errors_of, steps_of

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from codec.arrays import Doubles
 from codec.errors import InvalidError
 from codec.interop.formats import read_splats
 from codec.lattice.quantise import POSITION_PER_SIZE, position_step_m, to_luma
-from codec.pose import Doubles
 from codec.slots.slotlayout import MAX_SLOTS
 from codec.splats import Splats
 

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
+from codec.arrays import Bytes, Flags, Ints
 from codec.errors import CodecError, CorruptError, InvalidError
-from codec.lattice.lattice import Bytes, Flags, Ints
 from codec.slice import Slice, window_births
 from codec.splats import Splats
 

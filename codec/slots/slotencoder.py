@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from codec.arrays import Bytes
 from codec.coders.coder import EncodedChunk
 from codec.errors import InvalidError
-from codec.lattice.lattice import Bytes, States
+from codec.lattice.lattice import States
 from codec.slice import HIDDEN, window_births
 
 from .mask import MaskHistory, encode_mask

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Bytes, Flags, Floats
 from codec.errors import CorruptError
-from codec.lattice.lattice import Bytes, Lattice, States, dequantise_into
+from codec.lattice.lattice import Lattice, States, dequantise_into
 from codec.lattice.quantise import opacity_logits
 from codec.slice import HIDDEN
-from codec.splats import Floats, Splats, array_shapes
+from codec.splats import Splats, array_shapes
 
 from .slotchange import Change, Newcomers
 from .update import ENDED, NEW, PREDICTED
@@ -27,7 +28,7 @@ UNKNOWN, EMPTY, ON_LATTICE, ESCAPED = 0, 1, 2, 3
 Rows = npt.NDArray[np.int64]
 
 
-def holds(conditions: Bytes) -> npt.NDArray[np.bool_]:
+def holds(conditions: Bytes) -> Flags:
     """Where there is a Gaussian."""
     return conditions >= ON_LATTICE
 

@@ -12,7 +12,8 @@ from itertools import accumulate, pairwise
 import numpy as np
 import numpy.typing as npt
 
-from codec.splats import Floats, Splats
+from codec.arrays import Floats
+from codec.splats import Splats
 
 Rows = npt.NDArray[np.int64]
 

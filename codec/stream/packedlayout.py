@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Longs
 from codec.errors import CodecError, CorruptError, UnsupportedError
 
 from .index import INDEX_NAME, SegmentRecord
@@ -330,7 +330,7 @@ def _pictures(head: PackedHead, manifest: Manifest) -> list[tuple[str, int]]:
     return found
 
 
-def _name_bytes(parts: tuple[Part, ...], num_segments: int) -> npt.NDArray[np.int64]:
+def _name_bytes(parts: tuple[Part, ...], num_segments: int) -> Longs:
     """(segments, parts) sizes of the names of all objects."""
     digits = np.ones(num_segments, np.int64)
     power = 10
@@ -338,7 +338,7 @@ def _name_bytes(parts: tuple[Part, ...], num_segments: int) -> npt.NDArray[np.in
         digits[power:] += 1
         power *= 10
     suffixes = np.array([len(object_name(0, part)) - 1 for part in parts], np.int64)
-    found: npt.NDArray[np.int64] = digits[:, None] + suffixes[None, :]
+    found: Longs = digits[:, None] + suffixes[None, :]
     return found
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from codec.arrays import Flags
 from codec.errors import InvalidError
 from codec.kernel import kernel
-from codec.lattice.lattice import POSITION_LIMIT, Flags, States, quantise
+from codec.lattice.lattice import POSITION_LIMIT, States, quantise
 from codec.lattice.morton import BITS_PER_AXIS, interleave
 from codec.slice import HIDDEN, Slice
 from codec.slots.slotlayout import SlotLayout

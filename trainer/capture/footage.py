@@ -6,13 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from codec.arrays import Longs
 from codec.camera import Camera
 from trainer.pixels import opened_picture
 
 from .capture import PictureSource, check_fps
 from .lens import Lens, straight_source
 from .picturefiles import picture_source, read_fps
-from .synchrony import Ints, ShownSource, check_synchronised, shown_frames
+from .synchrony import ShownSource, check_synchronised, shown_frames
 from .video import VIDEO_SUFFIXES, VideoSource, check_video_size, probe_video
 
 
@@ -41,7 +42,7 @@ def filmed(
     CaptureError is raised."""
     facts = [probe_video(video) for video in videos]
     starts = [start or 0.0 for start in starts_s]
-    shown: list[Ints] = []
+    shown: list[Longs] = []
     if any(start is not None for start in starts_s):
         fps = fps or facts[0].fps
         shown = shown_frames(videos, facts, starts, fps)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
+from codec.arrays import Doubles
 from trainer.capture.capture import Capture
 from trainer.pictures.scale import scaled_picture
 from trainer.seed.stereo import small_camera
@@ -33,8 +33,6 @@ and at other shifts, and the correlation of the others with each other. With the
 
 NOISE = 0.1
 """Mean change of a still picture, of 255."""
-
-Doubles = npt.NDArray[np.float64]
 
 
 def late_doubts(capture: Capture, frames: range) -> list[str]:

@@ -12,9 +12,8 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import moderngl
-import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats
 from codec.camera import Camera
 from codec.errors import SwingsError
 from codec.slice import Slice
@@ -31,8 +30,6 @@ from .resident import Resident
 from .textureresident import TextureResident
 
 log = logging.getLogger(__name__)
-
-Floats = npt.NDArray[np.float32]
 
 
 class GlRenderer:

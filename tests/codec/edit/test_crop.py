@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.edit.crop import CropOptions
 from codec.edit.editing import edit_stream
 from codec.edit.floaters import FloaterOptions
 from codec.errors import InvalidError
 from codec.lattice.lattice import Lattice, quantise
-from codec.pose import Doubles, look_at
+from codec.pose import look_at
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.slotstate import Rows
 from codec.slots.update import KEPT, NEW, PREDICTED, Update

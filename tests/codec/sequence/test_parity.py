@@ -8,7 +8,6 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,8 +16,8 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from codec.arrays import Doubles, Flags, Floats
 from codec.interop.formats import SplatFormat, read_splats, write_splats
-from codec.pose import Doubles
 from codec.sequence.errorbound import ErrorBound
 from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import SH_C0, Splats, sh_count
@@ -100,11 +99,11 @@ def usual_size_m(splats: Splats) -> float:
 
 def within(
     source: Splats, found: Splats, error: ErrorBound, size_m: float, lowest: Doubles
-) -> npt.NDArray[np.bool_]:
+) -> Flags:
     """(N, M) whether Gaussian j of `found` is within the errors of i of `source`. lowest: see
     `lowest_of`."""
 
-    def apart(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> Doubles:
+    def apart(a: Floats, b: Floats) -> Doubles:
         return np.asarray(abs(a[:, None].astype(np.float64) - b[None]))
 
     slack = SLACK * (1 + abs(source.means[:, None].astype(np.float64)))
@@ -138,7 +137,7 @@ def within(
     return fits & form
 
 
-def exact(source: Splats, found: Splats) -> npt.NDArray[np.bool_]:
+def exact(source: Splats, found: Splats) -> Flags:
     """(N, M) whether the Gaussians have the same bits."""
     fits = np.ones((len(source), len(found)), np.bool_)
     for a, b in zip(source.arrays, found.arrays, strict=True):
