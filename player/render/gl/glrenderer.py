@@ -77,7 +77,7 @@ class GlRenderer:
             reason = " ".join(str(error).split())
             raise GlError(f"this OpenGL cannot run the renderer: {reason}") from error
 
-    def _make_resident(self, asked: GlVersion) -> Resident[Any]:
+    def _make_resident(self, asked: GlVersion) -> Resident:
         if self.version is GlVersion.V43:
             try:
                 return BufferResident(self._context, self._manifest)
