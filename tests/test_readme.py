@@ -104,7 +104,7 @@ MADE = {
 """The file that each of these commands writes."""
 
 ELSEWHERE = {
-    "codec/tools/test_streamsound.py": [
+    "codec/tracks/test_streamsound.py": [
         "swings-stream audio add my-stream music.wav",
         "swings-stream audio add my-stream voice.flac --name voice --at-m 0 1 2",
         "swings-stream audio add my-stream steps.wav --name steps --path path.json --offset-s 0.5",

@@ -13,11 +13,11 @@ from codec.stream.manifest import Point
 from codec.stream.packedstorage import PackedStorage
 from codec.stream.pictures import check_pictures
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
+from codec.tracks.streamtracks import verify_captions
 
 from .objectaudit import verify_objects
 from .packing import verify_packed
 from .slotcensus import SlotSummary, count_slots, describe_slots, summarise_slots
-from .streamcaptions import verify_captions
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +211,7 @@ def verify_stream(place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIAN
     check_pictures(storage, manifest)
     verify_captions(storage, manifest)
     if manifest.sound:
-        from .streamsound import verify_sound  # PyAV loads slowly
+        from codec.tracks.streamsound import verify_sound  # PyAV loads slowly
 
         verify_sound(reader)
     verify_packed(storage)

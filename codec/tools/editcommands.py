@@ -11,16 +11,16 @@ import tyro
 from codec.edit.crop import CropOptions
 from codec.edit.editing import edit_stream
 from codec.edit.floaters import FloaterOptions
+from codec.edit.join import join_streams
 from codec.edit.rewrite import Edited
 from codec.edit.transform import TransformOptions
+from codec.edit.trim import trim_stream
 from codec.edit.view import ViewOptions
 from codec.framerange import FRAMES, FrameRange
 from codec.outputlock import writing_alone
 from codec.progressline import counted
 from codec.stream.pictures import Draw
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
-
-from .cutting import join, trim_stream
 
 Source = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="STREAM")]]
 Target = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
@@ -117,7 +117,7 @@ def run_edit(config: Edit, draw: Draw | None = None) -> str:
                 )
             case Join(then=then):
                 streams = (edit.stream, *then)
-                made = join(streams, edit.out, draw, progress, edit.max_gaussians)
+                made = join_streams(streams, edit.out, draw, progress, edit.max_gaussians)
             case _:
                 made = edit_stream(
                     edit.stream, edit.out, edit.options, draw, progress, edit.max_gaussians

@@ -14,7 +14,6 @@ from pathlib import Path
 from codec.coders.coder import Coder
 from codec.edit.copying import chunk_elsewhere
 from codec.edit.segmentfiles import SegmentFiles
-from codec.edit.trackcopy import copy_tracks
 from codec.errors import InvalidError
 from codec.files import making_folder, temporary_folder, write_atomic
 from codec.storage.openstorage import Place
@@ -24,6 +23,7 @@ from codec.stream.object import encode_packet
 from codec.stream.packedlayout import PACKED_SUFFIX
 from codec.stream.pictures import read_picture
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
+from codec.tracks.streamtracks import copy_tracks
 
 from .objectaudit import verify_objects
 from .packing import pack_stream

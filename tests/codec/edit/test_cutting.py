@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from codec.edit.join import join_streams
+from codec.edit.trim import trim_stream
 from codec.errors import CorruptError, InvalidError
 from codec.files import write_atomic
 from codec.framerange import FrameRange
@@ -15,7 +17,6 @@ from codec.stream import StreamReader
 from codec.stream.manifest import MASKS, Manifest
 from codec.stream.views import view_from_text
 from codec.tools.audit import verify_stream
-from codec.tools.cutting import join, trim_stream
 from tests.support.commands import run, run_ok
 from tests.support.hostile import refused
 from tests.support.slots.edited import (
@@ -100,7 +101,7 @@ def test_parts_joined(cuts: tuple[int, ...], swin_size: int, tmp_path: Path) -> 
     parts = [tmp_path / str(n) for n in range(len(cuts) + 1)]
     for n, part in enumerate(parts):
         trim_stream(source, part, FrameRange(edges[n], edges[n + 1]))
-    join(parts, tmp_path / "t")
+    join_streams(parts, tmp_path / "t")
     assert verify_stream(tmp_path / "t").num_frames == 14
     assert_same_frames(source, tmp_path / "t")
 
@@ -112,7 +113,7 @@ def test_other_streams_follow(swin_size: int, lengths: tuple[int, ...], tmp_path
     parts = [
         write_slot_stream(tmp_path / str(n), length, layout, n) for n, length in enumerate(lengths)
     ]
-    join(parts, tmp_path / "t")
+    join_streams(parts, tmp_path / "t")
     assert verify_stream(tmp_path / "t").num_frames == sum(lengths)
     found = list(frames_of(tmp_path / "t"))
     first = 0
@@ -130,7 +131,7 @@ def test_other_streams_follow(swin_size: int, lengths: tuple[int, ...], tmp_path
 def test_the_first_stream_gives_title_and_cameras_and_bounds_hold_both(tmp_path: Path) -> None:
     a = write_slot_stream(tmp_path / "a", 3, title="first", bounds=((0, 0, 0), (1, 1, 1)))
     b = write_slot_stream(tmp_path / "b", 3, title="other", bounds=((-1, 0, 0), (0.5, 2, 1)))
-    join([a, b], tmp_path / "t")
+    join_streams([a, b], tmp_path / "t")
     manifest = StreamReader(tmp_path / "t").manifest
     assert (manifest.title, manifest.bounds) == ("first", ((-1, 0, 0), (1, 2, 1)))
 
@@ -141,8 +142,14 @@ def test_streams_that_differ_are_refused(changes: dict[str, object], tmp_path: P
     b = write_slot_stream(tmp_path / "b", 3)
     manifest = Manifest.from_json((b / "manifest.json").read_bytes())
     write_atomic(b / "manifest.json", replace(manifest, **changes).to_json())  # type: ignore[arg-type]
-    refused(InvalidError, f"has another {next(iter(changes))} than", join, [a, b], tmp_path / "t")
-    refused(InvalidError, "only one stream", join, [a], tmp_path / "t")
+    refused(
+        InvalidError,
+        f"has another {next(iter(changes))} than",
+        join_streams,
+        [a, b],
+        tmp_path / "t",
+    )
+    refused(InvalidError, "only one stream", join_streams, [a], tmp_path / "t")
     assert not (tmp_path / "t").exists()
 
 

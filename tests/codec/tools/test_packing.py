@@ -27,7 +27,7 @@ from codec.tools.audit import summarise, verify_stream
 from codec.tools.commands import Export, export_files
 from codec.tools.packing import pack_stream, unpack_stream, verify_packed
 from codec.tools.static import export_static
-from codec.tools.streamcaptions import add_captions
+from codec.tracks.streamtracks import add_captions
 from tests.support.commands import run_ok
 from tests.support.drawn import same_splats
 from tests.support.hosted_streams import write_stream

@@ -13,7 +13,7 @@ from codec.stream import StreamReader
 from codec.stream.captions import Captions
 from codec.tools.packing import pack_stream
 from codec.tools.static import export_static
-from codec.tools.streamcaptions import add_captions
+from codec.tracks.streamtracks import add_captions
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.sounding import add_clicks
