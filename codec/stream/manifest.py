@@ -314,6 +314,10 @@ class Manifest:
         births = self.births(segment, num_frames)
         return births[:1] if is_snapshot(part) else births
 
+    def is_same_but_live(self, other: Manifest) -> bool:
+        """Whether both are of one stream, which may have ended in between."""
+        return self.with_live(False).to_json() == other.with_live(False).to_json()
+
     def with_live(self, live: bool) -> Manifest:
         return replace(self, live=live)
 

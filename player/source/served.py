@@ -325,7 +325,7 @@ class ServedSource:
         last = self._num_frames if end is None else min(self._num_frames, end)
         start = self._connect(self._receiver.rejoin(last))
         manifest = self._manifest_of(start)
-        if manifest.with_live(False).to_json() != self.manifest.with_live(False).to_json():
+        if not manifest.is_same_but_live(self.manifest):
             raise CorruptError(f"{self.name}: {REPLACED}")
         self._parser.limit_bytes = self._limits.record_bytes
         self._num_frames = max(self._num_frames, start.num_frames)
