@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from codec.arrays import Bytes, Flags, Ints
+from codec.arrays import Bytes, Flags, Ints, Longs
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.slice import Slice, window_births
 from codec.splats import Splats
@@ -21,7 +21,7 @@ from .slotchange import decode_change
 from .slotchunk import BIRTH_AT, LAYER_AT
 from .slotlayout import SlotLayout
 from .slotlog import SlotLog
-from .slotstate import UNKNOWN, Delta, Rows, Slots, empty_arrays, holds
+from .slotstate import UNKNOWN, Delta, Slots, empty_arrays, holds
 from .snapshot import decode_snapshot
 from .update import KEPT, NEW, PREDICTED
 
@@ -412,12 +412,12 @@ class SlotDecoder:
     def _state_bytes(self) -> int:
         return sum(slots.num_bytes for lane in self.lanes for slots in lane)
 
-    def _slice(self, birth: int, rows: Iterable[Rows], with_rows: bool) -> Slice:
+    def _slice(self, birth: int, rows: Iterable[Longs], with_rows: bool) -> Slice:
         """The slots `rows` of each layer in the lane of `birth`."""
         numbers, splats, starts = self._drawn(self.layout.lane(birth), list(rows))
         return Slice(birth, splats, starts, numbers if with_rows else None)
 
-    def _drawn(self, lane: int, rows: list[Rows]) -> tuple[Ints, Splats, Bytes]:
+    def _drawn(self, lane: int, rows: list[Longs]) -> tuple[Ints, Splats, Bytes]:
         """The slots `rows` of each layer of a lane: their numbers, counted over all layers, what
         they hold and their start offsets."""
         edges = self.layout.row_edges

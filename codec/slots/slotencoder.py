@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from codec.arrays import Bytes
+from codec.arrays import Bytes, Longs
 from codec.coders.coder import EncodedChunk
 from codec.errors import InvalidError
 from codec.lattice.lattice import States
@@ -17,7 +17,7 @@ from .mask import MaskHistory, encode_mask
 from .slotchange import Newcomers, encode_change
 from .slotdecoder import SlotDecoder
 from .slotlayout import SlotLayout
-from .slotstate import EMPTY, ESCAPED, ON_LATTICE, Delta, Rows, Slots
+from .slotstate import EMPTY, ESCAPED, ON_LATTICE, Delta, Slots
 from .snapshot import encode_snapshot
 from .update import ENDED, NEW, PREDICTED, Update
 
@@ -38,9 +38,9 @@ class _Part:
 
     layer: int
     slots: Slots
-    predicted_rows: Rows
-    new_rows: Rows
-    ended_rows: Rows
+    predicted_rows: Longs
+    new_rows: Longs
+    ended_rows: Longs
     predicted: States
     new: Newcomers
     start_offsets: Bytes  # of the new

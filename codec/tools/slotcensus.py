@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Longs
 from codec.errors import CodecError
 from codec.slots.mask import MaskHistory, decode_mask
 from codec.slots.slotstate import holds
@@ -15,23 +15,21 @@ from codec.slots.update import NEW, PREDICTED
 from codec.stream.manifest import MASKS, snapshot_part
 from codec.stream.reader import StreamReader
 
-Counts = npt.NDArray[np.int64]
-
 
 @dataclass(frozen=True, slots=True)
 class SlotCensus:
-    """Counts of a stream of F frames and L layers."""
+    """Longs of a stream of F frames and L layers."""
 
-    statuses: Counts
+    statuses: Longs
     """(F, L, 4) how many slots the slice born at each frame says KEPT, ENDED, PREDICTED, NEW of."""
-    first: Counts
+    first: Longs
     """(L,) Gaussians in the snapshots of frame 0."""
 
     @property
-    def brought(self) -> Counts:
+    def brought(self) -> Longs:
         """(L,) Gaussians sent to a player from frame 0 on: those of the first snapshots, and all
         that a slice changes or adds."""
-        sent: Counts = self.statuses[:, :, [PREDICTED, NEW]].sum(axis=(0, 2))
+        sent: Longs = self.statuses[:, :, [PREDICTED, NEW]].sum(axis=(0, 2))
         return self.first + sent
 
 
@@ -55,7 +53,7 @@ def count_slots(reader: StreamReader) -> SlotCensus:
     return SlotCensus(counts, _first(reader))
 
 
-def _first(reader: StreamReader) -> Counts:
+def _first(reader: StreamReader) -> Longs:
     layout = reader.manifest.slot_layout
     held = np.zeros(layout.num_layers, np.int64)
     if reader.records:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from codec.arrays import Doubles
+from codec.arrays import Doubles, Longs
 from codec.camera import Camera
 from codec.edit.crop import CropOptions
 from codec.edit.editing import edit_stream
@@ -18,7 +18,6 @@ from codec.errors import InvalidError
 from codec.lattice.lattice import Lattice, quantise
 from codec.pose import look_at
 from codec.slots.slotlayout import SlotLayout
-from codec.slots.slotstate import Rows
 from codec.slots.update import KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
@@ -46,8 +45,8 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_trained_like(tmp_path_factory.mktemp("crop") / "s", 1)
 
 
-def in_box(means: Doubles, box: tuple[float, ...] = BOX) -> Rows:
-    inside: Rows = np.flatnonzero(((means >= box[:3]) & (means <= box[3:])).all(axis=1))
+def in_box(means: Doubles, box: tuple[float, ...] = BOX) -> Longs:
+    inside: Longs = np.flatnonzero(((means >= box[:3]) & (means <= box[3:])).all(axis=1))
     return inside
 
 
