@@ -23,6 +23,7 @@ from codec.stream.layers import RANKS, split_layers
 from codec.stream.manifest import Manifest
 from codec.stream.poster import POSTER_NAME
 from codec.stream.storyboard import STORYBOARD_NAME
+from trainer.calibrate.lateness import late_doubts
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
 from trainer.capture.points import points_evenness, read_points_file
@@ -32,7 +33,6 @@ from trainer.pictures.feed import Pictures
 from trainer.pictures.framecache import FrameCache
 from trainer.rig.coverage import coverage_doubts, unseen_shares
 from trainer.rig.doubts import rig_doubts
-from trainer.rig.lateness import late_doubts
 from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane, near_planes
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.step.backend import MemoryNeeds
