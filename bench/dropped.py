@@ -13,27 +13,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from bench.recordedupdates import recorded_slices, recorded_update
-from codec.lattice.lattice import Bytes, Flags
+from codec.arrays import Bytes, Doubles, Flags, Longs
 from codec.slice import active_splats
 from codec.slots.update import ENDED, KEPT, NEW
 from codec.stream import StreamReader, StreamWriter
 from trainer.step.contribution import summed_contribution
 from trainer.step.raster import Parameters, View
 
-Ints = npt.NDArray[np.int64]
-Doubles = npt.NDArray[np.float64]
-
 NOBODY = -1
 """In place of a life where a slot is empty."""
 
 
-def lives_of(reader: StreamReader) -> dict[int, Ints]:
+def lives_of(reader: StreamReader) -> dict[int, Longs]:
     """By birth (N,): the number of the life of each Gaussian of the whole slice; NOBODY in an empty
     slot."""
-    manifest, lives, count = reader.manifest, dict[int, Ints](), 0
+    manifest, lives, count = reader.manifest, dict[int, Longs](), 0
     nobody = np.full(manifest.slice_size, NOBODY, np.int64)
     for birth, _, statuses in recorded_slices(reader):
         of_lane = lives.get(birth - manifest.swin_size, nobody).copy()
@@ -45,13 +41,13 @@ def lives_of(reader: StreamReader) -> dict[int, Ints]:
     return lives
 
 
-def slices_lived(lives: Mapping[int, Ints]) -> Ints:
+def slices_lived(lives: Mapping[int, Longs]) -> Longs:
     """(L,) in how many slices each life is."""
     everyone = np.concatenate([of_slice[of_slice != NOBODY] for of_slice in lives.values()])
     return np.bincount(everyone)
 
 
-def opacities(reader: StreamReader, lives: Mapping[int, Ints]) -> Doubles:
+def opacities(reader: StreamReader, lives: Mapping[int, Longs]) -> Doubles:
     """(L,) the opacity of each life, the mean over its slices."""
     counts = slices_lived(lives)
     sums = np.zeros(len(counts))
@@ -64,7 +60,7 @@ def opacities(reader: StreamReader, lives: Mapping[int, Ints]) -> Doubles:
 
 
 def contributions(
-    reader: StreamReader, lives: Mapping[int, Ints], views: Sequence[View], each: int
+    reader: StreamReader, lives: Mapping[int, Longs], views: Sequence[View], each: int
 ) -> Doubles:
     """(L,) what each life contributes to pictures of `views`, `each` of them for every frame in
     turn: the sum over the frames in which it shows, over its slices."""
@@ -82,7 +78,7 @@ def contributions(
     return mean
 
 
-def places(importances: Doubles) -> Ints:
+def places(importances: Doubles) -> Longs:
     """(L,) the place of each life, the most important first; equal ones are drawn, so that the
     order in the files, which the trainer chose, does not help."""
     drawn = np.random.default_rng(0).permutation(len(importances))
@@ -97,10 +93,10 @@ class Drop:
 
     share: float
     """The share of a slice's Gaussians that is kept."""
-    places: Ints = field(repr=False)
+    places: Longs = field(repr=False)
     """(L,) of each life, see `places`."""
 
-    def kept(self, of_slice: Ints) -> Flags:
+    def kept(self, of_slice: Longs) -> Flags:
         """(N,) which Gaussians of a slice are kept, given its lives."""
         held = np.flatnonzero(of_slice != NOBODY)
         most_first = held[np.argsort(self.places[of_slice[held]])]
@@ -117,7 +113,7 @@ def statuses_of_kept(statuses: Bytes, before: Flags, kept: Flags) -> Bytes:
 
 
 def write_kept(
-    reader: StreamReader, lives: Mapping[int, Ints], drops: Sequence[Drop], folder: Path
+    reader: StreamReader, lives: Mapping[int, Longs], drops: Sequence[Drop], folder: Path
 ) -> list[Path]:
     """Writes for each of `drops` what it keeps as a stream like that of `reader`, in a folder of
     its own below `folder`; gives the folders."""

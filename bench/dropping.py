@@ -20,6 +20,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+from codec.arrays import Bytes, Floats
+
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import matplotlib.axes
@@ -37,10 +39,9 @@ from codec.camera import Camera
 from codec.console import run_command
 from codec.errors import InvalidError
 from codec.files import replacing
-from codec.lattice.lattice import Bytes
 from codec.stream import StreamReader
 from trainer.pictures.shot import Shot
-from trainer.score.picture import Floats, captured, displayed
+from trainer.score.picture import captured, displayed
 from trainer.score.traffic import traffic
 from trainer.score.truth import ScoredCameras, open_held_out
 from trainer.step.loss import psnr_db

@@ -18,7 +18,9 @@ from rich.table import Table
 
 from codec.console import run_command
 from codec.edit.editing import edit_stream
+from codec.edit.join import join_streams
 from codec.edit.transform import TransformOptions
+from codec.edit.trim import trim_stream
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.interop.formats import SplatFormat, write_splats
@@ -26,7 +28,6 @@ from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import snapshot_part
-from codec.tools.cutting import join, trim_stream
 from tests.support.slots.edited import FrameEdit, least_psnr_db, objects_bytes
 from tests.support.slots.slot_streams import slot_manifest
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
@@ -112,7 +113,7 @@ def joined(source: Path, config: EditsConfig, root: Path) -> Iterator[list[str]]
     trim_stream(source, second, FrameRange(half))
     edit_stream(second, other, TransformOptions(turn=(90, 0, 0)))  # no Gaussian is where it was
     for following in (second, other):
-        made = join([first, following], root / f"joined {following.name}")
+        made = join_streams([first, following], root / f"joined {following.name}")
         reader = StreamReader(following)
         parts = map(snapshot_part, range(reader.manifest.num_layers))
         state_bytes = sum(len(reader.read_object(0, part).data) for part in parts)

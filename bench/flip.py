@@ -21,9 +21,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from codec.arrays import Floats
 from codec.console import run_command
 from trainer.score.moving import MIN_MOVING_PX
-from trainer.score.picture import Floats, displayed
+from trainer.score.picture import displayed
 from trainer.score.scores import Seen, seen_of
 from trainer.score.truth import open_held_out
 from trainer.step.loss import psnr_db

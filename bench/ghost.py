@@ -15,16 +15,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import tyro
 from PIL import Image, ImageFilter
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from codec.arrays import Flags, Floats
 from codec.console import run_command
 from trainer.capture.capture import Mask
-from trainer.score.picture import Floats, captured, displayed
+from trainer.score.picture import captured, displayed
 from trainer.score.scores import seen_of
 from trainer.score.truth import open_held_out
 
@@ -38,8 +38,6 @@ MIN_LEFT_PX = 30
 """Pixels that the thing must have left in a picture: fewer are the noise of its edge."""
 VISIBLE = 12 / 255
 """Excess from which on a pixel counts as part of a ghost."""
-
-Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -18,18 +18,18 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial import cKDTree
 
+from codec.arrays import Bytes, Floats
 from codec.coders.coder import compress
 from codec.coders.effort import Effort
 from codec.console import run_command
 from codec.errors import InvalidError
 from codec.foreign.codebook import codebook, codes_of, palette
 from codec.interop.formats import SplatFormat, write_splats
-from codec.lattice.lattice import Bytes
 from codec.lattice.quantise import from_luma, to_luma
 from codec.sequence.errorbound import ErrorBound
 from codec.sequence.importing import ImportOptions, facing_camera, import_stream
 from codec.sequence.importscore import cameras_around
-from codec.splats import Floats, Splats
+from codec.splats import Splats
 from codec.stream import StreamReader
 from player.streamcommand import draw_poster
 from tests.support.deforming import FPS, Deforming

@@ -22,12 +22,13 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from codec.arrays import Doubles
+
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import matplotlib.backends.backend_agg
 import matplotlib.figure
 import numpy as np
-import numpy.typing as npt
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -237,7 +238,7 @@ def table_of(tracks: Sequence[Track]) -> Table:
     return table
 
 
-def running_median(values: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.float64]:
+def running_median(values: Doubles, count: int) -> Doubles:
     """Median of about `count` values around each value; of fewer at the ends."""
     half = count // 2
     return np.array(

@@ -16,12 +16,12 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from codec.arrays import Doubles
 from codec.console import run_command
 from codec.errors import InvalidError
 from codec.foreign.tsog import encode_tsog
 from codec.interop.containers import contained_frames
 from codec.interop.formats import SplatFormat, encode_splats, read_splats, write_splats
-from codec.pose import Doubles
 from codec.sequence.errorbound import ErrorBound
 from codec.sequence.importing import ImportOptions, facing_camera, import_stream
 from codec.sequence.importscore import cameras_around

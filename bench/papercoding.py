@@ -13,9 +13,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Bytes, Floats
 from codec.errors import InvalidError
 from codec.lattice.quantise import opacity_logits
-from codec.splats import Floats, Splats
+from codec.splats import Splats
 
 MIDDLE = 128
 """The byte that stands for zero."""
@@ -26,7 +27,6 @@ MAX_HALF = 65504
 
 OPACITY_LEVELS = 256
 
-Bytes = npt.NDArray[np.uint8]
 Halves = npt.NDArray[np.float16]
 
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from codec.errors import InvalidError
-from codec.lattice.lattice import Bytes, States
+from codec.arrays import Bytes
+from codec.lattice.lattice import States
 from codec.slice import window_births
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotstate import ESCAPED, holds
@@ -21,11 +21,6 @@ def recorded_slices(reader: StreamReader) -> Iterator[tuple[int, SlotDecoder, By
     """For each slice of a stream its birth, a decoder that has just taken it in, and
     (S,) what it says of the slots of its lane. What frame 0 begins with counts as new."""
     manifest = reader.manifest
-    if manifest.temporal_period > 1:
-        raise InvalidError(
-            f"{reader.name} has a temporal layer; remove it first: swings-stream edit temporal "
-            "STREAM OUT --period 1"
-        )
     decoder = reader.decoder_at(0, manifest.num_layers)
     for birth in window_births(0, manifest.swin_size):
         lane = decoder.lanes[decoder.layout.lane(birth)]

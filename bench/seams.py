@@ -15,10 +15,11 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from codec.arrays import Doubles, Floats
+
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import numpy as np
-import numpy.typing as npt
 import tyro
 from rich.console import Console
 from rich.table import Table
@@ -93,14 +94,14 @@ class SeamsConfig:
 class Seen:
     """Scores of a stream, frame by frame."""
 
-    psnr_db: npt.NDArray[np.float64]  # (F,) mean over the cameras
-    flicker: npt.NDArray[np.float64]  # (F,) change of still pixels since the frame before, in %
+    psnr_db: Doubles  # (F,) mean over the cameras
+    flicker: Doubles  # (F,) change of still pixels since the frame before, in %
 
 
 def seen_of(held_out: ScoredCameras) -> Seen:
     """Scores the pictures of a stream."""
     manifest, psnr_db, flicker = held_out.reader.manifest, [], [np.nan]
-    before: dict[int, tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]] = {}
+    before: dict[int, tuple[Floats, Floats]] = {}
     for frame in range(held_out.reader.num_frames):
         splats = held_out.reader.active_splats(frame, manifest.num_layers)
         scores, change, count = [], 0.0, 0

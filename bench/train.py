@@ -10,11 +10,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from codec.arrays import Floats
+
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
@@ -77,7 +78,7 @@ def bench_camera(width_px: int, height_px: int) -> Camera:
     )
 
 
-def bench_target(width_px: int, height_px: int) -> npt.NDArray[np.float32]:
+def bench_target(width_px: int, height_px: int) -> Floats:
     """(3, H, W) noise in 0..1."""
     return np.random.default_rng(1).random((3, height_px, width_px)).astype(np.float32)
 

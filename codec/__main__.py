@@ -11,7 +11,6 @@ import tyro
 
 from codec.stream.pictures import Draw
 from codec.tools.audit import describe, summarise, verify_stream
-from codec.tools.captionscommands import Captions, run_captions
 from codec.tools.commands import (
     Export,
     Import,
@@ -25,7 +24,8 @@ from codec.tools.commands import (
     unpack_files,
 )
 from codec.tools.editcommands import Edit, run_edit
-from codec.tools.soundcommands import Audio, run_audio
+from codec.tracks.captionscommands import Captions, run_captions
+from codec.tracks.soundcommands import Audio, run_audio
 
 from .console import run_command, say
 

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles
+
 from .errors import CorruptError, InvalidError
-from .pose import Doubles
 
 Floating = npt.NDArray[np.floating]
 """float32 or float64."""

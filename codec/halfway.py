@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+
+from codec.arrays import Flags, Floats, Ints
 
 from .errors import InvalidError
-from .splats import Floats, Splats
-
-Flags = npt.NDArray[np.bool_]
-Rows = npt.NDArray[np.int32]
+from .splats import Splats
 
 JUMP_SIGMAS = 8.0
 """A slot that goes farther than this between two frames, in standard deviations along its longest
@@ -31,12 +29,12 @@ class Motion:
     in where it will be.
     """
 
-    rows: Rows  # (M,) rising, what changes and shows in the later frame, of the slice's lane
+    rows: Ints  # (M,) rising, what changes and shows in the later frame, of the slice's lane
     before: Splats  # M; what is not there before counts as here, but transparent: see `enters`
     after: Splats  # M
     enters: Flags  # (M,) those that fade in
     leaving: Splats  # L, those that fade out
-    left: Rows  # (L,) rising, where they are in the earlier frame, of the same lane
+    left: Ints  # (L,) rising, where they are in the earlier frame, of the same lane
 
     def __post_init__(self) -> None:
         same = len(self.rows) == len(self.before) == len(self.after) == len(self.enters)
@@ -49,7 +47,7 @@ class Motion:
 
     @staticmethod
     def of(
-        rows: Rows, before: Splats, was_here: Flags, after: Splats, is_here: Flags, renewed: Flags
+        rows: Ints, before: Splats, was_here: Flags, after: Splats, is_here: Flags, renewed: Flags
     ) -> Motion:
         """The motion of these M slots: what they held, and hold now, and whether they did and do.
         What is not here means nothing. renewed: those that were given to another Gaussian."""

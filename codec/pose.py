@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
+
+from codec.arrays import Doubles
 
 from .errors import InvalidError
-
-Doubles = npt.NDArray[np.float64]
 
 
 def world_to_camera(rotation: Doubles, position: Doubles) -> Doubles:

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from codec.arrays import Doubles
+
 from .camera import Camera
-from .pose import Doubles
 
 FORWARD_FACING_RAD = np.radians(30)
 """Axes that all lie within this angle of their mean belong to a forward-facing rig: they hardly

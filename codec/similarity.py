@@ -7,9 +7,11 @@ from functools import cache
 
 import numpy as np
 
+from codec.arrays import Doubles, Floats
+
 from .errors import InvalidError
-from .pose import Doubles, quat_of
-from .splats import MAX_SH_DEGREE, Floats, Splats
+from .pose import quat_of
+from .splats import MAX_SH_DEGREE, Splats
 
 HARMONICS = ("1", *"yzx", "xy", "yz", "zz", "xz", "xx")
 HARMONICS += ("xxy", "xyz", "yzz", "zzz", "xzz", "xxz", "xxx")

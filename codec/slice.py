@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+
+from codec.arrays import Bytes, Flags, Ints
 
 from .errors import InvalidError
 from .halfway import Motion
@@ -38,8 +39,8 @@ class Slice:
 
     birth: int
     splats: Splats
-    start_offsets: npt.NDArray[np.uint8]  # (N,) frames after birth
-    rows: npt.NDArray[np.int32] | None = None  # (N,) rising, the rows that change; None: whole
+    start_offsets: Bytes  # (N,) frames after birth
+    rows: Ints | None = None  # (N,) rising, the rows that change; None: whole
     motion: Motion | None = None
 
     def __post_init__(self) -> None:
@@ -68,11 +69,11 @@ class Slice:
         """The lane that this slice takes over, or changes."""
         return self.birth % swin_size
 
-    def active(self, frame: int, swin_size: int) -> npt.NDArray[np.bool_]:
+    def active(self, frame: int, swin_size: int) -> Flags:
         """(N,) which of the slice's own Gaussians show at `frame`."""
         if not self.birth <= frame < self.birth + swin_size:
             return np.zeros(len(self.splats), np.bool_)
-        shown: npt.NDArray[np.bool_] = self.start_offsets <= frame - self.birth
+        shown: Flags = self.start_offsets <= frame - self.birth
         return shown
 
     def check_follows(self, last_birth: int | None, swin_size: int) -> None:
@@ -93,7 +94,7 @@ class Slice:
         return self.rows is not None and last_birth == self.birth
 
 
-def kept_offsets(start_offsets: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+def kept_offsets(start_offsets: Bytes) -> Bytes:
     """The start offsets that kept Gaussians have from the next birth of their lane on."""
     return np.where(start_offsets == HIDDEN, np.uint8(HIDDEN), np.uint8(0))
 

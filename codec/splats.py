@@ -12,9 +12,9 @@ from math import isqrt
 import numpy as np
 import numpy.typing as npt
 
-from .errors import InvalidError
+from codec.arrays import Flags, Floats
 
-Floats = npt.NDArray[np.float32]
+from .errors import InvalidError
 
 SH_C0 = 0.28209479177387814
 """The constant spherical harmonic; colour = 0.5 + SH_C0 * sh[:, 0] + ..."""
@@ -102,7 +102,7 @@ class Splats:
         opacities: Floats = half + half * np.tanh(half * self.logit_opacities)
         return opacities
 
-    def take(self, rows: npt.NDArray[np.integer] | npt.NDArray[np.bool_] | slice) -> Splats:
+    def take(self, rows: npt.NDArray[np.integer] | Flags | slice) -> Splats:
         """The Gaussians at `rows`, in that order."""
         if isinstance(rows, slice) or rows.dtype == np.bool_:
             return Splats._checked(array[rows] for array in self.arrays)

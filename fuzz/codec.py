@@ -54,7 +54,7 @@ from .foreign import (
     fuzz_sequence,
     fuzz_webp,
 )
-from .slots import fuzz_change, fuzz_mask, fuzz_passing, fuzz_slots, fuzz_snapshot
+from .slots import fuzz_change, fuzz_mask, fuzz_slots, fuzz_snapshot
 
 MAX_PACKET_BYTES = 1 << 20
 """Maximum content of a packet that is inflated."""
@@ -197,7 +197,6 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "packed": fuzz_packed,
     "ksplat": fuzz_ksplat,
     "sequence": fuzz_sequence,
-    "passing": fuzz_passing,
 }
 """The parsers by name. Only append: the first byte of an input is an index in this order."""
 

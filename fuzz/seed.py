@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 import zstandard
 
+from codec.arrays import Floats
 from codec.camera import Camera
 from codec.coders.coder import compress
 from codec.foreign.ply import encode_ply
 from codec.foreign.splat import encode_splat
 from codec.foreign.spz import ENTRY, HEADER_V4, MAGIC, SpzVersion, encode_spz
-from codec.splats import Floats, Splats, sh_count
+from codec.splats import Splats, sh_count
 from codec.stream.index import SegmentRecord, pack_record
 from codec.stream.manifest import Manifest
 from codec.stream.packedlayout import PackedHead, PackedLayout

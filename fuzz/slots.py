@@ -13,13 +13,12 @@ import numpy as np
 from codec.errors import CodecError, CorruptError
 from codec.lattice.lattice import Lattice, States
 from codec.slots.mask import decode_mask, encode_mask
-from codec.slots.passing import decode_passing, passing_elsewhere
 from codec.slots.slotchange import decode_change, encode_change
 from codec.slots.slotchunk import SLOT_HEADER, Kind, SlotHeader
 from codec.slots.slotdecoder import MIN_LOG_BYTES, SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import HEADER_BYTES, SlotLayout
-from codec.slots.slotstate import EMPTY, UNKNOWN, Slots
+from codec.slots.slotstate import UNKNOWN, Slots
 from codec.slots.snapshot import decode_snapshot, encode_snapshot
 
 LATTICE = Lattice(0.01, 0.125, 1 / 60, 0.056, 41)
@@ -27,7 +26,6 @@ LAYOUTS = (
     SlotLayout(2, (5, 3), 0, (LATTICE,) * 2, 4),
     SlotLayout(1, (9,), 1, (Lattice(1e-6, 1e6, 1e6, 1e6, 256, -1e3),), 3),
     SlotLayout(3, (1, 4, 2), 0, (LATTICE,) * 3, 1),
-    SlotLayout(1, (5, 3, 0), 0, (LATTICE,) * 3, 4, 2),
 )
 
 LOAD, APPLY, LATE = range(3)
@@ -110,28 +108,6 @@ def fuzz_snapshot(data: bytes) -> None:
     for one, other in zip(snapshot.lanes, again.lanes, strict=True):
         assert (one.conditions == other.conditions).all()
         assert one.states.positions.tobytes() == other.states.positions.tobytes()
-
-
-def fuzz_passing(data: bytes) -> None:
-    """A passing slice on empty slots, after one byte for each slot: its status in earlier masks."""
-    layout = LAYOUTS[-1]
-    said, food = data[: layout.num_slots].ljust(layout.num_slots, b"\0"), data[layout.num_slots :]
-    history = np.frombuffer(said, np.uint8) & np.uint8(3)
-    birth = SLOT_HEADER.unpack_from(food)[-1] if len(food) >= HEADER_BYTES else 1
-    stay = [Slots(count, layout.sh_degree, EMPTY) for count in layout.slots]
-    before = [state_bytes(slots) for slots in stay]
-    passing = decode_passing(layout, birth, food, history, stay)
-    assert [state_bytes(slots) for slots in stay] == before
-    if passing is None:
-        return
-    assert len(food) <= layout.max_change_bytes(layout.num_layers - 1)
-    moved = passing_elsewhere(layout, food, 3)
-    again = decode_passing(layout, 3, moved.data, history, stay)
-    if again is None:  # its mask is empty
-        assert not np.concatenate(passing.statuses).any()
-        return
-    for one, other in zip(passing.slots, again.slots, strict=True):
-        assert state_bytes(one) == state_bytes(other)
 
 
 def fuzz_slots(data: bytes) -> None:

@@ -99,15 +99,6 @@ def slot_seeds() -> Iterator[tuple[str, str, bytes]]:
     """(target, name, input), as in fuzz/seed.py."""
     for number, layout in enumerate(LAYOUTS):
         masks, changes, snapshots = made_chunks(layout)
-        if layout.temporal_layer is not None:
-            encoder, rng = SlotEncoder(layout), np.random.default_rng(number)
-            encoder.append(Update.keeping(0, layout))
-            passing = encoder.append(made_update(encoder, rng))
-            assert passing is not None
-            yield "passing", str(number), bytes(layout.num_slots) + passing.changes[-1].data
-            for what, food in _scripts(number):
-                yield "slots", what, food
-            continue
         head = bytes([number])
         # The second mask of a segment is read as if it were the first.
         history = bytes(layout.num_slots)

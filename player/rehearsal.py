@@ -6,8 +6,8 @@ after an install, from the thread that reads the socket, and a server sees a slo
 
 from __future__ import annotations
 
-import logging
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -15,11 +15,9 @@ from rich.console import Console
 from codec.framerange import FrameRange
 from codec.kernel import load_without_blas
 from player.playout.assembler import Assembler
-from player.render.gl import GlError, create_renderer
+from player.render.gl import create_renderer, with_what_works
 from player.render.renderer import GlVersion, RendererKind
 from player.source.directory import DirectorySource
-
-log = logging.getLogger(__name__)
 
 STREAM = Path(__file__).with_name("rehearsed")
 """A small stream; tests/goldens/rehearsed_stream.py writes it."""
@@ -28,23 +26,14 @@ STREAM = Path(__file__).with_name("rehearsed")
 def rehearse(kind: RendererKind, version: GlVersion = GlVersion.AUTO) -> RendererKind:
     """Makes everything ready that decodes and draws with `kind`; gives the renderer that works.
 
-    AUTO becomes GL, or CPU where OpenGL cannot start, which is logged. Raises GlError where OpenGL
-    is asked for and cannot start.
+    See `with_what_works`.
     """
     # After an install all of it is compiled.
     with Console(stderr=True).status("preparing the renderer ..."):
-        if kind is RendererKind.CPU:
-            return _play(RendererKind.CPU, version)
-        try:
-            return _play(RendererKind.GL, version)
-        except GlError as error:
-            if kind is RendererKind.GL or version is not GlVersion.AUTO:
-                raise
-            log.warning("drawing on the CPU: %s", error)
-            return _play(RendererKind.CPU, version)
+        return with_what_works(kind, version, partial(_play, version))
 
 
-def _play(kind: RendererKind, version: GlVersion) -> RendererKind:
+def _play(version: GlVersion, kind: RendererKind) -> RendererKind:
     load_without_blas()
     source = DirectorySource(STREAM, FrameRange(), None)
     manifest, packets = source.manifest, list(source.packets())

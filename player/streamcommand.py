@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
-
 from codec.__main__ import main as stream_command
+from codec.arrays import Floats
 from codec.camera import Camera
 from codec.splats import Splats
 
@@ -14,7 +12,7 @@ def main() -> None:
     stream_command(draw_poster)
 
 
-def draw_poster(splats: Splats, camera: Camera, near_m: float) -> npt.NDArray[np.float32]:
+def draw_poster(splats: Splats, camera: Camera, near_m: float) -> Floats:
     """See `codec.stream.pictures.Draw`."""
     # Here, because it loads slowly and few of the subcommands draw.
     from player.render.cpu import render_splats

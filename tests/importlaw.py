@@ -43,7 +43,7 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("codec/coders", "codec/lattice", "codec/storage"),
         ("codec/slots",),
         ("codec/stream",),
-        ("codec/foreign",),
+        ("codec/foreign", "codec/tracks"),
         ("codec/interop", "codec/edit"),
         ("codec/sequence",),
         ("codec/tools",),

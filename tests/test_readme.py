@@ -104,7 +104,7 @@ MADE = {
 """The file that each of these commands writes."""
 
 ELSEWHERE = {
-    "codec/tools/test_streamsound.py": [
+    "codec/tracks/test_streamsound.py": [
         "swings-stream audio add my-stream music.wav",
         "swings-stream audio add my-stream voice.flac --name voice --at-m 0 1 2",
         "swings-stream audio add my-stream steps.wav --name steps --path path.json --offset-s 0.5",
@@ -113,7 +113,6 @@ ELSEWHERE = {
         "swings-stream captions add my-stream english.vtt --language en --label English",
         "swings-stream captions remove my-stream --language en",
     ],
-    "codec/edit/test_cutting.py": ["swings-stream edit temporal my-stream my-halved"],
     "server/library/test_storelibrary.py": ["swings-serve s3://BUCKET/STREAMS"],
     "codec/storage/test_objectstore.py": ["swings-stream verify s3://BUCKET/STREAMS/NAME"],
     "codec/tools/test_packing.py": ["swings-stream unpack my-stream.swings my-folder"],
@@ -259,7 +258,7 @@ def all_options() -> frozenset[str]:
     """All options in the help texts."""
     told = ""
     subcommands = [["swings-stream", name] for name in ("info", "verify", "import", "export")]
-    kinds = ("crop", "transform", "colour", "floaters", "view", "trim", "join", "temporal")
+    kinds = ("crop", "transform", "floaters", "view", "trim", "join")
     subcommands += [["swings-stream", "edit", kind] for kind in kinds]
     subcommands += [["swings-stream", "audio", kind] for kind in ("add", "remove", "extract")]
     subcommands += [["swings-stream", "captions", kind] for kind in ("add", "remove")]

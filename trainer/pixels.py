@@ -8,14 +8,12 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
+from codec.arrays import Bytes
 from codec.errors import CodecError
 from trainer.errors import CaptureError
 from trainer.storedfiles import by_its_name, opened_file
-
-Bytes = npt.NDArray[np.uint8]
 
 CheckSize = Callable[[Path, tuple[int, int]], None]
 """Raises CaptureError for a file whose (width, height) in pixels is wrong, before it is decoded."""

@@ -21,6 +21,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+from codec.arrays import Floats
+
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import numpy as np
@@ -36,7 +38,7 @@ from codec.stream import StreamReader
 from player.show.sink import to_bytes
 from trainer.pictures.shot import Shot
 from trainer.score.moving import Movement, movement_of
-from trainer.score.picture import Floats, captured, displayed
+from trainer.score.picture import captured, displayed
 from trainer.score.truth import open_held_out
 from trainer.step.loss import psnr_db
 

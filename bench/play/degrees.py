@@ -21,12 +21,12 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
 from bench.play.play import SIZE, UPLOAD_SIZE, Drawing, open_renderers
 from bench.play.roomful import SWIN_SIZE, first_window, manifest_of
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.console import run_command
 from codec.errors import InvalidError
@@ -76,9 +76,9 @@ def time_of(renderer: Drawing, camera: Camera) -> tuple[float, float]:
     return 1e3 * (time.perf_counter() - clock_s), 1e3 * (time.process_time() - cpu_s)
 
 
-def medians_of(times: list[tuple[float, float]]) -> npt.NDArray[np.float64]:
+def medians_of(times: list[tuple[float, float]]) -> Doubles:
     """Medians of wall time and of CPU time; the first picture is not counted."""
-    medians: npt.NDArray[np.float64] = np.median(times[1:], axis=0)
+    medians: Doubles = np.median(times[1:], axis=0)
     return medians
 
 

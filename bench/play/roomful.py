@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Longs
 from codec.camera import Camera
 from codec.lattice.lattice import Lattice
 from codec.slice import Slice
@@ -66,6 +66,6 @@ def changed_slice(birth: int, share: float, scattered: bool, manifest: Manifest)
     together = 1 if scattered else min(RUN_ROWS, size)
     runs = size // together
     chosen = np.sort(rng.choice(runs, max(1, round(runs * share)), replace=False))
-    rows: npt.NDArray[np.int64] = (chosen[:, None] * together + np.arange(together)).ravel()
+    rows: Longs = (chosen[:, None] * together + np.arange(together)).ravel()
     whole = slice_of(birth, len(rows), manifest.num_gs)
     return replace(whole, rows=rows.astype(np.int32))

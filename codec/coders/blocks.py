@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Longs
 from codec.kernel import kernel
 
 from .effort import Effort
-
-Ints = npt.NDArray[np.int64]
 
 MAX_JOINED_PLANES = 8
 """Planes tried in one block; bounds the work for chunks with many SH planes."""
@@ -43,7 +41,7 @@ def divisions(
     return list(dict.fromkeys(_cheapest_division(totals, edges, table) for table in tables))
 
 
-def _cheapest_division(totals: Ints, edges: Sequence[int], table: Table) -> tuple[int, ...]:
+def _cheapest_division(totals: Longs, edges: Sequence[int], table: Table) -> tuple[int, ...]:
     origin = np.zeros(len(edges), np.int64)
     _cheapest(totals, MAX_JOINED_PLANES, *table, origin)
     chosen = [len(edges) - 1]

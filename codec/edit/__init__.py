@@ -1,1 +1,1 @@
-"""Whole streams edited without training: crop, transform, colour, floaters, trim, join."""
+"""Whole streams edited without training: crop, transform, floaters, view, trim, join."""

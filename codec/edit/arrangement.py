@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from codec.slots.slotstate import Rows, holds
+from codec.arrays import Longs
+from codec.slots.slotstate import holds
 from codec.slots.update import NEW
 from codec.stream.wholeslice import neighbours_first
 
@@ -22,7 +23,7 @@ class Arrangement:
     """Follows which slot of the source each slot of the edited stream stands for."""
 
     def __init__(self) -> None:
-        self._sources: dict[tuple[int, int], Rows] = {}
+        self._sources: dict[tuple[int, int], Longs] = {}
         """(S,) slots of the source for each lane and layer."""
 
     def arranged(self, turn: Turn, edit: Edit) -> Turn:

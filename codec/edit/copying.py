@@ -8,7 +8,6 @@ which holds them, is coded again, and the blocks behind it are copied.
 from __future__ import annotations
 
 from codec.coders.coder import Coder, EncodedChunk, coder_of, with_start
-from codec.slots.passing import passing_elsewhere
 from codec.slots.slotchange import encoded_elsewhere
 from codec.slots.slotchunk import Kind, with_birth
 from codec.stream.integrity import CheckedObject
@@ -57,8 +56,6 @@ def renumbered(found: CheckedObject, birth: int, offset: int, coder: Coder) -> b
 def chunk_elsewhere(found: CheckedObject, birth: int, offset: int = 0) -> EncodedChunk:
     """The chunk of `birth` in `found`, to be compressed once more as that of `birth` + `offset`."""
     layout, part, data = found.manifest.slot_layout, found.part, found.content(birth)
-    if part == layout.temporal_layer:
-        return passing_elsewhere(layout, data, birth + offset)
     kind = Kind.CHANGE if isinstance(part, int) else Kind.SNAPSHOT
     if part == MASKS:
         kind = Kind.MASK

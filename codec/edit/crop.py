@@ -8,9 +8,8 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from codec.arrays import Doubles, Flags
 from codec.errors import InvalidError
-from codec.lattice.lattice import Flags
-from codec.pose import Doubles
 from codec.slots.slotstate import holds
 from codec.stream.manifest import Manifest, Point
 

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from codec.lattice.lattice import Bytes, States, dequantise
-from codec.slots.slotstate import ESCAPED, ON_LATTICE, Rows, Slots, holds
+from codec.arrays import Bytes, Longs
+from codec.lattice.lattice import States, dequantise
+from codec.slots.slotstate import ESCAPED, ON_LATTICE, Slots, holds
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 
@@ -81,12 +82,12 @@ class _Part:
         self.escaped = escaped[coded]
         self.escapes = edit.splats(_floats(turn, coded[self.escaped]))
 
-    def _escape(self, rows: Rows, escaped: np.ndarray) -> None:
+    def _escape(self, rows: Longs, escaped: np.ndarray) -> None:
         self.statuses[rows] = NEW
         escaped[rows] = True
 
 
-def _floats(turn: Turn, rows: Rows) -> Splats:
+def _floats(turn: Turn, rows: Longs) -> Splats:
     """The Gaussians in the slots `rows` of the source, as players decode them."""
     slots = turn.slots
     splats = dequantise(slots.states.take(rows), turn.lattice)

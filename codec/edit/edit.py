@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from codec.lattice.lattice import Bytes, Flags, Lattice, States
-from codec.pose import Doubles
+from codec.arrays import Bytes, Doubles, Flags
+from codec.lattice.lattice import Lattice, States
 from codec.slots.slotstate import Slots
 from codec.splats import Splats
 from codec.stream.manifest import Manifest

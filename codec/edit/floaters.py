@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from codec.arrays import Doubles, Flags, Longs
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.lattice.lattice import Flags
-from codec.pose import Doubles
-from codec.slots.slotstate import Rows, holds
+from codec.slots.slotstate import holds
 from codec.slots.update import KEPT, NEW
 from codec.stream.manifest import Manifest
 
@@ -43,9 +42,9 @@ class Lives:
 
     def __init__(self) -> None:
         self.count = 0
-        self._numbers: dict[tuple[int, int], Rows] = {}
+        self._numbers: dict[tuple[int, int], Longs] = {}
 
-    def of(self, turn: Turn) -> Rows:
+    def of(self, turn: Turn) -> Longs:
         """(S,) the numbers of what the slots hold after `turn`, the next one; those of empty slots
         mean nothing."""
         key = turn.lane, turn.layer
@@ -89,7 +88,7 @@ class Floaters(Edit):
                 if source.birth >= 0:
                     yield source.birth
 
-    def _look(self, turn: Turn, numbers: Rows, count: int) -> None:
+    def _look(self, turn: Turn, numbers: Longs, count: int) -> None:
         """Notes which Gaussians of a turn that have come or moved are in view."""
         while len(self._seen) < count:
             self._seen = np.concatenate([self._seen, np.zeros_like(self._seen)])

@@ -1,4 +1,4 @@
-"""Join: streams of the same layout one after another."""
+"""Join: streams of the same layout one after another, with their sound."""
 
 from __future__ import annotations
 
@@ -9,38 +9,50 @@ from pathlib import Path
 import numpy as np
 
 from codec.errors import InvalidError
+from codec.storage.openstorage import Place
 from codec.stream.manifest import Manifest
 from codec.stream.pictures import Draw
-from codec.stream.reader import StreamReader
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
 from .copying import copy_segment
 from .edit import Edit
 from .recoder import Recoder
-from .rewrite import AddSound, Edited, Progress, coder_of_stream, objects_bytes, writing
+from .rewrite import (
+    Edited,
+    Progress,
+    add_tracks,
+    coder_of_stream,
+    no_progress,
+    objects_bytes,
+    open_source,
+    writing,
+)
 from .segmentfiles import SegmentFiles
 from .walk import SourceSlice, Walk
 
 SAME = (
-    "fps", "swin_size", "slots", "lattice", "segment_frames", "temporal_period", "sh_degree",
-    "antialias",
+    "fps", "swin_size", "slots", "lattice", "segment_frames", "sh_degree", "antialias",
 )  # fmt: skip
 """Fields of the manifest in which joined streams must agree."""
 
 
 def join_streams(
-    readers: Sequence[StreamReader],
+    streams: Sequence[Place],
     out: Path,
-    draw: Draw | None,
-    progress: Progress,
-    sound: AddSound | None = None,
+    draw: Draw | None = None,
+    progress: Progress = no_progress,
+    max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
 ) -> Edited:
-    """Writes the streams of `readers` one after another as one at `out`, with the title, cameras
-    and near plane of the first.
+    """Writes `streams` one after another as one at `out`, with the title, cameras and near plane of
+    the first; see `edit_stream`.
 
     The segments of the first are copied, and those of the others where they fall on segments again,
     but for the one at each seam. There a lane changes when its turn comes: with a swin_size above 1
     the first swin_size - 1 frames after a seam show lanes of both streams. Raises a SwingsError.
     """
+    if len(streams) < 2:
+        raise InvalidError("only one stream to join; name another one")
+    readers = [open_source(stream, max_gaussians) for stream in streams]
     total = sum(reader.num_frames for reader in readers)
     manifest = _manifest_of(readers)
     done = copied = renumbered = 0
@@ -48,7 +60,7 @@ def join_streams(
     def show(num_done: int) -> None:
         progress(num_done, total)
 
-    with writing(out, manifest, coder_of_stream(readers[0]), draw, sound=sound) as files:
+    with writing(out, manifest, coder_of_stream(readers[0]), draw) as files:
         recoder = Recoder(files)
         for number, reader in enumerate(readers):
             is_last = number == len(readers) - 1
@@ -59,9 +71,10 @@ def join_streams(
                 copied += num_whole
             done += reader.num_frames
         recoder.end_segment()
-        num_segments = files.num_segments
+        notes = add_tracks(files, [(reader, range(reader.num_frames)) for reader in readers])
     source_bytes = sum(map(objects_bytes, readers))
-    return Edited(total, copied, renumbered, num_segments, files.size_bytes, source_bytes)
+    num_segments, size_bytes = files.num_segments, files.size_bytes
+    return Edited(total, copied, renumbered, num_segments, size_bytes, source_bytes, notes)
 
 
 def _append(

@@ -53,13 +53,11 @@ class Recoder:
         """Appends `slices` of `walk`, the one born at b as the one born at b + `offset`; gives each
         frame of the source once it is there. joins: whether they follow another stream, which
         the lanes hold until their first turn."""
-        layout, source_layout = self._encoder.layout, walk.reader.manifest.slot_layout
-        # With other layers, nothing of the source stays as it is.
-        is_alike = offset == 0 and layout.num_layers == source_layout.num_layers
+        layout = self._encoder.layout
         for source in slices:
             birth = source.birth + offset
-            held = self._encoder.lanes[layout.lane(birth)][: layout.temporal_layer]
-            turns = list(source.turns(source_layout))
+            held = self._encoder.lanes[layout.lane(birth)]
+            turns = list(source.turns(walk.reader.manifest.slot_layout))
             if edit.rearranges:
                 turns = [self._arrangement.arranged(turn, edit) for turn in turns]
             meets = joins and source.birth < layout.swin_size
@@ -72,9 +70,9 @@ class Recoder:
             if birth == layout.segment_start(birth):
                 snapshots = enumerate(self._encoder.snapshots())
                 chunks += [(snapshot_part(layer), chunk) for layer, chunk in snapshots]
-                self._same_as = walk if is_alike else None
+                self._same_as = None if offset else walk
             for part, chunk in chunks:
-                content, packet = walk.content(birth, part) if is_alike else (b"", b"")
+                content, packet = (b"", b"") if offset else walk.content(birth, part)
                 if content != chunk.data or (packet and coder_of(packet) != self._files.coder):
                     self._same_as, packet = None, self._packet(chunk)
                 self._files.put(part, birth, packet)

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from codec.arrays import Doubles, Flags
 from codec.errors import InvalidError
-from codec.lattice.lattice import Flags
-from codec.pose import Doubles
 
 
 @dataclass(frozen=True, slots=True)

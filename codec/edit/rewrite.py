@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,20 +17,16 @@ from codec.stream.pictures import Draw
 from codec.stream.poster import POSTER_NAME, write_poster
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 from codec.stream.storyboard import STORYBOARD_NAME, write_storyboard
+from codec.tracks.streamtracks import Cut, copy_tracks
 
 from .edit import Edit
 from .fitting import fitted
 from .recoder import Recoder
 from .segmentfiles import SegmentFiles
-from .trackcopy import copy_tracks
 from .walk import Walk
 
 Progress = Callable[[int, int], None]
 """Called after each frame with the number of frames done and their total."""
-
-AddSound = Callable[[SegmentFiles], None]
-"""Adds objects of sound to the files of a stream whose segments are all written, and their sources
-to its manifest. Raises a SwingsError."""
 
 
 def no_progress(done: int, total: int) -> None:
@@ -80,13 +76,13 @@ def writing(
     coder: Coder,
     draw: Draw | None,
     tracks: StreamReader | None = None,
-    sound: AddSound | None = None,
 ) -> Iterator[SegmentFiles]:
     """Gives what the segments of a new stream at `out`, absent or an empty folder, are put into.
 
     It appears there, finished, when the block is left normally, and with a poster and a storyboard
     if there is something to draw them with; else nothing does. tracks: the stream whose sound and
-    captions go along, segment by segment; without it the new one has none but what `sound` adds.
+    captions go along, segment by segment; without it the new one has none but what `add_tracks`
+    puts there.
     """
     pictures = (None, None) if draw is None else (POSTER_NAME, STORYBOARD_NAME)
     manifest = replace(manifest, poster=pictures[0], storyboard=pictures[1])
@@ -96,12 +92,25 @@ def writing(
         yield files
         if tracks is not None:
             copy_tracks(tracks, folder)
-        if sound is not None:
-            sound(files)
         files.finish()
         if draw is not None:
             write_poster(folder, draw)
             write_storyboard(folder, draw)
+
+
+def add_tracks(files: SegmentFiles, cuts: Sequence[Cut]) -> tuple[str, ...]:
+    """Adds the sound of `cuts`, joined in this order, to a stream whose segments are all written;
+    gives notes about sound and captions that are left out. Raises a SwingsError."""
+    notes, left_out = [], list[str]()
+    if any(reader.manifest.sound for reader, _ in cuts):
+        from codec.tracks.streamsound import add_cuts  # PyAV loads slowly
+
+        files.manifest, left_out = add_cuts(files.folder, files.manifest, files.records, cuts)
+    if left_out:
+        notes.append(f"sound        left out: {', '.join(left_out)}; see swings-stream audio add")
+    if any(reader.manifest.captions for reader, _ in cuts):
+        notes.append("captions     left out; add them again with swings-stream captions add")
+    return tuple(notes)
 
 
 def rewrite(
@@ -110,17 +119,13 @@ def rewrite(
     edit: Edit,
     draw: Draw | None,
     progress: Progress,
-    sound: AddSound | None = None,
 ) -> Edited:
     """Writes the stream of `reader`, as far as it has come, with `edit` to `out`; see `writing`.
-
-    sound: adds the sound where segments are longer or shorter afterwards, which leaves out
-    captions; without it both go along. Raises a SwingsError that names the file at fault.
+    Raises a SwingsError that names the file at fault.
     """
     coder, num_frames = coder_of_stream(reader), reader.num_frames
     edit = fitted(reader, edit, coder)
-    tracks = reader if sound is None else None
-    with writing(out, edit.manifest(reader.manifest), coder, draw, tracks, sound) as files:
+    with writing(out, edit.manifest(reader.manifest), coder, draw, reader) as files:
         walk, recoder = Walk(reader), Recoder(files)
         for slices in (walk.opening(0), walk.slices(range(1, num_frames))):
             for birth in recoder.append(walk, slices, edit):

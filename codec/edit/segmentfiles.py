@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -61,26 +59,15 @@ class SegmentFiles:
 
     def add(self, objects: Mapping[Part, bytes], num_frames: int, psnr_db: Scores | None) -> None:
         """Writes the objects of the next segment as they are."""
-        segment, layers = len(self.records), self.manifest.num_layers
-        data_of_parts = [objects[part] for part in self.manifest.parts]
-        for part, data in zip(self.manifest.parts, data_of_parts, strict=True):
+        segment = len(self.records)
+        for part, data in objects.items():
             path = object_file(self.folder, segment, part)
             path.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(path, data)
-        sizes = tuple(map(len, data_of_parts))
-        hashes = tuple(hashlib.sha256(data).digest() for data in data_of_parts)
-        self.records.append(
-            SegmentRecord(
-                segment,
-                segment * self.manifest.segment_frames,
-                num_frames,
-                sizes[:layers],
-                hashes[:layers],
-                (math.nan,) * layers if psnr_db is None else psnr_db,
-                sizes[layers:],
-                hashes[layers:],
-            )
-        )
+        data_of_parts = [objects[part] for part in self.manifest.parts]
+        first_frame = segment * self.manifest.segment_frames
+        record = SegmentRecord.of(data_of_parts, segment, first_frame, num_frames, psnr_db)
+        self.records.append(record)
 
     def finish(self) -> None:
         """Writes index and manifest."""

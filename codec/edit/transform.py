@@ -14,6 +14,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from codec.arrays import Doubles, Flags
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.lattice.lattice import (
@@ -21,13 +22,12 @@ from codec.lattice.lattice import (
     POSITION_LIMIT,
     SCALES,
     TURNS,
-    Flags,
     Lattice,
     States,
     dequantise,
     quantise,
 )
-from codec.pose import Doubles, rotation_about
+from codec.pose import rotation_about
 from codec.similarity import Similarity, turned_harmonics
 from codec.splats import Splats, sh_count
 from codec.stream.manifest import Manifest

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from codec.arrays import Bytes
 from codec.errors import InvalidError
-from codec.lattice.lattice import Bytes
 from codec.slice import window_births
 from codec.slots.mask import decode_mask
-from codec.slots.passing import composed
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotlayout import SlotLayout
-from codec.slots.slotstate import ESCAPED, Slots, holds
-from codec.slots.update import ENDED, KEPT, NEW
+from codec.slots.slotstate import Slots, holds
+from codec.slots.update import KEPT, NEW
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import MASKS, Part
 from codec.stream.reader import StreamReader
@@ -29,16 +28,14 @@ class SourceSlice:
     """A slice, and what its lane holds after it."""
 
     birth: int
-    statuses: Bytes  # (S,), with a temporal layer, too, upon what the frame before shows
+    statuses: Bytes  # (S,)
     lane: list[Slots]
     """Layer after layer; not to be altered, and valid until the next slice."""
 
     def turns(self, layout: SlotLayout) -> Iterator[Turn]:
-        """The slice, layer after layer; a temporal layer has no slots, and no turn."""
+        """The slice, layer after layer."""
         lane = layout.lane(self.birth)
         for layer, slots in enumerate(self.lane):
-            if layer == layout.temporal_layer:
-                continue
             statuses = self.statuses[layout.row_edges[layer] : layout.row_edges[layer + 1]]
             yield Turn(self.birth, lane, layer, layout.lattices[layer], statuses, slots)
 
@@ -94,22 +91,14 @@ class Walk:
     def _next(self, birth: int) -> SourceSlice:
         decoder, manifest = self._decoder, self.reader.manifest
         layout, history = decoder.layout, decoder.history.of(birth).copy()
-        said_before = _said_of_passing(decoder)
-        before = None
-        if layout.temporal_layer is not None:
-            before = [slots.copy() for slots in decoder.shown(0)]
         roll(self._object, manifest, birth, decoder)
-        lane = decoder.shown(layout.lane(birth))
         mask = self._object(manifest.segment_of(birth), MASKS).content(birth)
         statuses = decode_mask(layout, birth, mask, history)
-        if before is not None:
-            said = _said_of_passing(decoder) if layout.is_passing(birth) else statuses
-            statuses = _since(said_before, said, before, lane, layout)
-        return SourceSlice(birth, statuses, lane)
+        return SourceSlice(birth, statuses, decoder.lanes[layout.lane(birth)])
 
     def _whole(self, birth: int) -> SourceSlice:
         """All that the lane of `birth` holds, as new."""
-        lane = self._decoder.shown(self._decoder.layout.lane(birth))
+        lane = self._decoder.lanes[self._decoder.layout.lane(birth)]
         held = np.concatenate([holds(slots.conditions) for slots in lane])
         return SourceSlice(birth, np.where(held, NEW, KEPT).astype(np.uint8), lane)
 
@@ -119,27 +108,3 @@ class Walk:
         if part not in self._objects:
             self._objects[part] = self.reader.read_object(segment, part)
         return self._objects[part]
-
-
-def _said_of_passing(decoder: SlotDecoder) -> Bytes:
-    """(S,) the statuses of the passing slice that shows; all kept if it is none."""
-    passing = decoder.passing
-    if passing is None:
-        return np.full(decoder.layout.num_slots, KEPT, np.uint8)
-    return np.concatenate(passing.statuses)
-
-
-def _since(
-    said_before: Bytes,
-    said: Bytes,
-    before: Sequence[Slots],
-    lane: Sequence[Slots],
-    layout: SlotLayout,
-) -> Bytes:
-    """(S,) the statuses of a slice with a temporal layer upon the frame before. Its own, `said`,
-    and those of the slice before it count from the slots that stay."""
-    was_other, is_other = ((one == NEW) | (one == ENDED) for one in (said_before, said))
-    escaped = np.concatenate([slots.conditions == ESCAPED for slots in lane])
-    # New in both it is the same Gaussian, but one that escaped can only be new.
-    renewed = (was_other ^ is_other) | (escaped & is_other)
-    return composed(layout, 0, before, lane, renewed).statuses

@@ -4,19 +4,13 @@ the same book."""
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Bytes, Doubles, Floats, Longs
 from codec.kernel import kernel
-from codec.pose import Doubles
-from codec.splats import Floats
-
-from .levels import Bytes
 
 CODES = 256
 MAX_ROUNDS = 60
 """Rounds of Lloyd's iteration, which moves little after twenty."""
-
-Labels = npt.NDArray[np.int64]
 
 
 def codebook(values: Floats) -> Floats:
@@ -75,7 +69,7 @@ def _spread_of(values, labels, counts, means, squares):  # type: ignore[no-untyp
             squares[labels[i], d] += away * away
 
 
-def palette(rows: Floats, size: int) -> tuple[Floats, Labels]:
+def palette(rows: Floats, size: int) -> tuple[Floats, Longs]:
     """(k, D) rows, k at most `size`, and (N,) which of them stands for each of the (N, D) `rows`.
 
     A tree: in each round the half of the groups that spread most are cut in two, across the axis on

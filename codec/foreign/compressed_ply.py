@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles
 from codec.errors import CorruptError, UnsupportedError
-from codec.pose import Doubles
 from codec.splats import SH_C0, Splats
 
 from .levels import byte_logits, restore_largest

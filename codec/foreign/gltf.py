@@ -26,10 +26,11 @@ from typing import Any
 
 import numpy as np
 
+from codec.arrays import Doubles, Floats
 from codec.errors import CorruptError, InvalidError, UnsupportedError
-from codec.pose import Doubles, rotation_of
+from codec.pose import rotation_of
 from codec.similarity import Similarity, half_turned
-from codec.splats import MAX_SH_DEGREE, SH_C0, Floats, Splats, sh_count
+from codec.splats import MAX_SH_DEGREE, SH_C0, Splats, sh_count
 
 from .gltfbuffers import MOST, Beside, Document, join_glb, nothing_beside
 from .jsonfields import Fields

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Floats
 from codec.errors import CorruptError, UnsupportedError
-from codec.splats import Floats
 
 from .jsonfields import MAX_JSON_BYTES, Fields
 from .modelfolder import is_plain_name

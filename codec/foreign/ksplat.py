@@ -22,9 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles, Floats
 from codec.errors import CorruptError, UnsupportedError
-from codec.pose import Doubles
-from codec.splats import SH_C0, Floats, Splats, sh_count
+from codec.splats import SH_C0, Splats, sh_count
 
 from .levels import byte_logits
 from .limits import MAX_GAUSSIANS, Decoded, check_count

@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from codec.pose import Doubles
-from codec.splats import Floats
-
-Bytes = npt.NDArray[np.uint8]
+from codec.arrays import Bytes, Doubles, Floats
 
 
 def opacity_bytes(opacities: Floats) -> Bytes:

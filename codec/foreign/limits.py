@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from codec.arrays import Doubles, Floats
 from codec.errors import CorruptError, InvalidError, UnsupportedError
-from codec.pose import Doubles
-from codec.splats import Floats, Splats, array_shapes
+from codec.splats import Splats, array_shapes
 
 from .notes import notes
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 
-from codec.pose import Doubles
+from codec.arrays import Doubles
 
 _log = logging.getLogger(__name__)
 

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from codec.arrays import Doubles, Floats
 from codec.errors import CorruptError, UnsupportedError
-from codec.pose import Doubles
-from codec.splats import MAX_SH_DEGREE, SH_C0, Floats, Splats, sh_count
+from codec.splats import MAX_SH_DEGREE, SH_C0, Splats, sh_count
 
 from .limits import MAX_GAUSSIANS, Decoded, check_count
 from .notes import ANTIALIASED, FLAT, notes, tell_model

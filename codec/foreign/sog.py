@@ -26,16 +26,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Bytes, Doubles, Floats
 from codec.errors import CorruptError, UnsupportedError
 from codec.lattice.morton import interleave
-from codec.pose import Doubles
-from codec.splats import MAX_SH_DEGREE, Floats, Splats, sh_count
+from codec.splats import MAX_SH_DEGREE, Splats, sh_count
 
 from .bundle import Bundle, encode_bundle
 from .codebook import CODES, codebook, codes_of, palette
 from .jsonfields import Fields
 from .levels import (
-    Bytes,
     byte_logits,
     clipped_bytes,
     opacity_bytes,

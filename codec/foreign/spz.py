@@ -33,12 +33,13 @@ from enum import IntEnum
 import numpy as np
 import zstandard
 
+from codec.arrays import Bytes, Floats
+from codec.console import listed
 from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.similarity import Similarity, half_turned, mirrored
-from codec.splats import MAX_SH_DEGREE, Floats, Splats, sh_count
+from codec.splats import MAX_SH_DEGREE, Splats, sh_count
 
 from .levels import (
-    Bytes,
     byte_logits,
     clipped_bytes,
     opacity_bytes,
@@ -146,8 +147,7 @@ def _axes_of(records: memoryview) -> int | None:
     if axes is not None and axes > len(AXES):
         raise UnsupportedError(f"SPZ: axes {axes}; this program knows 1 to {len(AXES)}")
     if others:
-        more = len(others) - MAX_NAMED_KINDS
-        named = ", ".join(others[:MAX_NAMED_KINDS]) + (f" and {more} more" if more > 0 else "")
+        named = listed(others, MAX_NAMED_KINDS)
         notes().say(f"extensions that are not read, so it may look otherwise: {named}")
     return axes
 

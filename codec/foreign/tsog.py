@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles
 from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.files import read_bounded
-from codec.pose import Doubles
 from codec.similarity import half_turned
 from codec.splats import Splats
 

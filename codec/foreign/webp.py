@@ -10,12 +10,10 @@ import io
 import struct
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
+from codec.arrays import Bytes
 from codec.errors import CorruptError, UnsupportedError
-
-from .levels import Bytes
 
 RIFF = struct.Struct("<4sI4s4sI")
 LOSSLESS, EXTENDED = b"VP8L", b"VP8X"
@@ -71,7 +69,7 @@ def decode_webp(data: bytes, what: str, max_pixels: int) -> Bytes:
         raise CorruptError(f"{what}: the WebP picture is broken") from error
 
 
-def encode_webp(pixels: npt.NDArray[np.uint8]) -> bytes:
+def encode_webp(pixels: Bytes) -> bytes:
     """The file of a (height, width, 3 or 4) picture, every byte of it kept."""
     file = io.BytesIO()
     # exact: else the colour of what is transparent is lost.

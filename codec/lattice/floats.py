@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from codec.arrays import Floats
 from codec.errors import CorruptError
-from codec.splats import Floats, Splats, sh_count
+from codec.splats import Splats, sh_count
 
 FLOAT32 = np.dtype("<f4")
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Bytes, Doubles, Flags, Floats, Ints
 from codec.errors import InvalidError
 from codec.kernel import kernel
 from codec.lattice.orientation import canonical, nearest_form
@@ -25,12 +26,7 @@ from codec.lattice.quantise import (
     opacity_logits,
     position_step_m,
 )
-from codec.pose import Doubles
 from codec.splats import SH_C0, Splats, array_shapes, sh_count
-
-Ints = npt.NDArray[np.int32]
-Bytes = npt.NDArray[np.uint8]
-Flags = npt.NDArray[np.bool_]
 
 POSITION_LIMIT = 1 << 23
 """Magnitude that no integer coordinate reaches, so that f32 holds it and any difference exactly."""
@@ -94,7 +90,7 @@ class Lattice:
                 f"lattice: opacity_levels {self.opacity_levels} is not in 2..{MAX_OPACITY_LEVELS}"
             )
 
-    def floats(self) -> npt.NDArray[np.float32]:
+    def floats(self) -> Floats:
         """(5,) float32: the steps and the base of the log-scales."""
         steps = self.position_m, self.log_scale, self.rotation, self.colour
         return np.array((*steps, self.log_scale_base), np.float32)
@@ -145,7 +141,7 @@ class States:
             np.zeros((count, 3), np.int32), np.zeros((count, num_attributes(sh_degree)), np.uint8)
         )
 
-    def take(self, rows: npt.NDArray[np.integer] | npt.NDArray[np.bool_] | slice) -> States:
+    def take(self, rows: npt.NDArray[np.integer] | Flags | slice) -> States:
         """The states at `rows`, in that order."""
         if isinstance(rows, slice):
             return States(self.positions[rows], self.attributes[rows])

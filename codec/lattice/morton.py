@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Longs
 from codec.kernel import kernel
 
 BITS_PER_AXIS = 20
@@ -33,7 +34,7 @@ def _interleave(coordinates, codes):  # type: ignore[no-untyped-def]
         codes[i] = x | (y << np.uint64(1)) | (z << np.uint64(2))
 
 
-def interleave(coordinates: npt.NDArray[np.int64]) -> Codes:
+def interleave(coordinates: Longs) -> Codes:
     """(N,) Morton codes of (N, 3) coordinates below 2**BITS_PER_AXIS; bit 0 of x is the lowest."""
     codes = np.empty(len(coordinates), np.uint64)
     _interleave(coordinates, codes)

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from codec.arrays import Doubles, Floats
 from codec.kernel import kernel
-from codec.pose import Doubles
-from codec.splats import Floats
 
 _H = 0.5
 _R = 0.5**0.5
@@ -48,16 +47,20 @@ def multiply(a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel(nogil=True, error_model="numpy")
+def _unit(quats, i):  # type: ignore[no-untyped-def]
+    """Row i, of length 1. Over the largest component first, because the square of a tiny or a huge
+    one is 0 or infinite."""
+    w, x = np.float64(quats[i, 0]), np.float64(quats[i, 1])
+    y, z = np.float64(quats[i, 2]), np.float64(quats[i, 3])
+    largest = max(max(abs(w), abs(x)), max(abs(y), abs(z)))
+    w, x, y, z = w / largest, x / largest, y / largest, z / largest
+    norm = np.sqrt(w * w + x * x + y * y + z * z)
+    return w / norm, x / norm, y / norm, z / norm
+
+
+@kernel(nogil=True, error_model="numpy")
 def _canonical(log_scales, quats, permutations, scales, chosen):  # type: ignore[no-untyped-def]
     for i in range(quats.shape[0]):
-        # Over the largest component first, because the square of a tiny or a huge one is 0 or
-        # infinite.
-        w, x = np.float64(quats[i, 0]), np.float64(quats[i, 1])
-        y, z = np.float64(quats[i, 2]), np.float64(quats[i, 3])
-        largest = max(max(abs(w), abs(x)), max(abs(y), abs(z)))
-        w, x, y, z = w / largest, x / largest, y / largest, z / largest
-        norm = np.sqrt(w * w + x * x + y * y + z * z)
-
         first, second, third = 0, 1, 2
         if log_scales[i, second] > log_scales[i, first]:
             first, second = second, first
@@ -69,8 +72,7 @@ def _canonical(log_scales, quats, permutations, scales, chosen):  # type: ignore
         scales[i, 1] = log_scales[i, second]
         scales[i, 2] = log_scales[i, third]
 
-        unit = (w / norm, x / norm, y / norm, z / norm)
-        w, x, y, z = multiply(unit, permutations[3 * first + second])
+        w, x, y, z = multiply(_unit(quats, i), permutations[3 * first + second])
         # Times 1, i, j, k: half turns about the three axes, one of which moves the largest to w.
         a, b, c, d = abs(w), abs(x), abs(y), abs(z)
         if b > a and b >= c and b >= d:
@@ -98,12 +100,7 @@ def _nearest_form(  # type: ignore[no-untyped-def]
     """scales and chosen hold the canonical forms already; replaces those that lie farther away."""
     least_w = LEAST_W
     for i in range(quats.shape[0]):
-        w, x = np.float64(quats[i, 0]), np.float64(quats[i, 1])
-        y, z = np.float64(quats[i, 2]), np.float64(quats[i, 3])
-        largest = max(max(abs(w), abs(x)), max(abs(y), abs(z)))
-        w, x, y, z = w / largest, x / largest, y / largest, z / largest
-        norm = np.sqrt(w * w + x * x + y * y + z * z)
-        unit = (w / norm, x / norm, y / norm, z / norm)
+        unit = _unit(quats, i)
         nearest = 0.0
         for axis in range(3):
             nearest += (scales[i, axis] - wanted_scales[i, axis]) ** 2

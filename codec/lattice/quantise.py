@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from codec.arrays import Doubles, Floats
 from codec.kernel import kernel
-from codec.pose import Doubles
-from codec.splats import Floats, Splats
+from codec.splats import Splats
 
 MAX_OPACITY_LEVELS = 256
 MAX_LOGIT = 16.0

@@ -6,11 +6,11 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from codec.arrays import Doubles
 from codec.errors import InvalidError
 from codec.kernel import kernel
 from codec.lattice.lattice import COLOURS, LARGEST, TURNS, Lattice, States
 from codec.lattice.quantise import MAX_OPACITY_LEVELS
-from codec.pose import Doubles
 from codec.splats import MAX_SH_DEGREE, sh_count
 
 HOLD = 0.75

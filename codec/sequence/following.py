@@ -124,7 +124,6 @@ def follow_folder(
     for name, given in (
         ("--exact", options.exact),
         ("--frames", options.frames != FrameRange()),
-        ("--temporal", options.temporal > 1),
     ):
         if given:
             raise InvalidError(f"{name} cannot be combined with --follow")

@@ -15,6 +15,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.files import making_folder
@@ -23,13 +24,11 @@ from codec.framerange import FRAMES, FrameRange
 from codec.interop.containers import ContainedFrame
 from codec.lattice.lattice import Lattice
 from codec.lattice.quantise import layer_coarseness
-from codec.pose import Doubles
 from codec.slice import Slice
 from codec.slots.slotlayout import (
     MAX_LAYERS,
     MAX_SEGMENT_SLOTS,
     MAX_SLOTS,
-    MAX_TEMPORAL_PERIOD,
 )
 from codec.splats import MAX_SH_DEGREE, Splats
 from codec.stream.finishing import finish_pictures
@@ -98,21 +97,14 @@ class ImportOptions:
     sh_degree: int | None = None
     """Highest degree of spherical harmonics to keep, 0 to 3; files of lower degree stay as they
     are. By default all degrees are kept."""
-    temporal: int = 1
-    """Period of a temporal layer, 2 to 8: all frames but every second (third, ...) one are in a
-    layer of their own on top, which players on slow links leave out; they show motion in its place.
-    1 makes none."""
     title: str | None = None
     """Title of the stream; by default the name of the file or folder."""
 
     def __post_init__(self) -> None:
         if self.sh_degree is not None and not 0 <= self.sh_degree <= MAX_SH_DEGREE:
             raise InvalidError(f"sh-degree {self.sh_degree}: choose 0 to {MAX_SH_DEGREE}")
-        if not 1 <= self.temporal <= MAX_TEMPORAL_PERIOD:
-            raise InvalidError(f"temporal {self.temporal}: choose 1 to {MAX_TEMPORAL_PERIOD}")
-        most_layers = MAX_LAYERS - (self.temporal > 1)
-        if not 1 <= self.layers <= most_layers:
-            raise InvalidError(f"layers {self.layers}: choose 1 to {most_layers}")
+        if not 1 <= self.layers <= MAX_LAYERS:
+            raise InvalidError(f"layers {self.layers}: choose 1 to {MAX_LAYERS}")
 
     @property
     def shares(self) -> tuple[float, ...]:
@@ -340,13 +332,12 @@ def import_stream(
             rounded = still_lattices(options.kept(splats), plan, options, survey)
             is_still, lattices = rounded is not None, rounded or lattices
         manifest = make_manifest(survey, options, title, plan.slots, lattices)
-        manifest = manifest.with_temporal_layer(options.temporal)
         score = None
         if draw is not None:
             manifest = replace(manifest, poster=POSTER_NAME, storyboard=STORYBOARD_NAME)
             lower, upper = survey.box
             cameras = cameras_around(manifest.cameras[0], (lower + upper) / 2)
-            score = ImportScore(draw, cameras, manifest.near_m, SEGMENT_FRAMES, options.temporal)
+            score = ImportScore(draw, cameras, manifest.near_m, SEGMENT_FRAMES)
         with StreamWriter.create(folder, manifest, quality=score) as writer:
             for birth, file in enumerate(files):
                 splats = read_frame(file)

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from codec.arrays import Doubles
 from codec.camera import Camera
-from codec.pose import Doubles, rotation_about
+from codec.pose import rotation_about
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream.pictures import Draw
@@ -54,19 +55,16 @@ class ImportScore:
     count as an error.
     """
 
-    def __init__(
-        self, draw: Draw, cameras: Sequence[Camera], near_m: float, every: int, run: int = 1
-    ) -> None:
-        """every: frames from a run of `run` scored frames to the next."""
+    def __init__(self, draw: Draw, cameras: Sequence[Camera], near_m: float, every: int) -> None:
+        """every: frames from a scored one to the next."""
         self._draw, self._cameras, self._near_m, self._every = draw, cameras, near_m, every
-        self._run = run
         self._sources: dict[int, Splats] = {}
         self.scores_db: list[tuple[float, ...]] = []
         """PSNR in dB of each scored frame with 1, 2, ... layers."""
 
     def expect(self, birth: int, source: Splats) -> None:
         """Hands over the file of a frame that is to be appended."""
-        if birth % self._every < self._run:
+        if birth % self._every == 0:
             self._sources[birth] = source
 
     def __call__(self, birth: int, slices: Sequence[Slice]) -> Sequence[float] | None:

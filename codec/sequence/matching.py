@@ -12,12 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles, Flags, Floats, Longs
 from codec.kernel import kernel
-from codec.pose import Doubles
-from codec.splats import SH_C0, Floats, Splats
+from codec.splats import SH_C0, Splats
 
-Rows = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 Keys = npt.NDArray[np.uint64]
 
 ALIKE = (0.5, 0.5, 0.3, 0.15, 0.15, 0.15)
@@ -73,7 +71,7 @@ def _stir(words, keys):  # type: ignore[no-untyped-def]
         keys[i] = key
 
 
-def match(before: Splats, after: Splats) -> tuple[Rows, Flags]:
+def match(before: Splats, after: Splats) -> tuple[Longs, Flags]:
     """(N,) the row of `before` that each Gaussian of `after` continues, or -1; and which of them
     are the same bit by bit. No row is continued twice.
 
@@ -94,7 +92,7 @@ def match(before: Splats, after: Splats) -> tuple[Rows, Flags]:
     return continued, same
 
 
-def _equal_pairs(before: Splats, after: Splats) -> Rows:
+def _equal_pairs(before: Splats, after: Splats) -> Longs:
     """(N,) the row of the same bits, the one at the same place first; or -1."""
     continued = np.full(len(after), -1, np.int64)
     both = min(len(before), len(after))
@@ -116,14 +114,14 @@ def _equal_pairs(before: Splats, after: Splats) -> Rows:
     return continued
 
 
-def _rest(count: int, rows: Rows) -> Rows:
+def _rest(count: int, rows: Longs) -> Longs:
     """The numbers of 0..count-1 that are not in `rows`."""
     rest = np.ones(count, np.bool_)
     rest[rows] = False
     return np.flatnonzero(rest)
 
 
-def _same_bits(before: Splats, a: Rows, after: Splats, b: Rows) -> Flags:
+def _same_bits(before: Splats, a: Longs, after: Splats, b: Longs) -> Flags:
     """(M,) whether Gaussian a[i] of `before` has the bits of b[i] of `after`."""
     same = np.ones(len(a), np.bool_)
     for x, y in zip(before.arrays, after.arrays, strict=True):
@@ -132,7 +130,7 @@ def _same_bits(before: Splats, a: Rows, after: Splats, b: Rows) -> Flags:
     return same
 
 
-def _looks(splats: Splats, rows: Rows) -> Doubles:
+def _looks(splats: Splats, rows: Longs) -> Doubles:
     """(M, 6) what the Gaussians `rows` look like, in units of ALIKE."""
     looks = np.empty((len(rows), len(ALIKE)))
     _fill_looks(splats.log_scales, splats.logit_opacities, splats.sh, rows, looks)
@@ -156,7 +154,7 @@ def _fill_looks(log_scales, logit_opacities, sh, rows, looks):  # type: ignore[n
 
 
 def _pair_by_colours(
-    before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows
+    before: Splats, after: Splats, left: Longs, right: Longs, continued: Longs
 ) -> None:
     """Fills `continued` where the colours have the same bits, which no other Gaussian of either
     file has: what a deformation network moves keeps them."""
@@ -170,7 +168,7 @@ def _pair_by_colours(
     continued[b[alike]] = a[alike]
 
 
-def _alone(keys: Keys) -> tuple[Keys, Rows]:
+def _alone(keys: Keys) -> tuple[Keys, Longs]:
     """The keys that are there once, rising, and where."""
     order = np.argsort(keys)
     rising = keys[order]
@@ -180,13 +178,13 @@ def _alone(keys: Keys) -> tuple[Keys, Rows]:
     return rising[once], order[once]
 
 
-def _extent_m(splats: Splats, rows: Rows) -> float:
+def _extent_m(splats: Splats, rows: Longs) -> float:
     """The longest side of a box around most of the Gaussians `rows`, metres."""
     edges = np.quantile(splats.means[rows], (0.02, 0.98), axis=0)
     return float(np.ptp(edges, axis=0).max())
 
 
-def _are_alike(before: Splats, after: Splats, a: Rows, b: Rows, extent_m: float) -> Flags:
+def _are_alike(before: Splats, after: Splats, a: Longs, b: Longs, extent_m: float) -> Flags:
     """(M,) whether Gaussian a[i] of `before` may be b[i] of `after`, by its looks and by how far
     it has moved."""
     alike = np.empty(len(a), np.bool_)
@@ -212,7 +210,9 @@ def _compare(  # type: ignore[no-untyped-def]
         alike[i] = apart <= 1 and np.sqrt(moved2) <= reach_m + np.exp(min(size, 30.0))
 
 
-def _pair_by_order(before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows) -> None:
+def _pair_by_order(
+    before: Splats, after: Splats, left: Longs, right: Longs, continued: Longs
+) -> None:
     """Fills `continued` where what stands at the same place of both files is alike, if it mostly
     is: of all rows, or, if as many are left, of these alone."""
     pairs = []
@@ -231,7 +231,9 @@ def _pair_by_order(before: Splats, after: Splats, left: Rows, right: Rows, conti
     continued[best[2]] = best[1]
 
 
-def _pair_by_place(before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows) -> None:
+def _pair_by_place(
+    before: Splats, after: Splats, left: Longs, right: Longs, continued: Longs
+) -> None:
     """Fills `continued` with pairs each of which is the other's nearest, in place and looks, once
     what goes one way with its neighbours is carried along."""
     old, new = _Cloud.of(before, left), _Cloud.of(after, right)
@@ -264,18 +266,18 @@ class _Cloud:
     looks: Doubles  # (N, 6)
 
     @staticmethod
-    def of(splats: Splats, rows: Rows) -> _Cloud:
+    def of(splats: Splats, rows: Longs) -> _Cloud:
         means_m, looks = splats.means[rows].astype(np.float64), _looks(splats, rows)
         sizes = (looks[:, :2] * ALIKE[:2]).mean(axis=1)
         return _Cloud(means_m, means_m, REACH * np.exp(np.clip(sizes, -30, 30)), looks)
 
-    def take(self, rows: Rows) -> _Cloud:
+    def take(self, rows: Longs) -> _Cloud:
         return _Cloud(
             self.means_m[rows], self.guesses_m[rows], self.reach_m[rows], self.looks[rows]
         )
 
 
-def _mutual(old: _Cloud, new: _Cloud, asking: Rows) -> tuple[Rows, Rows]:
+def _mutual(old: _Cloud, new: _Cloud, asking: Longs) -> tuple[Longs, Longs]:
     """Pairs of a row in `asking` of `old` and a row of `new` that are each other's best match."""
     asked = old.take(asking)
     to_new = _best(asked, new, asked.guesses_m, new.means_m, asked.reach_m[:, None])
@@ -285,7 +287,9 @@ def _mutual(old: _Cloud, new: _Cloud, asking: Rows) -> tuple[Rows, Rows]:
     return rows[mutual], to_new[mutual]
 
 
-def _best(asking: _Cloud, others: _Cloud, from_m: Doubles, to_m: Doubles, reach_m: Doubles) -> Rows:
+def _best(
+    asking: _Cloud, others: _Cloud, from_m: Doubles, to_m: Doubles, reach_m: Doubles
+) -> Longs:
     """(N,) for each of `asking` the best of its nearest among `others`, or -1. reach_m: (N, 1) of
     those that ask, or (M,) of the others."""
     count = min(NEIGHBOURS, len(others.looks))
@@ -299,7 +303,7 @@ def _best(asking: _Cloud, others: _Cloud, from_m: Doubles, to_m: Doubles, reach_
     return np.where(np.isfinite(costs[rows, best]), found[rows, best], -1)
 
 
-def _nearest(points_m: Doubles, from_m: Doubles, count: int) -> tuple[Doubles, Rows]:
+def _nearest(points_m: Doubles, from_m: Doubles, count: int) -> tuple[Doubles, Longs]:
     """(N, count) how far from each of `from_m` the nearest of `points_m` are, and which."""
     from scipy.spatial import cKDTree  # loads slowly, and few commands need it
 

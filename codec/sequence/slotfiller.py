@@ -14,25 +14,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from codec.lattice.lattice import (
-    Bytes,
-    Flags,
-    Lattice,
-    States,
-    lattice_values,
-    round_values,
-)
+from codec.arrays import Bytes, Doubles, Flags, Floats, Longs
+from codec.lattice.lattice import Lattice, States, lattice_values, round_values
 from codec.lattice.morton import interleave
-from codec.pose import Doubles
 from codec.slots.slotstate import ESCAPED, Slots, empty_arrays, holds
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
-from codec.splats import Floats, Splats
+from codec.splats import Splats
 from codec.stream.layers import RankFunction, split_counts
 
 from .errorbound import HOLD, KINDS, errors_of, steps_of
-from .matching import Rows, match
+from .matching import match
 
 SLACK = 1e-6
 """Share of a step that allows for the rounding of the steps themselves."""
@@ -42,8 +34,6 @@ BLOCK = 1 << 16
 
 CELLS = (1 << 16) - 1
 """Cells along an axis of the curve on which newcomers are ordered."""
-
-Counts = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +63,13 @@ class SlotFiller:
         self._holds = np.clip(self._limits.min(axis=1), 0.5, HOLD)
         count = sum(plan.slots)
         self._before = Splats.empty(plan.sh_degree)
-        self._slot_of_row: Rows = np.zeros(0, np.int64)  # of _before
+        self._slot_of_row: Longs = np.zeros(0, np.int64)  # of _before
         self._states = States.zeros(count, plan.sh_degree)
         self._is_full = np.zeros(count, np.bool_)
         self._has_escaped = np.zeros(count, np.bool_)
         self.errors: Doubles = np.zeros(len(KINDS))
         """The most that each of KINDS was off so far; of positions in metres."""
-        self.statuses: Counts = np.zeros(4, np.int64)
+        self.statuses: Longs = np.zeros(4, np.int64)
         """How many slots were kept, ended, predicted, new so far, after the first file; empty ones
         count as kept."""
 
@@ -126,12 +116,12 @@ class SlotFiller:
             self.statuses += np.bincount(statuses, minlength=4)
         return self._update_of(birth, statuses, splats, slots)
 
-    def _empty(self, slots: Rows) -> None:
+    def _empty(self, slots: Longs) -> None:
         self._is_full[slots] = self._has_escaped[slots] = False
         self._states.put(slots, States.zeros(len(slots), self._plan.sh_degree))
 
     def _fill(
-        self, splats: Splats, rows: Rows, slots: Rows, before: States | None, statuses: Bytes
+        self, splats: Splats, rows: Longs, slots: Longs, before: States | None, statuses: Bytes
     ) -> None:
         """Puts the Gaussians `rows` into `slots`, which held `before`; fills `statuses`."""
         layers = np.searchsorted(self._edges, slots, side="right") - 1
@@ -147,8 +137,8 @@ class SlotFiller:
         self,
         layer: int,
         splats: Splats,
-        rows: Rows,
-        slots: Rows,
+        rows: Longs,
+        slots: Longs,
         before: States | None,
         statuses: Bytes,
     ) -> None:
@@ -178,8 +168,8 @@ class SlotFiller:
         return states, fits
 
     def _placed(
-        self, splats: Splats, newcomers: Rows, is_free: Flags, slot_of_row: Rows
-    ) -> tuple[Rows, Rows]:
+        self, splats: Splats, newcomers: Longs, is_free: Flags, slot_of_row: Longs
+    ) -> tuple[Longs, Longs]:
         """The rows `newcomers` in some order, and a free slot for each: in the layer that its
         importance among all of `splats` gives it, or the nearest one with room. In a layer they
         follow each other as neighbours do, near the slots of their neighbours among those that
@@ -222,7 +212,7 @@ class SlotFiller:
             places.append(slots[_spread(np.searchsorted(slots, wanted[order]), len(slots))])
         return np.concatenate(rows), np.concatenate(places)
 
-    def _update_of(self, birth: int, statuses: Bytes, splats: Splats, slots: Rows) -> Update:
+    def _update_of(self, birth: int, statuses: Bytes, splats: Splats, slots: Longs) -> Update:
         """The Update of what the slots hold now."""
         coded = np.flatnonzero(statuses >= PREDICTED)
         escaped = self._has_escaped[coded]
@@ -238,24 +228,24 @@ class SlotFiller:
         )
 
 
-def _nearest_rows(points_m: Floats, from_m: Floats) -> Rows:
+def _nearest_rows(points_m: Floats, from_m: Floats) -> Longs:
     """(N,) which of `points_m` is nearest to each of `from_m`."""
     from scipy.spatial import cKDTree  # loads slowly, and few commands need it
 
     # Such a tree is built in a third of the time, for few questions.
     tree = cKDTree(points_m, compact_nodes=False, balanced_tree=False)
-    nearest: Rows = tree.query(from_m)[1]
+    nearest: Longs = tree.query(from_m)[1]
     return nearest
 
 
-def _spread(wanted: Rows, room: int) -> Rows:
+def _spread(wanted: Longs, room: int) -> Longs:
     """(N,) different places below `room`, rising as `wanted` does, each near what is wanted."""
     count = np.arange(len(wanted))
     rising = np.maximum.accumulate(wanted - count) + count
     return np.minimum(rising, room - len(wanted) + count)
 
 
-def _with_room(wanted: Counts, room: Counts) -> Counts:
+def _with_room(wanted: Longs, room: Longs) -> Longs:
     """How many go into each layer: as many as want, but no more than have room; the others go on
     to less important layers, and those that find none there to more important ones."""
     counts = np.zeros_like(wanted)

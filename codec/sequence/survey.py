@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from codec.arrays import Doubles
+from codec.console import listed
 from codec.errors import InvalidError
 from codec.interop.formats import read_splats
 from codec.lattice.quantise import POSITION_PER_SIZE, position_step_m, to_luma
-from codec.pose import Doubles
 from codec.slots.slotlayout import MAX_SLOTS
 from codec.splats import Splats
 
@@ -118,12 +119,8 @@ class Survey:
             if not usual / ODD_FACTOR <= count <= usual * ODD_FACTOR
         ]
         if odd:
-            more = f" and {len(odd) - MAX_NAMED} more" if len(odd) > MAX_NAMED else ""
             _log.warning(
-                "the usual file has %.0f Gaussians; far from it: %s%s",
-                usual,
-                ", ".join(odd[:MAX_NAMED]),
-                more,
+                "the usual file has %.0f Gaussians; far from it: %s", usual, listed(odd, MAX_NAMED)
             )
 
     @property

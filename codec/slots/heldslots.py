@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from codec.arrays import Flags, Ints
 from codec.halfway import Motion
-from codec.lattice.lattice import Flags, Ints
 from codec.slice import Slice
 from codec.splats import Splats
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Bytes
 from codec.coders.coder import EncodedChunk
 from codec.errors import CorruptError
 from codec.kernel import kernel
-from codec.lattice.lattice import Bytes
 
 from .rangecoder import (
     WHOLE,
@@ -80,9 +79,7 @@ def encode_mask(layout: SlotLayout, birth: int, statuses: Bytes, history: Bytes)
     return EncodedChunk(birth, data, (0, len(data)))
 
 
-def decode_mask(
-    layout: SlotLayout, birth: int, data: bytes | memoryview, history: Bytes
-) -> npt.NDArray[np.uint8]:
+def decode_mask(layout: SlotLayout, birth: int, data: bytes | memoryview, history: Bytes) -> Bytes:
     """(S,) the statuses in the mask `data` of `birth`; without data all are kept. Raises a
     CodecError."""
     if not data:

@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from codec.arrays import Bytes, Flags, Ints
 from codec.errors import CorruptError
 from codec.kernel import kernel
-from codec.lattice.lattice import POSITION_LIMIT, Bytes, Flags, Ints, States, num_attributes
+from codec.lattice.lattice import POSITION_LIMIT, States, num_attributes
 
 LONG = 255
 """The byte of a difference that stands among the long residuals."""

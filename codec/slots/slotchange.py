@@ -13,10 +13,11 @@ from itertools import accumulate
 
 import numpy as np
 
+from codec.arrays import Bytes, Flags, Ints
 from codec.coders.coder import EncodedChunk
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.lattice.floats import bytes_per_gaussian, pack_arrays, read_arrays
-from codec.lattice.lattice import Bytes, Flags, Ints, States
+from codec.lattice.lattice import States
 from codec.splats import Splats
 
 from .residual import decode_new, decode_predicted, encode_new, encode_predicted

@@ -10,7 +10,7 @@ from codec.errors import CorruptError, InvalidError, UnsupportedError
 
 from .slotlayout import HEADER_BYTES
 
-SLOT_MAGIC = b"SWG2"
+SLOT_MAGIC = b"SWG1"
 
 FLAG_SLOT_OFFSETS = 1
 """Set when start offsets are stored; clear when all are zero."""
@@ -35,11 +35,6 @@ class Kind(IntEnum):
     MASK = 0
     CHANGE = 1
     SNAPSHOT = 2
-    PASSING = 3
-
-
-WITHOUT_FLAGS = Kind.MASK, Kind.PASSING
-"""Kinds that store no start offsets."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +75,8 @@ class SlotHeader:
         if found != kind:
             other = Kind(found).name.lower()
             raise CorruptError(f"{name}: a {other} where a {name} belongs", KIND_AT)
-        if flags & ~FLAG_SLOT_OFFSETS or (flags and kind in WITHOUT_FLAGS) or zero:
-            at = FLAGS_AT if flags & ~FLAG_SLOT_OFFSETS or kind in WITHOUT_FLAGS else ZERO_AT
+        if flags & ~FLAG_SLOT_OFFSETS or (flags and kind is Kind.MASK) or zero:
+            at = FLAGS_AT if flags & ~FLAG_SLOT_OFFSETS or kind is Kind.MASK else ZERO_AT
             raise UnsupportedError(f"{name}: a reserved bit is set", at)
         if kind is Kind.MASK and layer:
             raise CorruptError(f"mask: layer {layer} where 0 belongs", LAYER_AT)

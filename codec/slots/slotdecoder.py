@@ -7,33 +7,27 @@ layout.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
+from codec.arrays import Bytes, Flags, Ints, Longs
 from codec.errors import CodecError, CorruptError, InvalidError
-from codec.lattice.lattice import Bytes, Flags, Ints
 from codec.slice import Slice, window_births
 from codec.splats import Splats
 
 from .heldslots import HeldSlots
-from .interpolated import interpolated
 from .mask import MaskHistory, decode_mask
-from .passing import Passing, decode_passing
 from .slotchange import decode_change
 from .slotchunk import BIRTH_AT, LAYER_AT
 from .slotlayout import SlotLayout
 from .slotlog import SlotLog
-from .slotstate import UNKNOWN, Delta, Rows, Slots, empty_arrays, holds
+from .slotstate import UNKNOWN, Delta, Slots, empty_arrays, holds
 from .snapshot import decode_snapshot
-from .update import ENDED, KEPT, NEW, PREDICTED
+from .update import KEPT, NEW, PREDICTED
 
 Data = bytes | memoryview
 
 Blamed = Callable[[CodecError, int | None], CodecError]
-
-Ahead = tuple[Data, Sequence[Data | None]]
-"""The mask and the changes of a slice that comes later."""
 
 
 def _as_it_is(error: CodecError, layer: int | None) -> CodecError:
@@ -76,8 +70,6 @@ class SlotDecoder:
         ]
         """The values of the slots, lane after lane, layer after layer."""
         self.history = MaskHistory(layout)
-        self.passing: Passing | None = None
-        """The passing slice that shows in `frame`, if there is one."""
         self._logs: dict[tuple[int, int], SlotLog] = {}
         """By lane and layer, the oldest first."""
         self._said: dict[int, Bytes] = {}
@@ -92,17 +84,6 @@ class SlotDecoder:
         made.frame, made.joined = self.frame, self.joined
         made.lanes = [[slots.copy() for slots in lane] for lane in self.lanes]
         made.history = self.history.copy()
-        if self.passing is not None:
-            made.passing = replace(self.passing, slots=list(self.passing.slots))
-        return made
-
-    def without_temporal(self) -> SlotDecoder:
-        """Another decoder that holds the same but for the temporal layer."""
-        temporal = self.layout.temporal_layer
-        assert temporal is not None
-        made = self.copy()
-        made.num_layers, made.passing = min(self.num_layers, temporal), None
-        made.lanes = [lane[:temporal] for lane in made.lanes]
         return made
 
     def load(self, data: Data, layer: int | None = None, frame: int | None = None) -> bool:
@@ -172,7 +153,6 @@ class SlotDecoder:
         changes: Sequence[Data | None],
         blamed: Blamed = _as_it_is,
         with_motion: bool = False,
-        ahead: Ahead | None = None,
     ) -> Slice:
         """Goes on by the slice born at `birth`, which follows the last one.
 
@@ -184,7 +164,6 @@ class SlotDecoder:
         blamed: makes of an error the one that is raised, given the layer of the change at fault,
         or None if it is the mask.
         with_motion: whether the slice says where its Gaussians come from, and which ones leave.
-        ahead: the next slice that is no passing one, to interpolate if this is one and missing.
         Gives the slots that changed since the lane's slice before, by late changes and snapshots,
         too, as a slice with rows: row r is slot r of the lane, counted over all layers.
         """
@@ -193,36 +172,13 @@ class SlotDecoder:
             raise InvalidError(f"the slice born at {birth} does not follow {last}")
         if len(changes) > self.num_layers:
             raise InvalidError(f"{len(changes)} changes for {self.num_layers} layers")
-        passes, temporal = self.layout.is_passing(birth), self.layout.temporal_layer
-        if passes and mask is None:
-            mask = b""  # a passing slice keeps all
         if mask is None or not self.history.is_readable(birth):
             return self._lose_lane(birth)
         lane = self.layout.lane(birth)
-        passing = None
-        if temporal is not None and len(changes) > temporal:
-            passing = self._read_passing(birth, changes[temporal], blamed)
-            is_missing = changes[temporal] is None
-            changes = changes[:temporal]
-        else:
-            is_missing = True
         statuses, deltas = self._read(birth, mask, changes, blamed)
-        if passes and statuses.any():
-            raise blamed(CorruptError("mask: a passing slice does not keep all slots"), None)
         parts = self._by_layer(statuses)
-        if passes and is_missing and ahead is not None:
-            passing = self._interpolated(birth, *ahead)
-        said = parts if passing is None else passing.statuses
-        changed = [part != KEPT for part in said]
-        renewed = [(part == NEW) | (part == ENDED) for part in said]
-        if self.passing is not None:
-            for layer, part in enumerate(self.passing.statuses):
-                changed[layer] |= part != KEPT
-                # Both count from the slots that stay: a Gaussian that is new there may be the same.
-                same = (part == NEW) & (said[layer] == NEW)
-                renewed[layer] |= (part == NEW) | (part == ENDED)
-                renewed[layer] &= ~same
-        held = self._held(lane, changed, renewed) if with_motion else None
+        changed = [part != KEPT for part in parts]
+        held = self._held(lane, parts) if with_motion else None
         for layer, delta in enumerate(deltas):
             slots = self.lanes[lane][layer]
             if layer < len(changes):
@@ -232,60 +188,23 @@ class SlotDecoder:
             slots.advance(delta)
             self._drop_if_complete(lane, layer)
         self.history.note(birth, statuses)
-        self.passing = passing
         self._go_on(birth, statuses)
         slice = self._changed(birth, changed)
         return slice if held is None else held.with_motion(slice)
 
-    def _read_passing(self, birth: int, data: Data | None, blamed: Blamed) -> Passing | None:
-        """The passing slice in `data`, None without any; it is not yet shown."""
-        if data and not self.layout.is_passing(birth):
-            error = CorruptError(f"passing: the slice born at {birth} is none")
-            raise blamed(error, self.layout.temporal_layer)
-        try:
-            history = self.history.of(birth)
-            return decode_passing(self.layout, birth, data or b"", history, self.lanes[0])
-        except CodecError as error:
-            raise blamed(error, self.layout.temporal_layer) from error
-
-    def _interpolated(
-        self, birth: int, mask: Data, changes: Sequence[Data | None]
-    ) -> Passing | None:
-        """The substitute for the passing slice of `birth`; None if the next one cannot be read, of
-        which its own turn tells."""
-        layout, following = self.layout, self.layout.following(birth)
-        history = self.history.copy()
-        for passed in range(birth, following):
-            history.note(passed, np.zeros(layout.num_slots, np.uint8))
-        try:
-            said = decode_mask(layout, following, mask, history.of(following))
-            parts = self._by_layer(said)
-            deltas = [
-                None
-                if layer >= len(changes) or changes[layer] is None
-                else self._delta(following, layer, slots, parts[layer], changes[layer])
-                for layer, slots in enumerate(self.lanes[0])
-            ]
-        except CodecError:
-            return None
-        return interpolated(layout, birth, self.lanes[0], parts, deltas)
-
-    def _held(self, lane: int, changed: list[Flags], renewed: list[Flags]) -> HeldSlots:
-        """The content that players last received for the slots of `lane` that are `changed`."""
+    def _held(self, lane: int, parts: list[Bytes]) -> HeldSlots:
+        """What players were handed out last for the slots of `lane` that change; parts: their
+        statuses, layer after layer."""
         rows, here, others = [], [], []
-        for layer, slots in enumerate(self.shown(lane)):
-            changes, pending = changed[layer], self._pending.get((lane, layer))
+        for layer, slots in enumerate(self.lanes[lane]):
+            changes, pending = parts[layer] != KEPT, self._pending.get((lane, layer))
             if pending is not None:
-                changes = changes & ~pending
+                changes &= ~pending
             rows.append(np.flatnonzero(changes))
             here.append(holds(slots.conditions[rows[-1]]))
-            others.append(renewed[layer][rows[-1]])
+            others.append(parts[layer][rows[-1]] != PREDICTED)
         numbers, splats, _ = self._drawn(lane, rows)
         return HeldSlots(numbers, splats, np.concatenate(here), np.concatenate(others))
-
-    def shown(self, lane: int) -> list[Slots]:
-        """The slots of a lane that show in the frame that was applied last, layer after layer."""
-        return self.lanes[lane] if self.passing is None else self.passing.slots
 
     def _go_on(self, birth: int, statuses: Bytes | None) -> None:
         """Notes that the slices have come to `birth`; statuses: None if its mask is missing."""
@@ -339,7 +258,6 @@ class SlotDecoder:
 
     def _lose_lane(self, birth: int) -> Slice:
         """Goes on by a slice whose mask is not at hand."""
-        self.passing = None
         lane, sh_degree = self.layout.lane(birth), self.layout.sh_degree
         counts = self.layout.slots[: self.num_layers]
         self.lanes[lane] = [Slots(count, sh_degree, UNKNOWN) for count in counts]
@@ -380,18 +298,8 @@ class SlotDecoder:
         log = self._logs[lane, layer]
         slots = self._replayed(log.before, layer, since, checked)
         self.lanes[lane][layer] = slots
-        self._show_passing(layer)
         log.since = since
         self._drop_if_complete(lane, layer)
-
-    def _show_passing(self, layer: int) -> None:
-        """Shows a layer of the passing slice upon its slots, which were altered."""
-        if self.passing is None:
-            return
-        try:
-            self.passing.show(self.layout, layer, self.lanes[0][layer])
-        except CodecError:  # of no use, like any late change that does not fit
-            self.passing.slots[layer] = self.lanes[0][layer]
 
     def _replayed(
         self,
@@ -504,25 +412,21 @@ class SlotDecoder:
     def _state_bytes(self) -> int:
         return sum(slots.num_bytes for lane in self.lanes for slots in lane)
 
-    def _slice(self, birth: int, rows: Iterable[Rows], with_rows: bool) -> Slice:
+    def _slice(self, birth: int, rows: Iterable[Longs], with_rows: bool) -> Slice:
         """The slots `rows` of each layer in the lane of `birth`."""
         numbers, splats, starts = self._drawn(self.layout.lane(birth), list(rows))
         return Slice(birth, splats, starts, numbers if with_rows else None)
 
-    def _drawn(self, lane: int, rows: list[Rows]) -> tuple[Ints, Splats, Bytes]:
+    def _drawn(self, lane: int, rows: list[Longs]) -> tuple[Ints, Splats, Bytes]:
         """The slots `rows` of each layer of a lane: their numbers, counted over all layers, what
         they hold and their start offsets."""
         edges = self.layout.row_edges
-        passing, fewer = self.passing, len(rows) < self.layout.num_layers
-        # Fewer layers do without a passing slice, but not without what stands for it.
-        hides = fewer and passing is not None and passing.changes is not None
-        shown = self.lanes[lane] if hides else self.shown(lane)
         ends = np.cumsum([0, *map(len, rows)])
         arrays = empty_arrays(ends[-1], self.layout.sh_degree)
         starts = np.empty(ends[-1], np.uint8)
         numbers = np.empty(ends[-1], np.int32)
         for layer, of_layer in enumerate(rows):
-            part, slots = slice(ends[layer], ends[layer + 1]), shown[layer]
+            part, slots = slice(ends[layer], ends[layer + 1]), self.lanes[lane][layer]
             lattice = self.layout.lattices[layer]
             slots.draw(of_layer, lattice, tuple(array[part] for array in arrays))
             starts[part] = slots.starts[of_layer]

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from codec.arrays import Bytes, Longs
 from codec.coders.coder import EncodedChunk
 from codec.errors import InvalidError
-from codec.lattice.lattice import Bytes, Flags, States
+from codec.lattice.lattice import States
 from codec.slice import HIDDEN, window_births
 
 from .mask import MaskHistory, encode_mask
-from .passing import composed, encode_passing
 from .slotchange import Newcomers, encode_change
 from .slotdecoder import SlotDecoder
 from .slotlayout import SlotLayout
-from .slotstate import EMPTY, ESCAPED, ON_LATTICE, Delta, Rows, Slots
+from .slotstate import EMPTY, ESCAPED, ON_LATTICE, Delta, Slots
 from .snapshot import encode_snapshot
 from .update import ENDED, NEW, PREDICTED, Update
 
@@ -38,9 +38,9 @@ class _Part:
 
     layer: int
     slots: Slots
-    predicted_rows: Rows
-    new_rows: Rows
-    ended_rows: Rows
+    predicted_rows: Longs
+    new_rows: Longs
+    ended_rows: Longs
     predicted: States
     new: Newcomers
     start_offsets: Bytes  # of the new
@@ -62,10 +62,6 @@ class SlotEncoder:
         ]
         """The values of the slots, lane after lane, layer after layer."""
         self.history = MaskHistory(layout)
-        self.staying = self.lanes[0]
-        """With a temporal layer: the slots after the last slice that was not a passing one."""
-        self.renewed: Flags = np.zeros(layout.num_slots, np.bool_)
-        """Slots that do not hold the Gaussian any more that they hold in `staying`."""
 
     @staticmethod
     def resumed(decoder: SlotDecoder) -> SlotEncoder:
@@ -74,11 +70,6 @@ class SlotEncoder:
             raise InvalidError("an encoder can only continue from a decoder that has all layers")
         own, made = decoder.copy(), SlotEncoder(decoder.layout)
         made.lanes, made.history, made.next_birth = own.lanes, own.history, decoder.frame + 1
-        made.staying = list(made.lanes[0])
-        if own.passing is not None:
-            made.lanes = [own.passing.slots]
-            statuses = np.concatenate(own.passing.statuses)
-            made.renewed = (statuses == NEW) | (statuses == ENDED)
         return made
 
     @staticmethod
@@ -86,10 +77,6 @@ class SlotEncoder:
         """An encoder that goes on after the updates `opening`, which say all that shows by then: of
         each lane the last one, in order of birth, and nothing in them is predicted."""
         made = SlotEncoder(layout)
-        if layout.temporal_layer is not None:
-            raise InvalidError(
-                "a stream with a temporal layer cannot be written in pieces; write it in one"
-            )
         if len(opening) != layout.swin_size:
             raise InvalidError(f"{len(opening)} updates open {layout.swin_size} lanes")
         made.next_birth = opening[0].birth
@@ -103,64 +90,35 @@ class SlotEncoder:
         made.layout, made.next_birth = self.layout, self.next_birth
         made.lanes = [list(lane) for lane in self.lanes]  # `append` replaces slots
         made.history = self.history.copy()
-        made.staying, made.renewed = list(self.staying), self.renewed.copy()
         return made
 
     def append(self, update: Update) -> EncodedSlice | None:
         """`encode`, and goes on to the slice of `update`."""
         birth, lane = update.birth, self.lanes[self.layout.lane(update.birth)]
-        layered = self.layout.temporal_layer is not None and birth > 0
         parts = self._checked(update)
-        encoded = None if layered else self._encoded_plain(update, parts)
-        if layered:
-            self.renewed |= (update.statuses == NEW) | (update.statuses == ENDED)
+        encoded = self._encoded(update, parts)
         for part in parts:
             slots = part.slots.copy()
             slots.advance(_delta(part))
             lane[part.layer] = slots
-        if layered:
-            update = composed(self.layout, birth, self.staying, lane, self.renewed)
-            encoded = self._encoded_layered(update)
         if birth > 0:
-            passes = self.layout.is_passing(birth)
-            kept = Update.keeping(birth, self.layout).statuses
-            self.history.note(birth, kept if passes else update.statuses)
-        if not self.layout.is_passing(birth):
-            self.staying = list(lane)
-            self.renewed = np.zeros_like(self.renewed)
+            self.history.note(birth, update.statuses)
         self.next_birth = birth + 1
         return encoded
-
-    def _encoded_layered(self, update: Update) -> EncodedSlice:
-        """The chunks of `update`, which says what is different from `staying`."""
-        encoded = self._encoded(update, list(self._parts(update, self.staying)))
-        if not self.layout.is_passing(update.birth):
-            return encoded
-        nothing = EncodedChunk(update.birth, b"", (0, 0))
-        *changes, _ = encoded.changes
-        passing = encode_passing(self.layout, encoded.mask, changes)
-        return EncodedSlice(update.birth, nothing, (*(nothing for _ in changes), passing))
 
     def encode(self, update: Update) -> EncodedSlice | None:
         """The chunks of the slice of `update`, which is not yet taken in; None before frame 0. The
         slice of frame 0 keeps all, for what it brings is in the snapshot of frame 0."""
-        if self.layout.temporal_layer is not None and update.birth > 0:
-            return self.copy().append(update)
-        return self._encoded_plain(update, self._checked(update))
+        return self._encoded(update, self._checked(update))
 
-    def _encoded_plain(self, update: Update, parts: list[_Part]) -> EncodedSlice | None:
-        """See `encode`; without a temporal layer."""
+    def _encoded(self, update: Update, parts: list[_Part]) -> EncodedSlice | None:
+        """See `encode`; parts: those of `update`."""
         birth = update.birth
         if birth < 0:
             return None
         if birth == 0:
             update = Update.keeping(birth, self.layout)
             parts = list(self._parts(update, self.lanes[self.layout.lane(birth)]))
-        return self._encoded(update, parts)
-
-    def _encoded(self, update: Update, parts: list[_Part]) -> EncodedSlice:
-        """The chunks of `update`, whose parts these are."""
-        birth = update.birth
         mask = encode_mask(self.layout, birth, update.statuses, self.history.of(birth))
         changes = (
             encode_change(

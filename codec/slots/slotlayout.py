@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import accumulate
 
 from codec.errors import InvalidError
@@ -30,8 +30,6 @@ MAX_LAYERS = 16
 
 MAX_SEGMENT_FRAMES = 4096
 
-MAX_TEMPORAL_PERIOD = 8
-
 HEADER_BYTES = 12
 """In front of every chunk."""
 
@@ -56,21 +54,16 @@ class SlotLayout:
     """The lattice of each layer."""
     segment_frames: int
     """Frames in a segment: masks and snapshots begin anew with each."""
-    temporal_period: int = 1
-    """Every so many frames the slots go on; the slices between are passing ones, in the last layer,
-    which has no slots. 1 if there are none."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.swin_size <= MAX_SWIN_SIZE:
             raise InvalidError(f"slots: swin_size {self.swin_size} is not in 1..{MAX_SWIN_SIZE}")
         if not 1 <= len(self.slots) <= MAX_LAYERS:
             raise InvalidError(f"slots: {len(self.slots)} layers, expected 1 to {MAX_LAYERS}")
-        with_slots = self.slots if self.temporal_layer is None else self.slots[:-1]
-        if min(with_slots, default=0) < 1 or sum(self.slots) > MAX_SLOTS:
+        if min(self.slots) < 1 or sum(self.slots) > MAX_SLOTS:
             raise InvalidError(
                 f"slots: {self.slots[:16]} are not at least 1 each and {MAX_SLOTS} together at most"
             )
-        self._check_period()
         if self.swin_size * self.num_slots > MAX_SLOTS_OF_LANES:
             raise InvalidError(
                 f"slots: {self.num_slots} in each of {self.swin_size} lanes are more than "
@@ -92,42 +85,9 @@ class SlotLayout:
                 f"product is at most {MAX_SEGMENT_SLOTS}; use shorter segments"
             )
 
-    def _check_period(self) -> None:
-        period = self.temporal_period
-        if not 1 <= period <= MAX_TEMPORAL_PERIOD:
-            raise InvalidError(
-                f"slots: temporal_period {period} is not in 1..{MAX_TEMPORAL_PERIOD}"
-            )
-        if period == 1:
-            return
-        if self.slots[-1]:
-            raise InvalidError(f"slots: the temporal layer has {self.slots[-1]} slots, expected 0")
-        if self.swin_size != 1 or self.segment_frames % period:
-            raise InvalidError(
-                f"slots: a temporal layer needs a swin_size of 1 and segments of a multiple of "
-                f"{period} frames, not {self.swin_size} and {self.segment_frames}"
-            )
-
     @property
     def num_layers(self) -> int:
-        """Layers as they travel, with the temporal one."""
         return len(self.slots)
-
-    @property
-    def temporal_layer(self) -> int | None:
-        """The last layer, if it is the temporal one."""
-        return self.num_layers - 1 if self.temporal_period > 1 else None
-
-    def without_temporal(self) -> SlotLayout:
-        """The layout of the same slots without a temporal layer."""
-        if self.temporal_layer is None:
-            return self
-        slots, lattices = self.slots[:-1], self.lattices[:-1]
-        return replace(self, slots=slots, lattices=lattices, temporal_period=1)
-
-    def is_passing(self, birth: int) -> bool:
-        """Whether the slice born at `birth`, 0 or later, shows in its frame alone."""
-        return birth % self.temporal_period != 0
 
     @property
     def num_slots(self) -> int:
@@ -148,10 +108,6 @@ class SlotLayout:
         """The lane of the slice born at `birth`."""
         return birth % self.swin_size
 
-    def following(self, birth: int) -> int:
-        """The first birth after that of a passing slice whose slice is no passing one."""
-        return birth - birth % self.temporal_period + self.temporal_period
-
     def segment_start(self, birth: int) -> int:
         """First frame of the segment that holds the slice born at `birth`, 0 or later."""
         return birth // self.segment_frames * self.segment_frames
@@ -163,9 +119,6 @@ class SlotLayout:
 
     def max_change_bytes(self, layer: int) -> int:
         """Bytes of the longest change of `layer`: all new, all escaped."""
-        if layer == self.temporal_layer:
-            parts = self.max_mask_bytes, *map(self.max_change_bytes, range(layer))
-            return min(HEADER_BYTES + 4 * len(parts) + sum(parts), MAX_SLOT_CHUNK_BYTES)
         most = HEADER_BYTES + COUNTS_BYTES + self.slots[layer] * self._max_slot_bytes
         return min(most, MAX_SLOT_CHUNK_BYTES)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from codec.lattice.lattice import Bytes
+from codec.arrays import Bytes
 
 from .slotstate import Slots
 from .update import PREDICTED

@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Bytes, Flags, Floats, Longs
 from codec.errors import CorruptError
-from codec.lattice.lattice import Bytes, Lattice, States, dequantise_into
+from codec.lattice.lattice import Lattice, States, dequantise_into
 from codec.lattice.quantise import opacity_logits
 from codec.slice import HIDDEN
-from codec.splats import Floats, Splats, array_shapes
+from codec.splats import Splats, array_shapes
 
 from .slotchange import Change, Newcomers
 from .update import ENDED, NEW, PREDICTED
@@ -24,10 +24,8 @@ from .update import ENDED, NEW, PREDICTED
 UNKNOWN, EMPTY, ON_LATTICE, ESCAPED = 0, 1, 2, 3
 """The condition of a slot: what it held is lost, nothing, or a Gaussian of one of two kinds."""
 
-Rows = npt.NDArray[np.int64]
 
-
-def holds(conditions: Bytes) -> npt.NDArray[np.bool_]:
+def holds(conditions: Bytes) -> Flags:
     """Where there is a Gaussian."""
     return conditions >= ON_LATTICE
 
@@ -36,11 +34,11 @@ def holds(conditions: Bytes) -> npt.NDArray[np.bool_]:
 class Delta:
     """Changes to some slots."""
 
-    rows: Rows  # (D,) the slots, in any order
+    rows: Longs  # (D,) the slots, in any order
     conditions: Bytes  # (D,)
     states: States  # (D); zeros where none is on the lattice
     starts: Bytes  # (D,) frames after the birth of the slice; HIDDEN where there is no Gaussian
-    escape_rows: Rows  # (E,) those of `rows` that escaped
+    escape_rows: Longs  # (E,) those of `rows` that escaped
     escapes: Splats  # (E)
 
 
@@ -53,7 +51,7 @@ class Slots:
         """Zeros where no Gaussian is on the lattice."""
         self.starts = np.full(count, HIDDEN, np.uint8)
         """(count,) frames after the birth of the lane's slice; HIDDEN where no Gaussian is."""
-        self.escape_rows: Rows = np.zeros(0, np.int64)
+        self.escape_rows: Longs = np.zeros(0, np.int64)
         """The slots of `escapes`."""
         self.escapes = Splats.empty(sh_degree)
 
@@ -80,7 +78,7 @@ class Slots:
         made.escape_rows, made.escapes = self.escape_rows, self.escapes
         return made
 
-    def rearranged(self, rows: Rows) -> Slots:
+    def rearranged(self, rows: Longs) -> Slots:
         """The slots at `rows`, a permutation of all."""
         made = Slots(0, self.states.sh_degree, UNKNOWN)
         made.conditions, made.starts = self.conditions[rows], self.starts[rows]
@@ -148,7 +146,7 @@ class Slots:
             self.states.take(here), self.conditions[here] == ESCAPED, self.escapes.take(order)
         )
 
-    def draw(self, rows: Rows, lattice: Lattice, arrays: tuple[Floats, ...]) -> None:
+    def draw(self, rows: Longs, lattice: Lattice, arrays: tuple[Floats, ...]) -> None:
         """Fills the arrays of a `Splats` with what the slots `rows` hold; where that is nothing
         with zeros and the quaternion (1, 0, 0, 0)."""
         states = self.states.take(rows)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from codec.arrays import Bytes, Flags
 from codec.errors import InvalidError
-from codec.lattice.lattice import POSITION_LIMIT, Bytes, Flags, States
+from codec.lattice.lattice import POSITION_LIMIT, States
 from codec.splats import Splats
 
 from .slotlayout import SlotLayout

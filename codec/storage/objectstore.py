@@ -24,7 +24,7 @@ from codec.errors import (
 from .credentials import without_credentials
 from .storage import Stamp
 from .storeendpoint import names_credentials, settle_endpoints
-from .storeerror import describe, is_lost_response, lacks_credentials
+from .storeerror import describe, lacks_credentials
 
 if TYPE_CHECKING:
     from obstore import GetOptions, ObjectMeta, PutMode
@@ -189,10 +189,12 @@ class StorePrefix:
                     raise self._unwritable(path, error) from error
                 raise ConflictError(f"{self.place(path)} was changed by another writer") from error
             except (obstore.exceptions.BaseError, ValueError, OSError) as error:
-                # obstore does not repeat a conditional request whose response was lost, because the
-                # store may have done it. The caller finds that out by the ConflictError.
-                lost = over != "any" and is_lost_response(error)
-                if not lost or time.monotonic() > last_attempt_s:
+                # A refusal has a type of its own; any other fault leaves open whether the store has
+                # done it. obstore does not repeat a conditional request then. Here it is repeated:
+                # if the store had done it the next attempt is a ConflictError, and the caller
+                # checks whether what lies there is its own.
+                is_open = over != "any" and isinstance(error, obstore.exceptions.GenericError)
+                if not is_open or time.monotonic() > last_attempt_s:
                     raise self._unwritable(path, error) from error
             time.sleep(self._retry.shortest_pause_s)
 

@@ -1,4 +1,4 @@
-"""The storage that a reader of streams needs.
+"""The storage that a reader of a stream needs, and what a server needs to find streams.
 
 Rule: a path is relative, with '/' between its parts. Only regular files below the place are read,
 and never more bytes than the caller has room for.
@@ -22,7 +22,7 @@ class Stamp:
 
 @runtime_checkable
 class Storage(Protocol):
-    """A place with files."""
+    """A place with the files of a stream."""
 
     @property
     def name(self) -> str:
@@ -37,9 +37,6 @@ class Storage(Protocol):
 
     def check(self) -> None:
         """Raises CorruptError if there is no such place, or if it cannot be read."""
-
-    def below(self, folder: str) -> Storage:
-        """The place of the folder at `folder`."""
 
     def read(
         self, path: str, limit_bytes: int, offset: int = 0, *, if_missing: str | None = None
@@ -56,22 +53,25 @@ class Storage(Protocol):
     def holds(self, path: str) -> bool:
         """Whether a regular file is at `path`. Raises UnreadableError."""
 
-    def folders(self, files: Sequence[str]) -> dict[str, tuple[Stamp | None, ...]]:
-        """The folders one level below that hold the first of `files`, but hidden ones, and the
-        stamps of all of `files` there. Raises UnreadableError if the place does not tell."""
-
     def sizes(self, folder: str) -> Iterator[tuple[str, int]]:
         """The paths of the regular files two levels below the folder at `folder`, and their sizes
         in bytes. Raises UnreadableError."""
 
+
+@runtime_checkable
+class StorageRoot(Storage, Protocol):
+    """A place that may have several streams below it, in folders or in a file each."""
+
+    def below(self, folder: str) -> Storage:
+        """The place of the folder at `folder`."""
+
+    def folders(self, files: Sequence[str]) -> dict[str, tuple[Stamp | None, ...]]:
+        """The folders one level below that hold the first of `files`, but hidden ones, and the
+        stamps of all of `files` there. Raises UnreadableError if the place does not tell."""
+
     def files(self, suffix: str) -> dict[str, Stamp]:
         """The names of the files directly in the place that end with `suffix`, but hidden ones, and
         their stamps. Raises UnreadableError if the place does not tell."""
-
-
-@runtime_checkable
-class RangeStorage(Storage, Protocol):
-    """A place with files that can be read in parts."""
 
     def read_range(self, path: str, offset: int, size_bytes: int) -> bytes:
         """`size_bytes` bytes of the file at `path`, which has them. Raises CorruptError."""

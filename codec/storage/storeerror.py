@@ -23,9 +23,6 @@ _ATTEMPTS = re.compile(r"in ([0-9.]+)(m?s), after ([0-9]+) retries")
 
 _STATUS = re.compile(r"non-2xx status code: ([0-9]{3}[^:\n]*)")
 
-_LOST = re.compile(r"HttpError \{\s*kind: (Interrupted|Timeout),")
-"""In the debug text: the request was sent, but no response came."""
-
 _CAUSE = re.compile(r'(?:message|error): "([^"\n]+)"')
 """The operating system's reason for a failed connection, in the debug text."""
 
@@ -47,11 +44,6 @@ def lacks_credentials(error: Exception) -> bool:
     return _METADATA.search(str(error).partition(_DEBUG)[0]) is not None
 
 
-def is_lost_response(error: Exception) -> bool:
-    """Whether `error` leaves open if the store has done what it was asked to do."""
-    return _LOST.search(str(error)) is not None
-
-
 def _attempts(text: str) -> str:
     """How often and how long the request was tried; empty if only once."""
     found = _ATTEMPTS.search(text)
@@ -66,8 +58,7 @@ def _reason(text: str, debug: str) -> str | None:
         return ": ".join(answer.groups())
     if status := _STATUS.search(text):
         return f"HTTP {status[1]}"
-    lost = _LOST.search(debug)
-    if lost and lost[1] == "Timeout":
+    if "kind: Timeout," in debug:
         return "no response in time"
     if "IncompleteMessage" in debug:
         return "connection closed without a response"

@@ -14,7 +14,7 @@ from codec.coders.coder import EncodedChunk
 from codec.coders.effort import Effort
 from codec.errors import InvalidError
 from codec.slice import Slice, window_births
-from codec.slots.slotdecoder import Ahead, SlotDecoder
+from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.update import Update
 
@@ -69,11 +69,6 @@ class Draft:
     scores_db: Scores = ()
     effort: Effort = Effort.USUAL
     """Spent on making packets small."""
-    below: SlotDecoder | None = None
-    """The state of a reader without the temporal layer, if there is one."""
-    waiting: tuple[Slice, ...] = ()
-    """Passing slices that are not scored yet: without them the next slice shows what stands for
-    them."""
 
     @staticmethod
     def first(
@@ -86,10 +81,8 @@ class Draft:
         """The draft of the first segment, or of the one after what `read` has read."""
         encoder = SlotEncoder(manifest.slot_layout) if read is None else SlotEncoder.resumed(read)
         packets: dict[Part, Packets] = dict.fromkeys(manifest.parts, ())
-        decoder, below = read if quality else None, None
-        if decoder is not None and manifest.temporal_layer is not None:
-            below = decoder.without_temporal()
-        return Draft(manifest, quality, encoder, decoder, packets, whole, (), effort, below)
+        decoder = read if quality else None
+        return Draft(manifest, quality, encoder, decoder, packets, whole, (), effort)
 
     @staticmethod
     def opened(
@@ -129,7 +122,7 @@ class Draft:
         """The draft with the scores of the slice of `birth`, its last one: of the bytes as they
         are, not of what was given."""
         manifest, layers = self.manifest, range(1, self.manifest.num_layers + 1)
-        births, first = range(birth, birth + 1), self.decoder is None
+        births = range(birth, birth + 1)
         if self.decoder is None:
             decoder = SlotDecoder(manifest.slot_layout)
             for layer in range(manifest.num_layers):
@@ -139,49 +132,11 @@ class Draft:
             decoder = self.decoder.copy()
             changes = [self._content(layer) for layer in range(manifest.num_layers)]
             decoder.apply(birth, self._content(MASKS), changes)
-        if manifest.temporal_layer is not None:
-            below = decoder.without_temporal() if first else self.below
-            return replace(self, decoder=decoder, below=below)._scored_layered(birth, first)
         scores_db = self.scores_db
         for number in births:
             slices = [decoder.whole(number, n) for n in layers]
             scores_db += _measured(self.quality, number, slices)
         return replace(self, decoder=decoder, scores_db=scores_db)
-
-    def _scored_layered(self, birth: int, first: bool) -> Draft:
-        """The draft, whose `decoder` is at `birth`, with the scores of its slice and those before
-        it, with a temporal layer."""
-        assert self.decoder is not None
-        full = self.decoder.whole(birth)
-        if self.manifest.slot_layout.is_passing(birth):
-            return replace(self, waiting=(*self.waiting, full))
-        parts = range(self.manifest.num_layers - 1)
-        ahead = self._content(MASKS), [self._content(layer) for layer in parts]
-        draft = self if first else self.settled(ahead)
-        assert draft.below is not None
-        below = draft.below.copy()
-        if not first:
-            below.apply(birth, *ahead)
-        slices = [*(below.whole(birth, n + 1) for n in parts), full]
-        return replace(
-            draft,
-            below=below,
-            scores_db=draft.scores_db + _measured(self.quality, birth, slices),
-        )
-
-    def settled(self, ahead: Ahead | None = None) -> Draft:
-        """The draft with the scores of the passing slices that wait for them. ahead: the slice that
-        follows them; without it what stands for them does not move."""
-        if not self.waiting:
-            return self
-        assert self.below is not None
-        below, scores_db = self.below.copy(), self.scores_db
-        layers = range(1, self.manifest.num_layers)
-        for full in self.waiting:
-            below.apply(full.birth, b"", [b"" for _ in layers], ahead=ahead)
-            slices = [*(below.whole(full.birth, n) for n in layers), full]
-            scores_db += _measured(self.quality, full.birth, slices)
-        return replace(self, below=below, waiting=(), scores_db=scores_db)
 
     @property
     def slice_bytes(self) -> int:

@@ -5,9 +5,11 @@ Rule: record n describes segment n, so any reader can fetch it by byte range.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from codec.errors import CorruptError, InvalidError
@@ -40,6 +42,30 @@ class SegmentRecord:
     psnr_db: tuple[float, ...]  # of layers 0..n together, float32; NaN where unknown
     side_bytes: tuple[int, ...]  # of the masks, then of each snapshot
     side_sha256: tuple[bytes, ...]
+
+    @staticmethod
+    def of(
+        objects: Sequence[bytes],
+        segment: int,
+        first_frame: int,
+        num_frames: int,
+        psnr_db: tuple[float, ...] | None,
+    ) -> SegmentRecord:
+        """The record of a segment of these objects, in the order of `Manifest.parts`. psnr_db: None
+        if unknown."""
+        layers = len(objects) // 2  # as many snapshots, and the masks
+        sizes = tuple(map(len, objects))
+        hashes = tuple(hashlib.sha256(data).digest() for data in objects)
+        return SegmentRecord(
+            segment,
+            first_frame,
+            num_frames,
+            sizes[:layers],
+            hashes[:layers],
+            (math.nan,) * layers if psnr_db is None else psnr_db,
+            sizes[layers:],
+            hashes[layers:],
+        )
 
     @property
     def part_bytes(self) -> tuple[int, ...]:

@@ -10,11 +10,9 @@ from enum import StrEnum
 from itertools import accumulate, pairwise
 
 import numpy as np
-import numpy.typing as npt
 
-from codec.splats import Floats, Splats
-
-Rows = npt.NDArray[np.int64]
+from codec.arrays import Floats, Longs
+from codec.splats import Splats
 
 RankFunction = Callable[[Splats], Floats]
 """Gives (N,) importances; the higher, the earlier the layer."""
@@ -72,7 +70,7 @@ def layer_counts(count: int, slots: Sequence[int]) -> tuple[int, ...]:
     return split_counts(count, tuple(n / sum(slots) for n in slots))
 
 
-def split_layers(splats: Splats, slots: Sequence[int], rank: RankFunction) -> list[Rows]:
+def split_layers(splats: Splats, slots: Sequence[int], rank: RankFunction) -> list[Longs]:
     """The rows of `splats` that belong into each layer, the most important ones first.
 
     Inside a layer they keep their order; equal ranks fall to the earlier layer in order.

@@ -20,7 +20,7 @@ from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.lattice.lattice import Lattice
 from codec.slice import window_births
 from codec.slots.slotlayout import MAX_LAYERS as MAX_LAYERS
-from codec.slots.slotlayout import MAX_SEGMENT_FRAMES, MAX_SEGMENT_SLOTS, SlotLayout
+from codec.slots.slotlayout import SlotLayout
 
 from .captions import Captions, captions_of, check_captions
 from .manifestjson import (
@@ -32,11 +32,8 @@ from .manifestjson import (
 )
 from .sound import SoundSource, check_sources, sources_of
 
-VERSION = 2
-"""1 was a draft that no released program wrote."""
-
-TEMPORAL_VERSION = 3
-"""The version of the manifest of a stream with a temporal layer."""
+VERSION = 1
+"""Of the format, in the manifest and in every object."""
 
 MANIFEST_NAME = "manifest.json"
 SEGMENTS_NAME = "segments"
@@ -142,9 +139,6 @@ class Manifest:
     """Nearest depth drawn at each of the cameras, in metres; empty where it is `near_m` at all."""
     captions: tuple[Captions, ...] = ()
     """Captions, in files of their own."""
-    temporal_period: int = 1
-    """Every so many frames the slots go on; the others are in the temporal layer, the last one. 1
-    without it."""
     view: Camera | None = None
     """The camera that a player starts from in place of `default_camera`, chosen by an edit."""
     focus: Point | None = None
@@ -216,12 +210,7 @@ class Manifest:
         """The layout by which masks, changes and snapshots are coded."""
         try:
             return SlotLayout(
-                self.swin_size,
-                self.slots,
-                self.sh_degree,
-                self.lattice,
-                self.segment_frames,
-                self.temporal_period,
+                self.swin_size, self.slots, self.sh_degree, self.lattice, self.segment_frames
             )
         except InvalidError as error:
             raise InvalidError(f"manifest: {error}") from error
@@ -310,11 +299,6 @@ class Manifest:
         path = self.object_url.replace("{segment}", str(segment))
         return path.replace("{layer}", str(part))
 
-    @property
-    def temporal_layer(self) -> int | None:
-        """The last layer, if it is the temporal one."""
-        return self.num_layers - 1 if self.temporal_period > 1 else None
-
     def segment_of(self, birth: int) -> int:
         """The segment that holds the slice born at `birth`."""
         return max(birth, 0) // self.segment_frames
@@ -330,32 +314,9 @@ class Manifest:
         births = self.births(segment, num_frames)
         return births[:1] if is_snapshot(part) else births
 
-    def with_temporal_layer(self, period: int) -> Manifest:
-        """The manifest of a stream in which all frames but every `period`-th are in a temporal
-        layer; segments are longer or shorter by as much as that needs. 1: without such a layer.
-        Raises InvalidError."""
-        if self.temporal_period > 1:
-            plain = replace(
-                self, slots=self.slots[:-1], lattice=self.lattice[:-1], temporal_period=1
-            )
-            return plain.with_temporal_layer(period)
-        if period == 1:
-            return self
-        if self.swin_size != 1:
-            raise InvalidError(
-                f"a temporal layer needs slots that may change in every frame, a swin_size of 1, "
-                f"not {self.swin_size}"
-            )
-        length = -(-self.segment_frames // period) * period
-        if length > MAX_SEGMENT_FRAMES or length * self.slot_layout.num_slots > MAX_SEGMENT_SLOTS:
-            length = max(period, length - period)
-        return replace(
-            self,
-            slots=(*self.slots, 0),
-            lattice=(*self.lattice, self.lattice[-1]),
-            segment_frames=length,
-            temporal_period=period,
-        )
+    def is_same_but_live(self, other: Manifest) -> bool:
+        """Whether both are of one stream, which may have ended in between."""
+        return self.with_live(False).to_json() == other.with_live(False).to_json()
 
     def with_live(self, live: bool) -> Manifest:
         return replace(self, live=live)
@@ -363,14 +324,13 @@ class Manifest:
     def to_json(self) -> bytes:
         """manifest.json, UTF-8, one key a line. Raises InvalidError if no reader would take it."""
         value = {
-            "version": VERSION if self.temporal_period == 1 else TEMPORAL_VERSION,
+            "version": VERSION,
             "fps": self.fps,
             "swin_size": self.swin_size,
             "num_gs": self.num_gs,
             "slots": list(self.slots),
             "lattice": [lattice_to_json(lattice) for lattice in self.lattice],
             "segment_frames": self.segment_frames,
-            **({"temporal_period": self.temporal_period} if self.temporal_period > 1 else {}),
             "sh_degree": self.sh_degree,
             "antialias": self.antialias,
             "near_m": self.near_m,
@@ -400,18 +360,17 @@ class Manifest:
 
     @staticmethod
     def from_json(data: bytes) -> Manifest:
-        """The manifest in `data`. Raises CorruptError, or UnsupportedError for a later version."""
+        """The manifest in `data`. Raises CorruptError, or UnsupportedError for another version."""
         if len(data) > MAX_MANIFEST_BYTES:
             raise CorruptError(f"manifest: {len(data)} bytes, at most {MAX_MANIFEST_BYTES}")
         value = parse_manifest(data)
         version = value.get("version")
         if type(version) is not int:
             raise CorruptError("manifest: has no version; this is not a swings stream")
-        is_temporal = version == TEMPORAL_VERSION and "temporal_period" in value
-        if version != VERSION and not is_temporal:
+        if version != VERSION:
             raise UnsupportedError(
-                f"manifest: version {version}; this program reads {VERSION}, and "
-                f"{TEMPORAL_VERSION} with a temporal_period"
+                f"manifest: version {version}, and this program reads {VERSION}; make the stream "
+                "anew, or read it with the swings that made it"
             )
         try:
             with np.errstate(all="ignore"):
@@ -435,16 +394,6 @@ def _camera_depths(value: Mapping[str, Any]) -> tuple[float, ...]:
     if len(numbers) > MAX_CAMERAS or any(type(near_m) not in (int, float) for near_m in numbers):
         raise CorruptError(f"manifest: camera_near_m is not at most {MAX_CAMERAS} numbers")
     return tuple(number(near_m, "camera_near_m") for near_m in numbers)
-
-
-def _temporal_period(value: Mapping[str, Any]) -> int:
-    """The number of the key `temporal_period`, which version 3 has, and no other."""
-    if value["version"] == VERSION:
-        return 1
-    period: int = typed(value, "temporal_period", int)
-    if period < 2:
-        raise CorruptError(f"manifest: temporal_period {period} is below 2")
-    return period
 
 
 def _view(value: Mapping[str, Any]) -> Camera | None:
@@ -494,7 +443,6 @@ def _from_value(value: Mapping[str, Any]) -> Manifest:
         sound=sources_of(value),
         camera_near_m=_camera_depths(value),
         captions=captions_of(value),
-        temporal_period=_temporal_period(value),
         view=_view(value),
         focus=None if "focus" not in value else _point(value["focus"], "focus"),
     )

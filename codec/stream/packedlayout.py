@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Longs
 from codec.errors import CodecError, CorruptError, UnsupportedError
 
 from .index import INDEX_NAME, SegmentRecord
@@ -48,18 +48,13 @@ EXTRA_ID = 0x5753
 """Marks the extra field of the first local header: `SW`."""
 
 LAYOUT_VERSION = 1
-TRACKS_VERSION = 2
-"""The layout of a stream that has sound or captions."""
 
-# id, bytes that follow, version, reserved; bytes of the index, the poster and the storyboard
-EXTRA = struct.Struct("<HHHHIII")
-assert EXTRA.size == 20
+# id, bytes that follow, version, reserved; bytes of index, poster, storyboard and table of sizes
+EXTRA = struct.Struct("<HHHHIIII")
+assert EXTRA.size == 24
 
-# with TRACKS_VERSION behind it: bytes of the table of sizes
-EXTRA_TRACKS = struct.Struct("<I")
-
-HEAD_BYTES = local_bytes(MANIFEST_NAME, EXTRA.size)
-"""Where the manifest begins, without sound and captions."""
+MANIFEST_AT = local_bytes(MANIFEST_NAME, EXTRA.size)
+"""Where the manifest begins."""
 
 FIRST_BYTES = 32 << 10
 """A reader asks for so many bytes first: in most streams they hold the manifest and the index."""
@@ -79,12 +74,8 @@ class PackedHead:
     """Of the table of the sizes of captions and sound; 0 without any."""
 
     @property
-    def manifest_at(self) -> int:
-        return HEAD_BYTES + (EXTRA_TRACKS.size if self.tracks_bytes else 0)
-
-    @property
     def index_at(self) -> int:
-        return self.manifest_at + self.manifest_bytes + local_bytes(INDEX_NAME)
+        return MANIFEST_AT + self.manifest_bytes + local_bytes(INDEX_NAME)
 
     @property
     def index_end(self) -> int:
@@ -104,43 +95,35 @@ class PackedHead:
     @property
     def extra(self) -> bytes:
         """The extra field of the manifest's local header."""
-        sizes = self.index_bytes, self.poster_bytes, self.storyboard_bytes
-        if not self.tracks_bytes:
-            return EXTRA.pack(EXTRA_ID, EXTRA.size - 4, LAYOUT_VERSION, 0, *sizes)
-        following = EXTRA.size + EXTRA_TRACKS.size - 4
-        known = EXTRA.pack(EXTRA_ID, following, TRACKS_VERSION, 0, *sizes)
-        return known + EXTRA_TRACKS.pack(self.tracks_bytes)
+        sizes = self.index_bytes, self.poster_bytes, self.storyboard_bytes, self.tracks_bytes
+        return EXTRA.pack(EXTRA_ID, EXTRA.size - 4, LAYOUT_VERSION, 0, *sizes)
 
     @staticmethod
     def parse(data: bytes) -> PackedHead:
         """The head of a file that begins with `data`. Raises CorruptError, or UnsupportedError for
-        a later layout."""
-        if len(data) < HEAD_BYTES:
+        another layout."""
+        if len(data) < MANIFEST_AT:
             raise CorruptError(f"packed stream: {len(data)} bytes are too few", len(data))
         magic, *_, size_bytes, stored_bytes, name_bytes, extra_bytes = LOCAL.unpack_from(data)
         name = data[LOCAL.size : LOCAL.size + len(MANIFEST_NAME)]
         extra_at = LOCAL.size + len(MANIFEST_NAME)
         extra = EXTRA.unpack_from(data, extra_at)
-        known = (LOCAL_MAGIC, len(MANIFEST_NAME), EXTRA_ID, extra_bytes - 4)
-        if (magic, name_bytes, *extra[:2]) != known or name != MANIFEST_NAME.encode():
+        known = (LOCAL_MAGIC, len(MANIFEST_NAME), extra_bytes, EXTRA_ID)
+        if (magic, name_bytes, extra[1] + 4, extra[0]) != known or name != MANIFEST_NAME.encode():
             raise CorruptError(
                 "packed stream: does not begin as one; make it with swings-stream pack", 0
             )
-        _, _, version, reserved, index_bytes, *pictures = extra
-        if version not in (LAYOUT_VERSION, TRACKS_VERSION) or reserved:
+        _, _, version, reserved, index_bytes, *pictures, tracks_bytes = extra
+        if version != LAYOUT_VERSION or reserved:
             raise UnsupportedError(
-                f"packed stream: layout {version}, but this program reads {LAYOUT_VERSION} and "
-                f"{TRACKS_VERSION}",
+                f"packed stream: layout {version}, and this program reads {LAYOUT_VERSION}; pack "
+                "the stream anew",
                 extra_at + 4,
             )
-        has_tracks = version == TRACKS_VERSION
-        tracks_at = extra_at + EXTRA.size
-        more_bytes = EXTRA_TRACKS.size if has_tracks else 0
-        if extra_bytes != EXTRA.size + more_bytes or len(data) < tracks_at + more_bytes:
-            raise CorruptError(f"packed stream: {extra_bytes} bytes about layout {version}", 28)
-        tracks_bytes = EXTRA_TRACKS.unpack_from(data, tracks_at)[0] if has_tracks else 0
-        if has_tracks and not 0 < tracks_bytes <= MAX_INDEX_BYTES:
-            raise CorruptError(f"packed stream: a table of {tracks_bytes} bytes", tracks_at)
+        if extra_bytes != EXTRA.size:
+            raise CorruptError(f"packed stream: {extra_bytes} bytes about its sizes", 28)
+        if tracks_bytes > MAX_INDEX_BYTES:
+            raise CorruptError(f"packed stream: a table of {tracks_bytes} bytes", extra_at + 20)
         if size_bytes != stored_bytes or not 0 < size_bytes <= MAX_MANIFEST_BYTES:
             raise CorruptError(f"packed stream: a manifest of {size_bytes} bytes", 18)
         if not 0 < index_bytes <= MAX_INDEX_BYTES:
@@ -219,7 +202,7 @@ class PackedLayout:
         try:
             manifest = Manifest.from_json(manifest_json)
         except CodecError as error:
-            raise error.moved(head.manifest_at) from error
+            raise error.moved(MANIFEST_AT) from error
         if manifest.live:
             raise CorruptError("packed stream: its manifest says that it is live")
         try:
@@ -246,7 +229,7 @@ class PackedLayout:
     def find(self, path: str) -> tuple[int, int] | None:
         """Where the file at `path` begins, and its size; None if there is none."""
         if path == MANIFEST_NAME:
-            return self.head.manifest_at, self.head.manifest_bytes
+            return MANIFEST_AT, self.head.manifest_bytes
         if path == INDEX_NAME:
             return self.head.index_at, self.head.index_bytes
         if path == TRACKS_NAME and self.head.tracks_bytes:
@@ -321,7 +304,7 @@ def read_layout(read: ReadRange, max_index_bytes: int = MAX_INDEX_BYTES) -> Pack
     if head.end > len(data):
         rest, _ = read(len(data), head.end - len(data))
         data += rest
-    manifest_json = data[head.manifest_at : head.manifest_at + head.manifest_bytes]
+    manifest_json = data[MANIFEST_AT : MANIFEST_AT + head.manifest_bytes]
     index, tracks = data[head.index_at : head.index_end], data[head.tracks_at : head.end]
     layout = PackedLayout.parse(head, manifest_json, index, tracks)
     layout.check_size(file_bytes)
@@ -347,7 +330,7 @@ def _pictures(head: PackedHead, manifest: Manifest) -> list[tuple[str, int]]:
     return found
 
 
-def _name_bytes(parts: tuple[Part, ...], num_segments: int) -> npt.NDArray[np.int64]:
+def _name_bytes(parts: tuple[Part, ...], num_segments: int) -> Longs:
     """(segments, parts) sizes of the names of all objects."""
     digits = np.ones(num_segments, np.int64)
     power = 10
@@ -355,7 +338,7 @@ def _name_bytes(parts: tuple[Part, ...], num_segments: int) -> npt.NDArray[np.in
         digits[power:] += 1
         power *= 10
     suffixes = np.array([len(object_name(0, part)) - 1 for part in parts], np.int64)
-    found: npt.NDArray[np.int64] = digits[:, None] + suffixes[None, :]
+    found: Longs = digits[:, None] + suffixes[None, :]
     return found
 
 

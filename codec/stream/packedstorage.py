@@ -6,14 +6,14 @@ have been replaced; until then the places are those of the last time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from codec.errors import CodecError, CorruptError, MissingFolderError, UnreadableError
 from codec.storage.folder import FolderStorage
 from codec.storage.objectstore import open_store
 from codec.storage.openstorage import Place, is_url, open_storage
-from codec.storage.storage import RangeStorage, Stamp, Storage
+from codec.storage.storage import Stamp, Storage, StorageRoot
 
 from .index import INDEX_NAME
 from .manifest import MANIFEST_NAME
@@ -23,7 +23,7 @@ from .packedlayout import PACKED_SUFFIX, PackedLayout, read_layout
 class PackedStorage:
     """The files of the stream in one file."""
 
-    def __init__(self, storage: RangeStorage, path: str, name: str | None = None) -> None:
+    def __init__(self, storage: StorageRoot, path: str, name: str | None = None) -> None:
         """path: of the file in `storage`. name: what people call it, if not by that."""
         self._storage = storage
         self._path = path
@@ -109,17 +109,6 @@ class PackedStorage:
         for path, _, size_bytes in self.layout.files():
             if path.startswith(f"{folder}/") and path.count("/") == folder.count("/") + 2:
                 yield path, size_bytes
-
-    # A single stream needs none of these.
-
-    def below(self, folder: str) -> Storage:
-        raise UnreadableError(f"{self.place(folder)}: a packed stream holds one stream only")
-
-    def folders(self, files: Sequence[str]) -> dict[str, tuple[Stamp | None, ...]]:
-        return {}
-
-    def files(self, suffix: str) -> dict[str, Stamp]:
-        return {}
 
 
 def open_place(place: Place) -> Storage:

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Longs
 from codec.errors import CorruptError
 
 from .captions import MAX_CAPTIONS_BYTES
@@ -34,7 +34,7 @@ class TrackSizes:
 
     captions: tuple[int, ...]
     """Of each file of captions, in the manifest's order."""
-    sound: npt.NDArray[np.int64]
+    sound: Longs
     """(segments, sources) of each object of sound, the sources in the manifest's order."""
 
     def to_bytes(self) -> bytes:

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
+from codec.arrays import Bytes, Floats
 from codec.camera import Camera
 from codec.errors import CorruptError
 from codec.splats import Splats
@@ -35,7 +35,6 @@ script, as SVG can."""
 
 MAGICS = {"image/jpeg": b"\xff\xd8\xff", "image/png": b"\x89PNG\r\n\x1a\n", "image/webp": b"RIFF"}
 
-Floats = npt.NDArray[np.float32]
 
 Draw = Callable[[Splats, Camera, float], Floats]
 """A renderer: (H, W, 3) in 0..1, perhaps above, of Gaussians, a camera and the nearest depth in
@@ -100,6 +99,6 @@ def check_pictures(place: Place, manifest: Manifest) -> None:
             raise CorruptError(f"{name}: does not begin as {kind} does")
 
 
-def pixels_of(drawn: Floats) -> npt.NDArray[np.uint8]:
+def pixels_of(drawn: Floats) -> Bytes:
     """A renderer's picture, values 0 to 1, as 8-bit pixels."""
     return np.rint(np.clip(drawn, 0, 1) * 255).astype(np.uint8)

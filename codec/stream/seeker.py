@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from codec.errors import CodecError, SwingsError
+from codec.errors import CodecError
 from codec.halfway import Motion
 from codec.slice import Slice, window_births
 from codec.slots.altered import motion_between
-from codec.slots.slotdecoder import Ahead, SlotDecoder
+from codec.slots.slotdecoder import SlotDecoder
 
 from .integrity import CheckedObject
 from .manifest import MASKS, Manifest, Part, snapshot_part
@@ -48,7 +48,7 @@ def roll(
     with_motion: gives them, with their motion; else none is kept. Raises a CodecError that names
     the object at fault; the decoder stands before its slice then."""
     assert decoder.frame is not None
-    layout, made = manifest.slot_layout, []
+    made = []
     for birth in range(decoder.frame + 1, frame + 1):
         segment = manifest.segment_of(birth)
         masks = find(segment, MASKS)
@@ -64,29 +64,10 @@ def roll(
             return (masks if layer is None else layers[layer]).blamed(error, birth)
 
         changes = [found.content(birth) for found in layers]
-        mask, ahead = masks.content(birth), None
-        shows = with_motion or birth == frame
-        if shows and layout.is_passing(birth) and decoder.num_layers != layout.num_layers:
-            ahead = _following(find, manifest, birth, decoder.num_layers)
-        slice = decoder.apply(birth, mask, changes, blamed, with_motion, ahead)
+        slice = decoder.apply(birth, masks.content(birth), changes, blamed, with_motion)
         if with_motion:
             made.append(slice)
     return made
-
-
-def _following(find: FindObject, manifest: Manifest, birth: int, num_layers: int) -> Ahead | None:
-    """The next slice after `birth` that is no passing one; None if the stream ends before it, or if
-    it is broken, of which its own turn tells."""
-    following = manifest.slot_layout.following(birth)
-    segment = manifest.segment_of(following)
-    try:
-        masks = find(segment, MASKS)
-        if following not in masks.births:
-            return None
-        changes = [find(segment, layer).content(following) for layer in range(num_layers)]
-        return masks.content(following), changes
-    except SwingsError:
-        return None
 
 
 class Seeker:
@@ -100,14 +81,14 @@ class Seeker:
     def slice(self, birth: int, num_layers: int) -> Slice:
         """The whole slice born at `birth`, which the stream has. Raises a CodecError."""
         for layers, decoder in sorted(self._decoders.items()):
-            if self._has(layers, num_layers) and self._holds(decoder, birth):
+            if layers >= num_layers and self._holds(decoder, birth):
                 return decoder.whole(birth, num_layers)
         return self._at(max(birth, 0), num_layers).whole(birth)
 
     def window(self, frame: int, num_layers: int) -> list[Slice]:
         """The whole slices that show at `frame`, oldest first. Raises a CodecError."""
         for layers, decoder in sorted(self._decoders.items()):
-            if self._has(layers, num_layers) and decoder.frame == frame:
+            if layers >= num_layers and decoder.frame == frame:
                 return decoder.window(frame, num_layers)
         return self._at(frame, num_layers).window(frame)
 
@@ -117,14 +98,6 @@ class Seeker:
         before = decoder.window(frame)
         changes = roll(self._find, self._manifest, later, decoder, with_motion=True)
         return motion_between(before, changes, decoder.window(later))
-
-    def _has(self, layers: int, num_layers: int) -> bool:
-        """Whether a decoder of `layers` shows what one of `num_layers` would, and perhaps more:
-        without the temporal layer the frames of passing slices are others."""
-        manifest = self._manifest
-        temporal = manifest.temporal_layer is not None
-        most = manifest.num_layers
-        return layers >= num_layers and (not temporal or (layers == most) == (num_layers == most))
 
     def _holds(self, decoder: SlotDecoder, birth: int) -> bool:
         """Whether the slice of `birth` lies in the window of `decoder` as it was born: of slices

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from codec.arrays import Flags, Longs
 from codec.errors import InvalidError
 from codec.kernel import kernel
-from codec.lattice.lattice import POSITION_LIMIT, Flags, States, quantise
+from codec.lattice.lattice import POSITION_LIMIT, States, quantise
 from codec.lattice.morton import BITS_PER_AXIS, interleave
 from codec.slice import HIDDEN, Slice
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import ENDED, NEW, Update
 
-from .layers import RankFunction, Rows, split_layers
+from .layers import RankFunction, split_layers
 
 SHIFT = (2 * POSITION_LIMIT).bit_length() - 1 - BITS_PER_AXIS
 """Low bits of a position that do not count along the curve."""
@@ -62,7 +63,7 @@ def whole_update(
     )
 
 
-def neighbours_first(states: States, fits: Flags) -> Rows:
+def neighbours_first(states: States, fits: Flags) -> Longs:
     """The order in which positions cost few bits, for each is coded as the difference to the one
     before. What does not fit comes last."""
     inside = np.flatnonzero(fits)

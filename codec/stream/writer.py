@@ -7,7 +7,6 @@ segment being written.
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -201,8 +200,7 @@ class StreamWriter:
 
     def _write_segment(self, draft: Draft, next_birth: int) -> None:
         """Writes the segment of `draft`; only then takes note of it, so that it may fail."""
-        segment, num_layers = self._num_segments, self.manifest.num_layers
-        draft = draft.settled()
+        segment = self._num_segments
         first_frame = segment * self.manifest.segment_frames
         objects = draft.objects()
         files = {str(part): data for part, data in objects.items()}
@@ -210,32 +208,15 @@ class StreamWriter:
             files.update(self.sound(first_frame, next_birth))
         self._place.add(segment, files)
         data_of_parts = [objects[part] for part in self.manifest.parts]
-        sizes = tuple(map(len, data_of_parts))
-        hashes = tuple(hashlib.sha256(data).digest() for data in data_of_parts)
-        record = SegmentRecord(
-            segment,
-            first_frame,
-            next_birth - first_frame,
-            sizes[:num_layers],
-            hashes[:num_layers],
-            self._mean(draft.scores_db),
-            sizes[num_layers:],
-            hashes[num_layers:],
-        )
-        index_bytes = segment * record_bytes(num_layers)
+        num_frames, psnr_db = next_birth - first_frame, _mean(draft.scores_db)
+        record = SegmentRecord.of(data_of_parts, segment, first_frame, num_frames, psnr_db)
+        index_bytes = segment * record_bytes(self.manifest.num_layers)
         self._place.append(index_bytes, pack_record(record))
         self._num_segments += 1
         self.next_birth = next_birth
         self.bytes_written += sum(record.part_bytes)
         self.played_bytes += record.played_bytes
         self._draft = draft.emptied()
-
-    def _mean(self, scores_db: Scores) -> tuple[float, ...]:
-        """The mean over the frames, for each number of layers."""
-        if not scores_db:
-            return (math.nan,) * self.manifest.num_layers
-        columns = zip(*scores_db, strict=True)
-        return tuple(math.fsum(column) / len(column) for column in columns)
 
     def close(self) -> None:
         """Writes the short last segment, if there is one, and marks the stream as finished."""
@@ -266,3 +247,11 @@ class StreamWriter:
             self.close()
         else:
             self.abort()
+
+
+def _mean(scores_db: Scores) -> tuple[float, ...] | None:
+    """The mean over the frames, for each number of layers; None without any."""
+    if not scores_db:
+        return None
+    columns = zip(*scores_db, strict=True)
+    return tuple(math.fsum(column) / len(column) for column in columns)

@@ -72,20 +72,14 @@ def local_bytes(name: str, extra_bytes: int = 0) -> int:
 def local_header(entry: ZipEntry, extra: bytes = b"") -> bytes:
     """The header before the bytes of `entry`."""
     name = entry.utf8_name
-    head = LOCAL.pack(
-        LOCAL_MAGIC,
-        _STORED_VERSION,
-        _UTF8_NAME,
-        0,
-        0,
-        _FIRST_DATE,
-        entry.crc32,
-        entry.size_bytes,
-        entry.size_bytes,
-        len(name),
-        len(extra),
-    )
-    return head + name + extra
+    return LOCAL.pack(LOCAL_MAGIC, *_fields(entry, _STORED_VERSION, extra)) + name + extra
+
+
+def _fields(entry: ZipEntry, version: int, extra: bytes) -> tuple[int, ...]:
+    """What both headers of an entry say of it, from the version needed to the extra field."""
+    sizes = entry.size_bytes, entry.size_bytes
+    lengths = len(entry.utf8_name), len(extra)
+    return version, _UTF8_NAME, 0, 0, _FIRST_DATE, entry.crc32, *sizes, *lengths
 
 
 def _central_header(entry: ZipEntry) -> bytes:
@@ -95,16 +89,7 @@ def _central_header(entry: ZipEntry) -> bytes:
     head = CENTRAL.pack(
         CENTRAL_MAGIC,
         _UNIX | version,
-        version,
-        _UTF8_NAME,
-        0,
-        0,
-        _FIRST_DATE,
-        entry.crc32,
-        entry.size_bytes,
-        entry.size_bytes,
-        len(name),
-        len(extra),
+        *_fields(entry, version, extra),
         0,
         0,
         0,

@@ -13,11 +13,11 @@ from codec.stream.manifest import Point
 from codec.stream.packedstorage import PackedStorage
 from codec.stream.pictures import check_pictures
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
+from codec.tracks.streamtracks import verify_captions
 
 from .objectaudit import verify_objects
 from .packing import verify_packed
 from .slotcensus import SlotSummary, count_slots, describe_slots, summarise_slots
-from .streamcaptions import verify_captions
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +57,6 @@ class StreamSummary:
     num_cameras: int
     num_segments: int
     segment_frames: int
-    temporal_period: int
-    """Every so many frames the slots go on; the others are in the temporal layer. 1 without it."""
     size_bytes: int
     """Manifest, index and objects."""
     played_bytes: int
@@ -101,7 +99,6 @@ def _summary(reader: StreamReader) -> StreamSummary:
         num_cameras=len(manifest.cameras),
         num_segments=len(reader.records),
         segment_frames=manifest.segment_frames,
-        temporal_period=manifest.temporal_period,
         size_bytes=reader.overhead_bytes + sum(sum(r.part_bytes) for r in records),
         played_bytes=reader.overhead_bytes + layers[-1].size_bytes,
         bytes_per_gaussian=layers[-1].size_bytes / gaussians if gaussians else 0.0,
@@ -160,7 +157,6 @@ def describe(summary: StreamSummary) -> str:
     s = summary
     state = "live, may still grow" if s.live else "finished"
     frames = "1 frame" if s.swin_size == 1 else f"{s.swin_size} frames"
-    temporal = s.temporal_period > 1
     snapshots_bytes = s.size_bytes - s.played_bytes
     size = (
         f"{s.played_bytes} bytes, {s.bytes_per_gaussian:.2f} bytes a Gaussian that is sent; "
@@ -177,7 +173,6 @@ def describe(summary: StreamSummary) -> str:
         f"colour       SH degree {s.sh_degree}",
         f"cameras      {s.num_cameras}",
         f"segments     {s.num_segments} of {s.segment_frames} frames",
-        *([f"temporal     the last layer: all but 1 of {s.temporal_period} frames"] * temporal),
         f"size         {size}",
     ]
     lines += [
@@ -216,7 +211,7 @@ def verify_stream(place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIAN
     check_pictures(storage, manifest)
     verify_captions(storage, manifest)
     if manifest.sound:
-        from .streamsound import verify_sound  # PyAV loads slowly
+        from codec.tracks.streamsound import verify_sound  # PyAV loads slowly
 
         verify_sound(reader)
     verify_packed(storage)

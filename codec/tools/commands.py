@@ -64,7 +64,7 @@ class Import:
 
     EVERYDAY: ClassVar[Groups] = {
         "Files": ("fps", "frames"),
-        "Stream": ("title", "layers", "sh-degree", "exact", "temporal"),
+        "Stream": ("title", "layers", "sh-degree", "exact"),
         "Live": ("follow", "resume", "live.segment-s", "live.end-after-s"),
     }
 

@@ -11,12 +11,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
+from codec.arrays import Doubles
 from codec.edit.crop import Crop, CropOptions
 from codec.edit.region import Box, Region
 from codec.edit.rewrite import open_source
 from codec.errors import InvalidError
 from codec.files import write_atomic
-from codec.pose import Doubles
 from codec.splats import SH_C0
 from codec.storage.openstorage import Place
 

@@ -11,16 +11,16 @@ import tyro
 from codec.edit.crop import CropOptions
 from codec.edit.editing import edit_stream
 from codec.edit.floaters import FloaterOptions
+from codec.edit.join import join_streams
 from codec.edit.rewrite import Edited
 from codec.edit.transform import TransformOptions
+from codec.edit.trim import trim_stream
 from codec.edit.view import ViewOptions
 from codec.framerange import FRAMES, FrameRange
 from codec.outputlock import writing_alone
 from codec.progressline import counted
 from codec.stream.pictures import Draw
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
-
-from .cutting import join, set_temporal_layer, trim_stream
 
 Source = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="STREAM")]]
 Target = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
@@ -91,22 +91,12 @@ class Join(_Job):
     lattice, segments and SH degree, as parts and edits of one stream do."""
 
 
-@dataclass(frozen=True, slots=True)
-class Temporal(_Job):
-    """Move frames into a temporal layer, which slow links leave out first, or remove that layer.
-    With all layers every frame stays as it is."""
-
-    period: int = field(default=2, kw_only=True)
-    """2 moves every second frame, 4 three of four, up to 8; 1 removes the layer."""
-
-
-Edits = Crop | Transform | Floaters | View | Trim | Join | Temporal
+Edits = Crop | Transform | Floaters | View | Trim | Join
 
 
 @dataclass(frozen=True, slots=True)
 class Edit:
-    """Edit a whole stream without training: crop, transform, floaters, view, trim, join,
-    temporal."""
+    """Edit a whole stream without training: crop, transform, floaters, view, trim, join."""
 
     edit: Annotated[Edits, tyro.conf.arg(name="")]
 
@@ -127,11 +117,7 @@ def run_edit(config: Edit, draw: Draw | None = None) -> str:
                 )
             case Join(then=then):
                 streams = (edit.stream, *then)
-                made = join(streams, edit.out, draw, progress, edit.max_gaussians)
-            case Temporal(period=period):
-                made = set_temporal_layer(
-                    edit.stream, edit.out, period, draw, progress, edit.max_gaussians
-                )
+                made = join_streams(streams, edit.out, draw, progress, edit.max_gaussians)
             case _:
                 made = edit_stream(
                     edit.stream, edit.out, edit.options, draw, progress, edit.max_gaussians

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from operator import index
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from codec.camera import Camera
@@ -127,10 +126,5 @@ class OpenedStream:
         self._open()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

@@ -12,9 +12,9 @@ import matplotlib.figure
 import numpy as np
 from matplotlib.axes import Axes
 
+from codec.arrays import Doubles
 from codec.errors import InvalidError
 from codec.files import write_atomic
-from codec.pose import Doubles
 from codec.slots.update import ENDED, NEW, PREDICTED
 from codec.storage.openstorage import Place
 from codec.stream.index import SegmentRecord

@@ -5,35 +5,31 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Longs
 from codec.errors import CodecError
 from codec.slots.mask import MaskHistory, decode_mask
-from codec.slots.passing import passing_statuses
 from codec.slots.slotstate import holds
 from codec.slots.snapshot import decode_snapshot
 from codec.slots.update import NEW, PREDICTED
 from codec.stream.manifest import MASKS, snapshot_part
 from codec.stream.reader import StreamReader
 
-Counts = npt.NDArray[np.int64]
-
 
 @dataclass(frozen=True, slots=True)
 class SlotCensus:
-    """Counts of a stream of F frames and L layers."""
+    """Longs of a stream of F frames and L layers."""
 
-    statuses: Counts
-    """(F, L, 4) how many slots the slice born at each frame says KEPT, ENDED, PREDICTED, NEW of.
-    Those of a passing slice are all in the temporal layer."""
-    first: Counts
+    statuses: Longs
+    """(F, L, 4) how many slots the slice born at each frame says KEPT, ENDED, PREDICTED, NEW of."""
+    first: Longs
     """(L,) Gaussians in the snapshots of frame 0."""
 
     @property
-    def brought(self) -> Counts:
+    def brought(self) -> Longs:
         """(L,) Gaussians sent to a player from frame 0 on: those of the first snapshots, and all
         that a slice changes or adds."""
-        sent: Counts = self.statuses[:, :, [PREDICTED, NEW]].sum(axis=(0, 2))
+        sent: Longs = self.statuses[:, :, [PREDICTED, NEW]].sum(axis=(0, 2))
         return self.first + sent
 
 
@@ -41,32 +37,23 @@ def count_slots(reader: StreamReader) -> SlotCensus:
     """The census of a stream, from its masks and its first snapshots. Raises a
     CodecError that names the object at fault."""
     layout = reader.manifest.slot_layout
-    history, temporal = MaskHistory(layout), layout.temporal_layer
+    history = MaskHistory(layout)
     counts = np.zeros((reader.num_frames, layout.num_layers, 4), np.int64)
     for record in reader.records:
         masks = reader.read_object(record.segment, MASKS)
-        passing = None if temporal is None else reader.read_object(record.segment, temporal)
         for birth in range(record.first_frame, record.first_frame + record.num_frames):
             content = masks.content(birth)
             try:
                 statuses = decode_mask(layout, birth, content, history.of(birth))
             except CodecError as error:
                 raise masks.blamed(error, birth) from error
-            if passing is not None and layout.is_passing(birth):
-                try:
-                    said = passing_statuses(
-                        layout, birth, passing.content(birth), history.of(birth)
-                    )
-                except CodecError as error:
-                    raise passing.blamed(error, birth) from error
-                counts[birth, temporal] = np.bincount(said, minlength=4)
             history.note(birth, statuses)
             for layer, part in enumerate(np.split(statuses, layout.row_edges[1:-1])):
-                counts[birth, layer] += np.bincount(part, minlength=4)
+                counts[birth, layer] = np.bincount(part, minlength=4)
     return SlotCensus(counts, _first(reader))
 
 
-def _first(reader: StreamReader) -> Counts:
+def _first(reader: StreamReader) -> Longs:
     layout = reader.manifest.slot_layout
     held = np.zeros(layout.num_layers, np.int64)
     if reader.records:

@@ -5,25 +5,25 @@ Everything lies at a fixed relative path, and each file is fetched whole: no ran
 
 from __future__ import annotations
 
-import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
 from importlib.util import find_spec
 from pathlib import Path
 
 from codec.coders.coder import Coder
 from codec.edit.copying import chunk_elsewhere
-from codec.edit.trackcopy import copy_tracks
+from codec.edit.segmentfiles import SegmentFiles
 from codec.errors import InvalidError
 from codec.files import making_folder, temporary_folder, write_atomic
 from codec.storage.openstorage import Place
-from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
-from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, Manifest, object_file
-from codec.stream.object import encode_packet, join_packets
+from codec.stream.index import INDEX_NAME
+from codec.stream.manifest import MANIFEST_NAME, Manifest
+from codec.stream.object import encode_packet
 from codec.stream.packedlayout import PACKED_SUFFIX
 from codec.stream.pictures import read_picture
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
+from codec.tracks.streamtracks import copy_tracks
 
 from .objectaudit import verify_objects
 from .packing import pack_stream
@@ -81,44 +81,19 @@ def export_static(
 def _write(reader: StreamReader, folder: Path) -> int:
     """Writes all files; gives their bytes, less those of the pictures."""
     verify_objects(reader)
-    # The objects lie here now, whatever other place the manifest of the source names.
-    manifest = replace(reader.manifest, live=False, object_url=OBJECT_URL)
-    records = [_write_segment(reader, record, folder) for record in reader.records]
-    index = b"".join(map(pack_record, records))
-    write_atomic(folder / INDEX_NAME, index)
-    described = manifest.to_json()
-    write_atomic(folder / MANIFEST_NAME, described)
+    files = SegmentFiles(folder, reader.manifest, Coder.GZIP)
+    for record in reader.records:
+        for part in reader.manifest.parts:
+            found = reader.read_object(record.segment, part)
+            for entry in found.entries:
+                chunk = chunk_elsewhere(found, entry.birth)
+                files.put(part, entry.birth, encode_packet(chunk, files.coder))
+        files.end_segment(record.num_frames, record.psnr_db)
+    files.finish()
     _copy_pictures(reader, folder)
     copy_tracks(reader, folder)
-    return len(described) + len(index) + sum(sum(record.part_bytes) for record in records)
-
-
-def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) -> SegmentRecord:
-    """Writes the objects of a segment; gives its record in the new index."""
-    manifest, segment = reader.manifest, record.segment
-    sources = [reader.read_object(segment, part) for part in manifest.parts]
-    sizes, hashes = [], []
-    for source in sources:
-        data = join_packets(
-            [
-                (entry.birth, encode_packet(chunk_elsewhere(source, entry.birth), Coder.GZIP))
-                for entry in source.entries
-            ],
-            Coder.GZIP,
-        )
-        path = object_file(folder, segment, source.part)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, data)
-        sizes.append(len(data))
-        hashes.append(hashlib.sha256(data).digest())
-    layers = manifest.num_layers
-    return replace(
-        record,
-        object_bytes=tuple(sizes[:layers]),
-        object_sha256=tuple(hashes[:layers]),
-        side_bytes=tuple(sizes[layers:]),
-        side_sha256=tuple(hashes[layers:]),
-    )
+    overhead = (folder / name for name in (MANIFEST_NAME, INDEX_NAME))
+    return sum(path.stat().st_size for path in overhead) + files.size_bytes
 
 
 def _copy_pictures(reader: StreamReader, folder: Path) -> None:

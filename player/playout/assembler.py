@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from codec.errors import CodecError, CorruptError
 from codec.slice import Slice
-from codec.slots.slotdecoder import Ahead, SlotDecoder
+from codec.slots.slotdecoder import SlotDecoder
 from codec.stream.manifest import MASKS, Manifest, Part, layer_of, snapshot_part
 from codec.stream.object import packet_content
 from player.source.source import Blame, Packets, SlicePackets, SnapshotPackets
@@ -44,17 +44,12 @@ class Assembler:
         self._mends = mends
 
     def assemble(
-        self,
-        frame: int,
-        packets: Iterable[Packets],
-        with_motion: bool = False,
-        ahead: Iterable[Packets] = (),
+        self, frame: int, packets: Iterable[Packets], with_motion: bool = False
     ) -> list[Slice]:
         """Slices to put before `frame` is drawn. Call it for every frame of a playback, in order.
 
         packets: those that came into use with the frame, of slices born at or before it.
-        with_motion: whether the slices say which Gaussians they move. ahead: packets of a later
-        slice, see `DueFrame`. Raises a CodecError.
+        with_motion: whether the slices say which Gaussians they move. Raises a CodecError.
         """
         decoder = self._decoder
         snapshots: dict[int, list[SnapshotPackets]] = {}
@@ -84,8 +79,7 @@ class Assembler:
                 self._load(whole)
                 made = decoder.hand_out(birth)
                 continue
-            later = ahead if birth == frame else ()
-            made.append(self._apply(birth, gathered, with_motion, later))
+            made.append(self._apply(birth, gathered, with_motion))
             self._load(whole)
         return decoder.hand_out(frame) if frame == self._first_frame else made
 
@@ -140,9 +134,7 @@ class Assembler:
             raise error
         log.warning("%s; the layer is missing for a while", error)
 
-    def _apply(
-        self, birth: int, gathered: _Gathered, with_motion: bool, ahead: Iterable[Packets]
-    ) -> Slice:
+    def _apply(self, birth: int, gathered: _Gathered, with_motion: bool) -> Slice:
         parts = gathered.parts
         if MASKS not in parts:
             raise CorruptError(f"the slice born at {birth} is due, but its mask has not arrived")
@@ -155,30 +147,9 @@ class Assembler:
             return gathered.blames[at_fault](error, at_fault)
 
         while True:
-            changes = self._changes(parts)
-            later = None if changes[-1] is not None and self._has_all_layers else self._read(ahead)
+            changes = [parts.get(layer) for layer in range(self._decoder.num_layers)]
             try:
-                return self._decoder.apply(birth, parts[MASKS], changes, blamed, with_motion, later)
+                return self._decoder.apply(birth, parts[MASKS], changes, blamed, with_motion)
             except CodecError as error:
                 self._check_mends(error, at_fault)
                 del parts[at_fault]
-
-    @property
-    def _has_all_layers(self) -> bool:
-        return self._decoder.num_layers == self._manifest.num_layers
-
-    def _changes(self, parts: dict[Part, bytes]) -> list[bytes | None]:
-        return [parts.get(layer) for layer in range(self._decoder.num_layers)]
-
-    def _read(self, ahead: Iterable[Packets]) -> Ahead | None:
-        """A slice whose turn comes later; None if it has not come, or if it is broken, of which its
-        own turn tells."""
-        gathered = _Gathered()
-        try:
-            for one in ahead:
-                if isinstance(one, SlicePackets):
-                    self._gather(gathered, one)
-        except CodecError:
-            return None
-        mask = gathered.parts.get(MASKS)
-        return None if mask is None else (mask, self._changes(gathered.parts))

@@ -15,9 +15,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
-import numpy as np
-import numpy.typing as npt
-
+from codec.arrays import Floats
 from player.network.fetch import StoppedError
 from player.render.renderer import Renderer
 from player.source.source import Source
@@ -27,8 +25,6 @@ from .assembler import Assembler
 from .outputtimes import OutputTimes, Picture
 from .queues import Events, Handoff
 from .timeline import FrameRecord
-
-Floats = npt.NDArray[np.float32]
 
 STATUS_LEAST_S = 0.1
 """Least time between two status reports, seconds."""
@@ -70,9 +66,7 @@ def update_thread(
             if due is None:
                 break
             began_s = time.perf_counter()
-            slices = assembler.assemble(
-                due.record.frame, due.packets, events.shows_between, due.ahead
-            )
+            slices = assembler.assemble(due.record.frame, due.packets, events.shows_between)
             for slice in slices:
                 renderer.put(slice)
             handoff.put(replace(due.record, decode_s=time.perf_counter() - began_s))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from codec.errors import InvalidError
 from codec.stream.manifest import Manifest
-from player.source.source import Packets, SlicePackets
+from player.source.source import Packets
 from server.abr.holding import Holding
 from server.abr.media import SegmentSizes
 from server.abr.playout import PlayoutClock, PlayoutConfig
@@ -59,9 +59,6 @@ class DueFrame:
 
     record: FrameRecord
     packets: tuple[Packets, ...]
-    ahead: tuple[Packets, ...] = ()
-    """Packets that have come of the slice after a passing one: see `Assembler`. They come into use
-    in their turn, too."""
 
 
 @dataclass(slots=True)
@@ -118,7 +115,6 @@ class PlayedMedia:
         self.fps = manifest.fps
         self.segment_frames = manifest.segment_frames
         self.num_layers = manifest.num_layers
-        self.temporal_layer = manifest.temporal_layer
         self.num_frames = 0
         self.live = manifest.live
         nothing = (0.0,) * self.num_layers
@@ -160,7 +156,6 @@ class Playout:
         which a frame does not show. not_before_s: the first frame does not show earlier. play: the
         number that its frames carry."""
         media = PlayedMedia(manifest)
-        self._layout = manifest.slot_layout
         self._queue = queue or QueueConfig()
         self._play = play
         self._clock = PlayoutClock(first_frame, media.fps, config, until_frame, not_before_s)
@@ -278,14 +273,7 @@ class Playout:
         self._clock.forget(self._next_frame)
         self._here.forget(self._next_frame)
         self._shown.forget(frame)
-        return DueFrame(record, tuple(taken), self._ahead(frame))
-
-    def _ahead(self, frame: int) -> tuple[Packets, ...]:
-        """See `DueFrame`."""
-        if not self._layout.is_passing(frame):
-            return ()
-        waiting = self._waiting.get(self._layout.following(frame), ())
-        return tuple(one.packets for one in waiting if isinstance(one.packets, SlicePackets))
+        return DueFrame(record, tuple(taken))
 
     def _used(self, frame: int, until_s: float) -> list[Packets]:
         """Takes the packets out of the queue that came by `until_s` and that `frame` is the first

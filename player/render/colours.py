@@ -8,16 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats, Ints
 from codec.kernel import kernel, prange
 from codec.splats import SH_C0
 
 from .project import CAM_POSITION, END_X, RED, Projection, project_kernel
 from .recipe import COLOUR_TURN_RAD, SH_C1, SH_C2, SH_C3
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
 
 NOWHERE_M = 1e15
 """Each coordinate of the place from which a Gaussian counts as seen that was not seen yet: farther

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats, Ints
 from codec.camera import Camera
 from codec.slice import Slice
 from codec.splats import Splats
@@ -18,9 +18,6 @@ from .recipe import TILE_PX
 from .ring import Ring
 from .steptimes import StepTimes, step
 from .tiles import list_tiles, tile_grid
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
 
 
 class CpuRenderer:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats
 from codec.camera import Camera
 from codec.splats import SH_C0, Splats
 
 from .cpu import render_splats
-
-Floats = npt.NDArray[np.float32]
 
 LEAST_COVERAGE = 0.5
 """Share of a pixel that Gaussians must cover for it to have a depth."""

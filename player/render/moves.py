@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Ints
 from codec.slice import Slice
-
-Ints = npt.NDArray[np.int32]
 
 MOVES, ENTERS, LEAVES = 1, 2, 3
 """Kinds of motion: a slot moves from its previous place; a Gaussian fades in; the slot's previous

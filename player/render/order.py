@@ -7,16 +7,13 @@ that was split in two both parts may stand at the same place after quantisation.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Doubles, Floats, Ints
 from codec.kernel import kernel
 
 from .pack import NEVER
 from .project import depth_of
 from .sort import radix_sort
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
 
 
 @kernel(nogil=True)
@@ -91,7 +88,7 @@ class Order:
         self.means[lane][rows] = means
         self.starts[lane][rows] = starts
 
-    def far_first(self, frame: int, w2c: npt.NDArray[np.float64], near_m: float) -> Ints:
+    def far_first(self, frame: int, w2c: Doubles, near_m: float) -> Ints:
         """(M,) int32 slots, lane * slice_size + row, to draw; valid until the next call."""
         view = w2c[2].astype(np.float32)
         found = _collect(

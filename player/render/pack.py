@@ -6,17 +6,14 @@ Rule: whatever does not depend on the camera is computed here once for a slice, 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats, Ints
 from codec.kernel import kernel
 from codec.slice import HIDDEN, Slice
 from codec.splats import SH_C0, sh_count
 
 from .project import rotation_of
 from .recipe import ALPHA_MIN
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
 
 TEXTURE_WIDTH_PX = 2048
 """Widest row of the resident texture; every GL 3.3 driver takes it."""

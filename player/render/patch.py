@@ -11,15 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Floats, Ints
 from codec.halfway import Motion
 from codec.kernel import kernel
 from codec.slice import Slice
 
 from .moves import moves_of, spare_slots
 from .pack import pack_slice, texels_per_gaussian
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
 
 MAX_PATCHES = 128
 """Rectangles that one slice is written as, at most."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats, Ints
 from codec.camera import Camera
 from codec.kernel import kernel, prange
 from codec.splats import SH_C0
@@ -19,9 +19,6 @@ from .recipe import (
     SH_C1,
     TILE_PX,
 )
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
 
 # Columns of a projected Gaussian.
 X, Y, CONIC_A, CONIC_B, CONIC_C, OPACITY, RED, GREEN, BLUE, Q_MAX = range(10)

@@ -9,17 +9,13 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from codec.arrays import Floats
 from codec.camera import Camera
 from codec.errors import UnsupportedError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 
 from .steptimes import StepTimes
-
-Floats = npt.NDArray[np.float32]
 
 
 class RendererKind(StrEnum):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Ints
 from codec.errors import InvalidError
 from codec.slice import HIDDEN, Slice, blank_splats, kept_offsets, window_births
 from codec.splats import Splats
@@ -81,7 +82,7 @@ class Ring:
         self._start_offsets[lane][rows] = slice.start_offsets
         self.seen.forget(first, first + self.slice_size, rows)
 
-    def active_rows(self, frame: int) -> npt.NDArray[np.int32]:
+    def active_rows(self, frame: int) -> Ints:
         """(M,) int32: the rows of `splats` that show at `frame`, oldest slice first."""
         spare = self.swin_size * self.slice_size
         parts = [np.arange(spare, spare + self._num_leaving, dtype=np.int32)]

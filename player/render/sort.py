@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats, Ints
 from codec.kernel import kernel
-
-Ints = npt.NDArray[np.int32]
 
 
 @kernel(nogil=True)
@@ -41,7 +39,7 @@ def radix_sort(keys, values, spare_keys, spare_values):  # type: ignore[no-untyp
         values, spare_values = spare_values, values
 
 
-def near_first(depths: npt.NDArray[np.float32]) -> Ints:
+def near_first(depths: Floats) -> Ints:
     """(M,) int32: the order of ascending depths (M,) float32; those below zero come last."""
     keys, order = depths.view(np.uint32).copy(), np.arange(len(depths), dtype=np.int32)
     spare_keys, spare_order = np.empty_like(keys), np.empty_like(order)

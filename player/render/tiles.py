@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Flags, Ints
 from codec.kernel import kernel, prange
 
 from .project import (
@@ -24,9 +24,6 @@ from .project import (
 )
 from .recipe import TILE_PX
 from .sort import near_first
-
-Ints = npt.NDArray[np.int32]
-Flags = npt.NDArray[np.bool_]
 
 MARGIN_PX = np.float32(0.01)
 """Margin of the exact tile test, for rounding."""

@@ -9,9 +9,7 @@ from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-import numpy.typing as npt
-
+from codec.arrays import Floats
 from codec.camera import Camera
 from codec.framerange import FrameRange
 from codec.progressline import Counter, counted
@@ -52,7 +50,6 @@ WINDOW_PLAYOUT = PlayoutConfig(longest_lead_s=4.0, conceal_s=0.15)
 """A link that is too slow plays in few long pieces rather than many short ones. A picture that
 stands still for a moment is hardly seen; one that is late from then on is."""
 
-Floats = npt.NDArray[np.float32]
 
 CAPTURE_QUEUE = QueueConfig(max_frames=1 << 30)
 """A capture's queue is bounded in bytes only. A full queue stops the reading, which a server takes

@@ -11,12 +11,9 @@ import threading
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
-from types import TracebackType
 from typing import Self, TypeVar
 
-import numpy as np
-import numpy.typing as npt
-
+from codec.arrays import Floats
 from codec.camera import Camera
 from codec.errors import CodecError, InvalidError
 from codec.framerange import FrameRange
@@ -37,8 +34,6 @@ from player.source.opener import SourceConfig
 from player.source.sizelimits import SizeLimits
 from player.source.source import check_layers
 from player.source.webstorage import WebStorage
-
-Floats = npt.NDArray[np.float32]
 
 Choice = TypeVar("Choice", bound=StrEnum)
 
@@ -279,12 +274,7 @@ class Scene:
         self._check_open()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats
 from player.render.gl.offscreen import BLACK, Colour
-
-Floats = npt.NDArray[np.float32]
 
 __all__ = ["BLACK", "TRANSPARENT", "Colour", "on_background"]
 

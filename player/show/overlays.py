@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from codec.pose import Doubles
+from codec.arrays import Doubles
 from player.playout.conductor import Conductor, PlayState
 
 from .captionchoice import CaptionChoice

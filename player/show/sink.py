@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from codec.arrays import Bytes, Floats
 from codec.errors import InvalidError, SwingsError
 from codec.files import replacing
 
-Bytes = npt.NDArray[np.uint8]
 Words = npt.NDArray[np.uint16]
-Floats = npt.NDArray[np.float32]
 Sound = npt.NDArray[np.int16]
 
 Picture = Bytes | Words

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import glfw
 import numpy as np
 
+from codec.arrays import Doubles
 from codec.camera import Camera
-from codec.pose import Doubles
 from player.playout.conductor import Conductor
 from player.playout.timeline import FrameRecord
 from player.render.gl import GlRenderer, Target

@@ -13,7 +13,7 @@ from codec.camera import Camera
 from codec.errors import CodecError
 from codec.stream.manifest import Manifest
 from codec.stream.sound import SAMPLE_RATE, SoundSource
-from codec.tools.soundfile import Samples
+from codec.tracks.soundfile import Samples
 
 from .mixing import SourcePiece, Stereo, gains_of, mix
 from .segmentsound import SegmentDecoder, check_playable, segment_span

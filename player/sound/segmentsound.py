@@ -20,7 +20,7 @@ from codec.stream.sound import (
     first_sample,
     packet_samples,
 )
-from codec.tools.soundfile import PacketDecoder, Samples
+from codec.tracks.soundfile import PacketDecoder, Samples
 
 MAX_SEGMENT_S = 1200
 """Seconds of sound in a segment, of all channels of all sources together. More is not played: all

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
+
+from codec.arrays import Doubles
 
 from .mixing import Stereo
 
@@ -63,7 +64,7 @@ class Splicer:
         """The sample near `wanted` from which on the stream is most like that from `goes_on` on."""
         model = self._read(goes_on, goes_on + HOP).sum(axis=1)
         around = self._read(wanted - SEARCH, wanted + SEARCH + HOP).sum(axis=1)
-        energy: npt.NDArray[np.float64] = np.cumsum(np.concatenate([[0.0], around**2]))
+        energy: Doubles = np.cumsum(np.concatenate([[0.0], around**2]))
         energy = energy[HOP:] - energy[:-HOP]
         likeness = np.correlate(around, model, "valid") / np.sqrt(energy + 1e-6)
         return wanted - SEARCH + int(np.argmax(likeness)) if likeness.any() else wanted

@@ -329,7 +329,7 @@ class HostedSource:
             manifest = Manifest.from_json(bytes(found.data))
         except CodecError as error:
             raise error.within(found.url) from error
-        if manifest.with_live(False).to_json() != self.manifest.with_live(False).to_json():
+        if not manifest.is_same_but_live(self.manifest):
             raise CorruptError(f"{self.name}: {REPLACED}")
         self.manifest = manifest
 

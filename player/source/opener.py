@@ -178,8 +178,7 @@ class Opener:
     def _check(self, manifest: Manifest) -> None:
         check_gaussians(manifest, self._max_gaussians, self.name)
         before = self.manifest
-        # A live stream may have ended meanwhile.
-        if before and before.with_live(False).to_json() != manifest.with_live(False).to_json():
+        if before and not manifest.is_same_but_live(before):
             raise CorruptError(
                 f"{self.name}: the stream was replaced by another one; play it again"
             )

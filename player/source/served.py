@@ -121,7 +121,7 @@ class ServedSource:
         self._asked_layers = "auto" if self.adaptive else layers or "all"
         self._asked = frames
         self._response: Response | None = None
-        self._token = last_play.token  # an older server gives none
+        self._token = last_play.token  # a server that takes no reports gives none
         self._rate_bps = last_play.rate_bps  # only `send_status` changes it
         self._ended_play = ""
         self._received = ReceivedPoints()
@@ -325,7 +325,7 @@ class ServedSource:
         last = self._num_frames if end is None else min(self._num_frames, end)
         start = self._connect(self._receiver.rejoin(last))
         manifest = self._manifest_of(start)
-        if manifest.with_live(False).to_json() != self.manifest.with_live(False).to_json():
+        if not manifest.is_same_but_live(self.manifest):
             raise CorruptError(f"{self.name}: {REPLACED}")
         self._parser.limit_bytes = self._limits.record_bytes
         self._num_frames = max(self._num_frames, start.num_frames)

@@ -6,7 +6,7 @@ its own thread, and no second one can run there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 from urllib.parse import urlsplit
@@ -84,9 +84,6 @@ class WebStorage:
     def check(self) -> None:
         """Whether anything is there shows when the manifest is read."""
 
-    def below(self, folder: str) -> WebStorage:
-        return WebStorage(self.place(folder), self._config)
-
     def read(
         self, path: str, limit_bytes: int, offset: int = 0, *, if_missing: str | None = None
     ) -> bytes:
@@ -99,22 +96,14 @@ class WebStorage:
             raise CorruptError(f"{url} is missing{meaning}") from error
         return bytes(found.data)[offset:]
 
-    # A single stream needs none of these.
-
     def stamp(self, path: str) -> Stamp | None:
         raise UnreadableError(f"{self.place(path)}: {_UNLISTED}")
 
     def holds(self, path: str) -> bool:
         raise UnreadableError(f"{self.place(path)}: {_UNLISTED}")
 
-    def folders(self, files: Sequence[str]) -> dict[str, tuple[Stamp | None, ...]]:
-        raise UnreadableError(f"{self.name}: {_UNLISTED}")
-
     def sizes(self, folder: str) -> Iterator[tuple[str, int]]:
         raise UnreadableError(f"{self.place(folder)}: {_UNLISTED}")
-
-    def files(self, suffix: str) -> dict[str, Stamp]:
-        raise UnreadableError(f"{self.name}: {_UNLISTED}")
 
     def close(self) -> None:
         """Closes all connections and ends the thread; closing twice is the same as once."""

@@ -27,9 +27,10 @@ from typing import Any
 
 import numpy as np
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.errors import InvalidError, SwingsError
-from codec.pose import Doubles, look_at, quat_of, rotation_of, slerp, world_to_camera
+from codec.pose import look_at, quat_of, rotation_of, slerp, world_to_camera
 
 MAX_FILE_BYTES = 16 << 20
 KEYS = {"frame", "w2c", "position", "look_at", "up", "fov_deg"}

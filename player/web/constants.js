@@ -40,8 +40,7 @@ export const HIDDEN = 255;
 export const MAX_IMAGE_PX = 16384;
 
 // codec.stream.manifest
-export const VERSION = 2;
-export const TEMPORAL_VERSION = 3;
+export const VERSION = 1;
 export const MAX_MANIFEST_BYTES = 1048576;
 export const MAX_CAMERAS = 256;
 export const MIN_FPS = 0.001;
@@ -59,7 +58,6 @@ export const MAX_NUM_GS = 16777216;
 export const MAX_SEGMENT_SLOTS = 268435456;
 export const MAX_LAYERS = 16;
 export const MAX_SEGMENT_FRAMES = 4096;
-export const MAX_TEMPORAL_PERIOD = 8;
 export const MAX_CHUNK_BYTES = 248512624;
 export const COUNTS_BYTES = 20;
 
@@ -74,9 +72,9 @@ export const MAX_OPACITY_LEVELS = 256;
 export const MAX_LOGIT = 16;
 
 // codec.slots.slotchunk
-export const CHUNK_MAGIC = "SWG2";
+export const CHUNK_MAGIC = "SWG1";
 export const CHUNK_HEAD = "<4sBBBBi";
-export const CHUNK_KINDS = { MASK: 0, CHANGE: 1, SNAPSHOT: 2, PASSING: 3 };
+export const CHUNK_KINDS = { MASK: 0, CHANGE: 1, SNAPSHOT: 2 };
 export const HAS_STARTS = 1;
 
 // codec.slots.slotchange
@@ -153,10 +151,9 @@ export const ZIP_LOCAL_MAGIC = 67324752;
 
 // codec.stream.packedlayout
 export const PACKED_SUFFIX = ".swings";
-export const PACKED_EXTRA = "<HHHHIII";
+export const PACKED_EXTRA = "<HHHHIIII";
 export const PACKED_EXTRA_ID = 22355;
 export const PACKED_VERSION = 1;
-export const PACKED_TRACKS_VERSION = 2;
 export const FIRST_PACKED_BYTES = 32768;
 
 // codec.stream.playrecord

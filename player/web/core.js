@@ -1,15 +1,13 @@
 /**
  * The player's format, fetching and playback state without a page, for workers, servers and tools.
  * A source's play fills the stream's cache; a Round inflates the packets that show soon, and its
- * `playback` gives the frame that is due. A stream with a temporal layer needs PassingDecoder as its
- * `layout.Decoder`; openSource sets it.
+ * `playback` gives the frame that is due.
  */
 
 export { FormatError } from "./format/bytes/errors.js";
 export { objectPath, readManifest } from "./format/manifest.js";
 export { readObject } from "./format/objecttable.js";
 export { inflatePacket } from "./format/packet.js";
-export { PassingDecoder } from "./format/slots/passing.js";
 export { SlotDecoder } from "./format/slots/slotdecoder.js";
 export { readIndex } from "./format/streamindex.js";
 export { Scene } from "./feed/scene.js";

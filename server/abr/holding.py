@@ -3,7 +3,7 @@
 Rule: a change is usable only after the change before it. So the usable part of a layer is a chain:
 from the frame of a snapshot to the last change that follows without a gap. After the chain's end
 the layer decays by the share that each slice would have changed. Layers 0..n are usable together; a
-layer without all lower layers is not. In a temporal layer each change is usable alone.
+layer without all lower layers is not.
 """
 
 from __future__ import annotations
@@ -49,8 +49,6 @@ class Holding:
             for chain in chains:
                 if chain[1] == birth - 1:
                     chain[1] = birth
-            if layer == self.media.temporal_layer and chains and chains[-1][1] < birth:
-                chains.append([birth, birth])
             self._join(layer)
         self._reach()
 

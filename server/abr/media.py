@@ -69,11 +69,6 @@ class Media(Protocol):
     @property
     def num_layers(self) -> int: ...
 
-    @property
-    def temporal_layer(self) -> int | None:
-        """The last layer, if it is a temporal one: each of its packets is usable alone."""
-        ...
-
     def sizes(self, birth: int) -> SegmentSizes:
         """Sizes of the segment of the slice born at `birth`."""
         ...
@@ -110,10 +105,6 @@ class RecordedMedia:
     def num_layers(self) -> int:
         return self.manifest.num_layers
 
-    @property
-    def temporal_layer(self) -> int | None:
-        return self.manifest.temporal_layer
-
     def sizes(self, birth: int) -> SegmentSizes:
         """Sizes of the segment of `birth` by the index, as first read."""
         segment = self.manifest.segment_of(birth)
@@ -148,8 +139,6 @@ def segment_sizes(record: SegmentRecord, manifest: Manifest) -> SegmentSizes:
         min(1 / manifest.swin_size, sent / max(1.0, SENT_SHARE_OF_WHOLE * whole))
         for sent, whole in zip(layer_bytes, snapshot_bytes, strict=True)
     ]
-    if manifest.temporal_layer is not None:
-        shares[-1] = 1.0  # nothing of one frame shows in the next
     layer_bytes[0] += masks_bytes / births
     return SegmentSizes(
         tuple(layer_bytes),

@@ -185,12 +185,6 @@ class Sweep:
         """The best that `layer` can be sent, of births before `end`."""
         config, media, fps = self._config, context.media, context.media.fps
         birth = holding.end_birth(layer)
-        if layer == media.temporal_layer and birth is not None:
-            # Slices that cannot come in time are left out.
-            frame = min(context.next_frame, media.num_frames - 1)
-            size = media.sizes(frame).layer_bytes[layer]
-            late_s = free_s + 8 * size / rate_bps - context.due_s(frame)
-            birth = max(birth, frame + math.floor(late_s * fps + 0.5))
         if layer == 0 and birth is None:
             first = segment_start(media, context.clock.first_frame)
             return _Offer(math.inf, SendSnapshots(first, 0, 1))
@@ -279,7 +273,6 @@ def _missing_of_picture(context: DecisionContext, rate_bps: float) -> Send | Non
         if birth is None or birth < first:
             return SendSnapshots(first, layer, layer + 1)
         if birth <= frame:
-            birth = frame if layer == media.temporal_layer else birth
             size = media.sizes(birth).layer_bytes[layer]
             end = min(frame + 1, birth + context.run_length(size, rate_bps))
             return SendSlices(range(birth, end), layer, layer + 1)

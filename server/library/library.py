@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 
 from codec.errors import SwingsError
-from codec.storage.storage import RangeStorage, Storage
+from codec.storage.storage import Storage, StorageRoot
 from codec.stream.packedlayout import PACKED_SUFFIX
 from codec.stream.packedstorage import PackedStorage, open_place
 
@@ -112,11 +112,10 @@ class Library:
                     entry.look(one.stamps)
 
     def _storage_of(self, found: _Found) -> Storage:
-        if not found.path:
-            return self._storage
-        if found.is_packed and isinstance(self._storage, RangeStorage):
-            return PackedStorage(self._storage, found.path)
-        return self._storage.below(found.path)
+        root = self._storage
+        if not found.path or not isinstance(root, StorageRoot):
+            return root
+        return PackedStorage(root, found.path) if found.is_packed else root.below(found.path)
 
     def _found(self) -> dict[str, _Found]:
         """All that has a manifest, and all packed streams, by name."""
@@ -125,6 +124,8 @@ class Library:
             if stamps[0] is not None:
                 self._single = True
                 return {self._storage.last_name: _Found("", stamps)}
+        if not isinstance(self._storage, StorageRoot):
+            return {}
         folders = self._storage.folders(FILES)  # raises where the root itself is gone
         if self._single:
             return {}

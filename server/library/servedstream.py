@@ -134,10 +134,6 @@ class ServedStream:
     def num_layers(self) -> int:
         return self.view.manifest.num_layers
 
-    @property
-    def temporal_layer(self) -> int | None:
-        return self.view.manifest.temporal_layer
-
     def has_object(self, segment: int, part: Part) -> bool:
         view = self.view
         return 0 <= segment < view.num_segments and part in view.manifest.parts

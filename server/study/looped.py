@@ -31,7 +31,6 @@ class LoopedMedia:
     num_frames: int
     fps: float
     segment_frames: int
-    temporal_layer: int | None = None
 
     @property
     def live(self) -> bool:
@@ -78,5 +77,4 @@ def open_media(stream: Path, length_s: float) -> LoopedMedia:
         num_frames=num_frames,
         fps=manifest.fps,
         segment_frames=segment_frames,
-        temporal_layer=manifest.temporal_layer,
     )

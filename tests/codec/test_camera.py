@@ -10,17 +10,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from codec.arrays import Doubles
 from codec.camera import Camera, Floating
 from codec.errors import InvalidError
-from codec.pose import (
-    Doubles,
-    look_at,
-    quat_of,
-    rotation_about,
-    rotation_of,
-    slerp,
-    world_to_camera,
-)
+from codec.pose import look_at, quat_of, rotation_about, rotation_of, slerp, world_to_camera
 from codec.rig import closest_point, rig_up
 from codec.similarity import Similarity, harmonics, turned_harmonics
 from codec.splats import SH_C0, Splats

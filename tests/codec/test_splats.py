@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from codec.arrays import Floats
 from codec.errors import InvalidError
 from codec.slice import HIDDEN, MAX_SWIN_SIZE, Slice, active_splats, blank_splats
-from codec.splats import ARRAY_NAMES, Floats, array_shapes
+from codec.splats import ARRAY_NAMES, array_shapes
 from tests.support.hosted_streams import random_slice, random_splats
 from tests.support.hostile import refused
 from tests.support.trained_like import trained_like_splats

@@ -40,24 +40,11 @@ class Case:
     escapes: bool = False
     still: bool = False
     """Whether nothing changes after frame 0."""
-    temporal_period: int = 1
-    """If above 1, the last layer is a temporal layer."""
 
     @property
     def layout(self) -> SlotLayout:
         lattices = LATTICES[: len(self.slots)]
-        return SlotLayout(
-            self.swin_size,
-            self.slots,
-            self.sh_degree,
-            lattices,
-            self.segment_frames,
-            self.temporal_period,
-        )
-
-    def is_known(self, frame: int, num_layers: int) -> bool:
-        """Whether all readers must have the same state of these layers at this frame."""
-        return num_layers == len(self.slots) or frame % self.temporal_period == 0
+        return SlotLayout(self.swin_size, self.slots, self.sh_degree, lattices, self.segment_frames)
 
 
 CASES = (
@@ -67,7 +54,6 @@ CASES = (
     Case("far", 12, 2, (5, 3, 2), 5, far=True),
     Case("late-and-escaped", 14, 3, (6, 2), 6, late=True, escapes=True),
     Case("harmonics", 8, 2, (4, 2), 4, sh_degree=3, escapes=True),
-    Case("temporal", 12, 1, (6, 4, 0), 6, escapes=True, temporal_period=3),
 )
 
 STATUSES = KEPT, PREDICTED, NEW, KEPT, PREDICTED, ENDED, KEPT

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 
 KEPT, ENDED, PREDICTED, NEW = range(4)
-MASK, CHANGE, SNAPSHOT, PASSING = range(4)
+MASK, CHANGE, SNAPSHOT = range(3)
 
 Statuses = list[list[int]]
 """The statuses of a slice: one for each slot of each layer."""
@@ -52,11 +52,6 @@ class Shape:
     num_coefficients: int
     slots: tuple[int, ...]
     lattice: tuple[Lattice, ...]
-    temporal_period: int = 1  # 1: without a temporal layer
-
-    @property
-    def temporal_layer(self) -> int | None:
-        return len(self.slots) - 1 if self.temporal_period > 1 else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +130,8 @@ def decode_head(chunk: bytes, kind: int, shape: Shape) -> Head:
     """The first 12 bytes of a chunk in the place of one of this kind."""
     assert len(chunk) >= 12
     magic, found, layer, flags, zero, birth = struct.unpack_from("<4sBBBBi", chunk)
-    assert magic == b"SWG2"
-    if found > PASSING or zero or flags & (0xFF if found in (MASK, PASSING) else 0xFE):
+    assert magic == b"SWG1"
+    if found > SNAPSHOT or zero or flags & (0xFF if found == MASK else 0xFE):
         raise Unsupported
     assert found == kind
     assert layer < len(shape.slots)
@@ -368,19 +363,3 @@ def decode_snapshot(chunk: bytes, shape: Shape) -> tuple[Head, list[list[Slot]]]
                 lane.append(Hole.EMPTY)
         lanes.append(lane)
     return head, lanes
-
-
-# --- Section 10.5: passing ---
-
-
-def split_passing(chunk: bytes, birth: int, shape: Shape) -> tuple[bytes, list[bytes]]:
-    """The mask, and the change of each layer that has slots."""
-    last = shape.temporal_layer
-    assert last is not None
-    head = decode_head(chunk, PASSING, shape)
-    assert (head.layer, head.birth) == (last, birth)
-    assert birth % shape.temporal_period
-    cursor = Cursor(chunk[12:])
-    mask, *changes = [cursor.take(size) for size in cursor.integers(last + 1)]
-    assert cursor.at == len(cursor.data)
-    return mask, changes

@@ -65,9 +65,8 @@ def read_manifest(text: bytes) -> Shape:
     manifest: Any = json.loads(text)
     version = value_of(manifest, "version")
     assert isinstance(version, int)
-    if version not in (2, 3) or (version == 3 and "temporal_period" not in manifest):
+    if version != 1:
         raise Unsupported
-    period = integer(value_of(manifest, "temporal_period"), 2, 8) if version == 3 else 1
     swin_size = integer(value_of(manifest, "swin_size"), 1, 255)
     num_gs = integer(value_of(manifest, "num_gs"), 1, 2**24)
     segment_frames = integer(value_of(manifest, "segment_frames"), 1, 4096)
@@ -77,12 +76,7 @@ def read_manifest(text: bytes) -> Shape:
     assert isinstance(lattices, list)
     assert 1 <= len(counts) <= 16
     assert len(lattices) == len(counts)
-    if version == 3:
-        assert integer(counts.pop(), 0, 0) == 0
-        assert counts
-        assert swin_size == 1
-        assert segment_frames % period == 0
-    slots = tuple(integer(count, 1, 2**20) for count in counts) + (0,) * (version == 3)
+    slots = tuple(integer(count, 1, 2**20) for count in counts)
     assert sum(slots) <= 2**20
     assert sum(slots) * swin_size == num_gs
     assert segment_frames * sum(slots) <= 2**28
@@ -97,7 +91,7 @@ def read_manifest(text: bytes) -> Shape:
         )
         for row in lattices
     )
-    return Shape(swin_size, segment_frames, (sh_degree + 1) ** 2, slots, lattice, period)
+    return Shape(swin_size, segment_frames, (sh_degree + 1) ** 2, slots, lattice)
 
 
 # --- Sections 3, 5 and 6: index and files ---
@@ -140,9 +134,6 @@ def largest_content(name: str, shape: Shape) -> int:
     """Maximum bytes that the slots can need in a chunk of this object."""
     if name == "masks":
         return 16 + 4 * sum(shape.slots)
-    if name == str(shape.temporal_layer):
-        others = ("masks", *map(str, range(int(name))))
-        return min(12 + sum(4 + largest_content(other, shape) for other in others), LARGEST_CHUNK)
     num_slots = shape.slots[int(name.removeprefix("snapshot-"))]
     flag_bytes = 0
     if not name.isdecimal():
@@ -190,17 +181,9 @@ class StreamFolder:
             reader.load(chunk)
         masks = self.chunks(segment, "masks")
         changes = [self.chunks(segment, str(layer)) for layer in range(num_layers)]
-        passing = {}
-        if self.shape.temporal_layer is not None:
-            passing = dict(enumerate(changes)).pop(self.shape.temporal_layer, {})
-            changes = changes[: self.shape.temporal_layer]
         for birth in range(self.index[segment].first_frame + 1, frame + 1):
             here = {layer: chunks[birth] for layer, chunks in enumerate(changes)}
-            if birth % self.shape.temporal_period:
-                assert not any((masks[birth], *here.values()))
             reader.apply(birth, masks[birth], here)
-        if passing.get(frame):
-            reader.pass_by(frame, passing[frame])
         return reader
 
 

@@ -47,7 +47,7 @@ def decode_object(data: bytes, largest: int = LARGEST_CHUNK) -> list[bytes]:
     skippable, following, magic, version, coder, zero, count = struct.unpack_from("<II4sBBHI", data)
     assert (skippable, following) == (0x184D2A50, 12 + 12 * count)
     assert magic == b"SWGO"
-    if version != 2 or coder not in (1, 2):
+    if version != 1 or coder not in (1, 2):
         raise Unsupported
     assert zero == 0
     assert count <= 16384

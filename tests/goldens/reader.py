@@ -21,7 +21,6 @@ from tests.goldens.decoder import (
     decode_mask,
     decode_snapshot,
     predict,
-    split_passing,
 )
 
 
@@ -71,17 +70,6 @@ class Reader:
         lane = self.lanes[birth % self.shape.swin_size]
         self.applied[birth] = AppliedSlice(birth, mask, dict(changes), dict(enumerate(lane)))
         self.apply_again(birth)
-
-    def pass_by(self, birth: int, chunk: bytes) -> None:
-        """Shows the passing slice of the last applied birth; the lasting slots are lost."""
-        mask, changes = split_passing(chunk, birth, self.shape)
-        slots = dict(enumerate(self.lanes[0]))
-        slice_ = AppliedSlice(birth, mask, dict(enumerate(changes)), slots)
-        statuses = self.statuses(slice_)
-        assert statuses is not None
-        for layer, change in enumerate(changes):
-            assert not change or any(statuses[layer])
-            self.lanes[0][layer] = self.changed(slice_, statuses[layer], layer)
 
     def late(self, birth: int, layer: int, chunk: bytes) -> None:
         """Applies a change that arrives late."""

@@ -45,8 +45,7 @@ def write_suite(folder: Path) -> None:
     _write_table(
         folder / "streams.json", [_stream_row(folder, c, kind) for c in CASES for kind in Coder]
     )
-    plain = (case for case in CASES if case.temporal_period == 1)
-    orders = [row for seed, case in enumerate(plain) for row in _order_rows(folder, case, seed)]
+    orders = [row for seed, case in enumerate(CASES) for row in _order_rows(folder, case, seed)]
     _write_table(folder / "orders.json", orders)
     _write_table(folder / "hostile.json", hostile_rows(folder / stream_name(CASES[0], Coder.ZSTD)))
 
@@ -80,10 +79,7 @@ def _write_streams(folder: Path, case: Case) -> None:
 def _stream_row(folder: Path, case: Case, coder: Coder) -> dict[str, Any]:
     name = stream_name(case, coder)
     stream, numbers = StreamFolder(folder / name), range(1, len(case.slots) + 1)
-    states = [
-        [_state(stream, frame, n) if case.is_known(frame, n) else None for n in numbers]
-        for frame in range(stream.num_frames)
-    ]
+    states = [[_state(stream, frame, n) for n in numbers] for frame in range(stream.num_frames)]
     return {"stream": name, "state_sha256": states}
 
 

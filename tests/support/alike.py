@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from codec.pose import Doubles
+from codec.arrays import Doubles
 from codec.splats import SH_C0, Splats
 from tests.support.drawn import angles_rad
 from tests.support.trained_like import covariances

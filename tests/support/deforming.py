@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from codec.splats import Floats, Splats
+from codec.arrays import Floats
+from codec.splats import Splats
 from tests.support.trained_like import trained_like_splats
 
 FPS = 30.0

@@ -11,10 +11,10 @@ from typing import Any
 
 import av
 import numpy as np
-import numpy.typing as npt
 import pytest
 from PIL import Image
 
+from codec.arrays import Bytes
 from codec.camera import Camera
 from codec.stream.manifest import Manifest
 from trainer.capture.dynerf import encode_pose
@@ -25,7 +25,7 @@ from trainer.synth.scene import camera_rig
 WIDTH_PX, HEIGHT_PX = 64, 36
 
 
-def picture_of(camera_index: int, frame: int) -> npt.NDArray[np.uint8]:
+def picture_of(camera_index: int, frame: int) -> Bytes:
     """(36, 64, 3) picture: red grows with the camera, green with the frame, blue along the rows."""
     picture = np.empty((HEIGHT_PX, WIDTH_PX, 3), np.uint8)
     picture[..., 0] = (20 + 25 * camera_index) % 256

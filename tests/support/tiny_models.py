@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from codec.arrays import Bytes, Doubles
 from codec.camera import Camera
-from codec.pose import Doubles
 from tests.support.tiny_capture import picture_of, tiny_rig, write_video
 
 MODEL_NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4}
@@ -22,7 +21,7 @@ MODEL_NUMBERS |= {"OPENCV_FISHEYE": 5}
 POINTS = ((0.5, -1.0, 0.25), (0.0, -0.5, 0.0), (-0.25, -1.5, 1.0))
 COLOURS = ((255, 0, 7), (1, 2, 3), (40, 200, 90))
 
-Picturer = Callable[[int, int], npt.NDArray[np.uint8]]
+Picturer = Callable[[int, int], Bytes]
 
 
 def quaternion_of(rotation: Doubles) -> tuple[float, ...]:

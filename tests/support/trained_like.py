@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from codec.pose import Doubles
+from codec.arrays import Doubles
 from codec.slice import Slice
 from codec.splats import SH_C0, Splats, sh_count
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from codec.pose import Doubles
+from codec.arrays import Doubles
 
 
 @dataclass(frozen=True, slots=True, eq=False)

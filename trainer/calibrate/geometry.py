@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from codec.pose import Doubles
+from codec.arrays import Doubles
 
 from .alignment import centres
 from .lags import Curve, Lags, lags_of

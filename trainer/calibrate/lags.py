@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
-from codec.pose import Doubles
+from codec.arrays import Doubles, Longs
 
-Ints = npt.NDArray[np.int64]
-Curve = tuple[Ints, Doubles]
+Curve = tuple[Longs, Doubles]
 """Shifts, and how alike two takes are if the second lags by so much."""
 
 LEAST_OVERLAP = 0.3

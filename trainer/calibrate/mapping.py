@@ -23,6 +23,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles, Longs
+
 JOB_NAME, RESULT_NAME, PICTURES_NAME = "job.json", "result.npz", "pictures"
 
 SCOUT_MOMENTS = 4
@@ -60,8 +62,6 @@ MAX_TRIALS = 3000
 """Samples when the matches of two cameras are verified."""
 
 Pair = tuple[int, int]
-Ints = npt.NDArray[np.int64]
-Doubles = npt.NDArray[np.float64]
 Arrays = dict[str, npt.NDArray[Any]]
 
 
@@ -165,12 +165,12 @@ class Mapper:
         pairing.match_list_path = str(listed)
         self._colmap.match_image_pairs(self._pictures, options, pairing)
 
-    def _matches(self, database: Any, one: tuple[int, int], other: tuple[int, int]) -> Ints:
+    def _matches(self, database: Any, one: tuple[int, int], other: tuple[int, int]) -> Longs:
         """(N, 2) pooled keypoints that match in two pictures, each a moment and a camera."""
         ids = self._ids[picture_name(*one)], self._ids[picture_name(*other)]
         found = np.asarray(database.read_matches(*ids)).reshape(-1, 2).astype(np.int64)
         start = np.array([self._first[one], self._first[other]])
-        pooled: Ints = found + start
+        pooled: Longs = found + start
         return pooled
 
     def _moved(self) -> Doubles:
@@ -192,7 +192,7 @@ class Mapper:
         database.close()
         return moved
 
-    def _verified(self, pairs: Sequence[Pair], moments: Sequence[int]) -> dict[Pair, Ints]:
+    def _verified(self, pairs: Sequence[Pair], moments: Sequence[int]) -> dict[Pair, Longs]:
         """(N, 2) matches of each two cameras in the moments that one geometry explains."""
         colmap = self._colmap
         database = colmap.Database.open(self._pictures)
@@ -206,7 +206,7 @@ class Mapper:
         options.ransac.max_num_trials = MAX_TRIALS
         lenses = [self._lens(camera) for camera in self._cameras]
 
-        def verify(pair: Pair) -> Ints:
+        def verify(pair: Pair) -> Longs:
             a, b = pair
             geometry = colmap.estimate_two_view_geometry(
                 lenses[a], self.keypoints[a][:, :2], lenses[b], self.keypoints[b][:, :2],
@@ -223,7 +223,7 @@ class Mapper:
         focal_px = FOCAL_GUESS * max(width, height)
         return self._colmap.Camera.create_from_model_id(number, model, focal_px, width, height)
 
-    def _write(self, name: str, verified: Mapping[Pair, Ints], kinds: Sequence[int]) -> None:
+    def _write(self, name: str, verified: Mapping[Pair, Longs], kinds: Sequence[int]) -> None:
         """Writes the database NAME.db, with an image for each camera, image N + 1 of camera N.
         Images of one kind share a lens."""
         colmap = self._colmap
@@ -254,7 +254,7 @@ class Mapper:
                 database.write_two_view_geometry(a + 1, b + 1, geometry)
         database.close()
 
-    def rigs(self, name: str, verified: Mapping[Pair, Ints]) -> Arrays:
+    def rigs(self, name: str, verified: Mapping[Pair, Longs]) -> Arrays:
         """The rigs of verified matches, with each of LENSES: arrays by name, of which there are
         none where no rig was found."""
         found: dict[str, Any] = {}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from codec.pose import Doubles
+from codec.arrays import Doubles
 
 from .mapping import PICTURES_NAME, picture_name
 from .offsets import Synchrony

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.pose import Doubles
+from codec.arrays import Doubles
 from trainer.capture.camerachoice import named
 from trainer.errors import CaptureError
 

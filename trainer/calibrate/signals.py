@@ -11,10 +11,10 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import uniform_filter
 
+from codec.arrays import Doubles
 from codec.errors import SwingsError
-from codec.pose import Doubles
 from codec.stream.sound import SAMPLE_RATE
-from codec.tools.soundfile import read_samples
+from codec.tracks.soundfile import read_samples
 
 from .takes import Take
 

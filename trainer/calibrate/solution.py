@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from codec.pose import Doubles
+from codec.arrays import Doubles, Flags, Longs
 
 from .mapping import LENSES
 
-Ints = npt.NDArray[np.int64]
 Pair = tuple[int, int]
 
 UNSEEN_PX = 4.0
@@ -37,12 +35,12 @@ class Rig:
     lenses: Doubles  # (C, 4) focal length, principal point, pixels; radial term
     poses: Doubles  # (C, 3, 4) world to camera
     points: Doubles  # (P, 3)
-    seen: Ints  # (N, 3) of each observation the point, the camera and its keypoint
+    seen: Longs  # (N, 3) of each observation the point, the camera and its keypoint
 
     @property
-    def has(self) -> npt.NDArray[np.bool_]:
+    def has(self) -> Flags:
         """(C,) whether a camera is in the rig."""
-        found: npt.NDArray[np.bool_] = np.isfinite(self.poses[:, 0, 0])
+        found: Flags = np.isfinite(self.poses[:, 0, 0])
         return found
 
     def straightened(self, camera: int, xy_px: Doubles) -> Doubles:
@@ -64,7 +62,7 @@ class Solution:
     moved_px: Doubles
     """(C, M) by how much the still part of each moment's picture lies elsewhere than in the middle
     moment's; NaN where that cannot be told."""
-    matches: Mapping[str, Mapping[Pair, Ints]]
+    matches: Mapping[str, Mapping[Pair, Longs]]
     """(N, 2) verified keypoints of each pair of cameras, by name of a half: "first" or "second"."""
     rigs: Mapping[tuple[str, str], Rig]
     """By that name or "whole" and the kind of lens; rigs that were not found are missing."""
@@ -74,7 +72,7 @@ def read_solution(path: Path, num_cameras: int) -> Solution:
     """The result.npz of mapping.py."""
     with np.load(path) as file:
         arrays = dict(file)
-    matches: dict[str, dict[Pair, Ints]] = {"first": {}, "second": {}}
+    matches: dict[str, dict[Pair, Longs]] = {"first": {}, "second": {}}
     for key, value in arrays.items():
         if key.startswith("matches_"):
             _, name, a, b = key.split("_")
@@ -117,8 +115,8 @@ def unseen_errors(solution: Solution, lens: str, widths_px: Sequence[int]) -> li
 
 
 def _left_out(
-    rig: Rig, keypoints: list[Doubles], matches: Mapping[Pair, Ints], limits_px: Doubles
-) -> tuple[Doubles, Ints]:
+    rig: Rig, keypoints: list[Doubles], matches: Mapping[Pair, Longs], limits_px: Doubles
+) -> tuple[Doubles, Longs]:
     """(errors in pixels, cameras) of observations: each of a track of three or more, whose others
     agree on a place."""
     starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])])
@@ -171,7 +169,7 @@ def _left_out(
     return error_px[agreed], camera[agreed]
 
 
-def _sums(values: Doubles, track: Ints) -> Doubles:
+def _sums(values: Doubles, track: Longs) -> Doubles:
     """Sums of the values over each track, for each of its members."""
     sums = np.zeros((track.max() + 1, *values.shape[1:]))
     np.add.at(sums, track, values)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from codec.arrays import Doubles
 from codec.camera import Camera
-from codec.pose import Doubles
 from trainer.capture.camerachoice import named
 from trainer.capture.capture import PictureSource
 from trainer.capture.footage import size_of

@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from codec.pose import Doubles
+from codec.arrays import Doubles, Flags
 from trainer.errors import CaptureError
 
 from .alignment import align, angles_deg, centres
@@ -125,7 +124,7 @@ class _Compared:
     """How well the halves of a take agree with each other, with one kind of lens."""
 
     lens: str
-    placed: npt.NDArray[np.bool_]
+    placed: Flags
     """(C,) whether all three rigs have the camera."""
     apart: Doubles
     apart_deg: Doubles

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from codec.arrays import Doubles
 from codec.camera import Camera
-from codec.pose import Doubles
 from codec.rig import rig_centre, rig_up
 
 from .alignment import Similarity

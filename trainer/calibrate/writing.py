@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
+from codec.arrays import Bytes, Doubles
 from codec.camera import Camera
-from codec.pose import Doubles
 from codec.sequence.numberedfiles import FPS_NAME
 from trainer.calibration.calibration import CalibratedCamera
 from trainer.calibration.rigimport import transforms_entry
@@ -56,7 +55,7 @@ def write_capture(
     cameras: Sequence[CalibratedCamera],
     takes: Sequence[Take],
     synchrony: Synchrony,
-    points: tuple[Doubles, npt.NDArray[np.uint8]],
+    points: tuple[Doubles, Bytes],
 ) -> None:
     """Writes transforms.json, points, and links to the videos or pictures. synchrony: of these
     cameras."""
@@ -96,7 +95,7 @@ def _link(file: Path, place: Path) -> None:
 
 def coloured_points(
     rig: Rig, solution: Solution, world: Similarity, right: Sequence[int], folder: Path
-) -> tuple[Doubles, npt.NDArray[np.uint8]]:
+) -> tuple[Doubles, Bytes]:
     """((P, 3) places in the world, (P, 3) colours) of the rig's points that the right cameras see,
     each in its own moment. folder: with the moments' pictures."""
     total = np.zeros((len(rig.points), 3))

@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from codec.console import listed
 from trainer.errors import CaptureError
 
 MAX_NAMED = 4
@@ -14,8 +15,7 @@ MAX_NAMED = 4
 
 def named(names: Sequence[str]) -> str:
     """The first of the names, and how many more there are."""
-    more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
-    return ", ".join(names[:MAX_NAMED]) + more
+    return listed(names, MAX_NAMED)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Bytes, Floats
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.stream.manifest import MAX_FPS, MIN_FPS
@@ -70,8 +71,8 @@ class MaskSource(Protocol):
 class InitialPoints:
     """Coloured points on the scene's surfaces at frame 0, to start the Gaussians from."""
 
-    xyz: npt.NDArray[np.float32]  # (P, 3) metres, world
-    rgb: npt.NDArray[np.uint8]  # (P, 3)
+    xyz: Floats  # (P, 3) metres, world
+    rgb: Bytes  # (P, 3)
 
     def __post_init__(self) -> None:
         if self.xyz.ndim != 2 or self.xyz.shape[1] != 3 or self.xyz.dtype != np.float32:

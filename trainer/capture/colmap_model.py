@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.pose import Doubles, rotation_of
+from codec.arrays import Doubles
+from codec.pose import rotation_of
 from trainer.errors import CaptureError
 
 from .camerachoice import named

@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.pose import Doubles
 from codec.rig import rig_depths
 from trainer.errors import CaptureError
 

@@ -20,9 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.pose import Doubles, world_to_camera
+from codec.pose import world_to_camera
 from codec.rig import rig_depths
 from trainer.errors import CaptureError
 

@@ -23,18 +23,17 @@ from typing import Any
 
 from codec.errors import CodecError
 from codec.files import read_bounded
-from codec.rig import rig_depths
 from trainer.errors import CaptureError
 
 from .camerachoice import ALL_CAMERAS, CameraChoice
-from .capture import Capture, CaptureCamera
+from .capture import Capture
 from .dynerf import POINTS_NAME
 from .footage import filmed, photographed, size_of
 from .held_out import read_held_out
 from .maskfolders import folder_masks
 from .opencv import camera_of_opencv
 from .picturefiles import IMAGES_NAME, folder_names, natural_order, pictures_by_camera
-from .points import points_depths, read_points
+from .points import read_points
 from .video import VIDEO_SUFFIXES
 
 INTRINSICS_NAME, EXTRINSICS_NAME = "intri.yml", "extri.yml"
@@ -78,22 +77,7 @@ def open_easymocap(root: Path, choice: CameraChoice = ALL_CAMERAS) -> Capture:
     masks = folder_masks(root, cameras, lenses, footage.num_frames, choice)
     held_out = read_held_out(root, cameras, choice)
     points = read_points(root / POINTS_NAME) if (root / POINTS_NAME).is_file() else None
-    depths = rig_depths(cameras, points_depths(points, cameras) if points else None)
-    return Capture(
-        root=root,
-        layout="easymocap",
-        cameras=tuple(
-            CaptureCamera(camera, camera.name in held_out, mask)
-            for camera, mask in zip(cameras, masks, strict=True)
-        ),
-        num_frames=footage.num_frames,
-        fps=footage.fps,
-        points=points,
-        near_m=depths[0] if depths else None,
-        far_m=depths[1] if depths else None,
-        opener=footage.open,
-        videos=footage.videos,
-    )
+    return footage.capture(root, "easymocap", cameras, masks, held_out, points)
 
 
 def _read_tables(path: Path) -> dict[str, dict[str, Any]]:

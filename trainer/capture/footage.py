@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from codec.arrays import Longs
 from codec.camera import Camera
+from codec.rig import rig_depths
 from trainer.pixels import opened_picture
 
-from .capture import PictureSource, check_fps
+from .capture import (
+    Capture,
+    CaptureCamera,
+    InitialPoints,
+    MaskSource,
+    PictureSource,
+    check_fps,
+)
 from .lens import Lens, straight_source
 from .picturefiles import picture_source, read_fps
-from .synchrony import Ints, ShownSource, check_synchronised, shown_frames
+from .points import points_depths
+from .synchrony import ShownSource, check_synchronised, shown_frames
 from .video import VIDEO_SUFFIXES, VideoSource, check_video_size, probe_video
 
 
@@ -26,6 +36,35 @@ class Footage:
     """Opens the pictures of the camera of this index."""
     videos: tuple[Path, ...] = ()
     starts_s: tuple[float, ...] = ()
+
+    def capture(
+        self,
+        root: Path,
+        layout: str,
+        cameras: Sequence[Camera],
+        masks: Sequence[MaskSource | None],
+        held_out: Collection[str],
+        points: InitialPoints | None,
+    ) -> Capture:
+        """The capture of these pictures; held_out: names of cameras."""
+        depths = rig_depths(cameras, points_depths(points, cameras) if points else None)
+        near_m, far_m = depths or (None, None)
+        return Capture(
+            root=root,
+            layout=layout,
+            cameras=tuple(
+                CaptureCamera(camera, camera.name in held_out, mask)
+                for camera, mask in zip(cameras, masks, strict=True)
+            ),
+            num_frames=self.num_frames,
+            fps=self.fps,
+            points=points,
+            near_m=near_m,
+            far_m=far_m,
+            opener=self.open,
+            videos=self.videos,
+            starts_s=self.starts_s,
+        )
 
 
 def filmed(
@@ -41,7 +80,7 @@ def filmed(
     CaptureError is raised."""
     facts = [probe_video(video) for video in videos]
     starts = [start or 0.0 for start in starts_s]
-    shown: list[Ints] = []
+    shown: list[Longs] = []
     if any(start is not None for start in starts_s):
         fps = fps or facts[0].fps
         shown = shown_frames(videos, facts, starts, fps)

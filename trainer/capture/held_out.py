@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from codec.arrays import Doubles
 from codec.camera import Camera
-from codec.pose import Doubles
 from trainer.errors import CaptureError
 
 from .camerachoice import ALL_CAMERAS, CameraChoice

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Doubles, Flags
 from codec.camera import Camera
 from codec.kernel import kernel
 from trainer.errors import CaptureError
@@ -129,14 +129,11 @@ def shows_all(camera: Camera, lens: Lens) -> bool:
     return not any(_is_outside(camera, lens, *edge).any() for edge in edges)
 
 
-def unseen_pixels(camera: Camera, lens: Lens) -> npt.NDArray[np.bool_]:
+def unseen_pixels(camera: Camera, lens: Lens) -> Flags:
     """(H, W) pixels of the straight picture that the bent one does not have, or that the lens folds
     over."""
     x, y = _positions(camera)
     return _is_outside(camera, lens, x, y) | (x * x + y * y >= _fold_r2(lens))
-
-
-_Doubles = npt.NDArray[np.float64]
 
 
 def _fold_r2(lens: Lens) -> float:
@@ -146,14 +143,14 @@ def _fold_r2(lens: Lens) -> float:
     return float(np.min(roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)], initial=np.inf))
 
 
-def _positions(camera: Camera) -> tuple[_Doubles, _Doubles]:
+def _positions(camera: Camera) -> tuple[Doubles, Doubles]:
     """(1, W) and (H, 1) straight positions of the pixels, over the focal length."""
     x = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px
     y = (np.arange(camera.height_px) + 0.5 - camera.cy_px) / camera.fy_px
     return np.asarray(x[None], np.float64), np.asarray(y[:, None], np.float64)
 
 
-def _is_outside(camera: Camera, lens: Lens, x: _Doubles, y: _Doubles) -> npt.NDArray[np.bool_]:
+def _is_outside(camera: Camera, lens: Lens, x: Doubles, y: Doubles) -> Flags:
     """Whether straight positions lie over half a pixel outside the bent picture's pixels."""
     r2 = x * x + y * y
     radial = 1 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))

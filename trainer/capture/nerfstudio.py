@@ -39,10 +39,9 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from codec.camera import Camera
-from codec.rig import rig_depths
 
 from .camerachoice import ALL_CAMERAS, CameraChoice
-from .capture import Capture, CaptureCamera, InitialPoints, MaskSource, check_fps
+from .capture import Capture, InitialPoints, MaskSource, check_fps
 from .dynerf import POINTS_NAME
 from .entryfiles import CameraFiles, files_by_camera, is_video
 from .footage import filmed, photographed
@@ -56,7 +55,7 @@ from .picturefiles import (
     require_files,
     safe_path,
 )
-from .points import points_depths, read_ply, read_points
+from .points import read_ply, read_points
 from .transforms import TRANSFORMS_NAME, Transforms, read_entries
 
 
@@ -78,24 +77,7 @@ def open_nerfstudio(root: Path, choice: CameraChoice = ALL_CAMERAS) -> Capture:
     masks = _mask_sources(transforms.root, rig, cameras, footage.num_frames, choice)
     held_out = _held_out(transforms, cameras, rig, {entry.path for entry in entries}, choice)
     points = _read_points(transforms)
-    depths = rig_depths(cameras, points_depths(points, cameras) if points else None)
-    near_m, far_m = depths or (None, None)
-    return Capture(
-        root=root,
-        layout="nerfstudio",
-        cameras=tuple(
-            CaptureCamera(camera, camera.name in held_out, mask)
-            for camera, mask in zip(cameras, masks, strict=True)
-        ),
-        num_frames=footage.num_frames,
-        fps=footage.fps,
-        points=points,
-        near_m=near_m,
-        far_m=far_m,
-        opener=footage.open,
-        videos=footage.videos,
-        starts_s=footage.starts_s,
-    )
+    return footage.capture(root, "nerfstudio", cameras, masks, held_out, points)
 
 
 def _declared_fps(transforms: Transforms) -> float | None:

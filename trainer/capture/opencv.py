@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.pose import Doubles
 from trainer.errors import CaptureError
 
 from .lens import Lens, check_optics

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Bytes, Doubles, Flags
 from codec.camera import Camera, Floating
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.files import opened_regular
@@ -22,7 +22,6 @@ from codec.foreign.plyheader import (
     PlyHeader,
     read_ply_header,
 )
-from codec.pose import Doubles
 from trainer.errors import CaptureError
 
 from .capture import InitialPoints
@@ -39,7 +38,7 @@ EVENNESS_CELLS = 16
 """Cells along each side of a picture in which points are counted."""
 
 
-def checked_points(path: Path, xyz: Doubles, rgb: npt.NDArray[np.uint8]) -> InitialPoints:
+def checked_points(path: Path, xyz: Doubles, rgb: Bytes) -> InitialPoints:
     """The points that the file at `path` holds. Raises CaptureError if they cannot be used."""
     if not len(xyz):
         raise CaptureError(f"{path}: holds no points")
@@ -228,12 +227,12 @@ def depths_in_view(camera: Camera, places: Floating) -> Floating:
     return depths[inside]
 
 
-def in_view(camera: Camera, places: Floating) -> npt.NDArray[np.bool_]:
+def in_view(camera: Camera, places: Floating) -> Flags:
     """(P,) whether each of the `places` (P, 3) projects into the camera's picture."""
     return _projected(camera, places)[0]
 
 
-def _projected(camera: Camera, places: Floating) -> tuple[npt.NDArray[np.bool_], Floating]:
+def _projected(camera: Camera, places: Floating) -> tuple[Flags, Floating]:
     u_px, v_px, depths = camera.project(places.astype(np.float64))
     inside = (u_px >= 0) & (u_px < camera.width_px) & (v_px >= 0) & (v_px < camera.height_px)
     return (depths > 0) & inside, depths

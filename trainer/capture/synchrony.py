@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from codec.pose import Doubles
+from codec.arrays import Doubles, Longs
 from trainer.errors import CaptureError
 
 from .camerachoice import named
@@ -23,8 +22,6 @@ FPS_TOLERANCE = 1e-3
 MAX_APART_FRAMES = 0.5
 """Largest difference between the times of a frame in two cameras."""
 
-Ints = npt.NDArray[np.int64]
-
 
 def frame_times_s(facts: VideoFacts) -> Doubles:
     """(F,) the time of each frame after the first one."""
@@ -33,7 +30,7 @@ def frame_times_s(facts: VideoFacts) -> Doubles:
     return np.array(facts.times_s)
 
 
-def nearest_frames(times_s: Doubles, wanted_s: Doubles) -> Ints:
+def nearest_frames(times_s: Doubles, wanted_s: Doubles) -> Longs:
     """(N,) the frames, of times (F,) in ascending order, that are nearest to the wanted times."""
     between = (times_s[1:] + times_s[:-1]) / 2
     return np.searchsorted(between, wanted_s).astype(np.int64)
@@ -41,7 +38,7 @@ def nearest_frames(times_s: Doubles, wanted_s: Doubles) -> Ints:
 
 def shown_frames(
     videos: Sequence[Path], facts: Sequence[VideoFacts], starts_s: Sequence[float], fps: float
-) -> list[Ints]:
+) -> list[Longs]:
     """For each video its frames that show those of the capture, which begins at `starts_s` of them
     and ends with the first video. Raises CaptureError where they have no time in common."""
     times = [frame_times_s(fact) for fact in facts]
@@ -60,7 +57,7 @@ def shown_frames(
 class ShownSource:
     """The frames of a source that a capture shows."""
 
-    def __init__(self, source: PictureSource, frames: Ints, name: str) -> None:
+    def __init__(self, source: PictureSource, frames: Longs, name: str) -> None:
         self._source, self._frames, self._name = source, frames, name
 
     def read(self, frame: int) -> Picture:

@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.errors import CodecError, InvalidError
 from codec.files import opened_regular
-from codec.pose import Doubles, world_to_camera
+from codec.pose import world_to_camera
 from trainer.errors import CaptureError
 
 from .footage import size_of

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Flags, Floats, Ints, Longs
 from codec.splats import Splats
 from trainer.step.backend import Home, Selection
 from trainer.step.optimiser import Adam
@@ -24,11 +25,6 @@ from trainer.step.raster import Parameters
 
 from .config import FitConfig
 from .mcmc import relocate
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
-Longs = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 
 
 class Lifespans:
@@ -68,7 +64,7 @@ class Lifespans:
         self.matured_starts += frames
         self.matured_expires += frames
 
-    def deal(self, ranking: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    def deal(self, ranking: Longs) -> Longs:
         """The order that puts the rows in `ranking` into lanes, the first slice into that which
         lives longest, each next one into that which lives a frame less. Row i becomes what row
         order[i] was."""
@@ -111,9 +107,9 @@ class Lifespans:
         self.starts[rows] = self.births[rows]
         self.matured_expires[rows] = self.births[rows]
 
-    def kept(self, rows: slice) -> npt.NDArray[np.bool_]:
+    def kept(self, rows: slice) -> Flags:
         """Which of the slots `rows` are kept: their new generation never shows."""
-        kept: npt.NDArray[np.bool_] = self.starts[rows] == self.expires[rows]
+        kept: Flags = self.starts[rows] == self.expires[rows]
         return kept
 
     def active_rows(self, frame: int) -> Ints:
@@ -122,7 +118,7 @@ class Lifespans:
         matured = np.flatnonzero((self.matured_starts <= frame) & (frame < self.matured_expires))
         return np.concatenate([current, matured + self.num_gs]).astype(np.int32)
 
-    def ages(self, first_frame: int) -> npt.NDArray[np.float32]:
+    def ages(self, first_frame: int) -> Floats:
         """(num_gs,) float32: windows that each row has been trained for before this one."""
         trained = first_frame + self.swin_size - 1 - self.starts
         return np.maximum(trained, 0).astype(np.float32)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Ints
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import KEPT, PREDICTED, Update
 from trainer.lease.leases import Leases
@@ -28,8 +29,6 @@ from .renew import Comparison
 from .sceneflow import scene_flow
 from .schedule import WindowPlan
 from .strategy import Fit, Strategy
-
-Ints = npt.NDArray[np.int32]
 
 LAYERED_FROM = 0.6
 """Share of genesis after which Gaussians have layers, each trained to look right without those

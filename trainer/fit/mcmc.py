@@ -12,10 +12,9 @@ from math import comb
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles, Longs
 from codec.errors import InvalidError
 from trainer.step.raster import Parameters
-
-Doubles = npt.NDArray[np.float64]
 
 MAX_COPIES = 51
 """Gaussians that may share one place, with the one that is there. 3DGS-MCMC."""
@@ -97,7 +96,7 @@ def relocate(
     alive: npt.NDArray[np.integer],
     min_opacity: float,
     rng: np.random.Generator,
-) -> npt.NDArray[np.int64]:
+) -> Longs:
     """Moves the rows `dead` onto rows drawn from `alive` in proportion to opacity.
 
     A dead row copies its target; both take the divided opacity and scales. Gives the target of

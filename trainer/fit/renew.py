@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
+from codec.arrays import Doubles, Flags, Floats, Ints, Longs
 from codec.camera import Camera
 from codec.kernel import kernel, prange
 from codec.splats import Splats
@@ -32,11 +32,6 @@ from trainer.seed.stereo import (
 from trainer.step.colour import CameraColour
 from trainer.step.contribution import contribution
 from trainer.step.raster import Parameters, Rendered, View, render, weighed
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
-Flags = npt.NDArray[np.bool_]
-Doubles = npt.NDArray[np.float64]
 
 LEAST_ERROR = 0.05
 """Mean colour difference, of 1, from which on a pixel is wrong. In the other cameras half of it is
@@ -267,9 +262,7 @@ def _find_depths(  # type: ignore[no-untyped-def]
         best_depths[i] = np.float32(1) / best_inverse
 
 
-def _draw_wrong_pixels(
-    compared: Comparison, most: int, rng: np.random.Generator
-) -> npt.NDArray[np.int64]:
+def _draw_wrong_pixels(compared: Comparison, most: int, rng: np.random.Generator) -> Longs:
     """(D, 3) camera, row and column of at most `most` wrong pixels, in random order.
 
     The more a pixel is wrong, the likelier it is drawn.

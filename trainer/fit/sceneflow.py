@@ -10,17 +10,14 @@ its colours do not matter. Whatever did not change, or is not found, stays.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from codec.arrays import Doubles, Floats, Ints
 from codec.camera import Camera
 from codec.kernel import kernel, prange
 from trainer.seed.stereo import better_half
 
 from .renew import Comparison
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
 
 CAMERAS = 6
 """Cameras that a Gaussian is followed in: those that see most of it."""
@@ -284,7 +281,7 @@ def scene_flow(
     return motions
 
 
-def _projection(camera: Camera) -> npt.NDArray[np.float64]:
+def _projection(camera: Camera) -> Doubles:
     """(3, 4) from world to homogeneous pixels."""
     k = np.array(
         [

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
+from codec.arrays import Ints
 
 from .config import FitConfig
 
@@ -19,8 +18,6 @@ GENESIS_NOISE = 5e5
 WINDOW_NOISE = 5e4
 """Noise of later windows, as a multiple of the positions' learning rate, which restarts higher
 there. Paper, section 8.1."""
-
-Ints = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True)

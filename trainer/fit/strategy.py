@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles, Floats, Ints, Longs
 from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.splats import Splats
@@ -30,11 +31,6 @@ from .generations import Generations
 from .observer import Window
 from .renew import Comparer, Comparison, missing_splats
 from .schedule import WindowPlan
-
-Floats = npt.NDArray[np.float32]
-Doubles = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int32]
-Longs = npt.NDArray[np.int64]
 
 SETTLE_RENEW_SHARE = 0.1
 """Share of the Gaussians that each settling round renews: those with the least contribution."""

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.splats import Splats
@@ -31,8 +32,6 @@ from .observer import Observer, Progress, Window
 from .renew import Comparer
 from .schedule import Schedule, WindowPlan
 from .strategy import Fit, Strategy, WholeSlices
-
-Doubles = npt.NDArray[np.float64]
 
 FALLBACK_FAR_M = 100.0
 """Depth up to which new things are sought where the rig gives none."""
@@ -72,7 +71,7 @@ class CameraDraws:
         """The values that training changes. Views, not copies."""
         return {"cameras_owed": self._owed, "cameras_losses": self._losses}
 
-    def shares(self, error_share: float) -> npt.NDArray[np.float64]:
+    def shares(self, error_share: float) -> Doubles:
         """(C,) how often each camera is drawn, as a share of all draws. error_share: of them, those
         that go by errors; the rest is for all alike."""
         count = len(self._losses)
@@ -82,7 +81,7 @@ class CameraDraws:
             return even
         # A camera that was not drawn yet counts with the mean error of the others.
         losses = np.where(seen, self._losses, self._losses[seen].mean())
-        shares: npt.NDArray[np.float64] = losses / losses.sum()
+        shares: Doubles = losses / losses.sum()
         return (1 - error_share) * even + error_share * shares
 
     def draw(self, rng: np.random.Generator, error_share: float) -> int:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Bytes, Doubles, Flags, Floats, Ints, Longs
 from codec.errors import InvalidError
 from codec.lattice.lattice import States, dequantise, quantise
 from codec.lattice.morton import interleave
@@ -21,11 +22,6 @@ from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 
 from .takeover import NEAR_STEPS, PlayerState
-
-Ints = npt.NDArray[np.int32]
-Flags = npt.NDArray[np.bool_]
-Doubles = npt.NDArray[np.float64]
-Bytes = npt.NDArray[np.uint8]
 
 TRADE_SHARE = 0.001
 """Share of a slice's slots that may swap with a slot of a higher layer that contributes much
@@ -96,7 +92,7 @@ class ByteBudget:
         # A quiet minute must not pay for a wild one: that would overfill a link.
         self._state[1] = max(self._state[1], -HORIZON_FRAMES * self.bytes_per_frame / 2)
 
-    def state(self) -> npt.NDArray[np.float64]:
+    def state(self) -> Doubles:
         """The numbers that change; a view."""
         return self._state
 
@@ -141,9 +137,7 @@ class Leases:
         most_first = np.argsort(-contributions, kind="stable")
         self.layers[most_first] = np.repeat(np.arange(len(sizes)), sizes)
 
-    def deal(
-        self, means: npt.NDArray[np.float32], rng: np.random.Generator
-    ) -> npt.NDArray[np.int64]:
+    def deal(self, means: Floats, rng: np.random.Generator) -> Longs:
         """Ends genesis: the order that puts each Gaussian into a slot of its layer. Row i becomes
         what row order[i] was.
 
@@ -184,7 +178,7 @@ class Leases:
         chosen[oldest] = age[oldest] < np.iinfo(np.int32).max
         return rows[chosen]
 
-    def least(self, rows: Ints, contributions: npt.NDArray[np.float32], share: float) -> Ints:
+    def least(self, rows: Ints, contributions: Floats, share: float) -> Ints:
         """The `share` of each layer that contributes least among `rows`, slots of one slice."""
         least_first = rows[np.argsort(contributions, kind="stable")]
         layers = self.layers[least_first]
@@ -194,7 +188,7 @@ class Leases:
         ]
         return np.concatenate(parts).astype(np.int32)
 
-    def trades(self, rows: Ints, contributions: npt.NDArray[np.float32]) -> tuple[Ints, Ints]:
+    def trades(self, rows: Ints, contributions: Floats) -> tuple[Ints, Ints]:
         """Pairs of `rows`, the slots of one slice, that had better change places: the first of each
         lies in a lower layer than the second, which contributes over TRADE_GAIN times as much. At
         most TRADE_SHARE of the slice, those that gain most first."""
@@ -285,9 +279,9 @@ class Leases:
 
     def _follow(
         self,
-        rows: npt.NDArray[np.int64],
+        rows: Longs,
         theirs: PlayerState,
-        statuses: npt.NDArray[np.uint8],
+        statuses: Bytes,
         held: States,
         is_shown: Flags,
         is_other: Flags,

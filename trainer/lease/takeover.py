@@ -15,16 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Bytes, Flags, Floats, Ints, Longs
 from codec.errors import InvalidError
 from codec.lattice.lattice import States
 from codec.lattice.morton import interleave
 from codec.slots.update import KEPT, NEW, Update
 from codec.splats import ARRAY_NAMES, Splats
-
-Ints = npt.NDArray[np.int32]
-Flags = npt.NDArray[np.bool_]
-Longs = npt.NDArray[np.int64]
-Bytes = npt.NDArray[np.uint8]
 
 CELLS_PER_TURN = 1
 """Cells of the scene that change to another training with each birth. More and smaller ones have
@@ -122,7 +118,7 @@ class Crossfade:
         return following
 
 
-def turns(means: npt.NDArray[np.float32], count: int, rng: np.random.Generator) -> Longs:
+def turns(means: Floats, count: int, rng: np.random.Generator) -> Longs:
     """(N,) 0 to count - 1: whose turn it is when, as many each time, in cells of the scene that are
     drawn at random. means: (N, 3), metres, world."""
     low, high = np.percentile(means, 2, axis=0), np.percentile(means, 98, axis=0)

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Bytes
 from codec.slots.update import Update
 from codec.splats import Splats
 from codec.storage.growingplace import GrowingPiece, GrowingPlace
@@ -83,7 +83,7 @@ class _Piece:
     """Updates of the newest segment, until it is whole."""
 
     @property
-    def record_rows(self) -> npt.NDArray[np.uint8]:
+    def record_rows(self) -> Bytes:
         """(N, bytes of a record) uint8."""
         rows = np.frombuffer(b"".join(self.place.records), np.uint8)
         return rows.reshape(len(self.place.records), -1)

@@ -11,12 +11,9 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from codec.arrays import Bytes
 from codec.camera import Camera
 from codec.errors import InvalidError
 from trainer.capture.capture import Capture, Mask, Picture
@@ -110,7 +107,7 @@ class FrameCache:
         self._source_locks = tuple(threading.Lock() for _ in capture.cameras)
         self._prefetcher = Prefetcher(self._read_ahead, max_requests)
         self._lock = threading.Lock()  # guards all below
-        self._held: OrderedDict[_Key, npt.NDArray[np.uint8]] = OrderedDict()
+        self._held: OrderedDict[_Key, Bytes] = OrderedDict()
         self._held_bytes = 0
         self._hits = self._misses = self._evictions = 0
         self._prefetched = self._dropped = self._skipped = self._failed = 0
@@ -178,12 +175,7 @@ class FrameCache:
     def __enter__(self) -> FrameCache:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _check_frame(self, frame: int) -> None:
@@ -197,7 +189,7 @@ class FrameCache:
         # A mask for all frames is held once, as of the last frame: it is never out of date.
         return _Key(camera_index, self.frames[-1] if masks.is_still else frame, True)
 
-    def _get(self, key: _Key) -> npt.NDArray[np.uint8]:
+    def _get(self, key: _Key) -> Bytes:
         held = self._look_up(key)
         if held is not None:
             return held
@@ -212,7 +204,7 @@ class FrameCache:
                 self._keep(key, read)
             return read
 
-    def _read(self, key: _Key) -> npt.NDArray[np.uint8]:
+    def _read(self, key: _Key) -> Bytes:
         """Needs the camera's lock."""
         camera = self._cameras[key.camera]
         masks = self.capture.cameras[key.camera].masks
@@ -254,7 +246,7 @@ class FrameCache:
                 self._make_room(num_bytes, needed_from)
                 self._keep(key, read)
 
-    def _look_up(self, key: _Key) -> npt.NDArray[np.uint8] | None:
+    def _look_up(self, key: _Key) -> Bytes | None:
         with self._lock:
             held = self._held.get(key)
             if held is not None:
@@ -277,7 +269,7 @@ class FrameCache:
                 self._held_bytes -= self._held.pop(key).nbytes
                 self._evictions += 1
 
-    def _keep(self, key: _Key, read: npt.NDArray[np.uint8]) -> None:
+    def _keep(self, key: _Key, read: Bytes) -> None:
         """Needs the lock."""
         self._held[key] = read
         self._held_bytes += read.nbytes

@@ -7,9 +7,9 @@ that area counts.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
+from codec.arrays import Longs
 from codec.camera import Camera
 from codec.kernel import kernel, prange
 from trainer.capture.capture import Mask, Picture
@@ -55,7 +55,7 @@ def half_mask(mask: Mask) -> Mask:
     return half
 
 
-def _covered(full_px: int, small_px: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _covered(full_px: int, small_px: int) -> tuple[Longs, Longs]:
     """For each small pixel along a side, the full ones that it touches: the first, and the one
     after the last."""
     edges = np.arange(small_px + 1, dtype=np.int64) * full_px

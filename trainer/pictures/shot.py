@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
+from codec.arrays import Floats
 from trainer.capture.capture import Mask, Picture
 
 from .scale import fill_half_planes, fill_planes, half_mask
@@ -34,6 +32,6 @@ class Shot:
         """This shot, which has the full size, at half of it."""
         return Shot(self.picture, None if self.mask is None else half_mask(self.mask), True)
 
-    def fill(self, planes: npt.NDArray[np.float32]) -> None:
+    def fill(self, planes: Floats) -> None:
         """Writes the picture to `planes` (3, h, w), in 0..1."""
         (fill_half_planes if self.is_half else fill_planes)(self.picture, planes)

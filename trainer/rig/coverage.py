@@ -10,8 +10,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from codec.arrays import Doubles
 from codec.camera import Camera
-from codec.pose import Doubles
 from codec.rig import rig_centre
 from trainer.capture.capture import Capture
 from trainer.capture.points import in_view

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats
 from codec.camera import Camera
 from codec.rig import rig_centre
 from trainer.capture.capture import Capture
@@ -39,8 +39,6 @@ SEARCH_SHARE = LEAST_OWN_SHARE
 
 MAX_PLACES = 1 << 20
 """Places of either kind that are looked at; of more, every second, third and so on."""
-
-Floats = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,9 +16,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.files import replacing
-from codec.pose import Doubles
 from codec.rig import rig_centre, rig_up
 from trainer.capture.capture import Capture
 

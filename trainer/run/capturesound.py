@@ -21,7 +21,7 @@ from codec.stream.sound import (
     first_sample,
     segment_sound,
 )
-from codec.tools.soundfile import Samples, encode, read_samples, shifted
+from codec.tracks.soundfile import Samples, encode, read_samples, shifted
 from trainer.capture.capture import Capture
 from trainer.storedfiles import block_file, by_its_name, translated
 

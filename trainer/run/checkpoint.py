@@ -36,7 +36,7 @@ CHECKPOINT_NAME = ".checkpoint.npz"
 SETTINGS_NAME = ".settings.json"
 """Beside the checkpoint, from before the first one: the options of the run."""
 
-VERSION = 4
+VERSION = 1
 
 Arrays = dict[str, npt.NDArray[Any]]
 

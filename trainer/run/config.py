@@ -10,7 +10,6 @@ import tyro
 
 from codec.errors import InvalidError
 from codec.helptext import Groups
-from codec.slots.slotlayout import MAX_LAYERS, MAX_TEMPORAL_PERIOD
 from codec.storage.openstorage import Target, is_url
 from codec.storage.targetargument import target_named
 from codec.stream.manifest import MAX_FPS, MIN_FPS
@@ -41,7 +40,7 @@ class TrainConfig:
     EVERYDAY: ClassVar[Groups] = {
         "Capture": ("check", "frames", "scale", "longest-px", "without-cameras", "fps", "audio"),
         "Quality and time": ("preset", "num-gs", "sh-degree", "backend"),
-        "Stream": ("title", "default-camera", "layers", "temporal", "segment-frames"),
+        "Stream": ("title", "default-camera", "layers", "segment-frames"),
         "While it trains": ("serve", "resume", "work"),
         "Many machines": ("ray", "worker-cpus", "worker-gpus"),
     }
@@ -117,10 +116,6 @@ class TrainConfig:
     segment_frames: int = 15
     """Number of frames in a segment. A segment is the most that a stopped writer can lose, and the
     unit of caching."""
-    temporal: int = 1
-    """Period of a temporal layer, 2 to 8: all frames but every second (third, ...) one are in a
-    layer of their own on top, which players on slow links leave out; they show motion in its place.
-    Segments become as much longer as that needs. 1 makes none."""
     backend: BackendName = "cpu"
     """Backend that computes the training steps: cpu (numba), cuda (gsplat on an NVIDIA GPU), torch
     (plain torch on any of its devices), or auto, the best that works: cuda, else torch on a GPU,
@@ -182,22 +177,6 @@ class TrainConfig:
             raise InvalidError(f"point_share {self.point_share:g}: choose 0 to 1")
         if self.audio is not None and self.silent:
             raise InvalidError("--audio cannot be combined with --silent")
-        if not 1 <= self.temporal <= MAX_TEMPORAL_PERIOD:
-            raise InvalidError(f"temporal {self.temporal}: choose 1 to {MAX_TEMPORAL_PERIOD}")
-        if self.temporal > 1 and len(self.layers) == MAX_LAYERS:
-            raise InvalidError(
-                f"--temporal adds a layer; choose --layers of {MAX_LAYERS - 1} shares"
-            )
-        if self.temporal > 1 and self.fit.swin_size > 1:
-            raise InvalidError(
-                f"--temporal needs --swin-size 1, where every slot may change in every frame, not "
-                f"{self.fit.swin_size}"
-            )
-        if self.temporal > 1 and self.ray is not None:
-            raise InvalidError(
-                "--temporal cannot be combined with --ray; add the layer to the finished stream: "
-                "swings-stream edit temporal STREAM OUT"
-            )
         if self.serve is not None and not 0 <= self.serve <= 65535:
             raise InvalidError(f"serve {self.serve}: choose a port, 0 to 65535")
         if self.snapshot_every < 0:

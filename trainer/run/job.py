@@ -220,7 +220,7 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
                 *observers,
             ),
             WholeSlices if config.whole_slices or manifest is None
-            else partial(LeasedSlots, layout=manifest.slot_layout.without_temporal()),
+            else partial(LeasedSlots, layout=manifest.slot_layout),
             prepared.search_from_m,
         )  # fmt: skip
         if found is not None:
@@ -248,8 +248,8 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
         for window in trainer.windows():
             frame = window.first_frame
             # While the next window is trained, what the one after it brings is read. The frame that
-            # was just finished is still scored, with a temporal layer those before it, too.
-            pictures.prefetch(frame + 1 + swin_size, max(0, frame + 1 - config.temporal))
+            # was just finished is still scored.
+            pictures.prefetch(frame + 1 + swin_size, frame)
             if window.updates:
                 outputs.deliver(window.updates)
                 trainer.strategy.record_sent_bytes(window, outputs.slice_bytes)

@@ -124,12 +124,8 @@ class LiveView(Observer, AbstractContextManager["LiveView"]):
         process, self._process = self._process, None
         if process is None:
             return
-        assert process.stdin is not None
-        assert process.stdout is not None
-        process.stdin.close()
-        try:
-            process.wait(CLOSE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        process.stdout.close()
+        with process:
+            try:
+                process.communicate(timeout=CLOSE_S)
+            except subprocess.TimeoutExpired:
+                process.kill()

@@ -23,6 +23,7 @@ from codec.stream.layers import RANKS, split_layers
 from codec.stream.manifest import Manifest
 from codec.stream.poster import POSTER_NAME
 from codec.stream.storyboard import STORYBOARD_NAME
+from trainer.calibrate.lateness import late_doubts
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
 from trainer.capture.points import points_evenness, read_points_file
@@ -32,7 +33,6 @@ from trainer.pictures.feed import Pictures
 from trainer.pictures.framecache import FrameCache
 from trainer.rig.coverage import coverage_doubts, unseen_shares
 from trainer.rig.doubts import rig_doubts
-from trainer.rig.lateness import late_doubts
 from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane, near_planes
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.step.backend import MemoryNeeds
@@ -202,7 +202,6 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
         **({"camera_near_m": list(prepared.camera_near_m)} if prepared.camera_near_m else {}),
         "far_m": prepared.far_m,
         "search_from_m": prepared.search_from_m,
-        **({"temporal": config.temporal} if config.temporal > 1 else {}),
         **({"without_cameras": config.without_cameras} if config.without_cameras else {}),
         **{
             name: getattr(config, name)
@@ -306,7 +305,7 @@ def make_manifest(
     if config.whole_slices:
         rows = split_layers(gaussians, slots, RANKS[writer_rank(config.rank)])
         coarseness = layer_coarseness([gaussians.take(part) for part in rows])
-    manifest = Manifest(
+    return Manifest(
         fps=fps_of(capture, config),
         swin_size=config.fit.swin_size,
         slots=slots,
@@ -328,4 +327,3 @@ def make_manifest(
         title=config.title or capture.root.resolve().name,
         capture_frame=prepared.frames.start,
     )
-    return manifest.with_temporal_layer(config.temporal)

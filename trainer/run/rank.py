@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Doubles
 from codec.errors import InvalidError
 from codec.slice import Slice, active_splats
 from codec.stream import StreamReader
@@ -20,8 +20,6 @@ from trainer.fit.observer import Window
 from trainer.fit.trainer import Trainer
 from trainer.step.contribution import summed_contribution
 from trainer.step.raster import Parameters, View
-
-Doubles = npt.NDArray[np.float64]
 
 CONTRIBUTION = "contribution"
 """The name of this rank in options."""

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from codec.arrays import Floats
 from trainer.capture.capture import Mask
-
-from .picture import Floats
 
 LEAST_VARIANCE = 1e-8
 """Smallest variance of a channel that has a gain; with less, only a bias can be fitted."""

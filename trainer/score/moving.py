@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Flags, Floats
 from trainer.pictures.shot import Shot
 from trainer.step.loss import psnr_db
-
-from .picture import Floats
 
 MOVING = 12 / 255
 """Change from the frame before, in any channel of a pixel's 3x3 mean, above which it moves. The
@@ -28,7 +27,7 @@ MIN_MOVING_PX = 100
 class Movement:
     """The pixels of one camera that have changed since the frame before."""
 
-    pixels: npt.NDArray[np.bool_]  # (H, W): those that move
+    pixels: Flags  # (H, W): those that move
     counting: int
     """Pixels that count in both frames."""
 

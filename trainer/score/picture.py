@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats
 from codec.camera import Camera
 from codec.splats import Splats
 from player.render.cpu import render_splats
 from trainer.capture.capture import Mask, Picture
 from trainer.pictures.shot import Shot
 from trainer.step.loss import psnr_db, ssim
-
-Floats = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,15 +6,15 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Doubles, Floats
 from codec.splats import Splats
 from trainer.capture.capture import Mask
 from trainer.step.loss import psnr_db
 
 from .colourfit import colour_fitted
 from .moving import Movement, movement_of
-from .picture import Floats, captured, displayed, score_picture
+from .picture import captured, displayed, score_picture
 from .truth import ScoredCameras
 
 STILL = 4 / 255
@@ -117,5 +117,5 @@ def frame_means(frames: Sequence[Sequence[float | None]]) -> list[float | None]:
 
 def camera_means(names: Sequence[str], frames: Sequence[Sequence[float]]) -> dict[str, float]:
     """The mean of each camera over the frames."""
-    scores: npt.NDArray[np.float64] = np.array(frames)
+    scores: Doubles = np.array(frames)
     return dict(zip(names, map(float, scores.mean(axis=0)), strict=True))

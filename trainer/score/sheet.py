@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw
 
+from codec.arrays import Bytes, Floats
 from codec.files import replacing
 from codec.storage.openstorage import Target
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from trainer.step.loss import psnr_db
 
 from .moving import Movement, movement_of
-from .picture import Floats, captured, displayed
+from .picture import captured, displayed
 from .truth import open_held_out
 
 MAX_ROWS = 6
@@ -28,18 +28,14 @@ ENLARGED = 2
 """Enlargement of the box with the moving pixels; enlarged, it is as large as the whole picture."""
 
 
-def comparison(shown: Floats, truth: Floats) -> npt.NDArray[np.uint8]:
+def comparison(shown: Floats, truth: Floats) -> Bytes:
     """(H, 3 W, 3): capture, rendered and error beside each other; both (H, W, 3) in 0..1."""
     error = np.clip(ERROR_GAIN * np.abs(shown - truth), 0, 1)
-    line: npt.NDArray[np.uint8] = np.rint(
-        np.concatenate([truth, shown, error], axis=1) * 255
-    ).astype(np.uint8)
+    line: Bytes = np.rint(np.concatenate([truth, shown, error], axis=1) * 255).astype(np.uint8)
     return line
 
 
-def enlarged_comparison(
-    shown: Floats, truth: Floats, movement: Movement
-) -> npt.NDArray[np.uint8] | None:
+def enlarged_comparison(shown: Floats, truth: Floats, movement: Movement) -> Bytes | None:
     """`comparison` of the box with most moving pixels, enlarged; None where too few move."""
     height_px, width_px = (max(side // ENLARGED, 1) for side in truth.shape[:2])
     box = movement.busiest(height_px, width_px)
@@ -64,7 +60,7 @@ def write_sheet(
     """Draws up to MAX_ROWS rows (frames spread over the stream, held-out cameras in turn) to a
     PNG, and what has moved since the frame before below each. Raises what `open_held_out`
     raises."""
-    lines: list[npt.NDArray[np.uint8]] = []
+    lines: list[Bytes] = []
     labels: list[str] = []
     with open_held_out(stream, capture, max_gaussians) as held_out:
         reader, manifest = held_out.reader, held_out.reader.manifest
@@ -90,7 +86,7 @@ def write_sheet(
     save_png(_labelled(lines, labels), target)
 
 
-def _labelled(lines: Sequence[npt.NDArray[np.uint8]], labels: Sequence[str]) -> Image.Image:
+def _labelled(lines: Sequence[Bytes], labels: Sequence[str]) -> Image.Image:
     """The lines below each other, each below its label. They may differ in size, as cameras do."""
     width_px = max(line.shape[1] for line in lines)
     height_px = sum(HEADER_PX + line.shape[0] for line in lines)

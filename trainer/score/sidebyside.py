@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import colormaps
 from PIL import Image, ImageDraw, ImageFont
 
+from codec.arrays import Bytes, Floats
 from codec.camera import Camera
 from codec.errors import InvalidError
 from player.show.filesinks import open_sink
@@ -20,10 +20,8 @@ from trainer.pictures.framecache import FrameCache
 from trainer.step.loss import psnr_db
 
 from .evaluate import EvaluateConfig
-from .picture import Floats, captured, displayed
+from .picture import captured, displayed
 from .truth import open_held_out
-
-Bytes = npt.NDArray[np.uint8]
 
 MOST_ERROR = 64 / 255
 """Error at the bright end of the colour bar, and what lies above it: the mean of the channels."""

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Bytes, Floats
 from codec.camera import Camera
 from codec.kernel import kernel
 from codec.splats import SH_C0, Splats, sh_count
 
 from .stereo import completed, depth_maps
-
-Floats = npt.NDArray[np.float32]
 
 INITIAL_OPACITY = 0.5
 """3DGS-MCMC's start: opaque enough to get gradients, not so much that it hides others."""
@@ -30,13 +28,13 @@ ROUNDING = 1e-6
 
 def stereo_seeds(
     cameras: Sequence[Camera],
-    pictures: Sequence[npt.NDArray[np.uint8]],
+    pictures: Sequence[Bytes],
     count: int,
     near_m: float,
     far_m: float,
     rng: np.random.Generator,
-    masks: Sequence[npt.NDArray[np.uint8] | None] | None = None,
-) -> tuple[Floats, npt.NDArray[np.uint8]]:
+    masks: Sequence[Bytes | None] | None = None,
+) -> tuple[Floats, Bytes]:
     """`count` points behind random places of random pictures, as deep as plane-sweep stereo says.
 
     Where the cameras do not agree on a depth it is filled from around: a smooth wall at about the
@@ -135,7 +133,7 @@ def spacings(points: Floats) -> Floats:
     return result[which.reshape(-1)]  # NumPy 2.0 gives it as (N, 1)
 
 
-def initial_splats(points: Floats, colours: npt.NDArray[np.uint8], sh_degree: int) -> Splats:
+def initial_splats(points: Floats, colours: Bytes, sh_degree: int) -> Splats:
     """Round Gaussians at `points` (N, 3), coloured by `colours` (N, 3), sized by their spacing."""
     count = len(points)
     spacing = spacings(points) if count > 3 else np.full(count, 0.1, np.float32)

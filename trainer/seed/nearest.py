@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Bytes, Floats
 from codec.camera import Camera, Floating
 from trainer.capture.points import depths_in_view
 
-from .stereo import Floats, agreed_places, depth_maps
+from .stereo import agreed_places, depth_maps
 
 STRAY_SHARE = 0.005
 """Share of what a camera sees that may lie nearer than the nearest thing: matches go astray."""
@@ -49,7 +49,7 @@ def share_nearer(camera: Camera, places: Floating, near_m: float) -> float:
 
 def stereo_places(
     cameras: Sequence[Camera],
-    pictures: Sequence[npt.NDArray[np.uint8]],
+    pictures: Sequence[Bytes],
     near_m: float,
     far_m: float,
 ) -> Floats:

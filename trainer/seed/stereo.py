@@ -10,14 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
+from codec.arrays import Bytes, Flags, Floats, Ints
 from codec.camera import Camera
 from codec.kernel import kernel, prange
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
 
 MAX_SIDE_PX = 256
 """Longer side of the pictures that are compared."""
@@ -64,7 +61,7 @@ def _box(plane: Floats, radius: int) -> Floats:
     return plane
 
 
-def _features(picture: npt.NDArray[np.uint8]) -> Floats:
+def _features(picture: Bytes) -> Floats:
     """(6, H, W): every channel's difference to its surroundings, and its weighted colour."""
     planes = np.ascontiguousarray(picture.transpose(2, 0, 1), np.float32)
     return np.concatenate([planes - _box(planes, 2 * RADIUS_PX), COLOUR_WEIGHT * planes])
@@ -257,7 +254,7 @@ def tried_inverse_depths(near_m: float, far_m: float) -> Floats:
 
 def depth_maps(
     cameras: Sequence[Camera],
-    pictures: Sequence[npt.NDArray[np.uint8]],
+    pictures: Sequence[Bytes],
     near_m: float,
     far_m: float,
 ) -> DepthMaps:
@@ -295,7 +292,7 @@ def _nearest_depths(points: Floats, camera: Camera) -> Floats:
     return nearest
 
 
-def _filled(inverse: Floats, known: npt.NDArray[np.bool_]) -> Floats:
+def _filled(inverse: Floats, known: Flags) -> Floats:
     """`inverse` with its unknown pixels drawn smoothly from the known ones, coarse to fine."""
     height, width = inverse.shape
     if known.all() or min(height, width) == 1:

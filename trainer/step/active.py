@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Flags, Ints
 from codec.kernel import kernel, prange
 from player.render.project import FIRST_Y, Projection
 from player.render.tiles import Reach, TileLists, dealt
-
-Ints = npt.NDArray[np.int32]
-Flags = npt.NDArray[np.bool_]
 
 
 @kernel(parallel=True)

@@ -17,16 +17,15 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Floats, Ints
 from trainer.pictures.feed import Pictures
 from trainer.pictures.shot import Shot
 
 from .colour import CameraColour
 from .loss import Loss
 from .optimiser import Adam
-from .raster import Ints, Parameters, View
+from .raster import Parameters, View
 from .scalebound import CameraSpread
-
-Floats = npt.NDArray[np.float32]
 
 BackendName = Literal["auto", "cpu", "cuda", "torch"]
 

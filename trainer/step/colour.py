@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float32]
+from codec.arrays import Floats
 
 EPS = 1e-8
 """Of Adam: added to the root of the second moment."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Doubles, Floats, Ints
 from codec.kernel import kernel, prange
 from player.render.blend import (
     blend_pixel,
@@ -19,10 +19,7 @@ from player.render.project import CONIC_A, CONIC_B, CONIC_C, OPACITY, Q_MAX, X, 
 from player.render.recipe import TILE_PX
 from trainer.capture.capture import Mask
 
-from .raster import Ints, Parameters, Rendered, View, render
-
-Floats = npt.NDArray[np.float32]
-Doubles = npt.NDArray[np.float64]
+from .raster import Parameters, Rendered, View, render
 
 
 @kernel(fastmath=True, parallel=True)

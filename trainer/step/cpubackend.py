@@ -6,10 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .backend import Floats, MemoryNeeds, Resident, Selection, Step, StepInput, Training
+from codec.arrays import Floats, Ints
+
+from .backend import MemoryNeeds, Resident, Selection, Step, StepInput, Training
 from .loss import Loss, photometric_loss
 from .optimiser import GATE_STEEPNESS, add_noise
-from .raster import Ints, Parameters, Scratch, backward, render
+from .raster import Parameters, Scratch, backward, render
 from .scalebound import bound_scales
 from .target import Targets
 from .together import move_together

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles, Flags, Floats
 from codec.kernel import kernel, prange
 
-from .runs import Flags, Looked, Runs
+from .runs import Looked, Runs
 
-Floats = npt.NDArray[np.float32]
-Doubles = npt.NDArray[np.float64]
 MaskLike = npt.NDArray[np.uint8] | npt.NDArray[np.bool_] | npt.NDArray[np.float32]
 """(H, W): pixels above 0 count."""
 

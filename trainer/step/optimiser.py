@@ -13,13 +13,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Floats, Ints
 from codec.kernel import kernel, prange
 from player.render.project import rotation_of
 
 from .raster import Parameters
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
 
 BETA1 = 0.9
 BETA2 = 0.999

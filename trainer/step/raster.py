@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Flags, Floats, Ints
 from codec.camera import Camera
 from codec.splats import array_shapes
 from player.render.blend import blend_tiles
@@ -16,13 +16,10 @@ from player.render.project import PROJECTED, Projection, camera_vector
 from player.render.recipe import TILE_PX
 from player.render.tiles import TileLists, list_tiles, reach_of, tile_grid
 
-from .active import Flags, active_tiles, trained_ends, with_neighbours
+from .active import active_tiles, trained_ends, with_neighbours
 from .blend_backward import G_BLUE, G_GREEN, G_RED, PAIR_GRADIENT, blend_tiles_backward
 from .colour_backward import colour_backward_kernel
 from .project_backward import project_backward_kernel
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
 
 NEARLY_ALL = 0.9
 """Share of the tiles from which on leaving the others out gains less than finding them costs."""

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Flags, Ints
 from codec.kernel import kernel
 from player.render.recipe import TILE_PX
-
-Ints = npt.NDArray[np.int32]
-Flags = npt.NDArray[np.bool_]
 
 VECTOR_PX = 8
 """Floats that a processor handles at a time, or half of them."""

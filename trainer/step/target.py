@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats
 from trainer.pictures.shot import Shot
 
 from .loss import Workspace
-
-Floats = npt.NDArray[np.float32]
 
 
 class Targets:

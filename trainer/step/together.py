@@ -7,10 +7,8 @@ how its own pixels would look better; that of a whole cell shows where the piece
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
+from codec.arrays import Floats, Ints
 
 
 def cells_of(means: Floats, size_m: float) -> Ints:

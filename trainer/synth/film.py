@@ -20,11 +20,11 @@ from typing import Literal
 import av
 import av.video.stream
 import numpy as np
-import numpy.typing as npt
 import tyro
 from av.video.reformatter import ColorRange, Colorspace
 from rich.console import Console
 
+from codec.arrays import Bytes, Floats
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.files import making_folder, name_file
@@ -38,8 +38,6 @@ from trainer.capture.held_out import HELD_OUT_NAME
 
 from .motion import WALK_RADIUS_M
 from .scene import Scene, camera_rig, held_out_cameras
-
-Floats = npt.NDArray[np.float32]
 
 MAX_SIDE_PX = 4096
 """Largest width or height."""
@@ -163,9 +161,7 @@ class Studio:
         inside = shows & (np.abs(u_px - columns) <= 1) & (np.abs(v_px - rows) <= 1)
         return splats.take(np.flatnonzero(shows)), float(depth_m[inside].min(initial=np.inf))
 
-    def sample_points(
-        self, count: int, rng: np.random.Generator
-    ) -> tuple[Floats, npt.NDArray[np.uint8]]:
+    def sample_points(self, count: int, rng: np.random.Generator) -> tuple[Floats, Bytes]:
         """(xyz (P, 3), rgb (P, 3)) of what randomly chosen pixels of frame 0 show."""
         picture, depth_m = self.film(0)[0], self.depth(0).astype(np.float64)
         rows = rng.integers(0, picture.shape[0], count)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from codec.pose import Doubles
+from codec.arrays import Doubles
 
 from . import paint
 from .surfels import Cone, cone, upright

@@ -11,10 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
-from codec.pose import Doubles
+from codec.arrays import Doubles, Flags
 
 Flat = Callable[[Doubles, Doubles, float, float, int], Doubles]
 """Paints (N,) places u, v on a surface of a width and a height, metres, with a seed: (N, 3)."""
@@ -52,7 +51,7 @@ def step(low: float, high: float, x: Doubles) -> Doubles:
     return np.asarray(t * t * (3 - 2 * t))
 
 
-def where(holds: npt.NDArray[np.bool_], a: Doubles, b: Doubles) -> Doubles:
+def where(holds: Flags, a: Doubles, b: Doubles) -> Doubles:
     """(N, 3) a where (N,) `holds`, else b."""
     chosen: Doubles = np.where(holds[:, None], a, b)
     return chosen

@@ -15,9 +15,9 @@ import av
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.files import making_folder
-from codec.pose import Doubles
 from codec.stream.sound import SAMPLE_RATE
 from trainer.capture.capture import Capture, Picture
 from trainer.capture.layout import open_capture

@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Floats
 from codec.camera import Camera
 from codec.pose import look_at
 from codec.splats import Splats
@@ -22,7 +23,6 @@ from .surfels import (
     LAMP_RADIUS_M,
     REACH_RADII,
     Cone,
-    Floats,
     Surfels,
     cone,
     cone_surfels,

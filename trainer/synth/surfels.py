@@ -10,14 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles, Floats, Ints
 from codec.kernel import kernel, prange
-from codec.pose import Doubles
 from codec.splats import SH_C0, Splats
 
 from .paint import Flat, Solid, even
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
 
 LAMP_AT = np.array([0.5, -2.72, -0.45])
 """The middle of the lamp, metres."""

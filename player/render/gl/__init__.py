@@ -3,7 +3,7 @@
 from .glcontext import GlError, first_context, open_context
 from .glrenderer import GlRenderer
 from .offscreen import Target
-from .rendererchoice import create_renderer
+from .rendererchoice import create_renderer, with_what_works
 
 __all__ = [
     "GlError",
@@ -12,4 +12,5 @@ __all__ = [
     "create_renderer",
     "first_context",
     "open_context",
+    "with_what_works",
 ]

@@ -12,9 +12,8 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import moderngl
-import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats
 from codec.camera import Camera
 from codec.errors import SwingsError
 from codec.slice import Slice
@@ -31,8 +30,6 @@ from .resident import Resident
 from .textureresident import TextureResident
 
 log = logging.getLogger(__name__)
-
-Floats = npt.NDArray[np.float32]
 
 
 class GlRenderer:
@@ -80,7 +77,7 @@ class GlRenderer:
             reason = " ".join(str(error).split())
             raise GlError(f"this OpenGL cannot run the renderer: {reason}") from error
 
-    def _make_resident(self, asked: GlVersion) -> Resident[Any]:
+    def _make_resident(self, asked: GlVersion) -> Resident:
         if self.version is GlVersion.V43:
             try:
                 return BufferResident(self._context, self._manifest)

@@ -8,16 +8,13 @@ from enum import Enum
 
 import moderngl
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats
 from codec.camera import Camera
 
 from ..depth import LEAST_COVERAGE
 from .glcontext import GlError
 from .programs import compile_program
-
-Floats = npt.NDArray[np.float32]
-
 
 Colour = tuple[float, float, float]
 """Red, green and blue, 0..1."""

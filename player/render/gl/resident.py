@@ -2,44 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Protocol, TypeVar
+from typing import Any, Protocol
 
 from codec.camera import Camera
-from codec.slice import Slice
 
-Packed = TypeVar("Packed", bound="OfLane")
-
-
-class OfLane(Protocol):
-    """A slice as a Resident takes it."""
-
-    @property
-    def lane(self) -> int: ...
+from ..patch import PackedLanes
+from .rowpacker import RowPacker
 
 
-PackedOut = TypeVar("PackedOut", bound=OfLane, covariant=True)
-
-
-class Packer(Protocol[PackedOut]):
-    """Packs slices; belongs to the thread that puts, and makes no GL call."""
-
-    def pack(self, slice: Slice) -> PackedOut:
-        """The slice, which fits a lane. Raises InvalidError if it changes what its lane lacks."""
-        ...
-
-    def forget(self, lane: int) -> None:
-        """Packed slices of `lane` may never be uploaded: only a whole slice can follow."""
-        ...
-
-
-class Resident(Protocol[Packed]):
+class Resident(Protocol):
     """The Gaussians of the window on the GPU. The context is current in every call."""
 
     @property
-    def packer(self) -> Packer[Packed]: ...
+    def packer(self) -> RowPacker | PackedLanes:
+        """Packs slices for `upload`; belongs to the thread that puts, and makes no GL call."""
+        ...
 
-    def upload(self, packed: Packed) -> int:
-        """Writes what the slice changes; gives how many bytes."""
+    def upload(self, packed: Any) -> int:
+        """Writes what the slice that `packer` packed changes; gives how many bytes."""
         ...
 
     def start_glide(self, frame: int) -> None:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Floats, Ints
 from codec.slice import Slice
 
 from ..moves import moves_of
 from ..pack import pack_slice, texels_per_gaussian
-
-Ints = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +25,7 @@ class PackedRows:
     serial: int  # rises from slice to slice, from 1 on
     birth: int
     rows: Ints | None  # (N,) rising, those of the lane that change; None: the lane is replaced
-    words: npt.NDArray[np.float32]  # (N, 4 * texels); see texels_per_gaussian
+    words: Floats  # (N, 4 * texels); see texels_per_gaussian
     moves: Ints | None  # see moves_of
 
 

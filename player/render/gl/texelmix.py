@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import moderngl
-import numpy as np
-import numpy.typing as npt
+
+from codec.arrays import Ints
 
 from ..moves import ENTERS, LEAVES
 from .glcontext import Unlocked
 from .programs import Constants, compile_program
-
-Ints = npt.NDArray[np.int32]
 
 SIDE_PX = 2048
 """Width of the textures with Gaussians that are set aside."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import moderngl
 import numpy as np
-import numpy.typing as npt
 
+from codec.arrays import Ints
 from codec.camera import Camera
 from codec.stream.manifest import Manifest
 
@@ -40,7 +40,7 @@ class TextureResident:
             )
         self._manifest = manifest
         self._order = Order(manifest.swin_size, lane_slots, self._num_spare)
-        self._shown: npt.NDArray[np.int32] = np.empty(0, np.int32)
+        self._shown: Ints = np.empty(0, np.int32)
         self._unlocked = Unlocked(context)
         self._texture = context.texture((columns * texels, height_px), 4, dtype="u4")
         self._texture.filter = (moderngl.NEAREST, moderngl.NEAREST)

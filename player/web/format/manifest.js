@@ -17,10 +17,8 @@ import {
   MAX_SLOTS,
   MAX_STEP,
   MAX_SWIN_SIZE,
-  MAX_TEMPORAL_PERIOD,
   MIN_FPS,
   MIN_STEP,
-  TEMPORAL_VERSION,
   VERSION,
 } from "../constants.js";
 import { readCamera } from "./camera.js";
@@ -69,9 +67,8 @@ export function readManifest(bytes) {
   const value = parsed(bytes);
   const version = field(value, "version");
   if (!Number.isInteger(version)) throw corrupt("manifest: this is not a swings stream");
-  const isTemporal =
-    version === TEMPORAL_VERSION && Object.hasOwn(/** @type {object} */ (value), "temporal_period");
-  if (version !== VERSION && !isTemporal) throw unsupported(`manifest: unknown version ${version}`);
+  if (version !== VERSION)
+    throw unsupported(`manifest: version ${version}, not ${VERSION}; the stream must be made anew`);
   const swinSize = integer(field(value, "swin_size"), 1, MAX_SWIN_SIZE, "swin_size");
   const numGs = integer(field(value, "num_gs"), 1, MAX_NUM_GS, "num_gs");
   if (numGs % swinSize !== 0 || numGs / swinSize > MAX_SLOTS) {
@@ -84,7 +81,7 @@ export function readManifest(bytes) {
     "segment_frames",
   );
   const shDegree = integer(field(value, "sh_degree"), 0, MAX_SH_DEGREE, "sh_degree");
-  const layout = readLayout(value, swinSize, segmentFrames, shDegree, numGs, isTemporal);
+  const layout = readLayout(value, swinSize, segmentFrames, shDegree, numGs);
   const { numLayers } = layout;
   const cameras = list(field(value, "cameras"), 1, MAX_CAMERAS, "cameras").map(readCamera);
   if (new Set(cameras.map((camera) => camera.name)).size !== cameras.length) {
@@ -174,31 +171,13 @@ function partsOf(numLayers) {
  * @param {number} segmentFrames
  * @param {number} shDegree
  * @param {number} numGs
- * @param {boolean} isTemporal whether the last layer is a temporal one
  */
-function readLayout(value, swinSize, segmentFrames, shDegree, numGs, isTemporal) {
-  const key = "temporal_period";
-  const period = isTemporal ? integer(field(value, key), 2, MAX_TEMPORAL_PERIOD, key) : 1;
+function readLayout(value, swinSize, segmentFrames, shDegree, numGs) {
   const counts = list(field(value, "slots"), 1, MAX_LAYERS, "slots");
-  const slots = counts.map((count, layer) => {
-    const hasNone = isTemporal && layer === counts.length - 1;
-    return integer(count, +!hasNone, hasNone ? 0 : MAX_SLOTS, "slots");
-  });
+  const slots = counts.map((count) => integer(count, 1, MAX_SLOTS, "slots"));
   const rows = list(field(value, "lattice"), slots.length, slots.length, "lattice");
-  const layout = new SlotLayout(
-    swinSize,
-    segmentFrames,
-    shDegree,
-    slots,
-    rows.map(readLattice),
-    period,
-  );
-  if (
-    layout.numSlots * swinSize !== numGs ||
-    segmentFrames * layout.numSlots > MAX_SEGMENT_SLOTS ||
-    (isTemporal && swinSize > 1) ||
-    segmentFrames % period
-  ) {
+  const layout = new SlotLayout(swinSize, segmentFrames, shDegree, slots, rows.map(readLattice));
+  if (layout.numSlots * swinSize !== numGs || segmentFrames * layout.numSlots > MAX_SEGMENT_SLOTS) {
     throw corrupt(
       `manifest: ${layout.numSlots} slots do not fit num_gs ${numGs} and segment_frames ${segmentFrames}`,
     );

@@ -30,7 +30,7 @@ export function readObject(bytes) {
   if (skippable !== SKIPPABLE_MAGIC || !isMagic(magic, TABLE_MAGIC)) {
     throw corrupt("object: does not start with a table of chunks");
   }
-  if (version !== VERSION) throw unsupported(`object: unknown version ${version}`);
+  if (version !== VERSION) throw unsupported(`object: version ${version}, not ${VERSION}`);
   if (!Object.values(CODERS).includes(coder)) throw unsupported(`object: unknown coder ${coder}`);
   if (count > MAX_CHUNKS || reserved !== 0) {
     throw corrupt(`object: ${count} chunks or the reserved value ${reserved} is not valid`);

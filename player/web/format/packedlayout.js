@@ -8,7 +8,6 @@ import {
   MAX_SOURCES,
   PACKED_EXTRA,
   PACKED_EXTRA_ID,
-  PACKED_TRACKS_VERSION,
   PACKED_VERSION,
   SOUND_PREFIX,
   ZIP_LOCAL,
@@ -19,8 +18,8 @@ import { corrupt, unsupported } from "./bytes/errors.js";
 
 const MANIFEST_NAME = "manifest.json";
 const INDEX_NAME = "index.bin";
-/** Bytes of a local header without the name, and of the whole header of `.tracks`. */
-const [LOCAL_BYTES, TRACKS_LOCAL_BYTES] = [30, 37];
+/** Bytes of a local header without the name, of the manifest's extra field, and of the whole header of `.tracks`. */
+const [LOCAL_BYTES, EXTRA_BYTES, TRACKS_LOCAL_BYTES] = [30, 24, 37];
 
 /**
  * A byte range of the file.
@@ -55,8 +54,8 @@ export function readPackedHead(bytes) {
   const [magic] = local;
   const [storedBytes, manifestBytes, nameBytes, extraBytes] = local.slice(-4);
   const name = reader.take(MANIFEST_NAME.length);
-  const [id, following, version, reserved, indexBytes, posterBytes, storyboardBytes] =
-    reader.unpack(PACKED_EXTRA);
+  const [id, following, version, reserved, ...sizes] = reader.unpack(PACKED_EXTRA);
+  const [indexBytes, posterBytes, storyboardBytes, tracksBytes] = sizes;
   const isPacked =
     magic === ZIP_LOCAL_MAGIC &&
     nameBytes === MANIFEST_NAME.length &&
@@ -64,12 +63,9 @@ export function readPackedHead(bytes) {
     id === PACKED_EXTRA_ID &&
     following === extraBytes - 4;
   if (!isPacked) throw corrupt("packed stream: does not begin as one; make it with swings-stream");
-  const hasTracks = version === PACKED_TRACKS_VERSION;
-  if (!(version === PACKED_VERSION || hasTracks) || reserved !== 0)
-    throw unsupported(`packed stream: unknown layout ${version}`);
-  // If the file lacks the table that its layout declares, everything after it would be misplaced.
-  const tracksBytes = hasTracks ? reader.u32() : 0;
-  if (hasTracks && tracksBytes === 0) throw corrupt("packed stream: an empty table of sizes");
+  if (version !== PACKED_VERSION || reserved !== 0)
+    throw unsupported(`packed stream: layout ${version}, not ${PACKED_VERSION}; pack it anew`);
+  if (extraBytes !== EXTRA_BYTES) throw corrupt("packed stream: a head of another length");
   if (manifestBytes !== storedBytes || !(manifestBytes > 0 && manifestBytes <= MAX_MANIFEST_BYTES))
     throw corrupt(`packed stream: a manifest of ${manifestBytes} bytes`);
   if (!(indexBytes > 0 && Math.max(indexBytes, tracksBytes) <= MAX_INDEX_BYTES))
@@ -78,7 +74,7 @@ export function readPackedHead(bytes) {
     throw corrupt("packed stream: too large a picture");
   const manifestAt = localBytes(MANIFEST_NAME) + extraBytes;
   const indexAt = manifestAt + manifestBytes + localBytes(INDEX_NAME);
-  const tracksAt = indexAt + indexBytes + (hasTracks ? TRACKS_LOCAL_BYTES : 0);
+  const tracksAt = indexAt + indexBytes + (tracksBytes ? TRACKS_LOCAL_BYTES : 0);
   return {
     manifest: { first: manifestAt, size: manifestBytes },
     index: { first: indexAt, size: indexBytes },

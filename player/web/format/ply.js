@@ -12,7 +12,8 @@ export function framePly(decoder) {
   /** @type {import("./gaussians.js").Gaussians[]} */
   const found = [];
   for (let birth = last - layout.swinSize + 1; birth <= last; birth++) {
-    const { lane, rows, slots = decoder.lanes[lane] } = decoder.whole(birth);
+    const { lane, rows } = decoder.whole(birth);
+    const slots = decoder.lanes[lane];
     for (const [layer, { conditions, starts }] of slots.entries()) {
       const shown = rows[layer].filter(
         (row) => [ON_LATTICE, ESCAPED].includes(conditions[row]) && birth + starts[row] <= last,

@@ -39,7 +39,7 @@ export function buffersOf(update) {
  */
 export function packSlots(decoder, slice, frame) {
   const { layout, rowEdges } = decoder;
-  const lane = slice.slots ?? decoder.lanes[slice.lane];
+  const lane = decoder.lanes[slice.lane];
   let count = 0;
   let numLattice = 0;
   let numFloats = 0;

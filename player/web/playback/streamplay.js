@@ -10,7 +10,7 @@ export class StreamPlay {
   /** @param {import("../format/manifest.js").Manifest} manifest */
   constructor(manifest) {
     this.layout = manifest.layout;
-    this.decoder = this.#newDecoder();
+    this.decoder = new SlotDecoder(this.layout);
     /** @type {Map<number, Uint8Array>} by birth */
     this.masks = new Map();
     /** @type {Map<number, (Uint8Array | null)[]>} by birth; one chunk per layer */
@@ -25,10 +25,6 @@ export class StreamPlay {
     this.isLate = false;
   }
 
-  #newDecoder() {
-    return new (this.layout.Decoder ?? SlotDecoder)(this.layout);
-  }
-
   /** The last decoded frame; null before the first. */
   get frame() {
     return this.decoder.frame;
@@ -38,7 +34,7 @@ export class StreamPlay {
   get layers() {
     const { numLayers } = this.layout;
     for (let layer = 0; layer < numLayers; layer++) if (this.#lacksAnything(layer)) return layer;
-    return numLayers - this.decoder.numMissing;
+    return numLayers;
   }
 
   /** @param {number} layer */
@@ -115,12 +111,11 @@ export class StreamPlay {
    */
   join(frame) {
     const first = this.layout.segmentStart(frame);
-    this.decoder = this.#newDecoder();
+    this.decoder = new SlotDecoder(this.layout);
     this.masks.delete(first);
     this.changes.delete(first);
     this.#load(first);
-    for (let birth = first + 1; birth <= frame; birth++)
-      this.#apply(birth, birth < frame ? undefined : this);
+    for (let birth = first + 1; birth <= frame; birth++) this.#apply(birth, birth === frame);
     return this.again(frame);
   }
 
@@ -138,22 +133,22 @@ export class StreamPlay {
   advance(frame) {
     if (!this.hasSlice(frame) && this.snapshots.get(frame)?.[0])
       return { isJoin: true, updates: this.join(frame) };
-    const slice = this.#apply(frame, this);
+    const slice = this.#apply(frame, true);
     if (frame === this.layout.segmentStart(frame)) this.#load(frame);
     return { isJoin: false, updates: [packSlots(this.decoder, slice, frame)] };
   }
 
   /**
    * @param {number} birth
-   * @param {StreamPlay} [ahead] only if the frame shows
+   * @param {boolean} shows whether the frame shows
    */
-  #apply(birth, ahead) {
+  #apply(birth, shows) {
     const mask = this.masks.get(birth) ?? null;
     const changes = this.#row(this.changes, birth);
     this.masks.delete(birth);
     this.changes.delete(birth);
     try {
-      return this.decoder.apply(birth, mask, changes, ahead);
+      return this.decoder.apply(birth, mask, changes, shows);
     } catch (error) {
       if (!(error instanceof FormatError)) throw error;
     }
@@ -163,7 +158,7 @@ export class StreamPlay {
         this.decoder.takes(birth, mask, layer, /** @type {Uint8Array} */ (change));
       return change !== null && this.#try(birth, layer, takes) ? change : null;
     });
-    return this.decoder.apply(birth, mask, taken, ahead);
+    return this.decoder.apply(birth, mask, taken, shows);
   }
 
   /** Loads the snapshots of `frame` for layers that lack something. @param {number} frame */

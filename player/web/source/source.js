@@ -64,23 +64,6 @@ export async function openSource(
   otherHosts = false,
   bufferBytes,
 ) {
-  const stream = await opened(url, fetcher, maxGaussians, otherHosts, bufferBytes);
-  const { layout } = stream.manifest;
-  if (layout.period > 1) {
-    layout.Decoder = (await import("../format/slots/passing.js")).PassingDecoder;
-  }
-  return stream;
-}
-
-/**
- * The stream, by the code of its kind; see openSource.
- * @param {string} url
- * @param {import("./fetcher.js").Fetcher} fetcher
- * @param {number | null} maxGaussians
- * @param {boolean} otherHosts
- * @param {number} [bufferBytes]
- */
-async function opened(url, fetcher, maxGaussians, otherHosts, bufferBytes) {
   const served = servedBase(url);
   if (served !== null) {
     const { ServedStream } = await import("./served.js");

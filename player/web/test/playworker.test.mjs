@@ -16,7 +16,7 @@ test("nothing follows on a failure, also if it is found while a live stream is l
   context.mock.method(console, "warn", () => {});
   const described = JSON.parse(Buffer.from(FILES["manifest.json"]).toString());
   const manifest = JSON.stringify({ ...described, live: true });
-  const other = filesOf("temporal-gzip");
+  const other = filesOf("leases-gzip");
   let index = FILES["index.bin"];
   const answer = (path) => {
     if (path === "manifest.json") return new Response(manifest);

@@ -146,7 +146,7 @@ test("that a link is too thin is said once, with both rates", async (context) =>
 });
 
 test("a stream that was replaced is named, whatever its bytes look like", async (context) => {
-  const other = filesOf("temporal-gzip");
+  const other = filesOf("leases-gzip");
   let files = FILES;
   const answer = (path) => new Response(files[path] ?? "", { status: path in files ? 200 : 404 });
   const { player, failures, until } = playing(context, RECORDS, () => 0.1, {}, answer);

@@ -71,7 +71,7 @@ export function manifestBytes({ slots = [5, 3, 2], ...changes } = {}) {
   const cameras = changes.cameras ?? [camera()];
   const bounds = [2, 6].map((z, upper) => (upper ? [2, 2, z] : [-2, -2, z]));
   const manifest = {
-    ...{ version: 2, fps: 30, swin_size: 1, segment_frames: 30, sh_degree: 0, antialias: false },
+    ...{ version: 1, fps: 30, swin_size: 1, segment_frames: 30, sh_degree: 0, antialias: false },
     ...{ near_m: 0.5, bounds, cameras, default_camera: cameras[0].name, live: false, slots },
     ...{ num_gs: slots.reduce((sum, one) => sum + one), lattice: slots.map(() => LATTICE) },
     ...{ poster: null, object_url: "segments/{segment}/{layer}", title: "", capture_frame: 0 },

@@ -16,12 +16,11 @@ const DIST = `${WEB}dist/`;
 const ENTRIES = [
   "core.js",
   "element/swingsplayer.js",
-  "engines/playcanvas.js",
   "engines/spark.js",
   "feed/gaussianfeed.js",
   "watch.js",
 ];
-const ENGINES = ["three", "playcanvas", "@sparkjsdev/spark"];
+const ENGINES = ["three", "@sparkjsdev/spark"];
 
 /** The URL of a worker's module in a source: bundlers find it if it is written like this. */
 const WORKER = /new URL\("(\.{1,2}\/[\w./]*worker\.js)", import\.meta\.url\)/g;

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from codec.arrays import Doubles, Longs
 from codec.camera import Camera
 from codec.edit.crop import CropOptions
 from codec.edit.editing import edit_stream
 from codec.edit.floaters import FloaterOptions
 from codec.errors import InvalidError
 from codec.lattice.lattice import Lattice, quantise
-from codec.pose import Doubles, look_at
+from codec.pose import look_at
 from codec.slots.slotlayout import SlotLayout
-from codec.slots.slotstate import Rows
 from codec.slots.update import KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
@@ -45,8 +45,8 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_trained_like(tmp_path_factory.mktemp("crop") / "s", 1)
 
 
-def in_box(means: Doubles, box: tuple[float, ...] = BOX) -> Rows:
-    inside: Rows = np.flatnonzero(((means >= box[:3]) & (means <= box[3:])).all(axis=1))
+def in_box(means: Doubles, box: tuple[float, ...] = BOX) -> Longs:
+    inside: Longs = np.flatnonzero(((means >= box[:3]) & (means <= box[3:])).all(axis=1))
     return inside
 
 
@@ -66,9 +66,9 @@ def test_a_box_and_its_complement_share_the_gaussians(swin_size: int, tmp_path: 
         assert gaussians(inside) + gaussians(outside) == gaussians(whole)
 
 
-@pytest.mark.parametrize(("swin_size", "period"), [(1, 1), (2, 1), (3, 1), (1, 2), (1, 4)])
-def test_patternless_streams_cropped(swin_size: int, period: int, tmp_path: Path) -> None:
-    layout = small_layout(swin_size, (20, 10), 1, 4, period)
+@pytest.mark.parametrize("swin_size", [1, 2, 3])
+def test_patternless_streams_cropped(swin_size: int, tmp_path: Path) -> None:
+    layout = small_layout(swin_size, (20, 10), 1, 4)
     source = write_slot_stream(tmp_path / "s", 14, layout, 1)
     box = (-2.0, -2.0, -50.0, 1.5, 2.0, 3.0)
     for whole, found in edited_frames(source, tmp_path / "t", CropOptions(box=box)):

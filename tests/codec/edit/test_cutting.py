@@ -1,4 +1,4 @@
-"""Streams cut, joined, and with a temporal layer, bit by bit; and swings-stream edit."""
+"""Streams cut and joined, bit by bit; and swings-stream edit."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from codec.edit.join import join_streams
+from codec.edit.trim import trim_stream
 from codec.errors import CorruptError, InvalidError
 from codec.files import write_atomic
 from codec.framerange import FrameRange
@@ -15,7 +17,6 @@ from codec.stream import StreamReader
 from codec.stream.manifest import MASKS, Manifest
 from codec.stream.views import view_from_text
 from codec.tools.audit import verify_stream
-from codec.tools.cutting import join, set_temporal_layer, trim_stream
 from tests.support.commands import run, run_ok
 from tests.support.hostile import refused
 from tests.support.slots.edited import (
@@ -30,20 +31,18 @@ from tests.support.slots.edited import (
 from tests.support.slots.slot_streams import gaussians, write_slot_stream
 from tests.support.slots.updates import small_layout
 
-LANES = [(1, 1), (3, 1), (6, 1), (1, 2), (1, 4)]
-lanes = pytest.mark.parametrize(("swin_size", "period"), LANES)
+lanes = pytest.mark.parametrize("swin_size", [1, 3, 6])
 
 
 @lanes
 @pytest.mark.parametrize("frames", [(0, 4), (0, 14), (3, 4), (4, 14), (5, 11), (8, 11), (13, 14)])
-def test_trimmed(frames: tuple[int, int], swin_size: int, period: int, tmp_path: Path) -> None:
-    layout = small_layout(swin_size, (6, 4), 1, 4, period)
+def test_trimmed(frames: tuple[int, int], swin_size: int, tmp_path: Path) -> None:
+    layout = small_layout(swin_size, (6, 4), 1, 4)
     source = write_slot_stream(tmp_path / "s", 14, layout, 3)
     trim_stream(source, tmp_path / "t", FrameRange(*frames))
     summary = verify_stream(tmp_path / "t")
     assert (summary.num_frames, summary.live) == (frames[1] - frames[0], False)
-    manifest = StreamReader(tmp_path / "t").manifest
-    assert (manifest.capture_frame, manifest.temporal_period) == (frames[0], period)
+    assert StreamReader(tmp_path / "t").manifest.capture_frame == frames[0]
     wanted = list(frames_of(source))[slice(*frames)]
     for before, after in zip(wanted, frames_of(tmp_path / "t"), strict=True):
         assert gaussians(before) == gaussians(after)
@@ -95,14 +94,14 @@ def test_a_wrong_object_is_named_and_nothing_is_left(tmp_path: Path) -> None:
 
 @lanes
 @pytest.mark.parametrize("cuts", [(4,), (3,), (8, 12), (2, 5), (7, 9), (1, 12)])
-def test_parts_joined(cuts: tuple[int, ...], swin_size: int, period: int, tmp_path: Path) -> None:
-    layout = small_layout(swin_size, (6, 4), 0, 4, period)
+def test_parts_joined(cuts: tuple[int, ...], swin_size: int, tmp_path: Path) -> None:
+    layout = small_layout(swin_size, (6, 4), 0, 4)
     source = write_slot_stream(tmp_path / "s", 14, layout, 5)
     edges = (0, *cuts, 14)
     parts = [tmp_path / str(n) for n in range(len(cuts) + 1)]
     for n, part in enumerate(parts):
         trim_stream(source, part, FrameRange(edges[n], edges[n + 1]))
-    join(parts, tmp_path / "t")
+    join_streams(parts, tmp_path / "t")
     assert verify_stream(tmp_path / "t").num_frames == 14
     assert_same_frames(source, tmp_path / "t")
 
@@ -114,7 +113,7 @@ def test_other_streams_follow(swin_size: int, lengths: tuple[int, ...], tmp_path
     parts = [
         write_slot_stream(tmp_path / str(n), length, layout, n) for n, length in enumerate(lengths)
     ]
-    join(parts, tmp_path / "t")
+    join_streams(parts, tmp_path / "t")
     assert verify_stream(tmp_path / "t").num_frames == sum(lengths)
     found = list(frames_of(tmp_path / "t"))
     first = 0
@@ -132,7 +131,7 @@ def test_other_streams_follow(swin_size: int, lengths: tuple[int, ...], tmp_path
 def test_the_first_stream_gives_title_and_cameras_and_bounds_hold_both(tmp_path: Path) -> None:
     a = write_slot_stream(tmp_path / "a", 3, title="first", bounds=((0, 0, 0), (1, 1, 1)))
     b = write_slot_stream(tmp_path / "b", 3, title="other", bounds=((-1, 0, 0), (0.5, 2, 1)))
-    join([a, b], tmp_path / "t")
+    join_streams([a, b], tmp_path / "t")
     manifest = StreamReader(tmp_path / "t").manifest
     assert (manifest.title, manifest.bounds) == ("first", ((-1, 0, 0), (1, 2, 1)))
 
@@ -143,22 +142,15 @@ def test_streams_that_differ_are_refused(changes: dict[str, object], tmp_path: P
     b = write_slot_stream(tmp_path / "b", 3)
     manifest = Manifest.from_json((b / "manifest.json").read_bytes())
     write_atomic(b / "manifest.json", replace(manifest, **changes).to_json())  # type: ignore[arg-type]
-    refused(InvalidError, f"has another {next(iter(changes))} than", join, [a, b], tmp_path / "t")
-    refused(InvalidError, "only one stream", join, [a], tmp_path / "t")
+    refused(
+        InvalidError,
+        f"has another {next(iter(changes))} than",
+        join_streams,
+        [a, b],
+        tmp_path / "t",
+    )
+    refused(InvalidError, "only one stream", join_streams, [a], tmp_path / "t")
     assert not (tmp_path / "t").exists()
-
-
-@pytest.mark.parametrize("periods", [(2, 1), (4, 1), (4, 2), (1, 3), (8, 8)])
-@pytest.mark.parametrize("seed", range(2))
-def test_a_temporal_layer_or_none(periods: tuple[int, int], seed: int, tmp_path: Path) -> None:
-    before, after = periods
-    layout = small_layout(1, (20, 10), 1, 8, before)
-    source = write_slot_stream(tmp_path / "s", 21, layout, seed)
-    made = set_temporal_layer(source, tmp_path / "t", after)
-    assert (made.num_frames, verify_stream(tmp_path / "t").num_frames) == (21, 21)
-    manifest = StreamReader(tmp_path / "t").manifest
-    assert (manifest.temporal_period, manifest.segment_frames) == (after, 9 if after == 3 else 8)
-    assert_same_frames(source, tmp_path / "t")
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from codec.arrays import Doubles
 from codec.edit.crop import CropOptions
 from codec.edit.editing import Options, edit_stream
 from codec.edit.fitting import first_segment_bytes, fitted
@@ -16,7 +17,7 @@ from codec.edit.rewrite import coder_of_stream
 from codec.edit.transform import Transform, TransformOptions
 from codec.edit.view import ViewOptions
 from codec.errors import SwingsError
-from codec.pose import Doubles, rotation_about
+from codec.pose import rotation_about
 from codec.similarity import harmonics
 from codec.splats import Splats
 from codec.stream import StreamReader

@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from PIL import Image
 
+from codec.arrays import Bytes
 from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.foreign.bundle import MAX_DIRECTORY_BYTES, Bundle
-from codec.foreign.levels import Bytes
 from codec.foreign.sog import decode_sog, encode_sog
 from codec.foreign.webp import decode_webp, encode_webp, webp_size
 from codec.interop.containers import ContainedFrame, contained_frames

@@ -8,7 +8,6 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,8 +16,8 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from codec.arrays import Doubles, Flags, Floats
 from codec.interop.formats import SplatFormat, read_splats, write_splats
-from codec.pose import Doubles
 from codec.sequence.errorbound import ErrorBound
 from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import SH_C0, Splats, sh_count
@@ -52,14 +51,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_commands_run(folder: Path) -> None:
-    assert len(COMMANDS) == 9
+    assert len(COMMANDS) == 7
     assert {line.split()[0] for line in COMMANDS} <= set(ENTRY)
 
 
 def test_they_do_what_the_page_says(folder: Path) -> None:
     sizes, streams = {}, {}
-    plain = "my-stream", "finer-stream", "exact-stream", "two-layers"
-    for name in (*plain, "halved", "quartered"):
+    for name in ("my-stream", "finer-stream", "exact-stream", "two-layers"):
         streams[name] = StreamReader(folder / name)
         sizes[name] = sum(sum(record.part_bytes) for record in streams[name].records)
         assert streams[name].num_frames == 4
@@ -68,9 +66,6 @@ def test_they_do_what_the_page_says(folder: Path) -> None:
         file = read_splats(folder / "my-splats" / f"frame_{frame:04d}.ply")
         assert gaussians(streams["exact-stream"].active_splats(frame, 4)) == gaussians(file)
     assert streams["two-layers"].manifest.num_layers == 2
-    assert streams["halved"].manifest.num_layers == 5
-    assert streams["halved"].manifest.temporal_period == 2
-    assert streams["quartered"].manifest.temporal_period == 4
 
 
 SLACK = 1e-5
@@ -104,11 +99,11 @@ def usual_size_m(splats: Splats) -> float:
 
 def within(
     source: Splats, found: Splats, error: ErrorBound, size_m: float, lowest: Doubles
-) -> npt.NDArray[np.bool_]:
+) -> Flags:
     """(N, M) whether Gaussian j of `found` is within the errors of i of `source`. lowest: see
     `lowest_of`."""
 
-    def apart(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> Doubles:
+    def apart(a: Floats, b: Floats) -> Doubles:
         return np.asarray(abs(a[:, None].astype(np.float64) - b[None]))
 
     slack = SLACK * (1 + abs(source.means[:, None].astype(np.float64)))
@@ -142,7 +137,7 @@ def within(
     return fits & form
 
 
-def exact(source: Splats, found: Splats) -> npt.NDArray[np.bool_]:
+def exact(source: Splats, found: Splats) -> Flags:
     """(N, M) whether the Gaussians have the same bits."""
     fits = np.ones((len(source), len(found)), np.bool_)
     for a, b in zip(source.arrays, found.arrays, strict=True):

@@ -16,8 +16,8 @@ from codec.storage import growingfolder
 from codec.storage.folder import FolderStorage
 from codec.storage.growingfolder import GrowingFolder
 from codec.storage.growingplace import Shape
-from codec.storage.openstorage import open_storage
-from codec.storage.storage import Storage
+from codec.storage.objectstore import open_store
+from codec.storage.storage import StorageRoot
 from codec.stream.reader import StreamReader
 from codec.tools.audit import summarise, verify_stream
 from tests.support.hostile import refused
@@ -29,7 +29,7 @@ from tests.support.tiny_stream import write_tiny
 class Held:
     """A storage, with functions that add and remove files."""
 
-    storage: Storage
+    storage: StorageRoot
     put: Callable[[str, bytes], None]
     delete: Callable[[str], None]
 
@@ -45,10 +45,10 @@ def held(request: pytest.FixtureRequest, tmp_path: Path) -> Held:
     if request.param == "folder":
         folder.mkdir()
         put, delete = (lambda n, d: put_file(folder / n, d)), (lambda n: (folder / n).unlink())
-        return Held(open_storage(folder), put, delete)
+        return Held(FolderStorage(folder), put, delete)
     s3, key = request.getfixturevalue("s3"), f"{request.node.name}/place"
     put, delete = ((lambda n, d: s3.put(f"{key}/{n}", d)), (lambda n: s3.delete(f"{key}/{n}")))
-    return Held(open_storage(f"s3://{BUCKET}/{key}"), put, delete)
+    return Held(open_store(f"s3://{BUCKET}/{key}"), put, delete)
 
 
 def test_a_file_is_read_from_an_offset_up_to_a_limit(held: Held) -> None:

@@ -68,7 +68,7 @@ def compress(content: bytes) -> bytes:
 
 
 def head(kind: Kind, birth: int) -> bytes:
-    return SLOT_HEADER.pack(b"SWG2", kind, 0, 0, 0, birth)
+    return SLOT_HEADER.pack(b"SWG1", kind, 0, 0, 0, birth)
 
 
 def escaped_change() -> bytes:
@@ -162,7 +162,7 @@ def lying_table() -> bytes:
     """A table of the maximum number of chunks, each claiming 65000 bytes; there are no chunks."""
     count = 1 << 14
     end = HEAD.size + 12 * count
-    data = HEAD.pack(0x184D2A50, end - 8, b"SWGO", 2, 1, 0, count)
+    data = HEAD.pack(0x184D2A50, end - 8, b"SWGO", 1, 1, 0, count)
     return data + b"".join(struct.pack("<iII", n, end + n * 65000, 65000) for n in range(count))
 
 

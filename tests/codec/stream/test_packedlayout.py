@@ -61,7 +61,7 @@ def test_zip_programs_find_the_files(tmp_path: Path, size_bytes: int, num_segmen
         found = archive.infolist()
         assert [one.filename for one in found] == [name for name, _, _ in layout.files()]
         for one, (name, at, size) in zip(found, layout.files(), strict=True):
-            extra_bytes = 20 if name == "manifest.json" else 0
+            extra_bytes = 24 if name == "manifest.json" else 0
             assert one.header_offset + 30 + len(name) + extra_bytes == at
             assert (one.file_size, one.compress_type) == (size, ZIP_STORED)
             if num_segments < 100:
@@ -112,12 +112,12 @@ def test_sizes_that_lie_are_refused() -> None:
         put(head_at + 12, 4),
         put(head_at + 16, 4),  # there is no storyboard
         put(28, 0, 2),
-        put(head_at + 4, 2, 2),  # it has no sound and no captions
+        put(head_at + 20, 4),  # it has no sound and no captions
         data + b"\0",
         b"PK\3\4" + bytes(200),
     ):
         assert "\n" not in str(refused(CorruptError, "", opened, lie))
-    for later in (put(head_at + 4, 3, 2), put(head_at + 6, 1, 2)):
+    for later in (put(head_at + 4, 2, 2), put(head_at + 6, 1, 2)):
         refused(UnsupportedError, "", opened, later)
     live = data.replace(b'"live": false', b'"live":  true')
     refused(CodecError, "it is live", opened, live)

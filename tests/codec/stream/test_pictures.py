@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from PIL import Image
 
+from codec.arrays import Doubles, Floats
 from codec.camera import Camera
 from codec.errors import CorruptError
 from codec.splats import Splats
@@ -36,8 +36,6 @@ from codec.tools.audit import verify_stream
 from player.render.cpu import render_splats
 from tests.support.hostile import refused
 from tests.support.tiny_stream import append_tiny, tiny_manifest, write_tiny
-
-Floats = npt.NDArray[np.float32]
 
 
 def manifest_of(
@@ -66,7 +64,7 @@ def drawn_frames(path: Path, num_frames: int) -> list[Floats]:
     return [np.clip(render_splats(splats, camera, near_m), 0, 1) for splats in frames]
 
 
-def rms(a: Floats, b: npt.NDArray[np.float64]) -> float:
+def rms(a: Floats, b: Doubles) -> float:
     return float(np.sqrt(np.mean((a - b) ** 2)))
 
 

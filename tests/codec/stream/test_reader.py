@@ -1,11 +1,10 @@
-"""Any slice and window of a stream on disk, with a temporal layer or without."""
+"""Any slice and window of a stream on disk."""
 
 from __future__ import annotations
 
 import random
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,8 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CodecError, InvalidError
-from codec.interop.formats import SplatFormat, write_splats
-from codec.sequence.importing import ImportOptions, import_stream
 from codec.slice import Slice, active_splats, window_births
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
@@ -23,7 +20,6 @@ from codec.slots.update import Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import verify_stream
-from tests.support.deforming import Deforming
 from tests.support.drawn import same_splats
 from tests.support.hosted_streams import random_slice, small_manifest
 from tests.support.hostile import refused
@@ -218,31 +214,3 @@ def test_what_is_not_a_stream(tmp_path: Path, path: str) -> None:
     refused(CodecError, path, StreamReader, tmp_path / path)
     refused(CodecError, r"manifest\.json", StreamReader, tmp_path)
     refused(CodecError, "missing; this is not a whole swings stream", StreamWriter.resume, tmp_path)
-
-
-FRAMES = 19
-OPTIONS = ImportOptions(fps=30, layers=2)
-
-
-@pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same files as streams `plain`, and `halved` with a temporal layer."""
-    path, model = tmp_path_factory.mktemp("temporal"), Deforming(400, 0)
-    (path / "files").mkdir()
-    for frame in range(FRAMES):
-        write_splats(path / f"files/{frame:03}.ply", model.next(), SplatFormat.PLY)
-    import_stream(path / "files", path / "plain", OPTIONS)
-    import_stream(path / "files", path / "halved", replace(OPTIONS, temporal=2))
-    return path
-
-
-def test_all_layers_show_the_same_frames(root: Path) -> None:
-    plain, halved = StreamReader(root / "plain"), StreamReader(root / "halved")
-    assert halved.manifest.num_layers == plain.manifest.num_layers + 1
-    for frame in [*range(FRAMES), 7, 16, 3]:
-        wanted = plain.active_splats(frame, 2)
-        assert same_splats(halved.active_splats(frame, 3), wanted)
-        if frame % 2 == 0:
-            for layers in (1, 2):
-                wanted = plain.active_splats(frame, layers)
-                assert same_splats(halved.active_splats(frame, layers), wanted)

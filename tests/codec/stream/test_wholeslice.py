@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from codec.arrays import Doubles
 from codec.errors import InvalidError
 from codec.lattice.lattice import Lattice, dequantise
 from codec.lattice.orientation import canonical
 from codec.lattice.quantise import to_luma
-from codec.pose import Doubles
 from codec.slice import HIDDEN, Slice
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout

@@ -9,9 +9,9 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from codec.arrays import Floats
 from codec.camera import Camera
 from codec.errors import SwingsError
 from codec.framerange import FrameRange
@@ -113,7 +113,7 @@ class NotingRenderer(CpuRenderer):
     def upload(self, frame: int) -> None:
         pass
 
-    def render_again(self, frame: int, camera: Camera) -> npt.NDArray[np.float32]:
+    def render_again(self, frame: int, camera: Camera) -> Floats:
         self._draws(frame)
         self.drawn.append((frame, max(self.births)))
         return np.zeros((2, 2, 3), np.float32)
@@ -124,7 +124,7 @@ def run(source: ListSource, renderer: NotingRenderer, events: Events) -> list[Fr
     with Threads(source, events) as threads:
         times = OutputTimes(30.0, 30.0, interpolates=False)
 
-        def show(record: FrameRecord | None, pictures: Iterator[npt.NDArray[np.float32]]) -> None:
+        def show(record: FrameRecord | None, pictures: Iterator[Floats]) -> None:
             assert len(list(pictures)) == (record is not None)
             if record is not None:
                 shown.append(record)

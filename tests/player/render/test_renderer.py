@@ -6,17 +6,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from codec.arrays import Floats
 from codec.errors import InvalidError, UnsupportedError
 from player.render.gl import GlError, create_renderer
 from player.render.renderer import Renderer, RendererKind
 from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest
 from tests.support.screen.opengl import needs_gl
-
-Floats = npt.NDArray[np.float32]
-
 
 KINDS = [
     pytest.param(kind, marks=[needs_gl] if kind is RendererKind.GL else [])

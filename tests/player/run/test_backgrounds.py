@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from codec.arrays import Bytes, Floats
 from codec.errors import InvalidError
 from codec.splats import Splats
 from codec.stream import StreamReader
@@ -19,7 +20,7 @@ from player.render.renderer import RendererKind
 from player.run.playback import play
 from player.run.stills import draw_frames
 from player.show.background import Colour
-from player.show.sink import Bytes, Floats, to_bytes
+from player.show.sink import to_bytes
 from player.view.moment import Moment
 
 FRAME, WHITE, BLUE = 9, (1.0, 1.0, 1.0), (0.2, 0.4, 1.0)

@@ -20,6 +20,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 import player
+from codec.arrays import Floats
 from codec.errors import InvalidError, SwingsError
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
@@ -28,7 +29,6 @@ from player import Scene
 from player.network.fetch import Fetcher, FetchError
 from player.network.retry import RetryConfig
 from player.render.cpu import CpuRenderer, render_splats
-from player.script.openscene import Floats
 from player.source.opener import SourceConfig
 from tests.support.commands import ROOT
 from tests.support.drawn import same_splats

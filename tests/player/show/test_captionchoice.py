@@ -15,7 +15,7 @@ from codec.errors import CorruptError, InvalidError
 from codec.framerange import FrameRange
 from codec.stream.captions import Captions
 from codec.tools.packing import pack_stream
-from codec.tools.streamcaptions import add_captions
+from codec.tracks.streamtracks import add_captions
 from player.show.captionchoice import MAX_LINE_CHARS, MAX_LINES, CaptionChoice
 from player.show.overlay import caption_panel
 from player.source.opener import Opener

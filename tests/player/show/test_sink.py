@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from codec.arrays import Bytes
 from codec.errors import InvalidError
 from player.show.filesinks import FolderSink, open_sink
-from player.show.sink import Bytes, check_output
+from player.show.sink import check_output
 from player.view.path import Size
 
 

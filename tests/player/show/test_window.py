@@ -14,7 +14,7 @@ from PIL import Image
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.captions import Captions
-from codec.tools.streamcaptions import add_captions
+from codec.tracks.streamtracks import add_captions
 from player.config import PlayConfig
 from player.playout.conductor import Conductor
 from player.playout.timeline import FrameRecord

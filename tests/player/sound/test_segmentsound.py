@@ -18,7 +18,7 @@ from codec.stream.sound import (
     packet_samples,
     segment_sound,
 )
-from codec.tools.soundfile import PACKET_SAMPLES, decode, encode
+from codec.tracks.soundfile import PACKET_SAMPLES, decode, encode
 from player.sound.segmentsound import MAX_SEGMENT_S, SegmentDecoder, check_playable, segment_span
 from tests.support.hosted_streams import small_manifest
 from tests.support.hostile import within_bytes

@@ -18,7 +18,7 @@ import pytest
 
 from codec.framerange import FrameRange
 from codec.stream.sound import SAMPLE_RATE, SoundSource
-from codec.tools.streamsound import add_sound
+from codec.tracks.streamsound import add_sound
 from player.link.linkprocess import LinkProcess
 from player.playout.clock import Clock
 from player.playout.conductor import Conductor

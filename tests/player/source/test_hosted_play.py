@@ -329,37 +329,3 @@ def test_whatever_is_asked_for_comes_and_is_what_the_object_holds(
     altered.add(0, kept.data[:-1] + bytes([kept.data[-1] ^ 1]))
     with pytest.raises(CorruptError, match=r"^there: .*was altered"):
         altered.whole()
-
-
-# --- a stream with a temporal layer
-
-TEMPORAL, TEMPORAL_FRAMES = 2, 80
-"""Number of the temporal layer, and of the frames."""
-
-
-@pytest.fixture(scope="module")
-def temporal_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("temporal") / "s"
-    layout = small_layout(1, (60, 60), 0, 20, TEMPORAL)
-    return write_busy_stream(path, TEMPORAL_FRAMES, layout, fps=FPS)
-
-
-@pytest.mark.parametrize(("layers", "first"), [(1, 0), (2, 0), (2, 27), (3, 0)])
-def test_a_play_without_it_shows_what_a_reader_does(
-    temporal_path: Path, layers: int, first: int
-) -> None:
-    """Without it Gaussians that go on are interpolated."""
-    temporal = StreamReader(temporal_path)
-    playout = Playout(temporal.manifest, first, TEMPORAL_FRAMES, needed=layers)
-    with opened(str(temporal_path), FrameRange(first, TEMPORAL_FRAMES), layers) as source:
-        for packets in source.packets():
-            playout.push(packets, 0.0)
-    playout.finish(0.0)
-    assembler, shown = Assembler(temporal.manifest, layers, first), Shown(temporal.manifest)
-    frames = []
-    while (due := playout.pop_due()) is not None:
-        frames.append(due.record.frame)
-        slices = assembler.assemble(frames[-1], due.packets, ahead=due.ahead)
-        expected = temporal.active_splats(frames[-1], layers)
-        assert same_splats(shown.after(slices, frames[-1]), expected)
-    assert frames == list(range(first, TEMPORAL_FRAMES))

@@ -12,10 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
-from codec.pose import Doubles, look_at
+from codec.pose import look_at
 from codec.stream.views import scene_centre
 from player.view.keyframes import read_keyframes
 from player.view.moment import Moment

@@ -9,8 +9,8 @@ import pytest
 from codec.stream.captions import Captions
 from codec.stream.reader import StreamReader
 from codec.tools.static import export_static
-from codec.tools.streamcaptions import add_captions
-from tests.codec.tools.test_streamsound import VTT
+from codec.tracks.streamtracks import add_captions
+from tests.codec.tracks.test_streamsound import VTT
 from tests.support.hosted_streams import served
 from tests.support.slots.moving_updates import write_moving_stream
 from tests.support.slots.slot_streams import write_busy_stream

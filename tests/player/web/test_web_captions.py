@@ -11,8 +11,8 @@ import pytest
 
 from codec.stream.captions import Captions
 from codec.tools.static import export_static
-from codec.tools.streamcaptions import add_captions
-from tests.codec.tools.test_streamsound import VTT
+from codec.tracks.streamtracks import add_captions
+from tests.codec.tracks.test_streamsound import VTT
 from tests.support.hosted_streams import write_stream
 from tests.support.sounding import add_clicks
 from tests.support.web.chromium import Page

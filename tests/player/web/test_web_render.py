@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.stream.reader import StreamReader
 from codec.tools.static import export_static
@@ -131,7 +131,7 @@ def test_no_gaussian_jumps_and_comes_back(page: Page, tmp_path: Path) -> None:
 
 def drawn(
     page: Page, tmp_path: Path, stream: Path, cameras: list[Camera], **more: object
-) -> list[npt.NDArray[np.float64]]:
+) -> list[Doubles]:
     """(height, width, 3) pictures of FRAME by the browser for each of `cameras`, of one size, and
     for each of the shares."""
     (tmp_path / "player").symlink_to(ROOT / "player")  # render.html takes a picture apart

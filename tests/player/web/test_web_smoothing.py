@@ -21,13 +21,12 @@ LEFT = 4
 """Flag in the browser's table of moves: the slot held another Gaussian before."""
 
 
-@pytest.mark.parametrize("kind", ["moving", "without a pattern", "of two lanes", "passing"])
+@pytest.mark.parametrize("kind", ["moving", "without a pattern", "of two lanes"])
 def test_which_go_on(browser: BrowserCode, kind: str) -> None:
     """The same Gaussians go on as in the package."""
-    plain = small_layout(2 if kind == "of two lanes" else 1, (60, 40), 0, 4)
-    layout = small_layout(1, (60, 40), 0, 4, 2) if kind == "passing" else plain
-    make = moving_updates if kind in ("moving", "passing") else patternless_updates
-    chunks = encoded_chunks(layout, list(make(plain, NUM_FRAMES)))
+    layout = small_layout(2 if kind == "of two lanes" else 1, (60, 40), 0, 4)
+    make = moving_updates if kind == "moving" else patternless_updates
+    chunks = encoded_chunks(layout, list(make(layout, NUM_FRAMES)))
     ours, theirs = SlotDecoder(layout), BrowserSlots(browser, layout)
     for snapshot in chunks.snapshots[0]:
         ours.load(snapshot)

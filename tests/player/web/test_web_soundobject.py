@@ -14,8 +14,8 @@ import pytest
 from codec.errors import CodecError
 from codec.stream.reader import StreamReader
 from codec.stream.sound import SAMPLE_RATE, SoundObject, SoundSource, first_sample, packet_samples
-from codec.tools.soundfile import decode
-from codec.tools.streamsound import read_sound
+from codec.tracks.soundfile import decode
+from codec.tracks.streamsound import read_sound
 from tests.support.web.browsercode import BrowserCode
 from tests.support.web.clicks import write_clicking_stream
 

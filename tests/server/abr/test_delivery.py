@@ -72,27 +72,12 @@ def test_the_picture_goes_with_the_link(rate: float, least_db: float) -> None:
     assert fmean(one.psnr_db for one in shown) >= least_db
 
 
-@pytest.mark.parametrize("steps", [((60, 4.6),), ((0.3, 8), (0.3, 2)), ((3, 6), (1, 1))])
-def test_of_a_temporal_layer_comes_what_can_come_in_time(
-    steps: tuple[tuple[float, float], ...],
-) -> None:
-    sizes = SegmentSizes((10e3, 4e3, 6e3), (25, 27, 29), (100e3, 40e3, 20), (0.3, 0.3, 1))
-    media = MadeMedia((sizes,), 900, segment_frames=30)
-    chained, clock = played(media, link_of(*steps))
-    assert clock.stalls == 0
-    alone, clock = played(replace(media, temporal_layer=2), link_of(*steps))
-    assert clock.stalls == 0
-    gain_db = fmean(one.psnr_db for one in alone) - fmean(one.psnr_db for one in chained)
-    assert gain_db > 0.05
-
-
 def random_media(layers: int, seed: int) -> MadeMedia:
     each = tuple(2e3 * (1 + (seed >> 3 * n) % 8) for n in range(layers))
     psnr_db = tuple(25.0 + 4 * n / layers for n in range(layers))
     snapshots = tuple(20 * size for size in each)
     segments = (SegmentSizes(each, psnr_db, snapshots, (0.2,) * layers),)
-    temporal = layers - 1 if layers > 1 and seed % 2 else None
-    return MadeMedia(segments, 240, segment_frames=20, temporal_layer=temporal)
+    return MadeMedia(segments, 240, segment_frames=20)
 
 
 steps = st.lists(

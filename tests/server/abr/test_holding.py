@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -50,18 +48,6 @@ def test_more_packets_never_make_a_worse_picture(
         assert after_db >= before_db - 1e-9
         before_db = after_db
     assert before_db <= 29.69 + 1e-9
-
-
-def test_each_packet_of_a_temporal_layer_is_usable_alone() -> None:
-    holding = Holding(replace(basketball_media(90), temporal_layer=3), 0)
-    holding.add_snapshots(0, 0, 4)
-    for birth in range(1, 9):
-        holding.add(birth, 0, 3)
-    for birth in (2, 5, 6):
-        holding.add(birth, 3, 4)
-    found = [holding.fresh(3, frame) == 1 for frame in range(9)]
-    assert found == [True, False, True, False, False, True, True, False, False]
-    assert holding.end_birth(3) == 7
 
 
 def test_a_layer_that_stops_wears_away() -> None:

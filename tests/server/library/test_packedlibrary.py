@@ -14,7 +14,7 @@ import pytest
 from codec.stream.captions import Captions
 from codec.stream.reader import StreamReader
 from codec.tools.packing import pack_stream, unpack_stream
-from codec.tools.streamcaptions import add_captions
+from codec.tracks.streamtracks import add_captions
 from server.library import Library
 from tests.support.hosted_streams import served, write_stream
 from tests.support.server.running_server import live_stream

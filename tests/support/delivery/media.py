@@ -30,7 +30,6 @@ class MadeMedia:
     fps: float = 30.0
     segment_frames: int = 15
     live: bool = False
-    temporal_layer: int | None = None
 
     @property
     def num_layers(self) -> int:

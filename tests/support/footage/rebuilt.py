@@ -9,8 +9,9 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles
 from codec.camera import Camera
-from codec.pose import Doubles, look_at
+from codec.pose import look_at
 from trainer.synth.film import Studio, spacing_m
 from trainer.synth.motion import WALK_RADIUS_M
 from trainer.synth.scene import UP, Scene, camera_rig

@@ -32,7 +32,6 @@ def slots_manifest(layout: SlotLayout | None = None) -> Manifest:
         title="slots",
         slots=layout.slots,
         lattice=layout.lattices,
-        temporal_period=layout.temporal_period,
     )
 
 

@@ -24,7 +24,7 @@ _LAYOUT = SlotLayout(LANES, (SLOTS,), 0, (Lattice(0.01, 0.125, 1 / 60, 0.056, 41
 
 def _snapshot() -> bytes:
     """All Gaussians at the origin, all bytes 0: 220 MB of content as a packet."""
-    head = SLOT_HEADER.pack(b"SWG2", Kind.SNAPSHOT, 0, 0, 0, 0) + b"\xff" * (NUM_GAUSSIANS // 8)
+    head = SLOT_HEADER.pack(b"SWG1", Kind.SNAPSHOT, 0, 0, 0, 0) + b"\xff" * (NUM_GAUSSIANS // 8)
     head += COUNTS.pack(0, NUM_GAUSSIANS, 0, 0, 0)
     planes, piece = 13 * NUM_GAUSSIANS, bytes(1 << 20)
     coder = zstandard.ZstdCompressor(level=1, write_checksum=True)

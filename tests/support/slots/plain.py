@@ -42,12 +42,7 @@ def layout_of(shape: plain.Shape) -> SlotLayout:
     lattices = [Lattice(**{n: getattr(one, n) for n in names}) for one in shape.lattice]
     sh_degree = {1: 0, 4: 1, 9: 2, 16: 3}[shape.num_coefficients]
     return SlotLayout(
-        shape.swin_size,
-        shape.slots,
-        sh_degree,
-        tuple(lattices),
-        shape.segment_frames,
-        shape.temporal_period,
+        shape.swin_size, shape.slots, sh_degree, tuple(lattices), shape.segment_frames
     )
 
 
@@ -98,7 +93,7 @@ def spelled_out(shape: plain.Shape, chunks: Chunks) -> Chunks:
 
 
 def _head(kind: int, birth: int, layer: int = 0) -> bytes:
-    return struct.pack("<4sBBBBi", b"SWG2", kind, layer, 0, 0, birth)
+    return struct.pack("<4sBBBBi", b"SWG1", kind, layer, 0, 0, birth)
 
 
 def onto(change: Slice, before: Slice) -> Slice:
@@ -124,9 +119,7 @@ def held(decoder: SlotDecoder) -> Held:
     for part in decoder.window(frame):
         lane = layout.lane(part.birth)
         flat = [array.reshape(len(array), -1) for array in part.splats.arrays]
-        passing = decoder.passing
-        shown = decoder.lanes[lane] if passing is None else passing.slots
-        for slots, first in zip(shown, layout.row_edges, strict=False):
+        for slots, first in zip(decoder.lanes[lane], layout.row_edges, strict=False):
             row: list[object] = []
             for slot, condition in enumerate(slots.conditions):
                 offset = int(part.start_offsets[first + slot])

@@ -28,7 +28,6 @@ def slot_manifest(layout: SlotLayout, **changes: object) -> Manifest:
         "segment_frames": layout.segment_frames,
         "slots": layout.slots,
         "lattice": layout.lattices,
-        "temporal_period": layout.temporal_period,
     }
     return small_manifest(1, layout.sh_degree, **(values | changes))  # type: ignore[arg-type]
 

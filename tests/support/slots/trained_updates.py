@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from codec.lattice.lattice import Bytes, Lattice, States, quantise
+from codec.arrays import Bytes, Floats
+from codec.lattice.lattice import Lattice, States, quantise
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
-from codec.splats import Floats, Splats
+from codec.splats import Splats
 from tests.support.trained_like import trained_like_splats
 
 SHARES = (0.35, 0.15, 0.2, 0.3)

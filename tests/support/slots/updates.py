@@ -23,13 +23,11 @@ def small_layout(
     slots: tuple[int, ...] = (5, 3),
     sh_degree: int = 0,
     segment_frames: int = 4,
-    temporal_period: int = 1,
 ) -> SlotLayout:
-    slots = (*slots, 0) if temporal_period > 1 else slots
     lattices = tuple(
         Lattice(0.01 * (n + 1), 0.125, 1 / 60, 0.056, 161 - n) for n in range(len(slots))
     )
-    return SlotLayout(swin_size, slots, sh_degree, lattices, segment_frames, temporal_period)
+    return SlotLayout(swin_size, slots, sh_degree, lattices, segment_frames)
 
 
 def patternless_states(

@@ -85,7 +85,6 @@ class BrowserSlots:
                 fields_in_browser(lattice, [field.name for field in fields(lattice)])
                 for lattice in layout.lattices
             ],
-            period=layout.temporal_period,
             numLayers=num_layers,
         )
 
@@ -93,25 +92,13 @@ class BrowserSlots:
         used: bool = self._browser.ask("load", bytes=snapshot.hex())
         return used
 
-    def apply(
-        self,
-        birth: int,
-        mask: bytes | None,
-        changes: Sequence[bytes | None],
-        ahead: tuple[int, bytes, Sequence[bytes | None]] | None = None,
-    ) -> list[int]:
-        """The rows of the lane that changed, counted over all layers. ahead: a later birth, its
-        mask and its changes."""
-
-        def hexed(chunks: Sequence[bytes | None]) -> list[str | None]:
-            return [None if chunk is None else chunk.hex() for chunk in chunks]
-
+    def apply(self, birth: int, mask: bytes | None, changes: Sequence[bytes | None]) -> list[int]:
+        """The rows of the lane that changed, counted over all layers."""
         found = self._browser.ask(
             "apply",
             birth=birth,
             mask=None if mask is None else mask.hex(),
-            changes=hexed(changes),
-            ahead=None if ahead is None else (ahead[0], ahead[1].hex(), hexed(ahead[2])),
+            changes=[None if change is None else change.hex() for change in changes],
         )
         layers = zip(found["moves"], found["rows"], strict=False)
         self.moves = [move for moves, rows in layers for move in moves or [0] * len(rows)]

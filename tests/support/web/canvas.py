@@ -7,14 +7,13 @@ import base64
 import numpy as np
 import numpy.typing as npt
 
+from codec.arrays import Doubles, Floats
 from codec.camera import Camera
 from codec.stream.reader import StreamReader
 from player.render.cpu import render_splats
 from tests.support.waiting import wait_until
 from tests.support.web.chromium import Page
 from tests.support.web.nodeprocess import SCRIPTS, Json
-
-Doubles = npt.NDArray[np.float64]
 
 PIXELS = SCRIPTS / "pixels.js"
 """A script that runs in the page before the page's own scripts, and reads pixels."""
@@ -47,7 +46,7 @@ def psnr_db(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> float:
 
 def expected_of(
     reader: StreamReader, camera: Camera, frame: int = 0, layers: int | None = None
-) -> npt.NDArray[np.float32]:
+) -> Floats:
     splats = reader.active_splats(frame, layers or reader.manifest.num_layers)
     picture = render_splats(splats, camera, reader.manifest.near_m).clip(0, 1)
     assert picture.mean() > 0.03

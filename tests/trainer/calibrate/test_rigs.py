@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from codec.arrays import Doubles
 from codec.camera import Camera
-from codec.pose import Doubles, look_at
+from codec.pose import look_at
 from trainer.calibrate.alignment import Similarity, align, angles_deg, centres
 from trainer.calibrate.solution import Rig, Solution, unseen_errors
 from trainer.calibrate.verdicts import judge, moved

@@ -9,10 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
-from codec.pose import Doubles
+from codec.arrays import Bytes, Doubles
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, refusal, tiny_rig
 from tests.support.tiny_models import COLOURS, POINTS, write_model, write_pictures
 from trainer.capture.layout import open_capture
@@ -104,7 +103,7 @@ def test_a_straightened_picture_is_that_of_a_pinhole() -> None:
     lens = Lens(k1=-0.12, k2=0.03, k3=0.01, p1=0.004, p2=-0.003)
     camera = tiny_rig(1)[0].scaled(4)
 
-    def shades(x: Doubles, y: Doubles) -> npt.NDArray[np.uint8]:
+    def shades(x: Doubles, y: Doubles) -> Bytes:
         grey = 128 + 60 * np.sin(9 * x + 2) * np.cos(7 * y) + 50 * np.sin(5 * y + x)
         return np.repeat(np.rint(grey)[..., None], 3, axis=2).astype(np.uint8)
 

@@ -12,10 +12,10 @@ from typing import Any
 
 import av
 import numpy as np
-import numpy.typing as npt
 import pytest
 from PIL import Image
 
+from codec.arrays import Bytes
 from codec.camera import Camera
 from codec.errors import InvalidError
 from tests.support import tiny_capture
@@ -43,7 +43,7 @@ def capture_path(tmp_path: Path) -> Path:
     return tmp_path / "c"
 
 
-def nearly(picture: npt.NDArray[np.uint8], camera_index: int, frame: int) -> bool:
+def nearly(picture: Bytes, camera_index: int, frame: int) -> bool:
     """Whether it is that picture, except for rounding from RGB to YUV and back."""
     difference = picture.astype(int) - picture_of(camera_index, frame)
     return int(np.abs(difference).max()) <= 2

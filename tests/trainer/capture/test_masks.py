@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from PIL import Image
 
+from codec.arrays import Bytes
 from codec.camera import Camera
 from tests.support import tiny_models
 from tests.support.footage.checking import checked
@@ -34,7 +34,7 @@ from trainer.run.check import describe_capture
 NUM_FRAMES = 3
 
 
-def grey_of(camera_index: int, frame: int) -> npt.NDArray[np.uint8]:
+def grey_of(camera_index: int, frame: int) -> Bytes:
     """(36, 64) white rectangle that encodes camera and frame, on a grey that is just too dark."""
     grey = np.full((HEIGHT_PX, WIDTH_PX), 127, np.uint8)
     grey[3 + frame : 30, 5 + camera_index : 50] = 128
@@ -46,7 +46,7 @@ def save_mask(path: Path, camera_index: int, frame: int, columns: slice = slice(
     Image.fromarray(grey_of(camera_index, frame)[:, columns]).save(path)
 
 
-def mask(capture: Capture, camera_index: int, frame: int) -> npt.NDArray[np.uint8]:
+def mask(capture: Capture, camera_index: int, frame: int) -> Bytes:
     masks = capture.cameras[camera_index].masks
     assert masks is not None
     return masks.read(frame)
@@ -148,7 +148,7 @@ def test_masks_are_straightened_with_their_pictures(tmp_path: Path) -> None:
     """The picture is the mask in grey: the mask is set where the undistorted picture is white."""
     cameras = tiny_rig(3)
 
-    def as_picture(index: int, frame: int) -> npt.NDArray[np.uint8]:
+    def as_picture(index: int, frame: int) -> Bytes:
         white = np.where(grey_of(index, frame) >= 128, 255, 0).astype(np.uint8)
         return np.ascontiguousarray(np.stack([white] * 3, axis=2))
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from codec.arrays import Bytes, Flags, Floats
 from codec.camera import Camera
 from codec.lattice.lattice import Lattice
 from codec.slots.slotlayout import SlotLayout
@@ -37,9 +38,7 @@ NEW_COLOUR = (230, 40, 30)
 Sizes = Sequence[tuple[int, int]]
 
 
-def blobs(
-    points: npt.NDArray[np.floating], colours: npt.NDArray[np.uint8], radius: float
-) -> Splats:
+def blobs(points: npt.NDArray[np.floating], colours: Bytes, radius: float) -> Splats:
     splats = initial_splats(points.astype(np.float32), colours, 0)
     splats.log_scales[:] = np.log(radius)
     splats.logit_opacities[:] = 4
@@ -62,9 +61,9 @@ def thing(at: npt.NDArray[np.floating] = NEW_AT_M) -> Splats:
     return blobs(at + inside, colours.astype(np.uint8), 0.05)
 
 
-def seen(splats: Splats, camera: Camera, gain: float) -> npt.NDArray[np.uint8]:
+def seen(splats: Splats, camera: Camera, gain: float) -> Bytes:
     picture = np.clip(gain * render_splats(splats, camera, NEAR_M), 0, 1)
-    rounded: npt.NDArray[np.uint8] = np.rint(picture * 255).astype(np.uint8)
+    rounded: Bytes = np.rint(picture * 255).astype(np.uint8)
     return rounded
 
 
@@ -233,9 +232,7 @@ def test_only_the_least_of_each_slice_are_placed_and_show_from_the_frame_on() ->
     assert (lifespans.expires[renewed] > frame).all()
 
 
-def flow(
-    motion_m: npt.NDArray[np.float32], guess_m: float = 0.0
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+def flow(motion_m: Floats, guess_m: float = 0.0) -> tuple[Floats, Flags]:
     """(M, 3) flow of a room in which a thing moves, and (M,) whether a Gaussian is of the thing."""
     before = Splats.concatenate([room(), thing()])
     after = Splats.concatenate([room(), thing(NEW_AT_M + motion_m)])

@@ -18,7 +18,7 @@ from codec.stream import StreamReader
 from codec.stream.index import SegmentRecord, record_bytes
 from codec.stream.writer import SHAPE
 from codec.tools.audit import verify_stream
-from codec.tools.streamsound import add_sound
+from codec.tracks.streamsound import add_sound
 from tests.support.hosted_streams import write_stream
 from tests.support.sounding import write_clicks
 from tests.support.tiny_capture import write_dynamic3dgs

@@ -7,12 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from codec.arrays import Bytes
 from codec.lattice.lattice import Lattice
 from codec.rig import rig_centre
 from codec.slice import Slice
@@ -30,8 +30,6 @@ from trainer.score.evaluate import EvaluateConfig, LayerScore, evaluate_stream
 from trainer.score.meter import QualityMeter
 
 FRAMES, SWIN, SLOTS = 3, 2, (30, 30)
-
-Bytes = npt.NDArray[np.uint8]
 
 
 def hole(frame: int) -> Bytes:

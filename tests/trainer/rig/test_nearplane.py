@@ -16,12 +16,12 @@ from tests.support.footage.checking import all_said, checked, said
 from tests.support.footage.rebuilt import SIZE_PX, close_rig, filmed, points_seen, room
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, tiny_rig, write_dynerf
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
+from trainer.calibrate.lateness import late_frames
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture, twin_doubts
 from trainer.rig import nearplane
 from trainer.rig.coverage import coverage_doubts, describe_coverage, unseen_share, unseen_shares
 from trainer.rig.doubts import picture_doubt, rig_doubts
-from trainer.rig.lateness import late_frames
 from trainer.rig.nearplane import LEAST_OWN_SHARE, LEAST_SHARE, MARGIN, look
 from trainer.run.config import TrainConfig
 from trainer.run.prepare import prepare

@@ -10,13 +10,13 @@ from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from matplotlib.font_manager import findfont, fontManager
 from matplotlib.ft2font import FT2Font
 from matplotlib.text import Text
 from PIL import Image
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.pose import look_at, rotation_about
 from tests.support.footage.checking import checked, said
@@ -48,7 +48,7 @@ def test_picture_shows_cameras_and_points_and_appears_whole(tmp_path: Path) -> N
     assert target.read_bytes() == before
 
 
-def camera_at(pose: npt.NDArray[np.float64]) -> Camera:
+def camera_at(pose: Doubles) -> Camera:
     return Camera("cam00", 64, 36, 50.0, 50.0, 32.0, 18.0, pose)
 
 

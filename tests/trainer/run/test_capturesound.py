@@ -14,7 +14,7 @@ from codec.storage import objectstore
 from codec.stream import StreamReader
 from codec.stream.sound import SAMPLE_RATE, SoundSource, first_sample
 from codec.tools.audit import verify_stream
-from codec.tools.streamsound import add_sound
+from codec.tracks.streamsound import add_sound
 from tests.support.sounding import best_shift, heard, track_of, write_clicks
 from tests.support.stores.s3_server import BUCKET, s3_server
 from tests.support.trainings import train_here

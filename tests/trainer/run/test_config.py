@@ -85,7 +85,6 @@ def test_what_makes_no_settings_is_an_error(values: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"temporal": 2, "ray": "local"}, "cannot be combined with --ray"),
         ({"audio": Path("a.wav"), "silent": True}, "cannot be combined with --silent"),
         *(({"scale": scale}, "choose above 0, at most 1") for scale in (2.0, 0.0, float("nan"))),
         ({"worker_cpus": 0}, "worker_cpus 0"),
@@ -114,7 +113,6 @@ def test_what_only_whole_slices_do_needs_them_in_any_preset(more: Sequence[str],
 def test_contradictions_are_refused_before_anything_is_read(tmp_path: Path) -> None:
     for code, words, told in (
         (1, ("--rank", "opacity"), "swings-train: --rank opacity"),
-        (2, ("--temporal", 9), "temporal 9: choose 1 to 8"),
         (2, ("--preset", "giant"), "paper"),
     ):
         done = run("swings-train", "nothing", tmp_path / "out", *words, folder=tmp_path)

@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from rich.console import Console
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.lattice.lattice import SCALES, TURNS, Lattice, lattice_values
@@ -143,7 +143,6 @@ def test_a_layer_without_a_gaussian_is_refused() -> None:
 
 
 WHITE = 0.5 / SH_C0
-Doubles = npt.NDArray[np.float64]
 
 
 def by_hand(splats: Splats, cameras: Sequence[Camera]) -> Doubles:

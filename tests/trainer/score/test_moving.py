@@ -7,7 +7,6 @@ from io import StringIO
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image
 from rich.console import Console
 
+from codec.arrays import Flags, Floats
 from codec.stream import StreamWriter
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, seen_by, write_dynamic3dgs
 from tests.support.tiny_stream import tiny_manifest, tiny_slice
@@ -23,7 +23,7 @@ from trainer.pictures.shot import Shot
 from trainer.score.colourfit import colour_fitted
 from trainer.score.evaluate import EvaluateConfig, Evaluation, evaluate_stream
 from trainer.score.moving import MIN_MOVING_PX, Movement, movement_of
-from trainer.score.picture import Floats, captured
+from trainer.score.picture import captured
 from trainer.score.sheet import ENLARGED, HEADER_PX, write_sheet
 from trainer.step.loss import psnr_db
 
@@ -47,7 +47,7 @@ def changed(by: int, where: tuple[slice, slice], channel: slice = slice(None)) -
     return picture
 
 
-def moving(before: Picture, now: Picture, mask: Mask | None = None) -> npt.NDArray[np.bool_]:
+def moving(before: Picture, now: Picture, mask: Mask | None = None) -> Flags:
     return movement_of(Shot(before), Shot(now, mask)).pixels
 
 
@@ -169,7 +169,7 @@ def test_the_sheet_shows_what_moves_twice_as_large(folder: Path, tmp_path: Path)
 
 @settings(max_examples=25)
 @given(arrays(np.bool_, (14, 23)), st.integers(1, 14), st.integers(1, 23))
-def test_the_box_moves_most(pixels: npt.NDArray[np.bool_], height_px: int, width_px: int) -> None:
+def test_the_box_moves_most(pixels: Flags, height_px: int, width_px: int) -> None:
     box = Movement(pixels, pixels.size).busiest(height_px, width_px)
     if box is None:
         assert pixels.sum() < MIN_MOVING_PX

@@ -5,20 +5,18 @@ from __future__ import annotations
 import time
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
+from codec.arrays import Floats
 from codec.camera import Camera
 from codec.splats import SH_C0
 from tests.support.tiny_capture import tiny_rig
 from trainer.seed.gaussians import SPACING_SCALE, initial_splats, spacings, stereo_seeds
 from trainer.seed.nearest import MIN_IN_VIEW, MIN_STRAYS, nearest_seen, share_nearer
 from trainer.seed.stereo import better_half
-
-Floats = npt.NDArray[np.float32]
 
 FLOOR_Y_M = 0.0
 

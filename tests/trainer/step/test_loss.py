@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 
+from codec.arrays import Bytes, Doubles, Floats
 from player.render.recipe import TILE_PX
-from trainer.step.loss import C1, C2, TAPS, Floats, Loss, Workspace, photometric_loss, psnr_db, ssim
+from trainer.step.loss import C1, C2, TAPS, Loss, Workspace, photometric_loss, psnr_db, ssim
 
 
 def gradients(loss: Loss) -> tuple[Floats, Floats, Floats]:
@@ -65,7 +65,7 @@ def test_value_and_gradients_are_the_references(dssim_weight: float, masked: boo
         assert (got.picture_grad[:, :, 41:] == 0).all()
 
 
-def some_mask(height: int, width: int) -> npt.NDArray[np.uint8]:
+def some_mask(height: int, width: int) -> Bytes:
     """A mask that ignores a hole, a border and single pixels."""
     mask = (np.random.default_rng(9).random((height, width)) > 0.1).astype(np.uint8)
     mask[5:12, 8:20] = 0
@@ -81,7 +81,7 @@ def test_gradient_with_a_mask_against_finite_differences() -> None:
     picture = (target + away).astype(np.float32)
     gain, bias, mask = np.ones(3, np.float32), np.zeros(3, np.float32), some_mask(25, 41)
 
-    def value(step: npt.NDArray[np.float64]) -> float:
+    def value(step: Doubles) -> float:
         moved = (picture + step).astype(np.float32)
         return photometric_loss(moved, target, 0.5, gain, bias, None, mask).value
 
@@ -101,7 +101,7 @@ def test_what_a_mask_ignores_may_be_anything() -> None:
     mask = some_mask(33, 52)
     work = Workspace(target.shape)
 
-    def loss(picture: Floats, target: Floats, mask: npt.NDArray[np.uint8] | None) -> list[bytes]:
+    def loss(picture: Floats, target: Floats, mask: Bytes | None) -> list[bytes]:
         got = photometric_loss(picture, target, 0.2, gain, bias, work, mask)
         return [np.float64(got.value).tobytes(), *(a.tobytes() for a in gradients(got))]
 

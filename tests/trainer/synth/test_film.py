@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pytest
 from rich.console import Console
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.rig import rig_depths
@@ -36,7 +37,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Capture:
     return open_capture(out)
 
 
-def project(xyz: npt.NDArray[np.floating], camera: Camera) -> npt.NDArray[np.float64]:
+def project(xyz: npt.NDArray[np.floating], camera: Camera) -> Doubles:
     """(P, 3) column, row in pixels and depth in metres."""
     seen = xyz @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]
     x, y, depth = seen.T

@@ -10,6 +10,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from codec.arrays import Bytes
+
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
@@ -50,7 +52,7 @@ class Crossing:
         self.sent_bytes += given.nbytes
         return self._copied(given)
 
-    def send_picture(self, array: npt.NDArray[np.uint8]) -> Tensor:
+    def send_picture(self, array: Bytes) -> Tensor:
         """A copy of a picture or a mask on the device."""
         self.picture_bytes += array.nbytes
         return self._copied(array)

@@ -16,8 +16,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from codec.arrays import Floats, Ints
 from trainer.step.backend import Resident, Selection, Step, Training
-from trainer.step.raster import Ints
 
 from .crossing import Crossing
 from .deviceview import DeviceView
@@ -26,8 +26,6 @@ from .picturecache import PictureCache
 from .tensorcolour import TensorColour
 from .tensorloss import TensorLoss
 from .tensorupdate import TensorAdam, add_tensor_noise, bound_tensor_scales, sum_over_cells
-
-Floats = npt.NDArray[np.float32]
 
 MAX_UNREAD = 256
 """Losses that may wait on the device."""

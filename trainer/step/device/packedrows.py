@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from codec.arrays import Floats
 from trainer.step.raster import Parameters
-
-Floats = npt.NDArray[np.float32]
 
 MEANS = slice(0, 3)
 LOG_SCALES = slice(3, 6)

@@ -28,38 +28,25 @@ export function spareSlots(numSlots) {
 export function movesOf(slots, delta, statuses, lattice) {
   const { rows } = delta;
   const moves = new Uint8Array(rows.length);
-  for (let d = 0; d < rows.length; d++)
-    moves[d] = moveOf(slots, rows[d], delta, d, statuses[rows[d]] === PREDICTED, lattice);
+  for (const [d, row] of rows.entries()) {
+    const was = slots.conditions[row] >= ON_LATTICE;
+    const is = delta.conditions[d] >= ON_LATTICE && delta.starts[d] === 0;
+    const isSame = was && is && statuses[row] === PREDICTED;
+    if (isSame && !jumps(slots, row, delta, d, lattice)) moves[d] = MOVES;
+    else moves[d] = (is ? ENTERS : 0) | (was ? LEFT : 0);
+  }
   return moves;
-}
-
-/** @typedef {Pick<import("./slots.js").Delta, "conditions" | "positions" | "attributes" | "starts">} States */
-
-/**
- * The transition of slot `row` to state `d` of `next`, see `movesOf`.
- * @param {import("./slots.js").Slots} slots
- * @param {number} row
- * @param {States} next
- * @param {number} d
- * @param {boolean} isSame whether it is the same Gaussian
- * @param {import("./slotlayout.js").Lattice} lattice
- */
-export function moveOf(slots, row, next, d, isSame, lattice) {
-  const was = slots.conditions[row] >= ON_LATTICE;
-  const is = next.conditions[d] >= ON_LATTICE && next.starts[d] === 0;
-  if (was && is && isSame && !jumps(slots, row, next, d, lattice)) return MOVES;
-  return (is ? ENTERS : 0) | (was ? LEFT : 0);
 }
 
 /**
  * Whether a Gaussian moves farther than JUMP_SIGMAS standard deviations along its longest axis.
  * @param {import("./slots.js").Slots} slots
  * @param {number} row
- * @param {States} next
+ * @param {import("./slots.js").Delta} next
  * @param {number} d
  * @param {import("./slotlayout.js").Lattice} lattice
  */
-export function jumps(slots, row, next, d, { positionM, logScale, logScaleBase }) {
+function jumps(slots, row, next, d, { positionM, logScale, logScaleBase }) {
   const width = slots.numAttributes;
   let squared = 0;
   let longest = -128;

@@ -4,7 +4,7 @@ import { CHUNK_HEAD, CHUNK_KINDS, CHUNK_MAGIC, HAS_STARTS } from "../../constant
 import { ByteReader, isMagic } from "../bytes/bytereader.js";
 import { corrupt, unsupported } from "../bytes/errors.js";
 
-export const { MASK, CHANGE, SNAPSHOT, PASSING } = CHUNK_KINDS;
+export const { MASK, CHANGE, SNAPSHOT } = CHUNK_KINDS;
 const NAMES = Object.keys(CHUNK_KINDS).map((name) => name.toLowerCase());
 
 /**
@@ -27,7 +27,7 @@ export function readSlotHead(bytes, kind) {
   const [magic, found, layer, flags, reserved, birth] = body.unpack(CHUNK_HEAD);
   if (!isMagic(magic, CHUNK_MAGIC)) throw corrupt(`${name}: does not begin with ${CHUNK_MAGIC}`);
   if (found >= NAMES.length) throw unsupported(`${name}: a chunk of unknown kind ${found}`);
-  const known = found % PASSING === MASK ? 0 : HAS_STARTS;
+  const known = found === MASK ? 0 : HAS_STARTS;
   if (reserved !== 0 || flags & ~known)
     throw unsupported(`${name}: unsupported flags ${flags} or reserved byte ${reserved}`);
   if (found !== kind) throw corrupt(`${name}: found a ${NAMES[found]} instead`);

@@ -28,14 +28,6 @@ import { decodeSnapshot } from "./snapshot.js";
  * @property {Uint32Array[]} rows the changed slots of each layer
  * @property {Uint8Array[]} [moves] their transitions, see `movesOf`; an empty array for a layer where they
  *   are unknown; absent for a whole window, or for a slice that does not show
- * @property {Slots[]} [slots] the shown slots of each layer, if they are not those of the lane
- */
-
-/**
- * The received chunks of later slices, by birth.
- * @typedef {object} Ahead
- * @property {Map<number, Uint8Array>} masks
- * @property {Map<number, (Uint8Array | null)[]>} changes of each layer
  */
 
 /**
@@ -62,10 +54,6 @@ export class SlotDecoder {
     /** @type {Slots[][]} by lane and layer */
     this.lanes = Array.from({ length: layout.swinSize }, () => this.#unknownLane());
     this.history = new MaskHistory(layout);
-    /** @type {Uint8Array | null} statuses of the last applied slice; null if its mask is missing */
-    this.statuses = null;
-    /** Number of layers that lack only the current frame: 1 for a missing passing slice. */
-    this.numMissing = 0;
     /** @type {Map<string, Log>} by lane and layer, the oldest first */
     this.logs = new Map();
     /** @type {Map<number, Uint8Array>} statuses of this segment's slices, for late snapshots */
@@ -163,10 +151,10 @@ export class SlotDecoder {
    * @param {Uint8Array | null} mask null if it is missing: all slots of the lane become unknown
    * @param {(Uint8Array | null)[]} changes of layers 0, 1, ...; null for a missing one, which may arrive
    *   late; changes of further layers are not expected
-   * @param {Ahead} [ahead] absent if the slice itself does not show
+   * @param {boolean} [shows] whether the slice itself shows, and so tells how its slots move
    * @returns {SlotSlice}
    */
-  apply(birth, mask, changes, ahead) {
+  apply(birth, mask, changes, shows = false) {
     if (this.frame === null || birth !== this.frame + 1) {
       throw new RangeError(`the slice born at ${birth} does not follow ${this.frame}`);
     }
@@ -178,7 +166,7 @@ export class SlotDecoder {
       this.#delta(birth, layer, slots, parts[layer], changes[layer] ?? null),
     );
     /** @type {Uint8Array[] | undefined} */
-    const moves = ahead && [];
+    const moves = shows ? [] : undefined;
     for (const [layer, delta] of deltas.entries()) {
       const slots = this.lanes[lane][layer];
       moves?.push(movesOf(slots, delta, parts[layer], this.layout.lattices[layer]));
@@ -221,21 +209,11 @@ export class SlotDecoder {
     if (log === undefined || said === undefined || !isMissing(said)) return false;
     const since = new Map(log.since).set(birth, { statuses: said.statuses, change: bytes });
     this.#replay(lane, layer, { before: log.before, since }, birth);
+    const altered = this.pending.get(key(lane, layer)) ?? new Uint8Array(said.statuses.length);
     for (const [known, { statuses }] of since)
-      if (known >= birth) this.alter(lane, layer, statuses);
-    return true;
-  }
-
-  /**
-   * Notes that late bytes altered all slots that are not kept.
-   * @param {number} lane
-   * @param {number} layer
-   * @param {Uint8Array} statuses
-   */
-  alter(lane, layer, statuses) {
-    const altered = this.pending.get(key(lane, layer)) ?? new Uint8Array(statuses.length);
-    statuses.forEach((status, i) => (altered[i] |= status));
+      if (known >= birth) statuses.forEach((status, i) => (altered[i] |= status));
     this.pending.set(key(lane, layer), altered);
+    return true;
   }
 
   /**
@@ -282,7 +260,6 @@ export class SlotDecoder {
       for (const [at, log] of this.logs) if (!isWaiting(log)) this.logs.delete(at);
     } else if (statuses !== null) this.said.set(birth, statuses);
     this.frame = birth;
-    this.statuses = statuses;
     while (this.#isTooMuch(this.said.size * this.layout.numSlots)) forgetOldest(this.said);
   }
 

@@ -21,12 +21,8 @@ export class SlotLayout {
    * @param {number} shDegree
    * @param {number[]} slots number of slots of a lane, for each layer
    * @param {Lattice[]} lattices of each layer
-   * @param {number} [period] above 1, the last layer is a temporal one, without slots
    */
-  constructor(swinSize, segmentFrames, shDegree, slots, lattices, period = 1) {
-    this.period = period;
-    /** @type {typeof import("./slotdecoder.js").SlotDecoder | undefined} set only with a temporal layer */
-    this.Decoder = undefined;
+  constructor(swinSize, segmentFrames, shDegree, slots, lattices) {
     this.swinSize = swinSize;
     this.segmentFrames = segmentFrames;
     this.shDegree = shDegree;
@@ -60,10 +56,7 @@ export class SlotLayout {
 
   /** Maximum size of a change of a layer. @param {number} layer */
   maxChangeBytes(layer) {
-    const count = this.slots[layer];
-    // A passing slice contains a mask and the changes of all other layers.
-    const more = count ? 32 : this.maxMaskBytes + 36 * this.numLayers - 20;
-    return more + (count || this.numSlots) * this.#maxSlotBytes;
+    return 32 + this.slots[layer] * this.#maxSlotBytes;
   }
 
   /** Maximum size of a snapshot of a layer. @param {number} layer */

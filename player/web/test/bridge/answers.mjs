@@ -13,7 +13,6 @@ import { readObject } from "../../format/objecttable.js";
 import { inflatePacket } from "../../format/packet.js";
 import { RecordParser } from "../../format/playrecord.js";
 import { SlotDecoder } from "../../format/slots/slotdecoder.js";
-import { PassingDecoder } from "../../format/slots/passing.js";
 import { SlotLayout } from "../../format/slots/slotlayout.js";
 import { EMPTY, ON_LATTICE, UNKNOWN } from "../../constants.js";
 import { fetchRange } from "../../source/byteranges.js";
@@ -52,8 +51,7 @@ function held() {
   const lanes = Array.from({ length: layout.swinSize }, () => []);
   for (let birth = (frame ?? 0) - layout.swinSize + 1; birth <= (frame ?? 0); birth++) {
     const lane = layout.lane(birth);
-    const shown = decoder.whole(birth).slots ?? decoder.lanes[lane];
-    for (const [layer, slots] of shown.entries()) {
+    for (const [layer, slots] of decoder.lanes[lane].entries()) {
       const rows = Uint32Array.from(slots.conditions, (_, i) => i);
       const floats = slots.gaussians(rows, layout.lattices[layer]);
       const widths = [3, 3, 4, 1, 3 * layout.k];
@@ -187,10 +185,9 @@ const ANSWERS = {
       ),
     );
   },
-  layout({ swinSize, segmentFrames, shDegree, slots, lattices, period, numLayers }) {
-    const layout = new SlotLayout(swinSize, segmentFrames, shDegree, slots, lattices, period);
-    if (period > 1) layout.Decoder = PassingDecoder;
-    decoder = new (layout.Decoder ?? SlotDecoder)(layout, numLayers ?? undefined);
+  layout({ swinSize, segmentFrames, shDegree, slots, lattices, numLayers }) {
+    const layout = new SlotLayout(swinSize, segmentFrames, shDegree, slots, lattices);
+    decoder = new SlotDecoder(layout, numLayers ?? undefined);
     return null;
   },
   async ply() {
@@ -199,12 +196,8 @@ const ANSWERS = {
   load({ bytes }) {
     return decoder.load(unhex(bytes));
   },
-  apply({ birth, mask, changes, ahead }) {
-    const [next, nextMask, nextChanges] = ahead ?? [0, "", []];
-    const slice = decoder.apply(birth, optional(mask), changes.map(optional), {
-      masks: new Map(ahead ? [[next, unhex(nextMask)]] : []),
-      changes: new Map(ahead ? [[next, nextChanges.map(optional)]] : []),
-    });
+  apply({ birth, mask, changes }) {
+    const slice = decoder.apply(birth, optional(mask), changes.map(optional), true);
     const plain = (/** @type {ArrayLike<number>[]} */ layers) => layers.map((of) => Array.from(of));
     return { lane: slice.lane, rows: plain(slice.rows), moves: plain(slice.moves ?? []) };
   },

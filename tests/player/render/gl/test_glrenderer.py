@@ -10,11 +10,11 @@ from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.slice import Slice
@@ -90,7 +90,7 @@ def test_parity_with_the_cpu(open_gl: OpenGl, sh_degree: int) -> None:
     assert_as_on_cpu(open_gl(manifest), manifest, slices, cameras)
 
 
-def shift(z_m: float) -> npt.NDArray[np.float64]:
+def shift(z_m: float) -> Doubles:
     """The pose of a camera moved backwards by `z_m`."""
     w2c = np.eye(4)
     w2c[2, 3] = z_m

@@ -13,7 +13,7 @@ from codec.stream import StreamReader
 from codec.stream.captions import Captions
 from codec.tools.packing import pack_stream
 from codec.tools.static import export_static
-from codec.tools.streamcaptions import add_captions
+from codec.tracks.streamtracks import add_captions
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.sounding import add_clicks
@@ -89,7 +89,8 @@ def test_hosts_and_files_that_will_not_do_are_said(browser: BrowserCode, root: P
             whole[:18] + b"\xff\xff\x0f\0" * 2 + whole[26:],  # the manifest
             whole[:48] + b"\1" + whole[49:],
             whole[:63] + b"\xff\xff\xff\x0f" + whole[67:],  # the table of sound and captions
-            whole[:47] + b"\1" + whole[48:],  # without the table
+            whole[:63] + bytes(4) + whole[67:],  # without the table
+            whole[:47] + b"\2" + whole[48:],  # another layout
         ):
             bad.write_bytes(data)
             said = complaint(browser, f"{host.url}/bad.swings")

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.pose import rotation_about, world_to_camera
 from tests.support.web.canvas import (
     LEAST_PSNR_DB,
-    Doubles,
     camera_of,
     canvas_of,
     check_picture,

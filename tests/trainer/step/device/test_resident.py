@@ -12,6 +12,7 @@ import pytest
 import torch
 
 import trainer.step.device
+from codec.arrays import Ints
 from codec.camera import Camera
 from tests.support.reference_render import turned_camera
 from trainer.capture.capture import Mask
@@ -26,7 +27,7 @@ from trainer.step.device.picturecache import PictureCache
 from trainer.step.device.tensorupdate import add_tensor_noise
 from trainer.step.device.torchraster import TorchBackend
 from trainer.step.optimiser import GATE_STEEPNESS, Adam, AgeScaling, OptimiserConfig, add_noise
-from trainer.step.raster import Ints, Parameters, View
+from trainer.step.raster import Parameters, View
 from trainer.step.scalebound import CameraSpread
 
 NUM_GS = 300

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.profiler import ProfilerActivity, profile
 
+from codec.arrays import Ints
 from codec.camera import Camera
 from codec.errors import InvalidError
 from tests.support.reference_render import turned_camera
@@ -25,7 +26,7 @@ from trainer.step.device.torchproject import CONIC_A, CONIC_C, DRAWN, OPACITY, R
 from trainer.step.device.torchraster import TorchBackend
 from trainer.step.device.torchtiles import TensorLists
 from trainer.step.loss import Loss
-from trainer.step.raster import Ints, Parameters, View
+from trainer.step.raster import Parameters, View
 
 WEIGHTS = (0.2, 0.01, 0.02)
 NEAR_M = 0.2

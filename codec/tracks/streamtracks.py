@@ -1,4 +1,5 @@
-"""Captions of a finished stream in a folder: adding, removing, reading and checking them."""
+"""Sound and captions beside a stream's segments: which stream may get some, what goes along with a
+copy; adding, removing, reading and checking captions."""
 
 from __future__ import annotations
 
@@ -10,10 +11,36 @@ from codec.files import read_bounded, write_atomic
 from codec.outputlock import writing_alone
 from codec.storage.openstorage import Place, open_storage
 from codec.stream.captions import MAX_CAPTIONS_BYTES, Captions, parse_webvtt
-from codec.stream.manifest import MANIFEST_NAME, Manifest
-from codec.stream.reader import read_stream_file
+from codec.stream.manifest import MANIFEST_NAME, Manifest, object_file, object_name
+from codec.stream.packedlayout import PACKED_SUFFIX
+from codec.stream.reader import StreamReader, read_stream_file
+from codec.stream.sound import MAX_SOUND_BYTES
 
-from .finishedstream import finished
+Cut = tuple[StreamReader, range]
+"""A range of frames of a stream."""
+
+
+def finished(stream: Path) -> StreamReader:
+    """The stream in the folder `stream`, if it may be changed. Raises a SwingsError."""
+    if stream.name.endswith(PACKED_SUFFIX) and not stream.is_dir():
+        raise InvalidError(f"{stream} is one file; unpack it first: swings-stream unpack")
+    reader = StreamReader(stream, max_gaussians=None)
+    if reader.manifest.live or not reader.records:
+        raise InvalidError(f"{stream} is live or has no frames; add to it when it is finished")
+    return reader
+
+
+def copy_tracks(reader: StreamReader, folder: Path) -> None:
+    """Copies the objects of sound and the captions of the stream of `reader` to `folder`, which has
+    the folders of its segments. Raises a CodecError."""
+    for source in reader.manifest.sound:
+        for record in reader.records:
+            path = object_name(record.segment, source.part)
+            data = read_stream_file(reader.storage, path, MAX_SOUND_BYTES)
+            write_atomic(object_file(folder, record.segment, source.part), data)
+    for captions in reader.manifest.captions:
+        data = read_stream_file(reader.storage, captions.file_name, MAX_CAPTIONS_BYTES)
+        write_atomic(folder / captions.file_name, data)
 
 
 def add_captions(stream: Path, file: Path, captions: Captions) -> int:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from codec.errors import InvalidError
-from codec.stream.sound import DEFAULT_BITRATE_BPS, Key, SoundSource
+from codec.errors import CorruptError, InvalidError
+from codec.files import read_bounded
+from codec.stream.sound import DEFAULT_BITRATE_BPS, Key, SoundSource, keys_of
 
-from .soundpath import read_keys
+MAX_PATH_FILE_BYTES = 1 << 20
 
 Folder = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
 
@@ -67,13 +69,27 @@ class Audio:
     audio: Annotated[Add | Remove | Extract, tyro.conf.arg(name="")]
 
 
+def _read_keys(path: Path) -> tuple[Key, ...]:
+    """The keys in the JSON file at `path`: [[second, x, y, z], ...]. Raises CorruptError that names
+    it; `SoundSource` checks their number and order."""
+    try:
+        value = json.loads(read_bounded(path, MAX_PATH_FILE_BYTES))
+        if type(value) is not list:
+            raise CorruptError("this is not a list of places; give [[SECOND, X, Y, Z], ...]")
+        return keys_of(value)
+    except CorruptError as error:
+        raise error.within(str(path)) from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise CorruptError(f"{path}: this file cannot be read: {error}") from error
+
+
 def _keys(add: Add) -> tuple[Key, ...]:
     """Where the source is. Raises InvalidError or CorruptError."""
     if add.path is None:
         return () if add.at_m is None else ((0.0, *add.at_m),)
     if add.at_m is not None:
         raise InvalidError("give --at-m or --path, not both")
-    keys = read_keys(add.path)
+    keys = _read_keys(add.path)
     if not keys:
         raise InvalidError(f"{add.path} names no place; give [[SECOND, X, Y, Z], ...]")
     return keys

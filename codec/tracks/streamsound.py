@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.edit.segmentfiles import SegmentFiles
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.files import replacing, write_atomic
 from codec.outputlock import writing_alone
@@ -28,8 +27,8 @@ from codec.stream.sound import (
     segment_sound,
 )
 
-from .finishedstream import finished
 from .soundfile import Samples, decode, encode, read_samples, shifted
+from .streamtracks import Cut, finished
 
 MAX_OFFSET_S = 1e6
 
@@ -166,14 +165,12 @@ def verify_sound(reader: StreamReader) -> None:
             pass
 
 
-Cut = tuple[StreamReader, range]
-"""A range of frames of a stream."""
-
-
-def add_cuts(files: SegmentFiles, cuts: Sequence[Cut]) -> list[str]:
-    """Adds the sound of `cuts`, joined in this order and encoded again, to `files`. Gives the names
-    of sources that are left out: with several cuts, those that move, or differ in place or
-    channels. Raises a SwingsError."""
+def add_cuts(
+    folder: Path, manifest: Manifest, records: Sequence[SegmentRecord], cuts: Sequence[Cut]
+) -> tuple[Manifest, list[str]]:
+    """Adds the sound of `cuts`, joined in this order and encoded again, to the stream in `folder`.
+    Gives its manifest with them, and the names of sources that are left out: with several cuts,
+    those that move, or differ in place or channels. Raises a SwingsError."""
     names = dict.fromkeys(one.name for reader, _ in cuts for one in reader.manifest.sound)
     left_out = []
     for name in names:
@@ -183,9 +180,9 @@ def add_cuts(files: SegmentFiles, cuts: Sequence[Cut]) -> list[str]:
             left_out.append(name)
             continue
         pieces = _cut_samples(cuts, found, source.channels)
-        _write(files.folder, files.records, files.manifest.fps, pieces, source)
-        files.manifest = _with_source(files.manifest, source)
-    return left_out
+        _write(folder, records, manifest.fps, pieces, source)
+        manifest = _with_source(manifest, source)
+    return manifest, left_out
 
 
 def _named(manifest: Manifest, name: str) -> SoundSource | None:

@@ -10,7 +10,7 @@ import tyro
 
 from codec.stream.captions import Captions as Language
 
-from .streamcaptions import add_captions, remove_captions
+from .streamtracks import add_captions, remove_captions
 
 Folder = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
 

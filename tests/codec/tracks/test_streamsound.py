@@ -16,20 +16,21 @@ from hypothesis import strategies as st
 
 from codec.edit.crop import CropOptions
 from codec.edit.editing import edit_stream
+from codec.edit.join import join_streams
 from codec.edit.transform import TransformOptions
+from codec.edit.trim import trim_stream
 from codec.errors import CodecError, CorruptError, SwingsError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.captions import MAX_CAPTIONS_BYTES, Captions, Cue, parse_webvtt
 from codec.stream.sound import SAMPLE_RATE, SoundObject, SoundSource, first_sample, segment_sound
 from codec.tools.audit import verify_stream
-from codec.tools.cutting import join, trim_stream
 from codec.tools.packing import pack_stream
-from codec.tools.soundcommands import Add, Audio, run_audio
-from codec.tools.soundfile import decode, encode, read_samples
 from codec.tools.static import export_static
-from codec.tools.streamcaptions import add_captions, remove_captions
-from codec.tools.streamsound import add_sound, read_sound, remove_sound, samples
+from codec.tracks.soundcommands import Add, Audio, run_audio
+from codec.tracks.soundfile import decode, encode, read_samples
+from codec.tracks.streamsound import add_sound, read_sound, remove_sound, samples
+from codec.tracks.streamtracks import add_captions, remove_captions
 from tests.support.commands import run, run_ok
 from tests.support.hostile import refused
 from tests.support.server.running_server import served
@@ -233,7 +234,7 @@ def test_trimmed_and_joined_streams_keep_it(stream: Path, tmp_path: Path, first:
     add(stream)
     fps = StreamReader(stream).manifest.fps
     trim_stream(stream, tmp_path / "cut", FrameRange(first, 9))
-    join([stream, stream], tmp_path / "both")
+    join_streams([stream, stream], tmp_path / "both")
     verify_stream(tmp_path / "cut")
     verify_stream(tmp_path / "both")
     whole, cut, both = (heard(path) for path in (stream, tmp_path / "cut", tmp_path / "both"))
@@ -266,7 +267,7 @@ def test_sound_that_cannot_be_cut_leaves_no_stream(stream: Path, tmp_path: Path)
     out, before = tmp_path / "out", sorted(tmp_path.iterdir())
     for cut in (
         lambda: trim_stream(stream, out, FrameRange(3, 9)),
-        lambda: join([stream, stream], out),
+        lambda: join_streams([stream, stream], out),
     ):
         refused(CodecError, "segments/1/audio-main", cut)
         assert sorted(tmp_path.iterdir()) == before
@@ -403,7 +404,7 @@ def test_a_stream_that_grows_while_it_is_joined(stream: Path, tmp_path: Path) ->
     hush = encode([np.zeros((first_sample(16, fps), 2), np.int16)], 2, 1 << 20, 96000)
     writer.sound = objects_of(hush, fps)
     append_tiny(writer, 8)
-    join(
+    join_streams(
         [tmp_path / "live", stream], tmp_path / "both", progress=lambda *_: append_tiny(writer, 16)
     )
     writer.close()
