@@ -9,7 +9,7 @@ import { readIndex } from "../format/streamindex.js";
 import { PendingUpdates } from "../playback/pendingupdates.js";
 import { Scrubber } from "../playback/scrubber.js";
 import { DepthOrder, NEVER } from "../renderer/depthorder.js";
-import { floatWords, latticeWords, roomFor } from "../renderer/words.js";
+import { floatWords, latticeWords, roomFor } from "../playback/words.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { filesOf, law, settled } from "./support.mjs";
 

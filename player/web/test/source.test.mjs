@@ -484,8 +484,7 @@ test("the first seek into what came without snapshots opens a play, which brings
   const stream = new ServedStream(BASE, new Fetcher(), { response: { token: "t" }, start });
   const { cache, manifest } = stream;
   for (let birth = 0; birth < numFrames; birth++) {
-    for (let part = 0; part <= masksOf(manifest); part++)
-      cache.add(birth, part, Uint8Array.of(1));
+    for (let part = 0; part <= masksOf(manifest); part++) cache.add(birth, part, Uint8Array.of(1));
   }
   const play = stream.play({ firstFrame: 0, mostLayers: manifest.numLayers, nowS: () => 0 });
   play.endBirth = numFrames;
