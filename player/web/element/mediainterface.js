@@ -378,7 +378,7 @@ export class MediaInterface extends PictureInterface {
     if (this.#paused) this.#playedFrame = shownFrame;
     else if (!player.isSeeking) this.#notePlayed(shownFrame);
     this.#update(player);
-    this.runFrameCallbacks(shownFrame / manifest.fps);
+    if (manifest !== null) this.runFrameCallbacks(shownFrame / manifest.fps);
     this.#end(player);
   }
 

@@ -160,7 +160,7 @@ export function checkGaussians({ numGs, shDegree }, maxGaussians, name) {
 
 /**
  * The address of a part's object, relative to the manifest.
- * @param {Manifest} manifest
+ * @param {{ objectUrl: string }} manifest
  * @param {number} segment
  * @param {string} name of the part, or of a source of sound
  */

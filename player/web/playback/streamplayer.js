@@ -20,19 +20,10 @@ const mbit = (bps) => Number((bps / 1e6).toPrecision(2));
 /**
  * Receivers of the player's messages.
  * @typedef {object} Outlet
- * @property {(message: object) => void} post sends to the page
- * @property {(shown: object, transfer: Transferable[]) => void} show sends to the sorting thread
+ * @property {(message: import("./messages.js").FromPlayer) => void} post sends to the page
+ * @property {(shown: import("./messages.js").ShownFrame, transfer: Transferable[]) => void} show sends to
+ *   the thread that takes the frames
  * @property {(error: unknown) => void} fail
- */
-
-/**
- * Initial state of a play; properties that are left out have their defaults.
- * @typedef {object} Start
- * @property {number | null} [frame] null: the first one, or the edge of a live stream
- * @property {number} [seeks] number of seeks that the page has made
- * @property {number} [rate]
- * @property {boolean} [loop]
- * @property {number | null} [mostLayers] null: all of them
  */
 
 /** Plays one stream after it was opened: rounds of a loop, seeks, scrubbing, layers. */
@@ -41,7 +32,7 @@ export class StreamPlayer {
    * @param {SourceStream} stream
    * @param {import("../source/fetcher.js").Fetcher} fetcher
    * @param {Outlet} outlet
-   * @param {Start} [start]
+   * @param {import("./messages.js").Start} [start]
    */
   constructor(stream, fetcher, outlet, { frame, seeks, rate, loop, mostLayers } = {}) {
     this.stream = stream;
