@@ -119,12 +119,11 @@ export class StreamPlayer {
     const first = Math.max(0, Math.min(this.stream.numFrames - 1, Math.round(frame)));
     const stepped = isScrubbed ? null : this.playback.stepTo(first);
     if (stepped !== null) {
-      this.round.feed.advance(this.playback.nextFrame, this.rate);
       if (!this.round.source.moveTo(first, "step"))
         this.round.replaceSource(this.#newSource(first));
       this.show(stepped);
     } else this.#replaceRound(this.#newRound(first, "seek"));
-    this.reportPosition();
+    this.#tellPosition();
     this.wake();
   }
 
@@ -137,7 +136,6 @@ export class StreamPlayer {
     const { stream, mostLayers } = this;
     const goesOn = how !== null && this.round.source.moveTo(firstFrame, how);
     const source = goesOn ? this.round.detach() : this.#newSource(firstFrame);
-    source.onData = () => this.wake();
     const round = new Round(stream, source, firstFrame, mostLayers, this.rate);
     round.feed.onData = () => this.wake();
     return round;
@@ -199,7 +197,7 @@ export class StreamPlayer {
     Object.assign(round.playback, { leadS, resumedS, notBeforeS: seamS });
     round.playback.waiting = false;
     this.#replaceRound(round);
-    this.reportPosition();
+    this.#tellPosition();
     this.wake();
   }
 
@@ -221,7 +219,7 @@ export class StreamPlayer {
       round.feed.setLayers(most, playback.frame);
       round.replaceSource(this.#newSource(Math.min(soon, this.stream.numFrames - 1)));
     }
-    this.reportPosition();
+    this.#tellPosition();
     this.wake();
   }
 
@@ -231,7 +229,7 @@ export class StreamPlayer {
     if (playing && this.playback.hasEnded) this.begin(0);
     else if (playing && this.isScrubbing) this.begin(this.playback.frame);
     this.playback.setPlaying(playing);
-    this.reportPosition();
+    this.#tellPosition();
   }
 
   /** @param {number} rate */
@@ -272,10 +270,8 @@ export class StreamPlayer {
     const { round, playback, playing } = this;
     try {
       if (this.isScrubbing) return this.#postLine();
-      const { cache, numFrames, manifest } = this.stream;
-      cache.setPlayhead(playback.nextFrame, this.loop && !manifest.live ? numFrames : null);
-      // A prepared round follows one that has all it needs, and what that began would be aborted.
       this.#noteLink();
+      // A prepared round follows one that has all it needs, and what that began would be aborted.
       const waitS = ((playing && this.nextRound) || round).source.step();
       const beganMs = performance.now();
       const shown = playback.tick(nowS());
@@ -283,11 +279,10 @@ export class StreamPlayer {
         this.decodeMs = performance.now() - beganMs;
         this.show(shown);
       }
-      round.feed.advance(playback.nextFrame, this.rate);
+      // Also while it waits: an answer shows that the host is there.
+      this.#tellPosition();
       // Play first what has arrived.
       if (round.failure !== null && !round.canGoOn) throw round.failure;
-      // Also while it waits: an answer shows that the host is there.
-      if (shown !== null || !playing || playback.waiting) this.reportPosition();
       this.#postLine();
       this.#prepareRound();
       this.postState();
@@ -355,12 +350,8 @@ export class StreamPlayer {
     }
   }
 
-  /** Reports the position to the source. */
-  reportPosition() {
-    const { playback, playing, round } = this;
-    const moves = playing && !playback.hasEnded;
-    const frame = moves ? playback.nextFrame : playback.frame;
-    round.source.reportPosition(frame, !moves, this.rate);
+  #tellPosition() {
+    this.round.tellPosition(this.playing, this.rate, this.loop);
   }
 
   /** Posts the state to the page, ten times a second at most. */

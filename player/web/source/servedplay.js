@@ -166,9 +166,11 @@ export class ServedPlay {
     const { stream, patience } = this;
     while (!this.isClosed) {
       const gap = this.#findGap();
+      const wasDone = this.isDone;
       this.isDone = gap === null;
       if (gap === null || !this.#isNear(gap)) {
-        this.onData();
+        // Who hears this reports the position, for which this waits.
+        if (this.isDone !== wasDone) this.onData();
         await this.#position();
         continue;
       }

@@ -478,6 +478,21 @@ test("bytes from the browser's cache say nothing of the link", async (context) =
   assert.ok(around > 0.7 && around < 0.9, "at once that of the link");
 });
 
+test("a play that has all it needs wakes its player once, however often it hears the position", async () => {
+  const start = { manifest: manifestBytes({}), numFrames: manifestOf({}).segmentFrames };
+  const stream = new ServedStream(BASE, new Fetcher(), { response: { token: "t" }, start });
+  const play = stream.play({ firstFrame: 0, mostLayers: 1, nowS: () => 0 });
+  play.endBirth = stream.numFrames;
+  let woken = 0;
+  play.onData = () => (woken += 1);
+  for (let n = 0; n < 9; n++) {
+    await settled();
+    play.reportPosition(0, true, 1);
+  }
+  assert.deepEqual([woken, play.isDone], [1, true]);
+  play.close();
+});
+
 test("the first seek into what came without snapshots opens a play, which brings those of all layers", () => {
   const numFrames = 3 * manifestOf({}).segmentFrames;
   const start = { manifest: manifestBytes({}), numFrames };
