@@ -54,7 +54,7 @@ export async function inflatePacket(packet, limitBytes) {
       at += value.length;
     }
   } catch (error) {
-    await reader.cancel().catch(() => {});
+    await reader.cancel().catch(() => {}); // its error is known
     if (error instanceof FormatError) throw error;
     throw corrupt(`packet: is not gzip: ${/** @type {Error} */ (error).message}`);
   }
