@@ -94,12 +94,12 @@ const pathOf = ({ segment }, name) => `segments/${segment}/${name}`;
 
 /**
  * The names in a list of the manifest, which the page checks.
- * @param {any} value
+ * @param {unknown} value
  * @param {string} key
  * @param {number} most
  */
 function names(value, key, most) {
-  const found = [value ?? []].flat();
+  const found = /** @type {(Record<string, string> | null)[]} */ ([value ?? []].flat());
   if (found.length > most) throw corrupt(`manifest: ${found.length} tracks, at most ${most}`);
   return found.map((one) => one?.[key]);
 }

@@ -57,7 +57,7 @@ export class LayerRule {
     this.first = this.#segmentOf(firstFrame);
     /** @type {Map<number, number>} by segment, the number of its layers that were requested */
     this.levels = new Map();
-    /** Layers that segments lack, although they were requested: segment and layer. */
+    /** @type {Set<string>} layers that segments lack, although they were requested: segment and layer */
     this.lost = new Set();
   }
 
