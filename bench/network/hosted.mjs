@@ -67,7 +67,8 @@ async function play({ manifest, index, steps }) {
   const coming = [];
   stream.object = (record, part, onBytes) =>
     new Promise((resolve) => {
-      const total = record.objectBytes[stream.manifest.parts.indexOf(part)];
+      const total = record.objectBytes[part];
+      const name = stream.manifest.parts[part];
       for (let left = total; left > 0; left -= PIECE_BYTES) {
         const numBytes = Math.min(left, PIECE_BYTES);
         const timeS = Math.max(link.comesS(nowS, numBytes), coming.at(-1)?.timeS ?? 0);
@@ -75,8 +76,8 @@ async function play({ manifest, index, steps }) {
         const came = () => {
           onBytes(numBytes);
           if (!isWhole) return;
-          arrivals.push([timeS, total, record.segment, part]);
-          here.add(`${record.segment}/${part}`);
+          arrivals.push([timeS, total, record.segment, name]);
+          here.add(`${record.segment}/${name}`);
           resolve(new Map());
         };
         coming.push({ timeS, came });

@@ -38,8 +38,9 @@ export class LiveBadge {
     const watch = () => {
       clearTimeout(this.#timer);
       this.#setStopped(false);
-      if (!player.live) return;
-      const waitMs = 1000 * stoppedAfterS(player.manifest);
+      const { live, manifest } = player;
+      if (!live || manifest === null) return;
+      const waitMs = 1000 * stoppedAfterS(manifest);
       this.#timer = setTimeout(() => this.#setStopped(true), waitMs);
     };
     for (const type of ["opened", "grown"]) player.addEventListener(type, watch, { signal });
@@ -62,7 +63,8 @@ export class LiveBadge {
   #show() {
     const { live, manifest, numFrames, state } = this.player;
     if (this.root.hidden === live) this.root.hidden = !live;
-    const isGrey = this.hasStopped || (live && isBehind(manifest, numFrames, state.frame));
+    const isBack = live && manifest !== null && isBehind(manifest, numFrames, state.frame);
+    const isGrey = this.hasStopped || isBack;
     this.root.classList.toggle("behind", isGrey);
   }
 }

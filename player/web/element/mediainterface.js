@@ -185,12 +185,12 @@ export class MediaInterface extends PictureInterface {
     const { player, error } = this;
     if (error?.code === ERROR.SRC_NOT_SUPPORTED) {
       const refused = Promise.reject(new DOMException(error.message, "NotSupportedError"));
-      refused.catch(() => {});
+      refused.catch(() => {}); // scripts may ignore it
       return refused;
     }
     this.#pending ??= Promise.withResolvers();
     const { promise } = this.#pending;
-    promise.catch(() => {});
+    promise.catch(() => {}); // scripts may ignore it
     if (this.#ended) player?.seek(0);
     const isReady = this.readyState >= READY.FUTURE;
     if (this.#paused) {
@@ -378,7 +378,7 @@ export class MediaInterface extends PictureInterface {
     if (this.#paused) this.#playedFrame = shownFrame;
     else if (!player.isSeeking) this.#notePlayed(shownFrame);
     this.#update(player);
-    this.runFrameCallbacks(shownFrame / manifest.fps);
+    if (manifest !== null) this.runFrameCallbacks(shownFrame / manifest.fps);
     this.#end(player);
   }
 

@@ -49,7 +49,9 @@ export class RemoteControl {
 
   async #describe() {
     const { element, player } = this;
-    const { title, poster } = player.manifest;
+    const { title, poster } = /** @type {import("../playback/messages.js").OpenManifest} */ (
+      player.manifest
+    );
     const metadata = { title: title || document.title };
     navigator.mediaSession.metadata = new MediaMetadata(metadata);
     const opened = this.#opened;

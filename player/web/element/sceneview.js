@@ -7,8 +7,9 @@ import { FrameLoop } from "./frameloop.js";
 /** If a request waits for longer than this, the browser is not drawing this page. */
 const IDLE_MS = 100;
 
-/** @typedef {import("../playback/playerworkers.js").PlayerWorkers} PlayerWorkers */
-/** @typedef {import("../playback/sortworker.js").SortedFrame} SortedFrame */
+/** @typedef {import("../playback/messages.js").OpenManifest} OpenManifest */
+/** @typedef {import("../playback/messages.js").SortedFrame} SortedFrame */
+/** @typedef {import("../playback/playerworkers.js").Sorter} Sorter */
 /** @typedef {import("../stereo/headset.js").Headset} Headset */
 /** @typedef {(scene: import("../view/orbit.js").OrbitScene, orbit: Orbit) => import("../view/cameramotion.js").CameraMotion} MakeMotion */
 
@@ -54,10 +55,10 @@ export class SceneView extends EventTarget {
     this.ColourPass = null;
     /** @type {MakeMotion | null} */
     this.makeMotion = null;
-    /** @type {any} the manifest of the open stream */
+    /** @type {OpenManifest | null} of the open stream */
     this.manifest = null;
-    /** @type {PlayerWorkers | null} */
-    this.workers = null;
+    /** @type {Sorter | null} */
+    this.sorter = null;
     /** @type {SortedFrame | null} received since the last picture, and not uploaded yet */
     this.sorted = null;
     /** @type {Timings} */
@@ -84,7 +85,7 @@ export class SceneView extends EventTarget {
     });
   }
 
-  /** Loads what only some streams need. @param {any} manifest */
+  /** Loads what only some streams need. @param {OpenManifest} manifest */
   async load(manifest) {
     if (manifest.shDegree < 2) return;
     ({ ColourPass: this.ColourPass } = await import("../renderer/colourpass.js"));
@@ -93,15 +94,15 @@ export class SceneView extends EventTarget {
   /**
    * Prepares to draw another stream, or the same one again, after `load`. Throws a RendererError without WebGL2, or if
    * the device cannot hold the stream.
-   * @param {any} manifest
-   * @param {PlayerWorkers} workers
+   * @param {OpenManifest} manifest
+   * @param {Sorter} sorter
    */
-  show(manifest, workers) {
+  show(manifest, sorter) {
     const { painter, size } = this;
     this.orbit ??= new Orbit(manifest); // a player that was parked keeps its camera
     this.motion ??= this.makeMotion?.(manifest, this.orbit) ?? null;
     this.manifest = manifest;
-    this.workers = workers;
+    this.sorter = sorter;
     this.isEmpty = true;
     // Later, this call would block the page until the device has finished all work queued by then.
     painter.context.fit(size.widthPx, size.heightPx);
@@ -145,7 +146,7 @@ export class SceneView extends EventTarget {
   /** Whether the next picture would be the same as the last one. */
   get isSettled() {
     const isMoving = this.smoothing?.isMoving ?? false;
-    return this.sorted === null && !isMoving && (this.workers?.isSettled ?? true);
+    return this.sorted === null && !isMoving && (this.sorter?.isSettled ?? true);
   }
 
   /** Lets viewers move the camera, of this stream and of later ones. @param {MakeMotion} make */
@@ -160,7 +161,8 @@ export class SceneView extends EventTarget {
   get camera() {
     const { orbit, manifest, size } = this;
     const widthPx = this.eyesAt !== null ? Math.max(1, size.widthPx >> 1) : size.widthPx;
-    return orbit?.camera(manifest.defaultCamera, widthPx, size.heightPx) ?? null;
+    if (orbit === null || manifest === null) return null;
+    return orbit.camera(manifest.defaultCamera, widthPx, size.heightPx);
   }
 
   /**
@@ -217,10 +219,11 @@ export class SceneView extends EventTarget {
    * @param {number} nowMs
    */
   #draw(viewpoint, nowMs) {
-    const { painter, size } = this;
+    const { manifest, painter, size } = this;
+    if (manifest === null) return;
     if (this.sorted !== null) this.#upload(this.sorted);
     const isMoving = this.smoothing?.step(nowMs) ?? false;
-    this.workers?.requestOrder(viewpoint.w2c, nearOf(this.manifest, viewpoint), isMoving);
+    this.sorter?.requestOrder(viewpoint.w2c, nearOf(manifest, viewpoint), isMoving);
     if (!this.needsDrawing || this.isEmpty) return;
     this.needsDrawing = false;
     const beganMs = performance.now();
@@ -261,7 +264,7 @@ export class SceneView extends EventTarget {
   release() {
     this.loop.stop();
     this.painter.clear();
-    this.workers = null;
+    this.sorter = null;
     this.sorted = null;
     this.isEmpty = true;
   }

@@ -127,7 +127,7 @@ export class Scrubber {
   #showTime(frame) {
     const { player, time, input } = this;
     const { manifest, numFrames, live } = player;
-    const isAtEdge = live && !isBehind(manifest, numFrames, frame);
+    const isAtEdge = live && manifest !== null && !isBehind(manifest, numFrames, frame);
     const text = isAtEdge ? "" : positionText(frame, numFrames, manifest?.fps ?? 30, live);
     if (time.textContent === text) return; // setting the same text again would cost a layout
     time.textContent = text;

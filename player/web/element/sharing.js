@@ -40,7 +40,7 @@ export class Sharing {
     const url = this.link;
     if (url === null) return;
     if (navigator.share === undefined) return this.copyLink();
-    const title = this.element.player?.manifest.title || document.title;
+    const title = this.element.player?.manifest?.title || document.title;
     try {
       await navigator.share({ title, url });
     } catch (error) {

@@ -8,7 +8,7 @@ const LEAST_INTERVALS = 5;
 /** The rate is measured again after this time, because a busy page seems to have a slow screen. */
 const AGAIN_MS = 3000;
 
-/** @typedef {{ zeroMs: number | null, rate: number }} Line when frames are due, see StreamSession */
+/** @typedef {Omit<import("../playback/messages.js").Line, "line">} Line */
 
 /**
  * Progress, 0 to 1, of the motion from the previous frame to the current one. The motion begins when the
@@ -57,9 +57,10 @@ export class Smoothing {
   attach(renderer) {
     if (renderer.inbetween !== null) return;
     try {
-      if (this.#inbetween?.renderer !== renderer) {
-        this.#inbetween = new Inbetween(renderer, this.view.manifest.numGs);
-      }
+      const { manifest } = this.view;
+      if (manifest === null) return;
+      if (this.#inbetween?.renderer !== renderer)
+        this.#inbetween = new Inbetween(renderer, manifest.numGs);
       this.#inbetween.attach();
     } catch (error) {
       if (renderer.gl.isContextLost()) return; // it gets another renderer
@@ -80,7 +81,7 @@ export class Smoothing {
     this.#measure(nowMs);
     const { renderer } = painter;
     this.isMoving = false;
-    if (renderer === null || view.isEmpty) return false;
+    if (renderer === null || manifest === null || view.isEmpty) return false;
     this.attach(renderer);
     const { inbetween } = renderer;
     // Within a frame the share only grows: a pause shows all of the motion, and nothing jumps back after it.

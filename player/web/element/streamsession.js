@@ -1,22 +1,9 @@
 import { PlayerWorkers } from "../playback/playerworkers.js";
 import { edgeFrame } from "../source/liveedge.js";
 
-/**
- * State of a play.
- * @typedef {object} PlayState
- * @property {number} frame the one that shows
- * @property {number} endFrame the first missing frame
- * @property {[number, number][]} bufferedRanges [first, end) of the frames that have arrived
- * @property {boolean} playing
- * @property {boolean} waiting whether playback waits for data
- * @property {number} stalls
- * @property {number} layers number of layers that show
- * @property {number | null} rateBps estimated throughput
- * @property {number} receivedBytes
- * @property {number} decodeMs of the last frame
- */
+/** @typedef {import("../playback/messages.js").FromPlayer} FromPlayer */
 
-/** @type {PlayState} before anything of a stream has arrived */
+/** @type {import("../playback/messages.js").PlayState} before anything of a stream has arrived */
 const START = {
   frame: 0,
   endFrame: 0,
@@ -37,24 +24,20 @@ const START = {
 export class StreamSession extends EventTarget {
   /** @type {PlayerWorkers | null} null before they start, and while the player is parked */
   workers = null;
-  /** @type {import("../playback/playerworkers.js").Source | null} */
+  /** @type {import("../playback/messages.js").Source | null} */
   source = null;
-  /** @type {any} the stream's manifest; null until the stream is open */
+  /** @type {import("../playback/messages.js").OpenManifest | null} null until the stream is open */
   manifest = null;
   numFrames = 0;
   /** URL of the stream's folder, with a trailing slash, or of its file. */
   base = "";
-  /** @type {import("../source/source.js").SourceStream["files"]} */
+  /** @type {import("../playback/messages.js").Files} */
   files = null;
   /** Whether the stream may still grow. */
   live = false;
-  /** @type {PlayState} */
+  /** @type {import("../playback/messages.js").PlayState} */
   state = START;
-  /**
-   * The times when frames are due, as reported by the worker: frame 0 at `zeroMs` (Unix time), which is
-   * null while playback does not run.
-   * @type {{ zeroMs: number | null, rate: number, line: number } | null}
-   */
+  /** @type {import("../playback/messages.js").Line | null} as last reported by the worker */
   line = null;
   isSeeking = false;
   /** Counts seeks, so that results of an earlier seek can be told apart. */
@@ -69,13 +52,12 @@ export class StreamSession extends EventTarget {
 
   /**
    * @param {number | null} frame to begin with; null for the stream's own start
-   * @param {(sorted: import("../playback/sortworker.js").SortedFrame) => void} onSorted
+   * @param {Worker} sink takes the frames
    */
-  startWorkers(frame, onSorted) {
+  startWorkers(frame, sink) {
     if (this.source === null) throw new TypeError("no stream was chosen");
-    const onMessage = (/** @type {any} */ data) => this.#onMessage(data);
     const start = { frame, seeks: this.seeks, ...this.#settings };
-    this.workers = new PlayerWorkers(this.source, start, onMessage, onSorted);
+    this.workers = new PlayerWorkers(this.source, start, sink, (data) => this.#onMessage(data));
   }
 
   stopWorkers() {
@@ -130,7 +112,7 @@ export class StreamSession extends EventTarget {
 
   /** Seeks forward to the edge of a live stream. */
   seekEdge() {
-    const edge = edgeFrame(this.manifest, this.numFrames);
+    const edge = this.manifest === null ? 0 : edgeFrame(this.manifest, this.numFrames);
     if (this.state.frame < edge) this.seek(edge);
   }
 
@@ -162,7 +144,7 @@ export class StreamSession extends EventTarget {
     this.workers?.post({ kind: "ply" });
   }
 
-  /** @param {any} data */
+  /** @param {FromPlayer} data */
   #onMessage(data) {
     switch (data.kind) {
       case "opened": {
@@ -219,7 +201,7 @@ export class StreamSession extends EventTarget {
 
   /**
    * @param {string} type
-   * @param {string | null} [detail]
+   * @param {unknown} [detail]
    */
   dispatch(type, detail = null) {
     this.dispatchEvent(new CustomEvent(type, { detail }));

@@ -212,6 +212,7 @@ export class SwingsPlayerElement extends MediaInterface {
   /** @param {WebPlayer} player */
   #opened(player) {
     const { manifest, orbit } = player;
+    if (manifest === null) return;
     if (orbit !== null) this.#overlay.setFocus(shareAt(manifest.defaultCamera, orbit.focus));
     this.#offerPoster(player);
     this.#controls?.part?.opened();
@@ -223,7 +224,7 @@ export class SwingsPlayerElement extends MediaInterface {
 
   /** Shows the stream's own poster if the page has none. @param {WebPlayer} player */
   async #offerPoster(player) {
-    const { poster } = player.manifest;
+    const poster = player.manifest?.poster;
     if (this.#overlay.hasPoster || !poster) return;
     try {
       const url = await pictureUrl(player.base, poster, player.files);

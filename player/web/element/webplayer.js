@@ -1,3 +1,4 @@
+import { Sorter } from "../playback/playerworkers.js";
 import { RendererError } from "../renderer/program.js";
 import { folderUrl } from "../source/addresses.js";
 import { isBehind } from "../source/liveedge.js";
@@ -24,6 +25,8 @@ export class WebPlayer extends StreamSession {
   /** Whether `open` starts the workers even if the canvas is not in view. */
   preloads = false;
   isParked = false;
+  /** @type {Sorter | null} of the last start */
+  sorter = null;
   /** Whether the stream has failed, so that nothing runs until `open`. */
   #hasFailed = false;
   /** Whether a live stream was at its edge when the player went out of view. */
@@ -133,9 +136,8 @@ export class WebPlayer extends StreamSession {
     const isNew = this.shownFrame < 0 && !this.isSeeking;
     const isAtEdge = this.live && this.wantsPlaying && this.#wasAtEdge;
     const frame = this.isSeeking ? this.soughtFrame : this.shownFrame;
-    this.startWorkers(isNew || isAtEdge ? null : frame, (sorted) =>
-      this.view.receive(sorted, this.sight.isHeld),
-    );
+    this.sorter = new Sorter((sorted) => this.view.receive(sorted, this.sight.isHeld));
+    this.startWorkers(isNew || isAtEdge ? null : frame, this.sorter.worker);
   }
 
   #release() {
@@ -169,8 +171,8 @@ export class WebPlayer extends StreamSession {
 
   /** @override @param {boolean} isFirst */
   async onOpened(isFirst) {
-    const { manifest, workers, view } = this;
-    if (workers === null) return;
+    const { manifest, workers, sorter, view } = this;
+    if (workers === null || manifest === null || sorter === null) return;
     try {
       await view.load(manifest);
     } catch (error) {
@@ -180,7 +182,7 @@ export class WebPlayer extends StreamSession {
     }
     if (workers !== this.workers) return; // closed, or parked
     try {
-      view.show(manifest, workers);
+      view.show(manifest, sorter);
     } catch (error) {
       if (!(error instanceof RendererError)) throw error;
       this.fail(error.message);

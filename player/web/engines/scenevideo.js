@@ -29,21 +29,17 @@ import { poseOf } from "../view/pose.js";
  */
 export class SceneVideo extends EventTarget {
   #feed;
-  #paused;
-  #loop;
+  #loop = true;
   #rate = 1;
-  #soughtFrame = 0;
 
   /** @param {SceneVideoOptions} options */
   constructor({ url, autoplay = true, loop = true, maxGaussians, otherHosts }) {
     super();
-    this.#paused = !autoplay;
-    this.#loop = loop;
     this.#feed = new GaussianFeed(url, { maxGaussians, otherHosts });
     /** @type {Promise<FeedStream>} rejects with the reason if the stream cannot be opened */
-    this.opened = this.#feed.opened.then((stream) => this.#begin(stream));
-    this.opened.catch(() => {});
-    this.#feed.addEventListener("ended", () => (this.#paused = true));
+    this.opened = this.#feed.opened;
+    this.loop = loop;
+    this.#feed.setPlaying(autoplay);
     for (const type of ["ended", "trouble", "failed"]) {
       this.#feed.addEventListener(type, (event) => {
         const { detail } = /** @type {CustomEvent<string | null>} */ (event);
@@ -63,7 +59,7 @@ export class SceneVideo extends EventTarget {
   }
 
   get paused() {
-    return this.#paused;
+    return !this.#feed.wantsPlaying;
   }
 
   /** Seconds; NaN until it is open. */
@@ -75,8 +71,8 @@ export class SceneVideo extends EventTarget {
   /** Time of the frame that shows, or is being sought, in seconds. */
   get currentTime() {
     const { stream } = this;
-    const frame = this.#feed.isSeeking ? this.#soughtFrame : Math.max(0, this.#feed.frame);
-    return stream ? frame / stream.fps : 0;
+    const { isSeeking, soughtFrame, frame } = this.#feed;
+    return stream ? (isSeeking ? soughtFrame : Math.max(0, frame)) / stream.fps : 0;
   }
 
   /** Throws an error if the stream is not open yet. */
@@ -84,9 +80,7 @@ export class SceneVideo extends EventTarget {
     const { stream } = this;
     if (!Number.isFinite(seconds)) throw new TypeError(`currentTime: ${seconds} is not a time`);
     if (stream === null) throw new Error("the stream is not open yet; await opened first");
-    const frame = Math.round(seconds * stream.fps);
-    this.#soughtFrame = Math.max(0, Math.min(stream.numFrames - 1, frame));
-    this.#feed.seek(this.#soughtFrame);
+    this.#feed.seek(Math.round(seconds * stream.fps));
   }
 
   get loop() {
@@ -95,7 +89,7 @@ export class SceneVideo extends EventTarget {
 
   set loop(value) {
     this.#loop = value;
-    if (this.stream !== null) this.#feed.setLoop(value);
+    this.#feed.setLoop(value);
   }
 
   /** 1 is normal speed. */
@@ -108,18 +102,16 @@ export class SceneVideo extends EventTarget {
       throw new RangeError(`playbackRate: ${rate} is not a positive number`);
     }
     this.#rate = rate;
-    if (this.stream !== null) this.#feed.setRate(rate);
+    this.#feed.setRate(rate);
   }
 
   /** Starts playback as soon as the stream is open; after the end, from the first frame. */
   play() {
-    this.#paused = false;
-    if (this.stream !== null) this.#feed.play();
+    this.#feed.play();
   }
 
   pause() {
-    this.#paused = true;
-    if (this.stream !== null) this.#feed.pause();
+    this.#feed.pause();
   }
 
   /**
@@ -138,16 +130,7 @@ export class SceneVideo extends EventTarget {
 
   /** Ends the play and its workers. */
   dispose() {
-    this.#paused = true;
     this.#feed.close();
-  }
-
-  /** @param {FeedStream} stream */
-  #begin(stream) {
-    this.#feed.setLoop(this.#loop);
-    if (this.#rate !== 1) this.#feed.setRate(this.#rate);
-    if (!this.#paused) this.#feed.play();
-    return stream;
   }
 }
 

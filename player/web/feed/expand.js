@@ -3,7 +3,7 @@
 import { numCoefficients } from "../format/gaussians.js";
 import { ON_LATTICE } from "../constants.js";
 import { Slots } from "../format/slots/slots.js";
-import { floatWords, latticeWords } from "../renderer/words.js";
+import { floatWords, latticeWords } from "../playback/words.js";
 
 /**
  * Gaussians and the slots that they are put into.

@@ -3,9 +3,18 @@
  * page on request.
  */
 
-import { scope } from "../playback/workerscope.js";
 import { Scene } from "./scene.js";
 
+/** @typedef {import("../playback/messages.js").FromKeeper} FromKeeper */
+/** @typedef {import("../playback/messages.js").ShownFrame} ShownFrame */
+/** @typedef {import("../playback/messages.js").ToKeeper} ToKeeper */
+
+const scope = /** @type {import("../playback/messages.js").Channel<FromKeeper, ToKeeper>} */ (
+  /** @type {unknown} */ (self)
+);
+
+/** @type {MessagePort | null} its frames wait for the scene */
+let frames = null;
 /** @type {Scene | null} */
 let scene = null;
 /** Whether the page waits for an answer. */
@@ -27,12 +36,13 @@ function answer() {
   );
 }
 
-scope.onmessage = ({ data }) => {
-  if (data.port) {
+scope.onmessage = (/** @type {MessageEvent<ToKeeper>} */ { data }) => {
+  if ("port" in data) frames = data.port;
+  if ("manifest" in data && frames !== null) {
     const { numGs, shDegree, lattices } = data.manifest;
     const kept = new Scene(numGs, shDegree, lattices);
     scene = kept;
-    data.port.onmessage = (/** @type {MessageEvent} */ event) => {
+    frames.onmessage = (/** @type {MessageEvent<ShownFrame>} */ event) => {
       kept.put(event.data);
       seeks = event.data.seeks;
       isStale = true;

@@ -57,6 +57,24 @@ const { fround } = Math;
  */
 
 /**
+ * A part of a segment, by its number in `Manifest.parts`: the changes of layer n are n.
+ * @typedef {number} Part
+ */
+
+/** The masks. @param {{ numLayers: number }} manifest @returns {Part} */
+export const masksOf = ({ numLayers }) => numLayers;
+
+/** The snapshot of a layer. @param {{ numLayers: number }} manifest @param {number} layer @returns {Part} */
+export const snapshotOf = ({ numLayers }, layer) => numLayers + 1 + layer;
+
+/** @param {{ numLayers: number }} manifest @param {Part} part */
+export const isSnapshot = ({ numLayers }, part) => part > numLayers;
+
+/** The layer of a part; 0 for the masks. @param {{ numLayers: number }} manifest @param {Part} part */
+export const layerOf = ({ numLayers }, part) =>
+  part < numLayers ? part : Math.max(0, part - numLayers - 1);
+
+/**
  * Reads the manifest in `bytes`. Throws a FormatError.
  * @param {Uint8Array} bytes
  * @returns {Manifest}
@@ -139,12 +157,12 @@ export function checkGaussians({ numGs, shDegree }, maxGaussians, name) {
 
 /**
  * The address of a part's object, relative to the manifest.
- * @param {Manifest} manifest
+ * @param {{ objectUrl: string }} manifest
  * @param {number} segment
- * @param {string} part
+ * @param {string} name of the part, or of a source of sound
  */
-export function objectPath(manifest, segment, part) {
-  return manifest.objectUrl.replace("{segment}", String(segment)).replace("{layer}", part);
+export function objectPath({ objectUrl }, segment, name) {
+  return objectUrl.replace("{segment}", String(segment)).replace("{layer}", name);
 }
 
 /**

@@ -15,6 +15,7 @@ import {
 } from "../constants.js";
 import { ByteReader, isMagic } from "./bytes/bytereader.js";
 import { corrupt, unsupported } from "./bytes/errors.js";
+import { masksOf, snapshotOf } from "./manifest.js";
 
 const MANIFEST_NAME = "manifest.json";
 const INDEX_NAME = "index.bin";
@@ -84,17 +85,17 @@ export function readPackedHead(bytes) {
   };
 }
 
-/** @param {import("./streamindex.js").SegmentRecord} record @param {string} part */
-const pathOf = ({ segment }, part) => `segments/${segment}/${part}`;
+/** @param {import("./streamindex.js").SegmentRecord} record @param {string} name of an object */
+const pathOf = ({ segment }, name) => `segments/${segment}/${name}`;
 
 /**
  * The names in a list of the manifest, which the page checks.
- * @param {any} value
+ * @param {unknown} value
  * @param {string} key
  * @param {number} most
  */
 function names(value, key, most) {
-  const found = [value ?? []].flat();
+  const found = /** @type {(Record<string, string> | null)[]} */ ([value ?? []].flat());
   if (found.length > most) throw corrupt(`manifest: ${found.length} tracks, at most ${most}`);
   return found.map((one) => one?.[key]);
 }
@@ -113,9 +114,9 @@ export class PackedLayout {
     const layers = Array.from({ length: manifest.numLayers }, (_, layer) => layer);
     /** In the order of a segment: the parts that a player of n layers needs are adjacent. */
     this.parts = [
-      ...layers.map((layer) => `snapshot-${layer}`).reverse(),
-      "masks",
-      ...layers.map(String),
+      ...layers.map((layer) => snapshotOf(manifest, layer)).reverse(),
+      masksOf(manifest),
+      ...layers,
     ];
     const sources = names(manifest.sound, "name", MAX_SOURCES);
     const sizes = new ByteReader(tracks, "packed stream");
@@ -143,8 +144,7 @@ export class PackedLayout {
     this.starts = records.map((record) => {
       for (const name of sources) add(pathOf(record, SOUND_PREFIX + name), sizes.u32());
       const start = at;
-      for (const part of this.parts)
-        at += localBytes(pathOf(record, part)) + this.#size(record, part);
+      for (const part of this.parts) at += this.#headBytes(record, part) + record.objectBytes[part];
       return start;
     });
     sizes.finish();
@@ -154,21 +154,21 @@ export class PackedLayout {
 
   /**
    * @param {import("./streamindex.js").SegmentRecord} record
-   * @param {string} part
+   * @param {import("./manifest.js").Part} part
    * @returns {Place}
    */
   object(record, part) {
     let at = this.starts[record.segment];
     for (const before of this.parts) {
-      at += localBytes(pathOf(record, before));
+      at += this.#headBytes(record, before);
       if (before === part) break;
-      at += this.#size(record, before);
+      at += record.objectBytes[before];
     }
-    return { first: at, size: this.#size(record, part) };
+    return { first: at, size: record.objectBytes[part] };
   }
 
-  /** @param {import("./streamindex.js").SegmentRecord} record @param {string} part */
-  #size({ objectBytes }, part) {
-    return objectBytes[this.manifest.parts.indexOf(part)];
+  /** @param {import("./streamindex.js").SegmentRecord} record @param {import("./manifest.js").Part} part */
+  #headBytes(record, part) {
+    return localBytes(pathOf(record, this.manifest.parts[part]));
   }
 }

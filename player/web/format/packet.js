@@ -2,21 +2,19 @@
 
 import { CODERS, GZIP_MAGIC, MAX_CHUNK_BYTES, MAX_EXPANSION, ZSTD_MAGIC } from "../constants.js";
 import { corrupt, FormatError, unsupported } from "./bytes/errors.js";
+import { isSnapshot, layerOf, masksOf } from "./manifest.js";
 
 const LEAST_BYTES = 18;
-
-/** The layer of a part; 0 for the masks. @param {string} part */
-export const layerOf = (part) => Number(part.replace(/\D+/, ""));
 
 /**
  * Maximum size of the chunk in a packet.
  * @param {import("./manifest.js").Manifest} manifest
- * @param {string} part
+ * @param {import("./manifest.js").Part} part
  */
 export function limitBytes({ layout }, part) {
-  if (part === "masks") return layout.maxMaskBytes;
-  if (part.startsWith("snapshot-")) return layout.maxSnapshotBytes(layerOf(part));
-  return layout.maxChangeBytes(layerOf(part));
+  if (part === masksOf(layout)) return layout.maxMaskBytes;
+  const layer = layerOf(layout, part);
+  return isSnapshot(layout, part) ? layout.maxSnapshotBytes(layer) : layout.maxChangeBytes(layer);
 }
 
 /** @param {Uint8Array} packet */
@@ -56,7 +54,7 @@ export async function inflatePacket(packet, limitBytes) {
       at += value.length;
     }
   } catch (error) {
-    await reader.cancel().catch(() => {});
+    await reader.cancel().catch(() => {}); // its error is known
     if (error instanceof FormatError) throw error;
     throw corrupt(`packet: is not gzip: ${/** @type {Error} */ (error).message}`);
   }

@@ -63,7 +63,9 @@ function readRecord(row, segment, manifest) {
   const objectSha256 = [];
   for (let part = 0; part < manifest.parts.length; part++) {
     const isLayer = part < manifest.numLayers;
-    const [size, sha256, psnr] = reader.unpack(isLayer ? INDEX_LAYER : INDEX_SIDE);
+    const [size, sha256, psnr = NaN] = /** @type {[number, Uint8Array, number?]} */ (
+      reader.unpack(isLayer ? INDEX_LAYER : INDEX_SIDE)
+    );
     objectBytes.push(size);
     objectSha256.push(sha256);
     if (isLayer) psnrDb.push(psnr);

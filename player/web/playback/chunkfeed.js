@@ -1,5 +1,6 @@
 import { FormatError } from "../format/bytes/errors.js";
-import { inflatePacket, isGzip, layerOf, limitBytes } from "../format/packet.js";
+import { isSnapshot, layerOf, masksOf, snapshotOf } from "../format/manifest.js";
+import { inflatePacket, isGzip, limitBytes } from "../format/packet.js";
 
 /** Seconds of media that are inflated ahead. */
 const AHEAD_S = 1;
@@ -7,7 +8,8 @@ const LEAST_AHEAD_FRAMES = 16;
 /** Number of packets inflated at a time. */
 const BATCH = 16;
 
-/** @typedef {{ birth: number, part: string, packet: Uint8Array }} Arrived */
+/** @typedef {import("../format/manifest.js").Part} Part */
+/** @typedef {{ birth: number, part: Part, packet: Uint8Array }} Arrived */
 
 /**
  * Inflates the packets of a cache and passes them to a StreamPlay: those of the segment where it begins,
@@ -81,30 +83,23 @@ export class ChunkFeed {
    * @param {number} firstLayer
    */
   #lookUp(birth, firstLayer) {
-    const { cache, manifest } = this;
-    const segment = cache.segmentOf(birth);
-    const isFirst = birth % manifest.segmentFrames === 0;
-    const mask = firstLayer === 0 ? cache.mask(birth) : null;
-    if (mask !== null) this.#enqueue(birth, "masks", mask);
+    const { manifest } = this;
+    if (firstLayer === 0) this.#enqueue(birth, masksOf(manifest));
     for (let layer = firstLayer; layer < this.numLayers; layer++) {
-      const snapshot = isFirst ? cache.snapshot(segment, layer) : null;
-      if (snapshot !== null) this.#enqueue(birth, `snapshot-${layer}`, snapshot);
-      const change = cache.change(birth, layer);
-      if (change !== null) this.#enqueue(birth, `${layer}`, change);
+      if (birth % manifest.segmentFrames === 0) this.#enqueue(birth, snapshotOf(manifest, layer));
+      this.#enqueue(birth, layer);
     }
   }
 
   /**
    * @param {number} birth
-   * @param {string} part
-   * @param {Uint8Array} packet
+   * @param {Part} part
    */
-  #enqueue(birth, part, packet) {
-    const isSnapshot = part.startsWith("snapshot-");
+  #enqueue(birth, part, packet = this.cache.packet(birth, part)) {
+    const { manifest, startFrame } = this;
     // The first frame of the segment that is joined needs its snapshots only.
-    if (birth === this.startFrame && !isSnapshot) return;
-    if (layerOf(part) >= this.numLayers) return;
-    this.queue.push({ birth, part, packet });
+    if (packet === null || (birth === startFrame && !isSnapshot(manifest, part))) return;
+    if (layerOf(manifest, part) < this.numLayers) this.queue.push({ birth, part, packet });
   }
 
   async #run() {
@@ -134,7 +129,7 @@ export class ChunkFeed {
     try {
       return isGzip(packet) ? await inflatePacket(packet, limitBytes(this.manifest, part)) : packet;
     } catch (error) {
-      const layer = layerOf(part);
+      const layer = layerOf(this.manifest, part);
       if (layer === 0 || !(error instanceof FormatError)) throw error;
       this.play.lose(birth, layer, error);
       return null;
@@ -143,14 +138,14 @@ export class ChunkFeed {
 
   /**
    * @param {number} birth
-   * @param {string} part
+   * @param {Part} part
    * @param {Uint8Array} chunk
    */
   #pass(birth, part, chunk) {
-    const layer = layerOf(part);
-    if (part === "masks") this.play.addMask(birth, chunk);
-    else if (part.startsWith("snapshot-")) this.play.addSnapshot(birth, layer, chunk);
-    else this.play.addChange(birth, layer, chunk);
+    const { manifest, play } = this;
+    if (part === masksOf(manifest)) play.addMask(birth, chunk);
+    else if (isSnapshot(manifest, part)) play.addSnapshot(birth, layerOf(manifest, part), chunk);
+    else play.addChange(birth, part, chunk);
   }
 
   close() {

@@ -4,7 +4,7 @@ import { opacityLogits } from "../format/dequantise.js";
 import { NEVER } from "../renderer/depthorder.js";
 import { ALPHA_MIN, ENTERS, ESCAPED, ON_LATTICE } from "../constants.js";
 import { LEFT, spareSlots } from "../format/slots/moves.js";
-import { floatWords, latticeWords, roomFor } from "../renderer/words.js";
+import { floatWords, latticeWords, roomFor } from "./words.js";
 
 /** A Gaussian with a smaller logit is nowhere opaque enough to show, and is omitted from every frame. */
 const LEAST_LOGIT = Math.log(ALPHA_MIN / (1 - ALPHA_MIN));

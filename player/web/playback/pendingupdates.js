@@ -1,4 +1,4 @@
-import { floatWords, latticeWords, roomFor } from "../renderer/words.js";
+import { floatWords, latticeWords, roomFor } from "./words.js";
 
 /** An entry has its layer and move above the 24 bits of its slot; a stream has at most 2^24 slots. */
 const SLOT_MASK = 0xffffff;

@@ -3,50 +3,29 @@ import { offerEarly } from "../source/early/earlyrequests.js";
 import { preloadSource } from "./preload.js";
 import { startWorker } from "./startworker.js";
 
-/** @typedef {import("./sortworker.js").SortedFrame} SortedFrame */
+/** @typedef {import("./messages.js").FromPlayer} FromPlayer */
+/** @typedef {import("./messages.js").SortedFrame} SortedFrame */
+/** @typedef {import("./messages.js").ToPlayer} ToPlayer */
 
-/**
- * The stream to open.
- * @typedef {object} Source
- * @property {string} base URL of its folder, with a trailing slash
- * @property {number | null} maxGaussians
- * @property {boolean} otherHosts
- * @property {RequestCredentials} [credentials] whether requests carry cookies, see `fetch`
- * @property {number} [bufferBytes] limit for the received data that is kept
- * @property {boolean} isHeld whether to fetch no frame until the stream plays or seeks
- */
-
-/** The two workers of a player: one for network and decoding, one for sorting. */
+/** The two workers of a play: one for network and decoding, and one that takes its frames. */
 export class PlayerWorkers {
-  /** @type {"none" | "waiting" | "due"} the sorter's request; "due": it is answered at once */
-  #request = "none";
-  /** Number of the last request; answers to earlier requests may still arrive. */
-  #lastRequest = 0;
-  /** Whether Gaussians were in motion at the last request. */
-  #isMoving = false;
   /** Aborts early requests. */
   #opening = new AbortController();
-  /** @type {number[]} (4, 4) world to camera of the last request */
-  requestedW2c = [];
 
   /**
-   * @param {Source} source
-   * @param {import("./streamplayer.js").Start} start
-   * @param {(data: any) => void} onMessage called for messages of the decoding worker
-   * @param {(sorted: SortedFrame) => void} onSorted
+   * @param {import("./messages.js").Source} source
+   * @param {import("./messages.js").Start} start
+   * @param {Worker} sink takes the frames from the port that it is sent
+   * @param {(message: FromPlayer) => void} onMessage called for messages of the decoding worker
    */
-  constructor(source, start, onMessage, onSorted) {
+  constructor(source, start, sink, onMessage) {
     const { port1, port2 } = new MessageChannel();
-    this.sorter = startWorker(new URL("./sortworker.js", import.meta.url));
-    this.sorter.onmessage = ({ data }) => {
-      if (data.request === this.#lastRequest) this.#request = "none";
-      onSorted(data);
-    };
-    this.sorter.postMessage({ port: port2 }, [port2]);
+    this.sink = sink;
+    sink.postMessage({ port: port2 }, [port2]);
     this.player = startWorker(new URL("./playworker.js", import.meta.url));
     preloadSource(source.base);
-    this.player.onmessage = ({ data }) => onMessage(data);
-    for (const worker of [this.player, this.sorter]) {
+    this.player.onmessage = (/** @type {MessageEvent<FromPlayer>} */ { data }) => onMessage(data);
+    for (const worker of [this.player, sink]) {
       worker.onerror = ({ message }) => {
         // The error of a worker that never started has no message.
         const why =
@@ -60,12 +39,39 @@ export class PlayerWorkers {
     const urls = source.credentials === undefined ? firstUrls(source.base) : [];
     const early = offerEarly(urls, this.#opening.signal);
     const ports = [port1, ...early.map(({ port }) => port)];
-    this.player.postMessage({ kind: "open", ...source, isHeld, start, early, port: port1 }, ports);
+    this.post({ kind: "open", ...source, isHeld, start, early, port: port1 }, ports);
   }
 
-  /** @param {{ kind: string } & Record<string, unknown>} message for the decoding worker */
-  post(message) {
-    this.player.postMessage(message);
+  /** @param {ToPlayer} message for the decoding worker @param {Transferable[]} [transfer] */
+  post(message, transfer = []) {
+    this.player.postMessage(message, transfer);
+  }
+
+  terminate() {
+    this.#opening.abort();
+    this.player.terminate();
+    this.sink.terminate();
+  }
+}
+
+/** The worker that takes the frames for a picture: it sorts. */
+export class Sorter {
+  /** @type {"none" | "waiting" | "due"} its request; "due": it is answered at once */
+  #request = "none";
+  /** Number of the last request; answers to earlier requests may still arrive. */
+  #lastRequest = 0;
+  /** Whether Gaussians were in motion at the last request. */
+  #isMoving = false;
+  /** @type {number[]} (4, 4) world to camera of the last request */
+  requestedW2c = [];
+  worker = startWorker(new URL("./sortworker.js", import.meta.url));
+
+  /** @param {(sorted: SortedFrame) => void} onSorted */
+  constructor(onSorted) {
+    this.worker.onmessage = (/** @type {MessageEvent<SortedFrame>} */ { data }) => {
+      if (data.request === this.#lastRequest) this.#request = "none";
+      onSorted(data);
+    };
   }
 
   /** Whether the last order is up to date with the camera, and no frame has arrived since. */
@@ -87,15 +93,11 @@ export class PlayerWorkers {
     if (this.#request === "due" || (this.#request === "waiting" && !isMoved)) return;
     this.#lastRequest += 1;
     const view = { w2c, nearM, isMoving, request: this.#lastRequest };
-    this.sorter.postMessage({ view, isMoved });
+    /** @type {import("./messages.js").ToSorter} */
+    const message = { view, isMoved };
+    this.worker.postMessage(message);
     this.#request = isMoved ? "due" : "waiting";
     this.requestedW2c = w2c;
     this.#isMoving = isMoving;
-  }
-
-  terminate() {
-    this.#opening.abort();
-    this.player.terminate();
-    this.sorter.terminate();
   }
 }

@@ -5,13 +5,19 @@ import { expectEarly } from "../source/early/earlyresponses.js";
 import { Fetcher, SourceError } from "../source/fetcher.js";
 import { openSource } from "../source/source.js";
 import { StreamPlayer } from "./streamplayer.js";
-import { scope } from "./workerscope.js";
+
+/** @typedef {import("./messages.js").FromPlayer} FromPlayer */
+/** @typedef {import("./messages.js").ToPlayer} ToPlayer */
+
+const scope = /** @type {import("./messages.js").Channel<FromPlayer, ToPlayer>} */ (
+  /** @type {unknown} */ (self)
+);
 
 /** @type {StreamPlayer | null} */
 let player = null;
-/** @type {MessagePort | null} */
-let sorter = null;
-/** @type {import("./streamplayer.js").Start} */
+/** @type {MessagePort | null} to the worker that takes the frames */
+let sink = null;
+/** @type {import("./messages.js").Start} */
 let start = {};
 /** @type {(() => void) | null} creates the player, for an open stream that fetches no frames yet */
 let release = null;
@@ -33,20 +39,8 @@ function fail(error) {
   if (!isOurs) throw error;
 }
 
-/**
- * The page's request to open a stream.
- * @typedef {object} Opening
- * @property {string} base
- * @property {number} [maxGaussians]
- * @property {boolean} [otherHosts]
- * @property {RequestCredentials} [credentials]
- * @property {number} [bufferBytes]
- * @property {boolean} [isHeld] whether to fetch no frame until the stream plays or seeks
- */
-
-/** @param {Opening} opening */
-async function open({ maxGaussians, otherHosts, credentials, bufferBytes, isHeld, ...opening }) {
-  base = opening.base;
+/** @param {import("./messages.js").Source} source */
+async function open({ maxGaussians, otherHosts, credentials, bufferBytes, isHeld }) {
   const onTrouble = (/** @type {string | null} */ message) =>
     scope.postMessage({ kind: "trouble", message });
   const onAwaited = (/** @type {string | null} */ message) =>
@@ -58,12 +52,12 @@ async function open({ maxGaussians, otherHosts, credentials, bufferBytes, isHeld
     const { manifest, numFrames, base: found, files } = stream;
     const opened = { manifest: plain(manifest), numFrames, base: found, files };
     scope.postMessage({ kind: "opened", ...opened });
-    const port = sorter;
+    const port = sink;
     if (port !== null) {
+      /** @type {import("./streamplayer.js").Outlet} */
       const outlet = {
-        post: (/** @type {object} */ message) => scope.postMessage(message),
-        show: (/** @type {object} */ shown, /** @type {Transferable[]} */ transfer) =>
-          port.postMessage(shown, transfer),
+        post: (message) => scope.postMessage(message),
+        show: (shown, transfer) => port.postMessage(shown, transfer),
         fail,
       };
       release = () => {
@@ -91,23 +85,25 @@ function plain(manifest) {
   return { ...rest, lattices: layout.lattices };
 }
 
-/** Keeps a setting for a player that is created later. @param {any} message */
-function remember({ kind, rate, loop, most }) {
-  if (kind === "rate") start.rate = rate;
-  else if (kind === "loop") start.loop = loop;
-  else if (kind === "layers") start.mostLayers = most;
+/** Keeps a setting for a player that is created later. @param {ToPlayer} message */
+function remember(message) {
+  if (message.kind === "rate") start.rate = message.rate;
+  else if (message.kind === "loop") start.loop = message.loop;
+  else if (message.kind === "layers") start.mostLayers = message.most;
 }
 
-scope.onmessage = ({ data }) => {
+scope.onmessage = (/** @type {MessageEvent<ToPlayer>} */ { data }) => {
   if (data.kind === "open") {
-    sorter = data.port;
+    base = data.base;
+    sink = data.port ?? null;
     start = data.start ?? {};
     expectEarly(data.early ?? []);
     open(data);
     return;
   }
   if (player === null) remember(data);
-  if (data.playing || data.kind === "seek" || data.kind === "scrub") release?.();
+  const isPlay = data.kind === "play" && data.playing;
+  if (isPlay || data.kind === "seek" || data.kind === "scrub") release?.();
   switch (data.kind) {
     case "play":
       player?.setPlaying(data.playing);

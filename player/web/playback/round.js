@@ -38,6 +38,22 @@ export class Round {
     return playback.canGoOn || feed.isRunning || source.isFetching;
   }
 
+  /**
+   * Tells cache, feed and source where playback is.
+   * @param {boolean} isPlaying
+   * @param {number} rate
+   * @param {boolean} loops
+   */
+  tellPosition(isPlaying, rate, loops) {
+    const { feed, playback, source, stream } = this;
+    const { cache, manifest, numFrames } = stream;
+    const { nextFrame } = playback;
+    cache.setPlayhead(nextFrame, loops && !manifest.live ? numFrames : null);
+    feed.advance(nextFrame, rate);
+    const moves = isPlaying && !playback.hasEnded;
+    source.reportPosition(moves ? nextFrame : playback.frame, !moves, rate);
+  }
+
   /** The first frame that cannot show before more data is received. */
   get endFrame() {
     const { playback, stream } = this;

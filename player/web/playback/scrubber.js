@@ -1,3 +1,4 @@
+import { snapshotOf } from "../format/manifest.js";
 import { inflatePacket, isGzip, limitBytes } from "../format/packet.js";
 import { StreamPlay } from "./streamplay.js";
 
@@ -64,7 +65,7 @@ export class Scrubber {
     const { manifest, cache } = this.stream;
     const packet = cache.snapshot(segment, 0);
     if (packet === null) return;
-    const limit = limitBytes(manifest, "snapshot-0");
+    const limit = limitBytes(manifest, snapshotOf(manifest, 0));
     const chunk = isGzip(packet) ? await inflatePacket(packet, limit) : packet;
     if (signal.aborted) return;
     const frame = segment * manifest.segmentFrames;

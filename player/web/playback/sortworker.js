@@ -6,40 +6,32 @@
 import { spareSlots } from "../format/slots/moves.js";
 import { DepthOrder } from "../renderer/depthorder.js";
 import { PendingUpdates } from "./pendingupdates.js";
-import { scope } from "./workerscope.js";
 
-/** @typedef {import("./playback.js").Shown & { numSlots: number, shDegree: number, seeks: number }} Incoming */
+/** @typedef {import("./messages.js").ShownFrame} ShownFrame */
+/** @typedef {import("./messages.js").SortedFrame} SortedFrame */
+/** @typedef {import("./messages.js").ToSorter} ToSorter */
 
-/**
- * A picture's draw order, with the changes since the last one.
- * @typedef {object} SortedFrame
- * @property {number} request number of the request that this answers
- * @property {number} frame
- * @property {number} seeks number of seeks that the player had made
- * @property {boolean} isWhole whether `updates` are complete, independent of the renderer's state
- * @property {import("./pendingupdates.js").Words[]} updates
- * @property {Uint16Array | Uint32Array} order slots, farthest first; numbers beyond the last slot are the
- *   Gaussians that the newest update lets fade out, in the update's order, if that was requested
- * @property {number} sortMs
- */
+const scope = /** @type {import("./messages.js").Channel<SortedFrame, ToSorter>} */ (
+  /** @type {unknown} */ (self)
+);
 
 const NONE = new Uint32Array();
 
 /** @type {DepthOrder | null} */
 let order = null;
-/** @type {Incoming | null} */
+/** @type {ShownFrame | null} */
 let newest = null;
 /** @type {import("./packing.js").SplatUpdate | null} the newest one, while it counts as half way there */
 let moving = null;
 /** @type {PendingUpdates | null} */
 let pending = null;
 let isWhole = false;
-/** @type {{ w2c: number[], nearM: number, isMoving: boolean, request: number } | null} the pending request */
+/** @type {import("./messages.js").View | null} the pending request */
 let wanted = null;
 /** Whether a frame or a camera has arrived since the last order. */
 let isStale = false;
 
-/** @param {Incoming} shown */
+/** @param {ShownFrame} shown */
 function take(shown) {
   if (order === null || pending === null || shown.isJoin) {
     order = new DepthOrder(shown.numSlots, spareSlots(shown.numSlots));
@@ -77,7 +69,6 @@ function sort() {
   const updates = pending.take();
   const { frame, seeks } = newest;
   const { request } = wanted;
-  /** @type {SortedFrame} */
   const sorted = { request, frame, seeks, isWhole, updates, order: slots, sortMs };
   const arrays = updates.flatMap(({ lattice, floats, leaving }) => [lattice, floats, leaving]);
   wanted = null;
@@ -89,10 +80,9 @@ function sort() {
   );
 }
 
-scope.onmessage = ({ data }) => {
-  if (data.port) {
-    const port = /** @type {MessagePort} */ (data.port);
-    port.onmessage = (event) => {
+scope.onmessage = (/** @type {MessageEvent<ToSorter>} */ { data }) => {
+  if ("port" in data) {
+    data.port.onmessage = (/** @type {MessageEvent<ShownFrame>} */ event) => {
       take(event.data);
       sort();
     };

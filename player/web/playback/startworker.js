@@ -6,13 +6,19 @@ const HOME = new URL(import.meta.url).origin;
 const POLICY = Symbol.for(`swings-worker ${HOME}`);
 
 /**
+ * @typedef {{ createScriptURL: (module: string) => string }} Policy
+ * @typedef {Record<typeof POLICY, Policy | undefined>
+ *   & { trustedTypes?: { createPolicy: (name: string, rules: Policy) => Policy } }} Page
+ */
+
+/**
  * Starts one of the player's workers. It works from any origin, although a page may not directly start
  * a worker of another origin, and also on pages whose content security policy requires Trusted Types and
  * lists the allowed policies.
  * @param {URL} module
  */
 export function startWorker(module) {
-  const page = /** @type {any} */ (globalThis);
+  const page = /** @type {Page} */ (/** @type {unknown} */ (globalThis));
   page[POLICY] ??= page.trustedTypes?.createPolicy("swings-worker", { createScriptURL: startable });
   const script = page[POLICY]?.createScriptURL(module.href) ?? startable(module.href);
   const worker = new Worker(script, { type: "module" });

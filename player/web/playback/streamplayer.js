@@ -20,19 +20,10 @@ const mbit = (bps) => Number((bps / 1e6).toPrecision(2));
 /**
  * Receivers of the player's messages.
  * @typedef {object} Outlet
- * @property {(message: object) => void} post sends to the page
- * @property {(shown: object, transfer: Transferable[]) => void} show sends to the sorting thread
+ * @property {(message: import("./messages.js").FromPlayer) => void} post sends to the page
+ * @property {(shown: import("./messages.js").ShownFrame, transfer: Transferable[]) => void} show sends to
+ *   the thread that takes the frames
  * @property {(error: unknown) => void} fail
- */
-
-/**
- * Initial state of a play; properties that are left out have their defaults.
- * @typedef {object} Start
- * @property {number | null} [frame] null: the first one, or the edge of a live stream
- * @property {number} [seeks] number of seeks that the page has made
- * @property {number} [rate]
- * @property {boolean} [loop]
- * @property {number | null} [mostLayers] null: all of them
  */
 
 /** Plays one stream after it was opened: rounds of a loop, seeks, scrubbing, layers. */
@@ -41,7 +32,7 @@ export class StreamPlayer {
    * @param {SourceStream} stream
    * @param {import("../source/fetcher.js").Fetcher} fetcher
    * @param {Outlet} outlet
-   * @param {Start} [start]
+   * @param {import("./messages.js").Start} [start]
    */
   constructor(stream, fetcher, outlet, { frame, seeks, rate, loop, mostLayers } = {}) {
     this.stream = stream;
@@ -128,12 +119,11 @@ export class StreamPlayer {
     const first = Math.max(0, Math.min(this.stream.numFrames - 1, Math.round(frame)));
     const stepped = isScrubbed ? null : this.playback.stepTo(first);
     if (stepped !== null) {
-      this.round.feed.advance(this.playback.nextFrame, this.rate);
       if (!this.round.source.moveTo(first, "step"))
         this.round.replaceSource(this.#newSource(first));
       this.show(stepped);
     } else this.#replaceRound(this.#newRound(first, "seek"));
-    this.reportPosition();
+    this.#tellPosition();
     this.wake();
   }
 
@@ -146,7 +136,6 @@ export class StreamPlayer {
     const { stream, mostLayers } = this;
     const goesOn = how !== null && this.round.source.moveTo(firstFrame, how);
     const source = goesOn ? this.round.detach() : this.#newSource(firstFrame);
-    source.onData = () => this.wake();
     const round = new Round(stream, source, firstFrame, mostLayers, this.rate);
     round.feed.onData = () => this.wake();
     return round;
@@ -208,7 +197,7 @@ export class StreamPlayer {
     Object.assign(round.playback, { leadS, resumedS, notBeforeS: seamS });
     round.playback.waiting = false;
     this.#replaceRound(round);
-    this.reportPosition();
+    this.#tellPosition();
     this.wake();
   }
 
@@ -230,7 +219,7 @@ export class StreamPlayer {
       round.feed.setLayers(most, playback.frame);
       round.replaceSource(this.#newSource(Math.min(soon, this.stream.numFrames - 1)));
     }
-    this.reportPosition();
+    this.#tellPosition();
     this.wake();
   }
 
@@ -240,7 +229,7 @@ export class StreamPlayer {
     if (playing && this.playback.hasEnded) this.begin(0);
     else if (playing && this.isScrubbing) this.begin(this.playback.frame);
     this.playback.setPlaying(playing);
-    this.reportPosition();
+    this.#tellPosition();
   }
 
   /** @param {number} rate */
@@ -281,10 +270,8 @@ export class StreamPlayer {
     const { round, playback, playing } = this;
     try {
       if (this.isScrubbing) return this.#postLine();
-      const { cache, numFrames, manifest } = this.stream;
-      cache.setPlayhead(playback.nextFrame, this.loop && !manifest.live ? numFrames : null);
-      // A prepared round follows one that has all it needs, and what that began would be aborted.
       this.#noteLink();
+      // A prepared round follows one that has all it needs, and what that began would be aborted.
       const waitS = ((playing && this.nextRound) || round).source.step();
       const beganMs = performance.now();
       const shown = playback.tick(nowS());
@@ -292,11 +279,10 @@ export class StreamPlayer {
         this.decodeMs = performance.now() - beganMs;
         this.show(shown);
       }
-      round.feed.advance(playback.nextFrame, this.rate);
+      // Also while it waits: an answer shows that the host is there.
+      this.#tellPosition();
       // Play first what has arrived.
       if (round.failure !== null && !round.canGoOn) throw round.failure;
-      // Also while it waits: an answer shows that the host is there.
-      if (shown !== null || !playing || playback.waiting) this.reportPosition();
       this.#postLine();
       this.#prepareRound();
       this.postState();
@@ -364,12 +350,8 @@ export class StreamPlayer {
     }
   }
 
-  /** Reports the position to the source. */
-  reportPosition() {
-    const { playback, playing, round } = this;
-    const moves = playing && !playback.hasEnded;
-    const frame = moves ? playback.nextFrame : playback.frame;
-    round.source.reportPosition(frame, !moves, this.rate);
+  #tellPosition() {
+    this.round.tellPosition(this.playing, this.rate, this.loop);
   }
 
   /** Posts the state to the page, ten times a second at most. */

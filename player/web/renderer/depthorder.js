@@ -1,5 +1,5 @@
 import { MOVES } from "../constants.js";
-import { roomFor } from "./words.js";
+import { roomFor } from "../playback/words.js";
 
 /** Start value of a Gaussian that no frame shows. */
 export const NEVER = 2 ** 31 - 1;

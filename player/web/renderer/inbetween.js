@@ -1,6 +1,6 @@
 import { ENTERS, MOVES } from "../constants.js";
 import { isMade, makeProgram } from "./program.js";
-import { floatWords, latticeWords } from "./words.js";
+import { floatWords, latticeWords } from "../playback/words.js";
 import MOVING from "./shaders/moving.glsl";
 import SET_ASIDE from "./shaders/setaside.glsl";
 import { makeTexture, STAGED_WIDTH_PX } from "./texture.js";

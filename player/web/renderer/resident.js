@@ -3,7 +3,7 @@ import EXPAND from "./shaders/expand.glsl";
 import EXPAND_FLOATS from "./shaders/expandfloats.glsl";
 import EXPAND_LATTICE from "./shaders/expandlattice.glsl";
 import { makeTexture, STAGED_WIDTH_PX } from "./texture.js";
-import { floatWords, latticeWords } from "./words.js";
+import { floatWords, latticeWords } from "../playback/words.js";
 
 /** Staging textures in rotation, so that none is written while an earlier upload may still be read. */
 const NUM_STAGED = 3;

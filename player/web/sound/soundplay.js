@@ -74,8 +74,11 @@ export class SoundPlay extends EventTarget {
    */
   constructor(player, loops) {
     super();
-    const { manifest } = player;
+    const manifest = /** @type {import("../playback/messages.js").OpenManifest} */ (
+      player.manifest
+    );
     this.player = player;
+    this.manifest = manifest;
     this.loops = loops;
     this.sources = readSources(manifest.sound);
     if (typeof AudioContext === "undefined") throw new Error("this browser has no Web Audio");
@@ -195,7 +198,7 @@ export class SoundPlay extends EventTarget {
     const numDecoded = ahead(DECODED_S, MOST_PIECES).length;
     const numBytes = this.#voices.reduce((sum, { track }) => sum + track.numBytes, 0);
     const { currentTime } = run.context;
-    const w2c = player.workers?.requestedW2c ?? [];
+    const w2c = player.sorter?.requestedW2c ?? [];
     const passed = run.sample - (pieces[0]?.begin ?? 0);
     const allows = (/** @type {number} */ numBefore) =>
       this.#pace.allows((1000 * (numBefore - passed)) / SAMPLE_RATE / run.rate, performance.now());
@@ -218,8 +221,8 @@ export class SoundPlay extends EventTarget {
     gain.gain.value = this.volume;
     gain.connect(context.destination);
     this.#gain = gain;
-    const { player } = this;
-    const { base, manifest, source, files } = player;
+    const { player, manifest } = this;
+    const { base, source, files } = player;
     const fetcher = new Fetcher({ credentials: source?.credentials });
     const isServed = servedBase(base) !== null;
     const urlOf = (/** @type {number} */ segment, /** @type {string} */ part) =>
@@ -262,7 +265,7 @@ export class SoundPlay extends EventTarget {
     const { player } = this;
     const line = player.line;
     if (line?.zeroMs == null || player.isSeeking) return;
-    const { fps } = player.manifest;
+    const { fps } = this.manifest;
     const roundMs = (1000 * player.numFrames) / fps / line.rate;
     const dueMs = this.#pageMs(line.zeroMs) + (1000 * player.shownFrame) / fps / line.rate;
     const lateMs = (performance.now() - dueMs + roundMs) % roundMs;

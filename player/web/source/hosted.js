@@ -1,6 +1,6 @@
 import { CODERS, MAX_MANIFEST_BYTES } from "../constants.js";
 import { corrupt } from "../format/bytes/errors.js";
-import { checkGaussians, objectPath, readManifest } from "../format/manifest.js";
+import { checkGaussians, objectPath, readManifest, snapshotOf } from "../format/manifest.js";
 import { readObject } from "../format/objecttable.js";
 import { fileUrl } from "./addresses.js";
 import { RateEstimator, RequestWindow, watchCache } from "./estimator.js";
@@ -86,7 +86,7 @@ export class HostedStream {
    */
   async fetchSnapshot(segment, layer, signal) {
     const record = this.records[segment];
-    const part = `snapshot-${layer}`;
+    const part = snapshotOf(this.manifest, layer);
     const packets = await this.object(record, part, () => {}, signal);
     this.cache.addObject(record, part, packets);
   }
@@ -113,12 +113,12 @@ export class HostedStream {
   /**
    * The packets of an object. Rejects with a SourceError or a FormatError.
    * @param {import("../format/streamindex.js").SegmentRecord} record
-   * @param {string} part
+   * @param {import("../format/manifest.js").Part} part
    * @param {(numBytes: number) => void} onBytes
    * @param {AbortSignal} [signal]
    */
   async object(record, part, onBytes, signal) {
-    const size = record.objectBytes[this.manifest.parts.indexOf(part)];
+    const size = record.objectBytes[part];
     const { url, bytes } = await this.objectBytes(record, part, onBytes, signal);
     if (bytes.length !== size)
       throw corrupt(`${url} has ${bytes.length} bytes, but the index says ${size}`);
@@ -139,14 +139,15 @@ export class HostedStream {
   /**
    * The bytes of an object, and its name in error messages.
    * @param {import("../format/streamindex.js").SegmentRecord} record
-   * @param {string} part
+   * @param {import("../format/manifest.js").Part} part
    * @param {(numBytes: number) => void} onBytes
    * @param {AbortSignal} [signal]
    */
   async objectBytes(record, part, onBytes, signal) {
     const { manifest } = this;
-    const url = objectUrl(this.base, objectPath(manifest, record.segment, part), this.otherHosts);
-    const size = record.objectBytes[manifest.parts.indexOf(part)];
+    const path = objectPath(manifest, record.segment, manifest.parts[part]);
+    const url = objectUrl(this.base, path, this.otherHosts);
+    const size = record.objectBytes[part];
     return { url, bytes: await this.fetcher.get(url, size, onBytes, { signal }) };
   }
 }

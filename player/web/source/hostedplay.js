@@ -1,4 +1,4 @@
-import { layerOf } from "../format/packet.js";
+import { layerOf } from "../format/manifest.js";
 import { LayerRule } from "./layerrule.js";
 
 /** Assumed throughput of a link before the first estimate. */
@@ -188,12 +188,12 @@ export class HostedPlay {
 
   /**
    * @param {import("../format/streamindex.js").SegmentRecord} record
-   * @param {string} part
+   * @param {import("../format/manifest.js").Part} part
    */
   async #fetch(record, part) {
     const name = `${record.segment}/${part}`;
-    const layer = layerOf(part);
-    const { absent, cache } = this.stream;
+    const { absent, cache, manifest } = this.stream;
+    const layer = layerOf(manifest, part);
     const { rule } = this;
     if (absent.has(name)) return this.lose(record.segment, layer, absent.get(name));
     const abort = new AbortController();

@@ -1,3 +1,7 @@
+import { masksOf, snapshotOf } from "../format/manifest.js";
+
+/** @typedef {import("../format/manifest.js").Part} Part */
+
 /** Parameters of the plan for a static host; bench/network/hosted.py measures them. */
 const PLAN = {
   /** Share of the estimated throughput that is planned with. */
@@ -29,7 +33,7 @@ const PLAN = {
 
 /**
  * Whether an object has been received already.
- * @typedef {(record: import("../format/streamindex.js").SegmentRecord, part: string) => boolean} IsHere
+ * @typedef {(record: import("../format/streamindex.js").SegmentRecord, part: Part) => boolean} IsHere
  */
 
 /**
@@ -53,7 +57,7 @@ export class LayerRule {
     this.first = this.#segmentOf(firstFrame);
     /** @type {Map<number, number>} by segment, the number of its layers that were requested */
     this.levels = new Map();
-    /** Layers that segments lack, although they were requested: segment and layer. */
+    /** @type {Set<string>} layers that segments lack, although they were requested: segment and layer */
     this.lost = new Set();
   }
 
@@ -104,8 +108,8 @@ export class LayerRule {
    */
   parts(segment) {
     const layer = this.#level(segment);
-    const parts = layer === 0 ? ["masks", "0"] : [`${layer}`];
-    if (!this.#follows(segment)) parts.unshift(`snapshot-${layer}`);
+    const parts = layer === 0 ? [masksOf(this.manifest), layer] : [layer];
+    if (!this.#follows(segment)) parts.unshift(snapshotOf(this.manifest, layer));
     return parts.filter((part) => !this.isHere(this.records[segment], part));
   }
 
@@ -124,7 +128,7 @@ export class LayerRule {
    */
   lose(segment, layer) {
     this.lost.add(`${segment}/${layer}`);
-    const part = `snapshot-${layer}`;
+    const part = snapshotOf(this.manifest, layer);
     const isLate = this.#level(segment + 1) > layer;
     return isLate && !this.isHere(this.records[segment + 1], part) ? part : null;
   }
@@ -132,11 +136,11 @@ export class LayerRule {
   /**
    * Size of some parts of a segment.
    * @param {number} segment
-   * @param {string[]} parts
+   * @param {Part[]} parts
    */
   bytes(segment, parts) {
     const { objectBytes } = this.records[segment];
-    return parts.reduce((sum, part) => sum + objectBytes[this.manifest.parts.indexOf(part)], 0);
+    return parts.reduce((sum, part) => sum + objectBytes[part], 0);
   }
 
   /** Notes that one more layer of a segment was requested. @param {number} segment */
@@ -170,8 +174,8 @@ export class LayerRule {
    * @param {number} numLayers
    */
   #needBps(segment, numLayers) {
-    const layers = Array.from({ length: numLayers }, (_, layer) => `${layer}`);
-    const bits = 8 * this.bytes(segment, ["masks", ...layers]);
+    const layers = Array.from({ length: numLayers }, (_, layer) => layer);
+    const bits = 8 * this.bytes(segment, [masksOf(this.manifest), ...layers]);
     return (bits * this.manifest.fps) / this.records[segment].numFrames;
   }
 

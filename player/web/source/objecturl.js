@@ -11,12 +11,9 @@ import { SourceError } from "./fetcher.js";
  */
 export function objectUrl(base, path, otherHosts) {
   const name = new URL("manifest.json", base).href;
-  let url;
-  try {
-    url = new URL(path, base);
-  } catch {
+  if (!URL.canParse(path, base))
     throw corrupt(`${name}: object_url gives ${path.slice(0, 200)}, which is not a URL`);
-  }
+  const url = new URL(path, base);
   if (url.origin === new URL(base).origin) return fileUrl(path, base);
   if (!/^https?:$/.test(url.protocol))
     throw corrupt(`${name}: object_url gives ${url.href.slice(0, 200)}, which is not on the web`);

@@ -85,7 +85,7 @@ export class PackedStream extends HostedStream {
   /**
    * @override
    * @param {import("../format/streamindex.js").SegmentRecord} record
-   * @param {string} part
+   * @param {import("../format/manifest.js").Part} part
    * @param {(numBytes: number) => void} onBytes
    * @param {AbortSignal} [signal]
    */
@@ -95,6 +95,7 @@ export class PackedStream extends HostedStream {
       signal,
     });
     if (this.fileBytes !== fileBytes) throw new SourceError(REPLACED);
-    return { url: `${this.base}, segment ${record.segment}, ${part},`, bytes };
+    const name = this.manifest.parts[part];
+    return { url: `${this.base}, segment ${record.segment}, ${name},`, bytes };
   }
 }

@@ -5,7 +5,7 @@
  */
 export async function refusalOf(url) {
   const ask = (/** @type {RequestInit} */ how) =>
-    fetch(url, { method: "HEAD", ...how }).catch(() => null);
+    fetch(url, { method: "HEAD", ...how }).catch(() => null); // no answer
   const { origin } = new URL(url);
   if (origin !== globalThis.origin && (await ask({ mode: "no-cors" })))
     return (

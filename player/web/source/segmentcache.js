@@ -1,4 +1,4 @@
-import { layerOf } from "../format/packet.js";
+import { isSnapshot, masksOf, snapshotOf } from "../format/manifest.js";
 
 /** Limit of the cache unless a page sets another one. */
 const DEFAULT_BUFFER_BYTES = 64e6;
@@ -11,19 +11,18 @@ export const AHEAD_S = 20;
 
 const EMPTY = new Uint8Array(0);
 
-/**
- * The received packets of one segment. Arrays of packets are indexed by frame, from the segment's first
- * one on.
- * @typedef {object} HeldSegment
- * @property {number} numBytes
- * @property {(Uint8Array | null)[]} masks
- * @property {(Uint8Array | null)[][]} changes by layer
- * @property {(Uint8Array | null)[]} snapshots by layer
- */
+/** @typedef {import("../format/manifest.js").Part} Part */
 
 /**
- * Called for each new packet in a cache: `part` is `masks`, a layer, or `snapshot-` and a layer.
- * @typedef {(birth: number, part: string, packet: Uint8Array) => void} PacketListener
+ * The received packets of one part of a segment, by frame from its first one on; a snapshot has one packet.
+ * @typedef {(Uint8Array | null)[]} Row
+ */
+
+/** @typedef {{ numBytes: number, rows: Row[] }} HeldSegment */
+
+/**
+ * Called for each new packet in a cache.
+ * @typedef {(birth: number, part: Part, packet: Uint8Array) => void} PacketListener
  */
 
 /**
@@ -73,60 +72,53 @@ export class SegmentCache {
     return Math.floor(frame / this.segmentFrames);
   }
 
-  /** @param {number} birth @param {Uint8Array} packet */
-  addMask(birth, packet) {
-    this.#put(birth, "masks", this.#hold(birth).masks, birth % this.segmentFrames, packet);
-  }
-
-  /** @param {number} birth @param {number} layer @param {Uint8Array} packet */
-  addChange(birth, layer, packet) {
-    const row = this.#hold(birth).changes[layer];
-    this.#put(birth, `${layer}`, row, birth % this.segmentFrames, packet);
-  }
-
-  /** @param {number} frame @param {number} layer @param {Uint8Array} packet */
-  addSnapshot(frame, layer, packet) {
-    this.#put(frame, `snapshot-${layer}`, this.#hold(frame).snapshots, layer, packet);
+  /**
+   * Adds a packet, unless it is here.
+   * @param {number} birth any frame of the segment for a snapshot
+   * @param {Part} part
+   * @param {Uint8Array} packet
+   */
+  add(birth, part, packet) {
+    const held = this.#hold(birth);
+    const row = held.rows[part];
+    const at = birth % row.length;
+    if (row[at] !== null) return;
+    row[at] = packet;
+    const numBytes = PACKET_OVERHEAD_BYTES + packet.length;
+    held.numBytes += numBytes;
+    this.numBytes += numBytes;
+    for (const listener of this.listeners) listener(birth, part, packet);
+    while (this.numBytes > this.limitBytes && this.#evictOne(this.segmentOf(birth)));
   }
 
   /**
    * Adds the packets of an object; a frame without a packet counts as unchanged.
    * @param {import("../format/streamindex.js").SegmentRecord} record
-   * @param {string} part
+   * @param {Part} part
    * @param {Map<number, Uint8Array>} packets by birth
    */
   addObject({ firstFrame, numFrames }, part, packets) {
-    const layer = layerOf(part);
-    if (part.startsWith("snapshot-")) {
-      const packet = packets.get(firstFrame);
-      if (packet !== undefined) this.addSnapshot(firstFrame, layer, packet);
-      return;
-    }
-    for (let birth = firstFrame; birth < firstFrame + numFrames; birth++) {
-      const packet = packets.get(birth) ?? EMPTY;
-      if (part === "masks") this.addMask(birth, packet);
-      else this.addChange(birth, layer, packet);
+    const isOne = isSnapshot(this, part);
+    for (let birth = firstFrame; birth < firstFrame + (isOne ? 1 : numFrames); birth++) {
+      const packet = packets.get(birth) ?? (isOne ? null : EMPTY);
+      if (packet !== null) this.add(birth, part, packet);
     }
   }
 
-  /** @param {number} birth */
-  mask(birth) {
-    return this.#held(birth)?.masks[birth % this.segmentFrames] ?? null;
-  }
-
-  /** @param {number} birth @param {number} layer */
-  change(birth, layer) {
-    return this.#held(birth)?.changes[layer][birth % this.segmentFrames] ?? null;
+  /** @param {number} birth any frame of the segment for a snapshot @param {Part} part */
+  packet(birth, part) {
+    const row = birth < 0 ? null : this.#row(this.segmentOf(birth), part);
+    return row?.[birth % row.length] ?? null;
   }
 
   /** @param {number} segment @param {number} layer */
   snapshot(segment, layer) {
-    return this.segments.get(segment)?.snapshots[layer] ?? null;
+    return this.#row(segment, snapshotOf(this, layer))?.[0] ?? null;
   }
 
   /** Whether the mask and layer 0 of a slice are cached. @param {number} birth */
   hasSlice(birth) {
-    return this.mask(birth) !== null && this.change(birth, 0) !== null;
+    return this.packet(birth, masksOf(this)) !== null && this.packet(birth, 0) !== null;
   }
 
   /** Whether layer 0 of a frame is cached, assuming that the previous frame is. @param {number} frame */
@@ -138,15 +130,12 @@ export class SegmentCache {
   /**
    * Whether all packets of an object are cached.
    * @param {number} segment
-   * @param {string} part
+   * @param {Part} part
    * @param {number} numFrames of the segment
    */
   hasObject(segment, part, numFrames) {
-    const held = this.segments.get(segment);
-    if (held === undefined) return false;
-    if (part.startsWith("snapshot-")) return held.snapshots[Number(part.slice(9))] !== null;
-    const row = part === "masks" ? held.masks : held.changes[Number(part)];
-    return isWhole(row, 0, numFrames);
+    const row = this.#row(segment, part);
+    return row !== null && isWhole(row, 0, isSnapshot(this, part) ? 1 : numFrames);
   }
 
   /**
@@ -157,14 +146,11 @@ export class SegmentCache {
    * @param {number} numLayers
    */
   isComplete(segment, numFrames, numLayers) {
-    const held = this.segments.get(segment);
-    if (held === undefined || !this.hasAllChanges(segment, numFrames, numLayers)) return false;
-    return held.snapshots
-      .slice(0, numLayers)
-      .every(
-        (snapshot, layer) =>
-          snapshot !== null || (held.masks[0] !== null && held.changes[layer][0] !== null),
-      );
+    if (!this.hasAllChanges(segment, numFrames, numLayers)) return false;
+    const first = segment * this.segmentFrames;
+    const missing = this.missingSnapshots(segment, numLayers);
+    const parts = missing.length > 0 ? [masksOf(this), ...missing] : [];
+    return parts.every((part) => this.packet(first, part) !== null);
   }
 
   /**
@@ -175,8 +161,8 @@ export class SegmentCache {
    */
   hasAllChanges(segment, numFrames, numLayers) {
     const held = this.segments.get(segment);
-    if (held === undefined || !isWhole(held.masks, 1, numFrames)) return false;
-    return held.changes.slice(0, numLayers).every((row) => isWhole(row, 1, numFrames));
+    if (held === undefined || !isWhole(held.rows[masksOf(this)], 1, numFrames)) return false;
+    return held.rows.slice(0, numLayers).every((row) => isWhole(row, 1, numFrames));
   }
 
   /**
@@ -221,11 +207,12 @@ export class SegmentCache {
    * @param {number} frame
    */
   baseBps(frame) {
-    const held = this.#held(frame);
-    const packets = [...(held?.masks ?? []), ...(held?.changes[0] ?? [])];
-    const numFrames = held?.changes[0].filter((packet) => packet !== null).length;
-    const numBytes = packets.reduce((sum, packet) => sum + (packet?.length ?? 0), 0);
-    return numFrames ? (8 * numBytes * this.fps) / numFrames : 0;
+    const segment = this.segmentOf(frame);
+    const base = this.#row(segment, 0) ?? [];
+    const masks = this.#row(segment, masksOf(this)) ?? [];
+    const numFrames = base.filter((packet) => packet !== null).length;
+    const numBytes = [...masks, ...base].reduce((sum, packet) => sum + (packet?.length ?? 0), 0);
+    return numFrames && (8 * numBytes * this.fps) / numFrames;
   }
 
   /**
@@ -241,9 +228,9 @@ export class SegmentCache {
     return keptBytes < this.limitBytes;
   }
 
-  /** @param {number} birth */
-  #held(birth) {
-    return birth < 0 ? undefined : this.segments.get(this.segmentOf(birth));
+  /** @param {number} segment @param {Part} part */
+  #row(segment, part) {
+    return this.segments.get(segment)?.rows[part] ?? null;
   }
 
   /** @param {number} birth */
@@ -251,30 +238,12 @@ export class SegmentCache {
     const segment = this.segmentOf(birth);
     let held = this.segments.get(segment);
     if (held === undefined) {
-      const row = () => new Array(this.segmentFrames).fill(null);
-      const layers = Array.from({ length: this.numLayers }, (_, layer) => layer);
-      const snapshots = new Array(this.numLayers).fill(null);
-      held = { numBytes: 0, masks: row(), changes: layers.map(row), snapshots };
+      const row = (/** @type {unknown} */ _, /** @type {Part} */ part) =>
+        new Array(isSnapshot(this, part) ? 1 : this.segmentFrames).fill(null);
+      held = { numBytes: 0, rows: Array.from({ length: 2 * this.numLayers + 1 }, row) };
       this.segments.set(segment, held);
     }
     return held;
-  }
-
-  /**
-   * @param {number} birth
-   * @param {string} part
-   * @param {(Uint8Array | null)[]} row
-   * @param {number} at index in the row
-   * @param {Uint8Array} packet
-   */
-  #put(birth, part, row, at, packet) {
-    if (row[at] !== null) return;
-    row[at] = packet;
-    const numBytes = PACKET_OVERHEAD_BYTES + packet.length;
-    this.#hold(birth).numBytes += numBytes;
-    this.numBytes += numBytes;
-    for (const listener of this.listeners) listener(birth, part, packet);
-    while (this.numBytes > this.limitBytes && this.#evictOne(this.segmentOf(birth)));
   }
 
   /**
@@ -308,7 +277,7 @@ export class SegmentCache {
 }
 
 /**
- * @param {(Uint8Array | null)[]} row
+ * @param {Row} row
  * @param {number} first
  * @param {number} end
  */

@@ -1,4 +1,4 @@
-import { checkGaussians, readManifest } from "../format/manifest.js";
+import { checkGaussians, readManifest, snapshotOf } from "../format/manifest.js";
 import { CODERS, SKIPPABLE_MAGIC } from "../constants.js";
 import { limitBytes } from "../format/packet.js";
 import { FIRST_PLAY } from "./addresses.js";
@@ -93,10 +93,12 @@ export class ServedStream {
    * @param {AbortSignal} signal
    */
   async fetchSnapshot(segment, layer, signal) {
-    const frame = segment * this.manifest.segmentFrames;
+    const { manifest } = this;
+    const frame = segment * manifest.segmentFrames;
+    const part = snapshotOf(manifest, layer);
     if (this.hasObjects !== false) {
-      const packet = await this.#snapshotObject(segment, layer, signal);
-      if (packet !== null) this.cache.addSnapshot(frame, layer, packet);
+      const packet = await this.#snapshotObject(segment, part, signal);
+      if (packet !== null) this.cache.add(frame, part, packet);
       this.hasObjects = packet !== null;
     }
     // A browser that cannot read the server's objects gets layer 0 from the first records of a play.
@@ -107,13 +109,13 @@ export class ServedStream {
   /**
    * The packet of a snapshot, or its chunk; null if the server sends the stored object of coder zstd.
    * @param {number} segment
-   * @param {number} layer
+   * @param {import("../format/manifest.js").Part} part
    * @param {AbortSignal} signal
    */
-  async #snapshotObject(segment, layer, signal) {
-    const part = `snapshot-${layer}`;
-    const most = limitBytes(this.manifest, part) + TABLE_BYTES;
-    const url = `${this.base}segments/${segment}/${part}`;
+  async #snapshotObject(segment, part, signal) {
+    const { base, manifest } = this;
+    const most = limitBytes(manifest, part) + TABLE_BYTES;
+    const url = `${base}segments/${segment}/${manifest.parts[part]}`;
     const bytes = await this.fetcher.get(url, most, undefined, { signal });
     const magic = new DataView(bytes.buffer, bytes.byteOffset, bytes.length);
     if (bytes.length < 4 || magic.getUint32(0, true) !== SKIPPABLE_MAGIC) return bytes;
@@ -133,7 +135,7 @@ export class ServedStream {
       const record = await response.next(() => this.count(response));
       if (record === null || record.kind === "end" || record.kind === "error") return;
       if (record.kind !== "snapshot" || record.frame !== frame || record.firstLayer > 0) continue;
-      this.cache.addSnapshot(frame, 0, record.packets[0]);
+      this.cache.add(frame, snapshotOf(this.manifest, 0), record.packets[0]);
     }
   }
 

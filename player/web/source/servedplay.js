@@ -1,4 +1,5 @@
 import { corrupt } from "../format/bytes/errors.js";
+import { masksOf, snapshotOf } from "../format/manifest.js";
 import { isGzip, limitBytes } from "../format/packet.js";
 import { SILENT } from "./fetcher.js";
 import { GoneError, openPlay, ServerRetry } from "./playresponse.js";
@@ -165,9 +166,11 @@ export class ServedPlay {
     const { stream, patience } = this;
     while (!this.isClosed) {
       const gap = this.#findGap();
+      const wasDone = this.isDone;
       this.isDone = gap === null;
       if (gap === null || !this.#isNear(gap)) {
-        this.onData();
+        // Who hears this reports the position, for which this waits.
+        if (this.isDone !== wasDone) this.onData();
         await this.#position();
         continue;
       }
@@ -339,19 +342,16 @@ export class ServedPlay {
     if (birth < 0 || birth > this.endBirth + manifest.segmentFrames) {
       throw corrupt(`play: the slice born at ${birth} arrived, but birth ${this.endBirth} is next`);
     }
-    if (!isSnapshot && record.mask !== null) {
-      cache.addMask(birth, checked(record.mask, limitBytes(manifest, "masks")));
-    }
+    const put = (/** @type {number} */ part, /** @type {Uint8Array} */ packet) =>
+      cache.add(birth, part, checked(packet, limitBytes(manifest, part)));
+    if (!isSnapshot && record.mask !== null) put(masksOf(manifest), record.mask);
     for (const [n, packet] of record.packets.entries()) {
       const layer = record.firstLayer + n;
       if (layer >= manifest.numLayers)
         throw corrupt(
           `play: a packet of layer ${layer}, but the stream has ${manifest.numLayers} layers`,
         );
-      const part = isSnapshot ? `snapshot-${layer}` : `${layer}`;
-      const held = checked(packet, limitBytes(manifest, part));
-      if (isSnapshot) cache.addSnapshot(birth, layer, held);
-      else cache.addChange(birth, layer, held);
+      put(isSnapshot ? snapshotOf(manifest, layer) : layer, packet);
     }
     if (isSnapshot || record.firstLayer > 0) return;
     this.endBirth = Math.max(this.endBirth, birth + 1);

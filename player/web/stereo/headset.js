@@ -47,7 +47,7 @@ export class Headset extends EventTarget {
       await session.updateRenderState({ baseLayer: layer });
       return new Headset(session, layer, await session.requestReferenceSpace("local"));
     } catch (error) {
-      session?.end().catch(() => {});
+      session?.end().catch(() => {}); // it may have ended already
       if (error instanceof HeadsetError) throw error;
       const why = error instanceof Error ? error.message : String(error);
       throw new HeadsetError(

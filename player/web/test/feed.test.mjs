@@ -3,6 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { GaussianFeed } from "../feed/gaussianfeed.js";
+import { answering } from "./support.mjs";
 
 /** A feed of `src` in a page whose workers only note what is posted to them. */
 function made(context, src) {
@@ -25,16 +26,22 @@ function made(context, src) {
       this.isEnded = true;
     }
   }
-  for (const [name, value] of Object.entries({ document: page, Worker })) {
-    globalThis[name] = value;
-    context.after(() => delete globalThis[name]);
+  class MessageChannel {
+    port1 = {};
+    port2 = {};
   }
+  for (const [name, value] of Object.entries({ document: page, Worker, MessageChannel })) {
+    const before = globalThis[name];
+    globalThis[name] = value;
+    context.after(() => (globalThis[name] = before));
+  }
+  answering(context, () => new Promise(() => {}));
   const feed = new GaussianFeed(src);
-  const [player] = workers;
+  const [keeper, player] = workers;
   const says = (data) => player.onmessage({ data });
   const open = () =>
     says({ kind: "opened", manifest: { numGs: 2, shDegree: 0, live: true }, numFrames: 30 });
-  return { feed, page, workers, says, open, posted: player.posted };
+  return { feed, page, workers, says, open, keeper, posted: player.posted };
 }
 
 test("a feed opens folders and packed streams", (context) => {
@@ -58,7 +65,6 @@ test("a feed grows with a live stream", async (context) => {
 
 test("a feed plays while its page is visible", (context) => {
   const { feed, page, says, open, posted } = made(context, "clip");
-  assert.throws(() => feed.play(), /not open yet/);
   open();
   const show = (isShown) => {
     page.hidden = !isShown;
@@ -72,7 +78,34 @@ test("a feed plays while its page is visible", (context) => {
   show(false);
   show(true);
   const playing = posted.map((message) => message.playing);
-  assert.deepEqual(playing, [true, false, true, false, false]);
+  assert.deepEqual(playing, [true, false, true]);
+});
+
+test("what is set before the stream is open holds, but a seek needs its frames", (context) => {
+  const { feed, keeper, open, posted } = made(context, "clip");
+  assert.throws(() => feed.seek(7), /not open yet/);
+  feed.play();
+  feed.setRate(2);
+  open();
+  const rates = posted.filter(({ kind }) => kind === "rate");
+  assert.deepEqual(
+    [rates, posted.at(-1)],
+    [[{ kind: "rate", rate: 2 }], { kind: "play", playing: true }],
+  );
+  feed.seek(99);
+  assert.deepEqual(posted.at(-1), { kind: "seek", frame: 29, seeks: 1 });
+  assert.equal(feed.isSeeking, true);
+  const slots = Uint32Array.of(1);
+  const gaussians = { means: Float32Array.of(1, 2, 3), opacities: Float32Array.of(0.5) };
+  for (const seeks of [0, 1]) {
+    keeper.onmessage({
+      data: { frame: 29, slots, gaussians: { ...feed.gaussians, ...gaussians }, seeks },
+    });
+    assert.equal(feed.take(), slots);
+    assert.equal(feed.isSeeking, seeks === 0);
+  }
+  assert.deepEqual([...feed.gaussians.means], [0, 0, 0, 1, 2, 3]);
+  assert.deepEqual([feed.frame, feed.take(), keeper.posted.at(-1)], [29, null, { take: true }]);
 });
 
 test("a feed that failed has no workers", async (context) => {

@@ -3,13 +3,13 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { MOVES } from "../constants.js";
-import { readManifest } from "../format/manifest.js";
+import { readManifest, snapshotOf } from "../format/manifest.js";
 import { readObject } from "../format/objecttable.js";
 import { readIndex } from "../format/streamindex.js";
 import { PendingUpdates } from "../playback/pendingupdates.js";
 import { Scrubber } from "../playback/scrubber.js";
 import { DepthOrder, NEVER } from "../renderer/depthorder.js";
-import { floatWords, latticeWords, roomFor } from "../renderer/words.js";
+import { floatWords, latticeWords, roomFor } from "../playback/words.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { filesOf, law, settled } from "./support.mjs";
 
@@ -28,7 +28,7 @@ function scrubbing() {
     return new Promise((resolve, reject) => {
       const answer = () => {
         const { packets } = readObject(FILES[`segments/${segment}/snapshot-0`]);
-        cache.addObject(RECORDS[segment], "snapshot-0", packets);
+        cache.addObject(RECORDS[segment], snapshotOf(MANIFEST, 0), packets);
         resolve(true);
       };
       asked.push({ segment, signal, answer, refuse: () => reject(new Error("gone")) });

@@ -118,10 +118,7 @@ function played({ fps = 30, numFrames, lastsS, seed = 1, live = false, happen = 
     manifest: { ...manifest, sound: [{ name: "main", channels: 1, keys: [] }] },
     ...{ base: "http://x/", source: null, numFrames, live, line: null },
     ...{ shownFrame: -1, isSeeking: false },
-    workers: {
-      requestedW2c: [],
-      post: (data) => add(() => player.follow(data), 1),
-    },
+    workers: { post: (data) => add(() => player.follow(data), 1) },
   });
   const flashes = [];
   let seeks = 0;

@@ -12,6 +12,7 @@ import { edgeFrame, followPeriodS, isBehind } from "../source/liveedge.js";
 import { objectUrl } from "../source/objecturl.js";
 import { openPlay } from "../source/playresponse.js";
 import { FormatError } from "../format/bytes/errors.js";
+import { masksOf } from "../format/manifest.js";
 import { PackedStream } from "../source/packed.js";
 import { ServedStream } from "../source/served.js";
 import { openSource } from "../source/source.js";
@@ -72,7 +73,7 @@ test("the query of a stream's address goes with every file of its host, and its 
     return new Response(files[new URL(url).pathname.replace("/clip/", "")]);
   });
   const stream = await openSource(base, new Fetcher({ credentials: "include" }));
-  await stream.object(stream.records[0], "0", () => {});
+  await stream.object(stream.records[0], 0, () => {});
   await fileBytes(stream.fetcher, base, "manifest.json", null, 1e6);
   const paths = ["manifest.json", "index.bin", "segments/0/0", "manifest.json"];
   assert.deepEqual(
@@ -93,7 +94,7 @@ test("what the manifest's address decides, the fetched stream obeys", async (con
   for (const isAllowed of [false, true]) {
     const stream = await openSource(BASE, new Fetcher(), null, isAllowed);
     let numBytes = 0;
-    const fetched = stream.object(stream.records[0], "0", (n) => (numBytes += n));
+    const fetched = stream.object(stream.records[0], 0, (n) => (numBytes += n));
     if (!isAllowed) await assert.rejects(fetched, /leads to another host/);
     else assert.ok((await fetched).size > 0 && numBytes === files["segments/0/0"].length);
   }
@@ -211,7 +212,7 @@ test("a packed stream that is another file by now is named as such", async (cont
   answering(context, () => new Response("abc", reply));
   const layout = { manifest: MANIFEST, records: [], object: () => ({ first: 0, size: 3 }) };
   const stream = new PackedStream("http://host/clip.swings", new Fetcher(), layout, 99);
-  await assert.rejects(stream.objectBytes(null, "0", assert.ok), /^SourceError: This video was/);
+  await assert.rejects(stream.objectBytes(null, 0, assert.ok), /^SourceError: This video was/);
 });
 
 test("a packed stream that is another file of the same size is named as such", async (context) => {
@@ -477,15 +478,28 @@ test("bytes from the browser's cache say nothing of the link", async (context) =
   assert.ok(around > 0.7 && around < 0.9, "at once that of the link");
 });
 
+test("a play that has all it needs wakes its player once, however often it hears the position", async () => {
+  const start = { manifest: manifestBytes({}), numFrames: manifestOf({}).segmentFrames };
+  const stream = new ServedStream(BASE, new Fetcher(), { response: { token: "t" }, start });
+  const play = stream.play({ firstFrame: 0, mostLayers: 1, nowS: () => 0 });
+  play.endBirth = stream.numFrames;
+  let woken = 0;
+  play.onData = () => (woken += 1);
+  for (let n = 0; n < 9; n++) {
+    await settled();
+    play.reportPosition(0, true, 1);
+  }
+  assert.deepEqual([woken, play.isDone], [1, true]);
+  play.close();
+});
+
 test("the first seek into what came without snapshots opens a play, which brings those of all layers", () => {
   const numFrames = 3 * manifestOf({}).segmentFrames;
   const start = { manifest: manifestBytes({}), numFrames };
   const stream = new ServedStream(BASE, new Fetcher(), { response: { token: "t" }, start });
   const { cache, manifest } = stream;
   for (let birth = 0; birth < numFrames; birth++) {
-    cache.addMask(birth, Uint8Array.of(1));
-    for (let layer = 0; layer < manifest.numLayers; layer++)
-      cache.addChange(birth, layer, Uint8Array.of(1));
+    for (let part = 0; part <= masksOf(manifest); part++) cache.add(birth, part, Uint8Array.of(1));
   }
   const play = stream.play({ firstFrame: 0, mostLayers: manifest.numLayers, nowS: () => 0 });
   play.endBirth = numFrames;

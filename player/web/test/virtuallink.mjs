@@ -100,7 +100,7 @@ export async function watched({
     window: new RequestWindow(),
   };
   stream.object = async (record, part, onBytes, signal) => {
-    await link.get(objectBytes[manifest.parts.indexOf(part)], onBytes, signal);
+    await link.get(objectBytes[part], onBytes, signal);
     const { firstFrame, numFrames } = record;
     const births = Array.from({ length: numFrames }, (_, n) => firstFrame + n);
     return new Map(births.map((birth) => [birth, Uint8Array.of(1)]));

@@ -111,7 +111,7 @@ export function pointAt(camera, xPx, yPx, depthM) {
 
 /**
  * Nearest depth drawn in a view, metres (FORMAT.md, section 4).
- * @param {import("../format/manifest.js").Manifest} manifest
+ * @param {Pick<import("../format/manifest.js").Manifest, "nearM" | "cameraNearM" | "cameras">} manifest
  * @param {{ w2c: number[] }} view
  */
 export function nearOf({ nearM, cameraNearM, cameras }, view) {

@@ -21,6 +21,15 @@ function codesOf(format) {
   return codes;
 }
 
+/**
+ * The values of a layout in the notation of Python's struct: bytes for `s`, otherwise numbers.
+ * @template {string} Format
+ * @typedef {Format extends `<${infer Codes}` ? Unpacked<Codes>
+ *   : Format extends `${4 | 32}s${infer Rest}` ? [Uint8Array, ...Unpacked<Rest>]
+ *   : Format extends "5I" ? [number, number, number, number, number]
+ *   : Format extends `${string}${infer Rest}` ? [number, ...Unpacked<Rest>] : []} Unpacked
+ */
+
 /** Reads little-endian numbers one after another. Throws a FormatError at the end of the bytes. */
 export class ByteReader {
   /**
@@ -77,12 +86,11 @@ export class ByteReader {
   }
 
   /**
-   * The values of a layout in the notation of Python's struct: bytes for `s`, otherwise numbers.
-   * @param {string} format
-   * @returns {any[]}
+   * @template {string} Format
+   * @param {Format} format
    */
   unpack(format) {
-    return codesOf(format).map((code) => {
+    const values = codesOf(format).map((code) => {
       switch (code) {
         case "B":
           return this.u8();
@@ -100,6 +108,7 @@ export class ByteReader {
           return this.take(Number(code));
       }
     });
+    return /** @type {Unpacked<Format>} */ (values);
   }
 
   /** A u64 as a number; values above 2^53 are inexact, but exceed every bound of the format anyway. */

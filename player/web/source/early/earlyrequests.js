@@ -14,6 +14,7 @@
 
 /** Global, because the page's own script and the player are in separate bundles. */
 const shared = /** @type {{ swingsEarly?: Map<string, EarlyRequest> }} */ (globalThis);
+/** @type {Map<string, EarlyRequest>} */
 const requests = (shared.swingsEarly ??= new Map());
 
 /** @param {string} url */
@@ -34,6 +35,7 @@ export function requestEarly(url) {
  * @returns {EarlyOffer[]} to be posted, with their ports transferred
  */
 export function offerEarly(urls, signal) {
+  /** @type {EarlyOffer[]} */
   const offers = [];
   for (const url of urls) {
     const request = requests.get(url) ?? requestEarly(url);

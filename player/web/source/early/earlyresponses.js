@@ -3,6 +3,7 @@
  */
 
 /** @typedef {import("./earlyrequests.js").EarlyOffer} EarlyOffer */
+/** @typedef {{ status: number, headers: [string, string][], body: ReadableStream | null }} EarlyResponse */
 
 /** @type {Map<string, MessagePort>} by URL */
 const ports = new Map();
@@ -24,7 +25,10 @@ export async function fetchOnce(url, init = {}) {
   ports.delete(url);
   const { signal } = init;
   signal?.addEventListener("abort", () => port.postMessage("abort"));
-  const early = await new Promise((resolve) => (port.onmessage = ({ data }) => resolve(data)));
+  const early = await new Promise(
+    (/** @type {(response: EarlyResponse | null) => void} */ resolve) =>
+      (port.onmessage = ({ data }) => resolve(data)),
+  );
   signal?.throwIfAborted();
   if (early === null) return fetch(url, init);
   const { status, headers, body } = early;

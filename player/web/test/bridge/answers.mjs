@@ -6,7 +6,7 @@ import { createInterface } from "node:readline";
 
 import { copyRows, emptyScene, Scene } from "../../feed/scene.js";
 import { FormatError } from "../../format/bytes/errors.js";
-import { readManifest } from "../../format/manifest.js";
+import { layerOf, readManifest } from "../../format/manifest.js";
 import { framePly } from "../../format/ply.js";
 import { openSource } from "../../source/source.js";
 import { readObject } from "../../format/objecttable.js";
@@ -93,17 +93,17 @@ async function* played(manifest, files, first, lateness) {
   const cache = new SegmentCache(manifest);
   const feed = new ChunkFeed(cache, play, manifest, first, manifest.numLayers, 1);
   const last = records[records.length - 1];
-  /** @type {[number, import("../../format/streamindex.js").SegmentRecord, string][]} */
+  /** @type {[number, import("../../format/streamindex.js").SegmentRecord, number][]} */
   const coming = records.flatMap((record) =>
-    [...manifest.parts].reverse().map((part) => {
-      const isLate = part !== "masks" && !part.endsWith("0");
+    [...manifest.parts.keys()].reverse().map((part) => {
+      const isLate = layerOf(manifest, part) > 0;
       return [isLate ? Math.max(first, record.firstFrame) + lateness : 0, record, part];
     }),
   );
   for (let frame = first; frame < last.firstFrame + last.numFrames; frame++) {
     for (const [when, record, part] of coming) {
       if (when !== frame && !(frame === first && when <= first)) continue;
-      const bytes = unhex(files[`segments/${record.segment}/${part}`]);
+      const bytes = unhex(files[`segments/${record.segment}/${manifest.parts[part]}`]);
       cache.addObject(record, part, readObject(bytes).packets);
     }
     feed.advance(frame + 1, 1);
@@ -293,9 +293,9 @@ const ANSWERS = {
       /** @type {Record<string, string>} */
       const found = {};
       for (const record of stream.records) {
-        for (const part of stream.manifest.parts) {
+        for (const [part, name] of stream.manifest.parts.entries()) {
           const { bytes } = await stream.objectBytes(record, part, () => {});
-          found[`segments/${record.segment}/${part}`] = Buffer.from(bytes).toString("hex");
+          found[`segments/${record.segment}/${name}`] = Buffer.from(bytes).toString("hex");
         }
       }
       const files = await Promise.all(

@@ -133,10 +133,18 @@ def test_a_page_plays_its_sound_and_shows_its_captions(page: Page, root: Path) -
         assert all(ours)
 
 
-def test_a_page_of_another_origin_plays_it(page: Page, root: Path) -> None:
+FEED = """const { GaussianFeed } = await import('./gaussianfeed.js');
+const feed = new GaussianFeed(value);
+feed.play();
+for (; feed.frame < 9; feed.take()) await new Promise(requestAnimationFrame);
+return feed.gaussians.opacities.some((one) => one > 0)"""
+
+
+def test_a_page_of_another_origin_plays_it_and_a_feed(page: Page, root: Path) -> None:
     """A range needs no permission of its own, and the size of the file stays hidden."""
     with range_host(root) as host, range_host(root) as other:
         other.cors = True
         src = f"{other.url}/packed.swings"
         watch(page, f"{host.url}/player/watch.html?src={src}&autoplay=0")
         assert len(other.asked) > 3
+        assert page.run(FEED, src) is True
