@@ -236,7 +236,8 @@ def test_relocation_lets_the_dead_start_with_their_targets_and_never_early() -> 
     lifespans = generations.lifespans
     dead = lifespans.births == 1
     generations.values.logit_opacities[:90][dead] = -9
-    moved = generations.relocate(~generations.follows, 3, CONFIG.mcmc.dead_opacity, rng)
+    free = ~generations.follows
+    moved = generations.relocate(free, free, 3, CONFIG.mcmc.dead_opacity, rng)
     assert moved.tolist() == np.flatnonzero(dead).tolist()
     assert (lifespans.starts >= lifespans.births).all()
     assert (lifespans.expires == lifespans.births + SWIN).all()  # each keeps its own end
