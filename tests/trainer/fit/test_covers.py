@@ -100,10 +100,13 @@ def test_the_first_layer_trains_alone_and_a_run_resumed_then_sends_the_same_upda
     # Before settling, in its rounds, and with the last of them.
     shown = [set(s["lease_layers"][s["starts"] < s["expires"]].tolist()) for s in keeping.states]
     assert shown == [{0}, {0}, {0, 1, 2}, {0, 1, 2}]
-    for state in keeping.states:
-        other = Trainer(chosen, pictures, None, NEAR_M, strategy=leased)
+    for done, state in zip((20, 40, 60, 80), keeping.states, strict=True):
+        telling = Telling()
+        other = Trainer(chosen, pictures, None, NEAR_M, observers=[telling], strategy=leased)
         other.restore(state)
         (update,) = next(other.windows()).updates
+        later = [f"{n} of 80" for n in range(done + 20, 100, 20)]
+        assert telling.told == [f"begun 0 at {done}", *later]
         assert np.array_equal(update.statuses, whole.statuses)
         assert np.array_equal(update.states.numbers(), whole.states.numbers())
 
