@@ -62,7 +62,7 @@ class FitConfig:
     scene_flow: bool = False
     """Before a window trains, move each Gaussian that the cameras saw move, together with its
     neighbours, to where they see it now. Applies only to leased slots."""
-    settle_prefix_share: float = 0.2
+    settle_prefix_share: float = 0.25
     """Share of the iterations of the settling rounds that render only the first layers, so that
     these look right without the others. Applies only to leased slots, and not to the first third of
     the rounds, which has only the first layer."""

@@ -114,9 +114,7 @@ class LeasedSlots(Strategy):
                 lifespans.starts[layers > 0] = lifespans.expires[layers > 0]
         elif settled == self._base_rounds:
             self._cover(np.flatnonzero(layers), 0)
-        is_covered = settled >= self._base_rounds > 0
-        # What covers hide contributes little, and is needed where they are not shown.
-        self.fit.renew_genesis(layers > 0 if is_covered else None)
+        self.fit.renew_genesis()
 
     def _rank(self) -> None:
         self.leases.rank(self.fit.contributions(self.fit.generations.lifespans.active_rows(0), 0))
@@ -197,8 +195,7 @@ class LeasedSlots(Strategy):
 
     def after_step(self, plan: WindowPlan, done: int) -> None:
         """Relocates the dead of the first layer to living Gaussians of all layers. Those of the
-        other layers become covers: no Gaussian takes opacity from one of a lower layer. That
-        happens once, so that covers have the rest of the window to fit in."""
+        other layers become covers: no Gaussian takes opacity from one of a lower layer."""
         fit, generations, frame = self.fit, self.fit.generations, plan.frames[-1]
         dead_opacity = fit.dead_opacity(plan, done)
         if dead_opacity is None:
@@ -207,8 +204,7 @@ class LeasedSlots(Strategy):
         base = free & (self.leases.layers == 0)
         moved = generations.relocate(base, free, frame, dead_opacity, fit.rng)
         self.leases.is_other[moved] = True
-        if done == fit.config.mcmc.relocate_period:
-            self._cover(generations.dead(free & ~base, frame, dead_opacity), frame)
+        self._cover(generations.dead(free & ~base, frame, dead_opacity), frame)
 
     def _cover(self, slots: Longs, frame: int) -> None:
         """Has `slots`, none of the first layer, begin anew as covers of Gaussians that show at

@@ -33,7 +33,6 @@ from .schedule import WindowPlan
 
 Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int32]
 
 SETTLE_RENEW_SHARE = 0.1
@@ -76,23 +75,19 @@ class Fit:
         """At most `count` Gaussians, in random order, where `seen` shows what is not rendered."""
         return missing_splats(seen, count, *self.search_m, self.config.sh_degree, self.rng)
 
-    def renew(self, frame: int, each: int, among: Flags | None = None) -> None:
+    def renew(self, frame: int, each: int) -> None:
         """Renewal: replaces, of every slice, the `each` Gaussians that contribute least to `frame`,
-        by such as show from then on what is not rendered there. among: (num_gs,) the slots that may
-        be replaced; None: all."""
+        by such as show from then on what is not rendered there."""
         rows = self.generations.lifespans.active_rows(frame)
         seen, contributions, _ = self.compare(rows, frame)
-        if among is not None:
-            rows, contributions = rows[among[rows]], contributions[among[rows]]
         least = self.generations.least(rows, contributions, each)
         found = self.missing(seen, len(least))
         self.generations.place(least[: len(found)], found, frame)
 
-    def renew_genesis(self, among: Flags | None = None) -> None:
-        """Renews what a settling round begins with. among: as in `renew`."""
-        shown = self.generations.lifespans.active_rows(0)
-        count = len(shown) if among is None else int(among[shown].sum())
-        self.renew(0, round(SETTLE_RENEW_SHARE * count), among)
+    def renew_genesis(self) -> None:
+        """Renews what a settling round begins with."""
+        shown = len(self.generations.lifespans.active_rows(0))
+        self.renew(0, round(SETTLE_RENEW_SHARE * shown))
 
     def dead_opacity(self, plan: WindowPlan, done: int) -> float | None:
         """The opacity up to which Gaussians are dead, where relocation is due after `done`
