@@ -66,7 +66,7 @@ class FitConfig:
     """Share of the iterations of the settling rounds that render only the first layers, so that
     these look right without the others. Applies only to leased slots, and not to the first third of
     the rounds, which has only the first layer."""
-    prefix_share: float = 0.2
+    prefix_share: float = 0.1
     """Share of a later window's iterations that render only the first layers, for the same
     purpose."""
     seed: int = 0

@@ -44,6 +44,8 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
             window_iterations=450,
             window_coarse_share=0.4,  # saves a fifth of the time, costs some flicker
             scene_flow=True,
+            settle_prefix_share=0.1,
+            prefix_share=0.08,
             mcmc=McmcConfig(renew_share=0.03),
         ),
     ),
