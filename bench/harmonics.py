@@ -18,8 +18,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial import cKDTree
 
-from codec.coders.coder import compress
 from codec.coders.effort import Effort
+from codec.coders.zstd import compress
 from codec.console import run_command
 from codec.errors import InvalidError
 from codec.foreign.codebook import codebook, codes_of, palette

@@ -16,7 +16,7 @@ from codec.stream.reader import StreamReader
 from .copying import copy_segment
 from .edit import Edit
 from .recoder import Recoder
-from .rewrite import AddSound, Edited, Progress, coder_of_stream, objects_bytes, writing
+from .rewrite import AddSound, Edited, Progress, objects_bytes, writing
 from .segmentfiles import SegmentFiles
 from .walk import SourceSlice, Walk
 
@@ -48,7 +48,7 @@ def join_streams(
     def show(num_done: int) -> None:
         progress(num_done, total)
 
-    with writing(out, manifest, coder_of_stream(readers[0]), draw, sound=sound) as files:
+    with writing(out, manifest, draw, sound=sound) as files:
         recoder = Recoder(files)
         for number, reader in enumerate(readers):
             is_last = number == len(readers) - 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from codec.coders.coder import EncodedChunk, coder_of
+from codec.coders.coder import EncodedChunk
 from codec.coders.effort import Effort
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
@@ -75,7 +75,7 @@ class Recoder:
                 self._same_as = walk if is_alike else None
             for part, chunk in chunks:
                 content, packet = walk.content(birth, part) if is_alike else (b"", b"")
-                if content != chunk.data or (packet and coder_of(packet) != self._files.coder):
+                if content != chunk.data:
                     self._same_as, packet = None, self._packet(chunk)
                 self._files.put(part, birth, packet)
             self._num_frames += 1
@@ -100,4 +100,4 @@ class Recoder:
     def _packet(self, chunk: EncodedChunk) -> bytes:
         """`chunk` as a packet, the smallest of several: it shall not take more than the one that it
         replaces."""
-        return encode_packet(chunk, self._files.coder, Effort.MOST)
+        return encode_packet(chunk, Effort.MOST)

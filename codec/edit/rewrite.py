@@ -7,12 +7,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from codec.coders.coder import Coder
 from codec.errors import InvalidError
 from codec.files import making_folder
 from codec.storage.openstorage import Place
-from codec.stream.manifest import MASKS, Manifest
-from codec.stream.object import CODER_OFFSET
+from codec.stream.manifest import Manifest
 from codec.stream.pictures import Draw
 from codec.stream.poster import POSTER_NAME, write_poster
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
@@ -63,11 +61,6 @@ def open_source(stream: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS
     return reader
 
 
-def coder_of_stream(reader: StreamReader) -> Coder:
-    """The coder of a stream's first object."""
-    return Coder(reader.read_object(0, MASKS).data[CODER_OFFSET])
-
-
 def objects_bytes(reader: StreamReader) -> int:
     """Size of all objects."""
     return sum(sum(record.part_bytes) for record in reader.records)
@@ -77,7 +70,6 @@ def objects_bytes(reader: StreamReader) -> int:
 def writing(
     out: Path,
     manifest: Manifest,
-    coder: Coder,
     draw: Draw | None,
     tracks: StreamReader | None = None,
     sound: AddSound | None = None,
@@ -92,7 +84,7 @@ def writing(
     manifest = replace(manifest, poster=pictures[0], storyboard=pictures[1])
     manifest = manifest if tracks is not None else replace(manifest, sound=(), captions=())
     with making_folder(out) as folder:
-        files = SegmentFiles(folder, manifest, coder)
+        files = SegmentFiles(folder, manifest)
         yield files
         if tracks is not None:
             copy_tracks(tracks, folder)
@@ -117,10 +109,9 @@ def rewrite(
     sound: adds the sound where segments are longer or shorter afterwards, which leaves out
     captions; without it both go along. Raises a SwingsError that names the file at fault.
     """
-    coder, num_frames = coder_of_stream(reader), reader.num_frames
-    edit = fitted(reader, edit, coder)
+    num_frames, edit = reader.num_frames, fitted(reader, edit)
     tracks = reader if sound is None else None
-    with writing(out, edit.manifest(reader.manifest), coder, draw, tracks, sound) as files:
+    with writing(out, edit.manifest(reader.manifest), draw, tracks, sound) as files:
         walk, recoder = Walk(reader), Recoder(files)
         for slices in (walk.opening(0), walk.slices(range(1, num_frames))):
             for birth in recoder.append(walk, slices, edit):

@@ -12,7 +12,7 @@ from codec.stream.reader import StreamReader
 from .copying import copy_segment
 from .edit import Edit
 from .recoder import Recoder
-from .rewrite import AddSound, Edited, Progress, coder_of_stream, objects_bytes, writing
+from .rewrite import AddSound, Edited, Progress, objects_bytes, writing
 from .walk import Walk
 
 
@@ -33,7 +33,7 @@ def trim(
     manifest = reader.manifest
     manifest = replace(manifest, capture_frame=manifest.capture_frame + wanted[0])
     length, copied, renumbered = manifest.segment_frames, 0, 0
-    with writing(out, manifest, coder_of_stream(reader), draw, sound=sound) as files:
+    with writing(out, manifest, draw, sound=sound) as files:
         if wanted[0] % length == 0:
             for first in wanted[::length]:
                 births = range(first, min(first + length, wanted[-1] + 1))

@@ -1,16 +1,12 @@
 import { FormatError } from "../format/bytes/errors.js";
-import { inflatePacket, isGzip, layerOf, limitBytes } from "../format/packet.js";
+import { layerOf, limitBytes, packetContent } from "../format/packet.js";
 
-/** Seconds of media that are inflated ahead. */
+/** Seconds of media that are decompressed ahead. */
 const AHEAD_S = 1;
 const LEAST_AHEAD_FRAMES = 16;
-/** Number of packets inflated at a time. */
-const BATCH = 16;
-
-/** @typedef {{ birth: number, part: string, packet: Uint8Array }} Arrived */
 
 /**
- * Inflates the packets of a cache and passes them to a StreamPlay: those of the segment where it begins,
+ * Decompresses the packets of a cache and passes them to a StreamPlay: those of the segment where it begins,
  * those that show soon, and late ones for frames that have already shown.
  */
 export class ChunkFeed {
@@ -20,9 +16,8 @@ export class ChunkFeed {
    * @param {import("../format/manifest.js").Manifest} manifest
    * @param {number} firstFrame
    * @param {number} numLayers number of layers that are passed on
-   * @param {number} rate playback rate
    */
-  constructor(cache, play, manifest, firstFrame, numLayers, rate) {
+  constructor(cache, play, manifest, firstFrame, numLayers) {
     this.cache = cache;
     this.play = play;
     this.manifest = manifest;
@@ -31,22 +26,19 @@ export class ChunkFeed {
     this.startFrame = cache.segmentOf(firstFrame) * manifest.segmentFrames;
     /** End of the range of frames whose packets are passed on. */
     this.endFrame = this.startFrame;
-    /** @type {Arrived[]} in the order in which they are inflated */
-    this.queue = [];
-    this.isRunning = false;
-    this.isClosed = false;
     /** @type {unknown} */
     this.failure = null;
-    /** Called after packets were passed on, or after a failure. */
+    /** Called after a packet that has arrived was passed on, or after a failure. */
     this.onData = () => {};
     /** @type {import("../source/segmentcache.js").PacketListener} */
     this.listener = (birth, part, packet) => {
       if (birth < this.startFrame || birth >= this.endFrame) return;
-      this.#enqueue(birth, part, packet);
-      this.#run();
+      this.#pass(birth, part, packet);
+      this.onData();
     };
     cache.listeners.add(this.listener);
-    this.advance(firstFrame + 1, rate);
+    // The first picture need not wait for what comes after it.
+    this.#lookUpTo(firstFrame + 1);
   }
 
   /**
@@ -56,9 +48,12 @@ export class ChunkFeed {
    */
   advance(nextFrame, rate) {
     const frames = AHEAD_S * this.manifest.fps * Math.max(1, rate);
-    const endFrame = Math.ceil(nextFrame + Math.max(LEAST_AHEAD_FRAMES, frames));
+    this.#lookUpTo(Math.ceil(nextFrame + Math.max(LEAST_AHEAD_FRAMES, frames)));
+  }
+
+  /** @param {number} endFrame */
+  #lookUpTo(endFrame) {
     for (; this.endFrame < endFrame; this.endFrame++) this.#lookUp(this.endFrame, 0);
-    this.#run();
   }
 
   /**
@@ -72,11 +67,10 @@ export class ChunkFeed {
     const { segmentFrames } = this.manifest;
     const first = this.cache.segmentOf(frame) * segmentFrames;
     for (let birth = first; birth < this.endFrame; birth++) this.#lookUp(birth, known);
-    this.#run();
   }
 
   /**
-   * Enqueues the cached packets of a frame.
+   * Passes on the cached packets of a frame.
    * @param {number} birth
    * @param {number} firstLayer
    */
@@ -85,12 +79,12 @@ export class ChunkFeed {
     const segment = cache.segmentOf(birth);
     const isFirst = birth % manifest.segmentFrames === 0;
     const mask = firstLayer === 0 ? cache.mask(birth) : null;
-    if (mask !== null) this.#enqueue(birth, "masks", mask);
+    if (mask !== null) this.#pass(birth, "masks", mask);
     for (let layer = firstLayer; layer < this.numLayers; layer++) {
       const snapshot = isFirst ? cache.snapshot(segment, layer) : null;
-      if (snapshot !== null) this.#enqueue(birth, `snapshot-${layer}`, snapshot);
+      if (snapshot !== null) this.#pass(birth, `snapshot-${layer}`, snapshot);
       const change = cache.change(birth, layer);
-      if (change !== null) this.#enqueue(birth, `${layer}`, change);
+      if (change !== null) this.#pass(birth, `${layer}`, change);
     }
   }
 
@@ -99,64 +93,25 @@ export class ChunkFeed {
    * @param {string} part
    * @param {Uint8Array} packet
    */
-  #enqueue(birth, part, packet) {
+  #pass(birth, part, packet) {
+    const layer = layerOf(part);
     const isSnapshot = part.startsWith("snapshot-");
     // The first frame of the segment that is joined needs its snapshots only.
-    if (birth === this.startFrame && !isSnapshot) return;
-    if (layerOf(part) >= this.numLayers) return;
-    this.queue.push({ birth, part, packet });
-  }
-
-  async #run() {
-    if (this.isRunning) return;
-    this.isRunning = true;
+    if ((birth === this.startFrame && !isSnapshot) || layer >= this.numLayers) return;
     try {
-      while (this.queue.length > 0 && !this.isClosed) {
-        const batch = this.queue.splice(0, BATCH);
-        const chunks = await Promise.all(batch.map((arrived) => this.#inflated(arrived)));
-        if (this.isClosed) return;
-        for (const [n, { birth, part }] of batch.entries()) {
-          const chunk = chunks[n];
-          if (chunk !== null) this.#pass(birth, part, chunk);
-        }
-        this.onData();
-      }
+      const chunk = packetContent(packet, limitBytes(this.manifest, part));
+      if (part === "masks") this.play.addMask(birth, chunk);
+      else if (isSnapshot) this.play.addSnapshot(birth, layer, chunk);
+      else this.play.addChange(birth, layer, chunk);
     } catch (error) {
-      this.failure = error;
-      this.onData();
-    } finally {
-      this.isRunning = false;
+      // A packet that is damaged is missing in its layer; masks count as layer 0.
+      if (layer > 0 && error instanceof FormatError) this.play.lose(birth, layer, error);
+      else this.failure ??= error;
     }
-  }
-
-  /** The chunk of a packet; null if it is damaged, and is of a layer above 0. @param {Arrived} arrived */
-  async #inflated({ birth, part, packet }) {
-    try {
-      return isGzip(packet) ? await inflatePacket(packet, limitBytes(this.manifest, part)) : packet;
-    } catch (error) {
-      const layer = layerOf(part);
-      if (layer === 0 || !(error instanceof FormatError)) throw error;
-      this.play.lose(birth, layer, error);
-      return null;
-    }
-  }
-
-  /**
-   * @param {number} birth
-   * @param {string} part
-   * @param {Uint8Array} chunk
-   */
-  #pass(birth, part, chunk) {
-    const layer = layerOf(part);
-    if (part === "masks") this.play.addMask(birth, chunk);
-    else if (part.startsWith("snapshot-")) this.play.addSnapshot(birth, layer, chunk);
-    else this.play.addChange(birth, layer, chunk);
   }
 
   close() {
-    this.isClosed = true;
     this.onData = () => {};
-    this.queue = [];
     this.cache.listeners.delete(this.listener);
   }
 }

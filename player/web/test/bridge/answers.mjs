@@ -10,7 +10,7 @@ import { readManifest } from "../../format/manifest.js";
 import { framePly } from "../../format/ply.js";
 import { openSource } from "../../source/source.js";
 import { readObject } from "../../format/objecttable.js";
-import { inflatePacket } from "../../format/packet.js";
+import { packetContent } from "../../format/packet.js";
 import { RecordParser } from "../../format/playrecord.js";
 import { SlotDecoder } from "../../format/slots/slotdecoder.js";
 import { PassingDecoder } from "../../format/slots/passing.js";
@@ -93,7 +93,7 @@ async function* played(manifest, files, first, lateness) {
   const records = readIndex(unhex(files["index.bin"]), manifest);
   const play = new StreamPlay(manifest);
   const cache = new SegmentCache(manifest);
-  const feed = new ChunkFeed(cache, play, manifest, first, manifest.numLayers, 1);
+  const feed = new ChunkFeed(cache, play, manifest, first, manifest.numLayers);
   const last = records[records.length - 1];
   /** @type {[number, import("../../format/streamindex.js").SegmentRecord, string][]} */
   const coming = records.flatMap((record) =>
@@ -106,10 +106,9 @@ async function* played(manifest, files, first, lateness) {
     for (const [when, record, part] of coming) {
       if (when !== frame && !(frame === first && when <= first)) continue;
       const bytes = unhex(files[`segments/${record.segment}/${part}`]);
-      cache.addObject(record, part, readObject(bytes).packets);
+      cache.addObject(record, part, readObject(bytes));
     }
     feed.advance(frame + 1, 1);
-    while (feed.isRunning) await new Promise((resolve) => setImmediate(resolve));
     if (feed.failure !== null) throw feed.failure;
     const isThere = frame === first ? play.has(frame) : play.hasSlice(frame);
     if (!isThere) throw new Error(`frame ${frame} is not there`);
@@ -121,11 +120,10 @@ async function* played(manifest, files, first, lateness) {
 /** @type {Record<string, (question: any) => unknown>} */
 const ANSWERS = {
   object({ bytes }) {
-    const { coder, packets } = readObject(unhex(bytes));
-    return { coder, packets: [...packets].map(([birth, packet]) => [birth, hex(packet)]) };
+    return [...readObject(unhex(bytes))].map(([birth, packet]) => [birth, hex(packet)]);
   },
-  async packet({ bytes, limit }) {
-    return hex(await inflatePacket(unhex(bytes), limit));
+  packet({ bytes, limit }) {
+    return hex(packetContent(unhex(bytes), limit));
   },
   sound({ bytes, channels, span }) {
     const object = readSoundObject(unhex(bytes), channels);
