@@ -139,7 +139,7 @@ test("that a link is too thin is said once, with both rates", async (context) =>
     player.setPlaying(true);
   }
   const said = posted.filter(({ kind }) => kind === "trouble").map(({ message }) => message);
-  const first = "This connection carries 0.0004 of the 0.019 Mbit/s that this video needs";
+  const first = "This connection carries 0.0004 of the 0.02 Mbit/s that this video needs";
   assert.deepEqual(said, [first, null]);
   assert.equal(player.playback.stalls, 2);
 });
