@@ -91,333 +91,322 @@ const KINDS = [
   },
 ];
 
-/** Decodes the blocks of one frame into `content`. */
-class FrameDecoder {
-  /**
-   * @param {Uint8Array} frame
-   * @param {Uint8Array} content
-   * @param {number} blockBytes most bytes of a block
-   */
-  constructor(frame, content, blockBytes) {
-    this.frame = frame;
-    this.view = new DataView(frame.buffer, frame.byteOffset, frame.length);
-    this.content = content;
-    this.blockBytes = blockBytes;
-    /** Number of bytes of `content` that are there. */
-    this.filled = 0;
-    /** Where in the frame the decoder reads, and where its block ends; the checksum is behind. */
-    this.at = 0;
-    this.end = 0;
-    /** @type {Huffman | null} */
-    this.huffman = null;
-    /** @type {(Fse | null)[]} of literal lengths, offsets and match lengths */
-    this.tables = [null, null, null];
-    this.offsets = [1, 4, 8];
-  }
+/** What is decoded now: one frame after another, so that nothing has to be passed on. */
+/** @type {Uint8Array} */
+let frame = new Uint8Array(0);
+let view = new DataView(frame.buffer);
+let content = frame;
+/** Number of bytes of `content` that are there. */
+let filled = 0;
+/** Most bytes of a block. */
+let blockBytes = 0;
+/** Where in the frame the decoder reads, and where its block ends; the checksum is behind. */
+let position = 0;
+let blockEnd = 0;
+/** @type {Huffman | null} */
+let huffman = null;
+/** @type {(Fse | null)[]} of literal lengths, offsets and match lengths */
+let tables = [];
+/** @type {number[]} */
+let offsets = [];
 
-  /** Decodes all blocks from `at` on. @param {number} at */
-  decode(at) {
-    const { view, content, frame } = this;
-    const last = frame.length - CHECKSUM_BYTES;
-    for (let isLast = false; !isLast; ) {
-      check(at + 3 <= last);
-      const head = view.getUint32(at, true) & 0xffffff;
-      const [kind, size] = [(head >> 1) & 3, head >> 3];
-      isLast = (head & 1) === 1;
-      at += 3;
-      this.at = at;
-      at += kind === REPEATED ? 1 : size;
-      this.end = at;
-      check(kind !== RESERVED && at <= last && size <= this.blockBytes);
-      if (kind === RAW || kind === REPEATED) {
-        const end = this.filled + size;
-        check(end <= content.length);
-        if (kind === RAW) content.set(frame.subarray(this.at, at), this.filled);
-        else content.fill(frame[this.at], this.filled, end);
-        this.filled = end;
-      } else this.#block();
-    }
-    check(at === last && this.filled === content.length);
-    if (view.getUint32(last, true) !== xxhash(content))
-      throw corrupt("packet: the content has another checksum than the packet says");
-  }
-
-  /** The next byte of the block. */
-  #byte() {
-    check(this.at < this.end);
-    return this.frame[this.at++];
-  }
-
-  /** The next bytes of the block. @param {number} size */
-  #bytes(size) {
-    const from = this.at;
-    this.at += size;
-    check(this.at <= this.end);
-    return this.frame.subarray(from, this.at);
-  }
-
-  /** A compressed block. Its literals wait at the end of the place for its content. */
-  #block() {
-    const { content, filled } = this;
-    const limit = Math.min(content.length, filled + this.blockBytes);
-    const literals = this.#literals(filled, limit);
-    const first = this.#byte();
-    let count = first;
-    if (first === 255) count = this.#byte() + (this.#byte() << 8) + 0x7f00;
-    else if (first > 127) count = ((first - 128) << 8) + this.#byte();
-    if (count === 0) {
-      check(this.at === this.end);
-      content.copyWithin(filled, literals, limit);
-      this.filled = filled + limit - literals;
-      return;
-    }
-    const modes = this.#byte();
-    check((modes & 3) === 0);
-    for (const [n, kind] of KINDS.entries()) {
-      this.tables[n] = this.#table(kind, (modes >> (6 - 2 * n)) & 3, this.tables[n]);
-    }
-    this.#sequences(count, literals, limit);
-  }
-
-  /** Decodes the literals of a block to before `limit`; returns where they begin. @param {number} least @param {number} limit */
-  #literals(least, limit) {
-    const { content, frame } = this;
-    const first = this.#byte();
-    const [kind, form] = [first & 3, (first >> 2) & 3];
+/** Decodes all blocks from `at` on. @param {number} at */
+function blocks(at) {
+  const last = frame.length - CHECKSUM_BYTES;
+  for (let isLast = false; !isLast; ) {
+    check(at + 3 <= last);
+    const head = view.getUint32(at, true) & 0xffffff;
+    const [kind, size] = [(head >> 1) & 3, head >> 3];
+    isLast = (head & 1) === 1;
+    at += 3;
+    position = at;
+    at += kind === REPEATED ? 1 : size;
+    blockEnd = at;
+    check(kind !== RESERVED && at <= last && size <= blockBytes);
     if (kind === RAW || kind === REPEATED) {
-      let size = first >> 3;
-      if (form & 1) size = (first >> 4) | (this.#byte() << 4);
-      if (form === 3) size |= this.#byte() << 12;
-      const from = limit - size;
-      check(from >= least);
-      if (kind === RAW) content.set(this.#bytes(size), from);
-      else content.fill(this.#byte(), from, limit);
-      return from;
-    }
-    // Two sizes of 10, 10, 14 or 18 bits, in bytes of which the first 20 bits are in `head`.
-    const sizeBits = form < 2 ? 10 : 4 * form + 6;
-    const head = (first >> 4) | (this.#byte() << 4) | (this.#byte() << 12);
-    let coded = head >> sizeBits;
-    if (form > 1) coded |= this.#byte() << (20 - sizeBits);
-    if (form > 2) coded |= this.#byte() << (28 - sizeBits);
-    const from = limit - (head & ((1 << sizeBits) - 1));
-    const end = this.at + coded;
-    check(from >= least && end <= this.end);
-    if (kind === 2) this.huffman = this.#huffman(end);
-    check(this.huffman !== null);
-    const { at, huffman } = this;
-    this.at = end;
-    if (form === 0) {
-      this.#decode(at, end, from, limit, huffman);
-      return from;
-    }
-    check(end - at >= 6);
-    const quarter = (limit - from + 3) >> 2;
-    check(3 * quarter <= limit - from);
-    let begin = at + 6;
-    for (let n = 0; n < 4; n++) {
-      const stop = n < 3 ? begin + (frame[at + 2 * n] | (frame[at + 2 * n + 1] << 8)) : end;
-      check(stop <= end);
-      const to = n < 3 ? from + (n + 1) * quarter : limit;
-      this.#decode(begin, stop, from + n * quarter, to, huffman);
-      begin = stop;
-    }
+      const end = filled + size;
+      check(end <= content.length);
+      if (kind === RAW) content.set(frame.subarray(position, at), filled);
+      else content.fill(frame[position], filled, end);
+      filled = end;
+    } else block();
+  }
+  check(at === last && filled === content.length);
+  if (view.getUint32(last, true) !== xxhash(content))
+    throw corrupt("packet: the content has another checksum than the packet says");
+}
+
+/** The next byte of the block. */
+function takeByte() {
+  check(position < blockEnd);
+  return frame[position++];
+}
+
+/** The next bytes of the block. @param {number} size */
+function takeBytes(size) {
+  const from = position;
+  position += size;
+  check(position <= blockEnd);
+  return frame.subarray(from, position);
+}
+
+/** A compressed block. Its literals wait at the end of the place for its content. */
+function block() {
+  const limit = Math.min(content.length, filled + blockBytes);
+  const literals = putLiterals(filled, limit);
+  const first = takeByte();
+  let count = first;
+  if (first === 255) count = takeByte() + (takeByte() << 8) + 0x7f00;
+  else if (first > 127) count = ((first - 128) << 8) + takeByte();
+  if (count === 0) {
+    check(position === blockEnd);
+    content.copyWithin(filled, literals, limit);
+    filled = filled + limit - literals;
+    return;
+  }
+  const modes = takeByte();
+  check((modes & 3) === 0);
+  for (const [n, kind] of KINDS.entries()) {
+    tables[n] = tableOf(kind, (modes >> (6 - 2 * n)) & 3, tables[n]);
+  }
+  sequences(count, literals, limit);
+}
+
+/** Decodes the literals of a block to before `limit`; returns where they begin. @param {number} least @param {number} limit */
+function putLiterals(least, limit) {
+  const first = takeByte();
+  const [kind, form] = [first & 3, (first >> 2) & 3];
+  if (kind === RAW || kind === REPEATED) {
+    let size = first >> 3;
+    if (form & 1) size = (first >> 4) | (takeByte() << 4);
+    if (form === 3) size |= takeByte() << 12;
+    const from = limit - size;
+    check(from >= least);
+    if (kind === RAW) content.set(takeBytes(size), from);
+    else content.fill(takeByte(), from, limit);
     return from;
   }
-
-  /** The last bit of a stream that is read from its end, whose highest one marks it. @param {number} begin @param {number} end */
-  #lastBit(begin, end) {
-    check(end > begin && this.frame[end - 1] > 0);
-    return 8 * end - 8 + log2(this.frame[end - 1]);
+  // Two sizes of 10, 10, 14 or 18 bits, in bytes of which the first 20 bits are in `head`.
+  const sizeBits = form < 2 ? 10 : 4 * form + 6;
+  const head = (first >> 4) | (takeByte() << 4) | (takeByte() << 12);
+  let coded = head >> sizeBits;
+  if (form > 1) coded |= takeByte() << (20 - sizeBits);
+  if (form > 2) coded |= takeByte() << (28 - sizeBits);
+  const from = limit - (head & ((1 << sizeBits) - 1));
+  const end = position + coded;
+  check(from >= least && end <= blockEnd);
+  if (kind === 2) huffman = codesOf(end);
+  const [at, table] = [position, huffman];
+  check(table !== null);
+  position = end;
+  if (form === 0) {
+    decodeStream(at, end, from, limit, table);
+    return from;
   }
-
-  /**
-   * Decodes a stream of Huffman codes, which lies from `begin` to `end`, to the content from `from` to `to`.
-   * @param {number} begin
-   * @param {number} end
-   * @param {number} from
-   * @param {number} to
-   * @param {Huffman} huffman
-   */
-  #decode(begin, end, from, to, { log, codes }) {
-    const { content, view } = this;
-    const first = 8 * begin;
-    let at = this.#lastBit(begin, end);
-    for (; from < to; from++) {
-      // What lies before the stream is not its own, and no code takes it.
-      const code = codes[bits(view, at - log, log)];
-      at -= code >> 8;
-      content[from] = code;
-      check(at >= first);
-    }
-    check(at === first);
+  check(end - at >= 6);
+  const quarter = (limit - from + 3) >> 2;
+  check(3 * quarter <= limit - from);
+  let begin = at + 6;
+  for (let n = 0; n < 4; n++) {
+    const stop = n < 3 ? begin + (frame[at + 2 * n] | (frame[at + 2 * n + 1] << 8)) : end;
+    check(stop <= end);
+    const to = n < 3 ? from + (n + 1) * quarter : limit;
+    decodeStream(begin, stop, from + n * quarter, to, table);
+    begin = stop;
   }
+  return from;
+}
 
-  /** The codes of literals; their description ends before `end`. @param {number} end @returns {Huffman} */
-  #huffman(end) {
-    const head = this.#byte();
-    /** @type {number[]} of the symbols; 0 if it does not occur */
-    let weights = [];
-    if (head < 128) {
-      const stop = this.at + head;
-      check(stop <= end);
-      weights = this.#weights(stop);
-      this.at = stop;
-    } else {
-      const pairs = this.#bytes((head - 126) >> 1);
-      for (const pair of pairs) weights.push(pair >> 4, pair & 15);
-      weights.length = head - 127;
-    }
-    check(this.at <= end);
-    const sum = weights.reduce((all, weight) => all + ((1 << weight) >> 1), 0);
-    check(sum > 0 && sum < 1 << MAX_CODE_BITS && Math.max(...weights) <= MAX_CODE_BITS);
-    const log = log2(sum) + 1;
-    const rest = (1 << log) - sum;
-    check((rest & (rest - 1)) === 0);
-    weights.push(log2(rest) + 1);
-    /** Of each weight where its codes begin: the longest codes come first. */
-    const next = new Uint16Array(MAX_CODE_BITS + 2);
-    for (const weight of weights) next[weight + 1] += (1 << weight) >> 1;
-    for (let weight = 1; weight <= log; weight++) next[weight + 1] += next[weight];
-    const codes = new Uint16Array(1 << log);
-    for (let symbol = 0; symbol < weights.length; symbol++) {
-      const weight = weights[symbol];
-      const from = next[weight];
-      next[weight] += (1 << weight) >> 1;
-      codes.fill(symbol | ((log + 1 - weight) << 8), from, next[weight]);
-    }
-    return { log, codes };
-  }
+/** The last bit of a stream that is read from its end, whose highest one marks it. @param {number} begin @param {number} end */
+function lastBit(begin, end) {
+  check(end > begin && frame[end - 1] > 0);
+  return 8 * end - 8 + log2(frame[end - 1]);
+}
 
-  /** The weights of symbols, by two finite state coders in turn. @param {number} end */
-  #weights(end) {
-    const { view } = this;
-    const { log, states } = this.#described(end, MAX_WEIGHT_LOG, 255);
-    const first = 8 * this.at;
-    let at = this.#lastBit(this.at, end) - 2 * log;
+/**
+ * Decodes a stream of Huffman codes, which lies from `begin` to `end`, to the content from `from` to `to`.
+ * @param {number} begin
+ * @param {number} end
+ * @param {number} from
+ * @param {number} to
+ * @param {Huffman} huffman
+ */
+function decodeStream(begin, end, from, to, { log, codes }) {
+  const [out, data] = [content, view];
+  const first = 8 * begin;
+  let at = lastBit(begin, end);
+  for (; from < to; from++) {
+    // What lies before the stream is not its own, and no code takes it.
+    const code = codes[bits(data, at - log, log)];
+    at -= code >> 8;
+    out[from] = code;
     check(at >= first);
-    let state = states[bits(view, at + log, log)];
-    let other = states[bits(view, at, log)];
-    const weights = [];
-    for (;;) {
-      weights.push(state & 255);
-      check(weights.length < 255);
-      const count = (state >> 8) & 255;
-      at -= count;
-      if (at < first) break;
-      [state, other] = [other, states[(state >>> 16) + bits(view, at, count)]];
-    }
-    weights.push(other & 255);
-    return weights;
   }
+  check(at === first);
+}
 
-  /** The table of a kind of number. @param {Kind} kind @param {number} mode @param {Fse | null} before @returns {Fse} */
-  #table({ maxLog, maxSymbol, standard }, mode, before) {
-    if (mode === PREDEFINED) return standard;
-    if (mode === DESCRIBED) return this.#described(this.end, maxLog, maxSymbol);
-    if (mode !== ONE_SYMBOL) {
-      check(before !== null);
-      return before;
-    }
-    const symbol = this.#byte();
-    check(symbol <= maxSymbol);
-    return { log: 0, states: Uint32Array.of(symbol) };
+/** The codes of literals; their description ends before `end`. @param {number} end @returns {Huffman} */
+function codesOf(end) {
+  const head = takeByte();
+  /** @type {number[]} of the symbols; 0 if it does not occur */
+  let weights = [];
+  if (head < 128) {
+    const stop = position + head;
+    check(stop <= end);
+    weights = readWeights(stop);
+    position = stop;
+  } else {
+    const pairs = takeBytes((head - 126) >> 1);
+    for (const pair of pairs) weights.push(pair >> 4, pair & 15);
+    weights.length = head - 127;
   }
+  check(position <= end);
+  const sum = weights.reduce((all, weight) => all + ((1 << weight) >> 1), 0);
+  check(sum > 0 && sum < 1 << MAX_CODE_BITS && Math.max(...weights) <= MAX_CODE_BITS);
+  const log = log2(sum) + 1;
+  const rest = (1 << log) - sum;
+  check((rest & (rest - 1)) === 0);
+  weights.push(log2(rest) + 1);
+  /** Of each weight where its codes begin: the longest codes come first. */
+  const next = new Uint16Array(MAX_CODE_BITS + 2);
+  for (const weight of weights) next[weight + 1] += (1 << weight) >> 1;
+  for (let weight = 1; weight <= log; weight++) next[weight + 1] += next[weight];
+  const codes = new Uint16Array(1 << log);
+  for (let symbol = 0; symbol < weights.length; symbol++) {
+    const weight = weights[symbol];
+    const from = next[weight];
+    next[weight] += (1 << weight) >> 1;
+    codes.fill(symbol | ((log + 1 - weight) << 8), from, next[weight]);
+  }
+  return { log, codes };
+}
 
-  /** The table whose description comes next. @param {number} end @param {number} maxLog @param {number} maxSymbol */
-  #described(end, maxLog, maxSymbol) {
-    const { view } = this;
-    const last = 8 * end;
-    let at = 8 * this.at;
-    check(at < last);
-    const log = bits(view, at, 4) + 5;
-    check(log <= maxLog);
-    at += 4;
-    let left = 1 << log;
-    /** @type {number[]} */
-    const shares = [];
-    while (left > 0) {
+/** The weights of symbols, by two finite state coders in turn. @param {number} end */
+function readWeights(end) {
+  const { log, states } = readTable(end, MAX_WEIGHT_LOG, 255);
+  const first = 8 * position;
+  let at = lastBit(position, end) - 2 * log;
+  check(at >= first);
+  let state = states[bits(view, at + log, log)];
+  let other = states[bits(view, at, log)];
+  const weights = [];
+  for (;;) {
+    weights.push(state & 255);
+    check(weights.length < 255);
+    const count = (state >> 8) & 255;
+    at -= count;
+    if (at < first) break;
+    [state, other] = [other, states[(state >>> 16) + bits(view, at, count)]];
+  }
+  weights.push(other & 255);
+  return weights;
+}
+
+/** The table of a kind of number. @param {Kind} kind @param {number} mode @param {Fse | null} before @returns {Fse} */
+function tableOf({ maxLog, maxSymbol, standard }, mode, before) {
+  if (mode === PREDEFINED) return standard;
+  if (mode === DESCRIBED) return readTable(blockEnd, maxLog, maxSymbol);
+  if (mode !== ONE_SYMBOL) {
+    check(before !== null);
+    return before;
+  }
+  const symbol = takeByte();
+  check(symbol <= maxSymbol);
+  return { log: 0, states: Uint32Array.of(symbol) };
+}
+
+/** The table whose description comes next. @param {number} end @param {number} maxLog @param {number} maxSymbol */
+function readTable(end, maxLog, maxSymbol) {
+  const last = 8 * end;
+  let at = 8 * position;
+  check(at < last);
+  const log = bits(view, at, 4) + 5;
+  check(log <= maxLog);
+  at += 4;
+  let left = 1 << log;
+  /** @type {number[]} */
+  const shares = [];
+  while (left > 0) {
+    check(at < last && shares.length <= maxSymbol);
+    // Of the values up to left + 1 the lowest take a bit less.
+    const count = log2(left + 1);
+    const short = (2 << count) - 2 - left;
+    const value = bits(view, at, count + 1);
+    const low = value & ((1 << count) - 1);
+    at += low < short ? count : count + 1;
+    const share = (low < short ? low : value >> count ? value - short : value) - 1;
+    shares.push(share);
+    left -= Math.abs(share);
+    for (let zeros = share === 0 ? 3 : 0; zeros === 3; ) {
       check(at < last && shares.length <= maxSymbol);
-      // Of the values up to left + 1 the lowest take a bit less.
-      const count = log2(left + 1);
-      const short = (2 << count) - 2 - left;
-      const value = bits(view, at, count + 1);
-      const low = value & ((1 << count) - 1);
-      at += low < short ? count : count + 1;
-      const share = (low < short ? low : value >> count ? value - short : value) - 1;
-      shares.push(share);
-      left -= Math.abs(share);
-      for (let zeros = share === 0 ? 3 : 0; zeros === 3; ) {
-        check(at < last && shares.length <= maxSymbol);
-        zeros = bits(view, at, 2);
-        at += 2;
-        for (let n = 0; n < zeros; n++) shares.push(0);
-      }
+      zeros = bits(view, at, 2);
+      at += 2;
+      for (let n = 0; n < zeros; n++) shares.push(0);
     }
-    check(left === 0 && at <= last && shares.length <= maxSymbol + 1);
-    this.at = (at + 7) >> 3;
-    return fseTable(shares, log);
   }
+  check(left === 0 && at <= last && shares.length <= maxSymbol + 1);
+  position = (at + 7) >> 3;
+  return fseTable(shares, log);
+}
 
-  /**
-   * Makes the content of a block: literals, which lie from `literal` to `limit`, and copies of what is there.
-   * @param {number} count number of sequences
-   * @param {number} literal
-   * @param {number} limit
-   */
-  #sequences(count, literal, limit) {
-    const { content, view, offsets } = this;
-    const [literals, distances, matches] = /** @type {Fse[]} */ (this.tables);
-    const first = 8 * this.at;
-    let at = this.#lastBit(this.at, this.end);
-    let to = this.filled;
-    const start = (/** @type {Fse} */ { log, states }) => states[bits(view, (at -= log), log)];
-    let literalState = start(literals);
-    let distanceState = start(distances);
-    let matchState = start(matches);
-    for (let left = count; left > 0; left--) {
-      // At most 63 bits, and 26 for the states before: there are 12 bytes of heads in front of `first`.
-      let value = 0;
-      let more = distanceState & 255;
-      if (more > WORD_BITS) {
-        value = bits(view, (at -= more - WORD_BITS), more - WORD_BITS) << WORD_BITS;
-        more = WORD_BITS;
-      }
-      value = (1 << (distanceState & 255)) + value + bits(view, (at -= more), more);
-      more = MATCH_BITS[matchState & 255];
-      const length = MATCH_BASES[matchState & 255] + bits(view, (at -= more), more);
-      more = LITERAL_BITS[literalState & 255];
-      const run = LITERAL_BASES[literalState & 255] + bits(view, (at -= more), more);
-      check(at >= first);
-      if (left > 1) {
-        more = (literalState >> 8) & 255;
-        literalState = literals.states[(literalState >>> 16) + bits(view, (at -= more), more)];
-        more = (matchState >> 8) & 255;
-        matchState = matches.states[(matchState >>> 16) + bits(view, (at -= more), more)];
-        more = (distanceState >> 8) & 255;
-        distanceState = distances.states[(distanceState >>> 16) + bits(view, (at -= more), more)];
-      }
-      let distance = value - 3;
-      if (value <= 3) {
-        const n = value - (run > 0 ? 1 : 0);
-        distance = n < 3 ? offsets[n] : offsets[0] - 1;
-        if (n > 1) offsets[2] = offsets[1];
-        if (n > 0) offsets[1] = offsets[0];
-      } else {
-        offsets[2] = offsets[1];
-        offsets[1] = offsets[0];
-      }
-      offsets[0] = distance;
-      check(run <= limit - literal);
-      const end = to + run + length;
-      check(end <= literal + run && distance > 0 && distance <= to + run);
-      for (let n = 0; n < run; n++) content[to++] = content[literal++];
-      for (; to < end; to++) content[to] = content[to - distance];
+/**
+ * Makes the content of a block: literals, which lie from `literal` to `limit`, and copies of what is there.
+ * @param {number} count number of sequences
+ * @param {number} literal
+ * @param {number} limit
+ */
+function sequences(count, literal, limit) {
+  const [out, data, recent] = [content, view, offsets];
+  const [literals, distances, matches] = /** @type {Fse[]} */ (tables);
+  const first = 8 * position;
+  let at = lastBit(position, blockEnd);
+  let to = filled;
+  const start = (/** @type {Fse} */ { log, states }) => states[bits(data, (at -= log), log)];
+  let literalState = start(literals);
+  let distanceState = start(distances);
+  let matchState = start(matches);
+  for (let left = count; left > 0; left--) {
+    // At most 63 bits, and 26 for the states before: there are 12 bytes of heads in front of `first`.
+    let value = 0;
+    let more = distanceState & 255;
+    if (more > WORD_BITS) {
+      value = bits(data, (at -= more - WORD_BITS), more - WORD_BITS) << WORD_BITS;
+      more = WORD_BITS;
     }
-    check(at === first);
-    content.copyWithin(to, literal, limit);
-    this.filled = to + limit - literal;
+    value = (1 << (distanceState & 255)) + value + bits(data, (at -= more), more);
+    more = MATCH_BITS[matchState & 255];
+    const length = MATCH_BASES[matchState & 255] + bits(data, (at -= more), more);
+    more = LITERAL_BITS[literalState & 255];
+    const run = LITERAL_BASES[literalState & 255] + bits(data, (at -= more), more);
+    check(at >= first);
+    if (left > 1) {
+      more = (literalState >> 8) & 255;
+      literalState = literals.states[(literalState >>> 16) + bits(data, (at -= more), more)];
+      more = (matchState >> 8) & 255;
+      matchState = matches.states[(matchState >>> 16) + bits(data, (at -= more), more)];
+      more = (distanceState >> 8) & 255;
+      distanceState = distances.states[(distanceState >>> 16) + bits(data, (at -= more), more)];
+    }
+    let distance = value - 3;
+    if (value <= 3) {
+      const n = value - (run > 0 ? 1 : 0);
+      distance = n < 3 ? recent[n] : recent[0] - 1;
+      if (n > 1) recent[2] = recent[1];
+      if (n > 0) recent[1] = recent[0];
+    } else {
+      recent[2] = recent[1];
+      recent[1] = recent[0];
+    }
+    recent[0] = distance;
+    check(run <= limit - literal);
+    const end = to + run + length;
+    check(end <= literal + run && distance > 0 && distance <= to + run);
+    for (let n = 0; n < run; n++) out[to++] = out[literal++];
+    for (; to < end; to++) out[to] = out[to - distance];
   }
+  check(at === first);
+  content.copyWithin(to, literal, limit);
+  filled = to + limit - literal;
 }
 
 /**
@@ -454,12 +443,19 @@ export function readFrameHead(frame) {
 
 /**
  * The content of a zstd frame with this head. Throws a FormatError unless it fills its stated size exactly, has the
- * stated checksum and ends where `frame` does.
- * @param {Uint8Array} frame
+ * stated checksum and ends where `packet` does.
+ * @param {Uint8Array} packet
  * @param {ReturnType<typeof readFrameHead>} head
  */
-export function decodeFrame(frame, { begin, size, blockBytes }) {
-  const content = new Uint8Array(size);
-  new FrameDecoder(frame, content, blockBytes).decode(begin);
+export function decodeFrame(packet, head) {
+  frame = packet;
+  view = new DataView(frame.buffer, frame.byteOffset, frame.length);
+  content = new Uint8Array(head.size);
+  filled = 0;
+  blockBytes = head.blockBytes;
+  huffman = null;
+  tables = [null, null, null];
+  offsets = [1, 4, 8];
+  blocks(head.begin);
   return content;
 }
