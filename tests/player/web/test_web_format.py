@@ -234,7 +234,7 @@ CHECKED: dict[str, tuple[Callable[[bytes], object], Callable[[BrowserCode, bytes
     ),
     "object": (
         lambda data: [[birth, packet.hex()] for birth, packet in object_packets(data)],
-        lambda browser, data: browser.ask("object", bytes=data.hex())["packets"],
+        lambda browser, data: browser.ask("object", bytes=data.hex()),
     ),
 }
 """Readers of the package and of the browser, by the name of the fuzzer's target."""

@@ -32,7 +32,8 @@ import { Orbit, TURN_RAD_PER_PX } from "../../view/orbit.js";
 import { nearOf } from "../../view/pose.js";
 import { storyboardLayout } from "../../format/storyboard.js";
 import { readIndex } from "../../format/streamindex.js";
-import { opacityLogits } from "../../format/dequantise.js";
+import { gaussiansOf } from "../../format/dequantise.js";
+import { opacityLogits } from "../../format/gaussians.js";
 
 /** @param {ArrayBufferView} array */
 const hex = (array) =>
@@ -55,7 +56,7 @@ function held() {
     const shown = decoder.whole(birth).slots ?? decoder.lanes[lane];
     for (const [layer, slots] of shown.entries()) {
       const rows = Uint32Array.from(slots.conditions, (_, i) => i);
-      const floats = slots.gaussians(rows, layout.lattices[layer]);
+      const floats = gaussiansOf(slots, rows, layout.lattices[layer]);
       const widths = [3, 3, 4, 1, 3 * layout.k];
       lanes[lane].push(
         [...rows].map((row) => {
