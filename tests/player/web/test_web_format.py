@@ -23,6 +23,7 @@ from codec.stream.captions import captions_of, check_captions, parse_webvtt
 from codec.stream.index import SegmentRecord
 from codec.stream.integrity import read_index
 from codec.stream.manifest import Manifest
+from codec.stream.object import packet_content
 from codec.stream.pictures import picture_path
 from codec.stream.playrecord import (
     EndRecord,
@@ -235,6 +236,10 @@ CHECKED: dict[str, tuple[Callable[[bytes], object], Callable[[BrowserCode, bytes
     "object": (
         lambda data: [[birth, packet.hex()] for birth, packet in object_packets(data)],
         lambda browser, data: browser.ask("object", bytes=data.hex()),
+    ),
+    "packet": (
+        lambda data: packet_content(data, LIMIT).hex(),
+        lambda browser, data: browser.ask("packet", bytes=data.hex(), limit=LIMIT),
     ),
 }
 """Readers of the package and of the browser, by the name of the fuzzer's target."""

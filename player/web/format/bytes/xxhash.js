@@ -21,14 +21,23 @@ function set(high, low) {
   lo = low;
 }
 
+const { imul } = Math;
+
+/** The upper half of a product of two halves. @param {number} a @param {number} b */
+function upper(a, b) {
+  const a0 = a & 0xffff;
+  const a1 = a >>> 16;
+  const b0 = b & 0xffff;
+  const b1 = b >>> 16;
+  const first = (imul(a1, b0) + (imul(a0, b0) >>> 16)) | 0;
+  const second = (imul(a0, b1) + (first & 0xffff)) | 0;
+  return (imul(a1, b1) + (first >>> 16) + (second >>> 16)) | 0;
+}
+
 /** @param {readonly [number, number]} prime */
 function multiply([high, low]) {
-  const [a0, a1, b0, b1] = [lo & 0xffff, lo >>> 16, low & 0xffff, low >>> 16];
-  const first = Math.imul(a1, b0) + (Math.imul(a0, b0) >>> 16);
-  const second = Math.imul(a0, b1) + (first & 0xffff);
-  const carried = Math.imul(a1, b1) + (first >>> 16) + (second >>> 16);
-  hi = (carried + Math.imul(hi, low) + Math.imul(lo, high)) | 0;
-  lo = Math.imul(lo, low);
+  hi = (upper(lo, low) + imul(hi, low) + imul(lo, high)) | 0;
+  lo = imul(lo, low);
 }
 
 /** @param {number} high @param {number} low */
@@ -54,16 +63,27 @@ function round(high, low, inHigh, inLow) {
 
 /** @param {DataView} view @param {Int32Array} lanes @returns {number} where the stripes end */
 function addStripes(view, lanes) {
-  let at = 0;
-  for (; at + STRIPE_BYTES <= view.byteLength; at += STRIPE_BYTES) {
-    for (let n = 0; n < 8; n += 2) {
-      const from = at + 4 * n;
-      round(lanes[n], lanes[n + 1], view.getInt32(from + 4, true), view.getInt32(from, true));
-      lanes[n] = hi;
-      lanes[n + 1] = lo;
+  const [[high1, low1], [high2, low2]] = [P1, P2];
+  const end = view.byteLength - (view.byteLength % STRIPE_BYTES);
+  for (let n = 0; n < 8; n += 2) {
+    // As in `round`, but with local numbers: nearly all of the time goes here.
+    let high = lanes[n];
+    let low = lanes[n + 1];
+    for (let at = 4 * n; at < end; at += STRIPE_BYTES) {
+      const word = view.getInt32(at, true);
+      const added = imul(word, low2);
+      const sum = (low + added) | 0;
+      high += upper(word, low2) + imul(view.getInt32(at + 4, true), low2) + imul(word, high2);
+      high = (high + (sum >>> 0 < added >>> 0 ? 1 : 0)) | 0;
+      low = (sum << 31) | (high >>> 1);
+      high = (high << 31) | (sum >>> 1);
+      high = (upper(low, low1) + imul(high, low1) + imul(low, high1)) | 0;
+      low = imul(low, low1);
     }
+    lanes[n] = high;
+    lanes[n + 1] = low;
   }
-  return at;
+  return end;
 }
 
 /** @param {Int32Array} lanes */

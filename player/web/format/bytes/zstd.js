@@ -235,6 +235,16 @@ function decodeStream(begin, end, from, to, { log, codes }) {
   const [out, data] = [content, view];
   const first = 8 * begin;
   let at = lastBit(begin, end);
+  // Two codes from each word, as long as both lie within the stream.
+  for (let start = at - 2 * log; to - from > 1 && start >= first; start = at - 2 * log) {
+    const word = bits(data, start, 2 * log);
+    const one = codes[word >> log];
+    at -= one >> 8;
+    const other = codes[(word >> (at - log - start)) & ((1 << log) - 1)];
+    at -= other >> 8;
+    out[from++] = one;
+    out[from++] = other;
+  }
   for (; from < to; from++) {
     // What lies before the stream is not its own, and no code takes it.
     const code = codes[bits(data, at - log, log)];
