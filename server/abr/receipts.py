@@ -26,7 +26,7 @@ class Receipts:
     def __init__(self) -> None:
         self.start_bytes = 0
         """Bytes of the body before those of the session."""
-        self.came_bytes = 0
+        self.came_bytes = 0.0
         """Bytes of the session that have come."""
         self._came_s = -math.inf
         self._offset_s = math.inf
@@ -34,8 +34,8 @@ class Receipts:
         report in it."""
 
     def take(
-        self, points: Iterable[tuple[int, int]], sent_bytes: int, now_s: float
-    ) -> list[tuple[float, int]]:
+        self, points: Iterable[tuple[int, int]], sent_bytes: float, now_s: float
+    ) -> list[tuple[float, float]]:
         """When the client had how many bytes of the session, oldest first.
 
         points: (milliseconds of any clock, bytes of the body) as they came in a report. sent_bytes:

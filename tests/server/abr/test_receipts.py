@@ -31,7 +31,7 @@ numbers = st.integers(0, 5000) | st.sampled_from([0, MAX_POINT])
 def test_whatever_is_said_nothing_comes_before_it_was_sent_nor_goes_back(
     events: list[tuple[float, int, list[tuple[int, int]]]],
 ) -> None:
-    receipts, now_s, sent, found = Receipts(), 0.0, 0, [(float("-inf"), 0)]
+    receipts, now_s, sent, found = Receipts(), 0.0, 0, [(float("-inf"), 0.0)]
     receipts.start_bytes = 50
     for step_s, num_bytes, points in events:
         now_s += step_s
