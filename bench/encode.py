@@ -15,7 +15,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from codec.coders.coder import EncodedChunk, compress
+from codec.coders.coder import EncodedChunk
+from codec.coders.zstd import compress
 from codec.console import run_command
 from codec.lattice.lattice import Lattice
 from codec.slice import Slice

@@ -19,8 +19,8 @@ from rich.table import Table
 from scipy.spatial import cKDTree
 
 from codec.arrays import Bytes, Floats
-from codec.coders.coder import compress
 from codec.coders.effort import Effort
+from codec.coders.zstd import compress
 from codec.console import run_command
 from codec.errors import InvalidError
 from codec.foreign.codebook import codebook, codes_of, palette

@@ -14,7 +14,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from codec.coders.coder import EncodedChunk, compress, decompress
+from codec.coders.coder import EncodedChunk
+from codec.coders.zstd import compress, decompress
 from codec.console import run_command
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder

@@ -61,7 +61,7 @@ MAX_PACKET_BYTES = 1 << 20
 
 
 def fuzz_packet(data: bytes) -> None:
-    """One packet, of either coder."""
+    """One packet."""
     packet_content(data, MAX_PACKET_BYTES)
 
 
@@ -148,14 +148,6 @@ def fuzz_inflated_spz_4(data: bytes) -> None:
     decode_spz(head + table + frames)
 
 
-def fuzz_sealed_gzip(data: bytes) -> None:
-    """A chunk that the target packs into a gzip member; the input gives 4 bytes of the trailer."""
-    stream = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)
-    body = stream.compress(data[4:]) + stream.flush()
-    trailer = struct.pack("<I", zlib.crc32(data[4:])) + data[:4]
-    fuzz_packet(gzip.compress(b"")[:4] + bytes(4) + b"\x02\xff" + body + trailer)
-
-
 def fuzz_packed(data: bytes) -> None:
     """A packed stream: for any declared sizes, all its files are inside it, one after another."""
 
@@ -185,7 +177,6 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "splat": fuzz_splat,
     "inflated_spz": fuzz_inflated_spz,
     "inflated_spz_4": fuzz_inflated_spz_4,
-    "sealed_gzip": fuzz_sealed_gzip,
     "mask": fuzz_mask,
     "change": fuzz_change,
     "snapshot": fuzz_snapshot,

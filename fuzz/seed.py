@@ -14,7 +14,7 @@ import zstandard
 
 from codec.arrays import Floats
 from codec.camera import Camera
-from codec.coders.coder import compress
+from codec.coders.zstd import compress
 from codec.foreign.ply import encode_ply
 from codec.foreign.splat import encode_splat
 from codec.foreign.spz import ENTRY, HEADER_V4, MAGIC, SpzVersion, encode_spz

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from codec.coders.coder import Coder, EncodedChunk
+from codec.coders.coder import EncodedChunk
 from codec.lattice.lattice import States
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
@@ -110,12 +110,8 @@ def slot_seeds() -> Iterator[tuple[str, str, bytes]]:
         yield "snapshot", str(number), head + last[0].data
         for what, food in _scripts(number):
             yield "slots", what, food
-        for coder in Coder:
-            packets = [(mask.birth, encode_packet(mask, coder)) for mask in masks]
-            name = f"{number}-{coder.name.lower()}"
-            yield "object", name, join_packets(packets, coder)
-            yield "packet", name, packets[-1][1]
-        mask = masks[-1].data
-        yield "sealed_gzip", str(number), len(mask).to_bytes(4, "little") + mask
+        packets = [(mask.birth, encode_packet(mask)) for mask in masks]
+        yield "object", str(number), join_packets(packets)
+        yield "packet", str(number), packets[-1][1]
     yield "index", "two", made_index()
     yield "sealed_index", "two", made_index()

@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from codec import camera, halfway, slice, splats
-from codec.coders import coder, gzip, zstd
+from codec.coders import zstd
 from codec.lattice import lattice, quantise
 from codec.slots import (
     mask,
@@ -74,9 +74,7 @@ CONSTANTS: dict[ModuleType, str] = {
     slotdecoder: "MIN_LOG_BYTES LOG_SHARE",
     object: "SKIPPABLE_MAGIC TABLE_MAGIC OBJECT_HEAD=HEAD OBJECT_ENTRY=ENTRY "
     "MAX_CHUNKS=MAX_CHUNKS_PER_OBJECT MAX_OBJECT_BYTES",
-    coder: "CODERS=Coder",
-    gzip: "GZIP_MAGIC=MAGIC MAX_EXPANSION",
-    zstd: "ZSTD_MAGIC=MAGIC",
+    zstd: "CODER ZSTD_MAGIC=MAGIC MAX_EXPANSION",
     index: "INDEX_HEAD=HEAD INDEX_LAYER=LAYER INDEX_SIDE=SIDE INDEX_CHECKSUM=CHECKSUM",
     integrity: "MAX_INDEX_BYTES",
     captions: "MAX_CAPTIONS MAX_CAPTIONS_BYTES",

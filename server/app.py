@@ -25,7 +25,6 @@ from server.abr.clientstatus import (
     NUM_FRAMES_HEADER,
     PLAY_HEADER,
     RATE_HEADER,
-    RECEIVED_HEADER,
     REPORT_HEADER,
 )
 from server.operate.overload import LoadSample, measure_lag, measure_load
@@ -70,7 +69,6 @@ EXPOSED = (
     PLAY_HEADER,
     RATE_HEADER,
     REPORT_HEADER,
-    RECEIVED_HEADER,
     NUM_FRAMES_HEADER,
     LIVE_HEADER,
 )

@@ -12,6 +12,9 @@ from codec.errors import CorruptError
 from .blocks import divisions
 from .effort import Effort
 
+CODER = 1
+"""The number of this coder in the head of an object; there is no other."""
+
 MAGIC = b"\x28\xb5\x2f\xfd"
 
 PLANES_LEVEL = 19
@@ -91,10 +94,12 @@ def with_start(packet: bytes, content: bytes) -> bytes | None:
 
 def content_bytes(packet: bytes | memoryview, limit_bytes: int) -> int:
     """Declared content size of `packet`, bytes. Raises CorruptError if unsaid or over the limit."""
+    if packet[: len(MAGIC)] != MAGIC:
+        raise CorruptError("packet: is not a zstd frame")
     try:
         parameters = zstandard.get_frame_parameters(packet)
     except zstandard.ZstdError as error:
-        raise CorruptError("packet: is not a zstd frame") from error
+        raise CorruptError("packet: is not a whole zstd frame") from error
     size = int(parameters.content_size)
     if parameters.content_size in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):
         raise CorruptError("packet: does not declare its content size")

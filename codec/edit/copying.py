@@ -7,7 +7,8 @@ which holds them, is coded again, and the blocks behind it are copied.
 
 from __future__ import annotations
 
-from codec.coders.coder import Coder, EncodedChunk, coder_of, with_start
+from codec.coders.coder import EncodedChunk
+from codec.coders.zstd import with_start
 from codec.slots.slotchange import encoded_elsewhere
 from codec.slots.slotchunk import Kind, with_birth
 from codec.stream.integrity import CheckedObject
@@ -38,22 +39,22 @@ def copy_segment(
         for entry in found.entries:
             birth = entry.birth + offset
             if entry.birth in births and (birth or is_snapshot(part)):
-                files.put(part, birth, renumbered(found, entry.birth, offset, files.coder))
+                files.put(part, birth, renumbered(found, entry.birth, offset))
     files.end_segment(len(births), psnr_db)
     return False
 
 
-def renumbered(found: CheckedObject, birth: int, offset: int, coder: Coder) -> bytes:
+def renumbered(found: CheckedObject, birth: int, offset: int) -> bytes:
     """The packet of `birth` in `found` as that of `birth` + `offset`."""
-    packet, is_same_coder = found.packet(birth), coder_of(found.packet(birth)) == coder
-    if is_same_coder and not offset:
+    packet = found.packet(birth)
+    if not offset:
         return packet
-    chunk = chunk_elsewhere(found, birth, offset)
-    copied = with_start(packet, chunk.data) if is_same_coder else None
-    return encode_packet(chunk, coder) if copied is None else copied
+    chunk = _chunk_elsewhere(found, birth, offset)
+    copied = with_start(packet, chunk.data)
+    return encode_packet(chunk) if copied is None else copied
 
 
-def chunk_elsewhere(found: CheckedObject, birth: int, offset: int = 0) -> EncodedChunk:
+def _chunk_elsewhere(found: CheckedObject, birth: int, offset: int) -> EncodedChunk:
     """The chunk of `birth` in `found`, to be compressed once more as that of `birth` + `offset`."""
     layout, part, data = found.manifest.slot_layout, found.part, found.content(birth)
     kind = Kind.CHANGE if isinstance(part, int) else Kind.SNAPSHOT

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.coders.coder import Coder
 from codec.stream.manifest import Part
 from codec.stream.reader import StreamReader
 
@@ -42,7 +41,7 @@ class Weighed(SegmentFiles):
         self.weight_bytes += sum(map(len, objects.values()))
 
 
-def fitted(reader: StreamReader, edit: Edit, coder: Coder) -> Edit:
+def fitted(reader: StreamReader, edit: Edit) -> Edit:
     """`edit`, with the smallest steps found with which the first segment of the stream of `reader`
     takes no more bytes than before; as it is if MOST is not enough. Raises a SwingsError."""
     if not edit.rounds:
@@ -50,7 +49,7 @@ def fitted(reader: StreamReader, edit: Edit, coder: Coder) -> Edit:
     limit_bytes, made, log_factor = sum(reader.records[0].part_bytes), edit, 0.0
     first_excess_bytes, most = 0, np.log(MOST)
     for tries in range(TRIES):
-        excess_bytes = first_segment_bytes(reader, made, coder) - limit_bytes
+        excess_bytes = first_segment_bytes(reader, made) - limit_bytes
         if excess_bytes <= 0:
             return made
         if log_factor >= most:
@@ -68,9 +67,9 @@ def fitted(reader: StreamReader, edit: Edit, coder: Coder) -> Edit:
     return edit
 
 
-def first_segment_bytes(reader: StreamReader, edit: Edit, coder: Coder) -> int:
+def first_segment_bytes(reader: StreamReader, edit: Edit) -> int:
     """Size of the objects of the first segment after `edit`."""
-    files = Weighed(Path(), edit.manifest(reader.manifest), coder)
+    files = Weighed(Path(), edit.manifest(reader.manifest))
     walk, recoder = Walk(reader), Recoder(files)
     for slices in (walk.opening(0), walk.slices(range(1, reader.records[0].num_frames))):
         for _ in recoder.append(walk, slices, edit):

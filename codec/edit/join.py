@@ -21,7 +21,6 @@ from .rewrite import (
     Edited,
     Progress,
     add_tracks,
-    coder_of_stream,
     no_progress,
     objects_bytes,
     open_source,
@@ -60,7 +59,7 @@ def join_streams(
     def show(num_done: int) -> None:
         progress(num_done, total)
 
-    with writing(out, manifest, coder_of_stream(readers[0]), draw) as files:
+    with writing(out, manifest, draw) as files:
         recoder = Recoder(files)
         for number, reader in enumerate(readers):
             is_last = number == len(readers) - 1

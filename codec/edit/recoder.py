@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from codec.coders.coder import EncodedChunk, coder_of
+from codec.coders.coder import EncodedChunk
 from codec.coders.effort import Effort
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
@@ -73,7 +73,7 @@ class Recoder:
                 self._same_as = None if offset else walk
             for part, chunk in chunks:
                 content, packet = (b"", b"") if offset else walk.content(birth, part)
-                if content != chunk.data or (packet and coder_of(packet) != self._files.coder):
+                if content != chunk.data:
                     self._same_as, packet = None, self._packet(chunk)
                 self._files.put(part, birth, packet)
             self._num_frames += 1
@@ -98,4 +98,4 @@ class Recoder:
     def _packet(self, chunk: EncodedChunk) -> bytes:
         """`chunk` as a packet, the smallest of several: it shall not take more than the one that it
         replaces."""
-        return encode_packet(chunk, self._files.coder, Effort.MOST)
+        return encode_packet(chunk, Effort.MOST)

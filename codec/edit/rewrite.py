@@ -7,12 +7,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from codec.coders.coder import Coder
 from codec.errors import InvalidError
 from codec.files import making_folder
 from codec.storage.openstorage import Place
-from codec.stream.manifest import MASKS, Manifest
-from codec.stream.object import CODER_OFFSET
+from codec.stream.manifest import Manifest
 from codec.stream.pictures import Draw
 from codec.stream.poster import POSTER_NAME, write_poster
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
@@ -59,11 +57,6 @@ def open_source(stream: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS
     return reader
 
 
-def coder_of_stream(reader: StreamReader) -> Coder:
-    """The coder of a stream's first object."""
-    return Coder(reader.read_object(0, MASKS).data[CODER_OFFSET])
-
-
 def objects_bytes(reader: StreamReader) -> int:
     """Size of all objects."""
     return sum(sum(record.part_bytes) for record in reader.records)
@@ -73,7 +66,6 @@ def objects_bytes(reader: StreamReader) -> int:
 def writing(
     out: Path,
     manifest: Manifest,
-    coder: Coder,
     draw: Draw | None,
     tracks: StreamReader | None = None,
 ) -> Iterator[SegmentFiles]:
@@ -88,7 +80,7 @@ def writing(
     manifest = replace(manifest, poster=pictures[0], storyboard=pictures[1])
     manifest = manifest if tracks is not None else replace(manifest, sound=(), captions=())
     with making_folder(out) as folder:
-        files = SegmentFiles(folder, manifest, coder)
+        files = SegmentFiles(folder, manifest)
         yield files
         if tracks is not None:
             copy_tracks(tracks, folder)
@@ -123,9 +115,8 @@ def rewrite(
     """Writes the stream of `reader`, as far as it has come, with `edit` to `out`; see `writing`.
     Raises a SwingsError that names the file at fault.
     """
-    coder, num_frames = coder_of_stream(reader), reader.num_frames
-    edit = fitted(reader, edit, coder)
-    with writing(out, edit.manifest(reader.manifest), coder, draw, reader) as files:
+    num_frames, edit = reader.num_frames, fitted(reader, edit)
+    with writing(out, edit.manifest(reader.manifest), draw, reader) as files:
         walk, recoder = Walk(reader), Recoder(files)
         for slices in (walk.opening(0), walk.slices(range(1, num_frames))):
             for birth in recoder.append(walk, slices, edit):

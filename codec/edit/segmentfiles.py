@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from codec.coders.coder import Coder
 from codec.files import write_atomic
 from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
 from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, Manifest, Part, object_file
@@ -19,12 +18,10 @@ Scores = tuple[float, ...]
 class SegmentFiles:
     """Writes the segments of a finished stream to a folder in order; holds the packets of one."""
 
-    def __init__(self, folder: Path, manifest: Manifest, coder: Coder) -> None:
-        """coder: of all packets that are put."""
+    def __init__(self, folder: Path, manifest: Manifest) -> None:
         self.folder = folder
         # The objects lie here, whatever other place the manifest of a source names.
         self.manifest = replace(manifest, live=False, object_url=OBJECT_URL)
-        self.coder = coder
         self._packets: dict[Part, list[tuple[int, bytes]]] = {}
         self.records: list[SegmentRecord] = []
         """The index records of the segments written so far."""
@@ -50,10 +47,7 @@ class SegmentFiles:
 
     def end_segment(self, num_frames: int, psnr_db: Scores | None) -> None:
         """Writes the packets as the next segment. psnr_db: None if unknown."""
-        objects = {
-            part: join_packets(self._packets.get(part, ()), self.coder)
-            for part in self.manifest.parts
-        }
+        objects = {part: join_packets(self._packets.get(part, ())) for part in self.manifest.parts}
         self._packets = {}
         self.add(objects, num_frames, psnr_db)
 

@@ -17,7 +17,6 @@ from .rewrite import (
     Edited,
     Progress,
     add_tracks,
-    coder_of_stream,
     no_progress,
     objects_bytes,
     open_source,
@@ -45,7 +44,7 @@ def trim_stream(
     manifest = reader.manifest
     manifest = replace(manifest, capture_frame=manifest.capture_frame + wanted[0])
     length, copied, renumbered = manifest.segment_frames, 0, 0
-    with writing(out, manifest, coder_of_stream(reader), draw) as files:
+    with writing(out, manifest, draw) as files:
         if wanted[0] % length == 0:
             for first in wanted[::length]:
                 births = range(first, min(first + length, wanted[-1] + 1))

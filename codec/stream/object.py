@@ -1,7 +1,7 @@
 """An object: the chunks of one (segment, layer), each in a packet of its own.
 
-Layout: a table of chunks, which is a skippable zstd frame, then one packet for each chunk. With
-zstd the whole is one valid zstd stream. Nothing is decompressed before the packet has said how much
+Layout: a table of chunks, which is a skippable zstd frame, then one packet for each chunk. The
+whole is one valid zstd stream. Nothing is decompressed before the packet has said how much
 it holds.
 """
 
@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from codec.coders.coder import Coder, EncodedChunk, coder_of, compress, decompress
+from codec.coders.coder import EncodedChunk
 from codec.coders.effort import Effort
+from codec.coders.zstd import CODER, MAGIC, compress, decompress
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 
 from .manifest import VERSION
@@ -50,11 +51,9 @@ class ChunkEntry:
     size: int  # bytes
 
 
-def encode_packet(
-    chunk: EncodedChunk, coder: Coder = Coder.ZSTD, effort: Effort = Effort.USUAL
-) -> bytes:
+def encode_packet(chunk: EncodedChunk, effort: Effort = Effort.USUAL) -> bytes:
     """`chunk` as one packet with content size and checksum; a chunk of no bytes as no bytes."""
-    return compress(chunk.data, chunk.edges, coder, effort) if chunk.data else b""
+    return compress(chunk.data, chunk.edges, effort) if chunk.data else b""
 
 
 def packet_content(packet: bytes | memoryview, limit_bytes: int) -> bytes:
@@ -68,9 +67,8 @@ def packet_content(packet: bytes | memoryview, limit_bytes: int) -> bytes:
     return content
 
 
-def join_packets(packets: Sequence[tuple[int, bytes]], coder: Coder = Coder.ZSTD) -> bytes:
-    """The object of (birth, packet) pairs in order of birth, without those of no bytes; `coder` is
-    that of all the packets."""
+def join_packets(packets: Sequence[tuple[int, bytes]]) -> bytes:
+    """The object of (birth, packet) pairs in order of birth, without those of no bytes."""
     packets = [(birth, packet) for birth, packet in packets if packet]
     if len(packets) > MAX_CHUNKS_PER_OBJECT:
         raise InvalidError(f"object: {len(packets)} chunks, at most {MAX_CHUNKS_PER_OBJECT}")
@@ -80,7 +78,7 @@ def join_packets(packets: Sequence[tuple[int, bytes]], coder: Coder = Coder.ZSTD
     offset = HEAD.size + ENTRY.size * len(packets)
     if offset + sum(len(packet) for _, packet in packets) > MAX_OBJECT_BYTES:
         raise InvalidError(f"object: over {MAX_OBJECT_BYTES} bytes; use shorter segments")
-    head = HEAD.pack(SKIPPABLE_MAGIC, offset - 8, TABLE_MAGIC, VERSION, coder, 0, len(packets))
+    head = HEAD.pack(SKIPPABLE_MAGIC, offset - 8, TABLE_MAGIC, VERSION, CODER, 0, len(packets))
     parts = [head]
     for birth, packet in packets:
         parts.append(ENTRY.pack(birth, offset, len(packet)))
@@ -109,9 +107,9 @@ def read_object_table(data: bytes | memoryview) -> list[ChunkEntry]:
         raise CorruptError("object: does not start with a table of chunks", at)
     if found != VERSION:
         raise UnsupportedError(f"object: version {found}; this program reads {VERSION}", 12)
-    if coder not in set(Coder):
-        known = " and ".join(f"{known.value} ({known.name.lower()})" for known in Coder)
-        raise UnsupportedError(f"object: coder {coder}; this program reads {known}", CODER_OFFSET)
+    if coder != CODER:
+        message = f"object: coder {coder}; this program reads {CODER} (zstd)"
+        raise UnsupportedError(message, CODER_OFFSET)
     if zero:
         raise CorruptError(f"object: {zero} where 0 belongs", 14)
     if count > MAX_CHUNKS_PER_OBJECT:
@@ -139,16 +137,12 @@ def read_object_table(data: bytes | memoryview) -> list[ChunkEntry]:
 
 
 def entry_packet(data: bytes | memoryview, entry: ChunkEntry) -> memoryview:
-    """The packet of `entry` in the object `data`, which is of the object's coder. A CodecError
-    says where it begins, or ends."""
+    """The packet of `entry` in the object `data`. A CodecError says where it begins, or ends."""
     packet = memoryview(data)[entry.offset : entry.offset + entry.size]
     if len(packet) < entry.size:
         raise CorruptError(f"object: ends inside the chunk of birth {entry.birth}", len(data))
-    try:
-        if coder_of(packet) != data[CODER_OFFSET]:
-            raise CorruptError(f"packet: not of the object's coder, {data[CODER_OFFSET]}")
-    except CodecError as error:
-        raise error_in_object(error, entry) from error
+    if packet[: len(MAGIC)] != MAGIC:
+        raise error_in_object(CorruptError("packet: is not a zstd frame"), entry)
     return packet
 
 

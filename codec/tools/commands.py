@@ -97,8 +97,7 @@ class Export:
     s3://BUCKET/PATH."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Output file. With --frames, one numbered file for each frame: `name.ply` gives name_0000.ply
-    and so on; a .tsog file holds them all. With --static, the output folder, or one file if its
-    name ends with .swings."""
+    and so on; a .tsog file holds them all. With --static, the output folder."""
     frame: int | None = None
     """Number of the frame, from 0 on."""
     frames: Annotated[str | None, tyro.conf.arg(metavar="A:B")] = None
@@ -112,7 +111,7 @@ class Export:
     layers: int | None = None
     """Number of layers to write, most important first; all by default."""
     static: bool = False
-    """Write the whole stream with gzip, which browsers inflate by themselves."""
+    """Write the whole stream, finished, to a folder."""
     page: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """With --static: also write index.html and the browser player into OUT, a folder that plays the
     stream from any web server."""
@@ -127,9 +126,7 @@ class Pack:
     opens. Nothing of the stream changes."""
 
     stream: tyro.conf.Positional[Stream]
-    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH. A browser
-    plays it from a plain web server only if it is a static export: `export --static STREAM
-    OUT.swings` makes such a file at once."""
+    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT.swings")]]
     """File to write."""
 
@@ -272,10 +269,8 @@ def _export_static(config: Export) -> str:
     if chosen != (None,) * 5:
         raise InvalidError("--static writes the whole stream; leave out the options for frames")
     made = export_static(config.stream, config.out, config.max_gaussians, config.page)
-    share = 100 * made.size_bytes / made.source_bytes
     noun = "segment" if made.num_segments == 1 else "segments"
     return (
         f"{config.out}: {made.num_frames} frames in {made.num_segments} {noun} for any web "
-        f"server, {made.size_bytes} bytes, {share:.1f} % of the {made.source_bytes} of "
-        f"{config.stream}"
+        f"server, {made.objects_bytes} bytes of objects"
     )

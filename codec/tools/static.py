@@ -1,4 +1,4 @@
-"""A stream for plain web servers: the same chunks in packets that browsers inflate by themselves.
+"""A stream for plain web servers: a finished copy of it, with a page that plays it.
 
 Everything lies at a fixed relative path, and each file is fetched whole: no ranges, no logic.
 """
@@ -11,22 +11,17 @@ from html import escape
 from importlib.util import find_spec
 from pathlib import Path
 
-from codec.coders.coder import Coder
-from codec.edit.copying import chunk_elsewhere
 from codec.edit.segmentfiles import SegmentFiles
 from codec.errors import InvalidError
-from codec.files import making_folder, temporary_folder, write_atomic
+from codec.files import making_folder, write_atomic
 from codec.storage.openstorage import Place
-from codec.stream.index import INDEX_NAME
-from codec.stream.manifest import MANIFEST_NAME, Manifest
-from codec.stream.object import encode_packet
+from codec.stream.manifest import Manifest
 from codec.stream.packedlayout import PACKED_SUFFIX
 from codec.stream.pictures import read_picture
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 from codec.tracks.streamtracks import copy_tracks
 
 from .objectaudit import verify_objects
-from .packing import pack_stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +30,7 @@ class StaticExport:
 
     num_frames: int
     num_segments: int
-    source_bytes: int
-    """Manifest, index and objects of the stream that was exported."""
-    size_bytes: int
-    """The same of the exported one."""
+    objects_bytes: int
 
 
 def export_static(
@@ -47,53 +39,33 @@ def export_static(
     max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
     page: bool = False,
 ) -> StaticExport:
-    """Writes the stream at `stream` to the folder `out`, absent or empty, coded with gzip; to one
-    file if `out` ends with `.swings`, see `pack_stream`.
+    """Writes the stream at `stream` to the folder `out`, absent or empty.
 
-    Every chunk is decoded and checked on the way, and its values stay as they are. A live stream is
+    Every chunk is decoded and checked on the way; the objects stay as they are. A live stream is
     exported as far as it has come, and finished. `out` appears whole or not at all. page: also
-    writes a page with the browser player, see `write_page`; not into one file.
-    max_gaussians: see `check_gaussians`. Raises a SwingsError that names the file at fault.
+    writes a page with the browser player, see `write_page`. max_gaussians: see `check_gaussians`.
+    Raises a SwingsError that names the file at fault.
     """
     if out.name.endswith(PACKED_SUFFIX):
-        if page:
-            raise InvalidError(f"{out}: --page writes a folder; leave out {PACKED_SUFFIX}")
-        with temporary_folder(out) as folder:
-            made = export_static(stream, folder / "stream", max_gaussians)
-            pack_stream(folder / "stream", out)
-        return made
+        raise InvalidError(f"{out}: --static writes a folder; swings-stream pack writes one file")
     reader = StreamReader(stream, max_gaussians)
     if not reader.records:
         raise InvalidError(f"{reader.name} has no frames yet; there is nothing to export")
     with making_folder(out) as folder:
-        size_bytes = _write(reader, folder)
+        files = SegmentFiles(folder, reader.manifest)
+        verify_objects(reader)
+        for record in reader.records:
+            objects = {
+                part: reader.read_object(record.segment, part).data
+                for part in reader.manifest.parts
+            }
+            files.add(objects, record.num_frames, record.psnr_db)
+        files.finish()
+        _copy_pictures(reader, folder)
+        copy_tracks(reader, folder)
         if page:
             write_page(folder, reader.manifest)
-    objects_bytes = sum(sum(record.part_bytes) for record in reader.records)
-    return StaticExport(
-        reader.num_frames,
-        len(reader.records),
-        reader.overhead_bytes + objects_bytes,
-        size_bytes,
-    )
-
-
-def _write(reader: StreamReader, folder: Path) -> int:
-    """Writes all files; gives their bytes, less those of the pictures."""
-    verify_objects(reader)
-    files = SegmentFiles(folder, reader.manifest, Coder.GZIP)
-    for record in reader.records:
-        for part in reader.manifest.parts:
-            found = reader.read_object(record.segment, part)
-            for entry in found.entries:
-                chunk = chunk_elsewhere(found, entry.birth)
-                files.put(part, entry.birth, encode_packet(chunk, files.coder))
-        files.end_segment(record.num_frames, record.psnr_db)
-    files.finish()
-    _copy_pictures(reader, folder)
-    copy_tracks(reader, folder)
-    overhead = (folder / name for name in (MANIFEST_NAME, INDEX_NAME))
-    return sum(path.stat().st_size for path in overhead) + files.size_bytes
+    return StaticExport(reader.num_frames, files.num_segments, files.size_bytes)
 
 
 def _copy_pictures(reader: StreamReader, folder: Path) -> None:

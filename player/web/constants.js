@@ -119,15 +119,10 @@ export const OBJECT_ENTRY = "<iII";
 export const MAX_CHUNKS = 16384;
 export const MAX_OBJECT_BYTES = 1073741824;
 
-// codec.coders.coder
-export const CODERS = { ZSTD: 1, GZIP: 2 };
-
-// codec.coders.gzip
-export const GZIP_MAGIC = [31, 139, 8, 0];
-export const MAX_EXPANSION = 1032;
-
 // codec.coders.zstd
+export const CODER = 1;
 export const ZSTD_MAGIC = [40, 181, 47, 253];
+export const MAX_EXPANSION = 32768;
 
 // codec.stream.index
 export const INDEX_HEAD = "<IIII";

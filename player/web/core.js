@@ -7,7 +7,7 @@
 export { FormatError } from "./format/bytes/errors.js";
 export { objectPath, readManifest } from "./format/manifest.js";
 export { readObject } from "./format/objecttable.js";
-export { inflatePacket } from "./format/packet.js";
+export { packetContent } from "./format/packet.js";
 export { SlotDecoder } from "./format/slots/slotdecoder.js";
 export { readIndex } from "./format/streamindex.js";
 export { Scene } from "./feed/scene.js";

@@ -26,10 +26,6 @@ REPORT_HEADER = "Swings-Report-Ms"
 """In the response of a play, and in the answers to its status reports: the time after which the
 server wants the next one, where it measures by them, milliseconds."""
 
-RECEIVED_HEADER = "Swings-Received"
-"""In the answer to a status report: the bytes of the play that its client had received, by the
-reports before, as they went over the network: with their content coding."""
-
 NUM_FRAMES_HEADER = "Swings-Frames"
 """In the answer to a status report: how many frames the stream has."""
 

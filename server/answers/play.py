@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from aiohttp import web
 
 from codec.errors import SwingsError
-from codec.stream.plainrecord import CODINGS, PlainRecordEncoder
 from codec.stream.playrecord import (
     CONTENT_TYPE,
     EndRecord,
@@ -42,7 +41,7 @@ from server.abr.session import (
     WaitForFrames,
     WaitUntil,
 )
-from server.http.content import NO_STORE, accepted_codings, joined
+from server.http.content import NO_STORE
 from server.http.requestlog import FACTS
 from server.http.streaming import StreamedResponse
 from server.http.tcpinfo import TcpInfo
@@ -150,12 +149,6 @@ class Play:
         self.headers["X-Accel-Buffering"] = "no"  # nginx passes each slice on at once
         self.headers[PLAY_HEADER] = token
         self._receipts = Receipts() if query.reports else None
-        self._plain: PlainRecordEncoder | None = None
-        if query.plain:
-            codings = accepted_codings(joined(request, "Accept-Encoding"))
-            coding = next((coding for coding in CODINGS if coding in codings), "")
-            self.headers |= {"Content-Encoding": coding} if coding else {}
-            self._plain = PlainRecordEncoder(coding)
         self._request = request
         self._state = state
         self._stream = played
@@ -229,10 +222,10 @@ class Play:
         """Sends the records; gives how the play ended."""
         self._connection.hold_at_most(self._state.config.send_queue_bytes)
         view = self._stream.view
-        start = StartRecord(self._from_frame, view.num_frames, view.manifest_json)
+        start = encode_record(StartRecord(self._from_frame, view.num_frames, view.manifest_json))
         if self._receipts is not None:
-            self._receipts.sent(len(encode_record(start)), 0)
-        await self._response.write(self._encode(start))
+            self._receipts.start_bytes = len(start)
+        await self._response.write(start)
         try:
             outcome, last = await self._send_slices()
         except ConnectionError:
@@ -245,7 +238,7 @@ class Play:
             else:
                 log.error("play of %s ended: %s", self._stream.name, error)
                 outcome, last = "damaged", ErrorRecord("this stream is damaged on the server")
-        await self._response.write(self._encode(last, last=True))
+        await self._response.write(encode_record(last))
         return outcome
 
     async def _send_slices(self) -> tuple[str, Record]:
@@ -288,8 +281,7 @@ class Play:
         status = entry.pop_status()
         took_bytes = session.sent_bytes - self._connection.queued_bytes()
         if self._receipts is not None and status is not None:
-            came = self._receipts.take(status.received, self._clock())
-            entry.received_bytes = self._receipts.came_bytes
+            came = self._receipts.take(status.received, session.sent_bytes, self._clock())
             if not session.report_s and took_bytes - self._receipts.came_bytes > MOST_BEHIND_BYTES:
                 session.report_s = entry.report_s = REPORT_S
                 session.doubt(self._clock(), self._receipts.came_bytes)
@@ -310,7 +302,7 @@ class Play:
         return ErrorRecord(f"{reason}; play again from frame {resume_frame}")
 
     async def _send_layers(self, send: SendSlices) -> None:
-        coded, error = await self._state.records.slices(self._stream, send, self._plain)
+        coded, error = await self._state.records.slices(self._stream, send)
         first, end = send.births.start, send.births.start + len(coded)
         sent = SendSlices(range(first, end), send.first_layer, send.end_layer)
         self._session.sent_slices(sent, [len(one.data) for one in coded], self._clock())
@@ -325,7 +317,7 @@ class Play:
         frame, first, records = send.frame, send.first_layer, self._state.records
         while first < send.end_layer:
             coded = await records.snapshots(
-                self._stream, frame, first, SNAPSHOTS_BYTES, send.end_layer, self._plain
+                self._stream, frame, first, SNAPSHOTS_BYTES, send.end_layer
             )
             end = first + len(coded.parts)
             one = SendSnapshots(frame, first, end)
@@ -335,9 +327,6 @@ class Play:
 
     async def _write(self, coded: Sequence[CodedRecord]) -> None:
         """Writes records of the same parts, short ones together."""
-        if self._receipts is not None:  # for what the client will say of them
-            for one in coded:
-                self._receipts.sent(one.body_bytes, len(one.data))
         unsent = [one.data for one in coded]
         metrics = self._state.metrics
         for n, part in enumerate(coded[0].parts if coded else ()):
@@ -364,11 +353,6 @@ class Play:
         else:
             session.max_lead_s += BUSY_FILL * (now_s - self._limited_s)
         self._limited_s = now_s
-
-    def _encode(self, record: Record, last: bool = False) -> bytes:
-        if self._plain is None:
-            return encode_record(record)
-        return self._plain.encode(record, last)
 
     async def _pause(self, seconds: float) -> None:
         """Waits, but not long: the server may stop meanwhile."""

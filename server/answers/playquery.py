@@ -13,7 +13,7 @@ from server.http.errors import RequestError
 
 from .asked import parse_number
 
-_KEYS = ("from", "until", "layers", "plain", "paused", "reports")
+_KEYS = ("from", "until", "layers", "paused", "reports")
 
 LIVE = "live"
 """In place of the first frame: the newest that can be begun with."""
@@ -28,8 +28,6 @@ class PlayQuery:
     """First frame that is not wanted; None for all."""
     num_layers: int | None
     """A fixed number of layers; None for the server's choice."""
-    plain: bool = False
-    """Whether packets come as what is in them, see codec.stream.plainrecord."""
     paused: bool = False
     """Whether the client begins with a still picture."""
     reports: bool = False
@@ -52,7 +50,7 @@ def parse_query(
                 400, f"{key[:40]!r}: play accepts only {', '.join(_KEYS)}, each once"
             )
         values[key] = value
-    flags = [_flag(key, values.get(key, "0")) for key in ("plain", "paused", "reports")]
+    flags = [_flag(key, values.get(key, "0")) for key in ("paused", "reports")]
     text = values.get("from", "0")
     from_frame = edge_frame if text == LIVE else parse_number("from", text, MAX_FRAME)
     # A live stream may be joined before it has its first segment.

@@ -19,7 +19,6 @@ from server.abr.clientstatus import (
     MAX_BODY_BYTES,
     NUM_FRAMES_HEADER,
     RATE_HEADER,
-    RECEIVED_HEADER,
     REPORT_HEADER,
     TOKEN,
     ClientStatus,
@@ -38,7 +37,7 @@ END_S = 1.0
 LOOK_S = 0.05
 """How often it is looked whether it has ended, seconds."""
 
-_TOLD = (RATE_HEADER, REPORT_HEADER, RECEIVED_HEADER, NUM_FRAMES_HEADER, LIVE_HEADER)
+_TOLD = (RATE_HEADER, REPORT_HEADER, NUM_FRAMES_HEADER, LIVE_HEADER)
 """Headers of the answer to a status report."""
 
 routes = web.RouteTableDef()
@@ -121,8 +120,6 @@ def _report(state: ServerState, token: str, name: str, body: bytes) -> web.Respo
         headers[RATE_HEADER] = str(round(entry.rate_bps))
     if entry.report_s:
         headers[REPORT_HEADER] = str(round(1000 * entry.report_s))
-    if entry.received_bytes:
-        headers[RECEIVED_HEADER] = str(round(entry.received_bytes))
     # A play is sent a few seconds ahead, and no further while it is paused: only here its client
     # learns where the live edge is.
     stream = state.library.streams.get(name)

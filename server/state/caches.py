@@ -14,7 +14,6 @@ from typing import Generic, Protocol, TypeVar
 from codec.errors import CodecError
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import MASKS, Part, snapshot_part
-from codec.stream.plainrecord import ZSTD, PlainRecordEncoder, inflates_whole
 from codec.stream.playrecord import SliceRecord, SnapshotRecord, encode_record
 from server.abr.decisioncontext import SendSlices
 from server.http.content import IMMUTABLE, OBJECT_TYPE, REVALIDATE, Content
@@ -134,7 +133,6 @@ class ObjectCache:
             stream.object_sha256(segment, part),
             OBJECT_TYPE,
             IMMUTABLE,
-            coded={ZSTD: checked.data} if inflates_whole(checked.data, checked.entries) else {},
             count=lambda sent: self._metrics.layer_bytes.add(sent, "object", str(part)),
             checked=checked,
         )
@@ -145,8 +143,8 @@ def _read_sound(stream: ServedStream, segment: int, name: str) -> Content:
     return Content(data, hashlib.sha256(data).hexdigest(), OBJECT_TYPE, REVALIDATE)
 
 
-RecordKey = tuple[int, int, int, int, str | None]
-"""Generation of the stream, birth, first and end layer, coding."""
+RecordKey = tuple[int, int, int, int]
+"""Generation of the stream, birth, first and end layer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,8 +155,6 @@ class CodedRecord:
     parts: tuple[Part, ...]
     packet_bytes: tuple[int, ...]
     """Bytes of the packets of each part."""
-    body_bytes: int
-    """Bytes of it as its reader gets them, without the coding of the response."""
 
 
 class RecordCache:
@@ -169,28 +165,22 @@ class RecordCache:
         self._records = ByteCache[RecordKey, CodedRecord](capacity_bytes)
 
     async def slices(
-        self, stream: ServedStream, send: SendSlices, plain: PlainRecordEncoder | None
+        self, stream: ServedStream, send: SendSlices
     ) -> tuple[list[CodedRecord], CodecError | OSError | None]:
         """A record for each slice of `send`, with its mask where it has layer 0; or for those
-        before a file that is bad, and what is wrong with it.
-
-        plain: what codes the response; None for packets as they are.
-        """
+        before a file that is bad, and what is wrong with it."""
         first, end, generation = send.first_layer, send.end_layer, stream.generation
-        coding = plain.coding if plain is not None else None
         coded = []
         try:
             for birth in send.births:
-                key = generation, birth, first, end, coding
-                coded.append(self._records.get(key) or await self._slice(key, stream, plain))
+                key = generation, birth, first, end
+                coded.append(self._records.get(key) or await self._slice(key, stream))
         except (CodecError, OSError) as error:
             return coded, error
         return coded, None
 
-    async def _slice(
-        self, key: RecordKey, stream: ServedStream, plain: PlainRecordEncoder | None
-    ) -> CodedRecord:
-        _, birth, first_layer, end_layer, _ = key
+    async def _slice(self, key: RecordKey, stream: ServedStream) -> CodedRecord:
+        _, birth, first_layer, end_layer = key
         segment = stream.view.manifest.segment_of(birth)
         layers: list[Part] = [*range(first_layer, end_layer)]
         parts = layers if first_layer else [*layers, MASKS]
@@ -200,10 +190,8 @@ class RecordCache:
         ]
         mask = packets[-1] if len(parts) > len(layers) else None
         record = SliceRecord(birth, tuple(packets[: len(layers)]), mask, first_layer)
-        coded = _coded(record, plain, parts, packets)
-        # What continues the records before it is worth nothing to others.
-        if plain is None or not plain.continues:
-            self._records.keep(key, coded)
+        coded = _coded(record, parts, packets)
+        self._records.keep(key, coded)
         return coded
 
     async def snapshots(
@@ -213,7 +201,6 @@ class RecordCache:
         first_layer: int,
         most_bytes: int,
         end_layer: int,
-        plain: PlainRecordEncoder | None,
     ) -> CodedRecord:
         """The snapshots at `frame` of layers from `first_layer` on: as many as have not much more
         than `most_bytes`, up to `end_layer`."""
@@ -227,18 +214,10 @@ class RecordCache:
             if sum(map(len, packets)) >= most_bytes:
                 break
         record = SnapshotRecord(frame, first_layer, tuple(packets))
-        return _coded(record, plain, parts, packets)
+        return _coded(record, parts, packets)
 
 
 def _coded(
-    record: SliceRecord | SnapshotRecord,
-    plain: PlainRecordEncoder | None,
-    parts: list[Part],
-    packets: list[bytes],
+    record: SliceRecord | SnapshotRecord, parts: list[Part], packets: list[bytes]
 ) -> CodedRecord:
-    if plain is None:
-        data = encode_record(record)
-        body_bytes = len(data)
-    else:
-        data, body_bytes = plain.encode_sized(record)
-    return CodedRecord(data, tuple(parts), tuple(map(len, packets)), body_bytes)
+    return CodedRecord(encode_record(record), tuple(parts), tuple(map(len, packets)))

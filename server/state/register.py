@@ -53,8 +53,6 @@ class RegisteredPlay:
     """The newest estimate of its client's throughput."""
     report_s: float = 0.0
     """The time after which the next report is wanted, where the play goes by them."""
-    received_bytes: float = 0.0
-    """What its client has received, by its reports."""
     status: ClientStatus | None = None
     """Its client's status, if reported since the last `pop_status`."""
 

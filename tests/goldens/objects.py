@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from itertools import pairwise
 
 import zstandard
@@ -15,30 +14,20 @@ LARGEST_OBJECT = 2**30
 
 
 def inflate(packet: bytes, largest: int) -> bytes:
-    """The chunk in a packet of either coder, if it has at most `largest` bytes."""
+    """The chunk in a packet, if it has at most `largest` bytes."""
     try:
         return inflated(packet, largest)
-    except (zstandard.ZstdError, zlib.error) as error:
+    except zstandard.ZstdError as error:
         raise AssertionError(error) from error
 
 
 def inflated(packet: bytes, largest: int) -> bytes:
-    if packet[:4] == b"\x28\xb5\x2f\xfd":
-        said = zstandard.get_frame_parameters(packet)
-        assert said.has_checksum
-        assert said.dict_id == 0
-        assert said.content_size <= min(32768 * len(packet), largest)
-        return zstandard.ZstdDecompressor().decompress(packet, allow_extra_data=False)
-    assert packet[:4] == b"\x1f\x8b\x08\x00"
-    assert len(packet) >= 18
-    checksum, size = struct.unpack("<II", packet[-8:])
-    assert size <= min(1032 * len(packet), largest)
-    deflated = zlib.decompressobj(-15)
-    content = deflated.decompress(packet[10:-8], size + 1)
-    assert deflated.eof
-    assert not deflated.unused_data
-    assert (zlib.crc32(content), len(content)) == (checksum, size)
-    return content
+    assert packet[:4] == b"\x28\xb5\x2f\xfd"
+    said = zstandard.get_frame_parameters(packet)
+    assert said.has_checksum
+    assert said.dict_id == 0
+    assert said.content_size <= min(32768 * len(packet), largest)
+    return zstandard.ZstdDecompressor().decompress(packet, allow_extra_data=False)
 
 
 def decode_object(data: bytes, largest: int = LARGEST_CHUNK) -> list[bytes]:
@@ -47,7 +36,7 @@ def decode_object(data: bytes, largest: int = LARGEST_CHUNK) -> list[bytes]:
     skippable, following, magic, version, coder, zero, count = struct.unpack_from("<II4sBBHI", data)
     assert (skippable, following) == (0x184D2A50, 12 + 12 * count)
     assert magic == b"SWGO"
-    if version != 1 or coder not in (1, 2):
+    if version != 1 or coder != 1:
         raise Unsupported
     assert zero == 0
     assert count <= 16384
@@ -59,7 +48,6 @@ def decode_object(data: bytes, largest: int = LARGEST_CHUNK) -> list[bytes]:
         end += size
         assert end <= len(data)
         packet = data[offset:end]
-        assert (packet[:4] == b"\x1f\x8b\x08\x00") == (coder == 2)
         chunks.append(inflate(packet, largest))
         assert chunks[-1][8:12] == struct.pack("<i", birth)
         births.append(birth)

@@ -11,9 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from codec.coders.coder import Coder
 from codec.stream import StreamWriter
-from codec.tools.static import export_static
 from tests.goldens.cases import CASES, Case, made_updates
 from tests.goldens.folder import StreamFolder
 from tests.goldens.hostile import hostile_rows
@@ -41,13 +39,11 @@ def write_suite(folder: Path) -> None:
     """Writes streams and tables into `folder`, and replaces old ones."""
     shutil.rmtree(folder / "streams", ignore_errors=True)
     for case in CASES:
-        _write_streams(folder / "streams", case)
-    _write_table(
-        folder / "streams.json", [_stream_row(folder, c, kind) for c in CASES for kind in Coder]
-    )
+        _write_stream(folder / "streams", case)
+    _write_table(folder / "streams.json", [_stream_row(folder, case) for case in CASES])
     orders = [row for seed, case in enumerate(CASES) for row in _order_rows(folder, case, seed)]
     _write_table(folder / "orders.json", orders)
-    _write_table(folder / "hostile.json", hostile_rows(folder / stream_name(CASES[0], Coder.ZSTD)))
+    _write_table(folder / "hostile.json", hostile_rows(folder / stream_name(CASES[0])))
 
 
 def read_table(name: str) -> list[dict[str, Any]]:
@@ -56,8 +52,8 @@ def read_table(name: str) -> list[dict[str, Any]]:
     return rows
 
 
-def stream_name(case: Case, coder: Coder) -> str:
-    return f"streams/{case.name}-{coder.name.lower()}"
+def stream_name(case: Case) -> str:
+    return f"streams/{case.name}"
 
 
 def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
@@ -65,19 +61,14 @@ def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
     path.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
 
 
-def _write_streams(folder: Path, case: Case) -> None:
-    """Writes the stream of `case` with each coder."""
-    zstd, gzip = (
-        folder / Path(stream_name(case, coder)).name for coder in (Coder.ZSTD, Coder.GZIP)
-    )
-    with StreamWriter.create(zstd, slots_manifest(case.layout)) as writer:
+def _write_stream(folder: Path, case: Case) -> None:
+    with StreamWriter.create(folder / case.name, slots_manifest(case.layout)) as writer:
         for update in made_updates(case):
             writer.append(update)
-    export_static(zstd, gzip)
 
 
-def _stream_row(folder: Path, case: Case, coder: Coder) -> dict[str, Any]:
-    name = stream_name(case, coder)
+def _stream_row(folder: Path, case: Case) -> dict[str, Any]:
+    name = stream_name(case)
     stream, numbers = StreamFolder(folder / name), range(1, len(case.slots) + 1)
     states = [[_state(stream, frame, n) for n in numbers] for frame in range(stream.num_frames)]
     return {"stream": name, "state_sha256": states}
@@ -89,7 +80,7 @@ def _state(stream: StreamFolder, frame: int, num_layers: int) -> str:
 
 
 def _order_rows(folder: Path, case: Case, number: int) -> list[dict[str, Any]]:
-    name = stream_name(case, Coder.ZSTD)
+    name = stream_name(case)
     stream, chunks = StreamFolder(folder / name), encoded_chunks(case.layout, made_updates(case))
     rows = []
     for seed, share in enumerate(ALTERED_SHARES, 100 * number):

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from codec.coders.coder import Coder
 from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.stream import StreamReader
 from codec.stream.integrity import CheckedObject, read_index
@@ -46,25 +45,21 @@ def test_the_tables_are_as_regenerate_writes_them(tmp_path: Path) -> None:
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_the_writer_makes_the_chunks_of_the_streams(case: Case) -> None:
     made = encoded_chunks(case.layout, made_updates(case))
-    for coder in Coder:
-        stream = StreamFolder(FOLDER / stream_name(case, coder))
-        for segment, record in enumerate(stream.index):
-            births = range(record.first_frame, record.first_frame + record.num_frames)
-            assert stream.chunks(segment, "masks") == {b: made.masks[b] for b in births}
-            for layer in range(len(case.slots)):
-                changes = {b: made.changes[b][layer] for b in births}
-                assert stream.chunks(segment, f"{layer}") == changes
-                snapshot = {births[0]: made.snapshots[births[0]][layer]}
-                assert stream.chunks(segment, f"snapshot-{layer}") == snapshot
+    stream = StreamFolder(FOLDER / stream_name(case))
+    for segment, record in enumerate(stream.index):
+        births = range(record.first_frame, record.first_frame + record.num_frames)
+        assert stream.chunks(segment, "masks") == {b: made.masks[b] for b in births}
+        for layer in range(len(case.slots)):
+            changes = {b: made.changes[b][layer] for b in births}
+            assert stream.chunks(segment, f"{layer}") == changes
+            snapshot = {births[0]: made.snapshots[births[0]][layer]}
+            assert stream.chunks(segment, f"snapshot-{layer}") == snapshot
 
 
 @pytest.mark.parametrize("row", STREAMS, ids=names(STREAMS))
 def test_a_stream(row: dict[str, Any]) -> None:
     path, wanted = FOLDER / row["stream"], row["state_sha256"]
-    coder = 2 if path.name.endswith("gzip") else 1
-    assert all(
-        HEAD.unpack_from(p.read_bytes())[3:5] == (1, coder) for p in path.glob("segments/*/*")
-    )
+    assert all(HEAD.unpack_from(p.read_bytes())[3:5] == (1, 1) for p in path.glob("segments/*/*"))
     assert verify_stream(path).num_frames == len(wanted)
     reader = StreamReader(path)
     for frame, hashes in enumerate(wanted):

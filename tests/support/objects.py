@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from codec.coders.coder import Coder, EncodedChunk
+from codec.coders.coder import EncodedChunk
 from codec.errors import CorruptError
 from codec.lattice.lattice import Lattice, States
 from codec.slots.slotchange import Newcomers, encode_change
@@ -39,8 +39,8 @@ def new_chunks(count: int = 12, exact: bool = False) -> list[EncodedChunk]:
     return [new_chunk(birth, count, exact) for birth in BIRTHS]
 
 
-def object_of(chunks: Sequence[EncodedChunk], coder: Coder = Coder.ZSTD) -> bytes:
-    return join_packets([(one.birth, encode_packet(one, coder)) for one in chunks], coder)
+def object_of(chunks: Sequence[EncodedChunk]) -> bytes:
+    return join_packets([(one.birth, encode_packet(one)) for one in chunks])
 
 
 def object_packets(data: bytes) -> list[tuple[int, bytes]]:

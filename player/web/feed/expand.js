@@ -1,5 +1,6 @@
 /** Unpacks the Gaussians that the play worker has packed (playback/packing). */
 
+import { gaussiansOf } from "../format/dequantise.js";
 import { numCoefficients } from "../format/gaussians.js";
 import { ON_LATTICE } from "../constants.js";
 import { Slots } from "../format/slots/slots.js";
@@ -42,7 +43,8 @@ export function expandLattice(words, shDegree, lattices) {
     }
     return {
       slots,
-      gaussians: rows.gaussians(
+      gaussians: gaussiansOf(
+        rows,
         slots.map((_, row) => row),
         lattices[layer],
       ),

@@ -1,3 +1,4 @@
+import { MAX_LOGIT } from "../constants.js";
 import { corrupt } from "./bytes/errors.js";
 
 /**
@@ -15,20 +16,23 @@ export function numCoefficients(degree) {
   return (degree + 1) ** 2;
 }
 
+/** @type {Map<number, Float32Array>} */
+const tables = new Map();
+
 /**
- * Allocates N Gaussians.
- * @param {number} count
- * @param {number} k coefficients
- * @returns {Gaussians}
+ * The logit of every opacity level as f32.
+ * @param {number} levels 2 .. 256
  */
-export function emptyGaussians(count, k) {
-  return {
-    means: new Float32Array(3 * count),
-    logScales: new Float32Array(3 * count),
-    quats: new Float32Array(4 * count),
-    logitOpacities: new Float32Array(count),
-    sh: new Float32Array(3 * k * count),
-  };
+export function opacityLogits(levels) {
+  let table = tables.get(levels);
+  if (table === undefined) {
+    table = new Float32Array(levels);
+    for (let o = 1; o < levels - 1; o++) table[o] = Math.log(o / (levels - 1 - o));
+    table[0] = -MAX_LOGIT;
+    table[levels - 1] = MAX_LOGIT;
+    tables.set(levels, table);
+  }
+  return table;
 }
 
 /**

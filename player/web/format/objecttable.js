@@ -1,7 +1,7 @@
 /** An object: a table, then the packets of one part of a segment (FORMAT.md, section 6). */
 
 import {
-  CODERS,
+  CODER,
   MAX_CHUNKS,
   MAX_OBJECT_BYTES,
   OBJECT_ENTRY,
@@ -9,18 +9,17 @@ import {
   SKIPPABLE_MAGIC,
   TABLE_MAGIC,
   VERSION,
+  ZSTD_MAGIC,
 } from "../constants.js";
 import { ByteReader, isMagic } from "./bytes/bytereader.js";
 import { corrupt, unsupported } from "./bytes/errors.js";
-import { isOfCoder } from "./packet.js";
 
 /** Bytes of the head after its size field, and of an entry. */
 const [HEAD_BYTES, ENTRY_BYTES] = [12, 12];
 
 /**
- * Reads the packets of an object, by birth in order. Throws a FormatError.
+ * The packets of an object, by birth in order. Throws a FormatError.
  * @param {Uint8Array} bytes
- * @returns {{ coder: number, packets: Map<number, Uint8Array> }}
  */
 export function readObject(bytes) {
   if (bytes.length > MAX_OBJECT_BYTES)
@@ -31,7 +30,7 @@ export function readObject(bytes) {
     throw corrupt("object: does not start with a table of chunks");
   }
   if (version !== VERSION) throw unsupported(`object: version ${version}, not ${VERSION}`);
-  if (!Object.values(CODERS).includes(coder)) throw unsupported(`object: unknown coder ${coder}`);
+  if (coder !== CODER) throw unsupported(`object: unknown coder ${coder}`);
   if (count > MAX_CHUNKS || reserved !== 0) {
     throw corrupt(`object: ${count} chunks or the reserved value ${reserved} is not valid`);
   }
@@ -49,10 +48,11 @@ export function readObject(bytes) {
       throw corrupt(`object: a packet at byte ${offset}, but byte ${reader.at} is next`);
     if (size === 0) throw corrupt("object: a packet is empty");
     const packet = reader.take(size);
-    if (!isOfCoder(packet, coder)) throw corrupt(`object: a packet is not of coder ${coder}`);
+    if (ZSTD_MAGIC.some((byte, i) => packet[i] !== byte))
+      throw corrupt("object: a packet is not a zstd frame");
     packets.set(birth, packet);
     last = birth;
   }
   reader.finish();
-  return { coder, packets };
+  return packets;
 }

@@ -126,6 +126,8 @@ export class RecordParser {
     /** @type {Uint8Array[]} */
     this.pieces = [];
     this.pendingBytes = 0;
+    /** @type {number | null} bytes of the record that comes, once they are known */
+    this.length = null;
   }
 
   /**
@@ -137,38 +139,24 @@ export class RecordParser {
     this.pieces.push(data);
     this.pendingBytes += data.length;
     const records = [];
-    for (;;) {
-      if (this.pendingBytes < 4) break;
-      const [a, b, c, d] = this.#peek(4);
-      const length = (a | (b << 8) | (c << 16) | (d << 24)) >>> 0;
-      if (length > MAX_RECORD_BYTES) throw corrupt(`play: a record of ${length} bytes is too long`);
-      if (this.pendingBytes < 4 + length) break;
-      records.push(decodeRecord(this.#take(4 + length).subarray(4)));
+    while (this.pendingBytes >= (this.length ?? 4)) {
+      if (this.length === null) {
+        const [a, b, c, d] = this.#take(4);
+        this.length = (a | (b << 8) | (c << 16) | (d << 24)) >>> 0;
+        if (this.length > MAX_RECORD_BYTES)
+          throw corrupt(`play: a record of ${this.length} bytes is too long`);
+      } else {
+        records.push(decodeRecord(this.#take(this.length)));
+        this.length = null;
+      }
     }
     return records;
-  }
-
-  /**
-   * The first pending bytes, without copying the rest.
-   * @param {number} size
-   */
-  #peek(size) {
-    if (this.pieces[0].length >= size) return this.pieces[0].subarray(0, size);
-    const found = new Uint8Array(size);
-    let at = 0;
-    for (const piece of this.pieces) {
-      found.set(piece.subarray(0, size - at), at);
-      at += Math.min(piece.length, size - at);
-      if (at === size) break;
-    }
-    return found;
   }
 
   /** @param {number} size */
   #take(size) {
     const found = new Uint8Array(size);
-    let at = 0;
-    while (at < size) {
+    for (let at = 0; at < size; ) {
       const piece = this.pieces[0];
       const used = Math.min(piece.length, size - at);
       found.set(piece.subarray(0, used), at);

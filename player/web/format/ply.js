@@ -1,4 +1,5 @@
 import { ESCAPED, ON_LATTICE } from "../constants.js";
+import { gaussiansOf } from "./dequantise.js";
 import { numCoefficients } from "./gaussians.js";
 
 /**
@@ -18,7 +19,7 @@ export function framePly(decoder) {
       const shown = rows[layer].filter(
         (row) => [ON_LATTICE, ESCAPED].includes(conditions[row]) && birth + starts[row] <= last,
       );
-      found.push(slots[layer].gaussians(shown, layout.lattices[layer]));
+      found.push(gaussiansOf(slots[layer], shown, layout.lattices[layer]));
     }
   }
   const numRest = numCoefficients(layout.shDegree) - 1;

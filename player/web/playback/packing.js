@@ -1,6 +1,6 @@
 /** Packs changed Gaussians for the renderer and the sorter. */
 
-import { opacityLogits } from "../format/dequantise.js";
+import { opacityLogits } from "../format/gaussians.js";
 import { NEVER } from "../renderer/depthorder.js";
 import { ALPHA_MIN, ENTERS, ESCAPED, ON_LATTICE } from "../constants.js";
 import { LEFT, spareSlots } from "../format/slots/moves.js";

@@ -21,7 +21,7 @@ export class Round {
     this.chunks = new StreamPlay(manifest);
     this.chunks.onLost = (birth, layer, why) =>
       this.source.lose?.(cache.segmentOf(birth), layer, why);
-    this.feed = new ChunkFeed(cache, this.chunks, manifest, firstFrame, numLayers, rate);
+    this.feed = new ChunkFeed(cache, this.chunks, manifest, firstFrame, numLayers);
     this.playback = new Playback(this.chunks, manifest.fps, numFrames, firstFrame);
     this.playback.live = manifest.live;
     this.playback.setRate(rate);
@@ -34,8 +34,7 @@ export class Round {
 
   /** Whether frames may still show, also after a failure. */
   get canGoOn() {
-    const { playback, feed, source } = this;
-    return playback.canGoOn || feed.isRunning || source.isFetching;
+    return this.playback.canGoOn || this.source.isFetching;
   }
 
   /**

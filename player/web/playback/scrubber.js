@@ -1,5 +1,5 @@
 import { snapshotOf } from "../format/manifest.js";
-import { inflatePacket, isGzip, limitBytes } from "../format/packet.js";
+import { limitBytes, packetContent } from "../format/packet.js";
 import { StreamPlay } from "./streamplay.js";
 
 /**
@@ -47,7 +47,7 @@ export class Scrubber {
           this.onFetch();
           await this.stream.fetchSnapshot(segment, 0, signal);
         }
-        await this.#showSegment(segment, signal);
+        if (!signal.aborted) this.#showSegment(segment);
       } catch (error) {
         if (signal.aborted) break;
         // The next target may have a picture.
@@ -60,14 +60,12 @@ export class Scrubber {
     if (this.isActive && signal.aborted) this.#run();
   }
 
-  /** @param {number} segment @param {AbortSignal} signal */
-  async #showSegment(segment, signal) {
+  /** @param {number} segment */
+  #showSegment(segment) {
     const { manifest, cache } = this.stream;
     const packet = cache.snapshot(segment, 0);
     if (packet === null) return;
-    const limit = limitBytes(manifest, snapshotOf(manifest, 0));
-    const chunk = isGzip(packet) ? await inflatePacket(packet, limit) : packet;
-    if (signal.aborted) return;
+    const chunk = packetContent(packet, limitBytes(manifest, snapshotOf(manifest, 0)));
     const frame = segment * manifest.segmentFrames;
     const chunks = new StreamPlay(manifest);
     chunks.addSnapshot(frame, 0, chunk);

@@ -51,7 +51,7 @@ export function servedBase(url) {
  *   layers: null for the server's choice
  */
 export function playUrl(base, { fromFrame, untilFrame, layers, paused }) {
-  const search = new URLSearchParams({ plain: "1", reports: "1", from: String(fromFrame) });
+  const search = new URLSearchParams({ reports: "1", from: String(fromFrame) });
   if (untilFrame !== undefined) search.set("until", String(untilFrame));
   if (layers) search.set("layers", String(layers));
   if (paused) search.set("paused", "1");

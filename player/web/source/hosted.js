@@ -1,4 +1,4 @@
-import { CODERS, MAX_MANIFEST_BYTES } from "../constants.js";
+import { MAX_MANIFEST_BYTES } from "../constants.js";
 import { corrupt } from "../format/bytes/errors.js";
 import { checkGaussians, objectPath, readManifest, snapshotOf } from "../format/manifest.js";
 import { readObject } from "../format/objecttable.js";
@@ -122,13 +122,7 @@ export class HostedStream {
     const { url, bytes } = await this.objectBytes(record, part, onBytes, signal);
     if (bytes.length !== size)
       throw corrupt(`${url} has ${bytes.length} bytes, but the index says ${size}`);
-    const { coder, packets } = readObject(bytes);
-    if (coder !== CODERS.GZIP) {
-      throw new SourceError(
-        "A browser cannot play this stream from a static host; export it: swings-stream export --static",
-      );
-    }
-    return packets;
+    return readObject(bytes);
   }
 
   /** Places of pictures, captions and sound in a packed stream; null: they are beside the manifest. */

@@ -38,7 +38,7 @@ const MOST_POINTS = 24;
  * @property {number | null} [nextFrame] the frame that shows next, if the frames up to fromFrame are cached
  */
 
-/** One response of a swings server to `play?plain=1`, record by record (FORMAT.md, section 12). */
+/** One response of a swings server to `play`, record by record (FORMAT.md, section 12). */
 export class PlayResponse {
   /**
    * @param {Response} response
@@ -51,8 +51,6 @@ export class PlayResponse {
     /** Time after which the server wants the next status report; 0: it does not say. */
     this.reportMs = Number(response.headers.get("Swings-Report-Ms"));
     this.bodyBytes = 0;
-    /** `bodyBytes` as of the last report of the position. */
-    this.reportedBytes = 0;
     /** The bytes of it that are a part of the fetcher's `receivedBytes`. */
     this.countedBytes = 0;
     /** @type {[number, number][]} [ms, bytes of the body] since the last report */
@@ -124,7 +122,6 @@ export class PlayResponse {
 
   /** The points since the last time, for a status report. */
   takePoints() {
-    this.reportedBytes = this.bodyBytes;
     return this.points.splice(0);
   }
 

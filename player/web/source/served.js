@@ -1,5 +1,5 @@
 import { checkGaussians, readManifest, snapshotOf } from "../format/manifest.js";
-import { CODERS, SKIPPABLE_MAGIC } from "../constants.js";
+import { corrupt } from "../format/bytes/errors.js";
 import { limitBytes } from "../format/packet.js";
 import { FIRST_PLAY } from "./addresses.js";
 import { REPLACED, SourceError } from "./fetcher.js";
@@ -9,8 +9,8 @@ import { ServedPlay } from "./servedplay.js";
 
 /** Seconds until a stream without frames is requested again. */
 const RETRY_S = 1;
-/** Bytes of an object in addition to its packet: the table. */
-const TABLE_BYTES = 32;
+/** Most bytes of an object, for those of its chunk: a table, and blocks that do not shrink. @param {number} size */
+const objectBytes = (size) => Math.ceil(1.01 * size) + 1024;
 
 /** @typedef {import("./playresponse.js").PlayResponse} PlayResponse */
 
@@ -29,16 +29,12 @@ export class ServedStream {
     this.description = describe(first.start.manifest);
     this.numFrames = first.start.numFrames;
     this.cache = new SegmentCache(this.manifest, bufferBytes);
-    /** @type {boolean | null} whether the server's objects have a form that this browser can read, if known */
-    this.hasObjects = null;
     /** @type {PlayResponse | null} the first response, for a play that begins at the same frame */
     this.first = first.response;
     /** @type {string | null} token of the last play, by which the server finds what it knows of the link */
     this.lastToken = first.response.token;
     /** @type {number | null} the server's last reported estimate of the link's throughput */
     this.rateBps = null;
-    /** Bytes on the network for each byte of a play, which has a content coding. */
-    this.networkShare = 1;
     this.onGrown = () => {};
   }
 
@@ -86,57 +82,23 @@ export class ServedStream {
   }
 
   /**
-   * Fetches the snapshot of a layer into the cache; returns whether it is there. Rejects with a
-   * SourceError, a GoneError or a FormatError, or if `signal` aborts.
+   * Fetches the snapshot of a layer into the cache. Rejects with a SourceError or a FormatError, or if
+   * `signal` aborts.
    * @param {number} segment
    * @param {number} layer
    * @param {AbortSignal} signal
    */
   async fetchSnapshot(segment, layer, signal) {
-    const { manifest } = this;
-    const frame = segment * manifest.segmentFrames;
-    const part = snapshotOf(manifest, layer);
-    if (this.hasObjects !== false) {
-      const packet = await this.#snapshotObject(segment, part, signal);
-      if (packet !== null) this.cache.add(frame, part, packet);
-      this.hasObjects = packet !== null;
-    }
-    // A browser that cannot read the server's objects gets layer 0 from the first records of a play.
-    if (!this.hasObjects && layer === 0) await this.#playSnapshot(frame, signal);
-    return this.cache.snapshot(segment, layer) !== null;
-  }
-
-  /**
-   * The packet of a snapshot, or its chunk; null if the server sends the stored object of coder zstd.
-   * @param {number} segment
-   * @param {import("../format/manifest.js").Part} part
-   * @param {AbortSignal} signal
-   */
-  async #snapshotObject(segment, part, signal) {
     const { base, manifest } = this;
-    const most = limitBytes(manifest, part) + TABLE_BYTES;
+    const part = snapshotOf(manifest, layer);
+    const most = objectBytes(limitBytes(manifest, part));
     const url = `${base}segments/${segment}/${manifest.parts[part]}`;
     const bytes = await this.fetcher.get(url, most, undefined, { signal });
-    const magic = new DataView(bytes.buffer, bytes.byteOffset, bytes.length);
-    if (bytes.length < 4 || magic.getUint32(0, true) !== SKIPPABLE_MAGIC) return bytes;
     const { readObject } = await import("../format/objecttable.js");
-    const { coder, packets } = readObject(bytes);
-    return coder === CODERS.GZIP ? (packets.values().next().value ?? null) : null;
-  }
-
-  /**
-   * @param {number} frame first of a segment
-   * @param {AbortSignal} signal
-   */
-  async #playSnapshot(frame, signal) {
-    const query = { fromFrame: frame, untilFrame: frame + 1, layers: 1, paused: true };
-    const { response } = await openPlay(this.fetcher, this.base, query, signal);
-    for (;;) {
-      const record = await response.next(() => this.count(response));
-      if (record === null || record.kind === "end" || record.kind === "error") return;
-      if (record.kind !== "snapshot" || record.frame !== frame || record.firstLayer > 0) continue;
-      this.cache.add(frame, snapshotOf(this.manifest, 0), record.packets[0]);
-    }
+    const frame = segment * manifest.segmentFrames;
+    const packet = readObject(bytes).get(frame);
+    if (packet === undefined) throw corrupt(`${url} has no snapshot of frame ${frame}`);
+    this.cache.add(frame, part, packet);
   }
 
   /** Throws a SourceError if a play is of another stream. @param {Uint8Array} manifest of its start */
@@ -152,9 +114,8 @@ export class ServedStream {
   /** Adds what has come of a response to the received bytes. @param {PlayResponse} response */
   count(response) {
     this.fetcher.heard();
-    const numBytes = Math.round(response.bodyBytes * this.networkShare);
-    this.fetcher.receivedBytes += numBytes - response.countedBytes;
-    response.countedBytes = numBytes;
+    this.fetcher.receivedBytes += response.bodyBytes - response.countedBytes;
+    response.countedBytes = response.bodyBytes;
   }
 
   /** Calls `onGrown` when a play reports that the stream has grown. @param {() => void} onGrown */

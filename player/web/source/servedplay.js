@@ -1,6 +1,5 @@
 import { corrupt } from "../format/bytes/errors.js";
 import { masksOf, snapshotOf } from "../format/manifest.js";
-import { isGzip, limitBytes } from "../format/packet.js";
 import { SILENT } from "./fetcher.js";
 import { GoneError, openPlay, ServerRetry } from "./playresponse.js";
 import { AHEAD_S } from "./segmentcache.js";
@@ -109,7 +108,6 @@ export class ServedPlay {
     const { response, stream } = this;
     this.reportedS = this.nowS();
     if (!response?.token) return;
-    const { reportedBytes } = response;
     const received = response.takePoints();
     const body = JSON.stringify({ frame: this.nextFrame, paused: this.paused, received });
     this.isReporting = true;
@@ -125,9 +123,6 @@ export class ServedPlay {
       const { headers } = await stream.fetcher.send(url, { method: "POST", body, signal });
       const rateBps = Number(headers.get("Swings-Rate"));
       if (rateBps > 0) this.rateBps = stream.rateBps = rateBps;
-      const networkBytes = Number(headers.get("Swings-Received"));
-      if (networkBytes > 0 && reportedBytes > 0) stream.networkShare = networkBytes / reportedBytes;
-      stream.count(response);
       response.reportMs = Number(headers.get("Swings-Report-Ms"));
       // More than what was sent: a play goes a few seconds ahead, and no further while it is paused.
       const numFrames = Number(headers.get("Swings-Frames"));
@@ -154,7 +149,7 @@ export class ServedPlay {
     const segment = cache.segmentOf(frame);
     const isHere = cache.hasAllChanges(segment, stream.framesIn(segment), mostLayers);
     const missing = how === "step" ? [] : cache.missingSnapshots(segment, mostLayers);
-    if (!isHere || (missing.length > 0 && !stream.hasObjects)) return false;
+    if (!isHere) return false;
     for (let next = segment + 1; next < cache.segmentOf(endBirth); next++) {
       if (!cache.isComplete(next, stream.framesIn(next), mostLayers)) return false;
     }
@@ -174,9 +169,9 @@ export class ServedPlay {
         await this.#position();
         continue;
       }
-      if (gap.snapshots.length > 0 && stream.hasObjects !== false) {
+      if (gap.snapshots.length > 0) {
         await this.#fetchSnapshots(this.#segmentOf(gap.fromFrame), gap.snapshots);
-        if (stream.hasObjects) continue;
+        continue;
       }
       const { endBirth } = this;
       this.response = await this.#open(gap);
@@ -274,11 +269,10 @@ export class ServedPlay {
     const { stream, abort } = this;
     for (const layer of layers) {
       try {
-        if (!(await stream.fetchSnapshot(segment, layer, abort.signal))) return;
+        await stream.fetchSnapshot(segment, layer, abort.signal);
       } catch (error) {
         if (this.isClosed) return;
-        if (!(error instanceof GoneError)) throw error;
-        await this.patience.wait();
+        throw error;
       }
       this.onData();
     }
@@ -342,16 +336,14 @@ export class ServedPlay {
     if (birth < 0 || birth > this.endBirth + manifest.segmentFrames) {
       throw corrupt(`play: the slice born at ${birth} arrived, but birth ${this.endBirth} is next`);
     }
-    const put = (/** @type {number} */ part, /** @type {Uint8Array} */ packet) =>
-      cache.add(birth, part, checked(packet, limitBytes(manifest, part)));
-    if (!isSnapshot && record.mask !== null) put(masksOf(manifest), record.mask);
+    if (!isSnapshot && record.mask !== null) cache.add(birth, masksOf(manifest), record.mask);
     for (const [n, packet] of record.packets.entries()) {
       const layer = record.firstLayer + n;
       if (layer >= manifest.numLayers)
         throw corrupt(
           `play: a packet of layer ${layer}, but the stream has ${manifest.numLayers} layers`,
         );
-      put(isSnapshot ? snapshotOf(manifest, layer) : layer, packet);
+      cache.add(birth, isSnapshot ? snapshotOf(manifest, layer) : layer, packet);
     }
     if (isSnapshot || record.firstLayer > 0) return;
     this.endBirth = Math.max(this.endBirth, birth + 1);
@@ -409,16 +401,4 @@ export class ServedPlay {
     this.response?.close();
     this.abort.abort();
   }
-}
-
-/**
- * Checks a received packet: either it is of coder gzip, or it is the chunk of a zstd packet, which may
- * have at most `most` bytes.
- * @param {Uint8Array} packet
- * @param {number} most
- */
-function checked(packet, most) {
-  if (!isGzip(packet) && packet.length > most)
-    throw corrupt(`play: a chunk has ${packet.length} bytes, but at most ${most} are allowed`);
-  return packet;
 }

@@ -14,7 +14,6 @@ import { VirtualHost } from "./virtualhost.mjs";
 const START = startRecord(manifestBytes());
 const SERVED = "http://host/watch/clip/";
 const PLAY = "v1/streams/clip/play";
-const isBusy = () => false;
 
 function fetching() {
   const troubles = [];
@@ -29,7 +28,7 @@ async function failureOf(host, promise) {
     ({ message }) => (failure = { message, atS: host.nowMs / 1000 }),
   );
   await host.untilAsked(() => failure !== null);
-  await host.until(() => failure !== null, isBusy, 200);
+  await host.until(() => failure !== null, 200);
   return failure;
 }
 
@@ -48,12 +47,12 @@ test("while the network is gone, all requests together send one at a time", asyn
   let come = 0;
   for (let n = 0; n < 8; n++) fetcher.get(`http://host/${n}`, 10).then(() => come++);
   const endMs = host.nowMs + 12_000;
-  await host.until(() => host.nowMs >= endMs, isBusy);
+  await host.until(() => host.nowMs >= endMs);
   assert.ok(host.asked.length >= 8 + 10 && host.asked.length <= 8 + 24, `${host.asked.length}`);
   assert.ok(host.waiting.size <= 1 && troubles.every((one) => /network is gone/.test(one)));
   isThere = true;
   const backMs = host.nowMs;
-  await host.until(() => come === 8, isBusy);
+  await host.until(() => come === 8);
   assert.ok(host.nowMs - backMs <= 2100, "none waits longer than its own delay and a try's");
 });
 
@@ -66,9 +65,9 @@ test("a request that its caller gives up leaves the turn to the next one", async
   const given = fetcher.get("http://host/0", 10, undefined, { signal: abort.signal });
   const other = fetcher.get("http://host/1", 10);
   given.catch(() => {});
-  await host.until(() => host.asked.length > 6, isBusy);
+  await host.until(() => host.asked.length > 6);
   isThere = true;
-  await host.until(() => [...host.waiting].some(({ dueMs }) => dueMs > host.nowMs + 1000), isBusy);
+  await host.until(() => [...host.waiting].some(({ dueMs }) => dueMs > host.nowMs + 1000));
   abort.abort();
   assert.equal((await failureOf(host, other)).message, null);
   assert.equal(troubles.at(-1), null);
@@ -131,7 +130,7 @@ for (const [what, first] of [
     if (first === null) ({ message: failure, atS } = await failureOf(host, opening));
     else {
       await host.untilAsked();
-      await host.until(() => host.asked.length > 0 && host.waiting.size === 0, isBusy);
+      await host.until(() => host.asked.length > 0 && host.waiting.size === 0);
       const play = (await opening).play({
         firstFrame: 0,
         mostLayers: 3,
@@ -141,7 +140,7 @@ for (const [what, first] of [
         play.reportPosition(0, false, 1);
         return play.failure !== null;
       };
-      await host.until(isOver, isBusy, 200);
+      await host.until(isOver, 200);
       [failure, atS] = [play.failure.message, host.nowMs / 1000];
       play.close();
     }
@@ -165,13 +164,13 @@ test("a server that reports the same error three times in a row is believed", as
   const { fetcher } = fetching();
   const opening = openSource(SERVED, fetcher);
   await host.untilAsked();
-  await host.until(() => host.asked.length > 0 && host.waiting.size === 0, isBusy);
+  await host.until(() => host.asked.length > 0 && host.waiting.size === 0);
   const play = (await opening).play({
     firstFrame: 0,
     mostLayers: 3,
     nowS: () => host.nowMs / 1000,
   });
-  await host.until(() => play.failure !== null, isBusy);
+  await host.until(() => play.failure !== null);
   assert.match(play.failure.message, /The server reports: this is broken$/);
   assert.equal(host.asked.filter((path) => path === PLAY).length, 3);
 });

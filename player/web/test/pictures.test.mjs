@@ -13,7 +13,7 @@ import { floatWords, latticeWords, roomFor } from "../playback/words.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { filesOf, law, settled } from "./support.mjs";
 
-const FILES = filesOf("one-lane-gzip");
+const FILES = filesOf("one-lane");
 const MANIFEST = readManifest(FILES["manifest.json"]);
 const RECORDS = readIndex(FILES["index.bin"], MANIFEST);
 const { segmentFrames } = MANIFEST;
@@ -27,7 +27,7 @@ function scrubbing() {
     assert.equal(layer, 0);
     return new Promise((resolve, reject) => {
       const answer = () => {
-        const { packets } = readObject(FILES[`segments/${segment}/snapshot-0`]);
+        const packets = readObject(FILES[`segments/${segment}/snapshot-0`]);
         cache.addObject(RECORDS[segment], snapshotOf(MANIFEST, 0), packets);
         resolve(true);
       };
@@ -48,7 +48,7 @@ function scrubbing() {
   return { scrubber, asked, shown, calls };
 }
 
-/** Waits for an event; packets are inflated in another thread. */
+/** Waits for an event. */
 async function until(holds) {
   while (!holds()) await settled();
 }

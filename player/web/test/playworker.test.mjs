@@ -5,7 +5,7 @@ import { test } from "node:test";
 import { filesOf } from "./support.mjs";
 import { VirtualHost } from "./virtualhost.mjs";
 
-const FILES = filesOf("far-gzip");
+const FILES = filesOf("far");
 
 const posted = [];
 /** The scope of the worker, which its modules take once. */
@@ -16,7 +16,7 @@ test("nothing follows on a failure, also if it is found while a live stream is l
   context.mock.method(console, "warn", () => {});
   const described = JSON.parse(Buffer.from(FILES["manifest.json"]).toString());
   const manifest = JSON.stringify({ ...described, live: true });
-  const other = filesOf("leases-gzip");
+  const other = filesOf("leases");
   let index = FILES["index.bin"];
   const answer = (path) => {
     if (path === "manifest.json") return new Response(manifest);
@@ -29,18 +29,17 @@ test("nothing follows on a failure, also if it is found while a live stream is l
   const posts = (data) => scope.onmessage({ data });
   posts({ kind: "open", base: "http://host/", port: port1 });
   const has = (kind) => posted.some((message) => message.kind === kind);
-  const isBusy = () => false;
   await host.untilAsked();
-  await host.until(() => has("opened"), isBusy);
+  await host.until(() => has("opened"));
   posts({ kind: "play", playing: true });
-  await host.until(() => has("state"), isBusy);
+  await host.until(() => has("state"));
   index = other["index.bin"];
-  await host.until(() => has("failed"), isBusy, 100);
+  await host.until(() => has("failed"), 100);
   const { message } = posted.at(-1);
   posted.length = 0;
   posts({ kind: "play", playing: true });
   const endMs = host.nowMs + 3000;
-  await host.until(() => host.nowMs >= endMs, isBusy);
+  await host.until(() => host.nowMs >= endMs);
   assert.deepEqual(posted, []);
   assert.match(message, /^This video was replaced|^http/);
 });

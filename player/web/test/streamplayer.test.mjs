@@ -11,7 +11,7 @@ import { filesOf, HOLES } from "./support.mjs";
 import { VirtualHost } from "./virtualhost.mjs";
 
 /** Three layers, three segments of five frames, 0.6 s. */
-const FILES = filesOf("far-gzip");
+const FILES = filesOf("far");
 const MANIFEST = readManifest(FILES["manifest.json"]);
 const RECORDS = readIndex(FILES["index.bin"], MANIFEST);
 const NUM_FRAMES = RECORDS.reduce((sum, { numFrames }) => sum + numFrames, 0);
@@ -36,8 +36,7 @@ function playing(context, records, delayS, start = {}, answer = answered) {
   context.after(() => player.close());
   context.mock.method(console, "warn", () => {});
   player.setPlaying(true);
-  const isBusy = () => player.round.feed.isRunning || player.nextRound?.feed.isRunning;
-  const until = (isOver) => host.until(() => failures.length > 0 || isOver(), isBusy);
+  const until = (isOver) => host.until(() => failures.length > 0 || isOver());
   const ended = () => posted.filter(({ kind }) => kind === "ended").length;
   return { player, host, posted, shown, failures, until, ended };
 }
@@ -140,13 +139,13 @@ test("that a link is too thin is said once, with both rates", async (context) =>
     player.setPlaying(true);
   }
   const said = posted.filter(({ kind }) => kind === "trouble").map(({ message }) => message);
-  const first = "This connection carries 0.0004 of the 0.019 Mbit/s that this video needs";
+  const first = "This connection carries 0.0004 of the 0.02 Mbit/s that this video needs";
   assert.deepEqual(said, [first, null]);
   assert.equal(player.playback.stalls, 2);
 });
 
 test("a stream that was replaced is named, whatever its bytes look like", async (context) => {
-  const other = filesOf("leases-gzip");
+  const other = filesOf("leases");
   let files = FILES;
   const answer = (path) => new Response(files[path] ?? "", { status: path in files ? 200 : 404 });
   const { player, failures, until } = playing(context, RECORDS, () => 0.1, {}, answer);

@@ -45,9 +45,8 @@ export class VirtualHost {
   /**
    * Lets time pass until `isOver`.
    * @param {() => boolean} isOver
-   * @param {() => boolean} isBusy whether something is under way that takes no virtual time
    */
-  async until(isOver, isBusy, mostS = 60) {
+  async until(isOver, mostS = 60) {
     for (const endMs = this.nowMs + 1000 * mostS; !isOver(); ) {
       if (this.nowMs >= endMs) throw new Error(`nothing in ${mostS} s`);
       this.nowMs += STEP_MS;
@@ -58,8 +57,7 @@ export class VirtualHost {
       }
       await settled();
       this.timers.tick(STEP_MS);
-      do await settled();
-      while (isBusy());
+      await settled();
     }
   }
 }

@@ -12,7 +12,7 @@ import { isText, moduleOf } from "./textmodules.js";
 
 const ROOT = fileURLToPath(new URL("../../../", import.meta.url));
 const PORT = Number(process.argv[2] ?? 8080);
-const SAMPLE = "?src=/conformance/streams/leases-gzip";
+const SAMPLE = "?src=/conformance/streams/leases";
 const PAGES = [
   [`/player/web/watch.html${SAMPLE}`, "the sample, played by the single modules"],
   [`/player/web/bundle/watch.html${SAMPLE}`, "the sample, played by the bundle"],

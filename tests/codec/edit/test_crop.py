@@ -23,7 +23,6 @@ from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import verify_stream
 from codec.tools.croppreview import draw_crop
-from codec.tools.static import export_static
 from tests.support.hostile import refused
 from tests.support.slots.edited import (
     NUM_FRAMES,
@@ -106,13 +105,6 @@ def test_a_crop_says_how_much_stays_and_an_empty_one_is_refused(
     refused(InvalidError, says, edit_stream, source, tmp_path / "u", far)
     assert draw_crop(source, far, tmp_path / "far.png", None) == (0, counts[1])
     assert not (tmp_path / "u").exists()
-
-
-def test_a_static_export_stays_one_that_browsers_inflate(source: Path, tmp_path: Path) -> None:
-    export_static(source, tmp_path / "static")
-    edit_stream(tmp_path / "static", tmp_path / "t", CropOptions(box=BOX))
-    verify_stream(tmp_path / "t")
-    assert {data[13] for data in segment_files(tmp_path / "t").values()} == {2}
 
 
 def test_an_edit_that_is_interrupted_leaves_nothing(source: Path, tmp_path: Path) -> None:

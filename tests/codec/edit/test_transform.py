@@ -13,7 +13,6 @@ from codec.arrays import Doubles
 from codec.edit.crop import CropOptions
 from codec.edit.editing import Options, edit_stream
 from codec.edit.fitting import first_segment_bytes, fitted
-from codec.edit.rewrite import coder_of_stream
 from codec.edit.transform import Transform, TransformOptions
 from codec.edit.view import ViewOptions
 from codec.errors import SwingsError
@@ -185,10 +184,10 @@ TURN = TransformOptions(turn=(10, 20, 30))
 
 def test_steps_grow_until_the_first_segment_does_not(tmp_path: Path) -> None:
     reader = StreamReader(write_trained_like(tmp_path / "s", 5))
-    coder, limit_bytes = coder_of_stream(reader), sum(reader.records[0].part_bytes)
+    limit_bytes = sum(reader.records[0].part_bytes)
     # With steps half as large the turned stream is larger, so there is something to fit.
     edit = Transform(TURN, reader.manifest, 0.5)
-    assert first_segment_bytes(reader, edit, coder) > limit_bytes
-    made = fitted(reader, edit, coder)
+    assert first_segment_bytes(reader, edit) > limit_bytes
+    made = fitted(reader, edit)
     assert made is not edit
-    assert first_segment_bytes(reader, made, coder) <= limit_bytes
+    assert first_segment_bytes(reader, made) <= limit_bytes

@@ -1,11 +1,8 @@
-"""Objects and packets: valid zstd, or gzip for browsers; and no bomb is inflated."""
+"""Objects and packets: valid zstd; and no bomb is decompressed."""
 
 from __future__ import annotations
 
-import gzip
-import random
 import struct
-import zlib
 
 import numpy as np
 import pytest
@@ -13,8 +10,7 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.coders import gzip as gzip_coder
-from codec.coders.coder import Coder, coder_of, compress, decompress
+from codec.coders.zstd import compress, decompress
 from codec.errors import CorruptError, InvalidError
 from codec.slots.slotlayout import MAX_SLOT_CHUNK_BYTES
 from codec.stream.object import (
@@ -26,8 +22,6 @@ from codec.stream.object import (
 )
 from tests.support.hostile import flips, refused, survives, truncations, within_bytes
 from tests.support.objects import BIRTHS, contents, new_chunk, new_chunks, object_of, object_packets
-
-coders = pytest.mark.parametrize("coder", list(Coder))
 
 
 def packet_of_any_stream(packet: bytes) -> bytes:
@@ -55,21 +49,19 @@ def test_an_object_may_be_empty_and_leaves_out_packets_of_no_bytes() -> None:
     refused(CorruptError, "its content is empty", packet_content, compress(b""), 9)
 
 
-@coders
-def test_every_truncation_is_refused(coder: Coder) -> None:
-    for cut in truncations(object_of(new_chunks(5), coder)):
+def test_every_truncation_is_refused() -> None:
+    for cut in truncations(object_of(new_chunks(5))):
         assert not survives(contents, cut)
         survives(read_object_table, cut)
-    packet = encode_packet(new_chunk(0, 5), coder)
+    packet = encode_packet(new_chunk(0, 5))
     for cut in list(truncations(packet))[1:]:  # an empty packet means that nothing changes
         assert not survives(packet_of_any_stream, cut)
 
 
-@coders
-def test_an_altered_byte_never_passes(coder: Coder) -> None:
-    """Except meaningless ones: bytes of the head, and padding bits of deflate's last byte."""
+def test_an_altered_byte_never_passes() -> None:
+    """Except meaningless ones: the bits of the head that say nothing."""
     chunk = new_chunk(0, 5)
-    packet = encode_packet(chunk, coder)
+    packet = encode_packet(chunk)
     passed = [altered for altered in flips(packet) if survives(packet_of_any_stream, altered)]
     assert all(decompress(altered, len(chunk.data)) == chunk.data for altered in passed)
     assert len(passed) <= 3 * (6 + 1)
@@ -123,21 +115,19 @@ def test_packets_that_are_refused_before_they_grow(packet: bytes) -> None:
         packet_of_any_stream(packet)
 
 
-@coders
-def test_what_shrinks_as_far_as_it_can_still_comes_back(coder: Coder) -> None:
+def test_what_shrinks_as_far_as_it_can_still_comes_back() -> None:
     content = bytes(1 << 24)
-    packet = compress(content, (), coder)
+    packet = compress(content)
     assert len(packet) < len(content) / 1000
     assert decompress(packet, len(content)) == content
 
 
-@coders
 @given(planes=st.lists(st.binary(max_size=300), min_size=1, max_size=6))
 @settings(max_examples=60, deadline=None)
-def test_the_coder_keeps_content_wherever_blocks_end(coder: Coder, planes: list[bytes]) -> None:
+def test_the_coder_keeps_content_wherever_blocks_end(planes: list[bytes]) -> None:
     content = b"".join(planes)
     edges = [0, *np.cumsum([len(plane) for plane in planes]).tolist()]
-    for packet in (compress(content, edges, coder), compress(content, (), coder)):
+    for packet in (compress(content, edges), compress(content)):
         assert decompress(packet, len(content)) == content
         if content:
             with pytest.raises(CorruptError, match=f"at most {len(content) - 1}"):
@@ -147,90 +137,15 @@ def test_the_coder_keeps_content_wherever_blocks_end(coder: Coder, planes: list[
 def test_ending_blocks_between_planes_pays() -> None:
     chunk = new_chunk(0, 4000)
     plain = zstandard.ZstdCompressor(level=19, write_checksum=True).compress(chunk.data)
-    packets = {coder: encode_packet(chunk, coder) for coder in Coder}
-    assert len(packets[Coder.ZSTD]) < 0.97 * len(plain)
-    assert len(packets[Coder.GZIP]) < 0.95 * len(gzip.compress(chunk.data, 9))
-    assert len(packets[Coder.GZIP]) < 1.02 * len(packets[Coder.ZSTD])
+    assert len(encode_packet(chunk)) < 0.97 * len(plain)
 
 
-@pytest.mark.parametrize("exact", [False, True])
-def test_a_packet_is_one_gzip_member_for_anyone(exact: bool) -> None:
-    chunks = new_chunks(3000, exact)
-    for (birth, packet), chunk, wanted in zip(
-        object_packets(object_of(chunks, Coder.GZIP)), chunks, BIRTHS, strict=True
-    ):
-        assert birth == wanted
-        content = chunk.data
-        assert gzip.decompress(packet) == content == decompress(packet, len(content))
-        assert packet[:10] == b"\x1f\x8b\x08\0\0\0\0\0\x02\xff"
-        assert packet[-8:] == struct.pack("<II", zlib.crc32(content), len(content))
-        assert coder_of(packet) is Coder.GZIP
-
-
-@coders
-def test_all_chunks_come_back_in_order_from_packets_of_the_coder_of_the_table(coder: Coder) -> None:
+def test_all_chunks_come_back_in_order() -> None:
     chunks = new_chunks()
-    data = object_of(chunks, coder)
+    data = object_of(chunks)
     assert contents(data) == [chunk.data for chunk in chunks]
     assert [birth for birth, _ in object_packets(data)] == list(BIRTHS)
     assert [entry.birth for entry in read_object_table(data)] == list(BIRTHS)
     assert read_object_table(data[: 20 + 12 * 5]) == read_object_table(data)
-    other = next(c for c in Coder if c is not coder)
-    packets = [(chunk.birth, encode_packet(chunk, other)) for chunk in chunks]
-    refused(CorruptError, "not of the object's coder", contents, join_packets(packets, coder))
-
-
-def gzip_bomb(size: int) -> bytes:
-    return compress(bytes(size), (), Coder.GZIP)
-
-
-BOMB = gzip_bomb(1 << 24)
-
-
-def gzip_claiming(size: int, packet: bytes) -> bytes:
-    """`packet` with another content size in its trailer."""
-    return packet[:-4] + struct.pack("<I", size)
-
-
-def with_name(packet: bytes) -> bytes:
-    """A valid gzip member with a file name in its head."""
-    return packet[:3] + b"\x08" + packet[4:10] + b"name\0" + packet[10:]
-
-
-@pytest.mark.parametrize(
-    ("packet", "says"),
-    [
-        # Claims more than a chunk may have, and is long enough for it: refused unread.
-        (gzip_claiming(MAX_SLOT_CHUNK_BYTES + 1, gzip_coder.HEAD + bytes(300_000)), "at most"),
-        # Claims more than deflate can produce.
-        (gzip_claiming(1 << 20, gzip_bomb(1000)), "cannot come from"),
-        # Has more content than it claims: 16 MiB of zeros.
-        (gzip_claiming(0, BOMB), "more content than the 0 bytes"),
-        (gzip_claiming(1000, BOMB), "more content than the 1000 bytes"),
-        # Has less content than it claims.
-        (gzip_claiming(1001, gzip_bomb(1000)), "packet: "),
-        # More than one member, or data after it.
-        (gzip_bomb(100) + gzip_bomb(100), "follows"),
-        (gzip_bomb(100) + b"x" + gzip_bomb(100)[-8:], "follows"),
-        (gzip_bomb(100) + bytes(1 << 19) + gzip_bomb(100)[-8:], "follows"),
-        # Wrong checksum.
-        (gzip_bomb(100)[:-8] + bytes(4) + gzip_bomb(100)[-4:], "incorrect data check"),
-        # Truncated, with a trailer where deflate data would continue.
-        (gzip_bomb(1 << 16)[:30] + struct.pack("<II", 0, 1 << 14), "packet: "),
-        (with_name(gzip_bomb(100)), "neither a zstd frame nor a gzip member"),
-        # The container of zlib, and none at all.
-        (zlib.compress(bytes(100)), "neither"),
-        (b"\x1f\x8b\x08\0", "is not a gzip member"),
-        (gzip_coder.HEAD + struct.pack("<II", 0, 0), "packet: "),
-    ],
-)
-def test_gzip_that_is_refused_before_it_grows(packet: bytes, says: str) -> None:
-    with within_bytes(3 << 20), pytest.raises(CorruptError, match=says):
-        packet_content(packet, MAX_SLOT_CHUNK_BYTES)
-
-
-def test_a_large_packet_is_held_once() -> None:
-    content = random.Random(1).randbytes(1 << 22)
-    packet = compress(content, (), Coder.GZIP)
-    with within_bytes(len(content) * 3 // 2):
-        assert decompress(packet, len(content)) == content
+    no_frame = [(chunk.birth, b"no frame") for chunk in chunks]
+    refused(CorruptError, "is not a zstd frame", contents, join_packets(no_frame))

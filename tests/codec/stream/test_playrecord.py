@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import struct
-import zlib
-from collections.abc import Callable
 from typing import Any
 
 import msgpack
 import pytest
-import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.coders.coder import Coder, compress
 from codec.errors import CodecError, CorruptError, InvalidError
-from codec.stream.plainrecord import CODINGS, GZIP, MAX_WINDOW_BYTES, ZSTD, PlainRecordEncoder
 from codec.stream.playrecord import (
     MAX_RECORD_BYTES,
     MAX_TEXT_BYTES,
@@ -157,100 +151,3 @@ def test_a_tree_of_lists_does_not_grow() -> None:
     for bomb in (b"\x81\xa4kind" + tree, b"\x91" * 5000, b"\x81\xa1k" * 5000, tree):
         with within_bytes(4 << 20), pytest.raises(CodecError):
             decode_record(bomb)
-
-
-# Plain records, for browsers.
-
-contents = st.one_of(
-    st.binary(max_size=400),
-    st.builds(lambda byte, n: byte * n, st.binary(min_size=1, max_size=1), st.integers(1, 70_000)),
-)
-codings = st.sampled_from([*CODINGS, ""])
-coded = st.tuples(contents, st.sampled_from(Coder))
-Packed = tuple[bytes, Coder]
-
-
-def inflated(body: bytes, coding: str) -> bytes:
-    """The content that a browser decodes from a body that has not ended."""
-    if coding == GZIP:
-        return zlib.decompressobj(16 + zlib.MAX_WBITS).decompress(body)
-    if not coding:
-        return body
-    reader = zstandard.ZstdDecompressor().stream_reader(io.BytesIO(body), read_across_frames=True)
-    return reader.read()
-
-
-def packet(one: Packed) -> bytes:
-    """A packet; it is empty if nothing changes."""
-    content, coder = one
-    return compress(content, (), coder) if content else b""
-
-
-def plain(one: Packed) -> bytes:
-    """The same packet in a body for browsers."""
-    return packet(one) if one[1] is Coder.GZIP else one[0]
-
-
-def made(
-    kind: str,
-    birth: int,
-    layers: list[Packed],
-    mask: Packed | None,
-    write: Callable[[Packed], bytes],
-) -> Record:
-    packets = tuple(map(write, layers))
-    if kind == "snapshot":
-        return SnapshotRecord(birth, 3, packets)
-    if mask is not None:
-        return SliceRecord(birth, packets, write(mask))
-    return SliceRecord(birth, packets, None, 2)
-
-
-@given(
-    st.sampled_from(["slice", "snapshot"]),
-    st.integers(0, 2**31 - 1),
-    st.lists(coded, min_size=1, max_size=4),
-    st.none() | coded,
-    codings,
-)
-@settings(max_examples=60, deadline=None)
-def test_packets_come_as_their_content(
-    kind: str, birth: int, layers: list[Packed], mask: Packed | None, coding: str
-) -> None:
-    encoder = PlainRecordEncoder(coding)
-    sent = made(kind, birth, layers, mask, packet)
-    body = encoder.encode(sent)
-    expected = made(kind, birth, layers, mask, plain)
-    assert parse(inflated(body, coding)) == [expected]
-    body += encoder.encode(sent) + encoder.encode(EndRecord(3), last=True)
-    assert parse(inflated(body, coding)) == [expected, expected, EndRecord(3)]
-
-
-@given(
-    st.one_of(
-        st.builds(StartRecord, st.integers(0, 99), st.integers(0, 99), st.binary(max_size=5000)),
-        st.builds(EndRecord, st.integers(0, 99)),
-        st.builds(ErrorRecord, st.text(max_size=50)),
-    ),
-    codings,
-)
-def test_records_without_packets_are_the_same_in_a_plain_body(record: Record, coding: str) -> None:
-    assert inflated(PlainRecordEncoder(coding).encode(record), coding) == encode_record(record)
-
-
-def test_a_packet_goes_out_as_it_is_stored() -> None:
-    stored = compress(bytes(range(256)) * 40)
-    assert stored in PlainRecordEncoder(ZSTD).encode(SliceRecord(7, (stored,), stored))
-
-
-@pytest.mark.parametrize("coding", [*CODINGS, ""])
-def test_packets_that_are_none_are_refused(coding: str) -> None:
-    encode = PlainRecordEncoder(coding).encode
-    good = compress(b"what is in it")
-    for bad in [*truncations(good), *flips(good)]:
-        if bad:
-            survives(lambda data: encode(SliceRecord(0, (), data)), bad)
-    with pytest.raises(CorruptError, match="neither a zstd frame nor a gzip member"):
-        encode(SliceRecord(0, (b"something else",), good))
-    with pytest.raises(CodecError, match="at most"):
-        encode(SliceRecord(0, (compress(bytes(MAX_WINDOW_BYTES + 1)),), good))

@@ -239,7 +239,7 @@ read it, too."""
 
 @pytest.mark.parametrize("hole", HOLES, ids=lambda hole: f"{hole['part']}-{hole['fault']}")
 def test_a_hole_above_layer_0_costs_its_layer_for_its_segment(hole: dict[str, Any]) -> None:
-    reader = StreamReader(ROOT / "conformance" / "streams" / "far-gzip")
+    reader = StreamReader(ROOT / "conformance" / "streams" / "far")
     manifest, last = reader.manifest, reader.records[-1]
     end = last.first_frame + last.num_frames
     play = HostedPlay(manifest, reader.records, FrameRange(0, end), 0.0)
@@ -262,7 +262,7 @@ def test_a_hole_above_layer_0_costs_its_layer_for_its_segment(hole: dict[str, An
 
 
 def test_a_damaged_packet_above_layer_0_counts_as_missing_in_an_adaptive_play() -> None:
-    path = ROOT / "conformance" / "streams" / "far-gzip"
+    path = ROOT / "conformance" / "streams" / "far"
     with opened(str(path)) as source:
         packets = list(source.packets())
 

@@ -326,7 +326,7 @@ def paths() -> Iterator[Case]:
         "layers=",
         "until=0",
         "unknown=1",
-        "plain=2",
+        "paused=2",
         f"from={'0' * 5000}",
         "&" * 5000,
     ):

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from codec.coders.coder import compress
+from codec.coders.zstd import compress
 from codec.errors import CodecError
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.snapshot import decode_snapshot

@@ -12,8 +12,8 @@ import { corrupt } from "./errors.js";
 export function readMap(reader) {
   const type = reader.u8();
   let size = type & 15;
-  if (type === 0xde) size = u16(reader);
-  else if (type === 0xdf) size = u32(reader);
+  if (type === 0xde) size = number(reader, 2);
+  else if (type === 0xdf) size = number(reader, 4);
   else if (type >> 4 !== 8) throw corrupt("play: a record is not a map");
   if (size > MAX_KEYS) throw corrupt(`play: a record of ${size} keys is too long`);
   /** @type {Map<string, unknown>} */
@@ -39,61 +39,32 @@ function readValue(reader) {
   if (type >= 0xe0) return type - 256;
   if (type >= 0xa0 && type < 0xc0) return string(reader, type & 31);
   if (type >= 0x90 && type < 0xa0) return array(reader, type & 15);
-  const read = READERS.get(type);
-  if (read === undefined) throw corrupt(`play: a value is of unknown type 0x${type.toString(16)}`);
-  return read(reader);
+  if (type === 0xc0) return null;
+  if (type === 0xc2 || type === 0xc3) return type === 0xc3;
+  if (type >= 0xc4 && type <= 0xc6) return bytes(reader, type);
+  // Floats become null: no key of a record has a float value, and JavaScript cannot tell 1.0 from 1.
+  if (type === 0xca || type === 0xcb) return (reader.take(type === 0xca ? 4 : 8), null);
+  if (type >= 0xcc && type <= 0xd3) return number(reader, 1 << (type & 3), type >= 0xd0);
+  if (type >= 0xd9 && type <= 0xdb) return string(reader, number(reader, 1 << (type - 0xd9)));
+  if (type === 0xdc || type === 0xdd) return array(reader, number(reader, type === 0xdc ? 2 : 4));
+  throw corrupt(`play: a value is of unknown type 0x${type.toString(16)}`);
 }
 
-/** @type {Map<number, (reader: import("./bytereader.js").ByteReader) => Uint8Array>} */
-const BYTES = new Map([
-  [0xc4, (reader) => reader.take(reader.u8())],
-  [0xc5, (reader) => reader.take(u16(reader))],
-  [0xc6, (reader) => reader.take(u32(reader))],
-]);
-
-/** @type {[number, (reader: import("./bytereader.js").ByteReader) => unknown][]} */
-const BY_TYPE = [
-  ...BYTES,
-  [0xc0, () => null],
-  [0xc2, () => false],
-  [0xc3, () => true],
-  // Floats become null: no key of a record has a float value, and JavaScript cannot tell 1.0 from 1.
-  [0xca, (reader) => (reader.take(4), null)],
-  [0xcb, (reader) => (reader.take(8), null)],
-  [0xcc, (reader) => reader.u8()],
-  [0xcd, u16],
-  [0xce, u32],
-  [0xcf, (reader) => Number(view(reader, 8).getBigUint64(0))],
-  [0xd0, (reader) => view(reader, 1).getInt8(0)],
-  [0xd1, (reader) => view(reader, 2).getInt16(0)],
-  [0xd2, (reader) => view(reader, 4).getInt32(0)],
-  [0xd3, (reader) => Number(view(reader, 8).getBigInt64(0))],
-  [0xd9, (reader) => string(reader, reader.u8())],
-  [0xda, (reader) => string(reader, u16(reader))],
-  [0xdb, (reader) => string(reader, u32(reader))],
-  [0xdc, (reader) => array(reader, u16(reader))],
-  [0xdd, (reader) => array(reader, u32(reader))],
-];
-const READERS = new Map(BY_TYPE);
+/** @param {import("./bytereader.js").ByteReader} reader @param {number} type 0xc4 to 0xc6 */
+function bytes(reader, type) {
+  return reader.take(number(reader, 1 << (type - 0xc4)));
+}
 
 /**
- * A view of the next bytes; msgpack is big-endian.
+ * A number of so many bytes; msgpack is big-endian.
  * @param {import("./bytereader.js").ByteReader} reader
  * @param {number} size
+ * @param {boolean} isSigned
  */
-function view(reader, size) {
+function number(reader, size, isSigned = false) {
   const bytes = reader.take(size);
-  return new DataView(bytes.buffer, bytes.byteOffset, size);
-}
-
-/** @param {import("./bytereader.js").ByteReader} reader */
-function u16(reader) {
-  return view(reader, 2).getUint16(0);
-}
-
-/** @param {import("./bytereader.js").ByteReader} reader */
-function u32(reader) {
-  return view(reader, 4).getUint32(0);
+  const first = isSigned ? (bytes[0] << 24) >> 24 : bytes[0];
+  return bytes.subarray(1).reduce((value, byte) => 256 * value + byte, first);
 }
 
 /**
@@ -119,9 +90,9 @@ function array(reader, size) {
   const items = [];
   for (let i = 0; i < size; i++) {
     // The type is checked before the item is read, because nested lists could have any depth.
-    const read = BYTES.get(reader.u8());
-    if (read === undefined) throw corrupt("play: a list item is not bytes");
-    items.push(read(reader));
+    const type = reader.u8();
+    if (type < 0xc4 || type > 0xc6) throw corrupt("play: a list item is not bytes");
+    items.push(bytes(reader, type));
   }
   return items;
 }

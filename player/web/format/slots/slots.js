@@ -12,10 +12,6 @@ import {
   UNKNOWN,
 } from "../../constants.js";
 import { corrupt } from "../bytes/errors.js";
-import { opacityLogits, putColour, putQuat } from "../dequantise.js";
-import { emptyGaussians } from "../gaussians.js";
-
-const { fround } = Math;
 
 /**
  * The new states of D slots. They are computed before any slot is changed, so that bytes that break a rule
@@ -188,52 +184,6 @@ export class Slots {
     }
     for (const [row, values] of delta.escapes) this.escapes.set(row, values);
   }
-
-  /**
-   * The Gaussians of the slots `rows` as f32; all zeros, also the quaternion, for slots without one.
-   * @param {Uint32Array} rows
-   * @param {import("./slotlayout.js").Lattice} lattice
-   */
-  gaussians(rows, lattice) {
-    const k = (this.numAttributes - 7) / 3;
-    const made = emptyGaussians(rows.length, k);
-    const logits = opacityLogits(lattice.opacityLevels);
-    for (let i = 0; i < rows.length; i++) {
-      const row = rows[i];
-      if (this.conditions[row] === ON_LATTICE) this.#dequantise(row, lattice, logits, made, i, k);
-      else if (this.conditions[row] === ESCAPED) putGaussian(this.escapes.get(row), made, i, k);
-    }
-    return made;
-  }
-
-  /**
-   * @param {number} row
-   * @param {import("./slotlayout.js").Lattice} lattice
-   * @param {Float32Array} logits
-   * @param {import("../gaussians.js").Gaussians} made
-   * @param {number} i
-   * @param {number} k
-   */
-  #dequantise(row, lattice, logits, made, i, k) {
-    const { positions, attributes } = this;
-    const at = this.numAttributes * row;
-    for (let axis = 0; axis < 3; axis++) {
-      made.means[3 * i + axis] = positions[3 * row + axis] * lattice.positionM;
-      const scaled = fround(signed(attributes[at + axis]) * lattice.logScale);
-      made.logScales[3 * i + axis] = scaled + lattice.logScaleBase;
-    }
-    const x = fround(signed(attributes[at + 3]) * lattice.rotation);
-    const y = fround(signed(attributes[at + 4]) * lattice.rotation);
-    const z = fround(signed(attributes[at + 5]) * lattice.rotation);
-    putQuat(made.quats, i, x, y, z);
-    for (let c = 0; c < k; c++) {
-      const luma = fround(signed(attributes[at + 6 + c]) * lattice.colour);
-      const co = fround(signed(attributes[at + 6 + k + c]) * lattice.colour);
-      const cg = fround(signed(attributes[at + 6 + 2 * k + c]) * lattice.colour);
-      putColour(made.sh, 3 * (i * k + c), luma, co, cg);
-    }
-    made.logitOpacities[i] = logits[attributes[at + this.numAttributes - 1]];
-  }
 }
 
 /** A byte as two's complement. @param {number} byte */
@@ -253,19 +203,4 @@ function copyRow(from, fromRow, to, toRow, width) {
   const a = fromRow * width;
   const b = toRow * width;
   for (let i = 0; i < width; i++) to[b + i] = from[a + i];
-}
-
-/**
- * @param {Float32Array | undefined} values from `gaussianAt`
- * @param {import("../gaussians.js").Gaussians} made
- * @param {number} i
- * @param {number} k coefficients
- */
-function putGaussian(values, made, i, k) {
-  if (values === undefined) throw new Error("an escaped slot without its numbers");
-  made.means.set(values.subarray(0, 3), 3 * i);
-  made.logScales.set(values.subarray(3, 6), 3 * i);
-  made.quats.set(values.subarray(6, 10), 4 * i);
-  made.logitOpacities[i] = values[10];
-  made.sh.set(values.subarray(11), 3 * k * i);
 }

@@ -10,7 +10,7 @@ import { layerOf, readManifest } from "../../format/manifest.js";
 import { framePly } from "../../format/ply.js";
 import { openSource } from "../../source/source.js";
 import { readObject } from "../../format/objecttable.js";
-import { inflatePacket } from "../../format/packet.js";
+import { packetContent } from "../../format/packet.js";
 import { RecordParser } from "../../format/playrecord.js";
 import { SlotDecoder } from "../../format/slots/slotdecoder.js";
 import { SlotLayout } from "../../format/slots/slotlayout.js";
@@ -31,7 +31,8 @@ import { Orbit, TURN_RAD_PER_PX } from "../../view/orbit.js";
 import { nearOf } from "../../view/pose.js";
 import { storyboardLayout } from "../../format/storyboard.js";
 import { readIndex } from "../../format/streamindex.js";
-import { opacityLogits } from "../../format/dequantise.js";
+import { gaussiansOf } from "../../format/dequantise.js";
+import { opacityLogits } from "../../format/gaussians.js";
 
 /** @param {ArrayBufferView} array */
 const hex = (array) =>
@@ -53,7 +54,7 @@ function held() {
     const lane = layout.lane(birth);
     for (const [layer, slots] of decoder.lanes[lane].entries()) {
       const rows = Uint32Array.from(slots.conditions, (_, i) => i);
-      const floats = slots.gaussians(rows, layout.lattices[layer]);
+      const floats = gaussiansOf(slots, rows, layout.lattices[layer]);
       const widths = [3, 3, 4, 1, 3 * layout.k];
       lanes[lane].push(
         [...rows].map((row) => {
@@ -91,7 +92,7 @@ async function* played(manifest, files, first, lateness) {
   const records = readIndex(unhex(files["index.bin"]), manifest);
   const play = new StreamPlay(manifest);
   const cache = new SegmentCache(manifest);
-  const feed = new ChunkFeed(cache, play, manifest, first, manifest.numLayers, 1);
+  const feed = new ChunkFeed(cache, play, manifest, first, manifest.numLayers);
   const last = records[records.length - 1];
   /** @type {[number, import("../../format/streamindex.js").SegmentRecord, number][]} */
   const coming = records.flatMap((record) =>
@@ -104,10 +105,9 @@ async function* played(manifest, files, first, lateness) {
     for (const [when, record, part] of coming) {
       if (when !== frame && !(frame === first && when <= first)) continue;
       const bytes = unhex(files[`segments/${record.segment}/${manifest.parts[part]}`]);
-      cache.addObject(record, part, readObject(bytes).packets);
+      cache.addObject(record, part, readObject(bytes));
     }
     feed.advance(frame + 1, 1);
-    while (feed.isRunning) await new Promise((resolve) => setImmediate(resolve));
     if (feed.failure !== null) throw feed.failure;
     const isThere = frame === first ? play.has(frame) : play.hasSlice(frame);
     if (!isThere) throw new Error(`frame ${frame} is not there`);
@@ -119,11 +119,10 @@ async function* played(manifest, files, first, lateness) {
 /** @type {Record<string, (question: any) => unknown>} */
 const ANSWERS = {
   object({ bytes }) {
-    const { coder, packets } = readObject(unhex(bytes));
-    return { coder, packets: [...packets].map(([birth, packet]) => [birth, hex(packet)]) };
+    return [...readObject(unhex(bytes))].map(([birth, packet]) => [birth, hex(packet)]);
   },
-  async packet({ bytes, limit }) {
-    return hex(await inflatePacket(unhex(bytes), limit));
+  packet({ bytes, limit }) {
+    return hex(packetContent(unhex(bytes), limit));
   },
   sound({ bytes, channels, span }) {
     const object = readSoundObject(unhex(bytes), channels);

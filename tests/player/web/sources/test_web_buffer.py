@@ -153,7 +153,7 @@ def test_layers_of_a_still_picture_are_read_behind_all_that_shows_later(
 ) -> None:
     """A server may send them in any order, and the buffer cannot hold that much of layer 0."""
     parser = RecordParser()
-    with urlopen(f"{server.url}/v1/streams/long/play?plain=1&until=75") as response:
+    with urlopen(f"{server.url}/v1/streams/long/play?until=75") as response:
         start, *records, end = parser.feed(response.read())
     records.sort(key=lambda record: getattr(record, "first_layer", 0) > 0)
     plays = tmp_path / "v1" / "streams" / "any"

@@ -47,13 +47,13 @@ def test_a_static_export_brings_its_page(page: Page, site: Site) -> None:
     moved = "new PointerEvent('pointermove', { clientX: 160, clientY: 120 })"
     found = "/pointer   (-?[0-9.]+ ){2}-?[0-9.]+$/.test(part('.stats')?.textContent)"
     page.wait(f"player.canvas.dispatchEvent({moved}) && {found}")  # they are loaded first
-    refused(InvalidError, "--page", export_static, "s", Path("a.swings"), page=True)
+    refused(InvalidError, "pack writes one file", export_static, "s", Path("a.swings"))
 
 
 def test_2_to_the_24_gaussians(page: Page, site: Site) -> None:
     write_many(site.folder / "many")
     said = refusal(page, site.address("many"))
     assert "has 16,777,216 Gaussians; max-gaussians=16777216" in said
-    # If allowed, it fails at the next step: the device's textures, or objects without gzip.
+    # If allowed, it fails at the next step: the device's textures.
     said = refusal(page, site.address("many", f"max-gaussians={NUM_GAUSSIANS}&autoplay=0"))
-    assert "need a texture" in said or "export --static" in said
+    assert "need a texture" in said

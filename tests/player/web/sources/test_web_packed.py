@@ -40,7 +40,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (root / "in.vtt").write_text("WEBVTT\n\n00:00.000 --> 01:00.000\nHere\n")
     add_captions(trained, root / "in.vtt", Captions("en", "English"))
     export_static(trained, root / "folder")
-    export_static(trained, root / "packed.swings")
+    pack_stream(trained, root / "packed.swings")
     (root / "player").symlink_to(LINKS["player"])
     return root
 

@@ -62,14 +62,6 @@ def test_it_plays_as_a_person_drives_it(
     page.wait(f"state.playing && player.shownFrame < {num_frames - 10}")
 
 
-def test_the_body_is_coded_as_the_browser_asks(page: Page, server: ServerProcess) -> None:
-    page.expect("404")  # its icon
-    page.open(f"{server.url}/healthz", 160, 120)
-    url = f"{server.url}/v1/streams/whole/play?plain=1&until=5"
-    coding = page.run("return (await fetch(value)).headers.get('Content-Encoding')", url)
-    assert coding in ("zstd", "gzip")
-
-
 @pytest.mark.parametrize(("name", "frame"), [("whole", 0), ("whole", 37), ("long", 77)])
 def test_the_picture_is_the_cpu_renderer_s_with_all_layers_though_it_is_paused(
     page: Page, server: ServerProcess, site: Site, name: str, frame: int
