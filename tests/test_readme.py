@@ -75,7 +75,6 @@ MADE = {
     "swings-stream import my-frames my-video --fps 30": "my-video/index.bin",
     "swings-stream export my-stream frame.sog --frame 1": "frame.sog",
     "swings-stream pack my-stream my-stream.swings": "my-stream.swings",
-    "swings-stream export my-stream site/stream.swings --static": "site/stream.swings",
     "swings-stream edit crop my-stream my-crop --box -1 0 -1 1 2 1": "my-crop/index.bin",
     "swings-stream edit crop my-stream my-ball --sphere 0 1 0 1.5": "my-ball/index.bin",
     "swings-stream edit transform my-stream my-turned --turn 90 0 0 --scale 3": (
