@@ -107,14 +107,8 @@ function played({ fps = 30, numFrames, lastsS, seed = 1, live = false, happen = 
     return [made];
   };
   const cache = {
-    ...{
-      setPlayhead: nothing,
-      segmentOf: () => 0,
-      mask: () => null,
-      change: () => null,
-      listeners: new Set(),
-      ranges: () => [],
-    },
+    ...{ setPlayhead: nothing, segmentOf: () => 0, listeners: new Set(), ranges: () => [] },
+    packet: () => null,
     ...{ endOf: () => 0, snapshot: () => null, hasRoomFor: () => true, baseBps: () => 0 },
   };
   const source = () => ({
