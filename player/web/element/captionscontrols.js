@@ -132,7 +132,8 @@ export class CaptionsControls {
   async #fetch(at) {
     const { base, files, source } = this.player;
     const { file } = this.#tracks[at];
-    const fetcher = new Fetcher({ credentials: source?.credentials });
+    const { credentials, transformRequest } = source ?? {};
+    const fetcher = new Fetcher({ credentials, transformRequest });
     const bytes = await fileBytes(fetcher, base, file, files, MAX_CAPTIONS_BYTES);
     const cues = readCues(new TextDecoder().decode(bytes));
     if (cues === null) throw new Error(`${file} is not WebVTT`);

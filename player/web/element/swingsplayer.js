@@ -128,7 +128,8 @@ export class SwingsPlayerElement extends MediaInterface {
     player.open(this.currentSrc, {
       maxGaussians: most > 0 ? most : null,
       otherHosts: this.hasAttribute("other-hosts"),
-      credentials: this.getAttribute("crossorigin") === "use-credentials" ? "include" : undefined,
+      credentials: this.crossOrigin === "use-credentials" ? "include" : undefined,
+      transformRequest: this.transformRequest ?? undefined,
       bufferMb: bufferMb > 0 ? bufferMb : null,
       isHeld,
     });
@@ -226,7 +227,7 @@ export class SwingsPlayerElement extends MediaInterface {
     const { poster } = player.manifest;
     if (this.#overlay.hasPoster || !poster) return;
     try {
-      const url = await pictureUrl(player.base, poster, player.files);
+      const url = await pictureUrl(player, poster);
       if (player === this.player && !this.#overlay.hasPoster) this.#overlay.setPoster(url);
     } catch (error) {
       console.warn("swings: the poster could not be loaded:", error);

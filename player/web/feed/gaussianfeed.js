@@ -1,5 +1,6 @@
 import { folderUrl } from "../source/addresses.js";
 import { preloadSource } from "../playback/preload.js";
+import { requestPort } from "../playback/requestport.js";
 import { startWorker } from "../playback/startworker.js";
 import { copyRows, emptyScene } from "./scene.js";
 
@@ -42,11 +43,13 @@ export class GaussianFeed extends EventTarget {
   /**
    * Opens the stream whose folder, or file, is at `src`.
    * @param {string} src
-   * @param {{ maxGaussians?: number, otherHosts?: boolean, credentials?: RequestCredentials }} [options]
-   *   maxGaussians: `opened` rejects for a larger stream; 2^22 by default. otherHosts: the stream's objects
-   *   may be on other hosts. credentials: whether requests carry cookies, see `fetch`
+   * @param {object} [options]
+   * @param {number} [options.maxGaussians] `opened` rejects for a larger stream; 2^22 by default
+   * @param {boolean} [options.otherHosts] the stream's objects may be on other hosts
+   * @param {RequestCredentials} [options.credentials] whether requests carry cookies, see `fetch`
+   * @param {import("../source/transform.js").TransformRequest} [options.transformRequest] changes each request
    */
-  constructor(src, { maxGaussians, otherHosts, credentials } = {}) {
+  constructor(src, { maxGaussians, otherHosts, credentials, transformRequest } = {}) {
     super();
     const base = folderUrl(src, document.baseURI);
     const channel = new MessageChannel();
@@ -76,8 +79,10 @@ export class GaussianFeed extends EventTarget {
     }
     document.addEventListener("visibilitychange", this.#onVisibility);
     const { port1 } = channel;
-    const wish = { base, maxGaussians, otherHosts, credentials };
-    this.player.postMessage({ kind: "open", ...wish, port: port1 }, [port1]);
+    const asked = requestPort(transformRequest, (message) => this.#fail(message));
+    const wish = { base, maxGaussians, otherHosts, credentials, transformRequest: asked };
+    const ports = asked === undefined ? [port1] : [port1, asked];
+    this.player.postMessage({ kind: "open", ...wish, port: port1 }, ports);
   }
 
   /**

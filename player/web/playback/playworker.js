@@ -40,18 +40,20 @@ function fail(error) {
  * @property {number} [maxGaussians]
  * @property {boolean} [otherHosts]
  * @property {RequestCredentials} [credentials]
+ * @property {MessagePort} [transformRequest] see source/transform.js
  * @property {number} [bufferBytes]
  * @property {boolean} [isHeld] whether to fetch no frame until the stream plays or seeks
  */
 
 /** @param {Opening} opening */
-async function open({ maxGaussians, otherHosts, credentials, bufferBytes, isHeld, ...opening }) {
+async function open({ maxGaussians, otherHosts, bufferBytes, isHeld, ...opening }) {
   base = opening.base;
+  const { credentials, transformRequest } = opening;
   const onTrouble = (/** @type {string | null} */ message) =>
     scope.postMessage({ kind: "trouble", message });
   const onAwaited = (/** @type {string | null} */ message) =>
     scope.postMessage({ kind: "awaited", message });
-  const fetcher = new Fetcher({ onTrouble, onAwaited, credentials });
+  const fetcher = new Fetcher({ onTrouble, onAwaited, credentials, transformRequest });
   try {
     const most = maxGaussians ?? null;
     const stream = await openSource(base, fetcher, most, otherHosts ?? false, bufferBytes);

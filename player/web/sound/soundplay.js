@@ -220,7 +220,8 @@ export class SoundPlay extends EventTarget {
     this.#gain = gain;
     const { player } = this;
     const { base, manifest, source, files } = player;
-    const fetcher = new Fetcher({ credentials: source?.credentials });
+    const { credentials, transformRequest } = source ?? {};
+    const fetcher = new Fetcher({ credentials, transformRequest });
     const isServed = servedBase(base) !== null;
     const urlOf = (/** @type {number} */ segment, /** @type {string} */ part) =>
       isServed
