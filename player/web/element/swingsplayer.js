@@ -141,14 +141,16 @@ export class SwingsPlayerElement extends MediaInterface {
    */
   #loadParts(player, signal) {
     const [canvas, frame, place, hints] = [this.#canvas, this.#frame, this.#place, this.#hints];
+    const overlay = this.#overlay;
     const changed = () => this.#show(player);
     const setIdle = (/** @type {boolean} */ isIdle) => this.#setIdle(isIdle);
-    const surroundings = { player, canvas, frame, place, hints, changed, setIdle };
+    const surroundings = { player, canvas, frame, place, overlay, hints, changed, setIdle };
     const controls = new LazyPart(
       async () => {
-        const { Controls } = await import("./controls.js");
+        const { Controls, translatorOf } = await import("./controls.js");
+        const texts = await translatorOf(this);
         if (signal.aborted) return null;
-        return new Controls({ element: this, ...surroundings }, signal);
+        return new Controls({ element: this, ...surroundings }, texts, signal);
       },
       (error) => {
         console.warn(
@@ -163,9 +165,10 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#controls = controls;
     this.#tracks = new LazyPart(
       async () => {
-        const { Tracks } = await import("./tracks.js");
+        const { Tracks, translatorOf } = await import("./tracks.js");
+        const { t } = await translatorOf(this);
         if (signal.aborted) return null;
-        const tracks = new Tracks(this, player, place, hints, this.#textHolder, signal);
+        const tracks = new Tracks(this, player, place, hints, this.#textHolder, t, signal);
         controls.use((part) => tracks.addTo(part));
         return tracks;
       },

@@ -294,7 +294,7 @@ export class SoundPlay extends EventTarget {
   #refuse(error) {
     if (this.#isRefused) return;
     this.#isRefused = true;
-    const detail = `Some of the sound cannot be played: ${error instanceof Error ? error.message : error}`;
+    const detail = error instanceof Error ? error.message : String(error);
     this.dispatchEvent(new CustomEvent("refused", { detail }));
   }
 
