@@ -10,7 +10,7 @@ export function requestPort(transformRequest, fail) {
   if (!transformRequest) return undefined;
   const { port1, port2 } = new MessageChannel();
   import("../source/transform.js").then(
-    ({ answer }) => answer(port1, transformRequest),
+    (module) => module.answer(port1, transformRequest),
     (error) => fail(`The code for transformRequest could not be loaded: ${error}`),
   );
   return port2;

@@ -119,8 +119,8 @@ export class Fetcher {
     const { credentials, transformRequest } = this.access;
     const request = { credentials, ...init };
     if (!transformRequest) return [url, request];
-    const { transformed } = await import("./transform.js");
-    return transformed(transformRequest, url, request).catch((error) => {
+    const module = await import("./transform.js"); // whole, as the page has it
+    return module.transformed(transformRequest, url, request).catch((error) => {
       request.signal?.throwIfAborted();
       throw new SourceError(error.message);
     });

@@ -21,8 +21,10 @@ test("the documentation names every public member, attribute, event, part and st
   );
   for (const name of ["flyToCamera", "play", "captureStream", "volume", "max-gaussians"])
     assert.ok(all.includes(name), `the analyser finds ${name}`);
-  const undescribed = attributes.filter(({ name, description }) => !description);
-  assert.deepEqual(undescribed, []);
+  assert.deepEqual(
+    attributes.filter(({ description }) => !description),
+    [],
+  );
 });
 
 test("the messages that the documentation quotes are those of the player", () => {
