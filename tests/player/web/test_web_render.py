@@ -169,9 +169,8 @@ def test_every_program_compiles_without_a_word(page: Page, tmp_path: Path, sh_de
     with player_host(tmp_path) as url:
         watch(page, f"{url}/player/watch.html?src=../static&autoplay=0", scripts=(PROGRAMS,))
         page.wait("player.motion !== null")
-        page.run(
-            'part("canvas").dispatchEvent(new MouseEvent("dblclick", { altKey: true, clientX: 80 }))'
-        )
+        click = "new MouseEvent('dblclick', { altKey: true, clientX: 80 })"
+        page.run(f"player.canvas.dispatchEvent({click})")
         page.run("element.playbackRate = 0.1; element.play()")
         page.wait(f"window.numPrograms() >= {NUM_PROGRAMS[sh_degree]}")
         found = page.run("return window.complaintsOfPrograms()")
