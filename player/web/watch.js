@@ -2,7 +2,7 @@
  * The script of a page with one player: applies the address's query to the element, and sends the first
  * requests while the element's own code is still being loaded.
  *
- * Query: t (seconds), view, loop, autoplay, interpolate, max-gaussians, other-hosts, buffer-mb; and src (the
+ * Query: t (seconds), view, lang, loop, autoplay, interpolate, max-gaussians, other-hosts, buffer-mb; and src (the
  * stream's folder) if the page itself does not set it.
  */
 
@@ -19,6 +19,7 @@ if (!isFramed && !document.hidden) {
 }
 player.setAttribute("src", src);
 player.setAttribute("link", location.href);
+player.lang = query.get("lang") ?? navigator.language;
 for (const [name, attribute] of [
   ["t", "start"],
   ["view", "view"],

@@ -23,19 +23,21 @@ export class Bar {
    * @param {HTMLElement} badge
    * @param {Choice[]} choices
    * @param {Command[]} commands
+   * @param {import("./texts.js").Translate} t
    * @param {BarActions} actions
    */
-  constructor(scrubber, badge, choices, commands, actions) {
-    this.playButton = button("play", "Play", "K", actions.togglePlaying);
-    this.fullButton = button("full", "Full screen", "F", actions.toggleFullScreen);
-    this.menuButton = menuButton((at) => actions.openMenu(this.menuButton, at));
+  constructor(scrubber, badge, choices, commands, t, actions) {
+    this.t = t;
+    this.playButton = button("play", t("Play"), "K", actions.togglePlaying);
+    this.fullButton = button("full", t("Full screen"), "F", actions.toggleFullScreen);
+    this.menuButton = menuButton(t("More"), (at) => actions.openMenu(this.menuButton, at));
     this.choices = choices;
     this.commands = commands;
     /** @type {Map<string, HTMLButtonElement>} */
     this.buttons = new Map();
     for (const { name, label, icon: iconName, key, isInBar, run } of commands) {
       if (!isInBar || iconName === undefined) continue;
-      const made = button(name, label, key.toUpperCase(), run);
+      const made = button(name, t(label), key.toUpperCase(), run);
       made.append(icon(iconName));
       this.buttons.set(name, made);
     }
@@ -102,9 +104,9 @@ export class Bar {
    * @param {boolean} isLargeShown whether the large button over the picture does the same
    */
   showPlaying(isPlaying, isLargeShown) {
-    const { playButton } = this;
-    if (isPlaying) rename(playButton, "Pause", "K", "pause");
-    else rename(playButton, "Play", "K", "play");
+    const { playButton, t } = this;
+    if (isPlaying) rename(playButton, t("Pause"), "K", "pause");
+    else rename(playButton, t("Play"), "K", "play");
     if (isLargeShown === playButton.hasAttribute("aria-hidden")) return;
     // One stop of the Tab key for one action.
     playButton.toggleAttribute("aria-hidden", isLargeShown);
@@ -114,8 +116,9 @@ export class Bar {
 
   /** @param {boolean} isFull */
   showFull(isFull) {
-    if (isFull) rename(this.fullButton, "Exit full screen", "F", "window");
-    else rename(this.fullButton, "Full screen", "F", "full");
+    const { fullButton, t } = this;
+    if (isFull) rename(fullButton, t("Exit full screen"), "F", "window");
+    else rename(fullButton, t("Full screen"), "F", "full");
   }
 
   /** Shows which toggles are on. */
@@ -158,9 +161,12 @@ function button(name, label, key, action) {
   return made;
 }
 
-/** @param {(at: number | null) => void} open */
-function menuButton(open) {
-  const attributes = { class: "more", "aria-label": "More", title: "More" };
+/**
+ * @param {string} label
+ * @param {(at: number | null) => void} open
+ */
+function menuButton(label, open) {
+  const attributes = { class: "more", "aria-label": label, title: label };
   const made = node("button", { ...attributes, "aria-haspopup": "menu" }, icon("menu"));
   made.setAttribute("aria-expanded", "false");
   made.addEventListener("click", () => open(null));

@@ -11,15 +11,16 @@ export class CameraControls {
    * @param {HTMLElement} host
    * @param {HTMLCanvasElement} surface
    * @param {import("./webplayer.js").WebPlayer} player
+   * @param {import("./texts.js").Translate} t
    * @param {AbortSignal} signal ends the listening
    */
-  constructor(host, surface, player, signal) {
+  constructor(host, surface, player, t, signal) {
     player.view.steer((scene, orbit) => new CameraMotion(scene, prefersStill, orbit));
     this.gyroscope = new Gyroscope(player);
     signal.addEventListener("abort", () => this.gyroscope.end());
     const focus = (/** @type {number} */ xPx, /** @type {number} */ yPx) =>
       focusAt(player, xPx, yPx);
-    listenToGestures(surface, player, focus, signal);
+    listenToGestures(surface, player, focus, t, signal);
     host.addEventListener("keyup", ({ key }) => liftCameraKey(player, key), { signal });
     // After a loss of focus, the keyup event may go elsewhere.
     const letGo = () => player.motion?.letGo();

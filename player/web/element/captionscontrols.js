@@ -28,10 +28,12 @@ export class CaptionsControls {
    * @param {import("./webplayer.js").WebPlayer} player
    * @param {HTMLVideoElement} holder of the text tracks that scripts see
    * @param {(message: string) => void} say
+   * @param {import("./texts.js").Translate} t
    * @param {AbortSignal} signal ends the listening
    */
-  constructor(player, holder, say, signal) {
+  constructor(player, holder, say, t, signal) {
     this.player = player;
+    this.t = t;
     this.say = say;
     this.button = node(
       "button",
@@ -64,10 +66,10 @@ export class CaptionsControls {
   get choice() {
     return {
       name: "captions",
-      label: "Captions",
+      label: this.t("Captions"),
       isThere: () => this.#tracks.length > 0,
       values: () => [
-        { value: -1, label: "Off" },
+        { value: -1, label: this.t("Off") },
         ...this.#tracks.map(({ label }, value) => ({ value, label })),
       ],
       now: () => this.#chosen,
@@ -84,7 +86,7 @@ export class CaptionsControls {
   /** @param {number} at index of the track that a viewer has chosen; -1: none */
   #offer(at) {
     this.#language = this.#tracks[at]?.language ?? null;
-    this.say(at < 0 ? "Captions off" : `Captions: ${this.#tracks[at].label}`);
+    this.say(at < 0 ? this.t("Captions off") : `${this.t("Captions")}: ${this.#tracks[at].label}`);
     this.#choose(at);
   }
 
@@ -98,7 +100,8 @@ export class CaptionsControls {
     const { button } = this;
     button.hidden = this.#tracks.length === 0;
     button.setAttribute("aria-pressed", String(at >= 0));
-    const label = at < 0 ? "Captions" : `Captions: ${this.#tracks[at].label}`;
+    const name = this.t("Captions");
+    const label = at < 0 ? name : `${name}: ${this.#tracks[at].label}`;
     button.setAttribute("aria-label", label);
     button.title = `${label} (C)`;
     this.textTracks.show(at);
@@ -111,7 +114,8 @@ export class CaptionsControls {
       this.#show();
     } catch (error) {
       if (choice !== this.#choices) return;
-      this.say(`The captions cannot be shown: ${error instanceof Error ? error.message : error}`);
+      const why = error instanceof Error ? error.message : String(error);
+      this.say(this.t("The captions of this stream cannot be shown: {why}", { why }));
     }
   }
 
@@ -132,7 +136,8 @@ export class CaptionsControls {
   async #fetch(at) {
     const { base, files, source } = this.player;
     const { file } = this.#tracks[at];
-    const fetcher = new Fetcher({ credentials: source?.credentials });
+    const { credentials, transformRequest } = source ?? {};
+    const fetcher = new Fetcher({ credentials, transformRequest });
     const bytes = await fileBytes(fetcher, base, file, files, MAX_CAPTIONS_BYTES);
     const cues = readCues(new TextDecoder().decode(bytes));
     if (cues === null) throw new Error(`${file} is not WebVTT`);

@@ -3,16 +3,18 @@ import { RATES } from "./keys.js";
 /**
  * The settings of a player that have a list of values, for the bar and the menu.
  * @param {import("./swingsplayer.js").SwingsPlayerElement} element
+ * @param {import("./texts.js").Translate} t
  * @returns {import("./menu.js").Choice[]}
  */
-export function choicesOf(element) {
-  const layerText = (/** @type {number} */ n) => (n === 1 ? "1 layer" : `${n} layers`);
+export function choicesOf(element, t) {
+  const layerText = (/** @type {number} */ n) =>
+    n === 1 ? t("1 layer") : t("{count} layers", { count: String(n) });
   const rates = RATES.map((value) => ({ value, label: `${value}×` }));
   const hasTime = () => !element.player?.isStill;
   return [
     {
       name: "rate",
-      label: "Speed",
+      label: t("Speed"),
       isInBar: true,
       isThere: hasTime,
       values: () => rates,
@@ -21,11 +23,11 @@ export function choicesOf(element) {
     },
     {
       name: "quality",
-      label: "Quality",
+      label: t("Quality"),
       isInBar: true,
       isThere: () => element.numLayers !== 1,
       values: () => [
-        { value: 0, label: "Auto" },
+        { value: 0, label: t("Auto") },
         ...Array.from({ length: element.numLayers }, (_, n) => element.numLayers - n).map(
           (value) => ({ value, label: layerText(value) }),
         ),
@@ -35,7 +37,7 @@ export function choicesOf(element) {
     },
     {
       name: "views",
-      label: "Cameras",
+      label: t("Cameras"),
       isThere: () => element.cameras.length > 1,
       values: () => element.cameras.map((label, value) => ({ value, label })),
       now: () => element.player?.motion?.cameraIndex ?? 0,

@@ -37,10 +37,13 @@ SHEET.replaceSync(CONTROLS_STYLE);
  * @property {HTMLCanvasElement} canvas
  * @property {HTMLElement} frame holds everything
  * @property {HTMLElement} place for the controls, within the frame
+ * @property {import("./overlay.js").Overlay} overlay
  * @property {import("./hints.js").Hints} hints
  * @property {() => void} changed called when the element's condition may have changed
  * @property {(isIdle: boolean) => void} setIdle called when the bar was hidden or shown
  */
+
+export { translatorOf } from "./texts.js";
 
 export class Controls {
   /** @type {import("./slideshow.js").SlideShow | null} */
@@ -48,26 +51,33 @@ export class Controls {
 
   /**
    * @param {Surroundings} surroundings
+   * @param {{ t: import("./texts.js").Translate, language: string }} texts
    * @param {AbortSignal} signal ends them
    */
-  constructor({ element, player, canvas, frame, place, hints, changed, setIdle }, signal) {
+  constructor(surroundings, { t, language }, signal) {
+    const { element, player, canvas, frame, place, overlay, hints, changed } = surroundings;
+    frame.lang = language;
+    canvas.setAttribute("aria-label", t(canvas.getAttribute("aria-label") ?? ""));
+    overlay.translate(t);
+    hints.translate(t);
     this.element = element;
     this.player = player;
     this.frame = frame;
     this.signal = signal;
     addStyle(frame, SHEET);
-    this.failure = new Failure(() => element.retry());
+    this.failure = new Failure(() => element.retry(), t);
     this.sharing = new Sharing(element, (message, forMs) => hints.say(message, forMs));
     const stereo = new StereoControls(player, (message) => hints.say(message, LONG_MS));
-    this.scrubber = new Scrubber(player, signal);
+    this.scrubber = new Scrubber(player, t, signal);
     this.live = new LiveBadge(
       player,
       (hasStopped) => {
         const isSaid = hasStopped && element.error === null;
-        hints.hold("stopped", isSaid ? "The stream has stopped; it may go on" : "");
+        hints.hold("stopped", isSaid ? t("The stream has stopped; it may go on") : "");
         this.visibility.wake();
         changed();
       },
+      t,
       signal,
     );
     this.live.root.addEventListener("click", () => element.goLive());
@@ -80,26 +90,26 @@ export class Controls {
         this.bar.showToggles();
       };
     }
-    const choices = (this.choices = choicesOf(element));
+    const choices = (this.choices = choicesOf(element, t));
     this.fullScreen = new FullScreen(
       element,
       () => this.bar.showFull(this.fullScreen.isOn),
       signal,
     );
-    this.bar = new Bar(this.scrubber, this.live.root, choices, commands, {
+    this.bar = new Bar(this.scrubber, this.live.root, choices, commands, t, {
       togglePlaying: () => element.togglePlaying(),
       toggleFullScreen: () => this.fullScreen.toggle(),
       openMenu: (opener, at) => this.panels.menu.openFor(opener, at),
     });
     const actions = (this.actions = keysOf(element, player, commands));
     const parts = { bar: this.bar, choices, commands, actions };
-    this.panels = new Panels(player, place, parts, () => this.visibility.wake());
+    this.panels = new Panels(player, place, parts, t, () => this.visibility.wake());
     this.bar.follow(signal);
     const plays = () => player.isStill || (!element.paused && !this.live.hasStopped);
     const isInUse = () => this.panels.isInUse || this.scrubber.isScrubbing;
-    this.visibility = new BarVisibility(frame, canvas, plays, isInUse, setIdle);
+    this.visibility = new BarVisibility(frame, canvas, plays, isInUse, surroundings.setIdle);
     this.visibility.listen(element, () => this.fullScreen.toggle(), signal);
-    this.camera = new CameraControls(element, canvas, player, signal);
+    this.camera = new CameraControls(element, canvas, player, t, signal);
     const { headset } = this.bar;
     stereo.watch((isThere) => (headset.hidden = !isThere), signal);
     this.#listen(hints, signal);

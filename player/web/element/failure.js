@@ -32,13 +32,17 @@ export class Failure {
   /** Whether another try would not help: a browser without WebGL2 will not have it then. */
   isFinal = false;
 
-  /** @param {() => void} retry */
-  constructor(retry) {
+  /**
+   * @param {() => void} retry
+   * @param {import("./texts.js").Translate} t
+   */
+  constructor(retry, t) {
+    this.t = t;
     this.sentence = node("p", { class: "sentence" });
-    this.retryButton = node("button", { class: "retry" }, "Try again");
+    this.retryButton = node("button", { class: "retry" }, t("Try again"));
     this.retryButton.addEventListener("click", retry);
     this.details = node("p", { class: "note" });
-    this.fold = node("details", {}, node("summary", {}, "Details"), this.details);
+    this.fold = node("details", {}, node("summary", {}, t("Details")), this.details);
     const parts = [this.sentence, this.retryButton, this.fold];
     this.root = node("div", { class: "failure", role: "alert", hidden: true }, ...parts);
   }
@@ -46,12 +50,15 @@ export class Failure {
   /** @param {string} message */
   show(message) {
     const sentence = sentenceOf(message);
-    this.sentence.textContent = sentence;
+    const isPlain = sentence === message || sentence === `${message}.`;
+    this.sentence.textContent = isPlain
+      ? sentence.replace(message, () => this.t(message))
+      : this.t(sentence);
     this.details.textContent = message;
     this.isFinal = NO_WEBGL.test(message);
     this.retryButton.hidden = this.isFinal;
     this.root.classList.toggle("final", this.isFinal);
-    this.fold.hidden = sentence === message || sentence === `${message}.`;
+    this.fold.hidden = isPlain;
     this.fold.open = false;
     this.root.hidden = false;
   }

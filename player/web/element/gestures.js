@@ -27,9 +27,10 @@ const HINT_PERIOD_MS = 1000;
  * @param {HTMLElement} surface
  * @param {Gestured} player
  * @param {(xPx: number, yPx: number) => void} focus flies to what shows at a place of the surface
+ * @param {import("./texts.js").Translate} t
  * @param {AbortSignal} signal ends the listening
  */
-export function listenToGestures(surface, player, focus, signal) {
+export function listenToGestures(surface, player, focus, t, signal) {
   /** @type {Map<number, { x: number, y: number, firstX: number }>} */
   const pointers = new Map();
   const taps = new Taps();
@@ -91,7 +92,7 @@ export function listenToGestures(surface, player, focus, signal) {
     pointers.set(event.pointerId, { ...before, x: event.clientX, y: event.clientY });
     if (isTouch && !hasAll && pointers.size === 1) {
       if (Math.abs(event.clientX - before.firstX) > LOOKS_PX) {
-        hint("Use two fingers to look around", event.timeStamp);
+        hint(t("Use two fingers to look around"), event.timeStamp);
       }
       return;
     }
@@ -131,7 +132,7 @@ export function listenToGestures(surface, player, focus, signal) {
   const turnWheel = (/** @type {WheelEvent} */ event) => {
     lookAtPage();
     if (!(event.ctrlKey || event.metaKey || hasAll || hasFocus(surface))) {
-      hint("Use Ctrl and the wheel to come closer", event.timeStamp);
+      hint(t("Use Ctrl and the wheel to come closer"), event.timeStamp);
       return;
     }
     event.preventDefault();

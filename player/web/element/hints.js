@@ -8,9 +8,17 @@ export class Hints {
   #brief = "";
   /** @type {Map<string, string>} */
   #conditions = new Map();
+  /** @type {import("./texts.js").Translate} */
+  #t = String;
 
   constructor() {
     this.root = node("div", { class: "note soft", role: "status" });
+  }
+
+  /** @param {import("./texts.js").Translate} t */
+  translate(t) {
+    this.#t = t;
+    this.#show();
   }
 
   /**
@@ -47,7 +55,7 @@ export class Hints {
 
   #show() {
     const [condition = ""] = this.#conditions.values();
-    const text = this.#brief || condition;
+    const text = this.#t(this.#brief || condition);
     if (this.root.textContent !== text) this.root.textContent = text;
   }
 }

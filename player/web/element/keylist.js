@@ -1,26 +1,26 @@
 import { node } from "./nodes.js";
 
-/** @type {Record<string, string>} */
-const NAMES = {
-  " ": "Space",
+const ARROWS = {
   arrowleft: "←",
   arrowright: "→",
   arrowup: "↑",
   arrowdown: "↓",
-  home: "Home",
-  end: "End",
 };
 
 /** The dialog that lists the keys. */
 export class KeyList {
-  /** @param {import("./keys.js").KeyAction[]} actions read whenever the list opens */
-  constructor(actions) {
+  /**
+   * @param {import("./keys.js").KeyAction[]} actions read whenever the list opens
+   * @param {import("./texts.js").Translate} t
+   */
+  constructor(actions, t) {
     this.actions = actions;
+    this.t = t;
     this.list = node("dl");
-    const close = node("button", { class: "close" }, "Close");
+    const close = node("button", { class: "close" }, t("Close"));
     close.addEventListener("click", () => this.root.close());
     const attributes = { class: "keylist", "aria-labelledby": "keys" };
-    const header = node("header", {}, node("h2", { id: "keys" }, "Keys"), close);
+    const header = node("header", {}, node("h2", { id: "keys" }, t("Keys")), close);
     this.root = node("dialog", attributes, header, this.list);
     this.root.addEventListener("keydown", (event) => {
       event.stopPropagation(); // the dialog has its own keys
@@ -33,10 +33,15 @@ export class KeyList {
   }
 
   #fill() {
+    const { t } = this;
+    /** @type {Record<string, string>} */
+    const names = { ...ARROWS, " ": t("Space"), home: t("Home"), end: t("End") };
+    const nameOf = (/** @type {string} */ key) =>
+      names[key] ?? key.toUpperCase().replace("SHIFT+", "⇧");
     const rows = this.actions.map(({ keys, label }) => {
       const caps = keys.length > 4 ? [`${keys[0]} – ${keys[keys.length - 1]}`] : keys.map(nameOf);
-      const names = caps.map((key) => node("kbd", {}, key));
-      return node("div", {}, node("dt", {}, ...names), node("dd", {}, label));
+      const shown = caps.map((key) => node("kbd", {}, key));
+      return node("div", {}, node("dt", {}, ...shown), node("dd", {}, t(label)));
     });
     this.list.replaceChildren(...rows);
   }
@@ -48,9 +53,4 @@ export class KeyList {
       this.root.showModal();
     }
   }
-}
-
-/** @param {string} key */
-function nameOf(key) {
-  return NAMES[key] ?? key.toUpperCase().replace("SHIFT+", "⇧");
 }

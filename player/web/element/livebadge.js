@@ -21,17 +21,18 @@ export class LiveBadge {
   /**
    * @param {import("./webplayer.js").WebPlayer} player
    * @param {(hasStopped: boolean) => void} onStopped
+   * @param {import("./texts.js").Translate} t
    * @param {AbortSignal} signal ends the listening
    */
-  constructor(player, onStopped, signal) {
-    const label = "Go to the live edge";
+  constructor(player, onStopped, t, signal) {
+    const label = t("Go to the live edge");
     const attributes = {
       class: "badge",
       "aria-label": label,
-      title: `${label} (End)`,
+      title: `${label} (${t("End")})`,
       hidden: true,
     };
-    this.root = node("button", attributes, node("span", {}, "LIVE"));
+    this.root = node("button", attributes, node("span", {}, t("LIVE")));
     this.player = player;
     this.hasStopped = false;
     this.onStopped = onStopped;

@@ -24,8 +24,9 @@ export function hintToLook(player, hints, signal) {
       end();
       const isTouch = matchMedia("(pointer: coarse)").matches;
       const ownsFinger = player.canvas.style.touchAction === "none";
-      const fingers = ownsFinger ? "with a finger " : "with two fingers ";
-      hints.say(`Drag ${isTouch ? fingers : ""}to look around`, FOR_MS);
+      if (!isTouch) hints.say("Drag to look around", FOR_MS);
+      else if (ownsFinger) hints.say("Drag with a finger to look around", FOR_MS);
+      else hints.say("Drag with two fingers to look around", FOR_MS);
     },
     options,
   );

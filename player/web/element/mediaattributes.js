@@ -1,8 +1,12 @@
-/** The attributes of media elements that are also properties, and the sound's settings. */
+/** @typedef {import("../source/transform.js").TransformRequest} TransformRequest */
+
+/** The attributes of media elements that are also properties, how requests are sent, and the sound's settings. */
 export class MediaAttributes extends HTMLElement {
   #volume = 1;
   /** @type {boolean | null} null: use the attribute */
   #muted = null;
+  /** @type {TransformRequest | null} */
+  #transformRequest = null;
 
   /** URL of the stream's folder; absolute when read. */
   get src() {
@@ -20,6 +24,35 @@ export class MediaAttributes extends HTMLElement {
 
   set poster(url) {
     this.setAttribute("poster", url);
+  }
+
+  /**
+   * Whether requests to other hosts carry cookies; null without the attribute.
+   * @returns {"anonymous" | "use-credentials" | null}
+   */
+  get crossOrigin() {
+    const value = this.getAttribute("crossorigin");
+    if (value === null) return null;
+    return value.toLowerCase() === "use-credentials" ? "use-credentials" : "anonymous";
+  }
+
+  set crossOrigin(value) {
+    if (value === null) this.removeAttribute("crossorigin");
+    else this.setAttribute("crossorigin", value);
+  }
+
+  /**
+   * May change the URL, the headers and the credentials of each request for the stream; read when a stream is opened.
+   * @returns {TransformRequest | null}
+   */
+  get transformRequest() {
+    return this.#transformRequest;
+  }
+
+  set transformRequest(action) {
+    if (action !== null && typeof action !== "function")
+      throw new TypeError(`transformRequest: ${action} is not a function`);
+    this.#transformRequest = action;
   }
 
   get autoplay() {

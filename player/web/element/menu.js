@@ -53,16 +53,19 @@ export class Menu {
    * @param {import("./bar.js").Bar} bar
    * @param {Choice[]} choices
    * @param {Command[]} commands
+   * @param {import("./texts.js").Translate} t
    * @param {() => void} changed called when the menu was opened or closed
    */
-  constructor(bar, choices, commands, changed) {
+  constructor(bar, choices, commands, t, changed) {
+    this.t = t;
     this.bar = bar;
     /** The button that has opened the menu, to which the focus returns. @type {HTMLElement} */
     this.opener = bar.menuButton;
     this.choices = choices;
     this.commands = commands;
     this.changed = changed;
-    this.root = node("div", { class: "menu", role: "menu", "aria-label": "More", hidden: true });
+    const attributes = { class: "menu", role: "menu", "aria-label": t("More"), hidden: true };
+    this.root = node("div", attributes);
     this.root.addEventListener("keydown", (event) => this.#pressed(event));
   }
 
@@ -126,7 +129,7 @@ export class Menu {
         };
         const cap = key && node("kbd", {}, key.toUpperCase());
         const shown = iconName ? icon(iconName) : drawn(ICONS[name]);
-        return this.#entry(attributes, [shown, node("span", {}, label), cap], () => {
+        return this.#entry(attributes, [shown, node("span", {}, this.t(label)), cap], () => {
           this.close();
           run();
         });
@@ -141,7 +144,8 @@ export class Menu {
       this.#showAll();
       /** @type {HTMLElement | null} */ (this.root.querySelector(`[data-name="${name}"]`))?.focus();
     };
-    const attributes = { role: "menuitem", class: "back", "aria-label": `Back from ${label}` };
+    const backLabel = this.t("Back from {choice}", { choice: label });
+    const attributes = { role: "menuitem", class: "back", "aria-label": backLabel };
     const header = this.#entry(attributes, [drawn(ICONS.back), node("span", {}, label)], back);
     const at = now();
     const entries = values().map(({ value, label: text }) => {

@@ -12,6 +12,8 @@ const REPLAY = "M12 5V1L6 6l6 5V7a5.5 5.5 0 1 1-5.5 5.5h-2A7.5 7.5 0 1 0 12 5z";
 export class Overlay {
   /** @type {Condition} */
   condition = "empty";
+  /** @type {import("./texts.js").Translate} */
+  #t = String;
 
   /** @param {() => void} play */
   constructor(play) {
@@ -23,11 +25,24 @@ export class Overlay {
       style.setProperty("--aspect", `${naturalWidth / naturalHeight}`);
     });
     const ring = node("span", { class: "ring" });
-    const label = node("span", { class: "label" }, "Loading");
-    this.spinner = node("div", { class: "spinner", role: "status", hidden: true }, ring, label);
+    this.label = node("span", { class: "label" }, "Loading");
+    const parts = [ring, this.label];
+    this.spinner = node("div", { class: "spinner", role: "status", hidden: true }, ...parts);
     this.large = node("button", { class: "large", hidden: true });
     this.large.addEventListener("click", play);
     this.parts = [this.poster, this.spinner, this.large];
+  }
+
+  /** @param {import("./texts.js").Translate} t */
+  translate(t) {
+    this.#t = t;
+    this.label.textContent = t("Loading");
+    this.#name();
+  }
+
+  #name() {
+    const t = this.#t;
+    this.large.setAttribute("aria-label", this.condition === "ended" ? t("Play again") : t("Play"));
   }
 
   /** @param {string | null} url of the poster; null: none */
@@ -60,8 +75,7 @@ export class Overlay {
     this.condition = condition;
     this.large.hidden = !isLarge;
     if (!isLarge) return;
-    const isStart = condition === "start";
-    this.large.replaceChildren(drawn(isStart ? PLAY : REPLAY));
-    this.large.setAttribute("aria-label", isStart ? "Play" : "Play again");
+    this.large.replaceChildren(drawn(condition === "start" ? PLAY : REPLAY));
+    this.#name();
   }
 }

@@ -18,12 +18,13 @@ export class Panels {
    * @param {import("./menu.js").Choice[]} parts.choices
    * @param {import("./commands.js").Command[]} parts.commands
    * @param {import("./keys.js").KeyAction[]} parts.actions
+   * @param {import("./texts.js").Translate} t
    * @param {() => void} changed called when the menu was opened or closed
    */
-  constructor(player, place, { bar, choices, commands, actions }, changed) {
-    this.menu = new Menu(bar, choices, commands, changed);
+  constructor(player, place, { bar, choices, commands, actions }, t, changed) {
+    this.menu = new Menu(bar, choices, commands, t, changed);
     this.statistics = new Statistics(player);
-    this.keyList = new KeyList(actions);
+    this.keyList = new KeyList(actions, t);
     addStyle(place, SHEET);
     place.append(this.statistics.root, this.menu.root, this.keyList.root);
   }

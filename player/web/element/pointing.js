@@ -1,3 +1,4 @@
+import { depthAt } from "../renderer/depthquery.js";
 import { pointAt } from "../view/pose.js";
 
 /** Places of the canvas, and what shows there. */
@@ -12,7 +13,8 @@ export function scenePointAt({ camera, painter, size, isEmpty }, xPx, yPx) {
   if (camera === null || isEmpty) return null;
   const x = (xPx * size.pixelRatio) % camera.widthPx; // side by side there are two pictures
   const y = yPx * size.pixelRatio;
-  const depthM = painter.renderer?.depthAt(camera, x, y) ?? null;
+  const { renderer } = painter;
+  const depthM = renderer && depthAt(renderer, camera, x, y);
   return depthM === null ? null : pointAt(camera, x, y, depthM);
 }
 

@@ -56,8 +56,7 @@ export class RemoteControl {
     navigator.mediaSession.metadata = new MediaMetadata(metadata);
     const opened = this.#opened;
     try {
-      const url =
-        element.poster || (poster && (await pictureUrl(player.base, poster, player.files)));
+      const url = element.poster || (poster && (await pictureUrl(player, poster)));
       if (!url || owner !== this || opened !== this.#opened) return;
       navigator.mediaSession.metadata = new MediaMetadata({ ...metadata, artwork: [{ src: url }] });
     } catch (error) {

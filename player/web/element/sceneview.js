@@ -1,6 +1,6 @@
 import { Painter } from "../renderer/painter.js";
 import { Orbit } from "../view/orbit.js";
-import { nearOf, poseOf } from "../view/pose.js";
+import { nearOf } from "../view/pose.js";
 import { CanvasSize } from "./canvassize.js";
 import { FrameLoop } from "./frameloop.js";
 
@@ -76,11 +76,11 @@ export class SceneView extends EventTarget {
     this.isEmpty = true;
     this.needsDrawing = false;
     this.drawnMs = 0;
-    this.painter.addEventListener("lost", () => this.#notify("lost"));
-    this.painter.addEventListener("gone", () => this.#notify("gone"));
+    this.painter.addEventListener("lost", () => this.notify("lost"));
+    this.painter.addEventListener("gone", () => this.notify("gone"));
     this.painter.addEventListener("restored", () => {
       this.isEmpty = true;
-      this.#notify("restored");
+      this.notify("restored");
       this.loop.request();
     });
   }
@@ -170,47 +170,19 @@ export class SceneView extends EventTarget {
    * gesture. Throws a HeadsetError.
    */
   async enterHeadset() {
-    const { Headset } = await import("../stereo/headset.js");
-    const headset = await Headset.begin(this.painter.context.gl);
-    if (this.isDisposed) {
-      headset.end();
-      return;
-    }
-    headset.addEventListener("select", () => this.#notify("select"));
-    headset.addEventListener("visibility", () => this.#notify("headset"));
-    headset.addEventListener("ended", () => {
-      this.headset = null;
-      this.redraw();
-      this.#notify("headset");
-    });
-    headset.run((ms, frame) => this.#drawInHeadset(headset, ms, frame));
-    this.headset = headset;
-    this.#notify("headset");
+    const { enterHeadset } = await import("../stereo/headset.js");
+    return enterHeadset(this);
   }
 
   /** @param {number} nowMs */
   #drawOnCanvas(nowMs) {
-    this.#notify("drawing");
+    this.notify("drawing");
     if (this.headset !== null) return;
     if (this.motion?.step(nowMs)) this.redraw();
     const { camera, orbit } = this;
     if (camera === null || orbit === null) return;
     const viewpoint = this.eyesAt?.(camera, orbit.centre) ?? oneEye(camera);
-    this.#draw(viewpoint, nowMs);
-  }
-
-  /**
-   * @param {Headset} headset
-   * @param {number} nowMs
-   * @param {XRFrame} frame
-   */
-  #drawInHeadset(headset, nowMs, frame) {
-    const { camera, orbit } = this;
-    if (camera === null || orbit === null) return;
-    const viewpoint = headset.viewpoint(frame, poseOf(camera), orbit.up);
-    if (viewpoint === null) return;
-    this.needsDrawing = true; // a headset needs a complete picture every time
-    this.#draw(viewpoint, nowMs);
+    this.draw(viewpoint, nowMs);
   }
 
   /**
@@ -218,7 +190,7 @@ export class SceneView extends EventTarget {
    * @param {import("../stereo/eyes.js").Viewpoint} viewpoint
    * @param {number} nowMs
    */
-  #draw(viewpoint, nowMs) {
+  draw(viewpoint, nowMs) {
     const { manifest, painter, size } = this;
     if (manifest === null) return;
     if (this.sorted !== null) this.#upload(this.sorted);
@@ -256,7 +228,7 @@ export class SceneView extends EventTarget {
   }
 
   /** @param {string} type */
-  #notify(type) {
+  notify(type) {
     this.dispatchEvent(new Event(type));
   }
 

@@ -21,10 +21,12 @@ export class Scrubber {
 
   /**
    * @param {import("./webplayer.js").WebPlayer} player
+   * @param {import("./texts.js").Translate} t
    * @param {AbortSignal} signal ends the listening
    */
-  constructor(player, signal) {
+  constructor(player, t, signal) {
     this.player = player;
+    this.t = t;
     this.hoverTime = node("span", { class: "hover-time" });
     this.preview = node(
       "div",
@@ -39,7 +41,7 @@ export class Scrubber {
       step: "1",
       value: "0",
     };
-    this.input = node("input", { ...attributes, "aria-label": "Seek" });
+    this.input = node("input", { ...attributes, "aria-label": t("Seek") });
     this.root = node("div", { class: "scrubber" }, this.preview, this.input);
     this.time = node("span", { class: "time" }, "0:00 / 0:00");
     this.input.addEventListener("input", () => this.#scrub());
@@ -131,7 +133,7 @@ export class Scrubber {
     const text = isAtEdge ? "" : positionText(frame, numFrames, manifest?.fps ?? 30, live);
     if (time.textContent === text) return; // setting the same text again would cost a layout
     time.textContent = text;
-    input.setAttribute("aria-valuetext", text || "Live");
+    input.setAttribute("aria-valuetext", text || this.t("LIVE"));
   }
 
   /** Colours the track: the part before the thumb, the loaded ranges, and the rest. */

@@ -8,14 +8,18 @@ const ICONS = {
 
 /** Mute and volume in the bar, and a button over the picture if the browser requires a user gesture. */
 export class SoundControls {
-  /** @param {import("./mediainterface.js").MediaInterface} element */
-  constructor(element) {
+  /**
+   * @param {import("./mediainterface.js").MediaInterface} element
+   * @param {import("./texts.js").Translate} t
+   */
+  constructor(element, t) {
     this.element = element;
+    this.t = t;
     this.isBlocked = false;
     this.unblock = () => {};
     this.mute = node("button", { class: "mute" });
     this.mute.addEventListener("click", () => this.toggle());
-    const range = { type: "range", min: "0", max: "1", step: "0.05", "aria-label": "Volume" };
+    const range = { type: "range", min: "0", max: "1", step: "0.05", "aria-label": t("Volume") };
     this.volume = node("input", { class: "volume slider", ...range });
     this.volume.addEventListener("input", () => {
       element.volume = this.volume.valueAsNumber;
@@ -26,7 +30,12 @@ export class SoundControls {
     this.volume.addEventListener("keydown", (event) => {
       if (/^(Arrow|Home|End|Page)/.test(event.key)) event.stopPropagation();
     });
-    this.unmute = node("button", { class: "unmute", hidden: true }, drawn(ICONS.silent), "Unmute");
+    this.unmute = node(
+      "button",
+      { class: "unmute", hidden: true },
+      drawn(ICONS.silent),
+      t("Unmute"),
+    );
     this.unmute.addEventListener("click", () => this.toggle());
   }
 
@@ -48,10 +57,10 @@ export class SoundControls {
 
   /** @param {boolean} isThere whether there is sound to control */
   show(isThere) {
-    const { mute, volume, unmute, element, isSilent } = this;
+    const { mute, volume, unmute, element, isSilent, t } = this;
     mute.hidden = volume.hidden = !isThere;
     unmute.hidden = !isThere || !this.isBlocked;
-    const label = isSilent ? "Unmute" : "Mute";
+    const label = isSilent ? t("Unmute") : t("Mute");
     const heard = element.muted ? 0 : element.volume;
     volume.value = String(heard);
     const end = `${100 * heard}%`;

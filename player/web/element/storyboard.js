@@ -27,12 +27,12 @@ export class Storyboard {
    * @param {number} frame
    */
   show(player, frame) {
-    const { manifest, live, numFrames, base, files } = player;
+    const { manifest, live, numFrames } = player;
     this.frame = frame;
     if (!manifest?.storyboard || live) return;
     if (this.layout === null) {
       const layout = (this.layout = storyboardLayout(numFrames, manifest.fps));
-      pictureUrl(base, manifest.storyboard, files).then(
+      pictureUrl(player, manifest.storyboard).then(
         (url) => {
           if (url !== null && this.layout === layout) this.image.src = url;
         },

@@ -18,11 +18,31 @@ import { WebPlayer } from "./webplayer.js";
 const LONG_MS = 10_000;
 
 /**
- * `<swings-player src="URL of a stream's folder or file">`: plays a stream, with controls.
- *
- * Attributes: `src`, `autoplay`, `loop`, `preload`, `start` (seconds), `view` (as in a share link),
- * `poster`, `muted`, `interpolate`, `link` (the page that share links open), `max-gaussians`,
- * `other-hosts`, `crossorigin`, `buffer-mb`, `gestures`, `download`. docs/EMBED.md describes them all, and the scripting interface.
+ * `<swings-player src="URL of a stream's folder or file">`: plays a stream, with controls. It has the interface of
+ * media elements; docs/EMBED.md says where it differs, and what it adds.
+ * @tag swings-player
+ * @attr {string} src - URL of the stream's folder or file
+ * @attr {boolean} autoplay - plays once it is open
+ * @attr {boolean} loop - starts again at the end
+ * @attr {string} start - seconds from the first frame at which it starts
+ * @attr {string} view - direction of the camera at the start, as in a share link
+ * @attr {"none" | "metadata" | "auto"} preload - what is fetched before it plays
+ * @attr {boolean} muted - starts without sound
+ * @attr {string} poster - URL of a picture to show until the first frame
+ * @attr {string} max-gaussians - a stream with more is refused
+ * @attr {boolean} other-hosts - allows objects on another origin than the manifest's
+ * @attr {"anonymous" | "use-credentials"} crossorigin - whether requests to other hosts carry cookies
+ * @attr {string} buffer-mb - most megabytes of received data that are kept
+ * @attr {"false"} interpolate - each frame stands until the next one
+ * @attr {"all"} gestures - one finger and the wheel always move the camera
+ * @attr {string} download - URL of the stream as one file
+ * @attr {string} link - URL of the page that shared links open
+ * @attr {string} lang - language of the controls
+ * @fires layerschange - `layers` was set
+ * @fires gesturehint - a gesture was left to the page; detail: a sentence for the viewer
+ * @csspart bar - the bar of controls
+ * @csspart captions - the captions over the picture
+ * @cssstate idle - the bar is hidden because nothing has moved for a while
  */
 export class SwingsPlayerElement extends MediaInterface {
   /** Version of the player. */
@@ -128,7 +148,8 @@ export class SwingsPlayerElement extends MediaInterface {
     player.open(this.currentSrc, {
       maxGaussians: most > 0 ? most : null,
       otherHosts: this.hasAttribute("other-hosts"),
-      credentials: this.getAttribute("crossorigin") === "use-credentials" ? "include" : undefined,
+      credentials: this.crossOrigin === "use-credentials" ? "include" : undefined,
+      transformRequest: this.transformRequest ?? undefined,
       bufferMb: bufferMb > 0 ? bufferMb : null,
       isHeld,
     });
@@ -140,14 +161,16 @@ export class SwingsPlayerElement extends MediaInterface {
    */
   #loadParts(player, signal) {
     const [canvas, frame, place, hints] = [this.#canvas, this.#frame, this.#place, this.#hints];
+    const overlay = this.#overlay;
     const changed = () => this.#show(player);
     const setIdle = (/** @type {boolean} */ isIdle) => this.#setIdle(isIdle);
-    const surroundings = { player, canvas, frame, place, hints, changed, setIdle };
+    const surroundings = { player, canvas, frame, place, overlay, hints, changed, setIdle };
     const controls = new LazyPart(
       async () => {
-        const { Controls } = await import("./controls.js");
+        const { Controls, translatorOf } = await import("./controls.js");
+        const texts = await translatorOf(this);
         if (signal.aborted) return null;
-        return new Controls({ element: this, ...surroundings }, signal);
+        return new Controls({ element: this, ...surroundings }, texts, signal);
       },
       (error) => {
         console.warn(
@@ -162,9 +185,10 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#controls = controls;
     this.#tracks = new LazyPart(
       async () => {
-        const { Tracks } = await import("./tracks.js");
+        const { Tracks, translatorOf } = await import("./tracks.js");
+        const { t } = await translatorOf(this);
         if (signal.aborted) return null;
-        const tracks = new Tracks(this, player, place, hints, this.#textHolder, signal);
+        const tracks = new Tracks(this, player, place, hints, this.#textHolder, t, signal);
         controls.use((part) => tracks.addTo(part));
         return tracks;
       },
@@ -227,7 +251,7 @@ export class SwingsPlayerElement extends MediaInterface {
     const poster = player.manifest?.poster;
     if (this.#overlay.hasPoster || !poster) return;
     try {
-      const url = await pictureUrl(player.base, poster, player.files);
+      const url = await pictureUrl(player, poster);
       if (player === this.player && !this.#overlay.hasPoster) this.#overlay.setPoster(url);
     } catch (error) {
       console.warn("swings: the poster could not be loaded:", error);

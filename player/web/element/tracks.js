@@ -11,6 +11,8 @@ import { SoundPlay } from "../sound/soundplay.js";
 import SOUND_STYLE from "./sound.css";
 import { SoundControls } from "./soundcontrols.js";
 
+export { translatorOf } from "./texts.js";
+
 const LONG_MS = 10_000;
 
 /** Shared by all elements, which may be created and removed many times. */
@@ -28,18 +30,20 @@ export class Tracks {
    * @param {HTMLElement} place the element that holds the controls
    * @param {import("./hints.js").Hints} hints
    * @param {HTMLVideoElement} textHolder of the text tracks that scripts see
+   * @param {import("./texts.js").Translate} t
    * @param {AbortSignal} signal ends sound, captions and listening
    */
-  constructor(element, player, place, hints, textHolder, signal) {
+  constructor(element, player, place, hints, textHolder, t, signal) {
+    this.t = t;
     this.element = element;
     this.player = player;
     this.hints = hints;
     this.signal = signal;
-    const controls = new SoundControls(element);
+    const controls = new SoundControls(element, t);
     this.controls = controls;
     controls.unblock = () => this.sound?.unblock();
     const say = (/** @type {string} */ message) => this.#say(message);
-    this.captions = new CaptionsControls(player, textHolder, say, signal);
+    this.captions = new CaptionsControls(player, textHolder, say, t, signal);
     this.remote = new RemoteControl(element, player, signal);
     addStyle(place, SHEET);
     place.prepend(this.captions.text);
@@ -78,21 +82,25 @@ export class Tracks {
     try {
       this.captions.open(captions);
     } catch (error) {
-      const why = error instanceof Error ? error.message : error;
-      this.#say(`The captions of this stream cannot be shown: ${why}`);
+      const why = error instanceof Error ? error.message : String(error);
+      this.#say(this.t("The captions of this stream cannot be shown: {why}", { why }));
     }
     if (signal.aborted || !sound) return this.#show();
     try {
       this.sound = new SoundPlay(player, () => element.isLooping);
     } catch (error) {
-      const why = error instanceof Error ? error.message : error;
-      this.#say(`The sound of this stream cannot be played: ${why}`);
+      const why = error instanceof Error ? error.message : String(error);
+      this.#say(this.t("The sound of this stream cannot be played: {why}", { why }));
       return this.#show();
     }
     if (this.sound.sources.length === 0) this.#close();
     this.sound?.addEventListener("blocked", () => this.#show());
     this.sound?.addEventListener("refused", (event) =>
-      this.#say(/** @type {CustomEvent<string>} */ (event).detail),
+      this.#say(
+        this.t("Some of the sound cannot be played: {why}", {
+          why: /** @type {CustomEvent<string>} */ (event).detail,
+        }),
+      ),
     );
     this.#show();
     this.remote.show(); // it may play already

@@ -81,18 +81,19 @@ export class WebPlayer extends StreamSession {
    * @param {number | null} [options.maxGaussians] a larger stream fails; null for the default, 2^22
    * @param {boolean} [options.otherHosts] whether the manifest may refer to hosts other than its own
    * @param {RequestCredentials} [options.credentials] whether requests carry cookies, see `fetch`
+   * @param {import("../source/transform.js").TransformRequest} [options.transformRequest] changes each request
    * @param {number | null} [options.bufferMb] limit for the received data that is kept; null for the
    *   default, 64
    * @param {boolean} [options.isHeld] whether to fetch no frame until the stream plays or seeks
    */
   open(
     src,
-    { maxGaussians = null, otherHosts = false, credentials, bufferMb = null, isHeld = false } = {},
+    { maxGaussians = null, otherHosts = false, bufferMb = null, isHeld = false, ...access } = {},
   ) {
     this.close();
     const base = folderUrl(src, document.baseURI);
     const bufferBytes = bufferMb === null ? undefined : 1e6 * bufferMb;
-    this.source = { base, maxGaussians, otherHosts, credentials, bufferBytes, isHeld };
+    this.source = { base, maxGaussians, otherHosts, bufferBytes, isHeld, ...access };
     if (this.preloads) this.#start();
     this.#followSight();
   }

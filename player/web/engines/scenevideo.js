@@ -11,6 +11,8 @@ import { poseOf } from "../view/pose.js";
  * @property {boolean} [loop] starts again at the end; true by default
  * @property {number} [maxGaussians] a stream with more is refused; 2^22 by default
  * @property {boolean} [otherHosts] the stream's objects may be on other hosts than its manifest
+ * @property {RequestCredentials} [credentials] whether requests carry cookies, see `fetch`
+ * @property {import("../source/transform.js").TransformRequest} [transformRequest] changes each request
  */
 
 /**
@@ -33,9 +35,9 @@ export class SceneVideo extends EventTarget {
   #rate = 1;
 
   /** @param {SceneVideoOptions} options */
-  constructor({ url, autoplay = true, loop = true, maxGaussians, otherHosts }) {
+  constructor({ url, autoplay = true, loop = true, ...options }) {
     super();
-    this.#feed = new GaussianFeed(url, { maxGaussians, otherHosts });
+    this.#feed = new GaussianFeed(url, options);
     /** @type {Promise<FeedStream>} rejects with the reason if the stream cannot be opened */
     this.opened = this.#feed.opened;
     this.loop = loop;

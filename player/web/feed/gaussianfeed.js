@@ -42,9 +42,11 @@ export class GaussianFeed extends StreamSession {
   /**
    * Opens the stream whose folder, or file, is at `src`.
    * @param {string} src
-   * @param {{ maxGaussians?: number, otherHosts?: boolean, credentials?: RequestCredentials }} [options]
-   *   maxGaussians: `opened` rejects for a larger stream; 2^22 by default. otherHosts: the stream's objects
-   *   may be on other hosts. credentials: whether requests carry cookies, see `fetch`
+   * @param {object} [options]
+   * @param {number} [options.maxGaussians] `opened` rejects for a larger stream; 2^22 by default
+   * @param {boolean} [options.otherHosts] the stream's objects may be on other hosts
+   * @param {RequestCredentials} [options.credentials] whether requests carry cookies, see `fetch`
+   * @param {import("../source/transform.js").TransformRequest} [options.transformRequest] changes each request
    */
   constructor(src, options = {}) {
     super();

@@ -16,6 +16,7 @@
  * @property {number | null} [maxGaussians]
  * @property {boolean} [otherHosts]
  * @property {RequestCredentials} [credentials] whether requests carry cookies, see `fetch`
+ * @property {import("../source/transform.js").TransformRequest} [transformRequest] changes each request
  * @property {number} [bufferBytes] limit for the received data that is kept
  * @property {boolean} [isHeld] whether to fetch no frame until the stream plays or seeks
  */
@@ -33,8 +34,13 @@
 /** @typedef {import("../source/early/earlyrequests.js").EarlyOffer} EarlyOffer */
 
 /**
+ * The wish as the play worker gets it: it asks for the changes of a request through a port.
+ * @typedef {Omit<Source, "transformRequest"> & { transformRequest?: MessagePort }} Opening
+ */
+
+/**
  * From the page to the play worker. `port` leads to the worker that takes the frames.
- * @typedef {Source & { kind: "open", start?: Start, early?: EarlyOffer[], port?: MessagePort }
+ * @typedef {Opening & { kind: "open", start?: Start, early?: EarlyOffer[], port?: MessagePort }
  *   | { kind: "play", playing: boolean }
  *   | { kind: "seek", frame: number, seeks: number }
  *   | { kind: "scrub", frame: number }

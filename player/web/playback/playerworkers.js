@@ -1,6 +1,7 @@
 import { firstUrls } from "../source/addresses.js";
 import { offerEarly } from "../source/early/earlyrequests.js";
 import { preloadSource } from "./preload.js";
+import { requestPort } from "./requestport.js";
 import { startWorker } from "./startworker.js";
 
 /** @typedef {import("./messages.js").FromPlayer} FromPlayer */
@@ -25,21 +26,26 @@ export class PlayerWorkers {
     this.player = startWorker(new URL("./playworker.js", import.meta.url));
     preloadSource(source.base);
     this.player.onmessage = (/** @type {MessageEvent<FromPlayer>} */ { data }) => onMessage(data);
+    const fail = (/** @type {string} */ message) => onMessage({ kind: "failed", message });
     for (const worker of [this.player, sink]) {
       worker.onerror = ({ message }) => {
         // The error of a worker that never started has no message.
         const why =
           message ?? "one of its scripts was not loaded; see the errors in the browser's console";
-        onMessage({ kind: "failed", message: `The player failed: ${why}` });
+        fail(`The player failed: ${why}`);
       };
     }
     // A stream that is opened again at a frame was played or sought before.
     const isHeld = source.isHeld && start.frame === null;
-    // The page's own requests are sent without other credentials.
-    const urls = source.credentials === undefined ? firstUrls(source.base) : [];
+    const transformRequest = requestPort(source.transformRequest, fail);
+    // The page's own requests are sent as they are.
+    const isPlain = source.credentials === undefined && transformRequest === undefined;
+    const urls = isPlain ? firstUrls(source.base) : [];
     const early = offerEarly(urls, this.#opening.signal);
     const ports = [port1, ...early.map(({ port }) => port)];
-    this.post({ kind: "open", ...source, isHeld, start, early, port: port1 }, ports);
+    if (transformRequest) ports.push(transformRequest);
+    const wish = { ...source, transformRequest, isHeld, start, early };
+    this.post({ kind: "open", ...wish, port: port1 }, ports);
   }
 
   /** @param {ToPlayer} message for the decoding worker @param {Transferable[]} [transfer] */

@@ -39,13 +39,14 @@ function fail(error) {
   if (!isOurs) throw error;
 }
 
-/** @param {import("./messages.js").Source} source */
-async function open({ maxGaussians, otherHosts, credentials, bufferBytes, isHeld }) {
+/** @param {import("./messages.js").Opening} opening */
+async function open(opening) {
+  const { maxGaussians, otherHosts, credentials, transformRequest, bufferBytes, isHeld } = opening;
   const onTrouble = (/** @type {string | null} */ message) =>
     scope.postMessage({ kind: "trouble", message });
   const onAwaited = (/** @type {string | null} */ message) =>
     scope.postMessage({ kind: "awaited", message });
-  const fetcher = new Fetcher({ onTrouble, onAwaited, credentials });
+  const fetcher = new Fetcher({ onTrouble, onAwaited, credentials, transformRequest });
   try {
     const most = maxGaussians ?? null;
     const stream = await openSource(base, fetcher, most, otherHosts ?? false, bufferBytes);

@@ -3,6 +3,25 @@ import { makeTexture } from "./texture.js";
 /** A pixel that is less opaque than this has no depth. */
 const LEAST_ALPHA = 0.25;
 
+/**
+ * Depth of the scene at a pixel, metres; null if hardly anything shows there, or this device cannot
+ * draw floats. Waits for the device.
+ * @param {import("./splatrenderer.js").SplatRenderer} renderer
+ * @param {import("../format/camera.js").Camera} camera the one that the current order is for
+ * @param {number} xPx from the left
+ * @param {number} yPx from the top
+ */
+export function depthAt(renderer, camera, xPx, yPx) {
+  if (!renderer.isFine) return null;
+  renderer.depths ??= new DepthQuery(renderer.gl, renderer.makeSplats({ DEPTH: 1 }));
+  const { depths } = renderer;
+  depths.begin();
+  const cxPx = camera.cxPx - Math.floor(xPx);
+  const cyPx = camera.cyPx - Math.floor(yPx);
+  renderer.blend({ ...camera, cxPx, cyPx }, depths.splats);
+  return depths.end();
+}
+
 /** Draws the depths of Gaussians into one pixel, and reads it. */
 export class DepthQuery {
   /**

@@ -1,7 +1,6 @@
 import { JACOBIAN_CLAMP } from "../constants.js";
 import SCREEN from "../../render/gl/shaders/screen.glsl";
 import SPLAT from "../../render/gl/shaders/splat.glsl";
-import { DepthQuery } from "./depthquery.js";
 import { makeProgram, RendererError, SLOT } from "./program.js";
 import { Resident } from "./resident.js";
 import { makeTexture } from "./texture.js";
@@ -48,7 +47,7 @@ export class SplatRenderer {
     this.orderBytes = 0;
     /** @type {{ widthPx: number, heightPx: number, texture: WebGLTexture, framebuffer: WebGLFramebuffer } | null} */
     this.picture = null;
-    /** @type {DepthQuery | null} */
+    /** @type {import("./depthquery.js").DepthQuery | null} made by its first use */
     this.depths = null;
     this.resident.start(shape.lattices);
     for (const { check } of [this.splats, this.screen]) check();
@@ -106,7 +105,7 @@ export class SplatRenderer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, picture.framebuffer);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    this.#blend(camera, this.splats);
+    this.blend(camera, this.splats);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     gl.viewport(corner.xPx, corner.yPx, camera.widthPx, camera.heightPx);
     gl.disable(gl.BLEND);
@@ -120,28 +119,11 @@ export class SplatRenderer {
   }
 
   /**
-   * Depth of the scene at a pixel, metres; null if hardly anything shows there, or this device cannot
-   * draw floats. Waits for the device.
-   * @param {import("../format/camera.js").Camera} camera the one that the current order is for
-   * @param {number} xPx from the left
-   * @param {number} yPx from the top
-   */
-  depthAt(camera, xPx, yPx) {
-    if (!this.isFine) return null;
-    this.depths ??= new DepthQuery(this.gl, this.makeSplats({ DEPTH: 1 }));
-    this.depths.begin();
-    const cxPx = camera.cxPx - Math.floor(xPx);
-    const cyPx = camera.cyPx - Math.floor(yPx);
-    this.#blend({ ...camera, cxPx, cyPx }, this.depths.splats);
-    return this.depths.end();
-  }
-
-  /**
    * Blends all Gaussians into the bound framebuffer.
    * @param {import("../format/camera.js").Camera} camera
    * @param {import("./program.js").Program} splats
    */
-  #blend(camera, splats) {
+  blend(camera, splats) {
     const { gl } = this;
     gl.viewport(0, 0, camera.widthPx, camera.heightPx);
     gl.disable(gl.DEPTH_TEST);

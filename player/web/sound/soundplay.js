@@ -223,7 +223,8 @@ export class SoundPlay extends EventTarget {
     this.#gain = gain;
     const { player, manifest } = this;
     const { base, source, files } = player;
-    const fetcher = new Fetcher({ credentials: source?.credentials });
+    const { credentials, transformRequest } = source ?? {};
+    const fetcher = new Fetcher({ credentials, transformRequest });
     const isServed = servedBase(base) !== null;
     const urlOf = (/** @type {number} */ segment, /** @type {string} */ part) =>
       isServed
@@ -296,7 +297,7 @@ export class SoundPlay extends EventTarget {
   #refuse(error) {
     if (this.#isRefused) return;
     this.#isRefused = true;
-    const detail = `Some of the sound cannot be played: ${error instanceof Error ? error.message : error}`;
+    const detail = error instanceof Error ? error.message : String(error);
     this.dispatchEvent(new CustomEvent("refused", { detail }));
   }
 

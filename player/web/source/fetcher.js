@@ -50,10 +50,13 @@ export class Fetcher {
    * @param {(picture: string | null) => void} [options.onAwaited] called again and again while a stream
    *   has no frames, with the URL of its poster
    * @param {RequestCredentials} [options.credentials] whether requests carry cookies, see `fetch`
+   * @param {import("./transform.js").TransformRequest | MessagePort} [options.transformRequest] changes each
+   *   request; in a worker, the port to the page's function
    */
-  constructor({ giveUpS = 60, onTrouble = () => {}, onAwaited = () => {}, credentials } = {}) {
+  constructor({ giveUpS = 60, onTrouble = () => {}, onAwaited = () => {}, ...access } = {}) {
     this.giveUpS = giveUpS;
-    this.credentials = credentials;
+    /** How the page wants requests to be sent. */
+    this.access = access;
     this.onTrouble = onTrouble;
     this.onAwaited = onAwaited;
     this.receivedBytes = 0;
@@ -102,8 +105,25 @@ export class Fetcher {
    * @param {string} url
    * @param {RequestInit} [init]
    */
-  send(url, init) {
-    return fetchOnce(url, { credentials: this.credentials, ...init });
+  async send(url, init) {
+    return fetchOnce(...(await this.#request(url, init)));
+  }
+
+  /**
+   * A request as the page wants it.
+   * @param {string} url
+   * @param {RequestInit} [init]
+   * @returns {Promise<[string, RequestInit]>}
+   */
+  async #request(url, init) {
+    const { credentials, transformRequest } = this.access;
+    const request = { credentials, ...init };
+    if (!transformRequest) return [url, request];
+    const module = await import("./transform.js"); // whole, as the page has it
+    return module.transformed(transformRequest, url, request).catch((error) => {
+      request.signal?.throwIfAborted();
+      throw new SourceError(error.message);
+    });
   }
 
   /**
@@ -199,7 +219,8 @@ export class Fetcher {
     if (this.receivedBytes > 0) return null;
     try {
       const { refusalOf } = await import("./refusal.js");
-      const message = await refusalOf(url);
+      const [asked] = await this.#request(url);
+      const message = await refusalOf(asked);
       return message === null ? null : new SourceError(message);
     } catch (error) {
       console.warn("swings: no reason found:", error);

@@ -50,11 +50,7 @@ export class GrowingIndex {
  */
 export async function explained({ url, fetcher, manifest, records }, error) {
   // Where there is no network, `error` says so already.
-  const now = new GrowingIndex(
-    url,
-    new Fetcher({ giveUpS: 0, credentials: fetcher.credentials }),
-    manifest,
-  );
+  const now = new GrowingIndex(url, new Fetcher({ ...fetcher.access, giveUpS: 0 }), manifest);
   try {
     await now.refresh();
   } catch (other) {

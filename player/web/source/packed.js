@@ -68,7 +68,7 @@ export class PackedStream extends HostedStream {
   async explain(error) {
     const known = this.layout.records;
     try {
-      const fetcher = new Fetcher({ giveUpS: 0, credentials: this.fetcher.credentials });
+      const fetcher = new Fetcher({ ...this.fetcher.access, giveUpS: 0 });
       const { layout } = await PackedStream.open(this.base, fetcher, Infinity);
       const last = known.length - 1;
       return isSame(layout.records[last], known[last]) ? error : new SourceError(REPLACED);

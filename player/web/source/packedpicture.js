@@ -1,16 +1,28 @@
 /**
- * A picture in a packed stream, as a `data:` URL; null if there is none. See pictureUrl.
- * @param {string} base
+ * A picture that an element cannot fetch itself, because it lies in a packed stream or the page changes requests, as
+ * a `data:` URL; null if there is none. See pictureUrl.
+ * @param {string} url
  * @param {string} path
- * @param {Record<string, import("../format/packedlayout.js").Place>} places
+ * @param {import("../playback/messages.js").Source | null} source
+ * @param {import("../format/packedlayout.js").Place} [place] in the packed stream
  * @returns {Promise<string | null>}
  */
-export async function packedPicture(base, path, places) {
-  if (!Object.hasOwn(places, path)) return null;
-  const { first, size } = places[path];
-  const headers = { Range: `bytes=${first}-${first + size - 1}` };
-  const response = await fetch(base, { headers, cache: "no-store" });
-  if (response.status !== 206) return null;
+export async function fetchedPicture(url, path, source, place) {
+  const { credentials, transformRequest } = source ?? {};
+  /** @type {RequestInit} */
+  const init = { credentials };
+  if (place !== undefined) {
+    init.headers = { Range: `bytes=${place.first}-${place.first + place.size - 1}` };
+    init.cache = "no-store";
+  }
+  /** @type {[string, RequestInit]} */
+  let request = [url, init];
+  if (transformRequest) {
+    const { transformed } = await import("./transform.js");
+    request = await transformed(transformRequest, url, init);
+  }
+  const response = await fetch(...request);
+  if (response.status !== (place === undefined ? 200 : 206)) return null;
   const bytes = await response.arrayBuffer();
   const ending = path.slice(path.lastIndexOf(".") + 1).toLowerCase();
   const type = `image/${ending === "jpg" ? "jpeg" : ending}`;

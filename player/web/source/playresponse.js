@@ -18,7 +18,7 @@ export class GoneError extends Error {
   }
 }
 
-const BUSY = "The server is busy";
+export const BUSY = "The server is busy";
 
 /** A server that reports the same error in so many answers in a row is believed. */
 const MOST_REPORTS = 3;

@@ -1,4 +1,4 @@
-import { worldToCamera } from "../view/pose.js";
+import { poseOf, worldToCamera } from "../view/pose.js";
 import { middleOf } from "./eyes.js";
 import { Placement } from "./placement.js";
 import { pinholeOf, poseOfTransform } from "./xrview.js";
@@ -14,6 +14,43 @@ export class HeadsetError extends Error {
     super(message);
     this.name = "HeadsetError";
   }
+}
+
+/**
+ * Shows the scene of a view on a headset; see SceneView.
+ * @param {import("../element/sceneview.js").SceneView} view
+ */
+export async function enterHeadset(view) {
+  const headset = await Headset.begin(view.painter.context.gl);
+  if (view.isDisposed) {
+    headset.end();
+    return;
+  }
+  headset.addEventListener("select", () => view.notify("select"));
+  headset.addEventListener("visibility", () => view.notify("headset"));
+  headset.addEventListener("ended", () => {
+    view.headset = null;
+    view.redraw();
+    view.notify("headset");
+  });
+  headset.run((ms, frame) => drawIn(headset, view, ms, frame));
+  view.headset = headset;
+  view.notify("headset");
+}
+
+/**
+ * @param {Headset} headset
+ * @param {import("../element/sceneview.js").SceneView} view
+ * @param {number} nowMs
+ * @param {XRFrame} frame
+ */
+function drawIn(headset, view, nowMs, frame) {
+  const { camera, orbit } = view;
+  if (camera === null || orbit === null) return;
+  const viewpoint = headset.viewpoint(frame, poseOf(camera), orbit.up);
+  if (viewpoint === null) return;
+  view.needsDrawing = true; // a headset needs a complete picture every time
+  view.draw(viewpoint, nowMs);
 }
 
 /**

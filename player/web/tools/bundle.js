@@ -164,7 +164,13 @@ function page(preloaded) {
 /** @type {Map<string, import("rollup").OutputChunk>} */
 const chunks = new Map();
 for (const entry of THREADS) {
-  for (const one of await scripts(entry)) if (one.type === "chunk") chunks.set(one.fileName, one);
+  for (const one of await scripts(entry)) {
+    if (one.type !== "chunk") continue;
+    // A small script that several threads load has to be the same in each.
+    const { code = one.code } = chunks.get(one.fileName) ?? {};
+    if (code !== one.code) throw new Error(`two threads make different scripts ${one.fileName}`);
+    chunks.set(one.fileName, one);
+  }
 }
 const pageScript = await inlineScript("watch.js");
 const first = Object.fromEntries(

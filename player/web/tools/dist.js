@@ -9,6 +9,7 @@ import { fileURLToPath } from "node:url";
 
 import { rollup } from "rollup";
 
+import { elementsManifest } from "./elements.js";
 import { texts } from "./textmodules.js";
 
 const WEB = fileURLToPath(new URL("../", import.meta.url));
@@ -100,5 +101,6 @@ function writeTypes() {
 rmSync(DIST, { recursive: true, force: true });
 await writeModules();
 writeTypes();
+writeFileSync(`${DIST}custom-elements.json`, `${JSON.stringify(elementsManifest(), null, 2)}\n`);
 copyFileSync(`${WEB}watch.html`, `${DIST}watch.html`);
 copyFileSync(`${WEB}../../LICENSE`, `${WEB}LICENSE`);

@@ -130,7 +130,8 @@ def test_what_cannot_be_read_is_one_sentence(page: Page, url: str, folder: Path)
     page.wait("part('.cc').checkVisibility()")
     page.run("part('.cc').click()")
     note = "part('.note').textContent"
-    page.wait(f"{note} === 'The captions cannot be shown: captions-en.vtt is not WebVTT'")
+    said = "The captions of this stream cannot be shown: captions-en.vtt is not WebVTT"
+    page.wait(f"{note} === '{said}'")
     path = folder / "wrong" / "manifest.json"
     path.write_text(
         json.dumps({**json.loads(path.read_text()), "captions": [{"language": "../x"}]})

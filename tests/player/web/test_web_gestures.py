@@ -190,7 +190,10 @@ def test_a_double_click_with_alt_flies_to_what_shows_there(page: Page, site: Sit
     site.watch(page, "whole", size_px=SIZE_PX)
     camera = camera_of(page.value("player.camera"))
     depths_m, alphas = depths_of(site.reader("whole"), camera)
-    code = "return value.map((at) => player.renderer.depthAt(player.camera, ...at))"
+    code = (
+        'const { depthAt } = await import("/web/renderer/depthquery.js");'
+        "return value.map((at) => depthAt(player.renderer, player.camera, ...at))"
+    )
     errors = []
     for (x, y), depth_m in zip(places_px, page.run(code, places_px), strict=True):
         if alphas[y, x] > 0.3:

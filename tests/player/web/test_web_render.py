@@ -168,7 +168,9 @@ def test_every_program_compiles_without_a_word(page: Page, tmp_path: Path, sh_de
     export_static(tmp_path / "stream", tmp_path / "static")
     with player_host(tmp_path) as url:
         watch(page, f"{url}/player/watch.html?src=../static&autoplay=0", scripts=(PROGRAMS,))
-        page.run("player.renderer.depthAt(player.view.camera, 80, 60)")
+        page.wait("player.motion !== null")
+        click = "new MouseEvent('dblclick', { altKey: true, clientX: 80 })"
+        page.run(f"player.canvas.dispatchEvent({click})")
         page.run("element.playbackRate = 0.1; element.play()")
         page.wait(f"window.numPrograms() >= {NUM_PROGRAMS[sh_degree]}")
         found = page.run("return window.complaintsOfPrograms()")

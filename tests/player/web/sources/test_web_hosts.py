@@ -36,6 +36,16 @@ def test_objects_of_another_host(page: Page, site: Site) -> None:
         site.watch(page, "away", "other-hosts=1&autoplay=0")
 
 
+def test_a_page_changes_each_request_and_reads_german(page: Page, site: Site) -> None:
+    site.watch(page, "clip", "autoplay=0")
+    page.run(
+        "element.transformRequest = async (url) => ({ url: url.replace('nowhere', 'clip') });"
+        "element.src = '../nowhere'; element.lang = 'de'; document.body.append(element)"
+    )
+    page.wait("player.shownFrame >= 0 && part('.play')?.ariaLabel === 'Abspielen'")
+    assert page.value("[player.base, part('.frame').lang]") == [f"{site.url}/nowhere/", "de"]
+
+
 def test_a_static_export_brings_its_page(page: Page, site: Site) -> None:
     export_static(site.folder / "trained" / "whole", site.folder / "paged", page=True)
     verify_stream(site.folder / "paged")
