@@ -64,8 +64,7 @@ class FitConfig:
     neighbours, to where they see it now. Applies only to leased slots."""
     settle_prefix_share: float = 0.25
     """Share of the iterations of the settling rounds that render only the first layers, so that
-    these look right without the others. Applies only to leased slots, and not to the first third of
-    the rounds, which has only the first layer."""
+    these look right without the others. Applies only to leased slots."""
     prefix_share: float = 0.1
     """Share of a later window's iterations that render only the first layers, for the same
     purpose."""

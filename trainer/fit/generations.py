@@ -118,10 +118,6 @@ class Lifespans:
         matured = np.flatnonzero((self.matured_starts <= frame) & (frame < self.matured_expires))
         return np.concatenate([current, matured + self.num_gs]).astype(np.int32)
 
-    def starts_of(self, rows: Ints) -> Ints:
-        """(M,) the frames from which `rows`, of both generations, show."""
-        return np.concatenate([self.starts, self.matured_starts])[rows]
-
     def ages(self, first_frame: int) -> Floats:
         """(num_gs,) float32: windows that each row has been trained for before this one."""
         trained = first_frame + self.swin_size - 1 - self.starts
@@ -232,31 +228,11 @@ class Generations:
         rows = self.lifespans.lane_rows(birth % self.lifespans.swin_size)
         return slice(rows.start + self.num_gs, rows.stop + self.num_gs)
 
-    def _is_dead(self, dead_opacity: float) -> Flags:
-        """(num_gs,) the slots whose new generation, as the host has it, is no more opaque than
-        that."""
-        logits = self._values.logit_opacities[: self.num_gs]
-        is_dead: Flags = logits <= np.log(dead_opacity / (1 - dead_opacity))
-        return is_dead
-
-    def dead(self, slots: Flags, last_frame: int, dead_opacity: float) -> Longs:
-        """The dead among `slots` (num_gs,) in the window that ends with `last_frame`."""
-        self.home.fetch()
-        lifespans = self.lifespans
-        born = (lifespans.births <= last_frame) & (lifespans.starts < lifespans.expires)
-        return np.flatnonzero(self._is_dead(dead_opacity) & born & slots)
-
     def relocate(
-        self,
-        slots: Flags,
-        onto: Flags,
-        last_frame: int,
-        dead_opacity: float,
-        rng: np.random.Generator,
+        self, slots: Flags, last_frame: int, dead_opacity: float, rng: np.random.Generator
     ) -> Longs:
-        """Moves the dead among `slots` (num_gs,), of every slice in the window that ends with
-        `last_frame`, to living ones among `onto` (num_gs,) born no earlier. Gives the rows that
-        moved.
+        """Moves dead Gaussians of every slice in the window that ends with `last_frame` to living
+        ones born no earlier, among `slots` (num_gs,). Gives the rows that moved.
 
         A dead one keeps its expiry and takes over its target's start, so it may show later than its
         slice is due (the paper's "birth" and "start").
@@ -265,12 +241,13 @@ class Generations:
         values, moved, changed = self.values, [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         births = np.unique(lifespans.births)
         for birth in births[births <= last_frame]:
-            is_dead = self._is_dead(dead_opacity)
+            logits = values.logit_opacities[: self.num_gs]
+            is_dead = logits <= np.log(dead_opacity / (1 - dead_opacity))
             born = (lifespans.births == birth) & (lifespans.starts < lifespans.expires) & slots
             dead = np.flatnonzero(is_dead & born)
             # Slices that no frame of the video shows yet must not attract any.
             alive = np.flatnonzero(
-                ~is_dead & (lifespans.births >= birth) & (lifespans.starts <= last_frame) & onto
+                ~is_dead & (lifespans.births >= birth) & (lifespans.starts <= last_frame) & slots
             )
             targets = relocate(values, dead, alive, dead_opacity, rng)
             if len(targets):
@@ -291,10 +268,9 @@ class Generations:
         slices = [least_first[births == birth][:each] for birth in np.unique(births)]
         return np.array([row for turn in zip(*slices, strict=True) for row in turn], np.int32)
 
-    def place(self, rows: npt.NDArray[np.integer], splats: Splats, starts: int | Ints) -> None:
-        """Replaces the Gaussians `rows` by `splats`, which show from frame `starts` on, all or
-        each."""
-        self.lifespans.starts[rows] = starts
+    def place(self, rows: Ints, splats: Splats, start: int) -> None:
+        """Replaces the Gaussians `rows` by `splats`, which show from frame `start` on."""
+        self.lifespans.starts[rows] = start
         self._adam.reset(rows)
         self._write(rows, splats)
         self.deselect()
@@ -326,7 +302,7 @@ class Generations:
             array[rows] = array[origins]
         self.home.send(rows)
 
-    def read(self, rows: slice | npt.NDArray[np.integer]) -> Splats:
+    def read(self, rows: slice | Ints) -> Splats:
         """A copy of the Gaussians `rows`."""
         return Splats(*(array[rows].copy() for array in self.values.arrays))
 

@@ -17,14 +17,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from codec.arrays import Ints, Longs
+from codec.arrays import Ints
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import KEPT, PREDICTED, Update
 from trainer.lease.leases import Leases
 from trainer.lease.takeover import Crossfade, PlayerState
 from trainer.step.together import cells_of
 
-from .covers import covers_of
 from .observer import Window
 from .renew import Comparison
 from .sceneflow import scene_flow
@@ -34,17 +33,6 @@ from .strategy import Fit, Strategy
 LAYERED_FROM = 0.6
 """Share of genesis after which Gaussians have layers, each trained to look right without those
 above, if it does not settle: otherwise this begins with the first settling round."""
-
-BASE_SHARE = 1 / 3
-"""Share of the settling rounds, the first ones, that train the first layer as a scene of its own.
-Of 12 rounds 4 are best on PanopticSports basketball at half size, 6 and none worse."""
-
-PREFIX_RATIO = 1 / 3
-"""How often the first k + 1 layers are rendered alone, over the first k. The first layer lacks most
-and has to learn alone what it was when the others began; more layers learn with the whole."""
-
-LEAST_CHANCE = 1e-12
-"""Of a Gaussian to get a cover, so that there is one where nothing is wrong."""
 
 TOGETHER_SIZES = (0.05, 0.02)
 """Sides of the cells in which Gaussians move together, one after the other, over the scene's
@@ -80,7 +68,7 @@ class LeasedSlots(Strategy):
         """Renews the Gaussians of a settling round, or chooses what a new slice changes."""
         fit, config = self.fit, self.fit.config
         if plan.settled is not None and not plan.begin:
-            self._begin_round(plan.settled)
+            fit.renew_genesis()
         together: list[Ints] = []
         if plan.brings_new:
             # The window after genesis is the first of all its slices.
@@ -94,28 +82,6 @@ class LeasedSlots(Strategy):
         # Where most slots are kept, what their tiles show reaches no gradient. The loss of a whole
         # picture says more of its camera than of what is still wrong.
         return replace(plan, whole=False, error_share=config.error_share, together=together)
-
-    @property
-    def _base_rounds(self) -> int:
-        """How many settling rounds, the first ones, train the first layer by itself."""
-        if len(self.leases.slots) == 1:
-            return 0
-        return round(BASE_SHARE * self.fit.config.settle_rounds)
-
-    def _begin_round(self, settled: int) -> None:
-        """Renews the Gaussians of a settling round. Before the first one they get layers, and
-        those above the first do not show until they begin anew as covers."""
-        layers, lifespans = self.leases.layers, self.fit.generations.lifespans
-        if settled == 0 and len(self.leases.slots) > 1:
-            self._rank()
-            if self._base_rounds:
-                lifespans.starts[layers > 0] = lifespans.expires[layers > 0]
-        elif settled == self._base_rounds:
-            self._cover(np.flatnonzero(layers), 0)
-        self.fit.renew_genesis()
-
-    def _rank(self) -> None:
-        self.leases.rank(self.fit.contributions(self.fit.generations.lifespans.active_rows(0), 0))
 
     def _begin_slice(self, birth: int) -> None:
         """Leases the slots of the slice that is born at `birth`, a frame that no window saw before,
@@ -172,12 +138,14 @@ class LeasedSlots(Strategy):
         fit, config, begins = self.fit, self.fit.config, self._layered_from(plan)
         if iteration < begins:
             return None
-        if plan.is_genesis and plan.settled is None and iteration == begins:
-            self._rank()
+        if plan.is_genesis and not plan.settled and iteration == begins:
+            rows = fit.generations.lifespans.active_rows(0)
+            self.leases.rank(fit.contributions(rows, 0))
         share = config.settle_prefix_share if plan.is_genesis else config.prefix_share
         if fit.rng.random() >= share:
             return None
-        chances = PREFIX_RATIO ** np.arange(len(self.leases.slots) - 1)
+        # All but the last layer alone lack little, and learn with the whole.
+        chances = np.minimum(np.arange(len(self.leases.slots) - 1, 0, -1), 2)
         return 1 + int(fit.rng.choice(len(chances), p=chances / chances.sum()))
 
     def _layered_from(self, plan: WindowPlan) -> int:
@@ -185,44 +153,13 @@ class LeasedSlots(Strategy):
         iterations, settles = plan.schedule.iterations, self.fit.config.settle_rounds
         if len(self.leases.slots) == 1:
             return iterations
-        if plan.settled is not None:
-            return iterations if plan.settled < self._base_rounds else 0
-        if not plan.is_genesis:
+        if not plan.is_genesis or plan.settled is not None:
             return 0
         return iterations if settles else int(LAYERED_FROM * iterations)
 
     def after_step(self, plan: WindowPlan, done: int) -> None:
-        """Relocates the dead of the first layer to living Gaussians of all layers. Those of the
-        other layers become covers: no Gaussian takes opacity from one of a lower layer."""
-        fit, generations, frame = self.fit, self.fit.generations, plan.frames[-1]
-        dead_opacity = fit.dead_opacity(plan, done)
-        if dead_opacity is None:
-            return
-        free = ~generations.follows
-        base = free & (self.leases.layers == 0)
-        moved = generations.relocate(base, free, frame, dead_opacity, fit.rng)
-        self.leases.is_other[moved] = True
-        self._cover(generations.dead(free & ~base, frame, dead_opacity), frame)
-
-    def _cover(self, slots: Longs, frame: int) -> None:
-        """Has `slots`, none of the first layer, begin anew as covers of Gaussians that show at
-        `frame` in layers below theirs: most of those that the cameras see to be wrong."""
-        if len(slots) == 0:
-            return
-        fit, generations, layers = self.fit, self.fit.generations, self.leases.layers
-        lifespans = generations.lifespans
-        rows = lifespans.active_rows(frame)
-        _, _, errors = fit.compare(rows, frame, frame)
-        for layer in np.unique(layers[slots]):
-            mine = slots[layers[slots] == layer]
-            is_below = layers[rows % generations.num_gs] < layer
-            if not is_below.any():
-                continue
-            chances = np.maximum(errors[is_below], LEAST_CHANCE)
-            drawn = fit.rng.choice(rows[is_below], len(mine), p=chances / chances.sum())
-            starts = np.maximum(lifespans.births[mine], lifespans.starts_of(drawn))
-            generations.place(mine, covers_of(generations.read(drawn), fit.rng), starts)
-            self.leases.is_other[mine] = True
+        """Relocates the dead."""
+        self.leases.is_other[self.fit.relocate(plan, done)] = True
 
     def mature(self, frames: range) -> Window:
         """Gives the updates of the slices that mature. Their slots go on with the values that a

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from codec.arrays import Doubles, Floats, Ints
+from codec.arrays import Doubles, Floats, Ints, Longs
 from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.splats import Splats
@@ -33,8 +33,7 @@ from .renew import Comparer, Comparison, missing_splats
 from .schedule import WindowPlan
 
 SETTLE_RENEW_SHARE = 0.1
-"""Share of the Gaussians that show which each settling round renews: those with the least
-contribution."""
+"""Share of the Gaussians that each settling round renews: those with the least contribution."""
 
 RELOCATE_UNTIL = 0.8
 """Share of a window's iterations after which relocation stops, so that all Gaussians settle.
@@ -83,23 +82,16 @@ class Fit:
 
     def renew_genesis(self) -> None:
         """Renews what a settling round begins with."""
-        shown = len(self.generations.lifespans.active_rows(0))
-        self.renew(0, round(SETTLE_RENEW_SHARE * shown))
+        self.renew(0, round(SETTLE_RENEW_SHARE * self.config.num_gs))
 
-    def dead_opacity(self, plan: WindowPlan, done: int) -> float | None:
-        """The opacity up to which Gaussians are dead, where relocation is due after `done`
-        iterations of `plan`; None where it is not."""
-        mcmc = self.config.mcmc
+    def relocate(self, plan: WindowPlan, done: int) -> Longs:
+        """Relocation, after the iterations of `plan` that call for it: moves dead Gaussians to
+        living ones, see `Generations.relocate`. Gives the rows that moved."""
+        mcmc, generations = self.config.mcmc, self.generations
         if done % mcmc.relocate_period or done > RELOCATE_UNTIL * plan.schedule.iterations:
-            return None
-        return mcmc.dead_opacity if plan.settled is None else mcmc.settle_dead_opacity
-
-    def relocate(self, plan: WindowPlan, done: int) -> None:
-        """Relocation, where it is due: moves dead Gaussians to living ones."""
-        dead_opacity = self.dead_opacity(plan, done)
-        if dead_opacity is not None:
-            free = ~self.generations.follows
-            self.generations.relocate(free, free, plan.frames[-1], dead_opacity, self.rng)
+            return np.zeros(0, np.int64)
+        dead_opacity = mcmc.dead_opacity if plan.settled is None else mcmc.settle_dead_opacity
+        return generations.relocate(~generations.follows, plan.frames[-1], dead_opacity, self.rng)
 
 
 class Strategy:

@@ -104,9 +104,9 @@ class Leases:
         self.config, self.slots, self.lattices = config, layout.slots, layout.lattices
         self.slice_size = layout.num_slots
         num_gs = layout.swin_size * self.slice_size
-        self.layers = np.zeros(num_gs, np.uint8)
-        """(num_gs,) the layer of each slot; in genesis of each Gaussian, 0 until they are ranked.
-        """
+        pattern = np.repeat(np.arange(layout.num_layers), self.slots)
+        self.layers = np.tile(pattern, layout.swin_size).astype(np.uint8)
+        """(num_gs,) the layer of each slot; in genesis of each Gaussian."""
         self.states = States.zeros(num_gs, layout.sh_degree)
         self.is_shown = np.zeros(num_gs, np.bool_)
         """Whether a slot holds a Gaussian."""
@@ -161,8 +161,8 @@ class Leases:
         return order
 
     def choose(self, rows: Ints, scores: Doubles) -> Ints:
-        """The `rows`, slots of one slice, that are to be active, as large a share of each layer.
-        scores: (len(rows),) how much each has to do with what changed."""
+        """The `rows`, slots of one slice, that are to be active. scores: (len(rows),) how
+        much each has to do with what changed."""
         count = len(rows)
         wanted = round(self.config.active_share * count)
         if self.budget is not None:
@@ -170,12 +170,7 @@ class Leases:
         turn = min(round(self.config.refresh_share * count), wanted)
         by_score = np.argsort(-scores, kind="stable")
         chosen = np.zeros(count, np.bool_)
-        # Each layer changes by its share: the first contributes most, and would take half of them.
-        layers = self.layers[rows][by_score]
-        counts = np.bincount(layers, minlength=len(self.slots))
-        ends = np.rint(np.cumsum(counts) * ((wanted - turn) / max(count, 1))).astype(np.int64)
-        for layer, quota in enumerate(np.diff(ends, prepend=0)):
-            chosen[by_score[layers == layer][:quota]] = True
+        chosen[by_score[: wanted - turn]] = True
         chosen &= scores > 0
         # Of what shows, those that have been kept for longest.
         age = np.where(chosen | (scores <= 0), np.iinfo(np.int32).max, self.trained[rows])

@@ -107,7 +107,7 @@ def test_a_player_shows_what_training_shows(swin_size: int, share: float, sh_deg
     for camera in Rendered().cameras[:2]:
         shown = render_splats(player.shown(4), camera, NEAR_M)
         seen = render_splats(truth(4), camera, NEAR_M)
-        assert psnr_db(np.clip(shown, 0, 1), np.clip(seen, 0, 1)) > 21
+        assert psnr_db(np.clip(shown, 0, 1), np.clip(seen, 0, 1)) > 22
 
 
 def test_a_slot_goes_on_unless_another_gaussian_takes_it() -> None:
@@ -208,7 +208,6 @@ def test_a_gaussian_that_matters_comes_into_a_lower_layer(monkeypatch: pytest.Mo
     monkeypatch.setattr("trainer.lease.leases.TRADE_SHARE", 0.2)
     leases = Leases(LeaseConfig(), layout(1, 4, 3, 3))
     leases.is_shown[:] = True
-    leases.rank(-np.arange(10.0))
     contributions = np.array([9, 1, 9, 9, 5, 3, 5, 8, 3.9, 9], np.float32)
     rows = np.arange(10, dtype=np.int32)
     low, high = leases.trades(rows, contributions)
@@ -224,9 +223,8 @@ def test_a_window_marks_what_it_exchanges_as_another_gaussian(
     chosen = replace(config(1, active_share=0.5), together_share=0.0)
     strategy = trainer_of(chosen, layout(1, *SLOTS[1])).strategy
     assert isinstance(strategy, LeasedSlots)
-    generations, leases = strategy.fit.generations, strategy.leases
-    leases.rank(np.zeros(90))
     strategy.mature(range(1))
+    generations, leases = strategy.fit.generations, strategy.leases
     leases.is_other[:] = False
     before = generations.values.means[:90].copy()
     schedule = Schedule.window(chosen, 1e-3)
