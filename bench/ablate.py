@@ -100,6 +100,8 @@ class Setting:
     name: str
     fit: FitConfig
     whole_slices: bool = False
+    layers: tuple[float, ...] = TrainConfig.layers
+    """Share of the Gaussians in each layer."""
 
     @property
     def carried(self) -> bool:
@@ -119,6 +121,9 @@ class Outcome:
     """Bytes of one slice; in a short run the snapshot of frame 0 would weigh too much."""
     layers_db: list[float]
     """PSNR with 1, 2, ... layers."""
+    layers_bytes: list[float]
+    """Bytes per frame with 1, 2, ... layers, of everything that a player starting at frame 0
+    fetches."""
     seconds: float
     """Duration of the training."""
     more: dict[str, float] = field(default_factory=dict)
@@ -168,6 +173,7 @@ def training(config: TrialsConfig, setting: Setting, stream: Path) -> TrainConfi
         fps=config.fps,
         scale=config.scale,
         whole_slices=setting.whole_slices,
+        layers=setting.layers,
         fit=setting.fit,
     )
 
@@ -196,6 +202,7 @@ def measure_once(config: TrialsConfig, setting: Setting, examine: Examine) -> Ou
             scores[-1].flicker,
             slice_bytes(reader),
             [score.psnr_db for score in scores],
+            [score.bytes_per_frame for score in scores],
             seconds,
             examine(reader),
         )
