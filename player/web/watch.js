@@ -7,7 +7,7 @@
  */
 
 import { firstUrls, folderUrl } from "./source/addresses.js";
-import { requestEarly } from "./source/early/earlyrequests.js";
+import { requestEarly } from "./source/early.js";
 
 const query = new URLSearchParams(location.search);
 const player = /** @type {HTMLElement} */ (document.querySelector("swings-player"));

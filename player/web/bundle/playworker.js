@@ -1,1 +1,1 @@
-import"./streamplayer.js";
+import"./playcontroller.js";

@@ -1,7 +1,6 @@
-import { prefersStill } from "./motion.js";
+import { prefersStill } from "./nodes.js";
 import { PictureInterface } from "./pictureinterface.js";
-import { NETWORK, READY, Readiness } from "./readiness.js";
-import { FrameRanges, SecondRanges } from "./timeranges.js";
+import { FrameRanges, NETWORK, Readiness, READY, SecondRanges } from "./readiness.js";
 
 /** @typedef {import("./webplayer.js").WebPlayer} WebPlayer */
 
@@ -283,8 +282,7 @@ export class MediaInterface extends PictureInterface {
 
   /**
    * Dispatches the events of a player as DOM events.
-   * @param {WebPlayer} player
-   * @param {AbortSignal} signal ends the listening
+   * @param {WebPlayer} player @param {AbortSignal} signal ends the listening
    * @protected
    */
   follow(player, signal) {
@@ -422,10 +420,7 @@ export class MediaInterface extends PictureInterface {
     queueMicrotask(() => pending?.resolve());
   }
 
-  /**
-   * @param {string} name of the DOMException
-   * @param {string} message
-   */
+  /** @param {string} name of the DOMException @param {string} message */
   #rejectPlay(name, message) {
     const pending = this.#pending;
     this.#pending = null;
@@ -438,10 +433,7 @@ export class MediaInterface extends PictureInterface {
   }
 }
 
-/**
- * @param {string} name
- * @param {number} rate
- */
+/** @param {string} name @param {number} rate */
 function checkRate(name, rate) {
   if (!(rate > 0 && rate < Infinity)) {
     throw new RangeError(`${name}: ${rate} is not a positive number`);

@@ -1,3 +1,5 @@
+/** What lies over the picture without a control: poster, spinner, the large button, and hints. */
+
 import { drawn, node } from "./nodes.js";
 
 const PLAY = "M8 5v14l11-7z";
@@ -12,7 +14,7 @@ const REPLAY = "M12 5V1L6 6l6 5V7a5.5 5.5 0 1 1-5.5 5.5h-2A7.5 7.5 0 1 0 12 5z";
 export class Overlay {
   /** @type {Condition} */
   condition = "empty";
-  /** @type {import("./texts.js").Translate} */
+  /** @type {import("../controls/texts.js").Translate} */
   #t = String;
 
   /** @param {() => void} play */
@@ -33,7 +35,7 @@ export class Overlay {
     this.parts = [this.poster, this.spinner, this.large];
   }
 
-  /** @param {import("./texts.js").Translate} t */
+  /** @param {import("../controls/texts.js").Translate} t */
   translate(t) {
     this.#t = t;
     this.label.textContent = t("Loading");
@@ -61,8 +63,7 @@ export class Overlay {
   }
 
   /**
-   * @param {Condition} condition
-   * @param {boolean} isShown whether the canvas shows a frame
+   * @param {Condition} condition @param {boolean} isShown whether the canvas shows a frame
    * @param {boolean} isWaiting for data
    */
   show(condition, isShown, isWaiting) {
@@ -77,5 +78,61 @@ export class Overlay {
     if (!isLarge) return;
     this.large.replaceChildren(drawn(condition === "start" ? PLAY : REPLAY));
     this.#name();
+  }
+}
+
+const SHORT_MS = 2000;
+
+/** One line over the picture: a brief message, or otherwise the first active condition. */
+export class Hints {
+  #timer = 0;
+  #brief = "";
+  /** @type {Map<string, string>} */
+  #conditions = new Map();
+  /** @type {import("../controls/texts.js").Translate} */
+  #t = String;
+
+  constructor() {
+    this.root = node("div", { class: "note soft", role: "status" });
+  }
+
+  /** @param {import("../controls/texts.js").Translate} t */
+  translate(t) {
+    this.#t = t;
+    this.#show();
+  }
+
+  /** @param {string} message @param {number} [forMs] */
+  say(message, forMs = SHORT_MS) {
+    this.#brief = message;
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => {
+      this.#brief = "";
+      this.#show();
+    }, forMs);
+    this.#show();
+  }
+
+  /**
+   * Sets the message of a condition, which stays until it is set to "".
+   * @param {string} name @param {string} message
+   */
+  hold(name, message) {
+    if (message) this.#conditions.set(name, message);
+    else this.#conditions.delete(name);
+    this.#show();
+  }
+
+  clear() {
+    clearTimeout(this.#timer);
+    this.#brief = "";
+    this.#conditions.clear();
+    this.#show();
+  }
+
+  #show() {
+    const [condition = ""] = this.#conditions.values();
+    const text = this.#t(this.#brief || condition);
+    if (this.root.textContent !== text) this.root.textContent = text;
   }
 }

@@ -1,6 +1,241 @@
-import { Capture } from "./capture.js";
-import { FrameCallbacks } from "./framecallbacks.js";
-import { MediaAttributes } from "./mediaattributes.js";
+/**
+ * What a media element has beside its clock: attributes, callbacks for frames, and where else its pictures
+ * go.
+ */
+
+/** @typedef {import("../source/transform.js").TransformRequest} TransformRequest */
+
+/** The attributes of media elements that are also properties, how requests are sent, and the sound's settings. */
+class MediaAttributes extends HTMLElement {
+  #volume = 1;
+  /** @type {boolean | null} null: use the attribute */
+  #muted = null;
+  /** @type {TransformRequest | null} */
+  #transformRequest = null;
+
+  /** URL of the stream's folder; absolute when read. */
+  get src() {
+    return this.#url("src");
+  }
+
+  set src(url) {
+    this.setAttribute("src", url);
+  }
+
+  /** URL of a picture; absolute when read. */
+  get poster() {
+    return this.#url("poster");
+  }
+
+  set poster(url) {
+    this.setAttribute("poster", url);
+  }
+
+  /**
+   * Whether requests to other hosts carry cookies; null without the attribute.
+   * @returns {"anonymous" | "use-credentials" | null}
+   */
+  get crossOrigin() {
+    const value = this.getAttribute("crossorigin");
+    if (value === null) return null;
+    return value.toLowerCase() === "use-credentials" ? "use-credentials" : "anonymous";
+  }
+
+  set crossOrigin(value) {
+    if (value === null) this.removeAttribute("crossorigin");
+    else this.setAttribute("crossorigin", value);
+  }
+
+  /**
+   * May change the URL, the headers and the credentials of each request for the stream; read when a stream is opened.
+   * @returns {TransformRequest | null}
+   */
+  get transformRequest() {
+    return this.#transformRequest;
+  }
+
+  set transformRequest(action) {
+    if (action !== null && typeof action !== "function")
+      throw new TypeError(`transformRequest: ${action} is not a function`);
+    this.#transformRequest = action;
+  }
+
+  get autoplay() {
+    return this.hasAttribute("autoplay");
+  }
+
+  set autoplay(value) {
+    this.toggleAttribute("autoplay", value);
+  }
+
+  get loop() {
+    return this.hasAttribute("loop");
+  }
+
+  set loop(value) {
+    this.toggleAttribute("loop", value);
+  }
+
+  /** Whether pictures between two frames show motion, if the screen is faster than the stream. */
+  get interpolate() {
+    return this.getAttribute("interpolate") !== "false";
+  }
+
+  set interpolate(value) {
+    this.setAttribute("interpolate", String(Boolean(value)));
+  }
+
+  /**
+   * Amount fetched before `play()`: nothing, the stream's description, or also the first seconds.
+   * @returns {"none" | "metadata" | "auto"}
+   */
+  get preload() {
+    const value = this.getAttribute("preload")?.toLowerCase();
+    return value === "none" || value === "metadata" ? value : "auto";
+  }
+
+  set preload(value) {
+    this.setAttribute("preload", value);
+  }
+
+  get defaultMuted() {
+    return this.hasAttribute("muted");
+  }
+
+  set defaultMuted(value) {
+    this.toggleAttribute("muted", value);
+  }
+
+  get muted() {
+    return this.#muted ?? this.defaultMuted;
+  }
+
+  set muted(value) {
+    const before = this.muted;
+    this.#muted = Boolean(value);
+    if (this.#muted !== before) this.queueEvent("volumechange");
+  }
+
+  /** 0 to 1. */
+  get volume() {
+    return this.#volume;
+  }
+
+  set volume(value) {
+    if (!Number.isFinite(value)) throw new TypeError(`volume: ${value} is not a number`);
+    if (value < 0 || value > 1) {
+      throw new DOMException(`volume: ${value} is not in the range 0 to 1`, "IndexSizeError");
+    }
+    if (value === this.#volume) return;
+    this.#volume = value;
+    this.queueEvent("volumechange");
+  }
+
+  /**
+   * Dispatches an event once the current script has finished, as media elements do.
+   * @param {string} type @param {() => void} [then] runs after the event's listeners
+   * @protected
+   */
+  queueEvent(type, then) {
+    queueMicrotask(() => {
+      this.dispatchEvent(new Event(type));
+      then?.();
+    });
+  }
+
+  /** @param {string} name */
+  #url(name) {
+    const value = this.getAttribute(name);
+    if (!value) return "";
+    return URL.parse(value, document.baseURI)?.href ?? value;
+  }
+}
+
+/**
+ * The callbacks of `requestVideoFrameCallback`: each one is called once, after the next frame has been
+ * drawn. https://wicg.github.io/video-rvfc/
+ */
+class FrameCallbacks {
+  /** @type {Map<number, VideoFrameRequestCallback>} */
+  #callbacks = new Map();
+  #lastHandle = 0;
+  #presentedFrames = 0;
+
+  /** @param {VideoFrameRequestCallback} callback @returns {number} a handle for `cancel` */
+  request(callback) {
+    if (typeof callback !== "function") throw new TypeError("the callback is not a function");
+    this.#lastHandle += 1;
+    this.#callbacks.set(this.#lastHandle, callback);
+    return this.#lastHandle;
+  }
+
+  /** @param {number} handle */
+  cancel(handle) {
+    this.#callbacks.delete(handle);
+  }
+
+  /**
+   * Runs the callbacks that were registered before this call, after a frame has been drawn.
+   * @param {number} mediaTime seconds @param {number} width pixels @param {number} height pixels
+   * @param {number} nowMs
+   */
+  run(mediaTime, width, height, nowMs) {
+    this.#presentedFrames += 1;
+    const presentedFrames = this.#presentedFrames;
+    // Pages cannot know when the screen shows a canvas; the best guess is the next refresh.
+    const times = { presentationTime: nowMs, expectedDisplayTime: nowMs, mediaTime };
+    const due = [...this.#callbacks];
+    for (const [handle, callback] of due) {
+      if (!this.#callbacks.delete(handle)) continue;
+      try {
+        callback(nowMs, { ...times, presentedFrames, width, height });
+      } catch (error) {
+        reportError(error);
+      }
+    }
+  }
+}
+
+/** The canvas's picture as a video stream, for recorders and peers, and for picture in picture. */
+export class Capture {
+  #canvas;
+  /** @type {Set<MediaStream>} streams whose tracks have not been stopped */
+  #streams = new Set();
+
+  /** @param {HTMLCanvasElement} canvas */
+  constructor(canvas) {
+    this.#canvas = canvas;
+  }
+
+  /** Whether a stream is still in use, that is, has a track that was not stopped. */
+  get isLive() {
+    for (const stream of this.#streams) {
+      if (!stream.active) this.#streams.delete(stream);
+    }
+    return this.#streams.size > 0;
+  }
+
+  /**
+   * @param {number} [fps] maximum number of pictures per second; by default every drawn picture
+   * @returns {MediaStream} with one video track
+   */
+  stream(fps) {
+    const stream = this.#canvas.captureStream(fps);
+    this.#streams.add(stream);
+    return stream;
+  }
+
+  /** Stops a stream. @param {MediaStream} stream */
+  stop(stream) {
+    for (const track of stream.getTracks()) track.stop();
+    this.#streams.delete(stream);
+  }
+
+  /** Stops all streams. */
+  close() {
+    for (const stream of this.#streams) this.stop(stream);
+  }
+}
 
 /** @typedef {import("./webplayer.js").WebPlayer} WebPlayer */
 
@@ -11,7 +246,7 @@ export class PictureInterface extends MediaAttributes {
   #frameCallbacks = new FrameCallbacks();
   /** @type {Capture | null} */
   #capture = null;
-  /** @type {import("./pictureinpicture.js").PictureInPicture | null} */
+  /** @type {import("../controls/windows.js").PictureInPicture | null} */
   #window = null;
   /** @type {(() => void) | null} lets the player pause out of view again */
   #release = null;
@@ -29,8 +264,7 @@ export class PictureInterface extends MediaAttributes {
 
   /**
    * Calls back once, after the next frame has been drawn.
-   * @param {VideoFrameRequestCallback} callback
-   * @returns {number} a handle for `cancelVideoFrameCallback`
+   * @param {VideoFrameRequestCallback} callback @returns {number} a handle for `cancelVideoFrameCallback`
    */
   requestVideoFrameCallback(callback) {
     return this.#frameCallbacks.request(callback);
@@ -62,7 +296,7 @@ export class PictureInterface extends MediaAttributes {
       throw new DOMException("the stream is not open yet", "InvalidStateError");
     }
     const capture = this.#capturing();
-    const { PictureInPicture } = await import("./pictureinpicture.js");
+    const { PictureInPicture } = await import("../controls/windows.js");
     this.#window ??= new PictureInPicture(capture, this);
     const opening = this.#window.open();
     this.#redraw();

@@ -1,3 +1,65 @@
+/** What a media element says about its data: ranges of time, `networkState` and `readyState`. */
+
+/**
+ * Ranges of time in seconds, ascending and disjoint, like `TimeRanges` of HTML, which a script cannot
+ * construct.
+ * @implements {TimeRanges}
+ */
+export class SecondRanges {
+  #ranges;
+
+  /** @param {[startS: number, endS: number][]} ranges */
+  constructor(ranges) {
+    this.#ranges = ranges;
+  }
+
+  get length() {
+    return this.#ranges.length;
+  }
+
+  /** Seconds. Throws an IndexSizeError. @param {number} index */
+  start(index) {
+    return this.#at(index)[0];
+  }
+
+  /** Seconds. Throws an IndexSizeError. @param {number} index */
+  end(index) {
+    return this.#at(index)[1];
+  }
+
+  /** @param {number} index */
+  #at(index) {
+    const range = this.#ranges[index];
+    if (range === undefined) {
+      const message = `there is no range ${index} of ${this.length}`;
+      throw new DOMException(message, "IndexSizeError");
+    }
+    return range;
+  }
+}
+
+/** A set of frames, kept as ascending, disjoint ranges. */
+export class FrameRanges {
+  /** @type {[firstFrame: number, endFrame: number][]} */
+  ranges = [];
+
+  /** Adds the frames [firstFrame, endFrame). @param {number} firstFrame @param {number} endFrame */
+  add(firstFrame, endFrame) {
+    if (endFrame <= firstFrame) return;
+    const before = this.ranges.filter(([, end]) => end < firstFrame);
+    const after = this.ranges.filter(([first]) => first > endFrame);
+    const touched = this.ranges.slice(before.length, this.ranges.length - after.length);
+    const first = Math.min(firstFrame, ...touched.map((range) => range[0]));
+    const end = Math.max(endFrame, ...touched.map((range) => range[1]));
+    this.ranges = [...before, [first, end], ...after];
+  }
+
+  /** The ranges in seconds. @param {number} fps */
+  inSeconds(fps) {
+    return new SecondRanges(this.ranges.map(([first, end]) => [first / fps, end / fps]));
+  }
+}
+
 /** `networkState` of media elements. */
 export const NETWORK = { EMPTY: 0, IDLE: 1, LOADING: 2, NO_SOURCE: 3 };
 
@@ -77,19 +139,14 @@ export class Readiness {
 
   /**
    * Updates both states from the playback state at `nowS`.
-   * @param {LoadState} state
-   * @param {number} nowS
-   * @returns {string[]} events
+   * @param {LoadState} state @param {number} nowS @returns {string[]} events
    */
   update(state, nowS) {
     if (this.ready === READY.NOTHING) return [];
     return [...this.#load(state, nowS), ...this.#raise(readyOf(state), state.playing)];
   }
 
-  /**
-   * @param {LoadState} state
-   * @param {number} nowS
-   */
+  /** @param {LoadState} state @param {number} nowS */
   #load({ receivedBytes, isShown, waiting }, nowS) {
     /** @type {string[]} */
     const events = [];
@@ -116,10 +173,7 @@ export class Readiness {
     return events;
   }
 
-  /**
-   * @param {number} ready
-   * @param {boolean} playing
-   */
+  /** @param {number} ready @param {boolean} playing */
   #raise(ready, playing) {
     const before = this.ready;
     this.ready = ready;

@@ -1,8 +1,7 @@
 import { Painter } from "../renderer/painter.js";
 import { Orbit } from "../view/orbit.js";
 import { nearOf } from "../view/pose.js";
-import { CanvasSize } from "./canvassize.js";
-import { FrameLoop } from "./frameloop.js";
+import { CanvasSize, FrameLoop } from "./surface.js";
 
 /** If a request waits for longer than this, the browser is not drawing this page. */
 const IDLE_MS = 100;
@@ -16,8 +15,7 @@ const IDLE_MS = 100;
 /**
  * Durations of the last frame, and the picture rate.
  * @typedef {object} Timings
- * @property {number} sortMs
- * @property {number} uploadMs
+ * @property {number} sortMs @property {number} uploadMs
  * @property {number} drawMs time to issue the draw calls; the device draws later
  * @property {number} framesPerS
  */
@@ -32,7 +30,7 @@ const IDLE_MS = 100;
 export class SceneView extends EventTarget {
   /** Whether pictures between two frames show motion, if the screen is faster than the stream. */
   interpolates = true;
-  /** @type {import("./smoothing.js").Smoothing | null} null until a stream plays */
+  /** @type {import("../renderer/smoothing.js").Smoothing | null} null until a stream plays */
   smoothing = null;
   #isLoading = false;
 
@@ -94,8 +92,7 @@ export class SceneView extends EventTarget {
   /**
    * Prepares to draw another stream, or the same one again, after `load`. Throws a RendererError without WebGL2, or if
    * the device cannot hold the stream.
-   * @param {OpenManifest} manifest
-   * @param {Sorter} sorter
+   * @param {OpenManifest} manifest @param {Sorter} sorter
    */
   show(manifest, sorter) {
     const { painter, size } = this;
@@ -130,7 +127,7 @@ export class SceneView extends EventTarget {
   async #loadSmoothing() {
     this.#isLoading = true;
     try {
-      const { Smoothing } = await import("./smoothing.js");
+      const { Smoothing } = await import("../renderer/smoothing.js");
       this.smoothing = new Smoothing(this);
     } catch (error) {
       console.warn("swings: there is no motion between frames, its code is missing:", error);
@@ -187,8 +184,7 @@ export class SceneView extends EventTarget {
 
   /**
    * Uploads new data, and draws if the picture would change.
-   * @param {import("../stereo/eyes.js").Viewpoint} viewpoint
-   * @param {number} nowMs
+   * @param {import("../stereo/eyes.js").Viewpoint} viewpoint @param {number} nowMs
    */
   draw(viewpoint, nowMs) {
     const { manifest, painter, size } = this;
@@ -262,9 +258,7 @@ export class SceneView extends EventTarget {
 /**
  * Merges two answers of the sorter: the later one holds only the changes since the earlier one, and both
  * can arrive before the browser lets the page draw.
- * @param {SortedFrame} earlier
- * @param {SortedFrame} later
- * @returns {SortedFrame}
+ * @param {SortedFrame} earlier @param {SortedFrame} later @returns {SortedFrame}
  */
 function joined(earlier, later) {
   if (later.isWhole) return later;
@@ -274,8 +268,7 @@ function joined(earlier, later) {
 
 /**
  * One eye on the whole canvas.
- * @param {import("../format/camera.js").Camera} camera
- * @returns {import("../stereo/eyes.js").Viewpoint}
+ * @param {import("../format/manifest.js").Camera} camera @returns {import("../stereo/eyes.js").Viewpoint}
  */
 function oneEye(camera) {
   return { w2c: camera.w2c, views: [{ camera, corner: { xPx: 0, yPx: 0 } }], framebuffer: null };

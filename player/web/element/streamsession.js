@@ -139,7 +139,7 @@ export class StreamSession extends EventTarget {
     this.workers?.post({ kind: "resend" });
   }
 
-  /** Makes the worker send the current frame as a file, in an event `ply`; see StreamPlayer. */
+  /** Makes the worker send the current frame as a file, in an event `ply`; see PlayController. */
   requestPly() {
     this.workers?.post({ kind: "ply" });
   }
@@ -186,8 +186,7 @@ export class StreamSession extends EventTarget {
 
   /**
    * Called when the stream is open.
-   * @param {boolean} isFirst whether for the first time
-   * @returns {void | Promise<void>}
+   * @param {boolean} isFirst whether for the first time @returns {void | Promise<void>}
    */
   onOpened(isFirst) {
     if (isFirst) this.dispatch("opened");
@@ -199,10 +198,7 @@ export class StreamSession extends EventTarget {
     this.dispatch("failed", message);
   }
 
-  /**
-   * @param {string} type
-   * @param {unknown} [detail]
-   */
+  /** @param {string} type @param {unknown} [detail] */
   dispatch(type, detail = null) {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }

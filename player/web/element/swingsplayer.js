@@ -1,18 +1,52 @@
 import { PLAYER_VERSION } from "../constants.js";
 import { pictureUrl } from "../source/pictures.js";
-import { shareAt } from "../view/framing.js";
-import { Hints } from "./hints.js";
-import { LazyPart } from "./lazypart.js";
+import { shareAt } from "../view/orbit.js";
 import { MediaInterface } from "./mediainterface.js";
-import { hasGyroscope, prefersStill } from "./motion.js";
-import { node } from "./nodes.js";
-import OVERLAY_STYLE from "./overlay.css";
-import { Overlay } from "./overlay.js";
+import { addStyle, hasGyroscope, node, prefersStill } from "./nodes.js";
+import { Hints, Overlay } from "./overlay.js";
 import { NETWORK } from "./readiness.js";
 import STYLE from "./style.css";
 import { WebPlayer } from "./webplayer.js";
 
-/** @typedef {import("../format/camera.js").Camera} Camera */
+/**
+ * A part of the player that is loaded by `import()`.
+ * @template Part
+ */
+class LazyPart {
+  /** @type {Part | null} null until it is loaded */
+  part = null;
+  /** @type {Promise<Part | null> | null} */
+  #loading = null;
+
+  /**
+   * @param {() => Promise<Part | null>} load gives null if the part is not needed any more
+   * @param {(error: unknown) => void} failed called if the part could not be loaded; its next use tries again
+   */
+  constructor(load, failed) {
+    this.load = load;
+    this.failed = failed;
+  }
+
+  /**
+   * Runs `action` with the part as soon as it is loaded: at once if it already is, because some actions must
+   * run within a user gesture.
+   * @param {(part: Part) => unknown} [action]
+   */
+  async use(action) {
+    if (this.part === null) {
+      try {
+        this.#loading ??= this.load();
+        this.part = await this.#loading;
+      } catch (error) {
+        this.#loading = null;
+        this.failed(error);
+      }
+    }
+    if (this.part !== null) await action?.(this.part);
+  }
+}
+
+/** @typedef {import("../format/manifest.js").Camera} Camera */
 /** @typedef {import("../view/cameramotion.js").CameraMotion} CameraMotion */
 
 const LONG_MS = 10_000;
@@ -68,9 +102,9 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#hints.root,
     this.#place,
   );
-  /** @type {LazyPart<import("./controls.js").Controls> | null} null while the element is in no page */
+  /** @type {LazyPart<import("../controls/controls.js").Controls> | null} null while the element is in no page */
   #controls = null;
-  /** @type {LazyPart<import("./tracks.js").Tracks> | null} */
+  /** @type {LazyPart<import("../controls/tracks.js").Tracks> | null} */
   #tracks = null;
   #textHolder = node("video");
   #internals = this.attachInternals();
@@ -85,9 +119,7 @@ export class SwingsPlayerElement extends MediaInterface {
     super();
     const root = this.attachShadow({ mode: "open", delegatesFocus: true });
     // A page's content security policy may forbid a <style>.
-    const sheet = new CSSStyleSheet();
-    sheet.replaceSync(STYLE + OVERLAY_STYLE);
-    root.adoptedStyleSheets = [sheet];
+    addStyle(root, STYLE);
     root.append(this.#frame);
   }
 
@@ -155,10 +187,7 @@ export class SwingsPlayerElement extends MediaInterface {
     });
   }
 
-  /**
-   * @param {WebPlayer} player
-   * @param {AbortSignal} signal
-   */
+  /** @param {WebPlayer} player @param {AbortSignal} signal */
   #loadParts(player, signal) {
     const [canvas, frame, place, hints] = [this.#canvas, this.#frame, this.#place, this.#hints];
     const overlay = this.#overlay;
@@ -167,7 +196,7 @@ export class SwingsPlayerElement extends MediaInterface {
     const surroundings = { player, canvas, frame, place, overlay, hints, changed, setIdle };
     const controls = new LazyPart(
       async () => {
-        const { Controls, translatorOf } = await import("./controls.js");
+        const { Controls, translatorOf } = await import("../controls/controls.js");
         const texts = await translatorOf(this);
         if (signal.aborted) return null;
         return new Controls({ element: this, ...surroundings }, texts, signal);
@@ -185,7 +214,7 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#controls = controls;
     this.#tracks = new LazyPart(
       async () => {
-        const { Tracks, translatorOf } = await import("./tracks.js");
+        const { Tracks, translatorOf } = await import("../controls/tracks.js");
         const { t } = await translatorOf(this);
         if (signal.aborted) return null;
         const tracks = new Tracks(this, player, place, hints, this.#textHolder, t, signal);
@@ -199,10 +228,7 @@ export class SwingsPlayerElement extends MediaInterface {
     );
   }
 
-  /**
-   * @param {WebPlayer} player
-   * @param {AbortSignal} signal
-   */
+  /** @param {WebPlayer} player @param {AbortSignal} signal */
   #listen(player, signal) {
     const of = (/** @type {string} */ type, /** @type {(event: Event) => void} */ action) =>
       player.addEventListener(type, action, { signal });
@@ -266,10 +292,7 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#overlay.setPoster(now.href);
   }
 
-  /**
-   * @param {WebPlayer} player
-   * @returns {import("./overlay.js").Condition}
-   */
+  /** @param {WebPlayer} player @returns {import("./overlay.js").Condition} */
   #conditionOf(player) {
     if (this.error !== null) return "failed";
     if (this.networkState === NETWORK.EMPTY) return "empty";

@@ -2,10 +2,35 @@ import { Sorter } from "../playback/playerworkers.js";
 import { RendererError } from "../renderer/program.js";
 import { folderUrl } from "../source/addresses.js";
 import { isBehind } from "../source/liveedge.js";
-import { keepWaiting, stopWaiting } from "./parking.js";
 import { SceneView } from "./sceneview.js";
-import { Sight } from "./sight.js";
 import { StreamSession } from "./streamsession.js";
+import { Sight } from "./surface.js";
+
+/** Maximum number of players out of view that keep their workers and so can resume at once. */
+const MOST_WAITING = 4;
+
+/** The page's players out of view, the longest unseen first. @type {Set<{ park: () => void }>} */
+const waiting = new Set();
+
+/**
+ * Lets a player that is out of view keep its resources, and parks the longest unseen player if there
+ * are too many.
+ * @param {{ park: () => void }} player
+ */
+function keepWaiting(player) {
+  waiting.delete(player);
+  waiting.add(player);
+  for (const longest of waiting) {
+    if (waiting.size <= MOST_WAITING) break;
+    waiting.delete(longest);
+    longest.park();
+  }
+}
+
+/** @param {{ park: () => void }} player one that is in view again, or has ended */
+function stopWaiting(player) {
+  waiting.delete(player);
+}
 
 /**
  * Plays a stream on a canvas. Network and decoding run in one worker, sorting in another; this thread
@@ -76,8 +101,7 @@ export class WebPlayer extends StreamSession {
 
   /**
    * Opens the stream whose folder, or file, is at `src`.
-   * @param {string} src
-   * @param {object} [options]
+   * @param {string} src @param {object} [options]
    * @param {number | null} [options.maxGaussians] a larger stream fails; null for the default, 2^22
    * @param {boolean} [options.otherHosts] whether the manifest may refer to hosts other than its own
    * @param {RequestCredentials} [options.credentials] whether requests carry cookies, see `fetch`

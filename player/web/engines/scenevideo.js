@@ -136,11 +136,7 @@ export class SceneVideo extends EventTarget {
   }
 }
 
-/**
- * @param {import("../format/camera.js").Camera} camera
- * @param {number} nearM
- * @returns {SceneCamera}
- */
+/** @param {import("../format/manifest.js").Camera} camera @param {number} nearM @returns {SceneCamera} */
 function sceneCamera(camera, nearM) {
   const { position, right, down, forward } = poseOf(camera);
   const [up, backward] = [down, forward].map((axis) => axis.map((value) => -value));

@@ -108,10 +108,8 @@ const [quat, colour] = [new Quaternion(), new Color()];
 
 /**
  * Writes the changed slots; Spark then uploads all slots.
- * @param {ExtSplats} splats
- * @param {import("../feed/scene.js").SceneGaussians} gaussians
- * @param {Uint32Array} slots
- * @param {number} each harmonics of a slot
+ * @param {ExtSplats} splats @param {import("../feed/scene.js").SceneGaussians} gaussians
+ * @param {Uint32Array} slots @param {number} each harmonics of a slot
  */
 function writeSplats(splats, { means, scales, quats, opacities, colours, harmonics }, slots, each) {
   const { sh1, sh1Texture } = /** @type {{ sh1?: Uint32Array, sh1Texture?: any }} */ (splats.extra);

@@ -1,5 +1,5 @@
 import { StreamSession } from "../element/streamsession.js";
-import { startWorker } from "../playback/startworker.js";
+import { startWorker } from "../playback/playerworkers.js";
 import { folderUrl } from "../source/addresses.js";
 import { copyRows, emptyScene } from "./scene.js";
 
@@ -41,8 +41,7 @@ export class GaussianFeed extends StreamSession {
 
   /**
    * Opens the stream whose folder, or file, is at `src`.
-   * @param {string} src
-   * @param {object} [options]
+   * @param {string} src @param {object} [options]
    * @param {number} [options.maxGaussians] `opened` rejects for a larger stream; 2^22 by default
    * @param {boolean} [options.otherHosts] the stream's objects may be on other hosts
    * @param {RequestCredentials} [options.credentials] whether requests carry cookies, see `fetch`

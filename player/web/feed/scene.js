@@ -1,9 +1,85 @@
-/** The Gaussians that show, slot by slot, and their changes since the last call. */
+/**
+ * The Gaussians that show, slot by slot, unpacked from what the play worker packs, and their changes since
+ * the last call.
+ */
 
-import { numCoefficients } from "../format/gaussians.js";
-import { SH_C0 } from "../constants.js";
-import { NEVER } from "../renderer/depthorder.js";
-import { expandFloats, expandLattice } from "./expand.js";
+import { ON_LATTICE, SH_C0 } from "../constants.js";
+import { gaussiansOf, numCoefficients } from "../format/gaussians.js";
+import { Slots } from "../format/slots/slots.js";
+import { NEVER } from "../playback/depthorder.js";
+import { floatWords, latticeWords } from "../playback/words.js";
+
+/**
+ * Gaussians and the slots that they are put into.
+ * @typedef {object} Placed
+ * @property {Uint32Array} slots (N)
+ * @property {import("../format/gaussians.js").Gaussians} gaussians N
+ */
+
+/**
+ * Unpacks Gaussians on the lattice; bit for bit equal to the decoder's output.
+ * @param {Uint32Array} words `latticeWords` each @param {number} shDegree
+ * @param {import("../format/gaussians.js").Lattice[]} lattices of each layer @returns {Placed[]} by layer
+ */
+function expandLattice(words, shDegree, lattices) {
+  const each = latticeWords(shDegree);
+  const numAttributes = 7 + 3 * numCoefficients(shDegree);
+  const count = Math.floor(words.length / each);
+  const bytes = new Uint8Array(words.buffer, words.byteOffset, words.byteLength);
+  /** @type {number[][]} start of each Gaussian's words, by layer */
+  const places = lattices.map(() => []);
+  for (let at = 0; at < count * each; at += each) places[(words[at + 3] >>> 24) & 15].push(at);
+  return places.map((found, layer) => {
+    const rows = new Slots(found.length, numAttributes, ON_LATTICE);
+    const slots = new Uint32Array(found.length);
+    for (const [row, at] of found.entries()) {
+      for (let axis = 0; axis < 3; axis++) {
+        rows.positions[3 * row + axis] = words[at + axis] >> 8;
+        rows.attributes[numAttributes * row + axis] = words[at + axis] & 0xff;
+      }
+      const from = 4 * (at + 4);
+      const others = bytes.subarray(from, from + numAttributes - 3);
+      rows.attributes.set(others, numAttributes * row + 3);
+      slots[row] = words[at + 3] & 0xffffff;
+    }
+    return {
+      slots,
+      gaussians: gaussiansOf(
+        rows,
+        slots.map((_, row) => row),
+        lattices[layer],
+      ),
+    };
+  });
+}
+
+/**
+ * Unpacks Gaussians that are floats.
+ * @param {Uint32Array} words `floatWords` each @param {number} shDegree @returns {Placed}
+ */
+function expandFloats(words, shDegree) {
+  const each = floatWords(shDegree);
+  const count = Math.floor(words.length / each);
+  const values = new Float32Array(words.buffer, words.byteOffset, words.length);
+  const slots = new Uint32Array(count);
+  const rest = 3 * numCoefficients(shDegree);
+  const widths = { means: 3, logScales: 3, quats: 4, logitOpacities: 1, sh: rest };
+  const gaussians = /** @type {import("../format/gaussians.js").Gaussians} */ (
+    Object.fromEntries(
+      Object.entries(widths).map(([name, n]) => [name, new Float32Array(n * count)]),
+    )
+  );
+  for (let i = 0; i < count; i++) {
+    slots[i] = words[each * i] & 0xffffff;
+    let at = each * i + 1;
+    for (const [name, width] of Object.entries(widths)) {
+      const array = gaussians[/** @type {keyof typeof widths} */ (name)];
+      array.set(values.subarray(at, at + width), width * i);
+      at += width;
+    }
+  }
+  return { slots, gaussians };
+}
 
 /**
  * Gaussians in the form that renderers use: all f32, one array per attribute.
@@ -25,11 +101,7 @@ import { expandFloats, expandLattice } from "./expand.js";
  * @property {SceneGaussians} gaussians N, the new Gaussians of these slots
  */
 
-/**
- * @param {number} count
- * @param {number} shDegree
- * @returns {SceneGaussians}
- */
+/** @param {number} count @param {number} shDegree @returns {SceneGaussians} */
 export function emptyScene(count, shDegree) {
   return {
     means: new Float32Array(3 * count),
@@ -43,11 +115,8 @@ export function emptyScene(count, shDegree) {
 
 /**
  * Copies rows of every array.
- * @param {SceneGaussians} from
- * @param {(i: number) => number} fromRow
- * @param {SceneGaussians} to
- * @param {(i: number) => number} toRow
- * @param {number} count
+ * @param {SceneGaussians} from @param {(i: number) => number} fromRow @param {SceneGaussians} to
+ * @param {(i: number) => number} toRow @param {number} count
  */
 export function copyRows(from, fromRow, to, toRow, count) {
   const total = to.opacities.length;
@@ -64,9 +133,8 @@ export function copyRows(from, fromRow, to, toRow, count) {
 /** Collects changes until they are taken. Its size depends only on the number of slots. */
 export class Scene {
   /**
-   * @param {number} numSlots
-   * @param {number} shDegree
-   * @param {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer
+   * @param {number} numSlots @param {number} shDegree
+   * @param {import("../format/gaussians.js").Lattice[]} lattices of each layer
    */
   constructor(numSlots, shDegree, lattices) {
     this.shDegree = shDegree;
@@ -121,7 +189,7 @@ export class Scene {
     return { frame, slots, gaussians };
   }
 
-  /** @param {import("./expand.js").Placed} placed */
+  /** @param {Placed} placed */
   #hold({ slots, gaussians }) {
     const { held } = this;
     const k = numCoefficients(this.shDegree);

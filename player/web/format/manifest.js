@@ -6,6 +6,7 @@ import {
   MAX_BASE,
   MAX_CAMERAS,
   MAX_FPS,
+  MAX_IMAGE_PX,
   MAX_LAYERS,
   MAX_MANIFEST_BYTES,
   MAX_NUM_GS,
@@ -21,35 +22,74 @@ import {
   MIN_STEP,
   VERSION,
 } from "../constants.js";
-import { readCamera } from "./camera.js";
-import { corrupt, unsupported } from "./bytes/errors.js";
-import { boolean, field, integer, list, number, text } from "./bytes/json.js";
-import { SlotLayout } from "./slots/slotlayout.js";
+import { corrupt, unsupported } from "./bytes.js";
+import { SlotLayout } from "./gaussians.js";
+import { boolean, field, integer, list, number, text } from "./json.js";
+
+/**
+ * A pinhole camera, OpenCV pose (x right, y down, z forward).
+ * @typedef {object} Camera
+ * @property {string} name @property {number} widthPx @property {number} heightPx @property {number} fxPx
+ * @property {number} fyPx @property {number} cxPx @property {number} cyPx
+ * @property {number[]} w2c (4, 4) world to camera, row by row, metres
+ */
+
+/**
+ * A camera of a manifest (FORMAT.md, section 4). Throws a FormatError.
+ * @param {unknown} value @returns {Camera}
+ */
+function readCamera(value) {
+  const w2c = field(value, "w2c");
+  if (!Array.isArray(w2c) || w2c.length !== 16) throw corrupt("camera: w2c is not 16 numbers");
+  const camera = {
+    name: text(field(value, "name"), "camera name"),
+    widthPx: integer(field(value, "width_px"), 1, MAX_IMAGE_PX, "width_px"),
+    heightPx: integer(field(value, "height_px"), 1, MAX_IMAGE_PX, "height_px"),
+    fxPx: number(field(value, "fx_px"), "fx_px"),
+    fyPx: number(field(value, "fy_px"), "fy_px"),
+    cxPx: number(field(value, "cx_px"), "cx_px"),
+    cyPx: number(field(value, "cy_px"), "cy_px"),
+    w2c: w2c.map((entry) => number(entry, "w2c")),
+  };
+  if (camera.fxPx <= 0 || camera.fyPx <= 0) {
+    throw corrupt(`camera ${camera.name}: a focal length is not positive`);
+  }
+  if (!isPose(camera.w2c)) {
+    throw corrupt(`camera ${camera.name}: the pose is not a rotation and a translation`);
+  }
+  return camera;
+}
+
+/** Whether a matrix is a rotation and a translation. @param {number[]} m (4, 4) */
+function isPose(m) {
+  const rows = [0, 4, 8].map((at) => m.slice(at, at + 3));
+  const dot = (/** @type {number[]} */ a, /** @type {number[]} */ b) =>
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  const isOrthonormal = rows.every((a, i) =>
+    rows.every((b, j) => Math.abs(dot(a, b) - (i === j ? 1 : 0)) <= 1e-3),
+  );
+  const [a, b, c] = rows;
+  const cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+  const lastRow = [0, 0, 0, 1];
+  const isAffine = lastRow.every((expected, i) => Math.abs(m[12 + i] - expected) <= 1e-6);
+  return isOrthonormal && dot(cross, c) >= 0 && isAffine;
+}
 
 const { fround } = Math;
 
 /**
  * @typedef {object} Manifest
- * @property {number} version
- * @property {number} fps
- * @property {number} swinSize
- * @property {number} numGs
- * @property {number} numLayers
- * @property {number} segmentFrames
- * @property {number} shDegree
+ * @property {number} version @property {number} fps @property {number} swinSize @property {number} numGs
+ * @property {number} numLayers @property {number} segmentFrames @property {number} shDegree
  * @property {boolean} antialias
  * @property {number} nearM metres
  * @property {number[]} cameraNearM metres, at each camera; empty if it is `nearM` at all cameras
  * @property {number[][]} bounds lower and upper corner, metres
- * @property {import("./camera.js").Camera[]} cameras
- * @property {import("./camera.js").Camera} defaultCamera what a player starts from
+ * @property {Camera[]} cameras
+ * @property {Camera} defaultCamera what a player starts from
  * @property {number[] | null} focus the middle of what moves, metres
- * @property {boolean} live
- * @property {string | null} poster
- * @property {string | null} storyboard
- * @property {string} objectUrl
- * @property {string} title
- * @property {number} captureFrame
+ * @property {boolean} live @property {string | null} poster @property {string | null} storyboard
+ * @property {string} objectUrl @property {string} title @property {number} captureFrame
  * @property {SlotLayout} layout
  * @property {unknown} sound sources, not checked yet
  * @property {unknown} captions not checked yet
@@ -74,11 +114,7 @@ export const isSnapshot = ({ numLayers }, part) => part > numLayers;
 export const layerOf = ({ numLayers }, part) =>
   part < numLayers ? part : Math.max(0, part - numLayers - 1);
 
-/**
- * Reads the manifest in `bytes`. Throws a FormatError.
- * @param {Uint8Array} bytes
- * @returns {Manifest}
- */
+/** Reads the manifest in `bytes`. Throws a FormatError. @param {Uint8Array} bytes @returns {Manifest} */
 export function readManifest(bytes) {
   if (bytes.length > MAX_MANIFEST_BYTES)
     throw corrupt(`manifest: ${bytes.length} bytes, but at most ${MAX_MANIFEST_BYTES} are allowed`);
@@ -141,9 +177,7 @@ export function readManifest(bytes) {
 /**
  * Throws a FormatError if a stream has more Gaussians than a page should hold: a stream of a few
  * kilobytes may declare 2^24. To be called before anything is decoded or allocated.
- * @param {Manifest} manifest
- * @param {number | null} maxGaussians null for the default
- * @param {string} name
+ * @param {Manifest} manifest @param {number | null} maxGaussians null for the default @param {string} name
  */
 export function checkGaussians({ numGs, shDegree }, maxGaussians, name) {
   if (numGs <= (maxGaussians ?? DEFAULT_MAX_GAUSSIANS)) return;
@@ -157,18 +191,14 @@ export function checkGaussians({ numGs, shDegree }, maxGaussians, name) {
 
 /**
  * The address of a part's object, relative to the manifest.
- * @param {{ objectUrl: string }} manifest
- * @param {number} segment
+ * @param {{ objectUrl: string }} manifest @param {number} segment
  * @param {string} name of the part, or of a source of sound
  */
 export function objectPath({ objectUrl }, segment, name) {
   return objectUrl.replace("{segment}", String(segment)).replace("{layer}", name);
 }
 
-/**
- * @param {Uint8Array} bytes
- * @returns {unknown}
- */
+/** @param {Uint8Array} bytes @returns {unknown} */
 function parsed(bytes) {
   try {
     return JSON.parse(new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(bytes));
@@ -184,10 +214,7 @@ function partsOf(numLayers) {
 }
 
 /**
- * @param {unknown} value
- * @param {number} swinSize
- * @param {number} segmentFrames
- * @param {number} shDegree
+ * @param {unknown} value @param {number} swinSize @param {number} segmentFrames @param {number} shDegree
  * @param {number} numGs
  */
 function readLayout(value, swinSize, segmentFrames, shDegree, numGs) {
@@ -203,10 +230,7 @@ function readLayout(value, swinSize, segmentFrames, shDegree, numGs) {
   return layout;
 }
 
-/**
- * @param {unknown} row
- * @returns {import("./slots/slotlayout.js").Lattice}
- */
+/** @param {unknown} row @returns {import("./gaussians.js").Lattice} */
 function readLattice(row) {
   const step = (/** @type {string} */ key) => {
     const found = number(field(row, key), key);
@@ -235,11 +259,7 @@ function readFps(value) {
   return fps;
 }
 
-/**
- * Checks that a number is above 0.
- * @param {number} found
- * @param {string} what
- */
+/** Checks that a number is above 0. @param {number} found @param {string} what */
 function positive(found, what) {
   if (found <= 0) throw corrupt(`manifest: ${what} is ${found}, which is not positive`);
   return found;
@@ -267,10 +287,7 @@ function readBounds(value) {
   return corners;
 }
 
-/**
- * @param {unknown} value
- * @param {string} what
- */
+/** @param {unknown} value @param {string} what */
 function readPicture(value, what) {
   if (value === null) return null;
   const path = text(value, what);

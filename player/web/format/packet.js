@@ -1,14 +1,13 @@
 /** A packet is one chunk, in a zstd frame (FORMAT.md, section 6). */
 
 import { MAX_CHUNK_BYTES, MAX_EXPANSION } from "../constants.js";
-import { corrupt } from "./bytes/errors.js";
-import { decodeFrame, readFrameHead } from "./bytes/zstd.js";
+import { corrupt } from "./bytes.js";
 import { isSnapshot, layerOf, masksOf } from "./manifest.js";
+import { decodeFrame, readFrameHead } from "./zstd.js";
 
 /**
  * Maximum size of the chunk in a packet.
- * @param {import("./manifest.js").Manifest} manifest
- * @param {import("./manifest.js").Part} part
+ * @param {import("./manifest.js").Manifest} manifest @param {import("./manifest.js").Part} part
  */
 export function limitBytes({ layout }, part) {
   if (part === masksOf(layout)) return layout.maxMaskBytes;
@@ -18,8 +17,7 @@ export function limitBytes({ layout }, part) {
 
 /**
  * The chunk in a packet; an empty packet gives an empty chunk. Memory stays within the limit. Throws a FormatError.
- * @param {Uint8Array} packet
- * @param {number} limitBytes
+ * @param {Uint8Array} packet @param {number} limitBytes
  */
 export function packetContent(packet, limitBytes) {
   if (packet.length === 0) return packet;

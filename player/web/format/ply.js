@@ -1,6 +1,5 @@
 import { ESCAPED, ON_LATTICE } from "../constants.js";
-import { gaussiansOf } from "./dequantise.js";
-import { numCoefficients } from "./gaussians.js";
+import { gaussiansOf, numCoefficients } from "./gaussians.js";
 
 /**
  * The Gaussians that show at a decoder's frame, as the PLY of 3D Gaussian Splatting; `swings-stream export`
@@ -29,10 +28,7 @@ export function framePly(decoder) {
   return new Blob([head, ...values]);
 }
 
-/**
- * @param {number} count
- * @param {number} numRest coefficients of a colour, without the first
- */
+/** @param {number} count @param {number} numRest coefficients of a colour, without the first */
 function header(count, numRest) {
   const numbered = (/** @type {string} */ stem, /** @type {number} */ n) =>
     Array.from({ length: n }, (_, i) => `${stem}_${i}`);
@@ -43,11 +39,7 @@ function header(count, numRest) {
   return `ply\nformat binary_little_endian 1.0\nelement vertex ${count}\n${properties}end_header\n`;
 }
 
-/**
- * A row for each Gaussian.
- * @param {import("./gaussians.js").Gaussians} gaussians
- * @param {number} numRest
- */
+/** A row for each Gaussian. @param {import("./gaussians.js").Gaussians} gaussians @param {number} numRest */
 function rowsOf({ means, logScales, quats, logitOpacities, sh }, numRest) {
   const width = 17 + 3 * numRest;
   const rows = new Float32Array(width * logitOpacities.length);

@@ -13,8 +13,7 @@
  * The page's wish to open a stream.
  * @typedef {object} Source
  * @property {string} base URL of its folder, with a trailing slash, or of its file
- * @property {number | null} [maxGaussians]
- * @property {boolean} [otherHosts]
+ * @property {number | null} [maxGaussians] @property {boolean} [otherHosts]
  * @property {RequestCredentials} [credentials] whether requests carry cookies, see `fetch`
  * @property {import("../source/transform.js").TransformRequest} [transformRequest] changes each request
  * @property {number} [bufferBytes] limit for the received data that is kept
@@ -26,12 +25,11 @@
  * @typedef {object} Start
  * @property {number | null} [frame] null: the first one, or the edge of a live stream
  * @property {number} [seeks] number of seeks that the page has made
- * @property {number} [rate]
- * @property {boolean} [loop]
+ * @property {number} [rate] @property {boolean} [loop]
  * @property {number | null} [mostLayers] null: all of them
  */
 
-/** @typedef {import("../source/early/earlyrequests.js").EarlyOffer} EarlyOffer */
+/** @typedef {import("../source/early.js").EarlyOffer} EarlyOffer */
 
 /**
  * The wish as the play worker gets it: it asks for the changes of a request through a port.
@@ -54,7 +52,7 @@
 /**
  * A manifest in a form that can be posted.
  * @typedef {Omit<import("../format/manifest.js").Manifest, "layout">
- *   & { lattices: import("../format/slots/slotlayout.js").Lattice[] }} OpenManifest
+ *   & { lattices: import("../format/gaussians.js").Lattice[] }} OpenManifest
  */
 
 /**
@@ -112,7 +110,7 @@
  * @property {number} frame
  * @property {number} seeks number of seeks that the player had made
  * @property {boolean} isWhole whether `updates` are complete, independent of the renderer's state
- * @property {import("./pendingupdates.js").Words[]} updates
+ * @property {import("./depthorder.js").Words[]} updates
  * @property {Uint16Array | Uint32Array} order slots, farthest first; numbers beyond the last slot are the
  *   Gaussians that the newest update lets fade out, in the update's order, if that was requested
  * @property {number} sortMs

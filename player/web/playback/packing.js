@@ -1,9 +1,9 @@
 /** Packs changed Gaussians for the renderer and the sorter. */
 
 import { opacityLogits } from "../format/gaussians.js";
-import { NEVER } from "../renderer/depthorder.js";
+import { NEVER } from "./depthorder.js";
 import { ALPHA_MIN, ENTERS, ESCAPED, ON_LATTICE } from "../constants.js";
-import { LEFT, spareSlots } from "../format/slots/moves.js";
+import { LEFT, spareSlots } from "../format/slots/slots.js";
 import { floatWords, latticeWords, roomFor } from "./words.js";
 
 /** A Gaussian with a smaller logit is nowhere opaque enough to show, and is omitted from every frame. */
@@ -34,8 +34,7 @@ export function buffersOf(update) {
  * Packs the changes of a lane.
  * @param {import("../format/slots/slotdecoder.js").SlotDecoder} decoder
  * @param {import("../format/slots/slotdecoder.js").SlotSlice} slice
- * @param {number} frame from which they show
- * @returns {SplatUpdate}
+ * @param {number} frame from which they show @returns {SplatUpdate}
  */
 export function packSlots(decoder, slice, frame) {
   const { layout, rowEdges } = decoder;
@@ -85,10 +84,7 @@ export function packSlots(decoder, slice, frame) {
 
 class Packer {
   /**
-   * @param {number} shDegree
-   * @param {number} frame
-   * @param {number} count
-   * @param {number} numLattice
+   * @param {number} shDegree @param {number} frame @param {number} count @param {number} numLattice
    * @param {number} numFloats
    */
   constructor(shDegree, frame, count, numLattice, numFloats) {
@@ -122,12 +118,8 @@ class Packer {
   }
 
   /**
-   * @param {number} slot
-   * @param {number} layer
-   * @param {import("../format/slots/slots.js").Slots} slots
-   * @param {number} row
-   * @param {number} start
-   * @param {import("../format/slots/slotlayout.js").Lattice} lattice
+   * @param {number} slot @param {number} layer @param {import("../format/slots/slots.js").Slots} slots
+   * @param {number} row @param {number} start @param {import("../format/gaussians.js").Lattice} lattice
    * @param {Float32Array} logits
    */
   addLattice(slot, layer, slots, row, start, lattice, logits) {
@@ -148,8 +140,7 @@ class Packer {
   }
 
   /**
-   * @param {number} slot
-   * @param {Float32Array} values mean, log scales, quaternion, logit, harmonics
+   * @param {number} slot @param {Float32Array} values mean, log scales, quaternion, logit, harmonics
    * @param {number} start
    */
   addFloats(slot, values, start) {
@@ -160,10 +151,7 @@ class Packer {
     this.#add(slot, values[10] >= LEAST_LOGIT ? start : NEVER);
   }
 
-  /**
-   * @param {number} slot
-   * @param {number} start
-   */
+  /** @param {number} slot @param {number} start */
   #add(slot, start) {
     this.update.slots[this.at] = slot;
     this.update.moves[this.at] = this.move;

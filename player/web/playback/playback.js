@@ -37,11 +37,8 @@ const LATE_FOR_SOUND_S = 1;
  */
 export class Playback {
   /**
-   * @param {import("./streamplay.js").StreamPlay} play
-   * @param {number} fps
-   * @param {number} numFrames
-   * @param {number} firstFrame
-   * @param {number} [notBeforeS] when firstFrame is due
+   * @param {import("./frameassembler.js").FrameAssembler} play @param {number} fps @param {number} numFrames
+   * @param {number} firstFrame @param {number} [notBeforeS] when firstFrame is due
    */
   constructor(play, fps, numFrames, firstFrame, notBeforeS = -Infinity) {
     this.notBeforeS = notBeforeS;
@@ -89,10 +86,7 @@ export class Playback {
     return this.isJoined && !this.live && this.nextFrame >= this.numFrames;
   }
 
-  /**
-   * Plays or pauses.
-   * @param {boolean} playing
-   */
+  /** Plays or pauses. @param {boolean} playing */
   setPlaying(playing) {
     this.playing = playing;
     this.dueS = null;
@@ -106,8 +100,7 @@ export class Playback {
 
   /**
    * The frame that is due at `nowS`; null if there is nothing new. Throws a FormatError.
-   * @param {number} nowS
-   * @returns {Shown | null}
+   * @param {number} nowS @returns {Shown | null}
    */
   tick(nowS) {
     this.#reach();
@@ -170,8 +163,7 @@ export class Playback {
 
   /**
    * Advances at once to a later frame; null if the frame is not later, too far away or missing.
-   * @param {number} frame
-   * @returns {Shown | null}
+   * @param {number} frame @returns {Shown | null}
    */
   stepTo(frame) {
     this.#reach();
@@ -186,8 +178,7 @@ export class Playback {
 
   /**
    * Shows the next frame, together with the updates of frames that were skipped.
-   * @param {Shown | null} before
-   * @returns {Shown}
+   * @param {Shown | null} before @returns {Shown}
    */
   #advance(before) {
     const frame = this.nextFrame;
@@ -227,8 +218,7 @@ export class Playback {
   /**
    * The current frame again, if late data has improved it. Not needed during playback, where each frame
    * brings the late data itself.
-   * @param {number} nowS
-   * @returns {Shown | null}
+   * @param {number} nowS @returns {Shown | null}
    */
   #refine(nowS) {
     if (!this.play.isLate || nowS - this.refinedS < REFINE_S) return null;

@@ -1,8 +1,51 @@
 import { firstUrls } from "../source/addresses.js";
-import { offerEarly } from "../source/early/earlyrequests.js";
+import { offerEarly } from "../source/early.js";
 import { preloadSource } from "./preload.js";
 import { requestPort } from "./requestport.js";
-import { startWorker } from "./startworker.js";
+
+/** Names of the player's workers; a bundler may add a hash. */
+const WORKERS = /\/(play|sort|feed)worker[^/]*\.js$/;
+/** Where this code is from. */
+const HOME = new URL(import.meta.url).origin;
+/** Key of the policy in the page: a second copy of this code must not create one with the same name. */
+const POLICY = Symbol.for(`swings-worker ${HOME}`);
+
+/**
+ * @typedef {{ createScriptURL: (module: string) => string }} Policy
+ * @typedef {Record<typeof POLICY, Policy | undefined>
+ *   & { trustedTypes?: { createPolicy: (name: string, rules: Policy) => Policy } }} Page
+ */
+
+/**
+ * Starts one of the player's workers. It works from any origin, although a page may not directly start
+ * a worker of another origin, and also on pages whose content security policy requires Trusted Types and
+ * lists the allowed policies.
+ * @param {URL} module
+ */
+export function startWorker(module) {
+  const page = /** @type {Page} */ (/** @type {unknown} */ (globalThis));
+  page[POLICY] ??= page.trustedTypes?.createPolicy("swings-worker", { createScriptURL: startable });
+  const script = page[POLICY]?.createScriptURL(module.href) ?? startable(module.href);
+  const worker = new Worker(script, { type: "module" });
+  if (String(script).startsWith("blob:")) URL.revokeObjectURL(String(script));
+  return worker;
+}
+
+/**
+ * The URL at which this page may start a worker's module. Any script of the page can reach the policy, so it
+ * serves the player's workers only, from this page's origin and from that of this code.
+ * @param {string} module
+ */
+function startable(module) {
+  const { origin, pathname } = new URL(module);
+  const isOurs = WORKERS.test(pathname) && [globalThis.origin, HOME].includes(origin);
+  if (!isOurs) throw new TypeError(`${module} is no worker of swings-player`);
+  if (origin === globalThis.origin) return module;
+  const script = `import ${JSON.stringify(module)};`;
+  // For a page from a file or in a sandbox, Chromium does not run modules from blobs.
+  if (globalThis.origin === "null") return `data:text/javascript,${encodeURIComponent(script)}`;
+  return URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
+}
 
 /** @typedef {import("./messages.js").FromPlayer} FromPlayer */
 /** @typedef {import("./messages.js").SortedFrame} SortedFrame */
@@ -14,8 +57,7 @@ export class PlayerWorkers {
   #opening = new AbortController();
 
   /**
-   * @param {import("./messages.js").Source} source
-   * @param {import("./messages.js").Start} start
+   * @param {import("./messages.js").Source} source @param {import("./messages.js").Start} start
    * @param {Worker} sink takes the frames from the port that it is sent
    * @param {(message: FromPlayer) => void} onMessage called for messages of the decoding worker
    */
@@ -88,8 +130,7 @@ export class Sorter {
   /**
    * Makes sure that the sorter has a request. It answers when it has a new frame, or at once if the camera
    * has moved; at most one request of the second kind is pending.
-   * @param {number[]} w2c (4, 4) world to camera
-   * @param {number} nearM
+   * @param {number[]} w2c (4, 4) world to camera @param {number} nearM
    * @param {boolean} isMoving whether Gaussians are in motion; the order is then that of half the way, and
    *   includes Gaussians that fade out
    */

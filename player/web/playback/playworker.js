@@ -1,10 +1,10 @@
 /** Network and decoding, in a separate thread; see WebPlayer. */
 
-import { FormatError } from "../format/bytes/errors.js";
-import { expectEarly } from "../source/early/earlyresponses.js";
+import { FormatError } from "../format/bytes.js";
+import { expectEarly } from "../source/early.js";
 import { Fetcher, SourceError } from "../source/fetcher.js";
 import { openSource } from "../source/source.js";
-import { StreamPlayer } from "./streamplayer.js";
+import { PlayController } from "./playcontroller.js";
 
 /** @typedef {import("./messages.js").FromPlayer} FromPlayer */
 /** @typedef {import("./messages.js").ToPlayer} ToPlayer */
@@ -13,7 +13,7 @@ const scope = /** @type {import("./messages.js").Channel<FromPlayer, ToPlayer>} 
   /** @type {unknown} */ (self)
 );
 
-/** @type {StreamPlayer | null} */
+/** @type {PlayController | null} */
 let player = null;
 /** @type {MessagePort | null} to the worker that takes the frames */
 let sink = null;
@@ -55,7 +55,7 @@ async function open(opening) {
     scope.postMessage({ kind: "opened", ...opened });
     const port = sink;
     if (port !== null) {
-      /** @type {import("./streamplayer.js").Outlet} */
+      /** @type {import("./playcontroller.js").Outlet} */
       const outlet = {
         post: (message) => scope.postMessage(message),
         show: (shown, transfer) => port.postMessage(shown, transfer),
@@ -63,7 +63,7 @@ async function open(opening) {
       };
       release = () => {
         release = null;
-        player = new StreamPlayer(stream, fetcher, outlet, start);
+        player = new PlayController(stream, fetcher, outlet, start);
       };
       if (!isHeld) release();
     }

@@ -13,7 +13,7 @@ export function preloadSource(base) {
     servedBase(base) === null
       ? new URL("../source/hosted.js", import.meta.url)
       : new URL("../source/served.js", import.meta.url);
-  for (const { href } of [new URL("./streamplayer.js", import.meta.url), source]) {
+  for (const { href } of [new URL("./playcontroller.js", import.meta.url), source]) {
     if (preloaded.has(href)) continue;
     preloaded.add(href);
     const link = document.createElement("link");

@@ -3,9 +3,8 @@
  * thread, and sends the drawing thread the changes together with the order in which to draw.
  */
 
-import { spareSlots } from "../format/slots/moves.js";
-import { DepthOrder } from "../renderer/depthorder.js";
-import { PendingUpdates } from "./pendingupdates.js";
+import { spareSlots } from "../format/slots/slots.js";
+import { DepthOrder, PendingUpdates } from "./depthorder.js";
 
 /** @typedef {import("./messages.js").ShownFrame} ShownFrame */
 /** @typedef {import("./messages.js").SortedFrame} SortedFrame */

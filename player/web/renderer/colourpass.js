@@ -1,7 +1,6 @@
 import { COLOUR_COLUMNS, COLOUR_TURN_RAD, SH_C2, SH_C3 } from "../constants.js";
 import COLOURS from "../../render/gl/shaders/colours.glsl";
-import { makeProgram } from "./program.js";
-import { makeTexture, STAGED_WIDTH_PX } from "./texture.js";
+import { makeProgram, makeTexture, STAGED_WIDTH_PX } from "./program.js";
 
 const HARMONICS = {
   ...Object.fromEntries(SH_C2.map((value, n) => [`SH_C2_${n}`, value])),
@@ -16,8 +15,7 @@ const HARMONICS = {
  */
 export class ColourPass {
   /**
-   * @param {WebGL2RenderingContext} gl
-   * @param {{ numSlots: number, nearM: number }} shape
+   * @param {WebGL2RenderingContext} gl @param {{ numSlots: number, nearM: number }} shape
    * @param {Record<string, number>} defines those of the splat shader
    */
   constructor(gl, { numSlots, nearM }, defines) {
@@ -39,8 +37,7 @@ export class ColourPass {
 
   /**
    * Evaluates all colours again if the camera has moved far enough.
-   * @param {number[]} position of the camera in the world, metres
-   * @param {WebGLTexture} gaussians
+   * @param {number[]} position of the camera in the world, metres @param {WebGLTexture} gaussians
    */
   follow(position, gaussians) {
     const { seenFrom } = this;
@@ -55,11 +52,8 @@ export class ColourPass {
 
   /**
    * Evaluates the colours of Gaussians that were put into their slots.
-   * @param {WebGLTexture} gaussians
-   * @param {WebGLTexture} staged the uploaded items
-   * @param {number} count
-   * @param {number} itemWords words of each item
-   * @param {number} slotWord index of the word with the slot
+   * @param {WebGLTexture} gaussians @param {WebGLTexture} staged the uploaded items @param {number} count
+   * @param {number} itemWords words of each item @param {number} slotWord index of the word with the slot
    */
   put(gaussians, staged, count, itemWords, slotWord) {
     if (this.seenFrom === null) return; // all are evaluated before they are drawn
@@ -67,12 +61,8 @@ export class ColourPass {
   }
 
   /**
-   * @param {number[]} position
-   * @param {WebGLTexture} gaussians
-   * @param {WebGLTexture} staged
-   * @param {number} count
-   * @param {number} itemWords
-   * @param {number} slotWord
+   * @param {number[]} position @param {WebGLTexture} gaussians @param {WebGLTexture} staged
+   * @param {number} count @param {number} itemWords @param {number} slotWord
    */
   #evaluate(position, gaussians, staged, count, itemWords, slotWord) {
     const { gl, program } = this;

@@ -55,8 +55,7 @@ export class ContextLostError extends RendererError {
 /**
  * A program, and the locations of its uniforms.
  * @typedef {object} Program
- * @property {WebGLProgram} program
- * @property {(name: string) => WebGLUniformLocation | null} at
+ * @property {WebGLProgram} program @property {(name: string) => WebGLUniformLocation | null} at
  * @property {() => void} check waits for the program; throws a RendererError if it was refused
  */
 
@@ -67,8 +66,7 @@ const COMPLETION_STATUS_KHR = 0x91b1;
  * Starts compiling a program. This may take the device some time; only `check` waits for it.
  * @param {WebGL2RenderingContext} gl
  * @param {string} text both stages, in GLSL ES 3.00 without the version line
- * @param {Record<string, number>} defines
- * @returns {Program}
+ * @param {Record<string, number>} defines @returns {Program}
  */
 export function makeProgram(gl, text, defines = {}) {
   const constants = Object.entries({ ...RECIPE, ...defines });
@@ -107,11 +105,23 @@ export function makeProgram(gl, text, defines = {}) {
 
 /**
  * Whether `check` would return without waiting; true if the browser cannot report it.
- * @param {WebGL2RenderingContext} gl
- * @param {Program} made
- * @returns {boolean}
+ * @param {WebGL2RenderingContext} gl @param {Program} made @returns {boolean}
  */
 export function isMade(gl, { program }) {
   const canSay = gl.getExtension("KHR_parallel_shader_compile") !== null;
   return !canSay || gl.getProgramParameter(program, COMPLETION_STATUS_KHR);
+}
+
+/** Width of the textures in which Gaussians are uploaded. */
+export const STAGED_WIDTH_PX = 1024;
+
+/** A texture without filters, bound. @param {WebGL2RenderingContext} gl */
+export function makeTexture(gl) {
+  const texture = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+  return texture;
 }

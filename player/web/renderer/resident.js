@@ -1,8 +1,12 @@
-import { ContextLostError, makeProgram, RendererError } from "./program.js";
+import {
+  ContextLostError,
+  makeProgram,
+  makeTexture,
+  RendererError,
+  STAGED_WIDTH_PX,
+} from "./program.js";
 import EXPAND from "./shaders/expand.glsl";
-import EXPAND_FLOATS from "./shaders/expandfloats.glsl";
-import EXPAND_LATTICE from "./shaders/expandlattice.glsl";
-import { makeTexture, STAGED_WIDTH_PX } from "./texture.js";
+
 import { floatWords, latticeWords } from "../playback/words.js";
 
 /** Staging textures in rotation, so that none is written while an earlier upload may still be read. */
@@ -18,11 +22,7 @@ function texelsPerGaussian(shDegree) {
  * received, and a GPU pass expands them.
  */
 export class Resident {
-  /**
-   * @param {WebGL2RenderingContext} gl
-   * @param {number} numSlots
-   * @param {number} shDegree
-   */
+  /** @param {WebGL2RenderingContext} gl @param {number} numSlots @param {number} shDegree */
   constructor(gl, numSlots, shDegree) {
     this.gl = gl;
     this.shDegree = shDegree;
@@ -46,7 +46,7 @@ export class Resident {
     this.nextStaged = 0;
     /** @type {import("./colourpass.js").ColourPass | null} evaluates the colours of changed Gaussians */
     this.colours = null;
-    /** @type {import("./inbetween.js").Inbetween | null} saves Gaussians that are about to change */
+    /** @type {import("./smoothing.js").Inbetween | null} saves Gaussians that are about to change */
     this.inbetween = null;
     this.uploadedBytes = 0;
     /** Has no attributes: the shaders use only the number of each point. */
@@ -57,11 +57,12 @@ export class Resident {
       STAGED_WIDTH_PX,
       K: (shDegree + 1) ** 2,
     };
-    this.lattice = makeProgram(gl, EXPAND + EXPAND_LATTICE, {
+    this.lattice = makeProgram(gl, EXPAND, {
       ...defines,
+      LATTICE: 1,
       ITEM_WORDS: latticeWords(shDegree),
     });
-    this.floats = makeProgram(gl, EXPAND + EXPAND_FLOATS, {
+    this.floats = makeProgram(gl, EXPAND, {
       ...defines,
       ITEM_WORDS: floatWords(shDegree),
     });
@@ -69,7 +70,7 @@ export class Resident {
 
   /**
    * Waits for the programs. Throws a RendererError if one was refused.
-   * @param {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer
+   * @param {import("../format/gaussians.js").Lattice[]} lattices of each layer
    */
   start(lattices) {
     const { gl } = this;
@@ -82,10 +83,7 @@ export class Resident {
     }
   }
 
-  /**
-   * Puts Gaussians into their slots.
-   * @param {Uint32Array} words `latticeWords` each, in `roomFor` them
-   */
+  /** Puts Gaussians into their slots. @param {Uint32Array} words `latticeWords` each, in `roomFor` them */
   putLattice(words) {
     this.#put(words, latticeWords(this.shDegree), this.lattice, 3);
   }
@@ -99,9 +97,7 @@ export class Resident {
   }
 
   /**
-   * @param {Uint32Array} words
-   * @param {number} wordsEach
-   * @param {import("./program.js").Program} program
+   * @param {Uint32Array} words @param {number} wordsEach @param {import("./program.js").Program} program
    * @param {number} slotWord index of the word with a Gaussian's slot
    */
   #put(words, wordsEach, program, slotWord) {

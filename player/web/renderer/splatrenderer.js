@@ -1,26 +1,83 @@
-import { JACOBIAN_CLAMP } from "../constants.js";
 import SCREEN from "../../render/gl/shaders/screen.glsl";
 import SPLAT from "../../render/gl/shaders/splat.glsl";
-import { makeProgram, RendererError, SLOT } from "./program.js";
+import { JACOBIAN_CLAMP } from "../constants.js";
+import { makeProgram, makeTexture, RendererError, SLOT } from "./program.js";
 import { Resident } from "./resident.js";
-import { makeTexture } from "./texture.js";
+
+/** A pixel that is less opaque than this has no depth. */
+const LEAST_ALPHA = 0.25;
+
+/**
+ * Depth of the scene at a pixel, metres; null if hardly anything shows there, or this device cannot
+ * draw floats. Waits for the device.
+ * @param {SplatRenderer} renderer
+ * @param {import("../format/manifest.js").Camera} camera the one that the current order is for
+ * @param {number} xPx from the left @param {number} yPx from the top
+ */
+export function depthAt(renderer, camera, xPx, yPx) {
+  if (!renderer.isFine) return null;
+  renderer.depths ??= new DepthQuery(renderer.gl, renderer.makeSplats({ DEPTH: 1 }));
+  const { depths } = renderer;
+  depths.begin();
+  const cxPx = camera.cxPx - Math.floor(xPx);
+  const cyPx = camera.cyPx - Math.floor(yPx);
+  renderer.blend({ ...camera, cxPx, cyPx }, depths.splats);
+  return depths.end();
+}
+
+/** Draws the depths of Gaussians into one pixel, and reads it. */
+class DepthQuery {
+  /**
+   * @param {WebGL2RenderingContext} gl one that can draw into floats
+   * @param {import("./program.js").Program} splats draws depths
+   */
+  constructor(gl, splats) {
+    splats.check();
+    this.gl = gl;
+    this.splats = splats;
+    this.texture = makeTexture(gl);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, 1, 1);
+    this.framebuffer = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
+  }
+
+  /** Clears and binds the target: a single pixel, at the place of a picture's first pixel. */
+  begin() {
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+  }
+
+  /** The mean depth, weighted as colours are, in metres; null if hardly anything shows. */
+  end() {
+    const { gl } = this;
+    const pixel = new Float32Array(4);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, pixel);
+    const [sum, , , alpha] = pixel;
+    return alpha > LEAST_ALPHA ? sum / alpha : null;
+  }
+
+  close() {
+    this.gl.deleteTexture(this.texture);
+    this.gl.deleteFramebuffer(this.framebuffer);
+    this.gl.deleteProgram(this.splats.program);
+  }
+}
 
 /**
  * The properties of a stream that the renderer depends on.
  * @typedef {object} Shape
- * @property {number} numSlots
- * @property {number} shDegree
+ * @property {number} numSlots @property {number} shDegree
  * @property {typeof import("./colourpass.js").ColourPass | null} ColourPass its class, from degree 2 on
  * @property {number} nearM minimum depth; nothing nearer is drawn
- * @property {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer
+ * @property {import("../format/gaussians.js").Lattice[]} lattices of each layer
  */
 
 /** Draws a stream in recipe v1 with WebGL2. */
 export class SplatRenderer {
-  /**
-   * @param {WebGL2RenderingContext} gl
-   * @param {Shape} shape
-   */
+  /** @param {WebGL2RenderingContext} gl @param {Shape} shape */
   constructor(gl, shape) {
     this.gl = gl;
     this.nearM = shape.nearM;
@@ -33,7 +90,7 @@ export class SplatRenderer {
     this.colours = shape.ColourPass && new shape.ColourPass(gl, shape, defines);
     this.resident.colours = this.colours;
     this.splats = this.makeSplats();
-    /** @type {import("./inbetween.js").Inbetween | null} draws between two frames */
+    /** @type {import("./smoothing.js").Inbetween | null} draws between two frames */
     this.inbetween = null;
     this.screen = makeProgram(gl, SCREEN);
     this.order = gl.createBuffer();
@@ -47,7 +104,7 @@ export class SplatRenderer {
     this.orderBytes = 0;
     /** @type {{ widthPx: number, heightPx: number, texture: WebGLTexture, framebuffer: WebGLFramebuffer } | null} */
     this.picture = null;
-    /** @type {import("./depthquery.js").DepthQuery | null} made by its first use */
+    /** @type {DepthQuery | null} made by its first use */
     this.depths = null;
     this.resident.start(shape.lattices);
     for (const { check } of [this.splats, this.screen]) check();
@@ -56,8 +113,7 @@ export class SplatRenderer {
 
   /**
    * A program that draws Gaussians.
-   * @param {Record<string, number>} [defines]
-   * @param {string} [text] in front of the shader's
+   * @param {Record<string, number>} [defines] @param {string} [text] in front of the shader's
    */
   makeSplats(defines = {}, text = "") {
     return makeProgram(this.gl, text + SPLAT, { ...this.defines, ...defines });
@@ -70,7 +126,7 @@ export class SplatRenderer {
 
   /**
    * Uploads the changes and the new draw order, so that both take effect together.
-   * @param {import("../playback/pendingupdates.js").Words[]} updates
+   * @param {import("../playback/depthorder.js").Words[]} updates
    * @param {Uint16Array | Uint32Array} order slots, farthest first; numSlots and up: fading out
    * @param {number} frame
    */
@@ -94,7 +150,7 @@ export class SplatRenderer {
 
   /**
    * Draws onto a part of the canvas.
-   * @param {import("../format/camera.js").Camera} camera as large as the part
+   * @param {import("../format/manifest.js").Camera} camera as large as the part
    * @param {{ xPx: number, yPx: number }} corner lower left corner of the part
    * @param {WebGLFramebuffer | null} target null: the canvas
    */
@@ -120,8 +176,7 @@ export class SplatRenderer {
 
   /**
    * Blends all Gaussians into the bound framebuffer.
-   * @param {import("../format/camera.js").Camera} camera
-   * @param {import("./program.js").Program} splats
+   * @param {import("../format/manifest.js").Camera} camera @param {import("./program.js").Program} splats
    */
   blend(camera, splats) {
     const { gl } = this;
@@ -142,10 +197,7 @@ export class SplatRenderer {
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.numDrawn);
   }
 
-  /**
-   * @param {import("../format/camera.js").Camera} camera
-   * @param {import("./program.js").Program} splats
-   */
+  /** @param {import("../format/manifest.js").Camera} camera @param {import("./program.js").Program} splats */
   #setCamera(camera, splats) {
     const { gl } = this;
     const m = camera.w2c;
@@ -169,8 +221,7 @@ export class SplatRenderer {
 
   /**
    * The target in which a picture is blended, row 0 at its top; in half floats if the device can.
-   * @param {number} widthPx
-   * @param {number} heightPx
+   * @param {number} widthPx @param {number} heightPx
    */
   #pictureOf(widthPx, heightPx) {
     const { gl } = this;
@@ -210,7 +261,7 @@ export class SplatRenderer {
   }
 }
 
-/** Position of the camera in the world, metres. @param {import("../format/camera.js").Camera} camera */
+/** Position of the camera in the world, metres. @param {import("../format/manifest.js").Camera} camera */
 function positionOf({ w2c: m }) {
   return [0, 1, 2].map((axis) => -(m[axis] * m[3] + m[4 + axis] * m[7] + m[8 + axis] * m[11]));
 }

@@ -2,14 +2,10 @@ import { MAX_SOUND_BYTES, SAMPLE_RATE } from "../constants.js";
 import { objectPath } from "../format/manifest.js";
 import { servedBase } from "../source/addresses.js";
 import { Fetcher } from "../source/fetcher.js";
-import { fileBytes } from "../source/filebytes.js";
-import { objectUrl } from "../source/objecturl.js";
-import { AudioClock } from "./audioclock.js";
-import { audioContext, decode, leaveDevice, useDevice } from "./audiodevice.js";
-import { FetchPace } from "./fetchpace.js";
+import { fileBytes, objectUrl } from "../source/files.js";
+import { AudioClock, audioContext, decode, leaveDevice, useDevice } from "./audiodevice.js";
 import { SoundRun } from "./soundrun.js";
-import { heardAt, readSources } from "./soundsource.js";
-import { SoundTrack } from "./soundtrack.js";
+import { FetchPace, heardAt, readSources, SoundTrack } from "./soundtrack.js";
 import { Timeline } from "./timeline.js";
 
 const STEP_MS = 100;
@@ -69,8 +65,7 @@ export class SoundPlay extends EventTarget {
 
   /**
    * Throws a FormatError if the manifest's sources break a rule, and an Error without Web Audio.
-   * @param {WebPlayer} player one whose open stream has sound
-   * @param {() => boolean} loops
+   * @param {WebPlayer} player one whose open stream has sound @param {() => boolean} loops
    */
   constructor(player, loops) {
     super();
@@ -154,10 +149,7 @@ export class SoundPlay extends EventTarget {
     return epochMs - performance.timeOrigin;
   }
 
-  /**
-   * @param {AudioContext} context
-   * @param {NonNullable<WebPlayer["line"]>} line
-   */
+  /** @param {AudioContext} context @param {NonNullable<WebPlayer["line"]>} line */
   #begin(context, line) {
     this.#stop();
     this.#build(context);

@@ -6,9 +6,7 @@ const PIECE_SAMPLES = 2 * SAMPLE_RATE;
 /**
  * A part of a segment, in samples of the stream.
  * @typedef {object} Piece
- * @property {number} segment
- * @property {number} begin
- * @property {number} end
+ * @property {number} segment @property {number} begin @property {number} end
  */
 
 /** Maps frames to samples: frame f begins at sample floor(f * 48000 / fps). */
@@ -18,10 +16,7 @@ export class Timeline {
   /** Length of the stream in samples. */
   length = 0;
 
-  /**
-   * @param {number} fps
-   * @param {number} segmentFrames
-   */
+  /** @param {number} fps @param {number} segmentFrames */
   constructor(fps, segmentFrames) {
     this.fps = fps;
     this.segmentFrames = segmentFrames;
@@ -29,8 +24,7 @@ export class Timeline {
 
   /**
    * Sets the length of the stream. In a live stream only whole segments count, so that pieces never change.
-   * @param {number} numFrames
-   * @param {boolean} live
+   * @param {number} numFrames @param {boolean} live
    */
   reach(numFrames, live) {
     this.live = live;
@@ -77,10 +71,7 @@ export class Timeline {
 
   /**
    * The pieces from a sample on, at most `most`; continues at the stream's start if it loops.
-   * @param {number} sample
-   * @param {number} count samples
-   * @param {boolean} loops
-   * @param {number} most
+   * @param {number} sample @param {number} count samples @param {boolean} loops @param {number} most
    */
   piecesFrom(sample, count, loops, most) {
     const pieces = [];

@@ -11,8 +11,7 @@ export function isPacked(url) {
 /**
  * The URL of a stream's folder, whose path ends with a slash, or of a packed stream; with its query, an
  * access token for example.
- * @param {string} src as in the element's attribute
- * @param {string} page URL that `src` is relative to
+ * @param {string} src as in the element's attribute @param {string} page URL that `src` is relative to
  */
 export function folderUrl(src, page) {
   const url = new URL(src, page);
@@ -23,8 +22,7 @@ export function folderUrl(src, page) {
 
 /**
  * The URL of a file of the stream at `base`, which gets the query of `base` unless it is on another host.
- * @param {string} path relative to the manifest
- * @param {string} base
+ * @param {string} path relative to the manifest @param {string} base
  */
 export function fileUrl(path, base) {
   const url = new URL(path, base);

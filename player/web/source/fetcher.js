@@ -1,6 +1,62 @@
-import { fetchOnce } from "./early/earlyresponses.js";
 import { fileUrl } from "./addresses.js";
-import { delayS, Gate, rest } from "./gate.js";
+import { fetchOnce } from "./early.js";
+
+const FIRST_DELAY_S = 0.25;
+/** Well below the buffered time, so that a returning network is noticed before playback stalls. */
+const LONGEST_DELAY_S = 1;
+
+/** Seconds to wait after try number `tries`. @param {number} tries from 1 on */
+export function delayS(tries) {
+  const mostS = Math.min(LONGEST_DELAY_S, FIRST_DELAY_S * 2 ** (tries - 1));
+  // Random, so that clients that lost a server together do not return all at once.
+  return mostS * (0.5 + 0.5 * Math.random());
+}
+
+/** @param {number} seconds */
+export const rest = (seconds) => new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
+
+/**
+ * What all requests to a host pass: freely while they are answered, and one at a time, with growing delays,
+ * while the network is gone.
+ */
+class Gate {
+  /** Number of tries in a row that were not answered. */
+  #tries = 0;
+  /** The earliest time of the next try. */
+  #openMs = 0;
+  /** @type {Promise<void> | null} resolves when the trial that is under way has ended */
+  #trial = null;
+  #endTrial = () => {};
+
+  /**
+   * Resolves when the caller may send a request; `leave` must follow.
+   * @returns {Promise<boolean>} whether it is a trial: the only request until it is answered
+   */
+  async enter() {
+    while (this.#trial !== null) await this.#trial;
+    if (this.#tries === 0) return false;
+    this.#trial = new Promise((resolve) => (this.#endTrial = resolve));
+    await rest(Math.max(0, this.#openMs - performance.now()) / 1000);
+    return true;
+  }
+
+  /**
+   * To be called when a request that has entered is answered or has failed.
+   * @param {boolean} isTrial what `enter` gave
+   * @param {boolean | null} isAnswered null: the caller has given it up
+   */
+  leave(isTrial, isAnswered) {
+    if (isAnswered) this.#tries = 0;
+    // The first of the requests that were under way when the network went closes the gate.
+    else if (isAnswered === false && (isTrial || this.#tries === 0)) {
+      this.#tries += 1;
+      this.#openMs = performance.now() + 1000 * delayS(this.#tries);
+    }
+    if (!isTrial) return;
+    this.#trial = null;
+    this.#endTrial();
+  }
+}
 
 /** Another stream is at the URL of the one that plays. */
 export const REPLACED = "This video was replaced";
@@ -38,9 +94,7 @@ export function discard({ body }) {
   body?.cancel().catch(() => {}); // it may have broken off itself
 }
 
-/**
- * Fetches files, with retries while the network or the server is unreachable.
- */
+/** Fetches files, with retries while the network or the server is unreachable. */
 export class Fetcher {
   /**
    * @param {object} [options]
@@ -68,8 +122,7 @@ export class Fetcher {
 
   /**
    * To be called while a stream has no frames.
-   * @param {string} base
-   * @param {import("../format/manifest.js").Manifest} manifest
+   * @param {string} base @param {import("../format/manifest.js").Manifest} manifest
    */
   awaitFrames(base, { poster }) {
     this.onTrouble("This stream has no frames yet; it starts when the first frames arrive");
@@ -83,8 +136,7 @@ export class Fetcher {
 
   /**
    * Calls `onSilence` once nothing has come from the host for SILENT_S, although it was asked.
-   * @param {() => void} onSilence
-   * @returns {() => void} ends the watch
+   * @param {() => void} onSilence @returns {() => void} ends the watch
    */
   watch(onSilence) {
     const beganMs = performance.now();
@@ -100,20 +152,14 @@ export class Fetcher {
     return () => clearTimeout(timer);
   }
 
-  /**
-   * Sends a request at once; rejects as `fetch` does.
-   * @param {string} url
-   * @param {RequestInit} [init]
-   */
+  /** Sends a request at once; rejects as `fetch` does. @param {string} url @param {RequestInit} [init] */
   async send(url, init) {
     return fetchOnce(...(await this.#request(url, init)));
   }
 
   /**
    * A request as the page wants it.
-   * @param {string} url
-   * @param {RequestInit} [init]
-   * @returns {Promise<[string, RequestInit]>}
+   * @param {string} url @param {RequestInit} [init] @returns {Promise<[string, RequestInit]>}
    */
   async #request(url, init) {
     const { credentials, transformRequest } = this.access;
@@ -129,8 +175,7 @@ export class Fetcher {
   /**
    * Sends a request without retries, in its turn if the network is gone; rejects as `fetch` does, and with a
    * SilentError.
-   * @param {string} url
-   * @param {RequestInit} [init]
+   * @param {string} url @param {RequestInit} [init]
    */
   async fetch(url, init = {}) {
     const { gate } = this;
@@ -154,8 +199,7 @@ export class Fetcher {
 
   /**
    * The bytes at a URL, at most `limitBytes`. Rejects with a SourceError, or if the signal of `init` aborts.
-   * @param {string} url
-   * @param {number} limitBytes
+   * @param {string} url @param {number} limitBytes
    * @param {(numBytes: number) => void} [onBytes] called with the size of each piece; after a failed try,
    *   its bytes are subtracted by a call with a negative number
    * @param {RequestInit} [init]
@@ -229,11 +273,8 @@ export class Fetcher {
   }
 
   /**
-   * @param {string} url
-   * @param {number} limitBytes
-   * @param {(numBytes: number) => void} onBytes
-   * @param {RequestInit} init
-   * @param {(response: Response) => void} check
+   * @param {string} url @param {number} limitBytes @param {(numBytes: number) => void} onBytes
+   * @param {RequestInit} init @param {(response: Response) => void} check
    */
   async #once(url, limitBytes, onBytes, init, check) {
     const response = await this.fetch(url, init);

@@ -1,15 +1,13 @@
 import { MAX_MANIFEST_BYTES } from "../constants.js";
-import { corrupt } from "../format/bytes/errors.js";
+import { corrupt } from "../format/bytes.js";
 import { checkGaussians, objectPath, readManifest, snapshotOf } from "../format/manifest.js";
-import { readObject } from "../format/objecttable.js";
+import { readObject } from "../format/objects.js";
 import { fileUrl } from "./addresses.js";
-import { RateEstimator, RequestWindow, watchCache } from "./estimator.js";
 import { SourceError } from "./fetcher.js";
-import { follow } from "./follow.js";
-import { explained, GrowingIndex } from "./growingindex.js";
-import { HostedPlay } from "./hostedplay.js";
+import { objectUrl } from "./files.js";
+import { HostedDownload, RateEstimator, RequestWindow, watchCache } from "./hosteddownload.js";
+import { explained, follow, GrowingIndex } from "./live.js";
 import { followPeriodS } from "./liveedge.js";
-import { objectUrl } from "./objecturl.js";
 import { SegmentCache } from "./segmentcache.js";
 
 /** A stream of files on any static host. It fetches whole objects, see LayerRule. */
@@ -40,8 +38,7 @@ export class HostedStream {
   /**
    * Reads manifest and index; waits for the first frames of a live stream. Rejects with a SourceError
    * or a FormatError.
-   * @param {string} base
-   * @param {import("./fetcher.js").Fetcher} fetcher
+   * @param {string} base @param {import("./fetcher.js").Fetcher} fetcher
    * @param {number | null} maxGaussians see `checkGaussians`
    * @param {boolean} otherHosts whether objects may be on other hosts than the manifest
    * @param {number} [bufferBytes] limit for the received data that is kept
@@ -74,15 +71,13 @@ export class HostedStream {
 
   /** @param {import("./source.js").PlayRequest} request */
   play(request) {
-    return new HostedPlay(this, request);
+    return new HostedDownload(this, request);
   }
 
   /**
    * Fetches the snapshot of a layer into the cache. Rejects with a SourceError or a FormatError, or if
    * `signal` aborts.
-   * @param {number} segment
-   * @param {number} layer
-   * @param {AbortSignal} signal
+   * @param {number} segment @param {number} layer @param {AbortSignal} signal
    */
   async fetchSnapshot(segment, layer, signal) {
     const record = this.records[segment];
@@ -112,9 +107,8 @@ export class HostedStream {
 
   /**
    * The packets of an object. Rejects with a SourceError or a FormatError.
-   * @param {import("../format/streamindex.js").SegmentRecord} record
-   * @param {import("../format/manifest.js").Part} part
-   * @param {(numBytes: number) => void} onBytes
+   * @param {import("../format/objects.js").SegmentRecord} record
+   * @param {import("../format/manifest.js").Part} part @param {(numBytes: number) => void} onBytes
    * @param {AbortSignal} [signal]
    */
   async object(record, part, onBytes, signal) {
@@ -127,14 +121,13 @@ export class HostedStream {
 
   /** Places of pictures, captions and sound in a packed stream; null: they are beside the manifest. */
   get files() {
-    return /** @type {Record<string, import("../format/packedlayout.js").Place> | null} */ (null);
+    return /** @type {Record<string, import("./packed.js").Place> | null} */ (null);
   }
 
   /**
    * The bytes of an object, and its name in error messages.
-   * @param {import("../format/streamindex.js").SegmentRecord} record
-   * @param {import("../format/manifest.js").Part} part
-   * @param {(numBytes: number) => void} onBytes
+   * @param {import("../format/objects.js").SegmentRecord} record
+   * @param {import("../format/manifest.js").Part} part @param {(numBytes: number) => void} onBytes
    * @param {AbortSignal} [signal]
    */
   async objectBytes(record, part, onBytes, signal) {
@@ -148,8 +141,7 @@ export class HostedStream {
 
 /**
  * The current manifest. Rejects with a SourceError or a FormatError.
- * @param {string} base
- * @param {import("./fetcher.js").Fetcher} fetcher
+ * @param {string} base @param {import("./fetcher.js").Fetcher} fetcher
  */
 async function fetchManifest(base, fetcher) {
   const init = /** @type {RequestInit} */ ({ cache: "no-cache" });

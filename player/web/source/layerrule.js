@@ -33,7 +33,7 @@ const PLAN = {
 
 /**
  * Whether an object has been received already.
- * @typedef {(record: import("../format/streamindex.js").SegmentRecord, part: Part) => boolean} IsHere
+ * @typedef {(record: import("../format/objects.js").SegmentRecord, part: Part) => boolean} IsHere
  */
 
 /**
@@ -44,10 +44,8 @@ const PLAN = {
 export class LayerRule {
   /**
    * @param {import("../format/manifest.js").Manifest} manifest
-   * @param {import("../format/streamindex.js").SegmentRecord[]} records of all segments; may grow
-   * @param {number} firstFrame
-   * @param {number} mostLayers
-   * @param {IsHere} [isHere]
+   * @param {import("../format/objects.js").SegmentRecord[]} records of all segments; may grow
+   * @param {number} firstFrame @param {number} mostLayers @param {IsHere} [isHere]
    */
   constructor(manifest, records, firstFrame, mostLayers, isHere = () => false) {
     this.isHere = isHere;
@@ -123,8 +121,7 @@ export class LayerRule {
   /**
    * Notes that a segment lacks a layer that was requested; returns the part of the next segment that is
    * needed for this, if that segment was requested already.
-   * @param {number} segment
-   * @param {number} layer
+   * @param {number} segment @param {number} layer
    */
   lose(segment, layer) {
     this.lost.add(`${segment}/${layer}`);
@@ -133,11 +130,7 @@ export class LayerRule {
     return isLate && !this.isHere(this.records[segment + 1], part) ? part : null;
   }
 
-  /**
-   * Size of some parts of a segment.
-   * @param {number} segment
-   * @param {Part[]} parts
-   */
+  /** Size of some parts of a segment. @param {number} segment @param {Part[]} parts */
   bytes(segment, parts) {
     const { objectBytes } = this.records[segment];
     return parts.reduce((sum, part) => sum + objectBytes[part], 0);
@@ -150,8 +143,7 @@ export class LayerRule {
 
   /**
    * Whether the link carries one more layer, from the given segment on.
-   * @param {number} segment
-   * @param {number} plannedBps
+   * @param {number} segment @param {number} plannedBps
    */
   #carries(segment, plannedBps) {
     return PLAN.riseShare * this.#needBps(segment, this.#level(segment) + 1) <= plannedBps;
@@ -160,8 +152,7 @@ export class LayerRule {
   /**
    * Seconds of layer 0 that are requested before other layers; fewer if twice its rate is a small share of
    * the link, as it can be fetched soon then.
-   * @param {number} segment
-   * @param {number} plannedBps
+   * @param {number} segment @param {number} plannedBps
    */
   #baseS(segment, plannedBps) {
     const share = Math.min(1, (2 * this.#needBps(segment, 1)) / plannedBps);
@@ -170,8 +161,7 @@ export class LayerRule {
 
   /**
    * Bits per second of the stream that some layers of a segment need.
-   * @param {number} segment
-   * @param {number} numLayers
+   * @param {number} segment @param {number} numLayers
    */
   #needBps(segment, numLayers) {
     const layers = Array.from({ length: numLayers }, (_, layer) => layer);

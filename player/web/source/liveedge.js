@@ -17,8 +17,7 @@ export function followPeriodS({ fps, segmentFrames }) {
 /**
  * The live edge: the first frame of a segment. The frames after it last until the next segment is
  * written, found and fetched, if frames are produced as fast as they are shown.
- * @param {Shape} shape
- * @param {number} numFrames
+ * @param {Shape} shape @param {number} numFrames
  */
 export function edgeFrame(shape, numFrames) {
   const { fps, segmentFrames } = shape;
@@ -28,9 +27,7 @@ export function edgeFrame(shape, numFrames) {
 
 /**
  * Whether the picture is more than BEHIND_S behind the edge of a live stream.
- * @param {Shape} shape
- * @param {number} numFrames
- * @param {number} frame the one that shows
+ * @param {Shape} shape @param {number} numFrames @param {number} frame the one that shows
  */
 export function isBehind(shape, numFrames, frame) {
   return frame < edgeFrame(shape, numFrames) - BEHIND_S * shape.fps;

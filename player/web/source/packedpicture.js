@@ -1,11 +1,8 @@
 /**
  * A picture that an element cannot fetch itself, because it lies in a packed stream or the page changes requests, as
  * a `data:` URL; null if there is none. See pictureUrl.
- * @param {string} url
- * @param {string} path
- * @param {import("../playback/messages.js").Source | null} source
- * @param {import("../format/packedlayout.js").Place} [place] in the packed stream
- * @returns {Promise<string | null>}
+ * @param {string} url @param {string} path @param {import("../playback/messages.js").Source | null} source
+ * @param {import("./packed.js").Place} [place] in the packed stream @returns {Promise<string | null>}
  */
 export async function fetchedPicture(url, path, source, place) {
   const { credentials, transformRequest } = source ?? {};

@@ -5,8 +5,7 @@ import { fileUrl } from "./addresses.js";
 /**
  * The URL of a picture of an open stream; null if there is none.
  * @param {import("../element/streamsession.js").StreamSession} session
- * @param {string} path as in the manifest
- * @returns {Promise<string | null>}
+ * @param {string} path as in the manifest @returns {Promise<string | null>}
  */
 export async function pictureUrl({ base, files, source }, path) {
   const url = fileUrl(path.split("/").map(encodeURIComponent).join("/"), base);

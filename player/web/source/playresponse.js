@@ -1,14 +1,21 @@
-import { corrupt } from "../format/bytes/errors.js";
+import { corrupt } from "../format/bytes.js";
 import { RecordParser } from "../format/playrecord.js";
 import { playUrl } from "./addresses.js";
-import { discard, GONE, SILENT, SilentError, SourceError, TRIES_BEFORE_DOUBT } from "./fetcher.js";
-import { delayS, rest } from "./gate.js";
+import {
+  delayS,
+  discard,
+  GONE,
+  rest,
+  SILENT,
+  SilentError,
+  SourceError,
+  TRIES_BEFORE_DOUBT,
+} from "./fetcher.js";
 
 /** The server is unreachable or overloaded; it may be back soon. */
 export class GoneError extends Error {
   /**
-   * @param {string} message
-   * @param {number} afterS minimum seconds before the next try
+   * @param {string} message @param {number} afterS minimum seconds before the next try
    * @param {unknown} [cause]
    */
   constructor(message, afterS = 0, cause) {
@@ -40,10 +47,7 @@ const MOST_POINTS = 24;
 
 /** One response of a swings server to `play`, record by record (FORMAT.md, section 12). */
 export class PlayResponse {
-  /**
-   * @param {Response} response
-   * @param {AbortController} abort
-   */
+  /** @param {Response} response @param {AbortController} abort */
   constructor(response, abort) {
     const { body } = response;
     if (body === null) throw new GoneError(GONE);
@@ -65,8 +69,7 @@ export class PlayResponse {
   /**
    * Sends the request. Rejects with a GoneError, or with a SourceError if trying again would not help.
    * @param {import("./fetcher.js").Fetcher} fetcher
-   * @param {string} base URL of the stream, with a trailing slash
-   * @param {PlayQuery} query
+   * @param {string} base URL of the stream, with a trailing slash @param {PlayQuery} query
    * @param {AbortSignal} [signal] aborts the request and the response
    */
   static async open(fetcher, base, query, signal) {
@@ -136,11 +139,8 @@ export class PlayResponse {
 
 /**
  * Opens a play, and reads its start record. Rejects like PlayResponse.open.
- * @param {import("./fetcher.js").Fetcher} fetcher
- * @param {string} base
- * @param {PlayQuery} query
- * @param {AbortSignal} [signal] aborts the play
- * @returns {Promise<OpenedPlay>}
+ * @param {import("./fetcher.js").Fetcher} fetcher @param {string} base @param {PlayQuery} query
+ * @param {AbortSignal} [signal] aborts the play @returns {Promise<OpenedPlay>}
  */
 export async function openPlay(fetcher, base, query, signal) {
   const response = await PlayResponse.open(fetcher, base, query, signal);

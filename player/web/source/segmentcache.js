@@ -33,10 +33,7 @@ const EMPTY = new Uint8Array(0);
  * An empty packet means that nothing changes; a missing packet is null.
  */
 export class SegmentCache {
-  /**
-   * @param {import("../format/manifest.js").Manifest} manifest
-   * @param {number} limitBytes
-   */
+  /** @param {import("../format/manifest.js").Manifest} manifest @param {number} limitBytes */
   constructor({ segmentFrames, numLayers, fps }, limitBytes = DEFAULT_BUFFER_BYTES) {
     this.segmentFrames = segmentFrames;
     this.numLayers = numLayers;
@@ -74,8 +71,7 @@ export class SegmentCache {
 
   /**
    * Adds a packet, unless it is here.
-   * @param {number} birth any frame of the segment for a snapshot
-   * @param {Part} part
+   * @param {number} birth any frame of the segment for a snapshot @param {Part} part
    * @param {Uint8Array} packet
    */
   add(birth, part, packet) {
@@ -93,8 +89,7 @@ export class SegmentCache {
 
   /**
    * Adds the packets of an object; a frame without a packet counts as unchanged.
-   * @param {import("../format/streamindex.js").SegmentRecord} record
-   * @param {Part} part
+   * @param {import("../format/objects.js").SegmentRecord} record @param {Part} part
    * @param {Map<number, Uint8Array>} packets by birth
    */
   addObject({ firstFrame, numFrames }, part, packets) {
@@ -129,9 +124,7 @@ export class SegmentCache {
 
   /**
    * Whether all packets of an object are cached.
-   * @param {number} segment
-   * @param {Part} part
-   * @param {number} numFrames of the segment
+   * @param {number} segment @param {Part} part @param {number} numFrames of the segment
    */
   hasObject(segment, part, numFrames) {
     const row = this.#row(segment, part);
@@ -141,9 +134,7 @@ export class SegmentCache {
   /**
    * Whether a segment can continue the previous one with all of these layers; its first frame comes from
    * changes or from snapshots.
-   * @param {number} segment
-   * @param {number} numFrames of the segment
-   * @param {number} numLayers
+   * @param {number} segment @param {number} numFrames of the segment @param {number} numLayers
    */
   isComplete(segment, numFrames, numLayers) {
     if (!this.hasAllChanges(segment, numFrames, numLayers)) return false;
@@ -155,9 +146,7 @@ export class SegmentCache {
 
   /**
    * Whether all slices of a segment after its first one are cached.
-   * @param {number} segment
-   * @param {number} numFrames of the segment
-   * @param {number} numLayers
+   * @param {number} segment @param {number} numFrames of the segment @param {number} numLayers
    */
   hasAllChanges(segment, numFrames, numLayers) {
     const held = this.segments.get(segment);
@@ -165,11 +154,7 @@ export class SegmentCache {
     return held.rows.slice(0, numLayers).every((row) => isWhole(row, 1, numFrames));
   }
 
-  /**
-   * The layers whose snapshot is missing.
-   * @param {number} segment
-   * @param {number} numLayers
-   */
+  /** The layers whose snapshot is missing. @param {number} segment @param {number} numLayers */
   missingSnapshots(segment, numLayers) {
     const layers = Array.from({ length: numLayers }, (_, layer) => layer);
     return layers.filter((layer) => this.snapshot(segment, layer) === null);
@@ -184,8 +169,7 @@ export class SegmentCache {
 
   /**
    * The cached frames, as [first, end) pairs in order.
-   * @param {number} numFrames
-   * @returns {[number, number][]}
+   * @param {number} numFrames @returns {[number, number][]}
    */
   ranges(numFrames) {
     /** @type {[number, number][]} */
@@ -276,11 +260,7 @@ export class SegmentCache {
   }
 }
 
-/**
- * @param {Row} row
- * @param {number} first
- * @param {number} end
- */
+/** @param {Row} row @param {number} first @param {number} end */
 function isWhole(row, first, end) {
   for (let at = first; at < end; at++) if (row[at] === null) return false;
   return true;

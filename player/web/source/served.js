@@ -1,11 +1,11 @@
 import { checkGaussians, readManifest, snapshotOf } from "../format/manifest.js";
-import { corrupt } from "../format/bytes/errors.js";
+import { corrupt } from "../format/bytes.js";
 import { limitBytes } from "../format/packet.js";
 import { FIRST_PLAY } from "./addresses.js";
 import { REPLACED, SourceError } from "./fetcher.js";
 import { openPlay, ServerRetry } from "./playresponse.js";
 import { SegmentCache } from "./segmentcache.js";
-import { ServedPlay } from "./servedplay.js";
+import { ServedDownload } from "./serveddownload.js";
 
 /** Seconds until a stream without frames is requested again. */
 const RETRY_S = 1;
@@ -17,8 +17,7 @@ const objectBytes = (size) => Math.ceil(1.01 * size) + 1024;
 /** A stream of a swings server, which itself chooses what to send when. */
 export class ServedStream {
   /**
-   * @param {string} base
-   * @param {import("./fetcher.js").Fetcher} fetcher
+   * @param {string} base @param {import("./fetcher.js").Fetcher} fetcher
    * @param {import("./playresponse.js").OpenedPlay} first
    * @param {number} [bufferBytes] limit for the received data that is kept
    */
@@ -42,8 +41,7 @@ export class ServedStream {
    * Opens a play from the first frame on; waits for the first frames of a live stream. Rejects with a
    * SourceError or a FormatError.
    * @param {string} base URL of the stream, with a trailing slash
-   * @param {import("./fetcher.js").Fetcher} fetcher
-   * @param {number | null} maxGaussians see `checkGaussians`
+   * @param {import("./fetcher.js").Fetcher} fetcher @param {number | null} maxGaussians see `checkGaussians`
    * @param {number} [bufferBytes] limit for the received data that is kept
    */
   static async open(base, fetcher, maxGaussians = null, bufferBytes) {
@@ -72,7 +70,7 @@ export class ServedStream {
 
   /** @param {import("./source.js").PlayRequest} request */
   play(request) {
-    return new ServedPlay(this, request);
+    return new ServedDownload(this, request);
   }
 
   /** Current number of frames of a segment. @param {number} segment */
@@ -84,9 +82,7 @@ export class ServedStream {
   /**
    * Fetches the snapshot of a layer into the cache. Rejects with a SourceError or a FormatError, or if
    * `signal` aborts.
-   * @param {number} segment
-   * @param {number} layer
-   * @param {AbortSignal} signal
+   * @param {number} segment @param {number} layer @param {AbortSignal} signal
    */
   async fetchSnapshot(segment, layer, signal) {
     const { base, manifest } = this;
@@ -94,7 +90,7 @@ export class ServedStream {
     const most = objectBytes(limitBytes(manifest, part));
     const url = `${base}segments/${segment}/${manifest.parts[part]}`;
     const bytes = await this.fetcher.get(url, most, undefined, { signal });
-    const { readObject } = await import("../format/objecttable.js");
+    const { readObject } = await import("../format/objects.js");
     const frame = segment * manifest.segmentFrames;
     const packet = readObject(bytes).get(frame);
     if (packet === undefined) throw corrupt(`${url} has no snapshot of frame ${frame}`);
@@ -125,8 +121,7 @@ export class ServedStream {
 
   /**
    * Notes that the stream has at least `numFrames` frames.
-   * @param {number} numFrames
-   * @param {boolean} live whether more frames may follow
+   * @param {number} numFrames @param {boolean} live whether more frames may follow
    */
   grow(numFrames, live) {
     if (numFrames <= this.numFrames && live === this.manifest.live) return;

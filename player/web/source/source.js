@@ -3,8 +3,7 @@ import { isPacked, servedBase } from "./addresses.js";
 /**
  * Parameters of one play.
  * @typedef {object} PlayRequest
- * @property {number} firstFrame
- * @property {number} mostLayers
+ * @property {number} firstFrame @property {number} mostLayers
  * @property {() => number} nowS clock, seconds
  */
 
@@ -34,7 +33,7 @@ import { isPacked, servedBase } from "./addresses.js";
  * A stream from any kind of source.
  * @typedef {object} SourceStream
  * @property {string} base URL of its folder, with a trailing slash, or of its file
- * @property {Record<string, import("../format/packedlayout.js").Place> | null} files places of pictures,
+ * @property {Record<string, import("./packed.js").Place> | null} files places of pictures,
  *   captions and sound in the file, by path; null: they are beside the manifest
  * @property {import("../format/manifest.js").Manifest} manifest its `live` is kept up to date
  * @property {number} numFrames current number of frames
@@ -50,12 +49,10 @@ import { isPacked, servedBase } from "./addresses.js";
 /**
  * Opens the stream at a URL: on a swings server if the URL is one of its addresses, otherwise a folder of
  * files or a packed stream on any host. Rejects with a SourceError or a FormatError.
- * @param {string} url see `folderUrl`
- * @param {import("./fetcher.js").Fetcher} fetcher
+ * @param {string} url see `folderUrl` @param {import("./fetcher.js").Fetcher} fetcher
  * @param {number | null} maxGaussians limit for the stream's Gaussians; null for the default
  * @param {boolean} otherHosts whether a manifest may refer to hosts other than its own
- * @param {number} [bufferBytes] limit for the received data that is kept
- * @returns {Promise<SourceStream>}
+ * @param {number} [bufferBytes] limit for the received data that is kept @returns {Promise<SourceStream>}
  */
 export async function openSource(
   url,

@@ -19,9 +19,7 @@ const CREDENTIALS = ["omit", "same-origin", "include"];
 
 /**
  * What the page's function makes of a URL. Rejects with one line that says what is wrong with it.
- * @param {TransformRequest} transformRequest
- * @param {string} url
- * @returns {Promise<Change>}
+ * @param {TransformRequest} transformRequest @param {string} url @returns {Promise<Change>}
  */
 async function changeOf(transformRequest, url) {
   try {
@@ -40,8 +38,7 @@ async function changeOf(transformRequest, url) {
 
 /**
  * Answers what a worker asks through `port`.
- * @param {MessagePort} port
- * @param {TransformRequest} transformRequest
+ * @param {MessagePort} port @param {TransformRequest} transformRequest
  */
 export function answer(port, transformRequest) {
   port.onmessage = async ({ data: { url, reply } }) => {
@@ -54,10 +51,7 @@ export function answer(port, transformRequest) {
 }
 
 /**
- * @param {MessagePort} port
- * @param {string} url
- * @param {Promise<never>} aborted
- * @returns {Promise<Change>}
+ * @param {MessagePort} port @param {string} url @param {Promise<never>} aborted @returns {Promise<Change>}
  */
 async function ask(port, url, aborted) {
   const { port1, port2 } = new MessageChannel();
@@ -77,9 +71,7 @@ async function ask(port, url, aborted) {
  * The arguments of `fetch` for a request, as the page wants it. Rejects with one line if the page's function fails,
  * and with the signal's reason if that aborts.
  * @param {TransformRequest | MessagePort} transformRequest the page's function, or in a worker the port to it
- * @param {string} url
- * @param {RequestInit} init
- * @returns {Promise<[string, RequestInit]>}
+ * @param {string} url @param {RequestInit} init @returns {Promise<[string, RequestInit]>}
  */
 export async function transformed(transformRequest, url, init) {
   const { signal } = init;

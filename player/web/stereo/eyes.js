@@ -3,7 +3,7 @@
 import { poseOf, worldToCamera } from "../view/pose.js";
 import { add, cross, dot, length, subtract, times, unit } from "../view/vectors.js";
 
-/** @typedef {import("../format/camera.js").Camera} Camera */
+/** @typedef {import("../format/manifest.js").Camera} Camera */
 /** @typedef {import("../view/pose.js").Pose} Pose */
 
 /** Typical distance between the pupils of adults. */
@@ -32,10 +32,8 @@ const LEAST_FOCUS_M = 0.5;
  * The eyes look in the same direction from both sides of `camera`. So a Gaussian has the same depth for
  * them and for `camera`, and one order is exact for all three. Their pictures are shifted so that a point
  * at the distance `focusM` shows at the same place in both, and appears in the plane of the screen.
- * @param {Camera} camera between the eyes, as large as one half
- * @param {number} eyeDistanceM
- * @param {number} focusM
- * @returns {Viewpoint}
+ * @param {Camera} camera between the eyes, as large as one half @param {number} eyeDistanceM
+ * @param {number} focusM @returns {Viewpoint}
  */
 export function sideBySide(camera, eyeDistanceM, focusM) {
   const pose = poseOf(camera);
@@ -55,8 +53,7 @@ export function sideBySide(camera, eyeDistanceM, focusM) {
 /**
  * Both eyes of an adult at the place of `camera`, for whom `centre` is in the plane of the screen.
  * @param {Camera} camera as large as one half of the canvas
- * @param {import("../view/vectors.js").Vector} centre
- * @returns {Viewpoint}
+ * @param {import("../view/vectors.js").Vector} centre @returns {Viewpoint}
  */
 export function eyesAt(camera, centre) {
   const focusM = length(subtract(centre, poseOf(camera).position));
@@ -66,8 +63,7 @@ export function eyesAt(camera, centre) {
 /**
  * The mean pose of some eyes. If they look in the same direction, as in most headsets, the depths of a
  * Gaussian for the eyes differ only by a constant.
- * @param {Pose[]} poses
- * @returns {Pose}
+ * @param {Pose[]} poses @returns {Pose}
  */
 export function middleOf(poses) {
   const sum = (/** @type {"position" | "right" | "forward"} */ of) =>

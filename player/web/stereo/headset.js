@@ -1,9 +1,93 @@
+/** A session of WebXR: its eyes as cameras, and its space in the scene. WebXR's matrices are column-major. */
+
 import { poseOf, worldToCamera } from "../view/pose.js";
+import { add, cross, dot, length, subtract, times, unit } from "../view/vectors.js";
 import { middleOf } from "./eyes.js";
-import { Placement } from "./placement.js";
-import { pinholeOf, poseOfTransform } from "./xrview.js";
 
 /** @typedef {import("../view/pose.js").Pose} Pose */
+
+/**
+ * A pose in WebXR's space, whose axes are right, up and back.
+ * @param {ArrayLike<number>} matrix (4, 4) of an XRRigidTransform @returns {Pose}
+ */
+export function poseOfTransform(matrix) {
+  const m = Array.from(matrix);
+  return {
+    position: m.slice(12, 15),
+    right: m.slice(0, 3),
+    down: m.slice(4, 7).map((x) => -x),
+    forward: m.slice(8, 11).map((x) => -x),
+  };
+}
+
+/**
+ * The pinhole camera with the projection of a headset's eye. Most eyes see farther to one side than to
+ * the other, so the principal point is not in the centre.
+ * @param {ArrayLike<number>} projection (4, 4) of an XRView; without skew, as in headsets
+ * @param {number} widthPx @param {number} heightPx
+ * @returns {{ widthPx: number, heightPx: number, fxPx: number, fyPx: number, cxPx: number, cyPx: number }}
+ */
+export function pinholeOf(projection, widthPx, heightPx) {
+  // x_clip = p0 x + p8 z, y_clip = p5 y + p9 z, w_clip = -z, with y up and z back.
+  return {
+    widthPx,
+    heightPx,
+    fxPx: (widthPx / 2) * projection[0],
+    fyPx: (heightPx / 2) * projection[5],
+    cxPx: (widthPx / 2) * (1 - projection[8]),
+    cyPx: (heightPx / 2) * (1 + projection[9]),
+  };
+}
+
+/** @typedef {import("../view/vectors.js").Vector} Vector */
+
+/** The up axis of a headset's space. */
+const XR_UP = [0, 1, 0];
+
+/**
+ * The placement of a headset's space in the world of a stream. Both are in metres, so the space is
+ * rotated and moved, but not scaled. Up in the headset's space is up in the scene.
+ */
+export class Placement {
+  /**
+   * @param {Pose} head in the headset's space; it is placed at `start`, facing the same way
+   * @param {Pose} start in the world; its pitch is ignored, because the head determines it
+   * @param {Vector} up of the scene, unit
+   */
+  constructor(head, start, up) {
+    this.from = upright(head, XR_UP);
+    this.to = upright(start, up);
+    this.head = head.position;
+    this.start = start.position;
+  }
+
+  /** Converts a direction from the headset's space to the world. @param {Vector} a */
+  direction(a) {
+    return this.to.map((axis, i) => times(axis, dot(this.from[i], a))).reduce(add);
+  }
+
+  /** Converts a pose from the headset's space to the world. @param {Pose} pose @returns {Pose} */
+  pose({ position, right, down, forward }) {
+    return {
+      position: add(this.start, this.direction(subtract(position, this.head))),
+      right: this.direction(right),
+      down: this.direction(down),
+      forward: this.direction(forward),
+    };
+  }
+}
+
+/**
+ * The axes right, up and ahead of an upright viewer with the heading of `pose`.
+ * @param {Pose} pose @param {Vector} up unit @returns {Vector[]}
+ */
+function upright({ forward, down }, up) {
+  const level = (/** @type {Vector} */ a) => subtract(a, times(up, dot(a, up)));
+  // Looking straight down, the top of the head points ahead; looking straight up, it points back.
+  const ahead = level(forward);
+  const facing = length(ahead) > 0.1 ? ahead : level(times(down, Math.sign(dot(forward, up))));
+  return [unit(cross(facing, up)), up, unit(facing)];
+}
 
 const MODE = "immersive-vr";
 
@@ -39,9 +123,7 @@ export async function enterHeadset(view) {
 }
 
 /**
- * @param {Headset} headset
- * @param {import("../element/sceneview.js").SceneView} view
- * @param {number} nowMs
+ * @param {Headset} headset @param {import("../element/sceneview.js").SceneView} view @param {number} nowMs
  * @param {XRFrame} frame
  */
 function drawIn(headset, view, nowMs, frame) {
@@ -93,11 +175,7 @@ export class Headset extends EventTarget {
     }
   }
 
-  /**
-   * @param {XRSession} session
-   * @param {XRWebGLLayer} layer
-   * @param {XRReferenceSpace} space
-   */
+  /** @param {XRSession} session @param {XRWebGLLayer} layer @param {XRReferenceSpace} space */
   constructor(session, layer, space) {
     super();
     this.session = session;
@@ -136,8 +214,7 @@ export class Headset extends EventTarget {
 
   /**
    * The viewpoint of a frame; the previous one while the head is not tracked, null if not known yet.
-   * @param {XRFrame} frame
-   * @param {Pose} start the viewer's first pose
+   * @param {XRFrame} frame @param {Pose} start the viewer's first pose
    * @param {import("../view/vectors.js").Vector} up of the scene, unit
    */
   viewpoint(frame, start, up) {

@@ -4,12 +4,11 @@ import { test } from "node:test";
 
 import { boundsOf, excessOf } from "../view/bounds.js";
 import { CameraMotion } from "../view/cameramotion.js";
-import { cameraKeys, liftCameraKey } from "../view/camerakeys.js";
-import { deviceTurn, turnBetween } from "../view/deviceturn.js";
-import { between } from "../view/flight.js";
+import { cameraKeys, liftCameraKey } from "../controls/keys.js";
+import { deviceTurn, turnBetween } from "../controls/cameracontrols.js";
+import { between, Turntable } from "../view/flight.js";
 import { poseOf, rigUp, worldToCamera } from "../view/pose.js";
 import { add, cross, dot, length, subtract, times, turned } from "../view/vectors.js";
-import { Turntable } from "../view/turntable.js";
 import { camera, law, manifestOf, near, posed, Random } from "./support.mjs";
 
 /** The point at which the rings look. */

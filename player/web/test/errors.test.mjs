@@ -2,9 +2,8 @@
 import assert from "node:assert/strict";
 import { readdirSync, readFileSync } from "node:fs";
 import { test } from "node:test";
-
-import { sentenceOf } from "../element/failure.js";
-import { Smoothing } from "../element/smoothing.js";
+import { sentenceOf } from "../controls/panels.js";
+import { Smoothing } from "../renderer/smoothing.js";
 
 const WEB = new URL("../", import.meta.url);
 

@@ -1,9 +1,7 @@
 /** The eyes of a viewer as cameras: side by side, and of a headset. */
 import assert from "node:assert/strict";
-
 import { middleOf, sideBySide } from "../stereo/eyes.js";
-import { Placement } from "../stereo/placement.js";
-import { pinholeOf, poseOfTransform } from "../stereo/xrview.js";
+import { pinholeOf, Placement, poseOfTransform } from "../stereo/headset.js";
 import { inCamera, poseOf, worldToCamera } from "../view/pose.js";
 import { add, cross, dot, length, subtract, times, unit } from "../view/vectors.js";
 import { law, near, posed } from "./support.mjs";

@@ -2,13 +2,11 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { readObject } from "../format/objecttable.js";
+import { readIndex, readObject } from "../format/objects.js";
 import { readManifest } from "../format/manifest.js";
-import { readIndex } from "../format/streamindex.js";
-import { RateEstimator, RequestWindow } from "../source/estimator.js";
+import { HostedDownload, RateEstimator, RequestWindow } from "../source/hosteddownload.js";
 import { Fetcher } from "../source/fetcher.js";
 import { HostedStream } from "../source/hosted.js";
-import { HostedPlay } from "../source/hostedplay.js";
 import { LayerRule } from "../source/layerrule.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { answering, filesOf, manifestOf, settled } from "./support.mjs";
@@ -173,7 +171,7 @@ for (const rateBps of [1e6, 1e9]) {
     };
     let nowS = 0;
     const request = { firstFrame: 0, mostLayers: STREAM.numLayers, nowS: () => nowS };
-    const play = new HostedPlay(stream, request);
+    const play = new HostedDownload(stream, request);
     for (let frame = 0; frame < INDEX.length * STREAM.segmentFrames; frame++) {
       nowS = frame / STREAM.fps;
       play.reportPosition(frame, false, 1);
@@ -205,7 +203,7 @@ test("a try that breaks off is measured, and is under way again", () => {
     return new Promise(() => {});
   };
   let nowS = 0;
-  const play = new HostedPlay(stream, { firstFrame: 0, mostLayers: 1, nowS: () => nowS });
+  const play = new HostedDownload(stream, { firstFrame: 0, mostLayers: 1, nowS: () => nowS });
   play.step();
   const before = play.queuedBytes;
   for (let n = 1; n <= 9; n++) {

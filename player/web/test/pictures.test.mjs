@@ -4,11 +4,9 @@ import { test } from "node:test";
 
 import { MOVES } from "../constants.js";
 import { readManifest, snapshotOf } from "../format/manifest.js";
-import { readObject } from "../format/objecttable.js";
-import { readIndex } from "../format/streamindex.js";
-import { PendingUpdates } from "../playback/pendingupdates.js";
-import { Scrubber } from "../playback/scrubber.js";
-import { DepthOrder, NEVER } from "../renderer/depthorder.js";
+import { readIndex, readObject } from "../format/objects.js";
+import { DepthOrder, NEVER, PendingUpdates } from "../playback/depthorder.js";
+import { SnapshotPreview } from "../playback/snapshotpreview.js";
 import { floatWords, latticeWords, roomFor } from "../playback/words.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { filesOf, law, settled } from "./support.mjs";
@@ -37,7 +35,7 @@ function scrubbing() {
   const numFrames = RECORDS.length * segmentFrames;
   const stream = { manifest: MANIFEST, cache, numFrames, fetchSnapshot };
   const calls = { fetches: 0 };
-  const scrubber = new Scrubber(
+  const scrubber = new SnapshotPreview(
     stream,
     ({ frame, isJoin, updates }) => {
       assert.ok(isJoin && updates.length > 0);

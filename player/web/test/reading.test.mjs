@@ -2,13 +2,12 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { Taps } from "../element/taps.js";
-import { FrameRanges } from "../element/timeranges.js";
-import { frameTimeText, positionText, timeText } from "../element/timetext.js";
-import { NETWORK, READY, Readiness } from "../element/readiness.js";
-import { readCues, textAt } from "../captions/webvtt.js";
-import { ByteReader } from "../format/bytes/bytereader.js";
-import { readMap } from "../format/bytes/msgpack.js";
+import { Taps } from "../controls/gestures.js";
+import { FrameRanges, NETWORK, Readiness, READY } from "../element/readiness.js";
+import { frameTimeText, positionText, timeText } from "../controls/scrubber.js";
+import { readCues, textAt } from "../format/captions.js";
+import { ByteReader } from "../format/bytes.js";
+import { readMap } from "../format/playrecord.js";
 
 test("a browser is asked for each named escape once, and for no endless number of them", (t) => {
   let asked = 0;

@@ -1,8 +1,7 @@
 /** What a device's lock screen and media keys offer for a player. */
 import assert from "node:assert/strict";
 import { test } from "node:test";
-
-import { RemoteControl } from "../element/remotecontrol.js";
+import { RemoteControl } from "../controls/tracks.js";
 import { settled } from "./support.mjs";
 
 /** An element that plays, and its player. */

@@ -1,8 +1,7 @@
 /** When a page shows motion between frames. */
 import assert from "node:assert/strict";
 import { test } from "node:test";
-
-import { shareAt, Smoothing } from "../element/smoothing.js";
+import { shareAt, Smoothing } from "../renderer/smoothing.js";
 import { law } from "./support.mjs";
 
 /** Number of intervals between pictures after which the screen's rate is known. */

@@ -1,11 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-
-import { FetchPace } from "../sound/fetchpace.js";
-import { SoundRun } from "../sound/soundrun.js";
-import { heardAt } from "../sound/soundsource.js";
-import { SoundTrack } from "../sound/soundtrack.js";
-import { stretched } from "../sound/stretch.js";
+import { SoundRun, stretched } from "../sound/soundrun.js";
+import { FetchPace, heardAt, SoundTrack } from "../sound/soundtrack.js";
 import { Timeline } from "../sound/timeline.js";
 import { law, settled } from "./support.mjs";
 

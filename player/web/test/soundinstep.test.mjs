@@ -4,10 +4,9 @@
  */
 import assert from "node:assert/strict";
 import { test } from "node:test";
-
-import { ChunkFeed } from "../playback/chunkfeed.js";
-import { StreamPlay } from "../playback/streamplay.js";
-import { StreamPlayer } from "../playback/streamplayer.js";
+import { FrameAssembler } from "../playback/frameassembler.js";
+import { PlayController } from "../playback/playcontroller.js";
+import { ChunkFeed } from "../playback/playsession.js";
 import { SoundPlay } from "../sound/soundplay.js";
 import { SoundTrack } from "../sound/soundtrack.js";
 import { manifestOf, Random } from "./support.mjs";
@@ -92,7 +91,7 @@ function played({ fps = 30, numFrames, lastsS, seed = 1, live = false, happen = 
   const isThere = () => !clip.isStalled;
   const advance = () => ({ isJoin: false, updates: [] });
   const play = { has: isThere, canAdvance: isThere, join: () => [], again: () => [], advance };
-  Object.assign(StreamPlay.prototype, play);
+  Object.assign(FrameAssembler.prototype, play);
   ChunkFeed.prototype.advance = nothing;
   SoundTrack.prototype.want = (pieces) => {
     const shownS = page.shownFrame / fps;
@@ -147,7 +146,7 @@ function played({ fps = 30, numFrames, lastsS, seed = 1, live = false, happen = 
     fail: assert.ifError,
   };
   const stream = { manifest, numFrames, cache, base: "", files: null, play: source };
-  const player = new StreamPlayer(stream, {}, outlet, {
+  const player = new PlayController(stream, {}, outlet, {
     loop: true,
   });
   const sound = new SoundPlay(page, () => player.loop);

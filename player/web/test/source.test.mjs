@@ -4,14 +4,11 @@ import { test } from "node:test";
 
 import { Fetcher, SourceError } from "../source/fetcher.js";
 import { fileUrl, folderUrl } from "../source/addresses.js";
-import { fetchRange } from "../source/byteranges.js";
-import { fileBytes } from "../source/filebytes.js";
-import { follow } from "../source/follow.js";
-import { GrowingIndex } from "../source/growingindex.js";
+import { fetchRange, fileBytes, objectUrl } from "../source/files.js";
+import { follow, GrowingIndex } from "../source/live.js";
 import { edgeFrame, followPeriodS, isBehind } from "../source/liveedge.js";
-import { objectUrl } from "../source/objecturl.js";
 import { openPlay } from "../source/playresponse.js";
-import { FormatError } from "../format/bytes/errors.js";
+import { FormatError } from "../format/bytes.js";
 import { masksOf } from "../format/manifest.js";
 import { PackedStream } from "../source/packed.js";
 import { ServedStream } from "../source/served.js";

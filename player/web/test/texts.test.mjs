@@ -2,8 +2,7 @@
 import assert from "node:assert/strict";
 import { readdirSync, readFileSync } from "node:fs";
 import { test } from "node:test";
-
-import { translatorOf } from "../element/texts.js";
+import { translatorOf } from "../controls/texts.js";
 import { GONE, REPLACED, SILENT } from "../source/fetcher.js";
 import { BUSY } from "../source/playresponse.js";
 
@@ -20,8 +19,8 @@ const SHOWN = [
 
 /** Where all texts of a kind are viewers'. */
 const IN_FILE = {
-  "element/keys.js": new RegExp(`\\], ${TEXT}\\]`, "g"),
-  "element/failure.js": /"([A-Z][^"]+\.)"/g,
+  "controls/keys.js": new RegExp(`\\], ${TEXT}\\]`, "g"),
+  "controls/panels.js": /"([A-Z][^"]+\.)"/g,
 };
 
 function textsOfCode() {

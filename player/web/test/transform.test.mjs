@@ -1,11 +1,9 @@
 /** A page's function that changes requests, in the page and asked by a worker. */
 import assert from "node:assert/strict";
 import { test } from "node:test";
-
 import { requestPort } from "../playback/requestport.js";
-import { fetchRange } from "../source/byteranges.js";
 import { Fetcher } from "../source/fetcher.js";
-import { fileBytes } from "../source/filebytes.js";
+import { fetchRange, fileBytes } from "../source/files.js";
 import { pictureUrl } from "../source/pictures.js";
 import { openSource } from "../source/source.js";
 import { transformed } from "../source/transform.js";

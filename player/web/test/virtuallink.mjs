@@ -1,7 +1,6 @@
 /** A player of a static host over a link of a given rate and round trip, in time that does not pass. */
 import { Playback } from "../playback/playback.js";
-import { RateEstimator, RequestWindow } from "../source/estimator.js";
-import { HostedPlay } from "../source/hostedplay.js";
+import { HostedDownload, RateEstimator, RequestWindow } from "../source/hosteddownload.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { manifestOf, settled } from "./support.mjs";
 
@@ -106,7 +105,7 @@ export async function watched({
     return new Map(births.map((birth) => [birth, Uint8Array.of(1)]));
   };
   const numLayers = layerBytes.length;
-  const play = new HostedPlay(stream, {
+  const play = new HostedDownload(stream, {
     firstFrame: 0,
     mostLayers: numLayers,
     nowS: () => link.nowS,

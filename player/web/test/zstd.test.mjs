@@ -2,11 +2,10 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-
-import { xxhash } from "../format/bytes/xxhash.js";
 import { readManifest } from "../format/manifest.js";
-import { readObject } from "../format/objecttable.js";
+import { readObject } from "../format/objects.js";
 import { limitBytes, packetContent } from "../format/packet.js";
+import { xxhash } from "../format/xxhash.js";
 import { filesOf, law } from "./support.mjs";
 
 const HOSTILE = JSON.parse(

@@ -30,13 +30,13 @@ const THREADS = [
 
 /** Sources of a page before anything else, by the kind of stream that it plays. */
 const KINDS = { hosted: "hosted.js", served: "served.js" };
-const FIRST = ["player.js", "playworker.js", "streamplayer.js", "sortworker.js"];
+const FIRST = ["player.js", "playworker.js", "playcontroller.js", "sortworker.js"];
 
 /**
  * The script with the modules of a worker that loads others later. It is not the worker's own script: WebKit runs that
  * once more when a module imports it.
  */
-const INNER = { playworker: "streamplayer" };
+const INNER = { playworker: "playcontroller" };
 
 /** How a source names a file beside it, such as a worker. */
 const BESIDE = /new URL\("\.{1,2}\/(?:[\w.]+\/)*([\w.]+)", import\.meta\.url\)/g;
@@ -100,7 +100,7 @@ const compact = {
 };
 
 /** Scripts that have a module which other later scripts need as well; they come before those. */
-const HOMES = { controls: "element/controls.js", hosted: "source/hosted.js" };
+const HOMES = { controls: "controls/controls.js", hosted: "source/hosted.js" };
 
 /**
  * Few files: what both kinds of source need is part of the worker itself, and what several later scripts need has

@@ -1,12 +1,12 @@
 /**
  * The bounds of the poses from which a camera still sees what the rig has filmed. Outside there is fog.
  *
- * The bounds are derived from the manifest only: from the hull of the rig's cameras and the region that
- * they look at. All cameras of the rig lie within the bounds.
+ * The bounds are derived from the manifest only: from the hull of the rig's cameras and the region that they
+ * look at. All cameras of the rig lie within the bounds.
  */
 
-import { rigUp, poseOf } from "./pose.js";
-import { sceneCentre } from "./scenecentre.js";
+import { sceneCentre } from "./orbit.js";
+import { poseOf, rigUp } from "./pose.js";
 import { add, cross, dot, length, subtract, times } from "./vectors.js";
 
 /** @typedef {import("./vectors.js").Vector} Vector */
@@ -47,10 +47,7 @@ const NEAREST_SHARE = 0.1;
  * @property {[number, number]} heightM of a flying camera above the centre
  */
 
-/**
- * @param {import("./orbit.js").OrbitScene} scene
- * @returns {Bounds}
- */
+/** @param {import("./orbit.js").OrbitScene} scene @returns {Bounds} */
 export function boundsOf({ cameras, bounds, defaultCamera }) {
   const poses = cameras.map(poseOf);
   const centre = sceneCentre(poses, bounds);
@@ -107,15 +104,12 @@ export function boundsOf({ cameras, bounds, defaultCamera }) {
 /**
  * The amount by which a pose exceeds the bounds, for each of the motions that can bring it back.
  * @typedef {object} Excess
- * @property {number} logDistance
- * @property {number} pitchRad
- * @property {number} headingRad
+ * @property {number} logDistance @property {number} pitchRad @property {number} headingRad
  * @property {Vector} offM metres, world
  */
 
 /**
- * @param {Bounds} bounds
- * @param {Pose} pose
+ * @param {Bounds} bounds @param {Pose} pose
  * @param {number | null} distanceM to the point that the camera turns around; null if the camera flies
  * @returns {Excess} all 0 within the bounds
  */
@@ -159,8 +153,7 @@ function headingExcess({ up, north, heading }, pose) {
 
 /**
  * Downward pitch of a pose; it continues beyond a right angle when the pose goes over the scene's top.
- * @param {Pose} pose
- * @param {Vector} up
+ * @param {Pose} pose @param {Vector} up
  */
 function pitchOf({ forward, down }, up) {
   return Math.atan2(-dot(forward, up), -dot(down, up));
@@ -168,9 +161,7 @@ function pitchOf({ forward, down }, up) {
 
 /**
  * Heading of a pose, seen from above, counted to the left.
- * @param {Pose} pose
- * @param {Vector} up
- * @param {Vector} north
+ * @param {Pose} pose @param {Vector} up @param {Vector} north
  */
 function headingOf(pose, up, north) {
   const level = levelOf(pose, up);
@@ -179,9 +170,7 @@ function headingOf(pose, up, north) {
 
 /**
  * The horizontal direction in which `pose` faces, defined even if it looks straight up or down.
- * @param {Pose} pose
- * @param {Vector} up
- * @returns {Vector} unit
+ * @param {Pose} pose @param {Vector} up @returns {Vector} unit
  */
 function levelOf({ right, forward }, up) {
   const lies = Math.abs(dot(right, up)) > LIES;
@@ -194,11 +183,7 @@ function levelOf({ right, forward }, up) {
   return times(level, 1 / length(level));
 }
 
-/**
- * The point that a camera looks at, relative to the centre.
- * @param {Pose} pose
- * @param {Vector} centre
- */
+/** The point that a camera looks at, relative to the centre. @param {Pose} pose @param {Vector} centre */
 function lookedAt({ position, forward }, centre) {
   const away = subtract(position, centre);
   return add(away, times(forward, length(away)));

@@ -1,9 +1,34 @@
 import { boundsOf, excessOf } from "./bounds.js";
 import { between, eased, FLIGHT_S } from "./flight.js";
-import { Flick } from "./flick.js";
 import { Orbit, TURN_RAD_PER_PX } from "./orbit.js";
 import { poseOf } from "./pose.js";
 import { add, cross, dot, length, subtract, times, unit } from "./vectors.js";
+
+/** Time before a pointer's release in which its motion counts. */
+const WINDOW_MS = 80;
+const MOST_SAMPLES = 32;
+
+/** Measures the speed of a pointer when it is released. */
+class Flick {
+  /** @type {{ atMs: number, by: number[] }[]} */
+  #samples = [];
+
+  /** @param {number} atMs @param {number[]} by since the sample before */
+  add(atMs, by) {
+    this.#samples.push({ atMs, by });
+    if (this.#samples.length > MOST_SAMPLES) this.#samples.shift();
+  }
+
+  /** Units per second; empty if the pointer has rested. @param {number} atMs @returns {number[]} */
+  speed(atMs) {
+    const recent = this.#samples.filter((sample) => atMs - sample.atMs <= WINDOW_MS);
+    // The first sample's motion began before its time, so the sample only marks the start of the span.
+    const [first, ...rest] = recent;
+    if (rest.length === 0) return [];
+    const spanS = Math.max(atMs - first.atMs, 8) / 1000;
+    return first.by.map((_, i) => rest.reduce((sum, { by }) => sum + by[i], 0) / spanS);
+  }
+}
 
 /** @typedef {import("./vectors.js").Vector} Vector */
 /** @typedef {import("./pose.js").Pose} Pose */
@@ -121,11 +146,7 @@ export class CameraMotion {
     this.#drift = { what, speed };
   }
 
-  /**
-   * @param {number} rightPx
-   * @param {number} downPx
-   * @param {number} atMs
-   */
+  /** @param {number} rightPx @param {number} downPx @param {number} atMs */
   dragTurn(rightPx, downPx, atMs) {
     // The near objects follow the pointer: the front of the scene, or in fly mode the surroundings.
     const radPerPx = this.#isFlying ? TURN_RAD_PER_PX / 2 : -TURN_RAD_PER_PX;
@@ -134,12 +155,7 @@ export class CameraMotion {
     this.turn(by[0], by[1]);
   }
 
-  /**
-   * @param {number} rightPx
-   * @param {number} downPx
-   * @param {number} focalPx
-   * @param {number} atMs
-   */
+  /** @param {number} rightPx @param {number} downPx @param {number} focalPx @param {number} atMs */
   dragPan(rightPx, downPx, focalPx, atMs) {
     const by = [rightPx / focalPx, downPx / focalPx];
     this.#flick.add(atMs, by);
@@ -222,8 +238,7 @@ export class CameraMotion {
 
   /**
    * The farthest point on the way to `to` that lies within `focusM` of the scene's centre.
-   * @param {Vector} from
-   * @param {Vector} to
+   * @param {Vector} from @param {Vector} to
    */
   #nearCentre(from, to) {
     const { centre, focusM } = this.bounds;
@@ -280,8 +295,7 @@ export class CameraMotion {
 
   /**
    * Advances the motion to a time.
-   * @param {number} nowMs
-   * @returns {boolean} whether the camera has moved, and may move further
+   * @param {number} nowMs @returns {boolean} whether the camera has moved, and may move further
    */
   step(nowMs) {
     const sinceS = (nowMs - this.#lastMs) / 1000;
@@ -393,8 +407,7 @@ export class CameraMotion {
 
 /**
  * A motion, damped the more the farther it is beyond the bounds.
- * @param {number} by
- * @param {number} excess in the direction of `by`
+ * @param {number} by @param {number} excess in the direction of `by`
  */
 function resisted(by, excess) {
   return by * excess <= 0 ? by : by / (1 + Math.abs(excess) / SOFT) ** 2;

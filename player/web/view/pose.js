@@ -12,9 +12,7 @@ const TINY = 1e-9;
  * A camera's position and axes in the world frame.
  * @typedef {object} Pose
  * @property {Vector} position metres
- * @property {Vector} right
- * @property {Vector} down
- * @property {Vector} forward
+ * @property {Vector} right @property {Vector} down @property {Vector} forward
  */
 
 /** @param {{ w2c: number[] }} camera @returns {Pose} */
@@ -27,11 +25,7 @@ export function poseOf({ w2c }) {
   return { position, right, down, forward };
 }
 
-/**
- * World to camera, (4, 4) row by row.
- * @param {Pose} pose
- * @returns {number[]}
- */
+/** World to camera, (4, 4) row by row. @param {Pose} pose @returns {number[]} */
 export function worldToCamera({ position, right, down, forward }) {
   const rows = [right, down, forward].map((axis) => [...axis, -dot(axis, position)]);
   return [...rows.flat(), 0, 0, 0, 1];
@@ -40,10 +34,8 @@ export function worldToCamera({ position, right, down, forward }) {
 /**
  * The view of a camera in a picture of another size: the whole view still shows, and if the shapes of
  * the pictures differ, two sides show more.
- * @param {import("../format/camera.js").Camera} camera
- * @param {number} widthPx
- * @param {number} heightPx
- * @returns {import("../format/camera.js").Camera}
+ * @param {import("../format/manifest.js").Camera} camera @param {number} widthPx @param {number} heightPx
+ * @returns {import("../format/manifest.js").Camera}
  */
 export function fitted(camera, widthPx, heightPx) {
   const scale = Math.min(widthPx / camera.widthPx, heightPx / camera.heightPx);
@@ -61,8 +53,7 @@ export function fitted(camera, widthPx, heightPx) {
 /**
  * The direction that is up for a rig: the one most square to all right axes, or where those say nothing
  * the mean of the tops of the pictures (codec/rig.py, rig_up).
- * @param {Pose[]} poses
- * @returns {Vector}
+ * @param {Pose[]} poses @returns {Vector}
  */
 export function rigUp(poses) {
   const sum = (/** @type {(pose: Pose) => number} */ of) =>
@@ -86,9 +77,7 @@ export function rigUp(poses) {
 
 /**
  * A point in camera coordinates: right, down and forward, metres.
- * @param {number[]} w2c (4, 4) world to camera
- * @param {Vector} point
- * @returns {Vector}
+ * @param {number[]} w2c (4, 4) world to camera @param {Vector} point @returns {Vector}
  */
 export function inCamera(w2c, point) {
   return [0, 4, 8].map((at) => dot(w2c.slice(at, at + 3), point) + w2c[at + 3]);
@@ -96,11 +85,8 @@ export function inCamera(w2c, point) {
 
 /**
  * The world point that a pixel shows.
- * @param {import("../format/camera.js").Camera} camera
- * @param {number} xPx from the left
- * @param {number} yPx from the top
- * @param {number} depthM forward from the camera
- * @returns {Vector}
+ * @param {import("../format/manifest.js").Camera} camera @param {number} xPx from the left
+ * @param {number} yPx from the top @param {number} depthM forward from the camera @returns {Vector}
  */
 export function pointAt(camera, xPx, yPx, depthM) {
   const { position, right, down, forward } = poseOf(camera);

@@ -23,7 +23,7 @@ from tests.support.web.site import player_host
 LEAST_PSNR_DB = 45.0
 DECODED = """
 const { readSoundObject } = await import("/web/sound/soundobject.js");
-const { oggOf } = await import("/web/sound/ogg.js");
+const { oggOf } = await import("/web/sound/soundobject.js");
 const found = await fetch("/static/segments/0/audio-main");
 const { packets, positions } = readSoundObject(new Uint8Array(await found.arrayBuffer()), 2);
 const file = oggOf(packets, positions, 2);

@@ -71,13 +71,13 @@ def test_it_has_what_its_description_names(installed: Path) -> None:
 
 
 CORE = """
-import { Fetcher, openSource, Round, Scene } from "swings-player/core";
+import { Fetcher, openSource, PlaySession, Scene } from "swings-player/core";
 
 const nowS = () => performance.now() / 1000;
 const stream = await openSource(process.argv[2], new Fetcher());
 const { manifest } = stream;
 const play = stream.play({ firstFrame: 7, mostLayers: manifest.numLayers, nowS });
-const round = new Round(stream, play, 7, manifest.numLayers, 1);
+const round = new PlaySession(stream, play, 7, manifest.numLayers, 1);
 const scene = new Scene(manifest.numGs, manifest.shDegree, manifest.layout.lattices);
 let shown = null;
 while (shown === null) {

@@ -1,4 +1,4 @@
-/** German. @type {import("../texts.js").Table} */
+/** German. @type {import("../../controls/texts.js").Table} */
 export default {
   "1 layer": "1 Ebene",
   Auto: "Automatisch",

@@ -1,4 +1,4 @@
-/** French. @type {import("../texts.js").Table} */
+/** French. @type {import("../../controls/texts.js").Table} */
 export default {
   "1 layer": "1 couche",
   Auto: "Automatique",

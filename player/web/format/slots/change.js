@@ -1,17 +1,21 @@
-/** A change: the new data of a slice for one layer (FORMAT.md, section 10). */
+/**
+ * The new data of a slice, a change, and all slots at a segment's first frame, a snapshot (FORMAT.md,
+ * sections 10 and 11).
+ */
 
 import {
   CHANGE_COUNTS,
   COUNTS_BYTES,
+  EMPTY,
   LONG,
   MAX_GAP_BITS,
+  NEW,
   POSITION_LIMIT,
 } from "../../constants.js";
-import { BitReader } from "../bytes/bitreader.js";
-import { ByteReader } from "../bytes/bytereader.js";
-import { corrupt } from "../bytes/errors.js";
+import { BitReader, ByteReader, corrupt } from "../bytes.js";
 import { checkGaussians, readGaussians } from "../gaussians.js";
-import { CHANGE, expectChunk, readSlotHead } from "./slotchunk.js";
+import { CHANGE, expectChunk, readSlotHead, SNAPSHOT } from "./mask.js";
+import { Slots } from "./slots.js";
 
 /**
  * @typedef {object} Change
@@ -26,13 +30,9 @@ import { CHANGE, expectChunk, readSlotHead } from "./slotchunk.js";
 
 /**
  * Decodes a change. Throws a FormatError.
- * @param {import("./slotlayout.js").SlotLayout} layout
- * @param {number} layer
- * @param {number} birth
- * @param {Uint8Array} bytes empty if nothing changes
- * @param {number} numPredicted as counted in the mask
- * @param {number} numNew as counted in the mask
- * @returns {Change}
+ * @param {import("../gaussians.js").SlotLayout} layout @param {number} layer @param {number} birth
+ * @param {Uint8Array} bytes empty if nothing changes @param {number} numPredicted as counted in the mask
+ * @param {number} numNew as counted in the mask @returns {Change}
  */
 export function decodeChange(layout, layer, birth, bytes, numPredicted, numNew) {
   if (bytes.length === 0) {
@@ -51,15 +51,10 @@ export function decodeChange(layout, layer, birth, bytes, numPredicted, numNew) 
 
 /**
  * Reads the change that fills the rest of `body`.
- * @param {import("./slotlayout.js").SlotLayout} layout
- * @param {number} layer
- * @param {ByteReader} body
- * @param {number} numPredicted
- * @param {number} numNew
- * @param {boolean} hasStarts
- * @returns {Change}
+ * @param {import("../gaussians.js").SlotLayout} layout @param {number} layer @param {ByteReader} body
+ * @param {number} numPredicted @param {number} numNew @param {boolean} hasStarts @returns {Change}
  */
-export function readChange(layout, layer, body, numPredicted, numNew, hasStarts) {
+function readChange(layout, layer, body, numPredicted, numNew, hasStarts) {
   const what = body.what;
   const [predicted, added, numLong, numEscapes, lowBitBytes] = body.unpack(CHANGE_COUNTS);
   if (predicted !== numPredicted || added !== numNew) {
@@ -118,11 +113,7 @@ function unzigzag(z) {
   return (z >>> 1) ^ -(z & 1);
 }
 
-/**
- * @param {Uint8Array} planes (3, P)
- * @param {Int32Array} long
- * @param {string} what
- */
+/** @param {Uint8Array} planes (3, P) @param {Int32Array} long @param {string} what */
 function readMoves(planes, long, what) {
   const count = planes.length / 3;
   const moves = new Int32Array(planes.length);
@@ -139,11 +130,7 @@ function readMoves(planes, long, what) {
   return moves;
 }
 
-/**
- * @param {Uint8Array} planes (A, P)
- * @param {number} count
- * @param {number} numAttributes
- */
+/** @param {Uint8Array} planes (A, P) @param {number} count @param {number} numAttributes */
 function readTurns(planes, count, numAttributes) {
   const turns = new Uint8Array(planes.length);
   for (let plane = 0, at = 0; plane < numAttributes; plane++) {
@@ -152,11 +139,7 @@ function readTurns(planes, count, numAttributes) {
   return turns;
 }
 
-/**
- * @param {Uint8Array} lengths (3, N)
- * @param {Uint8Array} lowBits
- * @param {string} what
- */
+/** @param {Uint8Array} lengths (3, N) @param {Uint8Array} lowBits @param {string} what */
 function readPositions(lengths, lowBits, what) {
   let numBits = 0;
   for (const g of lengths) {
@@ -180,11 +163,8 @@ function readPositions(lengths, lowBits, what) {
 }
 
 /**
- * @param {Uint8Array} planes (A, N)
- * @param {number} count
- * @param {number} numAttributes
- * @param {number} levels
- * @param {string} what
+ * @param {Uint8Array} planes (A, N) @param {number} count @param {number} numAttributes
+ * @param {number} levels @param {string} what
  */
 function readAttributes(planes, count, numAttributes, levels, what) {
   const attributes = new Uint8Array(planes.length);
@@ -197,4 +177,63 @@ function readAttributes(planes, count, numAttributes, levels, what) {
     attributes[numAttributes * i + last] = planes[at];
   }
   return attributes;
+}
+
+/**
+ * @typedef {object} Snapshot
+ * @property {number} frame @property {number} layer
+ * @property {Slots[]} lanes the lanes of births frame - swinSize + 1 .. frame
+ */
+
+/**
+ * Decodes a snapshot, of any layer and segment. Throws a FormatError.
+ * @param {import("../gaussians.js").SlotLayout} layout @param {Uint8Array} bytes @returns {Snapshot}
+ */
+export function decodeSnapshot(layout, bytes) {
+  const { layer, birth: frame, hasStarts, body } = readSlotHead(bytes, SNAPSHOT);
+  if (layer >= layout.numLayers)
+    throw corrupt(`snapshot: layer ${layer}, but the stream has ${layout.numLayers} layers`);
+  if (frame < 0 || frame !== layout.segmentStart(frame)) {
+    throw corrupt(`snapshot: frame ${frame} is not the first frame of a segment`);
+  }
+  const count = layout.slots[layer];
+  const numFlags = layout.swinSize * count;
+  const flags = body.take(Math.ceil(numFlags / 8));
+  if (numFlags % 8 !== 0 && flags[flags.length - 1] >> numFlags % 8 !== 0) {
+    throw corrupt("snapshot: a bit is set after the last flag");
+  }
+  const statuses = new Uint8Array(numFlags);
+  let numNew = 0;
+  for (let i = 0; i < numFlags; i++) {
+    if ((flags[i >> 3] >> (i & 7)) & 1) {
+      statuses[i] = NEW;
+      numNew++;
+    }
+  }
+  const change = readChange(layout, layer, body, 0, numNew, hasStarts);
+  // All lanes are decoded as if they were one, and then separated.
+  const all = new Slots(numFlags, layout.numAttributes, EMPTY);
+  all.advance(all.delta(statuses, change, layout.lattices[layer].opacityLevels));
+  const lanes = Array.from({ length: layout.swinSize }, (_, lane) => part(all, lane, count));
+  for (const [row, values] of all.escapes) {
+    lanes[Math.floor(row / count)].escapes.set(row % count, values);
+  }
+  return { frame, layer, lanes };
+}
+
+/**
+ * The slots of one lane, without the escaped Gaussians.
+ * @param {Slots} all @param {number} lane @param {number} count of a lane
+ */
+function part(all, lane, count) {
+  const first = lane * count;
+  const end = first + count;
+  const width = all.numAttributes;
+  const made = new Slots(0, width, EMPTY);
+  made.count = count;
+  made.conditions = all.conditions.slice(first, end);
+  made.positions = all.positions.slice(3 * first, 3 * end);
+  made.attributes = all.attributes.slice(width * first, width * end);
+  made.starts = all.starts.slice(first, end);
+  return made;
 }

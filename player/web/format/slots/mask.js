@@ -1,11 +1,17 @@
-/** The mask of a slice: the status of each slot of its lane (FORMAT.md, section 9). */
+/**
+ * The head of a chunk, and the mask of a slice: the status of each slot of its lane (FORMAT.md, section 9).
+ */
 
 import {
-  CONTEXTS,
+  CHUNK_HEAD,
+  CHUNK_KINDS,
+  CHUNK_MAGIC,
   CONTEXT_OF_C,
+  CONTEXTS,
   ENDED,
   FIRST_OF_B,
   FIRST_PROBABILITY,
+  HAS_STARTS,
   KEPT,
   LEAST_RANGE,
   MOST_COUNTED,
@@ -13,8 +19,47 @@ import {
   PREDICTED,
   WHOLE_RANGE,
 } from "../../constants.js";
-import { corrupt } from "../bytes/errors.js";
-import { MASK, expectChunk, readSlotHead } from "./slotchunk.js";
+import { ByteReader, corrupt, isMagic, unsupported } from "../bytes.js";
+
+const { MASK } = CHUNK_KINDS;
+export const { CHANGE, SNAPSHOT } = CHUNK_KINDS;
+const NAMES = Object.keys(CHUNK_KINDS).map((name) => name.toLowerCase());
+
+/**
+ * @typedef {object} SlotHead
+ * @property {number} layer @property {boolean} hasStarts @property {number} birth @property {ByteReader} body
+ */
+
+/**
+ * Reads the head of a chunk that must have the given kind. Throws a FormatError.
+ * @param {Uint8Array} bytes @param {number} kind @returns {SlotHead}
+ */
+export function readSlotHead(bytes, kind) {
+  const name = NAMES[kind];
+  const body = new ByteReader(bytes, name);
+  const [magic, found, layer, flags, reserved, birth] = body.unpack(CHUNK_HEAD);
+  if (!isMagic(magic, CHUNK_MAGIC)) throw corrupt(`${name}: does not begin with ${CHUNK_MAGIC}`);
+  if (found >= NAMES.length) throw unsupported(`${name}: a chunk of unknown kind ${found}`);
+  const known = found === MASK ? 0 : HAS_STARTS;
+  if (reserved !== 0 || flags & ~known)
+    throw unsupported(`${name}: unsupported flags ${flags} or reserved byte ${reserved}`);
+  if (found !== kind) throw corrupt(`${name}: found a ${NAMES[found]} instead`);
+  if (kind === MASK && layer !== 0) throw corrupt(`mask: has layer ${layer}, not 0`);
+  return { layer, hasStarts: (flags & HAS_STARTS) !== 0, birth, body };
+}
+
+/**
+ * Throws a FormatError unless the chunk has the expected birth and layer.
+ * @param {SlotHead} head @param {number} birth @param {number} layer
+ */
+export function expectChunk(head, birth, layer) {
+  if (head.birth !== birth || head.layer !== layer) {
+    throw corrupt(
+      `${head.body.what}: birth ${head.birth}, layer ${head.layer}; ` +
+        `expected birth ${birth}, layer ${layer}`,
+    );
+  }
+}
 
 /** An adaptive binary arithmetic decoder. */
 class BitDecoder {
@@ -62,9 +107,7 @@ class BitDecoder {
 /**
  * Decodes the mask of the slice born at `birth`: the statuses of all layers (numSlots). With an empty mask,
  * all slots are kept. Throws a FormatError.
- * @param {import("./slotlayout.js").SlotLayout} layout
- * @param {number} birth
- * @param {Uint8Array} bytes
+ * @param {import("../gaussians.js").SlotLayout} layout @param {number} birth @param {Uint8Array} bytes
  * @param {Uint8Array} history (numSlots) from `MaskHistory.of(birth)`
  */
 export function decodeMask(layout, birth, bytes, history) {
@@ -93,7 +136,7 @@ export function decodeMask(layout, birth, bytes, history) {
 
 /** Records which slots earlier masks of a segment did not keep; these are contexts of later masks. */
 export class MaskHistory {
-  /** @param {import("./slotlayout.js").SlotLayout} layout */
+  /** @param {import("../gaussians.js").SlotLayout} layout */
   constructor(layout) {
     this.layout = layout;
     /** 2 if not kept by the lane's last mask, plus 1 if not kept by the mask before it. */
@@ -115,8 +158,7 @@ export class MaskHistory {
 
   /**
    * Records the mask of `birth`. The mask of a segment's first frame resets the history.
-   * @param {number} birth
-   * @param {Uint8Array | null} statuses null if it is missing
+   * @param {number} birth @param {Uint8Array | null} statuses null if it is missing
    */
   note(birth, statuses) {
     if (birth === this.layout.segmentStart(birth)) {

@@ -1,12 +1,10 @@
 /** Decodes masks, changes and snapshots to the state of the slots (FORMAT.md, section 7). */
 
 import { LOG_SHARE, MIN_LOG_BYTES, NEW, PREDICTED, UNKNOWN } from "../../constants.js";
-import { decodeChange } from "./change.js";
-import { FormatError, corrupt } from "../bytes/errors.js";
-import { MaskHistory, decodeMask } from "./mask.js";
-import { movesOf } from "./moves.js";
-import { changedRows, Slots } from "./slots.js";
-import { decodeSnapshot } from "./snapshot.js";
+import { decodeChange, decodeSnapshot } from "./change.js";
+import { corrupt, FormatError } from "../bytes.js";
+import { decodeMask, MaskHistory } from "./mask.js";
+import { changedRows, movesOf, Slots } from "./slots.js";
 
 /**
  * The statuses of a slice for a layer, and the bytes of its change; null if the change is missing.
@@ -23,8 +21,7 @@ import { decodeSnapshot } from "./snapshot.js";
 /**
  * The changes in a lane since it was last returned.
  * @typedef {object} SlotSlice
- * @property {number} birth
- * @property {number} lane
+ * @property {number} birth @property {number} lane
  * @property {Uint32Array[]} rows the changed slots of each layer
  * @property {Uint8Array[]} [moves] their transitions, see `movesOf`; an empty array for a layer where they
  *   are unknown; absent for a whole window, or for a slice that does not show
@@ -38,10 +35,7 @@ import { decodeSnapshot } from "./snapshot.js";
  * kept as long as a late packet may need them.
  */
 export class SlotDecoder {
-  /**
-   * @param {import("./slotlayout.js").SlotLayout} layout
-   * @param {number} [numLayers]
-   */
+  /** @param {import("../gaussians.js").SlotLayout} layout @param {number} [numLayers] */
   constructor(layout, numLayers = layout.numLayers) {
     this.layout = layout;
     this.numLayers = numLayers;
@@ -69,10 +63,8 @@ export class SlotDecoder {
 
   /**
    * Loads a snapshot, which replaces the state of its layer. It may arrive late.
-   * @param {Uint8Array} bytes
-   * @param {number} [layer] the expected one
-   * @param {number} [frame] the expected one
-   * @returns {boolean} whether it was used
+   * @param {Uint8Array} bytes @param {number} [layer] the expected one
+   * @param {number} [frame] the expected one @returns {boolean} whether it was used
    */
   load(bytes, layer, frame) {
     const snapshot = decodeSnapshot(this.layout, bytes);
@@ -107,9 +99,7 @@ export class SlotDecoder {
   /**
    * Whether a snapshot from before `births` improves a layer of a lane: some slots were already unknown
    * before `births`, and no mask is missing.
-   * @param {number} lane
-   * @param {number} layer
-   * @param {number[]} births
+   * @param {number} lane @param {number} layer @param {number[]} births
    */
   #canUseLate(lane, layer, births) {
     if (births.some((birth) => !this.said.has(birth))) return false;
@@ -125,10 +115,7 @@ export class SlotDecoder {
 
   /**
    * Replaces a layer of a lane by `slots`, and applies the known slices of `births`.
-   * @param {number} lane
-   * @param {number} layer
-   * @param {Slots} slots
-   * @param {number[]} births
+   * @param {number} lane @param {number} layer @param {Slots} slots @param {number[]} births
    */
   #beginAnew(lane, layer, slots, births) {
     const known = this.logs.get(key(lane, layer));
@@ -182,10 +169,7 @@ export class SlotDecoder {
 
   /**
    * Whether `apply` would accept a change; otherwise throws a FormatError.
-   * @param {number} birth
-   * @param {Uint8Array | null} mask
-   * @param {number} layer
-   * @param {Uint8Array} change
+   * @param {number} birth @param {Uint8Array | null} mask @param {number} layer @param {Uint8Array} change
    */
   takes(birth, mask, layer, change) {
     if (mask === null || !this.history.isReadable(birth)) return true;
@@ -197,9 +181,7 @@ export class SlotDecoder {
 
   /**
    * Applies a change that was missing when its slice was applied.
-   * @param {number} birth
-   * @param {number} layer
-   * @param {Uint8Array} bytes
+   * @param {number} birth @param {number} layer @param {Uint8Array} bytes
    * @returns {boolean} whether it was used; the lane's next slice then includes the altered slots
    */
   late(birth, layer, bytes) {
@@ -218,8 +200,7 @@ export class SlotDecoder {
 
   /**
    * All slots of the lane of `birth`, for a renderer without earlier data.
-   * @param {number} birth
-   * @returns {SlotSlice}
+   * @param {number} birth @returns {SlotSlice}
    */
   whole(birth) {
     const lane = this.layout.lane(birth);
@@ -235,10 +216,7 @@ export class SlotDecoder {
     return Array.from({ length: swinSize }, (_, i) => this.whole(frame - swinSize + 1 + i));
   }
 
-  /**
-   * @param {number} birth
-   * @returns {SlotSlice}
-   */
+  /** @param {number} birth @returns {SlotSlice} */
   #loseLane(birth) {
     const lane = this.layout.lane(birth);
     this.lanes[lane] = this.#unknownLane();
@@ -249,10 +227,7 @@ export class SlotDecoder {
     return this.whole(birth);
   }
 
-  /**
-   * @param {number} birth
-   * @param {Uint8Array | null} statuses null: the mask is missing
-   */
+  /** @param {number} birth @param {Uint8Array | null} statuses null: the mask is missing */
   #goOn(birth, statuses) {
     if (birth === this.layout.segmentStart(birth)) {
       this.said.clear();
@@ -264,10 +239,8 @@ export class SlotDecoder {
   }
 
   /**
-   * @param {number} birth
-   * @param {Uint8Array[]} parts the statuses of each layer
-   * @param {Uint8Array[]} [moves]
-   * @returns {SlotSlice}
+   * @param {number} birth @param {Uint8Array[]} parts the statuses of each layer
+   * @param {Uint8Array[]} [moves] @returns {SlotSlice}
    */
   #handOut(birth, parts, moves) {
     const lane = this.layout.lane(birth);
@@ -283,10 +256,7 @@ export class SlotDecoder {
 
   /**
    * Logs the data that a late change or snapshot needs, before the slice is applied to `slots`.
-   * @param {number} birth
-   * @param {number} layer
-   * @param {Slots} slots
-   * @param {Uint8Array} statuses
+   * @param {number} birth @param {number} layer @param {Slots} slots @param {Uint8Array} statuses
    * @param {Uint8Array | null} change
    */
   #remember(birth, layer, slots, statuses, change) {
@@ -314,8 +284,7 @@ export class SlotDecoder {
 
   /**
    * Drops the log of a layer of a lane if no late data can alter it.
-   * @param {number} lane
-   * @param {number} layer
+   * @param {number} lane @param {number} layer
    */
   #dropIfComplete(lane, layer) {
     const log = this.logs.get(key(lane, layer));
@@ -326,9 +295,7 @@ export class SlotDecoder {
 
   /**
    * Applies a log again to a layer of a lane.
-   * @param {number} lane
-   * @param {number} layer
-   * @param {Log} log
+   * @param {number} lane @param {number} layer @param {Log} log
    * @param {number | null} checked the birth whose change throws if it does not fit; any other change that
    *   does not fit counts as missing
    */
@@ -340,9 +307,7 @@ export class SlotDecoder {
 
   /**
    * The slots after applying `since` to `before`; see `#replay`.
-   * @param {number} layer
-   * @param {Slots | null} before
-   * @param {Map<number, Said>} since
+   * @param {number} layer @param {Slots | null} before @param {Map<number, Said>} since
    * @param {number | null} checked
    */
   #replayed(layer, before, since, checked) {
@@ -362,10 +327,7 @@ export class SlotDecoder {
   }
 
   /**
-   * @param {number} birth
-   * @param {number} layer
-   * @param {Slots} slots
-   * @param {Uint8Array} statuses
+   * @param {number} birth @param {number} layer @param {Slots} slots @param {Uint8Array} statuses
    * @param {Uint8Array | null} bytes
    */
   #delta(birth, layer, slots, statuses, bytes) {
@@ -377,10 +339,7 @@ export class SlotDecoder {
     return slots.delta(statuses, change, opacityLevels);
   }
 
-  /**
-   * @param {Uint8Array} statuses of a lane
-   * @param {number} layer
-   */
+  /** @param {Uint8Array} statuses of a lane @param {number} layer */
   #ofLayer(statuses, layer) {
     return statuses.subarray(this.rowEdges[layer], this.rowEdges[layer + 1]);
   }

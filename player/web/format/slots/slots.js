@@ -3,15 +3,20 @@
 import {
   EMPTY,
   ENDED,
+  ENTERS,
   ESCAPED,
   HIDDEN,
+  JUMP_SIGMAS,
   KEPT,
+  LEAST_SPARE,
+  MOVES,
   ON_LATTICE,
   POSITION_LIMIT,
   PREDICTED,
+  SPARE_SHARE,
   UNKNOWN,
 } from "../../constants.js";
-import { corrupt } from "../bytes/errors.js";
+import { corrupt } from "../bytes.js";
 
 /**
  * The new states of D slots. They are computed before any slot is changed, so that bytes that break a rule
@@ -36,9 +41,7 @@ export function changedRows(statuses) {
 
 /**
  * The numbers of one of several Gaussians: mean, log scales, quaternion, logit, SH.
- * @param {import("../gaussians.js").Gaussians} from
- * @param {number} i
- * @param {number} k coefficients
+ * @param {import("../gaussians.js").Gaussians} from @param {number} i @param {number} k coefficients
  */
 function gaussianAt(from, i, k) {
   const values = new Float32Array(11 + 3 * k);
@@ -51,11 +54,7 @@ function gaussianAt(from, i, k) {
 }
 
 export class Slots {
-  /**
-   * @param {number} count
-   * @param {number} numAttributes
-   * @param {number} condition of all of them
-   */
+  /** @param {number} count @param {number} numAttributes @param {number} condition of all of them */
   constructor(count, numAttributes, condition) {
     this.count = count;
     this.numAttributes = numAttributes;
@@ -95,8 +94,7 @@ export class Slots {
   /**
    * The changes of these slots by a slice. Throws a FormatError if the slice does not fit the slots.
    * @param {Uint8Array} statuses (count)
-   * @param {import("./change.js").Change | null} change null if it is missing
-   * @param {number} opacityLevels
+   * @param {import("./change.js").Change | null} change null if it is missing @param {number} opacityLevels
    * @returns {Delta}
    */
   delta(statuses, change, opacityLevels) {
@@ -138,11 +136,8 @@ export class Slots {
   }
 
   /**
-   * @param {Delta} made
-   * @param {number} d
-   * @param {import("./change.js").Change} change
-   * @param {number} from index among the predicted slots
-   * @param {number} opacityLevels
+   * @param {Delta} made @param {number} d @param {import("./change.js").Change} change
+   * @param {number} from index among the predicted slots @param {number} opacityLevels
    */
   #predict(made, d, change, from, opacityLevels) {
     const row = made.rows[d];
@@ -192,15 +187,56 @@ export function signed(byte) {
 }
 
 /**
- * @template {Int32Array | Uint8Array} T
- * @param {T} from
- * @param {number} fromRow
- * @param {T} to
- * @param {number} toRow
- * @param {number} width
+ * @template {Int32Array | Uint8Array} T @param {T} from @param {number} fromRow @param {T} to
+ * @param {number} toRow @param {number} width
  */
 function copyRow(from, fromRow, to, toRow, width) {
   const a = fromRow * width;
   const b = toRow * width;
   for (let i = 0; i < width; i++) to[b + i] = from[a + i];
+}
+
+/** Flag in addition to MOVES or ENTERS: the previous Gaussian of the slot fades out. */
+export const LEFT = 4;
+
+/** Maximum number of Gaussians that can fade out at once. @param {number} numSlots of the stream */
+export function spareSlots(numSlots) {
+  return Math.max(LEAST_SPARE, Math.floor(numSlots / SPARE_SHARE));
+}
+
+/**
+ * The transition of each slot that a slice changes: MOVES, ENTERS, or 0 if nothing shows yet; possibly
+ * with LEFT (codec/halfway.py).
+ * @param {Slots} slots before the slice @param {Delta} delta @param {Uint8Array} statuses of the slots
+ * @param {import("../gaussians.js").Lattice} lattice
+ */
+export function movesOf(slots, delta, statuses, lattice) {
+  const { rows } = delta;
+  const moves = new Uint8Array(rows.length);
+  for (const [d, row] of rows.entries()) {
+    const was = slots.conditions[row] >= ON_LATTICE;
+    const is = delta.conditions[d] >= ON_LATTICE && delta.starts[d] === 0;
+    const isSame = was && is && statuses[row] === PREDICTED;
+    if (isSame && !jumps(slots, row, delta, d, lattice)) moves[d] = MOVES;
+    else moves[d] = (is ? ENTERS : 0) | (was ? LEFT : 0);
+  }
+  return moves;
+}
+
+/**
+ * Whether a Gaussian moves farther than JUMP_SIGMAS standard deviations along its longest axis.
+ * @param {Slots} slots @param {number} row @param {Delta} next @param {number} d
+ * @param {import("../gaussians.js").Lattice} lattice
+ */
+function jumps(slots, row, next, d, { positionM, logScale, logScaleBase }) {
+  const width = slots.numAttributes;
+  let squared = 0;
+  let longest = -128;
+  for (let axis = 0; axis < 3; axis++) {
+    squared += (next.positions[3 * d + axis] - slots.positions[3 * row + axis]) ** 2;
+    const size = signed(slots.attributes[width * row + axis]);
+    longest = Math.max(longest, size, signed(next.attributes[width * d + axis]));
+  }
+  const limitM = JUMP_SIGMAS * Math.exp(longest * logScale + logScaleBase);
+  return positionM * Math.sqrt(squared) > limitM;
 }

@@ -1,4 +1,4 @@
-// Expands uploaded Gaussians: stores one texel per point. One of expandlattice.glsl and expandfloats.glsl follows.
+// Expands uploaded Gaussians: stores one texel per point. Those of a lattice if LATTICE is defined.
 //
 // It makes the texels of a Gaussian from its attributes: mean 3, opacity, covariance 6, colour 3, then the
 // harmonics from degree 1 on. Every texel is one point; all points of a Gaussian do the same work.
@@ -59,4 +59,66 @@ void main() {
   stored = texel;
 }
 
+#endif
+
+#ifdef VERTEX_STAGE
+#ifdef LATTICE
+
+// Gaussians on a lattice: three position coordinates of 24 bits, each followed by a log scale; slot, layer
+// and move in 24, 4 and 4 bits; then the other attributes, one byte each.
+
+uniform vec4 steps[16];         // of each layer: position, log scale, log scale's base, rotation
+uniform vec2 more_steps[16];    // colour, opacity levels - 1
+
+int code_of(int item, int i) {
+  return int(word(item, 4 + i / 4) << (24 - 8 * (i % 4))) >> 24;
+}
+
+vec3 coefficient(int item, int c) {
+  float size = more_steps[int(word(item, 3) >> 24) & 15].x;
+  float y = float(code_of(item, 3 + c)) * size;
+  float co = float(code_of(item, 3 + K + c)) * size;
+  float cg = float(code_of(item, 3 + 2 * K + c)) * size;
+  return vec3(y - cg + co, y + cg, y - cg - co);
+}
+
+void main() {
+  int item = gl_VertexID / TEXELS;
+  uint place = word(item, 3);
+  int layer = int(place >> 24) & 15;
+  vec4 sizes = steps[layer];
+  vec2 more = more_steps[layer];
+  ivec3 place_and_scale = ivec3(word(item, 0), word(item, 1), word(item, 2));
+  vec3 mean = vec3(place_and_scale >> 8) * sizes.x;
+  vec3 a = vec3((place_and_scale << 24) >> 24);
+  vec3 turn = vec3(code_of(item, 0), code_of(item, 1), code_of(item, 2)) * sizes.w;
+  vec4 quat = vec4(sqrt(max(1.0 - dot(turn, turn), 0.0)), turn);
+  float opacity = float(code_of(item, 3 + 3 * K) & 255) / more.y;
+  finish(item, place, gl_VertexID % TEXELS, mean, a * sizes.y + sizes.z, quat, opacity);
+}
+
+#else
+
+// Gaussians as floats: slot and move, mean, log scales, quaternion, logit, harmonics.
+
+float number(int item, int n) {
+  return uintBitsToFloat(word(item, n));
+}
+
+vec3 three(int item, int n) {
+  return vec3(number(item, n), number(item, n + 1), number(item, n + 2));
+}
+
+vec3 coefficient(int item, int k) {
+  return three(item, 12 + 3 * k);
+}
+
+void main() {
+  int item = gl_VertexID / TEXELS;
+  vec4 quat = vec4(number(item, 7), three(item, 8));
+  float opacity = 1.0 / (1.0 + exp(-number(item, 11)));
+  finish(item, word(item, 0), gl_VertexID % TEXELS, three(item, 1), three(item, 4), quat, opacity);
+}
+
+#endif
 #endif

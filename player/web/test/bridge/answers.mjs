@@ -5,34 +5,29 @@
 import { createInterface } from "node:readline";
 
 import { copyRows, emptyScene, Scene } from "../../feed/scene.js";
-import { FormatError } from "../../format/bytes/errors.js";
+import { FormatError } from "../../format/bytes.js";
 import { layerOf, readManifest } from "../../format/manifest.js";
 import { framePly } from "../../format/ply.js";
 import { openSource } from "../../source/source.js";
-import { readObject } from "../../format/objecttable.js";
+import { readIndex, readObject } from "../../format/objects.js";
 import { packetContent } from "../../format/packet.js";
 import { RecordParser } from "../../format/playrecord.js";
 import { SlotDecoder } from "../../format/slots/slotdecoder.js";
-import { SlotLayout } from "../../format/slots/slotlayout.js";
+import { gaussiansOf, opacityLogits, SlotLayout } from "../../format/gaussians.js";
 import { EMPTY, ON_LATTICE, UNKNOWN } from "../../constants.js";
-import { fetchRange } from "../../source/byteranges.js";
+import { fetchRange } from "../../source/files.js";
 import { Fetcher, SourceError } from "../../source/fetcher.js";
 import { SegmentCache } from "../../source/segmentcache.js";
-import { ChunkFeed } from "../../playback/chunkfeed.js";
-import { StreamPlay } from "../../playback/streamplay.js";
-import { DepthOrder } from "../../renderer/depthorder.js";
-import { readCaptionTracks } from "../../captions/captiontracks.js";
-import { readCues, textAt } from "../../captions/webvtt.js";
-import { oggOf } from "../../sound/ogg.js";
-import { checkSpan, readSoundObject } from "../../sound/soundobject.js";
-import { placeAt, readSources } from "../../sound/soundsource.js";
+import { ChunkFeed } from "../../playback/playsession.js";
+import { FrameAssembler } from "../../playback/frameassembler.js";
+import { DepthOrder } from "../../playback/depthorder.js";
+import { readCaptionTracks, readCues, textAt } from "../../format/captions.js";
+import { checkSpan, oggOf, readSoundObject } from "../../sound/soundobject.js";
+import { placeAt, readSources } from "../../sound/soundtrack.js";
 import { Timeline } from "../../sound/timeline.js";
 import { Orbit, TURN_RAD_PER_PX } from "../../view/orbit.js";
 import { nearOf } from "../../view/pose.js";
-import { storyboardLayout } from "../../format/storyboard.js";
-import { readIndex } from "../../format/streamindex.js";
-import { gaussiansOf } from "../../format/dequantise.js";
-import { opacityLogits } from "../../format/gaussians.js";
+import { storyboardLayout } from "../../controls/storyboard.js";
 
 /** @param {ArrayBufferView} array */
 const hex = (array) =>
@@ -90,11 +85,11 @@ function held() {
  */
 async function* played(manifest, files, first, lateness) {
   const records = readIndex(unhex(files["index.bin"]), manifest);
-  const play = new StreamPlay(manifest);
+  const play = new FrameAssembler(manifest);
   const cache = new SegmentCache(manifest);
   const feed = new ChunkFeed(cache, play, manifest, first, manifest.numLayers);
   const last = records[records.length - 1];
-  /** @type {[number, import("../../format/streamindex.js").SegmentRecord, number][]} */
+  /** @type {[number, import("../../format/objects.js").SegmentRecord, number][]} */
   const coming = records.flatMap((record) =>
     [...manifest.parts.keys()].reverse().map((part) => {
       const isLate = layerOf(manifest, part) > 0;
@@ -207,7 +202,7 @@ const ANSWERS = {
   /** What a play holds at each "look" among its events, see tests/support/slots/arrivals.py. */
   arrivals({ events }) {
     const { layout } = decoder;
-    const play = new StreamPlay(/** @type {any} */ ({ layout }));
+    const play = new FrameAssembler(/** @type {any} */ ({ layout }));
     const found = [];
     for (const [kind, frame, layer, bytes] of events) {
       if (kind === "mask") play.addMask(frame, unhex(bytes));

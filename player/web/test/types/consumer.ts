@@ -1,7 +1,7 @@
 import "swings-player";
 import { SwingsPlayerElement } from "swings-player";
 import { GaussianFeed } from "swings-player/feed";
-import { Fetcher, openSource, Playback, StreamPlay } from "swings-player/core";
+import { Fetcher, openSource, Playback, FrameAssembler } from "swings-player/core";
 
 const player: SwingsPlayerElement = document.createElement("swings-player");
 player.preload = "metadata";
@@ -13,7 +13,7 @@ const feed = new GaussianFeed("stream", { otherHosts: true });
 const means: Float32Array = feed.gaussians.means;
 const numGs: Promise<number> = feed.opened.then((stream) => stream.numGs);
 const fps: Promise<number> = openSource("stream/", new Fetcher()).then(({ manifest }) => {
-  new Playback(new StreamPlay(manifest), manifest.fps, 1, 0);
+  new Playback(new FrameAssembler(manifest), manifest.fps, 1, 0);
   return manifest.fps;
 });
 // @ts-expect-error: no such mode

@@ -1,0 +1,208 @@
+/** Reads bytes from outside, and says what is wrong with them. */
+
+/** The bytes break a rule of codec/FORMAT.md, or this reader does not know their meaning. */
+export class FormatError extends Error {
+  /** @param {"corrupt" | "unsupported"} kind @param {string} message */
+  constructor(kind, message) {
+    super(message);
+    this.name = "FormatError";
+    this.kind = kind;
+  }
+}
+
+/** @param {string} message */
+export function corrupt(message) {
+  return new FormatError("corrupt", message);
+}
+
+/** @param {string} message */
+export function unsupported(message) {
+  return new FormatError("unsupported", message);
+}
+
+const TABLE = /* @__PURE__ */ Uint32Array.from({ length: 256 }, (_, n) => {
+  let c = n;
+  for (let bit = 0; bit < 8; bit++) c = c & 1 ? (c >>> 1) ^ 0xedb88320 : c >>> 1;
+  return c;
+});
+
+/** The CRC-32 of zlib and PNG. @param {Uint8Array} bytes */
+export function crc32(bytes) {
+  let c = 0xffffffff;
+  for (const byte of bytes) c = TABLE[(c ^ byte) & 255] ^ (c >>> 8);
+  return (c ^ 0xffffffff) >>> 0;
+}
+
+/** Whether bytes are equal to a text of single bytes. @param {Uint8Array} bytes @param {string} magic */
+export function isMagic(bytes, magic) {
+  return String.fromCharCode(...bytes) === magic;
+}
+
+/** @type {Map<string, string[]>} */
+const layouts = new Map();
+
+/** The codes of a layout, one for each value; for bytes, their number. @param {string} format */
+function codesOf(format) {
+  let codes = layouts.get(format);
+  if (codes === undefined) {
+    const found = [...format.matchAll(/(\d*)([BHIifQs])/g)];
+    codes = found.flatMap(([, count, code]) =>
+      code === "s" ? [count] : new Array(Number(count || 1)).fill(code),
+    );
+    layouts.set(format, codes);
+  }
+  return codes;
+}
+
+/**
+ * The values of a layout in the notation of Python's struct: bytes for `s`, otherwise numbers.
+ * @template {string} Format
+ * @typedef {Format extends `<${infer Codes}` ? Unpacked<Codes>
+ *   : Format extends `${4 | 32}s${infer Rest}` ? [Uint8Array, ...Unpacked<Rest>]
+ *   : Format extends "5I" ? [number, number, number, number, number]
+ *   : Format extends `${string}${infer Rest}` ? [number, ...Unpacked<Rest>] : []} Unpacked
+ */
+
+/** Reads little-endian numbers one after another. Throws a FormatError at the end of the bytes. */
+export class ByteReader {
+  /** @param {Uint8Array} bytes @param {string} what named in errors */
+  constructor(bytes, what) {
+    this.bytes = bytes;
+    this.what = what;
+    this.at = 0;
+    this.view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  }
+
+  get left() {
+    return this.bytes.length - this.at;
+  }
+
+  /** The next `count` bytes, as a view. @param {number} count */
+  take(count) {
+    if (count > this.left) {
+      throw corrupt(
+        `${this.what}: ends at byte ${this.bytes.length}, ${count - this.left} bytes too early`,
+      );
+    }
+    this.at += count;
+    return this.bytes.subarray(this.at - count, this.at);
+  }
+
+  u8() {
+    return this.take(1)[0];
+  }
+
+  u16() {
+    this.take(2);
+    return this.view.getUint16(this.at - 2, true);
+  }
+
+  u32() {
+    this.take(4);
+    return this.view.getUint32(this.at - 4, true);
+  }
+
+  i32() {
+    this.take(4);
+    return this.view.getInt32(this.at - 4, true);
+  }
+
+  f32() {
+    this.take(4);
+    return this.view.getFloat32(this.at - 4, true);
+  }
+
+  /**
+   * @template {string} Format @param {Format} format
+   */
+  unpack(format) {
+    const values = codesOf(format).map((code) => {
+      switch (code) {
+        case "B":
+          return this.u8();
+        case "H":
+          return this.u16();
+        case "I":
+          return this.u32();
+        case "i":
+          return this.i32();
+        case "f":
+          return this.f32();
+        case "Q":
+          return this.u64();
+        default:
+          return this.take(Number(code));
+      }
+    });
+    return /** @type {Unpacked<Format>} */ (values);
+  }
+
+  /** A u64 as a number; values above 2^53 are inexact, but exceed every bound of the format anyway. */
+  u64() {
+    const low = this.u32();
+    return this.u32() * 2 ** 32 + low;
+  }
+
+  /** A copy of the next `count` f32. @param {number} count */
+  f32s(count) {
+    return new Float32Array(this.#copied(count));
+  }
+
+  /** @param {number} count */
+  i32s(count) {
+    return new Int32Array(this.#copied(count));
+  }
+
+  /** @param {number} count */
+  u32s(count) {
+    return new Uint32Array(this.#copied(count));
+  }
+
+  /**
+   * A copy of the next 4 * count bytes, because typed arrays need alignment. Every machine that runs a
+   * browser is little-endian, like the stream.
+   * @param {number} count
+   */
+  #copied(count) {
+    const { buffer, byteOffset, byteLength } = this.take(4 * count);
+    return /** @type {ArrayBuffer} */ (buffer).slice(byteOffset, byteOffset + byteLength);
+  }
+
+  /** Throws unless all bytes have been read. */
+  finish() {
+    if (this.left > 0) throw corrupt(`${this.what}: ${this.left} bytes too long`);
+  }
+}
+
+/** Reads a string of bits, the lowest bit of each byte first (FORMAT.md, section 1). */
+export class BitReader {
+  /**
+   * @param {Uint8Array} bytes
+   * @param {number} numBits number of used bits; `bytes` must have exactly that size, padded with zero bits
+   * @param {string} what named in errors
+   */
+  constructor(bytes, numBits, what) {
+    if (bytes.length !== Math.ceil(numBits / 8)) {
+      throw corrupt(`${what}: ${bytes.length} bytes of low bits for ${numBits} bits`);
+    }
+    if (numBits % 8 !== 0 && bytes[bytes.length - 1] >> numBits % 8 !== 0) {
+      throw corrupt(`${what}: a bit is set after the last low bit`);
+    }
+    this.bytes = bytes;
+    this.at = 0;
+  }
+
+  /** The next bits as a number, lowest first. @param {number} width 0 .. 30 */
+  take(width) {
+    let value = 0;
+    let got = 0;
+    while (got < width) {
+      const shift = this.at & 7;
+      const count = Math.min(8 - shift, width - got);
+      value |= ((this.bytes[this.at >> 3] >> shift) & ((1 << count) - 1)) << got;
+      got += count;
+      this.at += count;
+    }
+    return value;
+  }
+}

@@ -1,0 +1,193 @@
+import { FormatError } from "../format/bytes.js";
+import { SlotDecoder } from "../format/slots/slotdecoder.js";
+import { packSlots } from "./packing.js";
+
+/**
+ * The received chunks of a stream, and the slots that result from them, frame by frame.
+ * Chunks may arrive in any order, and are used even if their frame has already shown.
+ */
+export class FrameAssembler {
+  /** @param {import("../format/manifest.js").Manifest} manifest */
+  constructor(manifest) {
+    this.layout = manifest.layout;
+    this.decoder = new SlotDecoder(this.layout);
+    /** @type {Map<number, Uint8Array>} by birth */
+    this.masks = new Map();
+    /** @type {Map<number, (Uint8Array | null)[]>} by birth; one chunk per layer */
+    this.changes = new Map();
+    /** @type {Map<number, (Uint8Array | null)[]>} by first frame of a segment; one chunk per layer */
+    this.snapshots = new Map();
+    /** Number of chunks that were refused and so are missing in their layers. */
+    this.refused = 0;
+    /** @type {(birth: number, layer: number, why: unknown) => void} called for each of them */
+    this.onLost = () => {};
+    /** Whether a late chunk has changed the current frame since the whole frame was last returned. */
+    this.isLate = false;
+  }
+
+  /** The last decoded frame; null before the first. */
+  get frame() {
+    return this.decoder.frame;
+  }
+
+  /** Number of layers that show completely. */
+  get layers() {
+    const { numLayers } = this.layout;
+    for (let layer = 0; layer < numLayers; layer++) if (this.#lacksAnything(layer)) return layer;
+    return numLayers;
+  }
+
+  /** @param {number} layer */
+  #lacksAnything(layer) {
+    return this.decoder.lanes.some((lane) => lane[layer].hasUnknown);
+  }
+
+  /** @param {number} birth @param {Uint8Array} chunk empty if all slots are kept */
+  addMask(birth, chunk) {
+    if (this.frame === null || birth > this.frame) this.masks.set(birth, chunk);
+  }
+
+  /** @param {number} birth @param {number} layer @param {Uint8Array} chunk empty if nothing changes */
+  addChange(birth, layer, chunk) {
+    if (this.frame === null || birth > this.frame) this.#row(this.changes, birth)[layer] = chunk;
+    else this.#tryLate(birth, layer, () => this.decoder.late(birth, layer, chunk));
+  }
+
+  /** @param {number} frame @param {number} layer @param {Uint8Array} chunk */
+  addSnapshot(frame, layer, chunk) {
+    if (this.frame === null || frame > this.frame) this.#row(this.snapshots, frame)[layer] = chunk;
+    else if (frame === this.layout.segmentStart(this.frame)) {
+      this.#tryLate(frame, layer, () => this.decoder.load(chunk, layer, frame));
+    }
+  }
+
+  /** Whether the mask and layer 0's change of a slice have arrived. @param {number} birth */
+  hasSlice(birth) {
+    return this.masks.has(birth) && Boolean(this.changes.get(birth)?.[0]);
+  }
+
+  /**
+   * Whether `advance` is possible for `frame`.
+   * @param {number} frame @param {number} numFrames of the stream
+   */
+  canAdvance(frame, numFrames) {
+    return this.hasSlice(frame) || this.#canRejoin(frame, numFrames);
+  }
+
+  /**
+   * Whether a segment whose first slice is missing can be joined by its snapshot. As long as the first
+   * slice may still arrive, it is better to wait for it, because it continues the current Gaussians.
+   * @param {number} frame @param {number} numFrames
+   */
+  #canRejoin(frame, numFrames) {
+    if (!this.snapshots.get(frame)?.[0]) return false;
+    return frame + 1 >= numFrames || this.hasSlice(frame + 1);
+  }
+
+  /** Whether `join` is possible for `frame`: layer 0 has all it needs. @param {number} frame */
+  has(frame) {
+    const first = this.layout.segmentStart(frame);
+    if (!this.snapshots.get(first)?.[0]) return false;
+    for (let birth = first + 1; birth <= frame; birth++) if (!this.hasSlice(birth)) return false;
+    return true;
+  }
+
+  /**
+   * Begins with `frame`, and returns all of it. Throws a FormatError if layer 0 is refused.
+   * @param {number} frame
+   */
+  join(frame) {
+    const first = this.layout.segmentStart(frame);
+    this.decoder = new SlotDecoder(this.layout);
+    this.masks.delete(first);
+    this.changes.delete(first);
+    this.#load(first);
+    for (let birth = first + 1; birth <= frame; birth++) this.#apply(birth, birth === frame);
+    return this.again(frame);
+  }
+
+  /** The whole current frame, including late chunks. @param {number} frame the current one */
+  again(frame) {
+    this.isLate = false;
+    return this.decoder.handOut().map((slice) => packSlots(this.decoder, slice, frame));
+  }
+
+  /**
+   * Advances by one frame, and returns its changes, or all of it after a rejoin. Throws a FormatError if
+   * the frame's mask is refused.
+   * @param {number} frame
+   */
+  advance(frame) {
+    if (!this.hasSlice(frame) && this.snapshots.get(frame)?.[0])
+      return { isJoin: true, updates: this.join(frame) };
+    const slice = this.#apply(frame, true);
+    if (frame === this.layout.segmentStart(frame)) this.#load(frame);
+    return { isJoin: false, updates: [packSlots(this.decoder, slice, frame)] };
+  }
+
+  /** @param {number} birth @param {boolean} shows whether the frame shows */
+  #apply(birth, shows) {
+    const mask = this.masks.get(birth) ?? null;
+    const changes = this.#row(this.changes, birth);
+    this.masks.delete(birth);
+    this.changes.delete(birth);
+    try {
+      return this.decoder.apply(birth, mask, changes, shows);
+    } catch (error) {
+      if (!(error instanceof FormatError)) throw error;
+    }
+    // A change that is refused counts as missing (FORMAT.md, section 7).
+    const taken = changes.map((change, layer) => {
+      const takes = () =>
+        this.decoder.takes(birth, mask, layer, /** @type {Uint8Array} */ (change));
+      return change !== null && this.#try(birth, layer, takes) ? change : null;
+    });
+    return this.decoder.apply(birth, mask, taken, shows);
+  }
+
+  /** Loads the snapshots of `frame` for layers that lack something. @param {number} frame */
+  #load(frame) {
+    const chunks = this.snapshots.get(frame) ?? [];
+    for (const [layer, chunk] of chunks.entries()) {
+      if (chunk === null || (this.frame !== null && !this.#lacksAnything(layer))) continue;
+      if (layer === 0 && this.frame === null) this.decoder.load(chunk, layer, frame);
+      else this.#try(frame, layer, () => this.decoder.load(chunk, layer, frame));
+    }
+    for (const known of this.snapshots.keys()) if (known <= frame) this.snapshots.delete(known);
+  }
+
+  /** Notes that a chunk is damaged. @param {number} birth @param {number} layer @param {unknown} why */
+  lose(birth, layer, why) {
+    this.refused += 1;
+    this.onLost(birth, layer, why);
+  }
+
+  /**
+   * @param {number} birth @param {number} layer
+   * @param {() => boolean} action returns whether it changed the current frame
+   */
+  #tryLate(birth, layer, action) {
+    if (this.#try(birth, layer, action)) this.isLate = true;
+  }
+
+  /** @param {number} birth @param {number} layer @param {() => boolean} action */
+  #try(birth, layer, action) {
+    try {
+      return action();
+    } catch (error) {
+      if (!(error instanceof FormatError)) throw error;
+      this.lose(birth, layer, error);
+      return false;
+    }
+  }
+
+  /** @param {Map<number, (Uint8Array | null)[]>} table @param {number} key */
+  #row(table, key) {
+    let row = table.get(key);
+    if (row === undefined) {
+      row = new Array(this.layout.numLayers).fill(null);
+      table.set(key, row);
+    }
+    return row;
+  }
+}
