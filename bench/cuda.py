@@ -42,9 +42,8 @@ from codec.console import run_command
 from trainer.capture.layout import open_capture
 from trainer.fit.observer import Observer
 from trainer.parts.raydriver import train_in_parts
-from trainer.run.config import LOCAL, TrainConfig
+from trainer.run.config import LOCAL, PRESETS, TrainConfig
 from trainer.run.job import train_stream
-from trainer.run.preset import PRESETS
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 from trainer.synth.film import SynthConfig, synthesise
 

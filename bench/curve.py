@@ -37,8 +37,8 @@ from codec.console import option, run_command
 from codec.errors import InvalidError
 from codec.files import write_atomic
 from codec.stream import StreamReader
-from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import MANIFEST_NAME
+from codec.stream.segment import INDEX_NAME
 from trainer.score.evaluate import EvaluateConfig, Evaluation, LayerScore, evaluate_stream
 
 COLOURS = ("#1f5fbf", "#d9480f", "#2b8a3e", "#862e9c", "#0b7285", "#a61e4d", "#5c940d", "#6b7280")

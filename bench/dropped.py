@@ -17,7 +17,7 @@ import numpy as np
 from bench.recordedupdates import recorded_slices, recorded_update
 from codec.arrays import Bytes, Doubles, Flags, Longs
 from codec.slice import active_splats
-from codec.slots.update import ENDED, KEPT, NEW
+from codec.slots.slotlayout import ENDED, KEPT, NEW
 from codec.stream import StreamReader, StreamWriter
 from trainer.step.contribution import summed_contribution
 from trainer.step.raster import Parameters, View

@@ -40,10 +40,9 @@ from codec.console import run_command
 from codec.errors import InvalidError
 from codec.files import replacing
 from codec.stream import StreamReader
-from trainer.pictures.shot import Shot
-from trainer.score.picture import captured, displayed
-from trainer.score.traffic import traffic
-from trainer.score.truth import ScoredCameras, open_held_out
+from trainer.pictures.scale import Shot
+from trainer.score.scores import traffic
+from trainer.score.truth import ScoredCameras, captured, displayed, open_held_out
 from trainer.step.loss import psnr_db
 from trainer.step.raster import View
 

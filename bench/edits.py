@@ -17,10 +17,9 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.console import run_command
-from codec.edit.editing import edit_stream
-from codec.edit.join import join_streams
+from codec.edit.cut import join_streams, trim_stream
+from codec.edit.rewrite import edit_stream
 from codec.edit.transform import TransformOptions
-from codec.edit.trim import trim_stream
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.interop.formats import SplatFormat, write_splats

@@ -20,13 +20,11 @@ from codec.coders.zstd import compress
 from codec.console import run_command
 from codec.lattice.lattice import Lattice
 from codec.slice import Slice
-from codec.slots.slotdecoder import SlotDecoder
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import Update
-from codec.stream.layers import opacity_rank, split_counts
-from codec.stream.object import encode_packet, packet_content
-from codec.stream.wholeslice import whole_update
+from codec.slots.decoder import SlotDecoder
+from codec.slots.encoder import SlotEncoder
+from codec.slots.slotlayout import SlotLayout, Update
+from codec.stream.segment import encode_packet, packet_content
+from codec.stream.wholeslice import opacity_rank, split_counts, whole_update
 from tests.support.trained_like import trained_like_splats
 
 NUM_GS = 40_000

@@ -23,10 +23,8 @@ from rich.table import Table
 
 from codec.arrays import Floats
 from codec.console import run_command
-from trainer.score.moving import MIN_MOVING_PX
-from trainer.score.picture import displayed
 from trainer.score.scores import Seen, seen_of
-from trainer.score.truth import open_held_out
+from trainer.score.truth import MIN_MOVING_PX, displayed, open_held_out
 from trainer.step.loss import psnr_db
 
 

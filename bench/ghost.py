@@ -24,9 +24,8 @@ from rich.table import Table
 from codec.arrays import Flags, Floats
 from codec.console import run_command
 from trainer.capture.capture import Mask
-from trainer.score.picture import captured, displayed
 from trainer.score.scores import seen_of
-from trainer.score.truth import open_held_out
+from trainer.score.truth import captured, displayed, open_held_out
 
 RED = 80 / 255
 """Redness from which on a pixel belongs to the thing: skin has less."""

@@ -20,13 +20,13 @@ from torch import Tensor
 from bench.train import DSSIM_WEIGHT, MEANS_LR_M, NEAR_M, bench_camera, bench_shot, scene
 from trainer.capture.capture import Mask
 from trainer.fit.config import FitConfig
-from trainer.pictures.shot import Shot
+from trainer.pictures.scale import Shot
 from trainer.step.backend import Selection, Step, Training
 from trainer.step.colour import CameraColour
 from trainer.step.device.device import DeviceBackend
-from trainer.step.device.deviceview import DeviceView
-from trainer.step.device.tensorloss import dissimilarity_map, seen_colours
-from trainer.step.device.torchproject import Solids
+from trainer.step.device.tensors import DeviceView
+from trainer.step.device.tensorstep import dissimilarity_map, seen_colours
+from trainer.step.device.torchrender import Solids
 from trainer.step.loss import TAPS
 from trainer.step.optimiser import (
     LOG_SCALES_LR,
@@ -34,10 +34,10 @@ from trainer.step.optimiser import (
     QUATS_LR,
     SH_LR,
     Adam,
+    CameraSpread,
     OptimiserConfig,
 )
 from trainer.step.raster import Parameters, View
-from trainer.step.scalebound import CameraSpread
 
 DeviceBackendName = Literal["cuda", "torch"]
 STEP_COLUMNS = (

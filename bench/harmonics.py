@@ -19,16 +19,15 @@ from rich.table import Table
 from scipy.spatial import cKDTree
 
 from codec.arrays import Bytes, Floats
-from codec.coders.effort import Effort
+from codec.coders.blocks import Effort
 from codec.coders.zstd import compress
 from codec.console import run_command
 from codec.errors import InvalidError
-from codec.foreign.codebook import codebook, codes_of, palette
+from codec.foreign.sog import codebook, codes_of, palette
 from codec.interop.formats import SplatFormat, write_splats
 from codec.lattice.quantise import from_luma, to_luma
-from codec.sequence.errorbound import ErrorBound
-from codec.sequence.importing import ImportOptions, facing_camera, import_stream
-from codec.sequence.importscore import cameras_around
+from codec.sequence.importing import ImportOptions, cameras_around, facing_camera, import_stream
+from codec.sequence.slotfiller import ErrorBound
 from codec.splats import Splats
 from codec.stream import StreamReader
 from player.streamcommand import draw_poster

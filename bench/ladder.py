@@ -35,8 +35,7 @@ from bench.bjontegaard import RatePoint, bd_psnr_db, bd_rate, rising
 from codec.console import run_command
 from codec.errors import InvalidError
 from trainer.fit.config import FitConfig
-from trainer.run.config import TrainConfig
-from trainer.run.preset import PRESETS
+from trainer.run.config import PRESETS, TrainConfig
 
 LADDER, DEDICATED = "ladder", "dedicated"
 COLOURS = {LADDER: "#1f5fbf", DEDICATED: "#d9480f"}

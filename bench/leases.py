@@ -31,11 +31,11 @@ from bench.ablate import Outcomes, Setting, TrialsConfig, mean, measure, spread
 from bench.recordedupdates import recorded_update
 from codec.console import run_command
 from codec.errors import InvalidError
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.update import NEW, PREDICTED
+from codec.slots.encoder import SlotEncoder
+from codec.slots.slotlayout import NEW, PREDICTED
 from codec.stream import StreamReader
 from codec.stream.manifest import MASKS
-from codec.stream.object import encode_packet
+from codec.stream.segment import encode_packet
 from trainer.fit.config import FitConfig
 
 COLOURS = ("#1f5fbf", "#d9480f", "#2b8a3e", "#862e9c", "#0b7285", "#a61e4d", "#5c940d", "#b8860b")

@@ -35,8 +35,8 @@ from rich.table import Table
 
 from codec.console import run_command
 from codec.errors import SwingsError
+from trainer.capture.capture import HELD_OUT_NAME
 from trainer.capture.dynerf import POINTS_NAME, POSES_NAME
-from trainer.capture.held_out import HELD_OUT_NAME
 from trainer.capture.layout import open_capture
 from trainer.fit.config import FitConfig
 from trainer.fit.observer import Observer

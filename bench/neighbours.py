@@ -20,11 +20,15 @@ from codec.arrays import Doubles
 from codec.console import run_command
 from codec.errors import InvalidError
 from codec.foreign.tsog import encode_tsog
-from codec.interop.containers import contained_frames
-from codec.interop.formats import SplatFormat, encode_splats, read_splats, write_splats
-from codec.sequence.errorbound import ErrorBound
-from codec.sequence.importing import ImportOptions, facing_camera, import_stream
-from codec.sequence.importscore import cameras_around
+from codec.interop.formats import (
+    SplatFormat,
+    contained_frames,
+    encode_splats,
+    read_splats,
+    write_splats,
+)
+from codec.sequence.importing import ImportOptions, cameras_around, facing_camera, import_stream
+from codec.sequence.slotfiller import ErrorBound
 from codec.splats import Splats
 from codec.stream import StreamReader
 from player.streamcommand import draw_poster

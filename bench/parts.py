@@ -35,8 +35,8 @@ from bench.serve.processes import family
 from codec.console import run_command
 from codec.errors import InvalidError
 from codec.tools.audit import verify_stream
-from trainer.parts.cluster import keeping_signals
-from trainer.run.runlog import LOG_NAME
+from trainer.parts.raydriver import keeping_signals
+from trainer.run.monitor import LOG_NAME
 
 LOOK_S = 0.1
 """Interval between two looks at the processes, seconds."""

@@ -23,10 +23,9 @@ from bench.papercoding import ATTRIBUTES, quantise_attribute
 from codec.console import run_command, say
 from codec.errors import InvalidError
 from codec.progressline import counted
-from codec.slots.slotstate import ON_LATTICE
+from codec.slots.state import ON_LATTICE
 from codec.splats import Splats, sh_count
-from trainer.score.picture import Score, score_splats
-from trainer.score.truth import open_held_out
+from trainer.score.truth import Score, open_held_out, score_splats
 
 
 @dataclass(frozen=True)

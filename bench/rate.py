@@ -28,7 +28,7 @@ from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
 from trainer.capture.layout import open_capture
-from trainer.run.rank import CONTRIBUTION, slices_by_contribution, writer_rank
+from trainer.run.outputs import CONTRIBUTION, slices_by_contribution, writer_rank
 from trainer.score.evaluate import EvaluateConfig, Evaluation, LayerScore, evaluate_stream
 from trainer.step.raster import View
 

@@ -9,9 +9,9 @@ import numpy as np
 from codec.arrays import Bytes
 from codec.lattice.lattice import States
 from codec.slice import window_births
-from codec.slots.slotdecoder import SlotDecoder
-from codec.slots.slotstate import ESCAPED, holds
-from codec.slots.update import KEPT, NEW, PREDICTED, Update
+from codec.slots.decoder import SlotDecoder
+from codec.slots.slotlayout import KEPT, NEW, PREDICTED, Update
+from codec.slots.state import ESCAPED, holds
 from codec.splats import Splats
 from codec.stream.manifest import MASKS
 from codec.stream.reader import StreamReader

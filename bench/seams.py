@@ -28,17 +28,14 @@ from codec.console import run_command
 from codec.stream import StreamReader
 from trainer.parts.joiner import Joiner
 from trainer.parts.raydriver import plan
-from trainer.parts.task import Kind, Run
-from trainer.parts.taskqueue import TaskQueue
+from trainer.parts.task import Kind, Run, TaskQueue
 from trainer.parts.worker import opened_worker
-from trainer.run.config import TrainConfig
+from trainer.run.config import PRESETS, TrainConfig
 from trainer.run.job import train_stream
 from trainer.run.prepare import prepare
-from trainer.run.preset import PRESETS
 from trainer.run.warm import start_over_if_compiled
-from trainer.score.picture import captured, displayed, score_picture
 from trainer.score.scores import STILL
-from trainer.score.truth import ScoredCameras, open_held_out
+from trainer.score.truth import ScoredCameras, captured, displayed, open_held_out, score_picture
 
 AFTER_FRAMES = 5
 """Frames of a part that have a row of their own."""

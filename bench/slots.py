@@ -17,9 +17,9 @@ from rich.table import Table
 from codec.coders.coder import EncodedChunk
 from codec.coders.zstd import compress, decompress
 from codec.console import run_command
-from codec.slots.slotdecoder import SlotDecoder
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.update import Update
+from codec.slots.decoder import SlotDecoder
+from codec.slots.encoder import SlotEncoder
+from codec.slots.slotlayout import Update
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
 
 SWIN_SIZE = 2

@@ -21,13 +21,12 @@ from rich.table import Table
 
 from codec.camera import Camera
 from codec.console import run_command
-from player.render.blend import blend_tiles
+from player.render.blend import blend_tiles, list_tiles
 from player.render.project import Projection, project_kernel
-from player.render.tiles import list_tiles
-from trainer.pictures.shot import Shot
+from trainer.pictures.scale import Shot
 from trainer.step.active import trained_ends
 from trainer.step.backend import Backend, StepInput
-from trainer.step.blend_backward import PAIR_GRADIENT, blend_tiles_backward
+from trainer.step.backward import PAIR_GRADIENT, blend_tiles_backward
 from trainer.step.cpubackend import CpuBackend
 from trainer.step.loss import Workspace, photometric_loss
 from trainer.step.optimiser import GATE_STEEPNESS, Adam, OptimiserConfig, add_noise
@@ -186,7 +185,7 @@ def against_torch(
     that take turns."""
     import torch
 
-    from trainer.step.device.torchraster import TorchBackend
+    from trainer.step.device.backends import TorchBackend
 
     torch.set_num_threads(numba.get_num_threads())
     view = View.prepare(bench_camera(width_px, height_px), NEAR_M)

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from codec.arrays import Doubles
-
+from .arrays import Doubles
 from .camera import Camera
 
 FORWARD_FACING_RAD = np.radians(30)

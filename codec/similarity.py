@@ -7,10 +7,9 @@ from functools import cache
 
 import numpy as np
 
-from codec.arrays import Doubles, Floats
-
+from .arrays import Doubles, Floats
+from .camera import quat_of
 from .errors import InvalidError
-from .pose import quat_of
 from .splats import MAX_SH_DEGREE, Splats
 
 HARMONICS = ("1", *"yzx", "xy", "yz", "zz", "xz", "xx")

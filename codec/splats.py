@@ -12,8 +12,7 @@ from math import isqrt
 import numpy as np
 import numpy.typing as npt
 
-from codec.arrays import Flags, Floats
-
+from .arrays import Flags, Floats
 from .errors import InvalidError
 
 SH_C0 = 0.28209479177387814

@@ -4,7 +4,7 @@ swings-abr demo/stream --generate 3 --policy sweep,examples/policy.py:Cautious
 swings-serve demo/stream --policy examples/policy.py:Cautious
 """
 
-from server.study.rule import Rule, Situation
+from server.study.policies import Rule, Situation
 
 
 class Cautious(Rule):

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from codec.framerange import FrameRange
 from player import Scene
-from player.show.filesinks import open_sink
-from player.show.sink import to_bytes
+from player.show.sink import open_sink, to_bytes
 from player.view.path import Size, orbit
 
 PICTURES = 24

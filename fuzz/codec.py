@@ -36,15 +36,18 @@ from codec.errors import CodecError
 from codec.foreign.spz import ENTRY, HEADER_V4, decode_spz
 from codec.interop.formats import decode_any
 from codec.slots.slotlayout import MAX_LAYERS
-from codec.stream.index import CHECKSUM, pack_record, parse_index, record_bytes
 from codec.stream.manifest import Manifest
-from codec.stream.object import (
-    entry_packet,
-    packet_content,
-    read_object_table,
-)
 from codec.stream.packedlayout import read_layout
 from codec.stream.playrecord import RecordParser, encode_record
+from codec.stream.segment import (
+    CHECKSUM,
+    entry_packet,
+    pack_record,
+    packet_content,
+    parse_index,
+    read_object_table,
+    record_bytes,
+)
 
 from .foreign import (
     fuzz_bundle,

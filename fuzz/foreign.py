@@ -8,13 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.foreign.bundle import Bundle, encode_bundle
-from codec.foreign.gltf import decode_gltf
-from codec.foreign.gltfbuffers import join_glb
+from codec.foreign.gltf import decode_gltf, join_glb
 from codec.foreign.ksplat import decode_ksplat
-from codec.foreign.sog import META, decode_sog
+from codec.foreign.sog import META, Bundle, decode_sog, encode_bundle
 from codec.foreign.webp import decode_webp, encode_webp
-from codec.interop.containers import contained_frames
+from codec.interop.formats import contained_frames
 
 _NAMES = ("means_l", "means_u", "scales", "quats", "sh0", "shN_centroids", "shN_labels")
 PICTURES = tuple(f"{name}.webp" for name in _NAMES)

@@ -9,11 +9,9 @@ from collections.abc import Iterator
 import numpy as np
 from PIL import Image
 
-from codec.foreign.bundle import Bundle, encode_bundle
-from codec.foreign.gltf import encode_glb, encode_gltf
-from codec.foreign.gltfbuffers import join_glb, split_glb
+from codec.foreign.gltf import encode_glb, encode_gltf, join_glb, split_glb
 from codec.foreign.ksplat import HEADER, HEADER_BYTES, SECTION, SECTION_BYTES
-from codec.foreign.sog import META, encode_sog
+from codec.foreign.sog import META, Bundle, encode_bundle, encode_sog
 from codec.foreign.spz import encode_spz
 from codec.foreign.tsog import encode_tsog
 from codec.splats import Splats

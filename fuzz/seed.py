@@ -19,7 +19,6 @@ from codec.foreign.ply import encode_ply
 from codec.foreign.splat import encode_splat
 from codec.foreign.spz import ENTRY, HEADER_V4, MAGIC, SpzVersion, encode_spz
 from codec.splats import Splats, sh_count
-from codec.stream.index import SegmentRecord, pack_record
 from codec.stream.manifest import Manifest
 from codec.stream.packedlayout import PackedHead, PackedLayout
 from codec.stream.playrecord import (
@@ -31,6 +30,7 @@ from codec.stream.playrecord import (
     StartRecord,
     encode_record,
 )
+from codec.stream.segment import SegmentRecord, pack_record
 
 from .codec import TARGETS
 from .foreignseed import foreign_seeds, signalling_glb

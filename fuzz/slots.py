@@ -12,14 +12,12 @@ import numpy as np
 
 from codec.errors import CodecError, CorruptError
 from codec.lattice.lattice import Lattice, States
+from codec.slots.change import decode_change, encode_change
+from codec.slots.decoder import MIN_LOG_BYTES, SlotDecoder
+from codec.slots.encoder import SlotEncoder
 from codec.slots.mask import decode_mask, encode_mask
-from codec.slots.slotchange import decode_change, encode_change
-from codec.slots.slotchunk import SLOT_HEADER, Kind, SlotHeader
-from codec.slots.slotdecoder import MIN_LOG_BYTES, SlotDecoder
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import HEADER_BYTES, SlotLayout
-from codec.slots.slotstate import UNKNOWN, Slots
-from codec.slots.snapshot import decode_snapshot, encode_snapshot
+from codec.slots.slotlayout import HEADER_BYTES, SLOT_HEADER, Kind, SlotHeader, SlotLayout
+from codec.slots.state import UNKNOWN, Slots, decode_snapshot, encode_snapshot
 
 LATTICE = Lattice(0.01, 0.125, 1 / 60, 0.056, 41)
 LAYOUTS = (

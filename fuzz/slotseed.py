@@ -9,13 +9,11 @@ import numpy as np
 
 from codec.coders.coder import EncodedChunk
 from codec.lattice.lattice import States
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.slotstate import ON_LATTICE
-from codec.slots.update import NEW, PREDICTED, Update
+from codec.slots.encoder import SlotEncoder
+from codec.slots.slotlayout import NEW, PREDICTED, SlotLayout, Update
+from codec.slots.state import ON_LATTICE
 from codec.splats import Splats, array_shapes
-from codec.stream.index import SegmentRecord, pack_record
-from codec.stream.object import encode_packet, join_packets
+from codec.stream.segment import SegmentRecord, encode_packet, join_packets, pack_record
 
 from .slots import APPLY, LATE, LAYOUTS, LOAD, Step, script, slice_food
 

@@ -27,7 +27,8 @@ def run(config: PlayConfig) -> None:
 def run_profile(config: PlayConfig, path: Path) -> None:
     from rich.console import Console
 
-    from .report.stageplot import write_stage_plot
+    from player.report.plots import write_stage_plot
+
     from .report.stages import profile
 
     found = profile(config)

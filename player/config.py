@@ -15,21 +15,18 @@ from codec.console import option
 from codec.errors import InvalidError
 from codec.framerange import FRAMES, FrameRange
 from codec.helptext import Groups
-from codec.storage.credentials import without_credentials
+from codec.storage.objectstore import without_credentials
 from codec.stream.captions import LANGUAGE
 from codec.stream.manifest import Manifest
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
-from player.link.linktext import read_link
-from player.network.retry import RetryConfig
-from player.playout.clock import MAX_RATE, MIN_RATE
-from player.playout.outputtimes import check_fps
+from player.link.relay import read_link
+from player.network.fetch import RetryConfig
+from player.playout.clock import MAX_RATE, MIN_RATE, check_fps
 from player.render.renderer import GlVersion, RendererKind
 from player.show.background import BLACK, TRANSPARENT, Colour
 from player.show.sink import VIDEO_SUFFIX, check_output, check_still
-from player.source.locate import split_source
-from player.source.opener import SourceConfig
-from player.view.moment import MOMENT, Moment
-from player.view.path import CameraPath, Size, camera_path, check_path
+from player.source.opener import SourceConfig, split_source
+from player.view.path import MOMENT, CameraPath, Moment, Size, camera_path, check_path
 from server.abr.link import Link
 
 

@@ -14,50 +14,41 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from codec import camera, halfway, slice, splats
+from codec import camera, slice, splats
+from codec import slice as halfway
 from codec.coders import zstd
 from codec.lattice import lattice, quantise
-from codec.slots import (
-    mask,
-    rangecoder,
-    residual,
-    slotchange,
-    slotchunk,
-    slotdecoder,
-    slotlayout,
-    slotstate,
-    update,
-)
+from codec.slots import change, decoder, mask, rangecoder, slotlayout, state
+from codec.slots import slotlayout as slotchunk
+from codec.slots import slotlayout as update
 from codec.stream import (
     captions,
-    index,
     integrity,
     manifest,
-    object,
     packedlayout,
     pictures,
     playrecord,
+    poster,
     reader,
+    segment,
     sound,
-    storyboard,
-    zipentry,
 )
-from player.render import moves, pack, recipe
+from player.render import project as recipe
+from player.render import upload
 
 ROOT = Path(__file__).parents[1]
 WEB = ROOT / "player" / "web"
 
 CONSTANTS: dict[ModuleType, str] = {
-    recipe: "LOW_PASS_PX2 JACOBIAN_CLAMP ALPHA_MAX ALPHA_MIN MAX_EXTENT_SIGMA SH_C1 SH_C2 SH_C3 "
-    "COLOUR_TURN_RAD",
-    pack: "COLOUR_COLUMNS",
-    moves: "MOVES ENTERS LEAST_SPARE SPARE_SHARE",
+    recipe: "LOW_PASS_PX2 JACOBIAN_CLAMP ALPHA_MAX ALPHA_MIN MAX_EXTENT_SIGMA SH_C1 "
+    "SH_C2 SH_C3 COLOUR_TURN_RAD",
+    upload: "COLOUR_COLUMNS MOVES ENTERS LEAST_SPARE SPARE_SHARE",
     halfway: "JUMP_SIGMAS",
     splats: "SH_C0 MAX_SH_DEGREE",
     slice: "MAX_SWIN_SIZE HIDDEN",
     camera: "MAX_IMAGE_PX",
-    manifest: "VERSION MAX_MANIFEST_BYTES MAX_CAMERAS MIN_FPS MAX_FPS "
-    "MAX_TEXT_CHARS MAX_POSTER_BYTES",
+    manifest: "VERSION MAX_MANIFEST_BYTES MAX_CAMERAS MIN_FPS MAX_FPS MAX_TEXT_CHARS "
+    "MAX_POSTER_BYTES",
     reader: "DEFAULT_MAX_GAUSSIANS FLOAT_COPIES",
     slotlayout: "MAX_SLOTS MAX_NUM_GS=MAX_SLOTS_OF_LANES MAX_SEGMENT_SLOTS MAX_LAYERS "
     "MAX_SEGMENT_FRAMES MAX_CHUNK_BYTES=MAX_SLOT_CHUNK_BYTES COUNTS_BYTES",
@@ -65,27 +56,27 @@ CONSTANTS: dict[ModuleType, str] = {
     quantise: "MAX_OPACITY_LEVELS MAX_LOGIT",
     slotchunk: "CHUNK_MAGIC=SLOT_MAGIC CHUNK_HEAD=SLOT_HEADER CHUNK_KINDS=Kind "
     "HAS_STARTS=FLAG_SLOT_OFFSETS",
-    slotchange: "CHANGE_COUNTS=COUNTS",
-    residual: "LONG MAX_GAP_BITS=MAX_LENGTH",
+    change: "CHANGE_COUNTS=COUNTS LONG MAX_GAP_BITS=MAX_LENGTH",
     mask: "CONTEXTS FIRST_OF_B CONTEXT_OF_C",
     rangecoder: "WHOLE_RANGE=WHOLE LEAST_RANGE=LEAST FIRST_PROBABILITY MOST_COUNTED",
     update: "KEPT ENDED PREDICTED NEW",
-    slotstate: "UNKNOWN EMPTY ON_LATTICE ESCAPED",
-    slotdecoder: "MIN_LOG_BYTES LOG_SHARE",
-    object: "SKIPPABLE_MAGIC TABLE_MAGIC OBJECT_HEAD=HEAD OBJECT_ENTRY=ENTRY "
-    "MAX_CHUNKS=MAX_CHUNKS_PER_OBJECT MAX_OBJECT_BYTES",
+    state: "UNKNOWN EMPTY ON_LATTICE ESCAPED",
+    decoder: "MIN_LOG_BYTES LOG_SHARE",
+    segment: "SKIPPABLE_MAGIC TABLE_MAGIC OBJECT_HEAD=HEAD OBJECT_ENTRY=ENTRY "
+    "MAX_CHUNKS=MAX_CHUNKS_PER_OBJECT MAX_OBJECT_BYTES INDEX_HEAD=HEAD "
+    "INDEX_LAYER=LAYER INDEX_SIDE=SIDE INDEX_CHECKSUM=CHECKSUM",
     zstd: "CODER ZSTD_MAGIC=MAGIC MAX_EXPANSION",
-    index: "INDEX_HEAD=HEAD INDEX_LAYER=LAYER INDEX_SIDE=SIDE INDEX_CHECKSUM=CHECKSUM",
     integrity: "MAX_INDEX_BYTES",
     captions: "MAX_CAPTIONS MAX_CAPTIONS_BYTES",
     pictures: "MAX_PICTURE_BYTES",
-    zipentry: "ZIP_LOCAL=LOCAL ZIP_LOCAL_MAGIC=LOCAL_MAGIC",
-    packedlayout: "PACKED_SUFFIX PACKED_EXTRA=EXTRA PACKED_EXTRA_ID=EXTRA_ID "
-    "PACKED_VERSION=LAYOUT_VERSION FIRST_PACKED_BYTES=FIRST_BYTES",
+    packedlayout: "ZIP_LOCAL=LOCAL ZIP_LOCAL_MAGIC=LOCAL_MAGIC PACKED_SUFFIX "
+    "PACKED_EXTRA=EXTRA PACKED_EXTRA_ID=EXTRA_ID PACKED_VERSION=LAYOUT_VERSION "
+    "FIRST_PACKED_BYTES=FIRST_BYTES",
     playrecord: "PACKETS_KEY MAX_RECORD_BYTES MAX_MESSAGE_CHARS MAX_KEYS MAX_ITEMS MAX_TEXT_BYTES",
-    sound: "SAMPLE_RATE PREROLL MAX_SOURCES MAX_SOUND_KEYS=MAX_KEYS MAX_PACKETS MAX_SOUND_BYTES "
-    "MAX_POSITION MAX_PACKET_SAMPLES SOUND_PREFIX SOUND_MAGIC=MAGIC SOUND_HEAD=HEAD",
-    storyboard: "MAX_STORYBOARD_TILES=MAX_TILES STORYBOARD_COLUMNS=COLUMNS "
+    sound: "SAMPLE_RATE PREROLL MAX_SOURCES MAX_SOUND_KEYS=MAX_KEYS MAX_PACKETS "
+    "MAX_SOUND_BYTES MAX_POSITION MAX_PACKET_SAMPLES SOUND_PREFIX "
+    "SOUND_MAGIC=MAGIC SOUND_HEAD=HEAD",
+    poster: "MAX_STORYBOARD_TILES=MAX_TILES STORYBOARD_COLUMNS=COLUMNS "
     "STORYBOARD_PER_S=TILES_PER_S",
 }
 """Constants that the browser needs, by module; NAME=OTHER: OTHER is the name in the module."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from codec.console import run_command, say
-from server.serving import check_files, serve_alone, serve_with_workers
 
 from .listener import bind, check_public, url_of
 from .operate.settings import settings_parser, settings_text
 from .servecommand import PREFIX, SAMPLE, ServeCommand
+from .serving import check_files, serve_alone, serve_with_workers
 
 
 def run(command: ServeCommand) -> None:

@@ -29,7 +29,8 @@ from server.abr.clientstatus import (
 )
 from server.operate.overload import LoadSample, measure_lag, measure_load
 
-from .answers import download, objects, pages, play, statusreport
+from .answers import objects, pages, play, statusreport
+from .answers import objects as download
 from .http.connection import Connection, connection_of
 from .http.content import private_caching
 from .http.errors import RequestError

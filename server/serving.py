@@ -18,20 +18,21 @@ from typing import NoReturn
 
 from codec.errors import SwingsError
 from codec.stream.packedstorage import open_place
-from server.app import common_headers, create_app
 from server.http.connection import Runner
 from server.http.errors import ServerError
 from server.http.requestlog import request_log
-from server.library import Library
-from server.listener import BACKLOG, bound_connections
 from server.operate.log import STDERR, EventLog, take_over_logging
 from server.operate.prometheus import Metrics
 from server.operate.settings import settings_variables
-from server.operate.sign.keyfile import read_keys
+from server.operate.sign.signing import read_keys
 from server.operate.watchdog import Watchdog
-from server.servecommand import PREFIX, ServeCommand
 from server.state.config import ServerConfig
 from server.state.serverstate import ServerState
+
+from .app import common_headers, create_app
+from .library import Library
+from .listener import BACKLOG, bound_connections
+from .servecommand import PREFIX, ServeCommand
 
 log = logging.getLogger(__name__)
 

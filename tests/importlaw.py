@@ -14,13 +14,13 @@ MAY_USE: dict[str, tuple[str, ...]] = {
     "trainer": (
         "codec",
         "player.render",
-        "player.show.filesinks",
+        "player.show.sink",
         "player.show.sink",
         "player.view.path",
     ),
     "codec": (),
     "server": ("codec",),
-    "server/abr": ("codec.errors", "codec.stream.index", "codec.stream.manifest"),
+    "server/abr": ("codec.errors", "codec.stream.segment", "codec.stream.manifest"),
     "player": ("codec", "server.abr"),
     "player/render": ("codec",),
 }

@@ -21,7 +21,7 @@ from tests.support.commands import run, run_ok
 from tests.support.hostile import file_limit
 from tests.support.tiny_capture import seen_by, write_dynamic3dgs
 from tests.support.tiny_stream import tiny_manifest, write_tiny
-from trainer.run.runlog import RunLog
+from trainer.run.monitor import RunLog
 
 FRAMES = 6
 TRAINING = (

@@ -28,7 +28,7 @@ PURE = (
     "server/study/generate.py",
     "server/study/policies.py",
     "server/study/qoe.py",
-    "server/study/rule.py",
+    "server/study/policies.py",
     "server/study/simulator.py",
 )
 """The folders and files whose code does no I/O and reads no clock."""

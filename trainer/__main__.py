@@ -54,8 +54,7 @@ def synth() -> None:
 
 
 def train() -> None:
-    from trainer.run.config import TrainConfig
-    from trainer.run.preset import parse_with_preset
+    from trainer.run.config import TrainConfig, parse_with_preset
 
     what = "Trains a capture into a stream."
     run_command(TrainConfig, _train, "swings-train", what, parse_with_preset)

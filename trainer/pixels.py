@@ -12,8 +12,9 @@ from PIL import Image, UnidentifiedImageError
 
 from codec.arrays import Bytes
 from codec.errors import CodecError
-from trainer.errors import CaptureError
-from trainer.storedfiles import by_its_name, opened_file
+
+from .errors import CaptureError
+from .storedfiles import by_its_name, opened_file
 
 CheckSize = Callable[[Path, tuple[int, int]], None]
 """Raises CaptureError for a file whose (width, height) in pixels is wrong, before it is decoded."""

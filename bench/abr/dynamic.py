@@ -6,8 +6,7 @@ more of a buffer, which is longer than ours may become: here it is half of the g
 
 from __future__ import annotations
 
-from server.study.policies import BolaRule, ThroughputRule
-from server.study.rule import Rule, Situation
+from server.study.policies import BolaRule, Rule, Situation, ThroughputRule
 
 TO_BOLA = 0.5
 """Share of the greatest lead from which BOLA decides, if it does not choose fewer layers."""

@@ -27,8 +27,8 @@ from bench.abr.oracle import Oracle, judge
 from codec.camera import Camera
 from codec.console import run_command
 from codec.lattice.lattice import Lattice
-from codec.stream.index import SegmentRecord, pack_record
 from codec.stream.manifest import Manifest
+from codec.stream.segment import SegmentRecord, pack_record
 from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
 from server.abr.media import SegmentSizes, segment_sizes
 from server.study.choice import OWN

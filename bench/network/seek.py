@@ -26,7 +26,7 @@ from codec.framerange import FrameRange
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import MANIFEST_NAME
 from player.link.linkprocess import LinkProcess
-from player.link.linktext import read_link
+from player.link.relay import read_link
 from player.playout.clock import Clock
 from player.playout.conductor import Conductor
 from player.playout.queues import Events

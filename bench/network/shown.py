@@ -35,8 +35,7 @@ from player.render.cpu import CpuRenderer
 from player.source.source import Packets, SlicePackets, SnapshotPackets
 from server.abr.holding import Holding
 from server.study.looped import open_media
-from trainer.score.picture import captured, on_screen, score_picture
-from trainer.score.truth import ScoredCameras, open_held_out
+from trainer.score.truth import ScoredCameras, captured, on_screen, open_held_out, score_picture
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,12 +4,12 @@ Usage: scripts/bench between STREAM [--capture CAPTURE]
 
 First table: a frame is drawn from two other frames, equally far before and after it, and compared
 with the stream's own picture of it. Held: the earlier frame is shown again. Faded: the mean of both
-pictures. Interpolated: slots that go on move, all others fade (codec/halfway.py).
+pictures. Interpolated: slots that go on move, all others fade (codec/slice.py).
 
 Second table, with --capture: the same against the pictures of the held-out cameras, as if every
 second frame had not been sent.
 
-Changing pixels are those of trainer/score/moving.py: they differ from the held frame (first table)
+Changing pixels are those of trainer/score/truth.py: they differ from the held frame (first table)
 or from the frame before (second table).
 """
 
@@ -36,10 +36,8 @@ from codec.console import run_command
 from codec.errors import InvalidError
 from codec.stream import StreamReader
 from player.show.sink import to_bytes
-from trainer.pictures.shot import Shot
-from trainer.score.moving import Movement, movement_of
-from trainer.score.picture import captured, displayed
-from trainer.score.truth import open_held_out
+from trainer.pictures.scale import Shot
+from trainer.score.truth import Movement, captured, displayed, movement_of, open_held_out
 from trainer.step.loss import psnr_db
 
 HELD, FADED, INTERPOLATED, SENT = "held", "faded", "interpolated", "sent"

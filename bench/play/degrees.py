@@ -32,7 +32,7 @@ from codec.console import run_command
 from codec.errors import InvalidError
 from codec.splats import MAX_SH_DEGREE
 from player.render.cpu import CpuRenderer
-from player.render.recipe import COLOUR_TURN_RAD
+from player.render.project import COLOUR_TURN_RAD
 from player.view.path import Size
 
 STEP_M = 0.05

@@ -30,11 +30,10 @@ from codec.console import option, run_command
 from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
-from player.render.cpu import CpuRenderer
+from player.render.cpu import CpuRenderer, StepTimes
 from player.render.gl import GlError, GlRenderer, Target
-from player.render.pack import texels_per_gaussian
 from player.render.renderer import GlVersion
-from player.render.steptimes import StepTimes
+from player.render.upload import texels_per_gaussian
 from player.view.path import Size
 
 SIZE = option("WxH", Size.parse)

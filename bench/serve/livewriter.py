@@ -14,7 +14,7 @@ from pathlib import Path
 
 from bench.serve.material import FPS, noise_manifest, noise_slice
 from codec.stream import StreamWriter
-from codec.stream.index import INDEX_NAME
+from codec.stream.segment import INDEX_NAME
 
 SEGMENT_FRAMES = 5
 LEAD_FRAMES = 30

@@ -11,8 +11,8 @@ from codec.lattice.lattice import Lattice
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamWriter
-from codec.stream.layers import split_counts
 from codec.stream.manifest import Manifest
+from codec.stream.wholeslice import split_counts
 
 NUM_LAYERS = 4
 FPS = 30.0

@@ -26,7 +26,7 @@ from codec.stream.playrecord import (
     SliceRecord,
     SnapshotRecord,
 )
-from player.network.retry import RetryConfig
+from player.network.fetch import RetryConfig
 from player.source.source import LastPlay
 from server.abr.clientstatus import FRAME_HEADER, PLAY_HEADER, RATE_HEADER, ClientStatus, parse_rate
 

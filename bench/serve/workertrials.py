@@ -29,7 +29,7 @@ from rich.table import Table
 
 from codec.console import run_command
 from codec.errors import SwingsError
-from server.operate.sign.keyfile import add_key
+from server.operate.sign.signing import add_key
 from server.operate.workers import SHARED_MEMORY
 from tests.server.hostile.serverprocess import Comers, ServerProcess, ask, figures, server_process
 from tests.support.commands import run

@@ -31,7 +31,7 @@ from codec.errors import InvalidError
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.static import export_static
 from player.link.linkprocess import LinkProcess
-from player.link.linktext import read_link
+from player.link.relay import read_link
 from server.abr.link import Link
 from tests.support.hosted_streams import static_host
 from tests.support.slots.slot_streams import slot_manifest

@@ -29,12 +29,11 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from codec.camera import Camera
+from codec.camera import Camera, look_at
 from codec.console import run_command
 from codec.errors import InvalidError
-from codec.pose import look_at
 from codec.slice import Slice
-from codec.slots.update import Update
+from codec.slots.slotlayout import Update
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 from codec.tools.static import export_static

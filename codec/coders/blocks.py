@@ -2,18 +2,30 @@
 
 A chunk is a row of planes with different statistics, so an encoder ends a block where a new table
 pays; a decoder need not know.
+
+How much time a coder takes to make a packet small. Decoders need not know.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import Enum, auto
 
 import numpy as np
 
 from codec.arrays import Longs
 from codec.kernel import kernel
 
-from .effort import Effort
+
+class Effort(Enum):
+    """A trade of an encoder's time against bytes."""
+
+    QUICK = auto()
+    """For a live stream, whose viewers wait; see QUICK_LEVEL."""
+    USUAL = auto()
+    MOST = auto()
+    """Tries several ways to divide a chunk into blocks, and keeps the smallest packet."""
+
 
 MAX_JOINED_PLANES = 8
 """Planes tried in one block; bounds the work for chunks with many SH planes."""

@@ -9,8 +9,7 @@ import zstandard
 
 from codec.errors import CorruptError
 
-from .blocks import divisions
-from .effort import Effort
+from .blocks import Effort, divisions
 
 CODER = 1
 """The number of this coder in the head of an object; there is no other."""

@@ -7,9 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from codec.files import write_atomic
-from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
 from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, Manifest, Part, object_file
-from codec.stream.object import join_packets
+from codec.stream.segment import INDEX_NAME, SegmentRecord, join_packets, pack_record
 
 Scores = tuple[float, ...]
 """PSNR in dB of 1, 2, ... layers, as an index record has it."""

@@ -2,6 +2,8 @@
 
 Scaling alters only the lattice, moving adds the same integers to all positions, and a turn that
 maps axes to axes permutes integers. Only other turns round each number anew.
+
+Regions of space by which Gaussians are kept or removed.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import numpy as np
 import tyro
 
 from codec.arrays import Doubles, Flags
-from codec.camera import Camera
+from codec.camera import Camera, rotation_about
 from codec.errors import InvalidError
 from codec.lattice.lattice import (
     COLOURS,
@@ -27,13 +29,68 @@ from codec.lattice.lattice import (
     dequantise,
     quantise,
 )
-from codec.pose import rotation_about
 from codec.similarity import Similarity, turned_harmonics
 from codec.splats import Splats, sh_count
 from codec.stream.manifest import Manifest
 from codec.stream.sound import Key
 
-from .edit import HOLD, Edit
+from .walk import HOLD, Edit
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A box along the axes. Raises InvalidError for one without an inside."""
+
+    lower: Doubles  # (3,) metres
+    upper: Doubles  # (3,) metres
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.lower, self.upper]).all() and (self.lower < self.upper).all()):
+            raise InvalidError(
+                f"box {_text(self.lower)} {_text(self.upper)}: the first corner must lie below the "
+                "second on each axis"
+            )
+
+    def holds(self, means: Doubles) -> Flags:
+        """(N,) which of (N, 3) `means` are inside."""
+        outside = np.maximum(self.lower - means, means - self.upper).max(axis=1, initial=-np.inf)
+        inside: Flags = outside <= 0
+        return inside
+
+    def box(self) -> tuple[Doubles, Doubles]:
+        """(3,) lower and upper corner, metres."""
+        return self.lower, self.upper
+
+
+@dataclass(frozen=True, slots=True)
+class Sphere:
+    """A ball. Raises InvalidError for one without an inside."""
+
+    centre: Doubles  # (3,) metres
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([*self.centre, self.radius_m]).all() and self.radius_m > 0):
+            raise InvalidError(
+                f"sphere {_text(self.centre)} {self.radius_m:g}: the radius must be above 0"
+            )
+
+    def holds(self, means: Doubles) -> Flags:
+        """(N,) which of (N, 3) `means` are inside."""
+        inside: Flags = ((means - self.centre) ** 2).sum(axis=1) <= self.radius_m**2
+        return inside
+
+    def box(self) -> tuple[Doubles, Doubles]:
+        """(3,) lower and upper corner, metres, of a box around it."""
+        return self.centre - self.radius_m, self.centre + self.radius_m
+
+
+Region = Box | Sphere
+
+
+def _text(values: Doubles) -> str:
+    return " ".join(f"{value:g}" for value in values)
+
 
 ON_AXES = 1e-9
 """How far a turn may be from one that maps axes to axes."""

@@ -26,8 +26,7 @@ from codec.arrays import Doubles, Floats
 from codec.errors import CorruptError, UnsupportedError
 from codec.splats import SH_C0, Splats, sh_count
 
-from .levels import byte_logits
-from .limits import MAX_GAUSSIANS, Decoded, check_count
+from .bounds import MAX_GAUSSIANS, Decoded, byte_logits, check_count
 from .splat import SMALLEST_SCALE
 
 HEADER = struct.Struct("<BBxxIIIIHxx12xff")

@@ -12,6 +12,28 @@ is the world of a swings stream. A reader goes by name: any order and any other 
 
 Also read: 2D Gaussians, which have no scale_2; colours as bytes red, green, blue in the place of
 f_dc; filter_3D (Mip-Splatting), the standard deviation of a smoothing that the sizes lack.
+
+The text header of a PLY file: which elements follow, and how their rows are laid out.
+
+Source: "The PLY Polygon File Format" (G. Turk, 1994). Every writer of Gaussians gives rows of
+numbers in `binary_little_endian`, and these are read here. A caller that also takes text or meshes
+reads their rows itself, as trainer/capture/points.py does.
+
+The compressed PLY of SuperSplat, in: 16 bytes a Gaussian and bounds for each 256 of them.
+
+Layout (playcanvas/engine, `gsplat-compressed-data.js`), a PLY file with the elements
+
+    chunk    ceil(N / 256) rows: float min_x .. max_z, min_scale_x .. max_scale_z (of ln s) and, in
+             newer files, min_r .. max_b; without these colours lie in 0..1
+    vertex   N rows of four uint, highest bits first:
+             packed_position  x 11, y 10, z 11 bits between the chunk's bounds
+             packed_rotation  2 bits: which of w, x, y, z is largest and left out; the other three
+                              in order, 10 bits each, as (v / 1023 - 1/2) * sqrt(2)
+             packed_scale     x 11, y 10, z 11 bits between the chunk's bounds
+             packed_color     red, green, blue between the chunk's bounds, opacity 0..1; 8 bits each
+    sh       optional, N rows of 9, 24 or 45 uchar f_rest_i, channel-major: v * 8 / 255 - 4
+
+Frame RDF as in the PLY; colour is 0.5 + SH_C0 f_dc.
 """
 
 from __future__ import annotations
@@ -19,14 +41,156 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from codec.arrays import Doubles, Floats
 from codec.errors import CorruptError, UnsupportedError
 from codec.splats import MAX_SH_DEGREE, SH_C0, Splats, sh_count
 
-from .limits import MAX_GAUSSIANS, Decoded, check_count
+from .bounds import MAX_GAUSSIANS, Decoded, byte_logits, check_count, restore_largest
 from .notes import ANTIALIASED, FLAT, notes, tell_model
-from .plyheader import PlyElement, PlyHeader, read_ply_header
+
+MAX_HEADER_BYTES = 1 << 16
+"""Longest header read: one of 62 properties has about 1.5 KB."""
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "<i1"),
+    **dict.fromkeys(("uchar", "uint8"), "<u1"),
+    **dict.fromkeys(("short", "int16"), "<i2"),
+    **dict.fromkeys(("ushort", "uint16"), "<u2"),
+    **dict.fromkeys(("int", "int32"), "<i4"),
+    **dict.fromkeys(("uint", "uint32"), "<u4"),
+    **dict.fromkeys(("float", "float32"), "<f4"),
+    **dict.fromkeys(("double", "float64"), "<f8"),
+}
+_END = b"end_header"
+BINARY, TEXT = "binary_little_endian", "ascii"
+
+
+@dataclass(frozen=True, slots=True)
+class PlyElement:
+    """A table of `count` rows that starts `offset` bytes into the file."""
+
+    name: str
+    count: int
+    offset: int
+    dtype: np.dtype[np.void]
+
+    @property
+    def properties(self) -> tuple[str, ...]:
+        return self.dtype.names or ()
+
+    @property
+    def end(self) -> int:
+        """Where the rows end, as an offset into the file."""
+        return self.offset + self.count * self.dtype.itemsize
+
+    def check_size(self, file_bytes: int) -> None:
+        """Raises CorruptError if a file of `file_bytes` ends before the rows do."""
+        if file_bytes < self.end:
+            raise CorruptError(
+                f"PLY: ends after {file_bytes} bytes; the {self.count} rows of {self.name[:40]} "
+                f"need {self.end}"
+            )
+
+    def rows(self, data: bytes) -> npt.NDArray[np.void]:
+        """(count,) structured rows, a view into `data`. Raises CorruptError if they are cut off."""
+        if not self.properties:
+            raise CorruptError(f"PLY: element {self.name[:40]} has no properties")
+        self.check_size(len(data))
+        return np.frombuffer(data, self.dtype, self.count, self.offset)
+
+
+@dataclass(frozen=True, slots=True)
+class PlyHeader:
+    """Elements and properties of the header; the counts are claims."""
+
+    layout: str
+    """How the rows are written: BINARY, TEXT, or what else it says."""
+    tables: dict[str, PlyElement]
+    """The elements before the first with a list, by name and in order. Where they begin is right
+    for binary rows, and for the first of all in any layout."""
+    has_list: bool
+    """Whether there is a list. Its rows have lengths of their own, so nothing behind it has a fixed
+    place."""
+    comments: tuple[str, ...] = ()
+    """The text of each comment."""
+
+    def check_rows(self) -> None:
+        """Raises CorruptError, or UnsupportedError, if the rows cannot be read as arrays."""
+        for element in self.tables.values():
+            check_count("PLY", element.count)
+        if self.has_list:
+            raise UnsupportedError("PLY: a list among the properties; this is a mesh")
+        if self.layout != BINARY:
+            raise UnsupportedError(f"PLY: format {self.layout[:40]!r}; this program reads {BINARY}")
+
+
+def _header_lines(data: bytes) -> tuple[list[str], int]:
+    """The lines up to end_header, and how many bytes they take."""
+    head = data[:MAX_HEADER_BYTES]
+    # Old programs end lines with \r alone.
+    newline = b"\n" if b"\n" in head.partition(_END)[0] else b"\r"
+    if head.partition(newline)[0].split() != [b"ply"]:
+        raise CorruptError("PLY: does not start with a line `ply`")
+    at = head.find(newline + _END)
+    end = head.find(newline, at + 1) if at >= 0 else -1
+    if end < 0:
+        raise CorruptError(f"PLY: no end_header in the first {len(head)} bytes")
+    try:
+        lines = head[:end].decode("utf-8").split(newline.decode())
+    except UnicodeDecodeError as error:
+        raise CorruptError("PLY: the header is not text") from error
+    if lines[-1].strip() != _END.decode():
+        raise CorruptError(f"PLY: header line {lines[-1][:40]!r}")
+    return lines[1:-1], end + 1
+
+
+def _count(text: str, name: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) <= 18):
+        raise CorruptError(f"PLY: element {name[:40]} has {text[:40]!r} rows, which is not a count")
+    return int(text)
+
+
+def read_ply_header(data: bytes) -> PlyHeader:
+    """The header of the PLY file that begins with `data`, of which MAX_HEADER_BYTES are looked at.
+
+    Raises CorruptError.
+    """
+    lines, offset = _header_lines(data)
+    layout = "none"
+    first_list: int | None = None
+    found: list[tuple[str, int, list[tuple[str, str]]]] = []
+    comments: list[str] = []
+    for line in lines:
+        match line.split():
+            case ["comment", *words]:
+                comments.append(" ".join(words))
+            case [] | ["obj_info", *_]:
+                pass
+            case ["format", kind, *_]:
+                layout = kind
+            case ["element", name, rows]:
+                found.append((name, _count(rows, name), []))
+            case ["property", "list", *_] if found:
+                first_list = len(found) - 1 if first_list is None else first_list
+            case ["property", kind, name] if found and kind in _TYPES:
+                found[-1][2].append((name, _TYPES[kind]))
+            case _:
+                raise CorruptError(f"PLY: header line {line[:40]!r}")
+    tables: dict[str, PlyElement] = {}
+    for name, count, properties in found:
+        try:
+            dtype = np.dtype(properties)
+        except ValueError as error:
+            raise CorruptError(f"PLY: element {name[:40]} names a property twice") from error
+        if name in tables:
+            raise CorruptError(f"PLY: two elements are called {name[:40]}")
+        tables[name] = PlyElement(name, count, offset, dtype)
+        offset += count * dtype.itemsize
+    before_list = dict(list(tables.items())[:first_list])
+    return PlyHeader(layout, before_list, first_list is not None, tuple(comments))
+
 
 SURE_LOGIT = 16.0
 """Stands for infinite logits, which programs write that make them of opacity bytes 0 and 255."""
@@ -227,3 +391,134 @@ def encode_ply(splats: Splats) -> bytes:
         axis=1,
     )
     return "\n".join([*lines, "end_header\n"]).encode() + rows.astype("<f4").tobytes()
+
+
+CHUNK_GAUSSIANS = 256
+AXES, SCALES, COLOURS = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
+PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+
+Words = npt.NDArray[np.uint32]
+
+
+def is_compressed(header: PlyHeader) -> bool:
+    """Whether a PLY with this header is of this layout."""
+    vertex = header.tables.get("vertex")
+    return "chunk" in header.tables and vertex is not None and PACKED[0] in vertex.properties
+
+
+def _unpack(words: Words, *widths: int) -> Doubles:
+    """(N, len(widths)) numbers 0..1 of bit fields, highest bits first."""
+    fields = np.empty((len(words), len(widths)))
+    shift = sum(widths)
+    for i, width in enumerate(widths):
+        shift -= width
+        top = (1 << width) - 1
+        fields[:, i] = (words >> np.uint32(shift) & np.uint32(top)) / top
+    return fields
+
+
+def _bounds(chunks: npt.NDArray[np.void], count: int, suffixes: tuple[str, ...]) -> Doubles:
+    """(2, N, 3) the lower and upper bounds of each Gaussian's chunk."""
+    corners = np.stack(
+        [
+            np.stack([chunks[f"{end}_{suffix}"].astype(np.float64) for suffix in suffixes], 1)
+            for end in ("min", "max")
+        ]
+    )
+    repeated: Doubles = np.repeat(corners, CHUNK_GAUSSIANS, axis=1)[:, :count]
+    return repeated
+
+
+def _between(bounds: Doubles, shares: Doubles) -> Doubles:
+    between: Doubles = bounds[0] * (1 - shares) + bounds[1] * shares
+    return between
+
+
+def _rest_names(sh: PlyElement | None, count: int) -> list[str]:
+    """The properties of `sh`, in order; none without it."""
+    if sh is None:
+        return []
+    names = rest_names(sh.properties)
+    if sh.count != count or any(sh.dtype[name] != np.uint8 for name in names):
+        raise CorruptError(f"PLY: element sh is not {count} rows of uchar")
+    return names
+
+
+@dataclass(frozen=True, slots=True)
+class CompressedLayout:
+    """Where in a compressed PLY the Gaussians are."""
+
+    chunk: PlyElement
+    vertex: PlyElement
+    sh: PlyElement | None
+    rest: list[str]
+    """The properties of `sh`, in order."""
+    model: str
+    """How the Gaussians were trained; see `tell_model`."""
+
+
+def compressed_layout(
+    head: bytes, file_bytes: int, max_gaussians: int = MAX_GAUSSIANS
+) -> CompressedLayout:
+    """The layout of the Gaussians, by the header of a compressed PLY of `file_bytes` in all.
+
+    Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
+    """
+    header = read_ply_header(head)
+    header.check_rows()
+    elements = header.tables
+    if not is_compressed(header):
+        raise UnsupportedError(
+            "PLY: not compressed; a compressed PLY has elements chunk and packed_position"
+        )
+    chunk, vertex, sh = elements["chunk"], elements["vertex"], elements.get("sh")
+    count = check_count("PLY", vertex.count, max_gaussians)
+    if chunk.count != -(-count // CHUNK_GAUSSIANS):
+        raise CorruptError(f"PLY: {chunk.count} chunks for {count} Gaussians")
+    wanted = [f"{end}_{suffix}" for end in ("min", "max") for suffix in (*AXES, *SCALES)]
+    missing = [name for name in wanted if name not in chunk.properties]
+    missing += [name for name in PACKED if name not in vertex.properties]
+    if missing:
+        raise CorruptError(f"PLY: no property {', '.join(missing[:4])}")
+    if any(vertex.dtype[name] != np.uint32 for name in PACKED):
+        raise CorruptError("PLY: a packed property is not uint")
+    rest = _rest_names(sh, count)
+    for element in (chunk, vertex, *([] if sh is None else [sh])):
+        element.check_size(file_bytes)
+    return CompressedLayout(chunk, vertex, sh, rest, trained_as(header))
+
+
+def decode_compressed_ply(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
+    """The Gaussians of a compressed PLY.
+
+    Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
+    """
+    layout = compressed_layout(data, len(data), max_gaussians)
+    tell_model(layout.model)
+    chunks, packed = layout.chunk.rows(data), layout.vertex.rows(data)
+    made = Decoded.empty(layout.vertex.count, REST_COUNTS[len(layout.rest)])
+    tints = [f"{end}_{colour}" for end in ("min", "max") for colour in COLOURS]
+    tinted = all(name in layout.chunk.properties for name in tints)
+    for block in made.blocks():
+        rows, size = packed[block], block.stop - block.start
+        bounds = chunks[block.start // CHUNK_GAUSSIANS : -(-block.stop // CHUNK_GAUSSIANS)]
+        position, rotation, scale, colour = (rows[name].astype(np.uint32) for name in PACKED)
+        rgb = _unpack(colour, 8, 8, 8, 8)[:, :3]
+        three = (_unpack(rotation, 2, 10, 10, 10)[:, 1:] - 0.5) * np.sqrt(2.0)
+        with np.errstate(all="ignore"):  # infinities and NaN are refused below
+            if tinted:
+                rgb = _between(_bounds(bounds, size, COLOURS), rgb)
+            made.means[block] = _between(_bounds(bounds, size, AXES), _unpack(position, 11, 10, 11))
+            made.log_scales[block] = _between(
+                _bounds(bounds, size, SCALES), _unpack(scale, 11, 10, 11)
+            )
+            made.sh[block, 0] = (rgb - 0.5) / SH_C0
+            made.quats[block] = restore_largest(three, rotation >> np.uint32(30))
+        made.logit_opacities[block] = byte_logits((colour & np.uint32(255)).astype(np.uint8))
+    if layout.sh is not None:
+        harmonics = layout.sh.rows(data)
+        for i, name in enumerate(layout.rest):
+            channel, coefficient = divmod(i, len(layout.rest) // 3)
+            levels = harmonics[name] * np.float32(8 / 255) - np.float32(4)
+            made.sh[:, 1 + coefficient, channel] = levels
+    return made.checked("PLY")

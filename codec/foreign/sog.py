@@ -14,38 +14,226 @@ loss, one pixel a Gaussian, row after row; bundled in a ZIP, or, to be read only
 The specification (developer.playcanvas.com) says that y points up, and that the first mode leaves
 out x; the programs that write and read these files keep the frame of the PLY, RDF, and w first. So
 do these functions.
+
+Codebooks: few values, or few rows of values, that stand for many. The same input always gives
+the same book.
+
+A few files in one: ZIP archives (PKWARE's APPNOTE), stored or deflated, of bounded size.
 """
 
 from __future__ import annotations
 
+import io
 import json
-from collections.abc import Sequence
+import struct
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from codec.arrays import Bytes, Doubles, Floats
+from codec.arrays import Bytes, Doubles, Floats, Longs
 from codec.errors import CorruptError, UnsupportedError
-from codec.lattice.morton import interleave
+from codec.kernel import kernel
+from codec.lattice.quantise import interleave
 from codec.splats import MAX_SH_DEGREE, Splats, sh_count
 
-from .bundle import Bundle, encode_bundle
-from .codebook import CODES, codebook, codes_of, palette
-from .jsonfields import Fields
-from .levels import (
+from .bounds import (
+    MAX_GAUSSIANS,
+    Decoded,
     byte_logits,
+    check_count,
+    check_ratio,
     clipped_bytes,
     opacity_bytes,
     restore_largest,
     split_largest,
     unit_quats,
 )
-from .limits import MAX_GAUSSIANS, Decoded, check_count, check_ratio
+from .jsonfields import Fields
 from .modelfolder import Files, ModelFolder
 from .notes import ANTIALIASED, tell_model
 from .webp import decode_webp, encode_webp
+
+CODES = 256
+MAX_ROUNDS = 60
+"""Rounds of Lloyd's iteration, which moves little after twenty."""
+
+
+def codebook(values: Floats) -> Floats:
+    """(256,) ascending values of which the nearest stands for each of `values`.
+
+    What has no more different values is kept exactly. Else Lloyd's iteration (S. Lloyd, "Least
+    squares quantization in PCM", 1982) from a start that is half quantiles, where most values lie,
+    and half even steps, so that none is far away.
+    """
+    ordered = np.sort(values.ravel()).astype(np.float64)
+    different = ordered[np.flatnonzero(np.diff(ordered, prepend=np.nan) != 0)]
+    if len(different) <= CODES:
+        last = different[-1:] if len(different) else np.zeros(1)
+        return np.append(different, np.repeat(last, CODES - len(different))).astype(np.float32)
+    half = (np.arange(CODES // 2) + 0.5) / (CODES // 2)
+    even = ordered[0] + half * (ordered[-1] - ordered[0])
+    book: Doubles = np.sort(np.append(ordered[(half * len(ordered)).astype(np.int64)], even))
+    sums = np.append(0.0, np.cumsum(ordered))
+    before = np.empty(0, np.intp)
+    for _ in range(MAX_ROUNDS):
+        ends = np.searchsorted(ordered, _middles(book))
+        if np.array_equal(ends, before):
+            break
+        before = ends
+        bounds = np.concatenate(([0], ends, [len(ordered)]))
+        counts = np.diff(bounds)
+        book = np.where(counts > 0, np.diff(sums[bounds]) / np.maximum(counts, 1), book)
+    return np.sort(book.astype(np.float32))
+
+
+def _middles(book: Doubles) -> Doubles:
+    middles: Doubles = (book[1:] + book[:-1]) / 2
+    return middles
+
+
+def codes_of(values: Floats, book: Floats) -> Bytes:
+    """Which of the ascending `book` is nearest to each of `values`; the shape of `values`."""
+    codes: Bytes = np.searchsorted(_middles(book.astype(np.float64)), values).astype(np.uint8)
+    return codes
+
+
+@kernel(nogil=True)
+def _spread_of(values, labels, counts, means, squares):  # type: ignore[no-untyped-def]
+    """Fills counts (k,), means (k, D) and the summed squares around them (k, D), which begin as
+    zeros, of the rows with each label."""
+    for i in range(values.shape[0]):
+        counts[labels[i]] += 1
+        for d in range(values.shape[1]):
+            means[labels[i], d] += values[i, d]
+    for j in range(means.shape[0]):
+        for d in range(means.shape[1]):
+            means[j, d] /= max(counts[j], 1)
+    for i in range(values.shape[0]):
+        for d in range(values.shape[1]):
+            away = values[i, d] - means[labels[i], d]
+            squares[labels[i], d] += away * away
+
+
+def palette(rows: Floats, size: int) -> tuple[Floats, Longs]:
+    """(k, D) rows, k at most `size`, and (N,) which of them stands for each of the (N, D) `rows`.
+
+    A tree: in each round the half of the groups that spread most are cut in two, across the axis on
+    which they spread most and at their mean. It takes about log_1.5(size) rounds over all rows,
+    where nearest-centre clustering would look at every pair. Groups are numbered by their first
+    row. Rows that are alike share a group.
+    """
+    labels = np.zeros(len(rows), np.int64)
+    count = 1
+    while True:
+        counts = np.zeros(count, np.int64)
+        means, squares = np.zeros((2, count, rows.shape[1]))
+        _spread_of(rows, labels, counts, means, squares)
+        spread = squares.sum(axis=1)
+        room = min(size - count, (count + 1) // 2)
+        worst = np.argsort(-spread, kind="stable")[:room]
+        worst = worst[spread[worst] > 0]
+        if not len(worst):
+            break
+        child = np.full(count, -1)
+        child[worst] = count + np.arange(len(worst))
+        axis = squares.argmax(axis=1)
+        above = rows[np.arange(len(rows)), axis[labels]] > means[labels, axis[labels]]
+        labels = np.where(above & (child[labels] >= 0), child[labels], labels)
+        count += len(worst)
+    used, first = np.unique(labels, return_index=True)
+    order = used[np.argsort(first)]
+    rank = np.zeros(count, np.int64)
+    rank[order] = np.arange(len(order))
+    return means[order].astype(np.float32), rank[labels]
+
+
+MAGIC = b"PK\3\4"
+END = struct.Struct("<4s4H2IH")
+END_MAGIC, LONG_MAGIC = b"PK\5\6", b"PK\6\7"
+LONG_BYTES = 20
+"""Size of the record before the end that points to a longer one, for more than 4 GB."""
+MAX_COMMENT_BYTES = 0xFFFF
+MAX_DIRECTORY_BYTES = 1 << 16
+"""Largest table of contents. That of a few files has less than a kilobyte; every 46 bytes become a
+Python object."""
+FILE_SLACK_BYTES = 1 << 20
+"""By how much a file may be longer than the archive: only text shrinks much."""
+_BROKEN = (
+    *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, struct.error),
+    *(OSError, EOFError, ValueError, RuntimeError, LookupError),
+)
+
+
+class Bundle:
+    """The archive `data`, called `what` in errors."""
+
+    def __init__(self, data: bytes, what: str) -> None:
+        """Raises CorruptError, or UnsupportedError."""
+        self._what = what
+        self.num_bytes = len(data)
+        """Size of the archive."""
+        self._max_bytes = len(data) + FILE_SLACK_BYTES
+        _check_end(data, what)
+        try:
+            self._archive = zipfile.ZipFile(io.BytesIO(data))
+        except _BROKEN as error:
+            raise CorruptError(f"{what}: the ZIP archive is broken: {error}") from error
+
+    def read(self, name: str) -> bytes:
+        """The file called `name`. Raises CorruptError, or UnsupportedError."""
+        shown = f"{self._what}: {name[:40]!r}"
+        try:
+            info = self._archive.getinfo(name)
+        except KeyError as error:
+            raise CorruptError(f"{shown} is not in the archive") from error
+        if info.flag_bits & 1 or info.compress_type not in (
+            zipfile.ZIP_STORED,
+            zipfile.ZIP_DEFLATED,
+        ):
+            raise UnsupportedError(f"{shown} is encrypted, or packed in a way not read here")
+        if info.file_size > self._max_bytes:
+            raise CorruptError(f"{shown} claims {info.file_size} bytes, at most {self._max_bytes}")
+        try:
+            with self._archive.open(info) as file:
+                return file.read(self._max_bytes)
+        except _BROKEN as error:
+            raise CorruptError(f"{shown} is broken: {error}") from error
+
+
+def _check_end(data: bytes, what: str) -> None:
+    """Raises an error for an archive whose table of contents is too long to be looked at."""
+    # As zipfile looks for it: at the very end, else before a comment.
+    at = len(data) - END.size
+    if at < 0 or data[at : at + 4] != END_MAGIC or data[-2:] != b"\0\0":
+        at = data.rfind(END_MAGIC, max(0, len(data) - END.size - MAX_COMMENT_BYTES))
+    if at < 0 or len(data) < at + END.size:
+        raise CorruptError(f"{what}: ends inside the ZIP archive")
+    if data[max(0, at - LONG_BYTES) : at].startswith(LONG_MAGIC):
+        raise UnsupportedError(f"{what}: a ZIP archive with records for more than 4 GB")
+    directory_bytes = END.unpack_from(data, at)[5]
+    if directory_bytes > MAX_DIRECTORY_BYTES:
+        raise CorruptError(
+            f"{what}: {directory_bytes} bytes of names in the ZIP archive, "
+            f"at most {MAX_DIRECTORY_BYTES}"
+        )
+
+
+def encode_bundle(files: Mapping[str, bytes]) -> bytes:
+    """The archive of `files`, stored as they are; the same bytes whenever it is made."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w") as archive:
+        for name, data in files.items():
+            info = zipfile.ZipInfo(name)  # of the first day that ZIP knows
+            info.create_system = 3
+            info.external_attr = 0o644 << 16
+            archive.writestr(info, data)
+    return made.getvalue()
+
 
 META = "meta.json"
 VERSION = 2

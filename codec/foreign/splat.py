@@ -18,8 +18,15 @@ import numpy as np
 from codec.errors import CorruptError
 from codec.splats import SH_C0, Splats
 
-from .levels import byte_logits, clipped_bytes, opacity_bytes, unit_quats
-from .limits import MAX_GAUSSIANS, Decoded, check_count
+from .bounds import (
+    MAX_GAUSSIANS,
+    Decoded,
+    byte_logits,
+    check_count,
+    clipped_bytes,
+    opacity_bytes,
+    unit_quats,
+)
 
 RECORD = np.dtype([("xyz", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rot", "u1", 4)])
 assert RECORD.itemsize == 32

@@ -39,15 +39,18 @@ from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.similarity import Similarity, half_turned, mirrored
 from codec.splats import MAX_SH_DEGREE, Splats, sh_count
 
-from .levels import (
+from .bounds import (
+    MAX_GAUSSIANS,
+    Decoded,
     byte_logits,
+    check_count,
+    check_ratio,
     clipped_bytes,
     opacity_bytes,
     restore_largest,
     split_largest,
     unit_quats,
 )
-from .limits import MAX_GAUSSIANS, Decoded, check_count, check_ratio
 from .notes import ANTIALIASED, notes, tell_model
 
 MAGIC = 0x5053474E

@@ -31,19 +31,20 @@ from codec.files import read_bounded
 from codec.similarity import half_turned
 from codec.splats import Splats
 
-from .bundle import Bundle, encode_bundle
+from .bounds import MAX_GAUSSIANS, check_count, check_frames, check_ratio, whole_rows
 from .jsonfields import Fields
-from .limits import MAX_GAUSSIANS, check_count, check_frames, check_ratio, whole_rows
 from .modelfolder import MAX_FILE_BYTES
 from .notes import notes
 from .sog import (
     LEVELS,
     META,
     PIXEL_BYTES,
+    Bundle,
     Pictures,
     Sheet,
     decode_attributes,
     encode_attributes,
+    encode_bundle,
     json_bytes,
     low_and_high,
 )

@@ -2,6 +2,8 @@
 
 Rule: what makes floats of integers does the operations that FORMAT.md states, in its order and
 precision, so that any decoder gives the same bits. What a quantiser chooses is free.
+
+Gaussians as bytes with every float32 as it was given, attribute by attribute.
 """
 
 from __future__ import annotations
@@ -14,19 +16,21 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.arrays import Bytes, Doubles, Flags, Floats, Ints
-from codec.errors import InvalidError
+from codec.errors import CorruptError, InvalidError
 from codec.kernel import kernel
-from codec.lattice.orientation import canonical, nearest_form
-from codec.lattice.quantise import (
+from codec.splats import SH_C0, Splats, array_shapes, sh_count
+
+from .quantise import (
     BASE_COLOUR,
     BASE_LOG_SCALE,
     BASE_ROTATION,
     MAX_OPACITY_LEVELS,
+    canonical,
     from_luma,
+    nearest_form,
     opacity_logits,
     position_step_m,
 )
-from codec.splats import SH_C0, Splats, array_shapes, sh_count
 
 POSITION_LIMIT = 1 << 23
 """Magnitude that no integer coordinate reaches, so that f32 holds it and any difference exactly."""
@@ -346,3 +350,34 @@ def dequantise_into(  # type: ignore[no-untyped-def]
                 np.float32(np.int8(attributes[i, 6 + 2 * coefficients + k])) * colour,
             )
         logit_opacities[i] = logits[attributes[i, 6 + 3 * coefficients]]
+
+
+FLOAT32 = np.dtype("<f4")
+
+
+def bytes_per_gaussian(sh_degree: int) -> int:
+    """Bytes of a Gaussian, before the entropy coder: 56 with DC colour."""
+    return FLOAT32.itemsize * (11 + 3 * sh_count(sh_degree))
+
+
+def pack_arrays(splats: Splats) -> bytes:
+    """means, log_scales, quats, logit_opacities, sh: float32 little-endian, row after row."""
+    return b"".join(array.astype(FLOAT32, copy=False).tobytes() for array in splats.arrays)
+
+
+def read_arrays(body: memoryview, count: int, sh_degree: int) -> tuple[Floats, ...]:
+    """Views of means, log_scales, quats, logit_opacities and sh in `body`, shaped as in Splats.
+
+    Raises CorruptError for another length.
+    """
+    if len(body) != count * bytes_per_gaussian(sh_degree):
+        raise CorruptError(f"floats: {len(body)} bytes for {count} Gaussians")
+    values = np.frombuffer(body, FLOAT32)
+    means, log_scales, quats, opacities, sh = np.split(values, np.cumsum([3, 3, 4, 1]) * count)
+    return (
+        means.reshape(count, 3),
+        log_scales.reshape(count, 3),
+        quats.reshape(count, 4),
+        opacities,
+        sh.reshape(count, sh_count(sh_degree), 3),
+    )

@@ -18,28 +18,26 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.coders.effort import Effort
+from codec.coders.blocks import Effort
 from codec.errors import InvalidError
 from codec.foreign.notes import notes, one_import
 from codec.framerange import FrameRange
 from codec.progressline import Counter
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import MAX_SEGMENT_FRAMES, MAX_SLOTS
-from codec.slots.update import Update
+from codec.slots.encoder import SlotEncoder
+from codec.slots.slotlayout import MAX_SEGMENT_FRAMES, MAX_SLOTS, Update
 from codec.splats import Splats, array_shapes
 from codec.stream.finishing import finish_pictures
-from codec.stream.layers import RANKS
 from codec.stream.manifest import Manifest
-from codec.stream.object import encode_packet
 from codec.stream.pictures import Draw
 from codec.stream.poster import POSTER_NAME
 from codec.stream.reader import StreamReader
+from codec.stream.segment import encode_packet
+from codec.stream.wholeslice import RANKS
 from codec.stream.writer import StreamWriter
 
-from .errorbound import HOLD, steps_of
 from .importing import ImportOptions, fps_of, make_manifest, make_plan
 from .incomingfiles import POLL_S, Arrival, Arrivals, Troubles
-from .slotfiller import SlotFiller, SlotPlan
+from .slotfiller import HOLD, SlotFiller, SlotPlan, steps_of
 from .survey import Survey
 
 _log = logging.getLogger(__name__)

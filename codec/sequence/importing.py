@@ -2,12 +2,14 @@
 
 A slice sends only what changes from file to file. A still model is a stream of one frame; nothing
 in it ever expires, so a player may hold or repeat it for as long as it likes.
+
+How a stream that is being made looks beside the files that it is made of.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
@@ -16,37 +18,100 @@ import numpy as np
 import tyro
 
 from codec.arrays import Doubles
-from codec.camera import Camera
+from codec.camera import Camera, rotation_about
 from codec.errors import InvalidError
 from codec.files import making_folder
 from codec.foreign.notes import Notes, notes, one_import
 from codec.framerange import FRAMES, FrameRange
-from codec.interop.containers import ContainedFrame
+from codec.interop.formats import ContainedFrame
 from codec.lattice.lattice import Lattice
 from codec.lattice.quantise import layer_coarseness
 from codec.slice import Slice
-from codec.slots.slotlayout import (
-    MAX_LAYERS,
-    MAX_SEGMENT_SLOTS,
-    MAX_SLOTS,
-)
+from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_SLOTS, MAX_SLOTS
 from codec.splats import MAX_SH_DEGREE, Splats
 from codec.stream.finishing import finish_pictures
-from codec.stream.layers import RANKS, Rank, split_counts, split_layers
 from codec.stream.manifest import MAX_FPS, MIN_FPS, Manifest, Point
 from codec.stream.pictures import Draw
-from codec.stream.poster import POSTER_NAME
+from codec.stream.poster import POSTER_NAME, STORYBOARD_NAME
 from codec.stream.reader import StreamReader
-from codec.stream.storyboard import STORYBOARD_NAME
 from codec.stream.views import Orbit
-from codec.stream.wholeslice import whole_update
+from codec.stream.wholeslice import RANKS, Rank, split_counts, split_layers, whole_update
 from codec.stream.writer import StreamWriter
 
-from .errorbound import HOLD, KINDS, ErrorBound, spread_of, steps_of
-from .importscore import ImportScore, cameras_around
-from .numberedfiles import FPS_NAME, FramePlace, find_frames
-from .slotfiller import SLACK, SlotFiller, SlotPlan
-from .survey import Survey, read_frame
+from .slotfiller import HOLD, KINDS, SLACK, ErrorBound, SlotFiller, SlotPlan, spread_of, steps_of
+from .survey import FPS_NAME, FramePlace, Survey, find_frames, read_frame
+
+NUM_VIEWS = 3
+"""Cameras on a circle about the model, the default camera first."""
+
+SCORE_HEIGHT_PX = 270
+
+SAME_DB = 100.0
+"""PSNR of pictures that are the same, or more alike than that."""
+
+
+def cameras_around(front: Camera, centre: Doubles) -> list[Camera]:
+    """NUM_VIEWS small cameras like `front` about the vertical axis through `centre`."""
+    small = front.scaled(min(1.0, SCORE_HEIGHT_PX / front.height_px))
+    cameras = []
+    for number in range(NUM_VIEWS):
+        turn = np.eye(4)
+        turn[:3, :3] = rotation_about(np.array([0.0, 1.0, 0.0]), 2 * math.pi * number / NUM_VIEWS)
+        turn[:3, 3] = centre - turn[:3, :3] @ centre
+        w2c = small.w2c @ turn
+        cameras.append(
+            Camera(
+                f"{small.name}{number}",
+                small.width_px,
+                small.height_px,
+                small.fx_px,
+                small.fy_px,
+                small.cx_px,
+                small.cy_px,
+                w2c,
+            )
+        )
+    return cameras
+
+
+class ImportScore:
+    """A Quality (codec.stream.writer) that compares with the files: the caller hands over that of
+    each frame before it appends the frame.
+
+    Both are drawn with harmonics of every degree that they have: degrees that the stream leaves out
+    count as an error.
+    """
+
+    def __init__(self, draw: Draw, cameras: Sequence[Camera], near_m: float, every: int) -> None:
+        """every: frames from a scored one to the next."""
+        self._draw, self._cameras, self._near_m, self._every = draw, cameras, near_m, every
+        self._sources: dict[int, Splats] = {}
+        self.scores_db: list[tuple[float, ...]] = []
+        """PSNR in dB of each scored frame with 1, 2, ... layers."""
+
+    def expect(self, birth: int, source: Splats) -> None:
+        """Hands over the file of a frame that is to be appended."""
+        if birth % self._every == 0:
+            self._sources[birth] = source
+
+    def __call__(self, birth: int, slices: Sequence[Slice]) -> Sequence[float] | None:
+        source = self._sources.pop(birth, None)
+        if source is None:
+            return None
+        errors = np.zeros(len(slices))
+        for camera in self._cameras:
+            wanted = self._drawn(source, camera)
+            for n, part in enumerate(slices):
+                shown = part.splats.take(np.flatnonzero(part.active(birth, 1)))
+                errors[n] += np.mean((self._drawn(shown, camera) - wanted) ** 2)
+        least = 10 ** (-SAME_DB / 10)
+        mean = np.maximum(errors / len(self._cameras), least)
+        self.scores_db.append(tuple((-10 * np.log10(mean)).tolist()))
+        return self.scores_db[-1]
+
+    def _drawn(self, splats: Splats, camera: Camera) -> Doubles:
+        return np.clip(self._draw(splats, camera, self._near_m), 0, 1).astype(np.float64)
+
 
 WIDTH_PX, HEIGHT_PX = 1280, 720
 VERTICAL_FOV_RAD = math.radians(50)

@@ -18,8 +18,7 @@ from codec.errors import InvalidError, SwingsError, UnreadableError
 from codec.interop.formats import has_known_suffix
 from codec.splats import Splats
 
-from .numberedfiles import number_of
-from .survey import read_frame
+from .survey import number_of, read_frame
 
 _log = logging.getLogger(__name__)
 

@@ -17,9 +17,7 @@ from .rangecoder import (
     new_model,
     start_decoding,
 )
-from .slotchunk import Kind, SlotHeader
-from .slotlayout import HEADER_BYTES, SlotLayout
-from .update import ENDED, KEPT, NEW, PREDICTED
+from .slotlayout import ENDED, HEADER_BYTES, KEPT, NEW, PREDICTED, Kind, SlotHeader, SlotLayout
 
 CONTEXTS = 37
 FIRST_OF_B, CONTEXT_OF_C = 32, 36

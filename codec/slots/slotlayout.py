@@ -1,15 +1,30 @@
-"""The slots of a stream: how many, on which lattice, and how large their chunks can be."""
+"""The slots of a stream: how many, on which lattice, and how large their chunks can be.
+
+The head of a chunk (codec/FORMAT.md, section 9).
+
+The update that a trainer hands over for one slice: what becomes of each slot of a lane.
+"""
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
+from enum import IntEnum
 from itertools import accumulate
 
-from codec.errors import InvalidError
-from codec.lattice.floats import bytes_per_gaussian
-from codec.lattice.lattice import Lattice, num_attributes
+import numpy as np
+
+from codec.arrays import Bytes, Flags
+from codec.errors import CorruptError, InvalidError, UnsupportedError
+from codec.lattice.lattice import (
+    POSITION_LIMIT,
+    Lattice,
+    States,
+    bytes_per_gaussian,
+    num_attributes,
+)
 from codec.slice import MAX_SWIN_SIZE
-from codec.splats import MAX_SH_DEGREE
+from codec.splats import MAX_SH_DEGREE, Splats
 
 from .rangecoder import CODE_BYTES
 
@@ -137,3 +152,166 @@ class SlotLayout:
         """Largest size of a new Gaussian: its planes, 24 low bits for each axis, the number and the
         floats of an escape, the start offset. A predicted one takes less."""
         return self.num_planes + 9 + 4 + bytes_per_gaussian(self.sh_degree) + 1
+
+
+SLOT_MAGIC = b"SWG1"
+
+FLAG_SLOT_OFFSETS = 1
+"""Set when start offsets are stored; clear when all are zero."""
+
+# magic, kind, layer, flags, zero, birth
+SLOT_HEADER = struct.Struct("<4sBBBBi")
+assert SLOT_HEADER.size == HEADER_BYTES
+
+BIRTH = struct.Struct("<i")
+KIND_AT, LAYER_AT, FLAGS_AT, ZERO_AT, BIRTH_AT = 4, 5, 6, 7, 8
+"""Where in a chunk these fields lie."""
+
+
+def with_birth(data: bytes | memoryview, birth: int) -> bytes:
+    """The chunk in `data` as one of `birth`."""
+    return b"".join((data[:BIRTH_AT], BIRTH.pack(birth), data[BIRTH_AT + BIRTH.size :]))
+
+
+class Kind(IntEnum):
+    """The kinds of chunks of slots."""
+
+    MASK = 0
+    CHANGE = 1
+    SNAPSHOT = 2
+
+
+@dataclass(frozen=True, slots=True)
+class SlotHeader:
+    """The first HEADER_BYTES of a chunk, checked."""
+
+    kind: Kind
+    layer: int
+    birth: int
+    """Birth of the slice; in a snapshot the first frame of its segment."""
+    has_start_offsets: bool = False
+
+    def pack(self) -> bytes:
+        if not -(1 << 31) <= self.birth < 1 << 31:
+            raise InvalidError(f"{self.name}: birth {self.birth} does not fit 32 bits")
+        flags = FLAG_SLOT_OFFSETS if self.has_start_offsets else 0
+        return SLOT_HEADER.pack(SLOT_MAGIC, self.kind, self.layer, flags, 0, self.birth)
+
+    @property
+    def name(self) -> str:
+        """The chunk's kind, in messages."""
+        return self.kind.name.lower()
+
+    @staticmethod
+    def read(data: bytes | memoryview, kind: Kind) -> SlotHeader:
+        """The header at the start of `data`, which should be that of a chunk of `kind`."""
+        name = kind.name.lower()
+        if len(data) < HEADER_BYTES:
+            raise CorruptError(
+                f"{name}: {len(data)} bytes are too few for a header of {HEADER_BYTES}", len(data)
+            )
+        magic, found, layer, flags, zero, birth = SLOT_HEADER.unpack_from(data)
+        if magic != SLOT_MAGIC:
+            raise CorruptError(f"{name}: starts with {bytes(magic)!r}, not {SLOT_MAGIC!r}", 0)
+        if found not in set(Kind):
+            known = ", ".join(f"{k.value} ({k.name.lower()})" for k in Kind)
+            raise UnsupportedError(f"{name}: kind {found}; this program reads {known}", KIND_AT)
+        if found != kind:
+            other = Kind(found).name.lower()
+            raise CorruptError(f"{name}: a {other} where a {name} belongs", KIND_AT)
+        if flags & ~FLAG_SLOT_OFFSETS or (flags and kind is Kind.MASK) or zero:
+            at = FLAGS_AT if flags & ~FLAG_SLOT_OFFSETS or kind is Kind.MASK else ZERO_AT
+            raise UnsupportedError(f"{name}: a reserved bit is set", at)
+        if kind is Kind.MASK and layer:
+            raise CorruptError(f"mask: layer {layer} where 0 belongs", LAYER_AT)
+        return SlotHeader(kind, layer, birth, bool(flags))
+
+    def expect(self, birth: int, layer: int) -> None:
+        """Raises CorruptError unless this is the header of `birth` and `layer`."""
+        if self.birth != birth:
+            raise CorruptError(
+                f"{self.name}: birth {self.birth} where birth {birth} belongs", BIRTH_AT
+            )
+        if self.layer != layer:
+            raise CorruptError(
+                f"{self.name}: layer {self.layer} where layer {layer} belongs", LAYER_AT
+            )
+
+
+KEPT, ENDED, PREDICTED, NEW = range(4)
+"""The status of a slot: what a slice says of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Update:
+    """The slice born at `birth`. M is how many slots its statuses call predicted or new.
+
+    The first updates of a stream, of the births 1 - swin_size .. 0, have no slot predicted: they
+    say what frame 0 shows.
+    """
+
+    birth: int
+    statuses: Bytes  # (S,) KEPT, ENDED, PREDICTED or NEW, layer after layer
+    states: States  # M, in the order of the slots: what they become, not a difference
+    start_offsets: Bytes  # (M,) frames after birth; 0 for the predicted
+    escaped: Flags  # (M,) new Gaussians that the lattice does not hold
+    escapes: Splats  # those, in order; their states mean nothing
+
+    @staticmethod
+    def keeping(birth: int, layout: SlotLayout) -> Update:
+        """One that keeps all slots."""
+        return Update(
+            birth,
+            np.zeros(layout.num_slots, np.uint8),
+            States.zeros(0, layout.sh_degree),
+            np.zeros(0, np.uint8),
+            np.zeros(0, np.bool_),
+            Splats.empty(layout.sh_degree),
+        )
+
+    def check(self, layout: SlotLayout) -> None:
+        """Raises InvalidError unless the parts agree and `layout` holds them."""
+        what = f"update born at {self.birth}"
+        if self.statuses.shape != (layout.num_slots,) or self.statuses.dtype != np.uint8:
+            raise InvalidError(
+                f"{what}: statuses are {self.statuses.dtype} {self.statuses.shape}, "
+                f"not uint8 ({layout.num_slots},)"
+            )
+        if self.statuses.max() > NEW:
+            raise InvalidError(f"{what}: a status is {self.statuses.max()}, at most {NEW}")
+        coded = np.flatnonzero(self.statuses >= PREDICTED)
+        count, attributes = len(coded), layout.num_planes - 3
+        arrays = (
+            ("positions", self.states.positions, (count, 3), np.int32),
+            ("attributes", self.states.attributes, (count, attributes), np.uint8),
+            ("start_offsets", self.start_offsets, (count,), np.uint8),
+            ("escaped", self.escaped, (count,), np.bool_),
+        )
+        for name, array, shape, dtype in arrays:
+            if array.shape != shape or array.dtype != dtype:
+                raise InvalidError(
+                    f"{what}: {name} are {array.dtype} {array.shape}, not {np.dtype(dtype)} {shape}"
+                )
+        if count and self.start_offsets.max() >= layout.swin_size:
+            raise InvalidError(
+                f"{what}: start offset {self.start_offsets.max()} of {layout.swin_size} frames"
+            )
+        if self.start_offsets[self.statuses[coded] == PREDICTED].any():
+            raise InvalidError(f"{what}: a predicted Gaussian starts late; it goes on at once")
+        if len(self.escapes) != np.count_nonzero(self.escaped):
+            raise InvalidError(
+                f"{what}: {len(self.escapes)} escapes, "
+                f"{np.count_nonzero(self.escaped)} are said to escape"
+            )
+        if len(self.escapes) and self.escapes.sh_degree != layout.sh_degree:
+            raise InvalidError(
+                f"{what}: SH degree {self.escapes.sh_degree}, not {layout.sh_degree}"
+            )
+        if (self.escaped & (self.statuses[coded] == PREDICTED)).any():
+            raise InvalidError(f"{what}: a predicted Gaussian escapes; make it a new one")
+        inside = self.states.take(~self.escaped)
+        if not (abs(inside.positions.astype(np.int64)) < POSITION_LIMIT).all():
+            raise InvalidError(f"{what}: a position is outside the lattice; let it escape")
+        levels = np.repeat([lattice.opacity_levels for lattice in layout.lattices], layout.slots)
+        if (inside.attributes[:, -1] >= levels[coded[~self.escaped]]).any():
+            raise InvalidError(f"{what}: an opacity is outside the lattice")

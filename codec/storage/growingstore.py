@@ -13,8 +13,8 @@ from collections.abc import Mapping
 
 from codec.errors import ConflictError, InvalidError
 
-from .growingplace import Shape
 from .objectstore import StorePrefix, Version, connect
+from .storage import Shape
 
 TOKEN_BYTES = 8
 """Shorter than any record."""

@@ -1,34 +1,163 @@
 """Streams in an object store, such as S3 (extra `s3`).
 
 Credentials, region and endpoint come from the environment, as obstore reads them.
+
+Names and passwords in URLs: they are for the host alone, never for messages, logs or reports.
+
+The environment variables that name the endpoint and the credentials of an object store.
+
+Errors of an object store, described in one line that says what to do.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
-from codec.errors import (
-    ConflictError,
-    CorruptError,
-    InvalidError,
-    UnreadableError,
-    UnwritableError,
-)
+from codec.errors import ConflictError, CorruptError, InvalidError, UnreadableError, UnwritableError
 
-from .credentials import without_credentials
 from .storage import Stamp
-from .storeendpoint import names_credentials, settle_endpoints
-from .storeerror import describe, lacks_credentials
 
 if TYPE_CHECKING:
     from obstore import GetOptions, ObjectMeta, PutMode
     from obstore.store import ObjectStore, RetryConfig
+
+_USER_INFO = re.compile(r"(?<=://)[^/?#\s]*@")
+
+
+def without_credentials(text: str) -> str:
+    """`text` with names and passwords left out of every URL in it: `http://user:password@host/`
+    becomes `http://host/`."""
+    return _USER_INFO.sub("", text)
+
+
+ENDPOINTS = {
+    "AWS_ENDPOINT_URL_S3": "AWS_ALLOW_HTTP",
+    "AWS_ENDPOINT_URL": "AWS_ALLOW_HTTP",
+    "AWS_ENDPOINT": "AWS_ALLOW_HTTP",
+    "AZURE_STORAGE_ENDPOINT": "AZURE_ALLOW_HTTP",
+    "AZURE_ENDPOINT": "AZURE_ALLOW_HTTP",
+}
+"""Each variable from which obstore reads an endpoint, and the one that allows or forbids http://."""
+
+
+def settle_endpoints(environment: MutableMapping[str, str]) -> None:
+    """Allows http:// where an endpoint begins with it, unless a variable already says otherwise.
+
+    Written to `environment`, because options that are passed to obstore would replace all others
+    that it reads there, such as AWS_TIMEOUT. Raises InvalidError for an endpoint that is no URL:
+    obstore panics at its first request.
+    """
+    for name, allow in ENDPOINTS.items():
+        endpoint = environment.get(name)
+        if endpoint is None:
+            continue
+        scheme = endpoint.partition("://")[0].lower()
+        if scheme not in ("http", "https"):
+            raise InvalidError(
+                f"{name} is {without_credentials(endpoint)!r}; set it to a URL that begins with "
+                "https:// or http://, or unset it"
+            )
+        if scheme == "http":
+            environment.setdefault(allow, "true")
+
+
+CREDENTIALS = (
+    "AWS_ACCESS_KEY_ID",
+    "AWS_SECRET_ACCESS_KEY",
+    "AWS_SKIP_SIGNATURE",
+    "AWS_WEB_IDENTITY_TOKEN_FILE",
+    "AWS_CONTAINER_CREDENTIALS_RELATIVE_URI",
+    "AWS_CONTAINER_CREDENTIALS_FULL_URI",
+)
+"""The variables from which obstore gets credentials of S3, or learns that none are needed."""
+
+
+def names_credentials(environment: Mapping[str, str]) -> bool:
+    """Whether one of CREDENTIALS is set. If none is, only a machine of a cloud has credentials."""
+    return any(name in environment for name in CREDENTIALS)
+
+
+MAX_REASON_CHARS = 200
+
+_METADATA = re.compile(r"http://169\.254\.169\.254/|/latest/(?:api/token|meta-data)")
+"""Requests to the service from which machines of a cloud get credentials: obstore asks it if the
+environment has none."""
+
+_ANSWER = re.compile("<Code>(.*?)</Code>.*?<Message>(.*?)</Message>", re.DOTALL)
+"""The error document of an S3 server."""
+
+_DEBUG = "Debug source"
+"""Marks the part of a text that is for the developers of obstore; it ends there."""
+
+_ATTEMPTS = re.compile(r"in ([0-9.]+)(m?s), after ([0-9]+) retries")
+"""The time that all attempts of a request took together, and the number of retries."""
+
+_STATUS = re.compile(r"non-2xx status code: ([0-9]{3}[^:\n]*)")
+
+_CAUSE = re.compile(r'(?:message|error): "([^"\n]+)"')
+"""The operating system's reason for a failed connection, in the debug text."""
+
+_PLAIN_ENDPOINT = re.compile(r"\bhttp://")
+
+
+def describe(error: Exception) -> str:
+    """The reason that the store or obstore gives for `error`, in one line."""
+    text, _, debug = str(error).partition(_DEBUG)
+    if advice := _advice(text):
+        return advice
+    reason = _reason(text, debug)
+    line = text if reason is None else _attempts(text) + reason
+    return without_credentials(" ".join(line.split()))[:MAX_REASON_CHARS]
+
+
+def lacks_credentials(error: Exception) -> bool:
+    """Whether no credentials were found, neither in the environment nor by the cloud's service."""
+    return _METADATA.search(str(error).partition(_DEBUG)[0]) is not None
+
+
+def _attempts(text: str) -> str:
+    """How often and how long the request was tried; empty if only once."""
+    found = _ATTEMPTS.search(text)
+    if found is None:
+        return ""
+    return f"{int(found[3]) + 1} attempts in {float(found[1]):.0f} {found[2]} failed: "
+
+
+def _reason(text: str, debug: str) -> str | None:
+    """The store's own reason, or that of the operating system; None if neither is known."""
+    if answer := _ANSWER.search(text + debug):
+        return ": ".join(answer.groups())
+    if status := _STATUS.search(text):
+        return f"HTTP {status[1]}"
+    if "kind: Timeout," in debug:
+        return "no response in time"
+    if "IncompleteMessage" in debug:
+        return "connection closed without a response"
+    causes = _CAUSE.findall(debug)
+    return str(causes[-1]) if causes else None  # the last is the innermost
+
+
+def _advice(text: str) -> str:
+    """The setting to change where obstore's own words name a symptom; empty for another error."""
+    if _METADATA.search(text):
+        return (
+            "no credentials: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or "
+            "AWS_SKIP_SIGNATURE=true for a public bucket"
+        )
+    if "builder error" in text and _PLAIN_ENDPOINT.search(text):
+        return (
+            "the endpoint is http://, without encryption, which AWS_ALLOW_HTTP forbids; set it to "
+            "true, or use an https:// endpoint"
+        )
+    return ""
+
 
 SCHEMES = ("s3", "s3a", "gs", "az", "azure", "abfs", "abfss")
 """Schemes of the URLs that name an object store."""

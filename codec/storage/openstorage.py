@@ -1,15 +1,18 @@
-"""From what the user typed to a storage."""
+"""From what the user typed to a storage.
+
+How a command line says a folder or a URL.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from .folder import FolderStorage
-from .growingfolder import GrowingFolder
-from .growingplace import GrowingPlace, Shape
+from tyro.constructors import PrimitiveConstructorSpec
+
+from .folder import FolderStorage, GrowingFolder
 from .growingstore import GrowingStore
 from .objectstore import open_store
-from .storage import Storage
+from .storage import GrowingPlace, Shape, Storage
 
 Target = str | Path
 """A folder, or a URL such as `s3://bucket/stream`."""
@@ -40,4 +43,15 @@ def open_growing(target: Target, shape: Shape) -> GrowingPlace:
     URL that cannot be one."""
     return (
         GrowingStore(str(target), shape) if is_url(target) else GrowingFolder(Path(target), shape)
+    )
+
+
+def target_named(metavar: str) -> PrimitiveConstructorSpec[Target | None]:
+    """To be put into `Annotated`: tyro itself would make a Path of a URL."""
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda words: parse_target(words[0]),
+        is_instance=lambda value: value is None or isinstance(value, str | Path),
+        str_from_instance=lambda target: [str(target)],
     )

@@ -10,9 +10,8 @@ from codec.storage.openstorage import Target, open_growing
 
 from .manifest import Manifest, Point
 from .pictures import Draw
-from .poster import write_poster
+from .poster import write_poster, write_storyboard
 from .reader import StreamReader
-from .storyboard import write_storyboard
 from .writer import SHAPE
 
 LOOKS = 16

@@ -14,18 +14,22 @@ from dataclasses import dataclass
 
 from codec.errors import CodecError, CorruptError
 
-from .index import SegmentRecord, parse_index, record_bytes, side_offset, size_offset
 from .manifest import Manifest, Part, is_snapshot
-from .object import (
+from .segment import (
     MAX_OBJECT_BYTES,
     NUM_CHUNKS_OFFSET,
     ChunkEntry,
+    SegmentRecord,
     entry_offset,
     entry_packet,
     error_in_object,
     object_end,
     packet_content,
+    parse_index,
     read_object_table,
+    record_bytes,
+    side_offset,
+    size_offset,
 )
 
 MAX_INDEX_BYTES = 1 << 28

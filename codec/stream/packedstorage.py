@@ -15,9 +15,9 @@ from codec.storage.objectstore import open_store
 from codec.storage.openstorage import Place, is_url, open_storage
 from codec.storage.storage import Stamp, Storage, StorageRoot
 
-from .index import INDEX_NAME
 from .manifest import MANIFEST_NAME
 from .packedlayout import PACKED_SUFFIX, PackedLayout, read_layout
+from .segment import INDEX_NAME
 
 
 class PackedStorage:

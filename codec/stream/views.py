@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from codec.arrays import Doubles
-from codec.camera import Camera
+from codec.camera import Camera, rotation_about, rotation_of, world_to_camera
 from codec.errors import InvalidError
-from codec.pose import rotation_about, rotation_of, world_to_camera
 from codec.rig import closest_point, rig_up
 
 from .manifest import Manifest

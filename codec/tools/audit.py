@@ -1,23 +1,256 @@
-"""Contents and integrity of a stream: `swings-stream info` and `verify`."""
+"""Contents and integrity of a stream: `swings-stream info` and `verify`.
+
+Statuses of the slots in the slices of a stream, counted, and their bytes.
+
+Whether the objects of a stream hold together, byte for byte.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from codec.errors import CodecError
+import numpy as np
+
+from codec.arrays import Longs
+from codec.errors import CodecError, CorruptError
+from codec.slice import window_births
+from codec.slots.decoder import SlotDecoder
+from codec.slots.mask import MaskHistory, decode_mask
+from codec.slots.slotlayout import NEW, PREDICTED
+from codec.slots.state import ESCAPED, ON_LATTICE, Slots, Snapshot, decode_snapshot, holds
 from codec.storage.openstorage import Place
-from codec.stream.index import INDEX_NAME, SegmentRecord
-from codec.stream.integrity import check_index_end
-from codec.stream.manifest import Point
+from codec.stream.integrity import (
+    CheckedObject,
+    check_index_end,
+    check_object_bytes,
+    entry_content,
+    object_table,
+)
+from codec.stream.manifest import MASKS, Part, Point, object_name, snapshot_part
 from codec.stream.packedstorage import PackedStorage
 from codec.stream.pictures import check_pictures
-from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader, join, read_stream_file, roll
+from codec.stream.segment import INDEX_NAME, MAX_OBJECT_BYTES, SegmentRecord
+from codec.stream.streampacker import verify_packed
 from codec.tracks.streamtracks import verify_captions
 
-from .objectaudit import verify_objects
-from .packing import verify_packed
-from .slotcensus import SlotSummary, count_slots, describe_slots, summarise_slots
+
+@dataclass(frozen=True, slots=True)
+class SlotCensus:
+    """Longs of a stream of F frames and L layers."""
+
+    statuses: Longs
+    """(F, L, 4) how many slots the slice born at each frame says KEPT, ENDED, PREDICTED, NEW of."""
+    first: Longs
+    """(L,) Gaussians in the snapshots of frame 0."""
+
+    @property
+    def brought(self) -> Longs:
+        """(L,) Gaussians sent to a player from frame 0 on: those of the first snapshots, and all
+        that a slice changes or adds."""
+        sent: Longs = self.statuses[:, :, [PREDICTED, NEW]].sum(axis=(0, 2))
+        return self.first + sent
+
+
+def count_slots(reader: StreamReader) -> SlotCensus:
+    """The census of a stream, from its masks and its first snapshots. Raises a
+    CodecError that names the object at fault."""
+    layout = reader.manifest.slot_layout
+    history = MaskHistory(layout)
+    counts = np.zeros((reader.num_frames, layout.num_layers, 4), np.int64)
+    for record in reader.records:
+        masks = reader.read_object(record.segment, MASKS)
+        for birth in range(record.first_frame, record.first_frame + record.num_frames):
+            content = masks.content(birth)
+            try:
+                statuses = decode_mask(layout, birth, content, history.of(birth))
+            except CodecError as error:
+                raise masks.blamed(error, birth) from error
+            history.note(birth, statuses)
+            for layer, part in enumerate(np.split(statuses, layout.row_edges[1:-1])):
+                counts[birth, layer] = np.bincount(part, minlength=4)
+    return SlotCensus(counts, _first(reader))
+
+
+def _first(reader: StreamReader) -> Longs:
+    layout = reader.manifest.slot_layout
+    held = np.zeros(layout.num_layers, np.int64)
+    if reader.records:
+        for layer in range(layout.num_layers):
+            found = reader.read_object(0, snapshot_part(layer))
+            content = found.content(0)
+            try:
+                snapshot = decode_snapshot(layout, content)
+            except CodecError as error:
+                raise found.blamed(error, 0) from error
+            held[layer] = sum(int(holds(slots.conditions).sum()) for slots in snapshot.lanes)
+    return held
+
+
+@dataclass(frozen=True, slots=True)
+class SlotSummary:
+    """The census of slots for `swings-stream info`; the tuples have one entry for each layer.
+
+    The means are of the slices born after frame 0, for that of frame 0 is in the snapshots.
+    """
+
+    slots: tuple[int, ...]
+    """Slots of a lane."""
+    kept: tuple[float, ...]
+    """Slots of a slice, as a mean; the same of the next three."""
+    predicted: tuple[float, ...]
+    new: tuple[float, ...]
+    ended: tuple[float, ...]
+    mask_bytes: int
+    change_bytes: tuple[int, ...]
+    first_snapshot_bytes: tuple[int, ...]
+    """Snapshots of frame 0, which a player from there on fetches."""
+    join_snapshot_bytes: tuple[int, ...]
+    """Snapshots of all later segments, which players fetch that join there."""
+
+
+def summarise_slots(reader: StreamReader, census: SlotCensus) -> SlotSummary:
+    records, num_layers = reader.records, reader.manifest.num_layers
+    later = census.statuses[1:]
+    means = later.sum(axis=0) / max(len(later), 1)
+    changes = np.array([r.object_bytes for r in records], np.int64).reshape(-1, num_layers)
+    sides = np.array([r.side_bytes for r in records], np.int64).reshape(-1, num_layers + 1)
+    kept, ended, predicted, new = (tuple(of_status) for of_status in means.T.tolist())
+    return SlotSummary(
+        reader.manifest.slots,
+        kept,
+        predicted,
+        new,
+        ended,
+        int(sides[:, 0].sum()),
+        tuple(changes.sum(axis=0).tolist()),
+        tuple(sides[:1, 1:].sum(axis=0).tolist()),
+        tuple(sides[1:, 1:].sum(axis=0).tolist()),
+    )
+
+
+def describe_slots(summary: SlotSummary) -> list[str]:
+    """Lines for people."""
+    s = summary
+    named = ("kept", s.kept), ("predicted", s.predicted), ("new", s.new), ("ended", s.ended)
+    means = ", ".join(f"{sum(values):.1f} {name}" for name, values in named)
+    lines = [f"slots        {sum(s.slots)} a slice; as a mean {means}"]
+    lines.append(f"masks        {s.mask_bytes:>12} bytes")
+    for layer, count in enumerate(s.slots):
+        lines.append(
+            f"changes {layer:<2}   {s.change_bytes[layer]:>12} bytes; of {count} slots "
+            f"{s.predicted[layer]:.1f} predicted, {s.new[layer]:.1f} new"
+        )
+    for layer, size in enumerate(s.first_snapshot_bytes):
+        joins = s.join_snapshot_bytes[layer]
+        lines.append(
+            f"snapshots {layer:<2} {size:>12} bytes of frame 0, {joins} bytes for joining players"
+        )
+    return lines
+
+
+def verify_objects(reader: StreamReader) -> None:
+    """Reads, checks and decodes every object; a snapshot must be what the slices before it have
+    led to. Raises a CodecError that names the file and the first byte that may be wrong."""
+    manifest = reader.manifest
+    decoder = SlotDecoder(manifest.slot_layout)
+    for record in reader.records:
+        segment = {part: _whole_object(reader, record, part) for part in manifest.parts}
+
+        def find(
+            number: int, part: Part, objects: dict[Part, CheckedObject] = segment
+        ) -> CheckedObject:
+            return objects[part]
+
+        first = record.first_frame
+        if first == 0:
+            join(find, manifest, 0, decoder)
+            _check_first_slice(decoder, segment)
+        else:
+            roll(find, manifest, first, decoder)
+            for layer in range(manifest.num_layers):
+                _check_snapshot(decoder, segment[snapshot_part(layer)], first, layer)
+        roll(find, manifest, first + record.num_frames - 1, decoder)
+
+
+def _whole_object(reader: StreamReader, record: SegmentRecord, part: Part) -> CheckedObject:
+    """The object of `part`, whose packets all inflate."""
+    manifest = reader.manifest
+    place = reader.object_place(record.segment, part)
+    data = read_stream_file(reader.storage, object_name(record.segment, part), MAX_OBJECT_BYTES)
+    damage: CodecError | None = None
+    try:
+        check_object_bytes(data, record, manifest.part_number(part))
+    except CodecError as error:
+        damage = error
+    try:
+        entries = object_table(data, manifest, record, part)
+        for entry in entries:
+            entry_content(data, entry, manifest.max_content_bytes(part))
+    except CodecError as error:
+        # The table or a packet shows the place of the damage; a hash does not.
+        altered = error if damage is None else error.reworded(f"was altered: {error}", error.at)
+        raise altered.within(place) from error
+    if damage is not None:
+        raise damage.within(place)
+    births = manifest.part_births(record.segment, record.num_frames, part)
+    return CheckedObject(place, data, entries, manifest, part, births)
+
+
+def _check_first_slice(decoder: SlotDecoder, segment: dict[Part, CheckedObject]) -> None:
+    """The slice born at 0 is in the snapshots: its own packets, if any, keep all slots."""
+    masks = segment[MASKS]
+    layers = [segment[layer] for layer in range(decoder.num_layers)]
+
+    def blamed(error: CodecError, layer: int | None) -> CodecError:
+        return (masks if layer is None else layers[layer]).blamed(error, 0)
+
+    statuses = decoder.statuses(0, masks.content(0), [one.content(0) for one in layers], blamed)
+    if statuses.any():
+        error = CorruptError("mask: the slice born at 0 does not keep all slots")
+        raise masks.blamed(error, 0)
+
+
+def _check_snapshot(decoder: SlotDecoder, found: CheckedObject, frame: int, layer: int) -> None:
+    """Raises CorruptError unless the snapshot is what `decoder` holds at `frame`."""
+    content = found.content(frame)
+    try:
+        snapshot = decode_snapshot(decoder.layout, content)
+        _check_header(snapshot, frame, layer)
+        births = window_births(frame, decoder.layout.swin_size)
+        for birth, slots in zip(births, snapshot.lanes, strict=True):
+            held = decoder.lanes[decoder.layout.lane(birth)][layer]
+            if not _same(held, slots, frame - birth):
+                raise CorruptError(
+                    f"snapshot: the lane of birth {birth} is not what the slices before it left"
+                )
+    except CodecError as error:
+        raise found.blamed(error, frame) from error
+
+
+def _check_header(snapshot: Snapshot, frame: int, layer: int) -> None:
+    if (snapshot.frame, snapshot.layer) != (frame, layer):
+        raise CorruptError(
+            f"snapshot: of frame {snapshot.frame} layer {snapshot.layer} where frame {frame} layer "
+            f"{layer} belongs"
+        )
+
+
+def _same(held: Slots, read: Slots, age: int) -> bool:
+    """Whether both hold the same Gaussians, and those that have not started by now, `age` frames
+    after the lane's birth, start at the same time."""
+    here, inside = holds(held.conditions), held.conditions == ON_LATTICE
+    order = np.argsort(held.escape_rows, kind="stable")
+    pairs = zip(held.escapes.take(order).arrays, read.escapes.arrays, strict=True)
+    return (
+        (held.conditions == read.conditions).all()
+        and (held.states.positions[inside] == read.states.positions[inside]).all()
+        and (held.states.attributes[inside] == read.states.attributes[inside]).all()
+        and (np.maximum(held.starts, age)[here] == np.maximum(read.starts, age)[here]).all()
+        and np.array_equal(held.escape_rows[order], np.flatnonzero(read.conditions == ESCAPED))
+        and all(a.tobytes() == b.tobytes() for a, b in pairs)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +444,7 @@ def verify_stream(place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIAN
     check_pictures(storage, manifest)
     verify_captions(storage, manifest)
     if manifest.sound:
-        from codec.tracks.streamsound import verify_sound  # PyAV loads slowly
+        from codec.tracks.streamtracks import verify_sound  # PyAV loads slowly
 
         verify_sound(reader)
     verify_packed(storage)

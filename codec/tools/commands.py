@@ -13,16 +13,15 @@ from codec.console import interruptible
 from codec.errors import InvalidError
 from codec.foreign.spz import SpzVersion
 from codec.helptext import Groups
-from codec.interop.exporting import SequenceFormat, export_stream
-from codec.interop.formats import SplatFormat
+from codec.interop.formats import SequenceFormat, SplatFormat, export_stream
 from codec.outputlock import writing_alone
 from codec.progressline import counted
 from codec.sequence.following import FollowOptions, follow_folder
 from codec.sequence.importing import Imported, ImportOptions, import_stream
 from codec.stream.pictures import Draw
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
+from codec.stream.streampacker import pack_stream, unpack_stream
 
-from .packing import pack_stream, unpack_stream
 from .static import export_static
 
 Stream = Annotated[str, tyro.conf.arg(metavar="STREAM")]

@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
 from codec.arrays import Doubles
-from codec.edit.crop import Crop, CropOptions
-from codec.edit.region import Box, Region
+from codec.edit.filters import Crop, CropOptions
 from codec.edit.rewrite import open_source
+from codec.edit.transform import Box, Region
 from codec.errors import InvalidError
 from codec.files import write_atomic
 from codec.splats import SH_C0

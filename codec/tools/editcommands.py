@@ -8,14 +8,11 @@ from typing import Annotated
 
 import tyro
 
-from codec.edit.crop import CropOptions
-from codec.edit.editing import edit_stream
-from codec.edit.floaters import FloaterOptions
-from codec.edit.join import join_streams
-from codec.edit.rewrite import Edited
+from codec.edit.cut import join_streams, trim_stream
+from codec.edit.filters import CropOptions, FloaterOptions
+from codec.edit.rewrite import Edited, edit_stream
 from codec.edit.transform import TransformOptions
-from codec.edit.trim import trim_stream
-from codec.edit.view import ViewOptions
+from codec.edit.walk import ViewOptions
 from codec.framerange import FRAMES, FrameRange
 from codec.outputlock import writing_alone
 from codec.progressline import counted

@@ -15,7 +15,7 @@ from typing import Self
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.splats import Splats
-from codec.storage.credentials import without_credentials
+from codec.storage.objectstore import without_credentials
 from codec.storage.openstorage import Place
 from codec.stream.manifest import Manifest
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader

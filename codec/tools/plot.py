@@ -15,12 +15,12 @@ from matplotlib.axes import Axes
 from codec.arrays import Doubles
 from codec.errors import InvalidError
 from codec.files import write_atomic
-from codec.slots.update import ENDED, NEW, PREDICTED
+from codec.slots.slotlayout import ENDED, NEW, PREDICTED
 from codec.storage.openstorage import Place
-from codec.stream.index import SegmentRecord
 from codec.stream.reader import StreamReader
+from codec.stream.segment import SegmentRecord
 
-from .slotcensus import count_slots
+from .audit import count_slots
 
 LAYER_COLOURS = ("#33307a", "#2a78b5", "#2fa58a", "#e3a72f")
 """Colours of layers 0, 1, ..., the darkest first. More layers take steps between."""

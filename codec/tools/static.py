@@ -21,7 +21,7 @@ from codec.stream.pictures import read_picture
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 from codec.tracks.streamtracks import copy_tracks
 
-from .objectaudit import verify_objects
+from .audit import verify_objects
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,7 +97,7 @@ def _keys(add: Add) -> tuple[Key, ...]:
 
 def run_audio(config: Audio) -> str:
     """Does what `config` says; gives a line about it."""
-    from .streamsound import add_sound, extract_sound, remove_sound  # PyAV loads slowly
+    from .streamtracks import add_sound, extract_sound, remove_sound  # PyAV loads slowly
 
     match config.audio:
         case Add(stream=stream, file=file, name=name) as add:

@@ -14,10 +14,8 @@ from dataclasses import dataclass, field
 
 from codec.stream.manifest import MANIFEST_NAME
 
-from .faults import BrokenError, FetchError, MissingError
-from .fetch import Fetcher, Response
-from .requesttarget import joined
-from .retry import Retry, RetryConfig
+from .fetch import Fetcher, Response, Retry, RetryConfig
+from .target import BrokenError, FetchError, MissingError, joined
 
 PROGRESS_BYTES = 4096
 """Fewer bytes than this count as no progress, so a host that trickles bytes is not waited for."""

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 
 from codec.errors import CodecError, CorruptError
 from codec.slice import Slice
-from codec.slots.slotdecoder import SlotDecoder
+from codec.slots.decoder import SlotDecoder
 from codec.stream.manifest import MASKS, Manifest, Part, layer_of, snapshot_part
-from codec.stream.object import packet_content
+from codec.stream.segment import packet_content
 from player.source.source import Blame, Packets, SlicePackets, SnapshotPackets
 
 log = logging.getLogger(__name__)

@@ -20,12 +20,10 @@ from player.network.fetch import StoppedError
 from player.render.renderer import Renderer
 from player.source.source import Source
 
-from .clock import Clock
+from .clock import Clock, Smoothing
 from .queues import Events, Handoff
-from .smoothing import Smoothing
 from .threads import Threads
-from .timeline import FrameRecord
-from .transport import Transport, live_lead_s, next_rate
+from .timeline import FrameRecord, Transport, live_lead_s, next_rate
 
 log = logging.getLogger(__name__)
 

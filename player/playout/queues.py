@@ -11,8 +11,7 @@ from player.network.fetch import StoppedError
 from player.source.source import Packets
 from server.abr.clientstatus import MAX_BUFFER_S, ClientStatus
 
-from .clock import Clock
-from .smoothing import Smoothing
+from .clock import Clock, Smoothing
 from .timeline import DueFrame, FrameRecord, Playout, PlayoutTotals
 
 MAX_FRAMES_AHEAD = 2

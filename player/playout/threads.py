@@ -22,7 +22,7 @@ from player.source.source import Source
 from player.view.path import CameraPath
 
 from .assembler import Assembler
-from .outputtimes import OutputTimes, Picture
+from .clock import OutputTimes, Picture
 from .queues import Events, Handoff
 from .timeline import FrameRecord
 

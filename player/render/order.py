@@ -11,9 +11,9 @@ import numpy as np
 from codec.arrays import Doubles, Floats, Ints
 from codec.kernel import kernel
 
-from .pack import NEVER
+from .blend import radix_sort
 from .project import depth_of
-from .sort import radix_sort
+from .upload import NEVER
 
 
 @kernel(nogil=True)

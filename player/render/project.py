@@ -1,4 +1,16 @@
-"""From 3D Gaussians and a camera to 2D Gaussians on the pixel grid (EWA splatting, recipe v1)."""
+"""From 3D Gaussians and a camera to 2D Gaussians on the pixel grid (EWA splatting, recipe v1).
+
+Rendering recipe v1: the constants that every back end shares.
+
+Classic 3D Gaussian splatting: project with the Jacobian of the pinhole camera, blur by
+`LOW_PASS_PX2`, blend front to back with alpha = min(ALPHA_MAX, opacity * exp(-q)), q half the
+squared Mahalanobis distance in pixels. Pixel (i, j) has its centre at (i + 0.5, j + 0.5); the
+background is black.
+
+Colours from spherical harmonics of degree 2 and 3, evaluated again only where the view turned.
+
+The colours of degree 0 and 1 cost less than it costs to keep them: `project_kernel` has them.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +23,43 @@ from codec.camera import Camera
 from codec.kernel import kernel, prange
 from codec.splats import SH_C0
 
-from .recipe import (
-    ALPHA_MIN,
-    JACOBIAN_CLAMP,
-    LOW_PASS_PX2,
-    MAX_EXTENT_SIGMA,
-    SH_C1,
-    TILE_PX,
+LOW_PASS_PX2 = 0.3
+"""Added to both variances of the projected Gaussian, px^2."""
+
+JACOBIAN_CLAMP = 1.3
+"""x/z and y/z are clamped to this multiple of tan(fov/2) = size / (2 focal) inside the Jacobian."""
+
+ALPHA_MAX = 0.99
+
+ALPHA_MIN = 1.0 / 255.0
+"""A smaller alpha is skipped."""
+
+TRANSMITTANCE_MIN = 1e-4
+"""A Gaussian that would bring a pixel's transmittance below this ends the pixel, without
+contributing."""
+
+MAX_EXTENT_SIGMA = 3.33
+"""Extent of a Gaussian's box: min(this, sqrt(2 ln(255 opacity))) standard deviations."""
+
+SH_C1 = 0.4886025119029199
+SH_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+SH_C3 = (
+    0.5900435899266435,
+    2.890611442640554,
+    0.4570457994644658,
+    0.3731763325901154,
+    1.445305721320277,
 )
+"""Constants of the real spherical harmonics of degree 1, 2 and 3, those of 3D Gaussian Splatting:
+colour = max(0, 0.5 + sum of coefficients * harmonics), see codec/FORMAT.md."""
+
+COLOUR_TURN_RAD = 0.002
+"""A colour of degree 2 or 3 may be kept while the direction from the camera to the Gaussian turned
+by no more than this."""
+
+TILE_PX = 16
+"""Side of a tile of the CPU rasteriser: one row of a tile is one vector of float32."""
+
 
 # Columns of a projected Gaussian.
 X, Y, CONIC_A, CONIC_B, CONIC_C, OPACITY, RED, GREEN, BLUE, Q_MAX = range(10)
@@ -226,3 +267,124 @@ def project_kernel(  # type: ignore[no-untyped-def]
         tile_boxes[i, END_X] = np.int32(x1)
         tile_boxes[i, FIRST_Y] = np.int32(y0)
         tile_boxes[i, END_Y] = np.int32(y1)
+
+
+NOWHERE_M = 1e15
+"""Each coordinate of the place from which a Gaussian counts as seen that was not seen yet: farther
+than any camera, and its square is still a float32."""
+
+ALWAYS = -1.0
+"""The angle that makes every colour be evaluated again."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenColours:
+    """The colour in which each of R Gaussians was seen last, and from where."""
+
+    dc: Floats  # (R, 1, 3) float32: the colour, as the constant harmonic that has it
+    seen_from: Floats  # (R, 3) float32, metres: the camera's place in the world
+    turn_rad: float = COLOUR_TURN_RAD
+    """A colour stays until the direction to the camera turned by more than this."""
+
+    @staticmethod
+    def none_of(count: int, sh_degree: int) -> SeenColours:
+        """Colours of `count` Gaussians that no camera saw yet; no arrays for degree 0 and 1."""
+        kept = count if sh_degree > 1 else 0
+        return SeenColours(
+            np.zeros((kept, 1, 3), np.float32), np.full((kept, 3), NOWHERE_M, np.float32)
+        )
+
+    def forget(self, first: int, end: int, rows: Ints | slice) -> None:
+        """The Gaussians `rows` of those from `first` to `end` are others now."""
+        if len(self.seen_from):
+            self.seen_from[first:end][rows] = NOWHERE_M
+
+
+@kernel(inline="always")
+def higher_harmonics(x, y, z):  # type: ignore[no-untyped-def]
+    """The five real spherical harmonics of degree 2 and the seven of degree 3 at a unit vector,
+    with the constants and signs of 3D Gaussian Splatting."""
+    two, three, four = np.float32(2), np.float32(3), np.float32(4)
+    xx, yy, zz = x * x, y * y, z * z
+    c20, c21, c22 = np.float32(SH_C2[0]), np.float32(SH_C2[1]), np.float32(SH_C2[2])
+    c30, c31, c32 = np.float32(SH_C3[0]), np.float32(SH_C3[1]), np.float32(SH_C3[2])
+    c33, c34 = np.float32(SH_C3[3]), np.float32(SH_C3[4])
+    return (
+        c20 * x * y,
+        -c20 * y * z,
+        c21 * (two * zz - xx - yy),
+        -c20 * x * z,
+        c22 * (xx - yy),
+        -c30 * y * (three * xx - yy),
+        c31 * x * y * z,
+        -c32 * y * (four * zz - xx - yy),
+        c33 * z * (two * zz - three * xx - three * yy),
+        -c32 * x * (four * zz - xx - yy),
+        c34 * z * (xx - yy),
+        -c30 * x * (xx - three * yy),
+    )
+
+
+@kernel(fastmath=True, parallel=True, nogil=True)
+def colour_kernel(  # type: ignore[no-untyped-def]
+    means, sh, rows, camera, tile_boxes, turn, dc, seen_from, projected
+):  # fmt: skip
+    """Brings the colours of what shows up to date, in `projected`, `dc` and `seen_from`.
+
+    sh (R, 9 or 16, 3). Of what `rows` (M,) names, a row without a tile does not show; the others
+    keep their colours while the square of the turn since is at most `turn`, rad^2. If that is
+    negative, `dc` and `seen_from` may hold anything.
+    """
+    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
+    c0, c1 = np.float32(SH_C0), np.float32(SH_C1)
+    px, py, pz = camera[CAM_POSITION], camera[CAM_POSITION + 1], camera[CAM_POSITION + 2]
+    cubic = sh.shape[1] > 9
+    for i in prange(rows.shape[0]):
+        if tile_boxes[i, END_X] == 0:
+            continue
+        row = rows[i]
+        x, y, z = means[row, 0] - px, means[row, 1] - py, means[row, 2] - pz
+        square = x * x + y * y + z * z
+        mx, my, mz = seen_from[row, 0] - px, seen_from[row, 1] - py, seen_from[row, 2] - pz
+        if turn >= zero and mx * mx + my * my + mz * mz <= turn * square:
+            continue
+        inv = one / np.sqrt(square)
+        x, y, z = x * inv, y * inv, z * inv
+        h4, h5, h6, h7, h8, h9, h10, h11, h12, h13, h14, h15 = higher_harmonics(x, y, z)
+        for c in range(3):
+            colour = half + c0 * sh[row, 0, c]
+            colour += c1 * (z * sh[row, 2, c] - y * sh[row, 1, c] - x * sh[row, 3, c])
+            colour += h4 * sh[row, 4, c] + h5 * sh[row, 5, c] + h6 * sh[row, 6, c]
+            colour += h7 * sh[row, 7, c] + h8 * sh[row, 8, c]
+            if cubic:
+                colour += h9 * sh[row, 9, c] + h10 * sh[row, 10, c] + h11 * sh[row, 11, c]
+                colour += h12 * sh[row, 12, c] + h13 * sh[row, 13, c]
+                colour += h14 * sh[row, 14, c] + h15 * sh[row, 15, c]
+            dc[row, 0, c] = (colour - half) / c0
+            projected[i, RED + c] = max(colour, zero)
+        seen_from[row, 0], seen_from[row, 1], seen_from[row, 2] = px, py, pz
+
+
+def project(
+    arrays: tuple[Floats, Floats, Floats, Floats, Floats],
+    rows: Ints,
+    camera: Floats,
+    tiles_x: int,
+    tiles_y: int,
+    projection: Projection,
+    seen: SeenColours,
+) -> None:
+    """Fills `projection` from the rows `rows` (M,) of `arrays`, in the order of `Splats.arrays`,
+    with colours of every degree. camera: see camera_vector; seen: those of these arrays."""
+    means, log_scales, quats, logits, sh = arrays
+    higher = sh.shape[1] > 4
+    project_kernel(
+        means, log_scales, quats, logits, seen.dc if higher else sh, rows, camera,
+        tiles_x, tiles_y, projection.projected, projection.depths, projection.tile_boxes,
+    )  # fmt: skip
+    if higher:
+        turn = np.float32(np.copysign(seen.turn_rad**2, seen.turn_rad))
+        colour_kernel(
+            means, sh, rows, camera, projection.tile_boxes, turn,
+            seen.dc, seen.seen_from, projection.projected,
+        )  # fmt: skip

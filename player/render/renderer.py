@@ -15,7 +15,7 @@ from codec.errors import UnsupportedError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 
-from .steptimes import StepTimes
+from .cpu import StepTimes
 
 
 class RendererKind(StrEnum):
@@ -81,7 +81,7 @@ class Renderer(Protocol):
 
     def glide(self, share: float) -> bool:
         """Draws what the slice of the frame that was uploaded last changes at `share` of its way,
-        0 to 1, from the frame before, until the next upload: see codec/halfway.py. Gives whether
+        0 to 1, from the frame before, until the next upload: see codec/slice.py. Gives whether
         that is another picture. Only slices with a motion change anything."""
         ...
 

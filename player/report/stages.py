@@ -25,9 +25,9 @@ from codec.stream.manifest import Manifest
 from player.config import PlayConfig
 from player.playout.assembler import Assembler
 from player.rehearsal import rehearse
+from player.render.cpu import StepTimes
 from player.render.gl import create_renderer
 from player.render.renderer import Renderer
-from player.render.steptimes import StepTimes
 from player.source.directory import DirectorySource
 from player.source.source import Packets
 from player.view.path import CameraPath

@@ -15,26 +15,26 @@ from codec.framerange import FrameRange
 from codec.progressline import Counter, counted
 from player.config import NO_CAPTIONS, PlayConfig
 from player.link.linkprocess import LinkProcess
-from player.playout.clock import Clock
+from player.playout.clock import Clock, DeviceTime, OutputTimes, Smoothing
 from player.playout.conductor import Conductor
-from player.playout.mediatime import DeviceTime
-from player.playout.outputtimes import OutputTimes
 from player.playout.queues import Events
-from player.playout.smoothing import Smoothing
 from player.playout.threads import Joined, Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.rehearsal import rehearse
 from player.render.gl import GlError, create_renderer
 from player.render.renderer import Renderer, RendererKind
-from player.report.journal import MAX_ROWS, Journal
-from player.report.playsummary import PlayedOnce, PlaySummary, write_report
-from player.report.soundcounts import SoundCounts
+from player.report.journal import (
+    MAX_ROWS,
+    Journal,
+    PlayedOnce,
+    PlaySummary,
+    SoundCounts,
+    write_report,
+)
 from player.show.background import BLACK, on_background
 from player.show.backgroundtask import BackgroundTask
 from player.show.sink import VIDEO_SUFFIX, FrameSink, to_bytes
-from player.source.locate import check_url, is_url
-from player.source.opener import Opener
-from player.source.preview import Preview
+from player.source.opener import Opener, Preview, check_url, is_url
 from player.source.source import Source
 from player.view.path import CameraPath, Size
 from server.abr.link import Link
@@ -42,7 +42,7 @@ from server.abr.playout import PlayoutConfig
 
 if TYPE_CHECKING:
     from player.show.glwindow import GlWindow
-    from player.show.posterscreen import PosterScreen
+    from player.show.window import PosterScreen
     from player.sound.soundplayer import SoundPlayer
     from player.sound.soundtrack import SoundTrack
 
@@ -126,7 +126,7 @@ class _Playback:
         if config.report is not None:
             write_report(config.report, summary)
         if config.plot is not None:
-            from player.report.playplot import write_plot  # matplotlib loads slowly
+            from player.report.plots import write_plot  # matplotlib loads slowly
 
             write_plot(config.plot, summary.to_json())
         return summary
@@ -180,7 +180,7 @@ class _Playback:
     def _show_window(self) -> None:
         """Plays in a window until that is closed."""
         from player.show.glwindow import GlWindow
-        from player.show.posterscreen import PosterScreen, read_picture
+        from player.show.window import PosterScreen, read_picture
 
         config, found = self._config, self._load_preview()
         camera = config.camera.of(found.manifest, config.size, FrameRange())(config.frames.first)
@@ -264,7 +264,7 @@ class _Playback:
 
     def _capture(self) -> None:
         """Draws every frame into files."""
-        from player.show.filesinks import open_sink  # the library for videos loads slowly
+        from player.show.sink import open_sink  # the library for videos loads slowly
 
         self._rehearse(self._kind)
         output, loop = self._config.capture, self._config.loop

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from codec.camera import Camera
 from codec.errors import CodecError
+from player.playout.clock import DeviceTime
 from player.playout.conductor import Conductor
-from player.playout.mediatime import DeviceTime
-from player.report.soundcounts import SoundCounts
+from player.report.journal import SoundCounts
 from player.source.soundfiles import SoundFiles
 
 if TYPE_CHECKING:
-    from player.sound.soundfeed import SoundFeed, Whereabouts
+    from player.sound.feed import SoundFeed, Whereabouts
     from player.sound.soundplayer import SoundPlayer
 
 log = logging.getLogger(__name__)
@@ -45,10 +45,8 @@ def sounding(
         # Only here: the libraries for sound load slowly, and may find no system's own.
         from miniaudio import MiniaudioError
 
-        from player.sound.decodedsound import DecodedSound
-        from player.sound.sounddevice import SoundDevice
-        from player.sound.soundfeed import SoundFeed
-        from player.sound.soundplayer import SoundPlayer
+        from player.sound.feed import DecodedSound, SoundFeed
+        from player.sound.soundplayer import SoundDevice, SoundPlayer
     except (ImportError, OSError) as error:
         log.warning("playing without sound: %s", error)
         yield None
@@ -80,7 +78,7 @@ def _count(counts: SoundCounts, files: SoundFiles, feed: SoundFeed, player: Soun
 
 
 def _whereabouts(conductor: Conductor) -> Whereabouts:
-    from player.sound.soundfeed import Whereabouts
+    from player.sound.feed import Whereabouts
 
     state = conductor.state()
     return Whereabouts(state.frame, state.first_frame, state.end_frame, state.loops, state.rate)

@@ -13,8 +13,7 @@ from codec.framerange import FrameRange
 from codec.progressline import counted
 from player.config import PictureKind, PlayConfig
 from player.script.openscene import Scene
-from player.show.filesinks import open_sink
-from player.show.sink import Picture, to_bytes, write_picture
+from player.show.sink import Picture, open_sink, to_bytes, write_picture
 from player.view.path import CameraPath, Size, orbit
 
 

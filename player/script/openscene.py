@@ -17,20 +17,17 @@ from codec.arrays import Floats
 from codec.camera import Camera
 from codec.errors import CodecError, InvalidError
 from codec.framerange import FrameRange
-from codec.halfway import Motion
-from codec.slice import Slice, window_births
+from codec.slice import Motion, Slice, window_births
 from codec.splats import Splats
 from codec.stream import StreamReader
-from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import Manifest
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
-from player.render.cpu import render_splats
-from player.render.depth import render_depth
+from codec.stream.segment import INDEX_NAME
+from player.render.cpu import render_depth, render_splats
 from player.render.gl import create_renderer
 from player.render.renderer import GlVersion, Renderer, RendererKind, check_drawable
 from player.show.background import BLACK, Colour, on_background
-from player.source.locate import is_url
-from player.source.opener import SourceConfig
+from player.source.opener import SourceConfig, is_url
 from player.source.sizelimits import SizeLimits
 from player.source.source import check_layers
 from player.source.webstorage import WebStorage
@@ -153,7 +150,7 @@ class Scene:
 
     def splats(self, frame: float) -> Splats:
         """The Gaussians that show in `frame`, oldest slice first. Between two frames, as in frame
-        30.5, those that go on are on their way, and others fade: see codec/halfway.py. Raises
+        30.5, those that go on are on their way, and others fade: see codec/slice.py. Raises
         InvalidError if there is no such frame, a CodecError for a broken stream, a FetchError if it
         cannot be fetched."""
         first, share = self._split(frame)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from codec.arrays import Floats
-from player.render.gl.offscreen import BLACK, Colour
+from player.render.gl.context import BLACK, Colour
 
 __all__ = ["BLACK", "TRANSPARENT", "Colour", "on_background"]
 

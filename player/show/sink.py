@@ -1,17 +1,28 @@
-"""Pictures into files: which there can be, and a single one. filesinks.py writes many."""
+"""Pictures into files: which there can be, and a single one. filesinks.py writes many.
+
+Pictures into files: an .mp4 or a folder of PNGs.
+
+Rule: a file under its final name is whole. What is being written has a temporary name.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Protocol
 
+import av
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
 from codec.arrays import Bytes, Floats
 from codec.errors import InvalidError, SwingsError
-from codec.files import replacing
+from codec.files import DISK_ERRORS, replacing
+from codec.stream.sound import SAMPLE_RATE
+from player.playout.clock import exact_rate
+from player.view.path import Size
 
 Words = npt.NDArray[np.uint16]
 Sound = npt.NDArray[np.int16]
@@ -78,3 +89,152 @@ def check_output(path: Path) -> None:
         raise InvalidError(f"{path} is a file; name an .mp4 file, or a folder for PNGs")
     elif path.is_dir() and any(path.glob("frame_*.*")):
         raise InvalidError(f"{path} already contains frames; remove them or name another folder")
+
+
+VIDEO_ENCODER, SOUND_ENCODER = "libx264", "aac"
+PIXELS = "yuv420p"
+"""Pixel format, as FFmpeg names it. Colours are BT.709."""
+# Equal pictures should give equal files. x264's macroblock tree does not: with AVX-512 its bytes
+# differ from run to run.
+ENCODER_OPTIONS = {"crf": "16", "preset": "fast", "x264-params": "mbtree=0"}
+"""Constant rate factor 16 is visually lossless."""
+
+SOUND_BITRATE_BPS = 192000
+"""Bitrate of the AAC track."""
+
+# As FFmpeg numbers them.
+_BT709 = 1
+_LIMITED_RANGE = 1
+
+
+@contextmanager
+def open_sink(path: Path, fps: float, size: Size, *, sound: bool = False) -> Iterator[FrameSink]:
+    """Gives what writes pictures of `size` to `path`, by its suffix. sound: a video gets a sound
+    track of what `write_sound` is given; pictures in a folder have none.
+
+    Leaving by an error leaves nothing, so that the same command can be given again. Ctrl-C leaves
+    no video, but the pictures that are written.
+    """
+    check_output(path)
+    if path.suffix.lower() != VIDEO_SUFFIX:
+        pictures = FolderSink(path)
+        try:
+            yield pictures
+        except Exception:
+            pictures.remove()
+            raise
+        return
+    with replacing(path) as temporary:
+        video = VideoSink(path, temporary, fps, size, sound)
+        try:
+            yield video
+            video.finish()
+        finally:
+            video.close()
+
+
+class FolderSink:
+    """frame_00000.png, frame_00001.png, ... by frame number."""
+
+    def __init__(self, folder: Path) -> None:
+        self._was_there = folder.exists()
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+        self._written: list[Path] = []
+
+    def write(self, frame: int, picture: Picture) -> None:
+        path = self._folder / f"frame_{frame:05d}.png"
+        write_picture(path, picture)
+        self._written.append(path)
+
+    def write_sound(self, samples: Sound) -> None:
+        pass
+
+    def remove(self) -> None:
+        """Removes what was written, and the folder unless it was there before."""
+        for path in self._written:
+            path.unlink(missing_ok=True)
+        if not self._was_there:
+            with suppress(OSError):  # somebody else has put something into it
+                self._folder.rmdir()
+
+
+class VideoSink:
+    """An .mp4: H.264 in 8 bits 4:2:0, and AAC. `finish` makes it whole; `close` in any case."""
+
+    def __init__(
+        self, path: Path, temporary: Path, fps: float, size: Size, sound: bool = False
+    ) -> None:
+        """path: what errors call it. temporary: what is written."""
+        self._path = path
+        # Both sides of a 4:2:0 picture are even: the last column or row is repeated.
+        more_px = size.height_px % 2, size.width_px % 2
+        self._padding = ((0, more_px[0]), (0, more_px[1]), (0, 0))
+        self._container = av.open(str(temporary), "w", format="mp4")
+        try:
+            rate = exact_rate(fps)
+            stream: av.VideoStream = self._container.add_stream(VIDEO_ENCODER, rate=rate)  # type: ignore[assignment]
+            stream.width = size.width_px + more_px[1]
+            stream.height = size.height_px + more_px[0]
+            stream.pix_fmt = PIXELS
+            stream.options = dict(ENCODER_OPTIONS)
+            stream.codec_context.colorspace = _BT709
+            stream.codec_context.color_primaries = _BT709
+            stream.codec_context.color_trc = _BT709
+            stream.codec_context.color_range = _LIMITED_RANGE
+            self._track: av.AudioStream | None = None
+            if sound:
+                track: av.AudioStream = self._container.add_stream(  # type: ignore[assignment]
+                    SOUND_ENCODER, rate=SAMPLE_RATE, layout="stereo"
+                )
+                track.bit_rate = SOUND_BITRATE_BPS
+                self._track = track
+        except Exception as error:  # PyAV lacks the encoder: ValueError, or an FFmpeg error
+            self.close()
+            raise SinkError(
+                f"{path}: this PyAV has no encoder {VIDEO_ENCODER} or {SOUND_ENCODER}: {error}"
+            ) from error
+        self._stream = stream
+        self._written = 0
+        self._heard = 0  # samples
+
+    def write(self, frame: int, picture: Picture) -> None:
+        padded = np.pad(picture, self._padding, mode="edge")
+        image = av.VideoFrame.from_ndarray(np.ascontiguousarray(padded), format="rgb24")
+        image = image.reformat(format=PIXELS, dst_colorspace="ITU709")
+        image.pts = self._written
+        self._written += 1
+        try:
+            self._container.mux(self._stream.encode(image))
+        except av.error.FFmpegError as error:
+            raise self._failed(error, f"frame {frame}: ") from error
+
+    def write_sound(self, samples: Sound) -> None:
+        if self._track is None or not len(samples):
+            return
+        row = np.ascontiguousarray(samples).reshape(1, -1)
+        frame = av.AudioFrame.from_ndarray(row, format="s16", layout="stereo")
+        frame.sample_rate, frame.pts = SAMPLE_RATE, self._heard
+        self._heard += len(samples)
+        try:
+            self._container.mux(self._track.encode(frame))
+        except av.error.FFmpegError as error:
+            raise self._failed(error, "sound: ") from error
+
+    def finish(self) -> None:
+        try:
+            self._container.mux(self._stream.encode(None))
+            if self._track is not None:
+                self._container.mux(self._track.encode(None))
+            self._container.close()
+        except av.error.FFmpegError as error:
+            raise self._failed(error) from error
+
+    def _failed(self, error: av.error.FFmpegError, where: str = "") -> SinkError:
+        if error.errno in DISK_ERRORS:
+            return SinkError(f"{self._path} cannot be written: {error.strerror}")
+        return SinkError(f"{self._path}: {where}{error}")
+
+    def close(self) -> None:
+        with suppress(av.error.FFmpegError):  # a full disk takes no trailer, and has been reported
+            self._container.close()

@@ -1,5 +1,8 @@
 """A stream on any static host: manifest, index and objects fetched one by one, or as parts of the
-one file of a packed stream."""
+one file of a packed stream.
+
+The index of a stream on a static host, which may still grow.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +17,7 @@ from urllib.parse import urljoin
 
 from codec.errors import CodecError, CorruptError, SwingsError
 from codec.framerange import FrameRange
-from codec.stream.index import SegmentRecord
-from codec.stream.integrity import CheckedObject
+from codec.stream.integrity import CheckedObject, read_index
 from codec.stream.manifest import (
     MANIFEST_NAME,
     MAX_MANIFEST_BYTES,
@@ -25,18 +27,80 @@ from codec.stream.manifest import (
     object_name,
 )
 from codec.stream.packedlayout import PackedLayout, read_layout
-from player.network.faults import BrokenError, FetchError, MissingError
-from player.network.fetch import Fetcher
-from player.network.idle import IdleLimit
+from codec.stream.segment import INDEX_NAME, SegmentRecord, record_bytes
+from player.network.fetch import Fetcher, RetryConfig
+from player.network.http import IdleLimit
 from player.network.mirrors import Extent, Mirrors, Span, check_range, refusal
-from player.network.retry import RetryConfig
+from player.network.target import BrokenError, FetchError, MissingError
 from server.abr.clientstatus import ClientStatus
 from server.abr.session import Finished, WaitForFrames, WaitUntil
 
-from .hostedindex import MAX_HOSTED_INDEX_BYTES, REPLACED, HostedIndex
+from .directory import SegmentReader
 from .hostedplay import Ask, HostedPlay, Wait
-from .segmentreader import SegmentReader
+from .sizelimits import SizeLimits
 from .source import REPORT_S, LastPlay, Packets, check_frames, check_layers
+
+MAX_HOSTED_INDEX_BYTES = 1 << 26
+"""Longest index read: its records take about six times as much in memory."""
+
+REPLACED = "the stream was replaced by another one; play it again"
+
+
+class HostedIndex:
+    """The records that are known; the first ones never change."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        self._manifest = manifest
+        self._limits = SizeLimits(manifest)
+        self._record_bytes = record_bytes(manifest.num_layers)
+        self._last = b""
+        self.records: list[SegmentRecord] = []
+
+    @property
+    def num_frames(self) -> int:
+        last = self.records[-1] if self.records else None
+        return last.first_frame + last.num_frames if last else 0
+
+    def grow(self, mirrors: Mirrors, wait_s: int = 0) -> bool:
+        """Gets what is new; gives whether something was. wait_s: for how long a server that can
+        may wait for something new. Raises CorruptError when it is another stream's index."""
+        known = len(self.records) * self._record_bytes
+        overlap = len(self._last)
+        reference = f"{INDEX_NAME}?after={known}&wait={wait_s}" if wait_s else INDEX_NAME
+        limit_bytes = MAX_HOSTED_INDEX_BYTES
+        if not known and not wait_s:
+            data = bytes(mirrors.get(reference, limit_bytes).data)
+        else:
+            data = mirrors.tail(reference, known - overlap, limit_bytes)
+        url = mirrors.url(INDEX_NAME)
+        # Nothing at all is a host that lags behind another one.
+        if data[:overlap] != self._last and len(data) >= overlap:
+            raise CorruptError(f"{url}: {REPLACED}")
+        return self.add(data[overlap:], url)
+
+    def add(self, new: bytes, url: str) -> bool:
+        """Takes in what follows on the records that are known, found at `url`; gives whether there
+        is a record in it. Raises a CodecError."""
+        known = len(self.records) * self._record_bytes
+        try:
+            records = read_index(new, self._manifest, self.records)
+            for record in records:
+                self._limits.check_segment(record)
+        except CodecError as error:
+            raise error.within(url, known) from error
+        if records:
+            end = len(records) * self._record_bytes
+            self._last = new[end - self._record_bytes : end]
+            self.records += records
+        return bool(records)
+
+    def is_replaced(self, mirrors: Mirrors) -> bool:
+        """Whether the host has another stream by now."""
+        if not self.records:
+            return False
+        at = (len(self.records) - 1) * self._record_bytes
+        return mirrors.tail(INDEX_NAME, at, MAX_HOSTED_INDEX_BYTES)[: len(self._last)] != self._last
+
 
 log = logging.getLogger(__name__)
 

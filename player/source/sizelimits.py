@@ -6,9 +6,8 @@ Rule: no I/O. The manifest bounds what is decoded; here it bounds what is held c
 from __future__ import annotations
 
 from codec.errors import CorruptError
-from codec.stream.index import SegmentRecord
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest, Part, is_snapshot
-from codec.stream.object import ENTRY, HEAD
+from codec.stream.segment import ENTRY, OBJECT_HEAD, SegmentRecord
 
 RECORD_BYTES = 4096
 """More than a record has beside its packets, or its manifest."""
@@ -37,7 +36,7 @@ class SizeLimits:
         """Raises CorruptError when the index names an object that is longer than one can be."""
         for part, size in zip(self._manifest.parts, record.part_bytes, strict=True):
             births = len(self._manifest.part_births(record.segment, record.num_frames, part))
-            limit = HEAD.size + births * (ENTRY.size + self._packet_bytes[part])
+            limit = OBJECT_HEAD.size + births * (ENTRY.size + self._packet_bytes[part])
             if size > limit:
                 raise CorruptError(
                     f"index: segment {record.segment} names an object of {size} bytes, "

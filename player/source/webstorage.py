@@ -12,18 +12,16 @@ from typing import TypeVar
 from urllib.parse import urlsplit
 
 from codec.errors import CorruptError, InvalidError, UnreadableError
-from codec.storage.credentials import without_credentials
+from codec.storage.objectstore import without_credentials
 from codec.storage.storage import Stamp
 from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, SEGMENTS_NAME
 from codec.stream.packedlayout import PackedLayout
-from player.network.faults import MissingError
 from player.network.fetch import FetchConfig, Fetcher
 from player.network.mirrors import Mirrors
-from player.network.requesttarget import joined, logins_of
+from player.network.target import MissingError, joined, logins_of
 
 from .hosted import HostedPlace
-from .locate import ServedPlace, locate, split_source
-from .opener import SourceConfig
+from .opener import ServedPlace, SourceConfig, locate, split_source
 
 Result = TypeVar("Result")
 

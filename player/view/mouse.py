@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from codec.arrays import Doubles
-from codec.camera import Camera
-from codec.pose import world_to_camera
+from codec.camera import Camera, world_to_camera
 from codec.rig import rig_up
 from codec.stream.manifest import Manifest
 from codec.stream.views import LEAST_ZOOM, MOST_ZOOM, Orbit, scene_centre

@@ -3,7 +3,7 @@
 // pyproject.toml
 export const PLAYER_VERSION = "0.1.0";
 
-// player.render.recipe
+// player.render.project
 export const LOW_PASS_PX2 = 0.3;
 export const JACOBIAN_CLAMP = 1.3;
 export const ALPHA_MAX = 0.99;
@@ -16,16 +16,16 @@ export const SH_C3 = [
 ];
 export const COLOUR_TURN_RAD = 0.002;
 
-// player.render.pack
+// player.render.upload
 export const COLOUR_COLUMNS = 2048;
 
-// player.render.moves
+// player.render.upload
 export const MOVES = 1;
 export const ENTERS = 2;
 export const LEAST_SPARE = 64;
 export const SPARE_SHARE = 16;
 
-// codec.halfway
+// codec.slice
 export const JUMP_SIGMAS = 8;
 
 // codec.splats
@@ -71,16 +71,16 @@ export const MAX_BASE = 1000;
 export const MAX_OPACITY_LEVELS = 256;
 export const MAX_LOGIT = 16;
 
-// codec.slots.slotchunk
+// codec.slots.slotlayout
 export const CHUNK_MAGIC = "SWG1";
 export const CHUNK_HEAD = "<4sBBBBi";
 export const CHUNK_KINDS = { MASK: 0, CHANGE: 1, SNAPSHOT: 2 };
 export const HAS_STARTS = 1;
 
-// codec.slots.slotchange
+// codec.slots.change
 export const CHANGE_COUNTS = "<5I";
 
-// codec.slots.residual
+// codec.slots.change
 export const LONG = 255;
 export const MAX_GAP_BITS = 25;
 
@@ -95,23 +95,23 @@ export const LEAST_RANGE = 16777216;
 export const FIRST_PROBABILITY = 32768;
 export const MOST_COUNTED = 127;
 
-// codec.slots.update
+// codec.slots.slotlayout
 export const KEPT = 0;
 export const ENDED = 1;
 export const PREDICTED = 2;
 export const NEW = 3;
 
-// codec.slots.slotstate
+// codec.slots.state
 export const UNKNOWN = 0;
 export const EMPTY = 1;
 export const ON_LATTICE = 2;
 export const ESCAPED = 3;
 
-// codec.slots.slotdecoder
+// codec.slots.decoder
 export const MIN_LOG_BYTES = 16777216;
 export const LOG_SHARE = 6;
 
-// codec.stream.object
+// codec.stream.segment
 export const SKIPPABLE_MAGIC = 407710288;
 export const TABLE_MAGIC = "SWGO";
 export const OBJECT_HEAD = "<II4sBBHI";
@@ -124,7 +124,7 @@ export const CODER = 1;
 export const ZSTD_MAGIC = [40, 181, 47, 253];
 export const MAX_EXPANSION = 32768;
 
-// codec.stream.index
+// codec.stream.segment
 export const INDEX_HEAD = "<IIII";
 export const INDEX_LAYER = "<Q32sf";
 export const INDEX_SIDE = "<Q32s";
@@ -140,7 +140,7 @@ export const MAX_CAPTIONS_BYTES = 1048576;
 // codec.stream.pictures
 export const MAX_PICTURE_BYTES = 1048576;
 
-// codec.stream.zipentry
+// codec.stream.packedlayout
 export const ZIP_LOCAL = "<IHHHHHIIIHH";
 export const ZIP_LOCAL_MAGIC = 67324752;
 
@@ -172,7 +172,7 @@ export const SOUND_PREFIX = "audio-";
 export const SOUND_MAGIC = "SWA1";
 export const SOUND_HEAD = "<4sIIBBHIQQ";
 
-// codec.stream.storyboard
+// codec.stream.poster
 export const MAX_STORYBOARD_TILES = 60;
 export const STORYBOARD_COLUMNS = 10;
 export const STORYBOARD_PER_S = 4;

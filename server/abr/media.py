@@ -12,8 +12,8 @@ from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Protocol
 
-from codec.stream.index import SegmentRecord
 from codec.stream.manifest import Manifest
+from codec.stream.segment import SegmentRecord
 
 UNKNOWN_GAIN_DB = 3.0
 """Assumed gain from twice the bytes, if the index has no quality, dB."""

@@ -1,23 +1,39 @@
-"""A stream's files over HTTP, under the same relative paths as on disk."""
+"""A stream's files over HTTP, under the same relative paths as on disk.
+
+A stream as one file, which `swings-stream pack` would write; packed while it is sent.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import hashlib
+from collections.abc import Iterator
 
 from aiohttp import web
 
+from codec.errors import CorruptError
 from codec.stream.captions import CAPTIONS_TYPE
-from codec.stream.index import INDEX_NAME
 from codec.stream.integrity import MAX_INDEX_BYTES
 from codec.stream.manifest import MANIFEST_NAME, MASKS, Part
+from codec.stream.packedlayout import PACKED_SUFFIX
 from codec.stream.pictures import picture_type
+from codec.stream.segment import INDEX_NAME
 from codec.stream.sound import SOUND_NAME, SOUND_PREFIX
-from server.http.content import IMMUTABLE, OBJECT_TYPE, REVALIDATE, Content, serve
+from server.html.htmlpages import DOWNLOAD_NAME
+from server.http.content import (
+    IMMUTABLE,
+    NO_STORE,
+    OBJECT_TYPE,
+    REVALIDATE,
+    Content,
+    StreamedResponse,
+    serve,
+)
 from server.http.errors import RequestError
+from server.http.requestlog import FACTS
 from server.state.serverstate import STATE
 
-from .asked import STREAM, parse_number, stream_of, waits
+from .asked import STREAM, parse_number, room_for_play, stream_of, waits
 
 MAX_WAIT_S = 30
 """Seconds that a client may wait for an index to grow."""
@@ -110,3 +126,49 @@ async def picture(request: web.Request) -> web.StreamResponse:
         raise RequestError(404, f"{stream.name} has no {what} {name[:80]!a}")
     sha256 = hashlib.sha256(data).hexdigest()
     return await serve(request, Content(data, sha256, content_type, REVALIDATE))
+
+
+BLOCK_BYTES = 1 << 18
+"""So many bytes at least are read, checked and written in one go."""
+
+
+@routes.get(f"{STREAM}/{DOWNLOAD_NAME}")
+async def download(request: web.Request) -> web.StreamResponse:
+    state, packed = request.app[STATE], stream_of(request)
+    if packed.live or not packed.num_frames:
+        raise RequestError(404, f"{packed.name} can be downloaded when it is finished")
+    # It takes the place of a play: what limits those limits this.
+    with room_for_play(request):
+        packer = await asyncio.to_thread(packed.packer)
+        headers = {
+            "Content-Type": OBJECT_TYPE,
+            "Content-Disposition": f'attachment; filename="{packed.name}{PACKED_SUFFIX}"',
+            "Accept-Ranges": "none",
+            "Cache-Control": NO_STORE,
+            "Content-Length": str(packer.layout.size_bytes),
+        }
+        if request.method == "HEAD":
+            return web.Response(headers=headers)
+        headers["X-Accel-Buffering"] = "no"  # nginx would take all of it to its disk
+
+        request[FACTS] = {}
+        response = StreamedResponse(request, headers, state.count_sent)
+        response.connection.hold_at_most(state.config.send_queue_bytes)
+        pieces, left_bytes = packer.pieces(), packer.layout.size_bytes
+        while left_bytes:
+            block = await asyncio.to_thread(_next_block, pieces)
+            if packed.gone or not block:  # the connection is cut off, as the file is not whole
+                raise CorruptError(f"{packed.name} was replaced or removed while it was downloaded")
+            await response.write(block)
+            left_bytes -= len(block)
+        return await response.end()
+
+
+def _next_block(pieces: Iterator[bytes]) -> bytes:
+    """The next pieces together; empty at the end."""
+    block = bytearray()
+    for piece in pieces:
+        block += piece
+        if len(block) >= BLOCK_BYTES:
+            break
+    return bytes(block)

@@ -14,10 +14,15 @@ from aiohttp import HttpVersion11, web
 from markupsafe import Markup
 
 from codec.stream.pictures import picture_path, picture_size_px
-from server.html import gallery, htmlpage, watchpage
-from server.html.gallery import Card, card_html, front_page
-from server.html.htmlpage import message_page
-from server.html.watchpage import WatchedStream, watch_page
+from server.html import htmlpages
+from server.html.htmlpages import (
+    Card,
+    WatchedStream,
+    card_html,
+    front_page,
+    message_page,
+    watch_page,
+)
 from server.http.content import NO_STORE, REVALIDATE
 from server.http.errors import RequestError
 from server.library import ServedStream
@@ -52,7 +57,7 @@ def refused_page(has_expired: bool) -> web.Response:
     else:
         text = "Ask whoever runs this server for one. A link that was cut short does not open."
         page = message_page("This page opens with a link made for it", text)
-    return _page(page, htmlpage.SECURITY, 403, NO_STORE)
+    return _page(page, htmlpages.PLAIN_SECURITY, 403, NO_STORE)
 
 
 def busy_page(error: RequestError) -> web.Response:
@@ -60,7 +65,7 @@ def busy_page(error: RequestError) -> web.Response:
     page = message_page(
         "This server is busy", "Try again in a moment; streams go on where they were."
     )
-    response = _page(page, htmlpage.SECURITY, error.status, NO_STORE)
+    response = _page(page, htmlpages.PLAIN_SECURITY, error.status, NO_STORE)
     if "Retry-After" in error.headers:
         response.headers["Retry-After"] = error.headers["Retry-After"]
     return response
@@ -140,7 +145,7 @@ async def front(request: web.Request) -> web.Response:
     titles = Counter(map(_title, streams))
     cards = [_card(stream, titles) for stream in streams]
     page = front_page(cards, request.app[STATE].library.broken, _origin(request))
-    return _page(page, gallery.SECURITY)
+    return _page(page, htmlpages.SECURITY)
 
 
 @routes.get("/watch/{stream}")
@@ -152,7 +157,7 @@ async def watch(request: web.Request) -> web.Response:
     except RequestError as error:
         there = Markup('It may have been removed or renamed. See <a href="../">all streams</a>.')
         page = message_page("There is no such stream", there)
-        return _page(page, htmlpage.SECURITY, error.status)
+        return _page(page, htmlpages.PLAIN_SECURITY, error.status)
     player = state.web_player
     # An address that needs a signature is not one to be passed on.
     watched = _watched(stream, origin)
@@ -160,7 +165,7 @@ async def watch(request: web.Request) -> web.Response:
     if stream.live and not await asyncio.to_thread(stream.has_picture, path):
         watched = replace(watched, poster="")  # it is drawn at the end
     page = watch_page(watched, player, shared=state.signer is None)
-    return _page(page, watchpage.security(player))
+    return _page(page, htmlpages.security(player))
 
 
 def _watched(stream: ServedStream, origin: str) -> WatchedStream:
@@ -201,7 +206,7 @@ async def oembed(request: web.Request) -> web.Response:
         data = await asyncio.to_thread(stream.read_picture, stream.view.manifest.poster)
         watched = replace(watched, poster_px=picture_size_px(data) if data else None)
     return web.json_response(
-        watchpage.oembed(watched, *most_px), headers={"Cache-Control": REVALIDATE}
+        htmlpages.oembed(watched, *most_px), headers={"Cache-Control": REVALIDATE}
     )
 
 

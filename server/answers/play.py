@@ -41,17 +41,15 @@ from server.abr.session import (
     WaitForFrames,
     WaitUntil,
 )
-from server.http.content import NO_STORE
+from server.http.connection import TcpInfo
+from server.http.content import NO_STORE, StreamedResponse
 from server.http.requestlog import FACTS
-from server.http.streaming import StreamedResponse
-from server.http.tcpinfo import TcpInfo
 from server.operate.workers import is_issued, make_token
 from server.state.caches import CodedRecord
 from server.state.serverstate import STATE
 from server.study.choice import make_policy
 
-from .asked import STREAM, room_for_play, stream_of, waits
-from .playquery import PlayQuery, parse_query
+from .asked import STREAM, PlayQuery, parse_query, room_for_play, stream_of, waits
 from .statusreport import may_continue
 
 log = logging.getLogger(__name__)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 from codec.errors import CodecError, CorruptError, UnreadableError
 from codec.storage.storage import Stamp, Storage
-from codec.stream.index import INDEX_NAME
 from codec.stream.integrity import MAX_INDEX_BYTES
 from codec.stream.manifest import (
     MANIFEST_NAME,
@@ -21,6 +20,7 @@ from codec.stream.manifest import (
     object_name,
 )
 from codec.stream.reader import read_stream_file
+from codec.stream.segment import INDEX_NAME
 
 from .servedstream import ServedStream
 from .streamview import StreamView, continued, index_of, is_continued, view_of

@@ -10,9 +10,9 @@ import json
 from dataclasses import dataclass, field, replace
 
 from codec.errors import CodecError
-from codec.stream.index import INDEX_NAME, SegmentRecord, record_bytes
 from codec.stream.integrity import check_index_end, read_index
 from codec.stream.manifest import MANIFEST_NAME, Manifest
+from codec.stream.segment import INDEX_NAME, SegmentRecord, record_bytes
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,11 +15,10 @@ from server.library import Library
 from server.operate.admission import Admission, connection_limit, parse_proxies
 from server.operate.overload import Overload
 from server.operate.prometheus import Metrics
-from server.operate.sign.keyfile import read_keys
-from server.operate.sign.signing import Signer
+from server.operate.sign.signing import Signer, read_keys
 from server.operate.workers import OtherWorkers
-from server.state.caches import ObjectCache, RecordCache
 
+from .caches import ObjectCache, RecordCache
 from .config import ServerConfig
 from .register import PlayRegister
 

@@ -17,8 +17,7 @@ from codec.files import describe_os_error
 from server.abr.decisioncontext import Policy
 from server.abr.sweep import Sweep
 
-from .policies import BolaRule, RobustMpcRule, TailDropRule, ThroughputRule
-from .rule import InOrder, Rule
+from .policies import BolaRule, InOrder, RobustMpcRule, Rule, TailDropRule, ThroughputRule
 
 OWN = "sweep"
 """The server's own."""

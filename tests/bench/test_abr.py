@@ -10,7 +10,7 @@ import pytest
 from bench.abr.abr import ComparisonConfig, run
 from bench.abr.ahead import ahead_db, mean_interval
 from bench.abr.dynamic import Dynamic
-from server.study.rule import Group, Rule, Situation
+from server.study.policies import Group, Rule, Situation
 from server.study.study import Play
 from tests.support.slots.folder import write_slots
 

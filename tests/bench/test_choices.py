@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bench.leases import examine, recoded
-from codec.slots.update import PREDICTED
+from codec.slots.slotlayout import PREDICTED
 from codec.stream import StreamReader
 from codec.stream.manifest import MASKS
 from tests.support.slots.folder import write_slots

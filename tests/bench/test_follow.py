@@ -12,8 +12,7 @@ import pytest
 
 from bench.follow import WRITTEN_NAME, FollowConfig, run, write
 from codec.errors import InvalidError
-from codec.sequence.numberedfiles import find_files
-from codec.sequence.survey import read_frame
+from codec.sequence.survey import find_files, read_frame
 
 
 def test_the_writer_keeps_its_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,9 +11,17 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from codec.arrays import Doubles
-from codec.camera import Camera, Floating
+from codec.camera import (
+    Camera,
+    Floating,
+    look_at,
+    quat_of,
+    rotation_about,
+    rotation_of,
+    slerp,
+    world_to_camera,
+)
 from codec.errors import InvalidError
-from codec.pose import look_at, quat_of, rotation_about, rotation_of, slerp, world_to_camera
 from codec.rig import closest_point, rig_up
 from codec.similarity import Similarity, harmonics, turned_harmonics
 from codec.splats import SH_C0, Splats

@@ -14,7 +14,7 @@ import pytest
 
 from codec.errors import ConflictError
 from codec.outputlock import writing_alone
-from codec.tools.packing import pack_stream
+from codec.stream.streampacker import pack_stream
 from tests.support.commands import run
 from tests.support.hostile import refused
 from tests.support.tiny_stream import files_of, write_tiny

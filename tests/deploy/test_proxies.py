@@ -26,8 +26,7 @@ from codec.stream.playrecord import (
     SliceRecord,
     StartRecord,
 )
-from server.operate.sign.keyfile import add_key, read_keys
-from server.operate.sign.signing import Signer, sign_for_nginx
+from server.operate.sign.signing import Signer, add_key, read_keys, sign_for_nginx
 from server.servecommand import SAMPLE
 from tests.deploy.proxied import Proxy, Start, caddy, free_port, need, nginx
 from tests.support.commands import run_ok, serving

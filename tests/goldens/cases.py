@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from codec.lattice.lattice import Lattice, States
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.slotstate import ON_LATTICE
-from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
+from codec.slots.encoder import SlotEncoder
+from codec.slots.slotlayout import ENDED, KEPT, NEW, PREDICTED, SlotLayout, Update
+from codec.slots.state import ON_LATTICE
 from codec.splats import Splats, array_shapes
 
 LATTICES = (

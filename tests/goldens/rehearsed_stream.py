@@ -10,7 +10,7 @@ import numpy as np
 import player
 from codec.camera import Camera
 from codec.lattice.lattice import Lattice, States, quantise
-from codec.slots.update import NEW, PREDICTED, Update
+from codec.slots.slotlayout import NEW, PREDICTED, Update
 from codec.splats import Splats
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest

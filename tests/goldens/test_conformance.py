@@ -14,8 +14,8 @@ from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.stream import StreamReader
 from codec.stream.integrity import CheckedObject, read_index
 from codec.stream.manifest import Manifest
-from codec.stream.object import HEAD, packet_content
 from codec.stream.playrecord import RecordParser
+from codec.stream.segment import OBJECT_HEAD, packet_content
 from codec.tools.audit import verify_stream
 from tests.goldens.cases import CASES, Case, made_updates
 from tests.goldens.decoder import Unsupported
@@ -59,7 +59,9 @@ def test_the_writer_makes_the_chunks_of_the_streams(case: Case) -> None:
 @pytest.mark.parametrize("row", STREAMS, ids=names(STREAMS))
 def test_a_stream(row: dict[str, Any]) -> None:
     path, wanted = FOLDER / row["stream"], row["state_sha256"]
-    assert all(HEAD.unpack_from(p.read_bytes())[3:5] == (1, 1) for p in path.glob("segments/*/*"))
+    assert all(
+        OBJECT_HEAD.unpack_from(p.read_bytes())[3:5] == (1, 1) for p in path.glob("segments/*/*")
+    )
     assert verify_stream(path).num_frames == len(wanted)
     reader = StreamReader(path)
     for frame, hashes in enumerate(wanted):

@@ -17,12 +17,11 @@ from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from player.__main__ import main
 from player.config import CameraPathName, PlayConfig
-from player.link.linktext import read_link
+from player.link.relay import read_link
 from player.render.renderer import RendererKind
 from player.run.playback import play
 from player.run.stills import draw_frames
-from player.view.moment import Moment
-from player.view.path import Size
+from player.view.path import Moment, Size
 from server.abr.link import LinkStep
 from tests.support.commands import run
 from tests.support.hosted_streams import ServerProcess

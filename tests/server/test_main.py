@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from server.operate.sign.keyfile import add_key
+from server.operate.sign.signing import add_key
 from tests.support.commands import IDLE, ROOT, run
 from tests.support.server.running_server import make_stream
 from tests.support.waiting import BOUND_S

@@ -21,7 +21,7 @@ from server.abr.clientstatus import (
     parse_report_s,
 )
 from server.answers.play import Play, asked_query
-from server.http.streaming import StreamedResponse
+from server.http.content import StreamedResponse
 from server.library import Library
 from server.state.config import ServerConfig
 from server.state.serverstate import STATE, ServerState

@@ -19,7 +19,7 @@ from yarl import URL
 
 from codec.errors import InvalidError
 from server.answers import pages
-from server.html.gallery import Card, card_html, clock_text
+from server.html.htmlpages import Card, card_html, clock_text
 from server.html.webplayer import WebPlayer
 from server.library import ServedStream
 from tests.server.test_poster_and_sound import stream_with_poster

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server.answers.playquery import parse_query
+from server.answers.asked import parse_query
 from server.http.errors import RequestError
 
 pairs = st.lists(

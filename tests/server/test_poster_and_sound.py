@@ -20,7 +20,7 @@ from codec.storage.storage import Stamp
 from codec.stream import StreamReader
 from codec.stream.pictures import MAX_PICTURE_BYTES
 from codec.stream.sound import SAMPLE_RATE, SoundSource
-from codec.tracks.streamsound import add_sound
+from codec.tracks.streamtracks import add_sound
 from server.library.servedstream import ServedStream
 from server.operate.prometheus import Metrics
 from server.state.caches import ObjectCache

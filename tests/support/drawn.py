@@ -8,8 +8,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from codec.arrays import Doubles
-from codec.camera import Camera
-from codec.pose import rotation_about, world_to_camera
+from codec.camera import Camera, rotation_about, world_to_camera
 from codec.splats import Splats, sh_count
 
 

@@ -21,14 +21,13 @@ from urllib.request import urlopen
 
 import numpy as np
 
-from codec.camera import Camera
+from codec.camera import Camera, look_at
 from codec.lattice.lattice import Lattice
-from codec.pose import look_at
 from codec.slice import Slice
 from codec.splats import Splats, sh_count
 from codec.stream import StreamWriter
-from codec.stream.layers import split_counts
 from codec.stream.manifest import Manifest
+from codec.stream.wholeslice import split_counts
 from tests.support.commands import IDLE, ROOT
 from tests.support.waiting import BOUND_S, wait_until
 

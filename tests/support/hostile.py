@@ -14,10 +14,9 @@ from typing import Any
 import pytest
 
 from codec.errors import CodecError
-from codec.stream.index import pack_record
 from codec.stream.manifest import Part, object_file
-from codec.stream.object import join_packets
 from codec.stream.reader import StreamReader
+from codec.stream.segment import join_packets, pack_record
 from tests.support.objects import object_packets
 
 

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from codec.coders.coder import EncodedChunk
 from codec.errors import CorruptError
 from codec.lattice.lattice import Lattice, States
-from codec.slots.slotchange import Newcomers, encode_change
+from codec.slots.change import Newcomers, encode_change
 from codec.slots.slotlayout import SlotLayout
-from codec.stream.layers import opacity_rank
-from codec.stream.object import (
+from codec.stream.segment import (
     encode_packet,
     entry_packet,
     join_packets,
@@ -18,7 +17,7 @@ from codec.stream.object import (
     packet_content,
     read_object_table,
 )
-from codec.stream.wholeslice import whole_update
+from codec.stream.wholeslice import opacity_rank, whole_update
 from tests.support.trained_like import trained_like_slice
 
 BIRTHS = (-2, -1, 0, 1, 5)

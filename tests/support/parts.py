@@ -13,9 +13,8 @@ from trainer.parts.joiner import Joiner
 from trainer.parts.raydriver import plan
 from trainer.parts.task import Kind, Run, Task
 from trainer.parts.worker import opened_worker
-from trainer.run.config import TrainConfig
+from trainer.run.config import TrainConfig, parse_with_preset
 from trainer.run.prepare import prepare
-from trainer.run.preset import parse_with_preset
 
 FRAMES = 14
 """Two parts: of 8 frames, of which the last 4 are not the first part's to say, and of 6."""

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from codec.camera import Camera
 from codec.splats import Splats, sh_count
-from player.render.recipe import (
+from player.render.project import (
     ALPHA_MAX,
     ALPHA_MIN,
     JACOBIAN_CLAMP,

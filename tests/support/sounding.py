@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from codec.stream import StreamReader
 from codec.stream.sound import SAMPLE_RATE, Key, SoundSource, first_sample
-from codec.tracks.streamsound import add_sound, samples
+from codec.tracks.streamtracks import add_sound, samples
 
 BURST = (20000 * np.sin(np.arange(480) * 2 * np.pi / 24)).astype(np.int16)
 """A click: 10 ms of 2 kHz."""

@@ -13,11 +13,10 @@ from rich.console import Console
 
 from tests.support import commands
 from trainer.fit.observer import Observer, Progress
-from trainer.run.config import TrainConfig
+from trainer.run.config import TrainConfig, parse_with_preset
 from trainer.run.job import train_stream
+from trainer.run.monitor import LOG_NAME
 from trainer.run.outputs import SNAPSHOT_FOLDER
-from trainer.run.preset import parse_with_preset
-from trainer.run.runlog import LOG_NAME
 
 
 def train_here(*words: object, observers: Sequence[Observer] = ()) -> TrainConfig:

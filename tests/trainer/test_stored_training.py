@@ -25,7 +25,7 @@ from tests.support.trainings import contents, run_until, train_here
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
 from trainer.fit.observer import Observer
-from trainer.run.runlog import LOG_NAME
+from trainer.run.monitor import LOG_NAME
 from trainer.storedfiles import BLOCK_BYTES, StoredFile, forget_stored
 
 FRAMES = 6

@@ -10,7 +10,8 @@ from typing import Annotated
 import tyro
 
 from codec.console import say
-from trainer.calibration.rigimport import Import, import_calibration
+
+from .rigimport import Import, import_calibration
 
 
 @dataclass(frozen=True)

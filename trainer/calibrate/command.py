@@ -24,12 +24,10 @@ from .capturecommand import Calibrate
 from .mapping import RESULT_NAME, Job
 from .moments import UNCHANGED, write_moments
 from .offsets import Synchrony, confirmed, synchronise
-from .rigreport import REPORT_NAME, report_lines
-from .solution import Solution, read_solution
+from .solution import Solution, metres_of_unit, read_solution, world_of
 from .takes import Take, find_takes
 from .verdicts import judge
-from .world import metres_of_unit, world_of
-from .writing import calibrated, coloured_points, write_capture
+from .writing import REPORT_NAME, calibrated, coloured_points, report_lines, write_capture
 
 PICTURE_NAME = "rig.png"
 

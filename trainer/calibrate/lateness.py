@@ -12,7 +12,7 @@ from trainer.capture.capture import Capture
 from trainer.pictures.scale import scaled_picture
 from trainer.seed.stereo import small_camera
 
-from .lags import correlate, lags_of
+from .offsets import correlate, lags_of
 
 MAX_FRAMES, LEAST_FRAMES = 60, 24
 """Frames that are compared, and the fewest that tell anything."""

@@ -1,23 +1,303 @@
-"""When each camera began: by a file, sound or timecode, or else by where things move."""
+"""When each camera began: by a file, sound or timecode, or else by where things move.
+
+By how much takes lag behind each other, from how alike each two of them are at each lag.
+
+What takes have in common that tells when each began: sound, timecode, movement.
+
+When each take began, by geometry: at the right lags, what moves in one picture lies on the
+epipolar lines of what moves in the others. Steps of a walk repeat themselves; places do not.
+"""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
+import av
 import numpy as np
+from PIL import Image
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.ndimage import uniform_filter
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
-from codec.arrays import Doubles
-from trainer.capture.camerachoice import named
+from codec.arrays import Doubles, Longs
+from codec.errors import SwingsError
+from codec.stream.sound import SAMPLE_RATE
+from codec.tracks.soundfile import read_samples
+from trainer.capture.capture import named
 from trainer.errors import CaptureError
 
-from .geometry import geometric_lags
-from .lags import series_lags
-from .signals import SOUND_RATE, movement_px, onsets, timecode_s
-from .solution import Rig
+from .solution import Rig, centres
 from .takes import NOMINAL_FPS, Take
+
+Curve = tuple[Longs, Doubles]
+"""Shifts, and how alike two takes are if the second lags by so much."""
+
+LEAST_OVERLAP = 0.3
+"""Share of the shorter series that two must have in common."""
+
+ROUNDS = 5
+"""How often each take is compared with all others at their lags: that is better than any one."""
+
+WINDOWS = 6
+"""Parts of the common time whose lags are found on their own, for spread and drift."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lags:
+    """Of each take, in samples; NaN for those that are compared with no other."""
+
+    lags: Doubles  # (C,) the sample of each that shows a moment of all
+    score: Doubles  # (C,) how alike it is to the others, in the mean
+    rest: Doubles  # (C,) the largest score at other lags
+
+
+def lags_of(curves: Mapping[tuple[int, int], Curve], count: int, guard: int) -> Lags:
+    """The lags of `count` takes; guard: lags so near to the best one are the same peak."""
+    cost = np.zeros((count, count))
+    for (i, j), (shifts, alike) in curves.items():
+        best = int(np.argmax(alike))
+        far = alike[np.abs(shifts - shifts[best]) > guard]
+        cost[i, j] = 3.0 - min(alike[best] - far.max(initial=-1.0), 2.0)
+    lags, score, rest = (np.full(count, np.nan) for _ in range(3))
+    if not curves:
+        return Lags(lags, score, rest)
+    # First along the pairs that are clearest.
+    tree = minimum_spanning_tree(cost)
+    order, before = breadth_first_order(tree, min(min(curves)), directed=False)
+    whole = {int(order[0]): 0}
+    for i in map(int, order[1:]):
+        at = int(before[i])
+        if (at, i) in curves:
+            shifts, alike = curves[at, i]
+            whole[i] = whole[at] + int(shifts[np.argmax(alike)])
+        else:
+            shifts, alike = curves[i, at]
+            whole[i] = whole[at] - int(shifts[np.argmax(alike)])
+    for _ in range(ROUNDS):
+        for i in whole:
+            shifts, total = _joined(curves, i, whole)
+            best = int(np.argmax(total))
+            whole[i] = int(shifts[best])
+            lags[i], score[i] = shifts[best] + _peak(total, best), total[best]
+            rest[i] = total[np.abs(shifts - shifts[best]) > guard].max(initial=0.0)
+    return Lags(lags, score, rest)
+
+
+def _joined(curves: Mapping[tuple[int, int], Curve], take: int, lags: Mapping[int, int]) -> Curve:
+    """How alike a take is, at each lag, to all others at theirs."""
+    parts = [
+        (shifts + lags[i], alike) if take == j else (lags[j] - shifts[::-1], alike[::-1])
+        for (i, j), (shifts, alike) in curves.items()
+        if take in (i, j) and i in lags and j in lags
+    ]
+    first, last = min(s[0] for s, _ in parts), max(s[-1] for s, _ in parts)
+    total = np.zeros(last - first + 1)
+    for shifts, alike in parts:
+        np.add.at(total, shifts - first, alike / len(parts))
+    return np.arange(first, last + 1), total
+
+
+def _peak(alike: Doubles, best: int) -> float:
+    """Where between samples the peak of a parabola through three of them is."""
+    if not 0 < best < len(alike) - 1:
+        return 0.0
+    left, middle, right = alike[best - 1 : best + 2]
+    bend = left - 2 * middle + right
+    return float(np.clip((left - right) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0
+
+
+def series_lags(series: Sequence[Doubles], guard: int) -> tuple[Lags, Doubles, Doubles]:
+    """The lags of series (T,), each of its own length; their spread, in samples, and drift, in
+    samples a sample, over parts of the common time: (C,), NaN if that is too short."""
+    count = len(series)
+    pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]
+    whole = lags_of({(i, j): correlate(series[i], series[j]) for i, j in pairs}, count, guard)
+    starts = np.rint(whole.lags).astype(int)
+    first = int((-starts).max())
+    last = min(len(each) - start for each, start in zip(series, starts, strict=True))
+    edges = np.linspace(first, last, WINDOWS + 1).astype(int)
+    if edges[1] - edges[0] < 8 * guard:
+        return whole, np.full(count, np.nan), np.full(count, np.nan)
+    found = []
+    for a, b in pairwise(edges):
+        parts = [each[a + start : b + start] for each, start in zip(series, starts, strict=True)]
+        curves = {}
+        for i, j in pairs:
+            shifts, alike = correlate(parts[i], parts[j])
+            near = np.abs(shifts) <= guard
+            curves[i, j] = shifts[near], alike[near]
+        lags = lags_of(curves, count, guard).lags
+        found.append(lags - np.median(lags))
+    slopes = np.polyfit((edges[:-1] + edges[1:]) / 2, np.array(found), 1)[0]
+    return whole, np.std(found, axis=0), slopes
+
+
+def correlate(one: Doubles, other: Doubles) -> Curve:
+    """Correlations of other[t + shift] with one[t], where they overlap enough. By chance, what
+    overlaps little is often alike: the less they do, the less it counts."""
+    one, other = (each - each.mean() for each in (one, other))
+    size = next_fast_len(len(one) + len(other), real=True)
+
+    def against(a: Doubles, b: Doubles) -> Doubles:
+        sums = irfft(np.conj(rfft(a, size)) * rfft(b, size), size)
+        return np.concatenate([sums[size - len(one) + 1 :], sums[: len(other)]])
+
+    overlap = against(np.ones(len(one)), np.ones(len(other)))
+    share = np.minimum(overlap / min(len(one), len(other)), 1)
+    enough = share >= LEAST_OVERLAP
+    # Each part that overlaps is judged by its own size: a loud end must not win by itself.
+    energies = against(one**2, np.ones(len(other))) * against(np.ones(len(one)), other**2)
+    alike = against(one, other)[enough] / np.sqrt(np.maximum(energies[enough], 1e-12))
+    shifts = np.arange(1 - len(one), len(other))[enough]
+    return shifts, alike * np.sqrt(share[enough])
+
+
+SOUND_RATE = 1000
+"""Loudnesses a second: a millisecond, in which sound travels 34 cm."""
+
+QUIET = 20.0
+"""Root mean square, of 32768, below which a take has no sound to speak of."""
+
+SMALL_PX, REACH, MOVING = 96, 7, 3.0
+"""Side of the small pictures in which movement is looked for, samples of them around its middle
+that belong to it, and their mean change, of 255, from which on something moves there."""
+
+_TIMECODE = re.compile(r"(\d\d):(\d\d):(\d\d)[:;.](\d\d)")
+
+
+def onsets(file: Path, most_s: float) -> Doubles | None:
+    """(T,) how the loudness of a take rises, SOUND_RATE times a second from its first picture on;
+    None for one without sound. Onsets are alike at all microphones, where the wave itself is not.
+    """
+    blocks: list[Doubles] = []
+    count, step = 0, SAMPLE_RATE // SOUND_RATE
+    try:
+        for piece in read_samples(file, 1):
+            blocks.append(piece[:, 0].astype(np.float64))
+            count += len(piece)
+            if count > most_s * SAMPLE_RATE:
+                break
+    except (SwingsError, av.FFmpegError):
+        return None
+    if count < SAMPLE_RATE:
+        return None
+    whole = np.concatenate(blocks)[: count // step * step].reshape(-1, step)
+    power = ((whole - whole.mean()) ** 2).mean(axis=1)
+    if np.sqrt(power.mean()) < QUIET:
+        return None
+    smooth = np.convolve(power, np.hanning(7) / np.hanning(7).sum(), "same")
+    rise: Doubles = np.diff(np.log(smooth + 0.01 * smooth.mean() + 1.0))
+    return np.maximum(rise, 0)
+
+
+def timecode_s(file: Path, fps: float) -> float | None:
+    """The time of day, seconds, at which a video says that it begins; None if it does not."""
+    try:
+        with av.open(f"file:{file}", options={"protocol_whitelist": "file"}) as container:
+            told = [container.metadata, *(stream.metadata for stream in container.streams)]
+    except av.FFmpegError:
+        return None
+    for text in (metadata.get("timecode", "") for metadata in told):
+        found = _TIMECODE.fullmatch(text.strip())
+        if found:
+            hours, minutes, seconds, frames = map(int, found.groups())
+            return 3600 * hours + 60 * minutes + seconds + frames / round(fps)
+    return None
+
+
+def movement_px(take: Take, rate: float, most_s: float) -> Doubles:
+    """(T, 2) where most moves in a take, `rate` times a second, pixels; NaN where nothing does."""
+    count = int(min(most_s, take.times_s[-1]) * rate) + 1
+    found = np.full((count, 2), np.nan)
+    before, last = None, -1
+    with closing(take.open()) as source:
+        for sample in range(count):
+            frame = take.nearest_frame(sample / rate)
+            if frame == last:  # a video of a lower rate shows some twice
+                continue
+            last, image = frame, Image.fromarray(source.read(frame)).convert("L")
+            grey = np.asarray(image.resize((SMALL_PX, SMALL_PX), Image.Resampling.BOX), np.float64)
+            if before is not None:
+                found[sample] = _place_of(np.abs(grey - before))
+            before = grey
+    pixels: Doubles = found / SMALL_PX * (take.width_px, take.height_px)
+    return pixels
+
+
+def _place_of(difference: Doubles) -> Doubles:
+    """(2,) x and y of the middle of what changes most, in samples of the difference."""
+    smooth = uniform_filter(difference, REACH, mode="constant")
+    peak = int(np.argmax(smooth))
+    if smooth.flat[peak] < MOVING:
+        return np.full(2, np.nan)
+    row, column = divmod(peak, difference.shape[1])
+    top, left = max(0, row - REACH), max(0, column - REACH)
+    weights = difference[top : row + REACH + 1, left : column + REACH + 1] ** 2
+    y, x = np.indices(weights.shape) + 0.5
+    middle = np.array([(x * weights).sum(), (y * weights).sum()]) / weights.sum()
+    place: Doubles = middle + np.array([left, top])
+    return place
+
+
+PARTNERS, LEAST_ANGLE_DEG, MOST_ANGLE_DEG = 6, 12.0, 110.0
+"""Number of cameras that each is compared with, and angles between their views."""
+
+FAR_RAD = np.radians(6)
+"""Distances from an epipolar plane count up to this one: farther is something else that moves."""
+
+LEAST_SHARE, LEAST_SAMPLES = 0.25, 20
+"""Overlap of two takes that must show movement."""
+
+
+def geometric_lags(rig: Rig, places_px: Sequence[Doubles], guard: int) -> Lags:
+    """The lags of the takes of a rig. places_px: (T, 2) where something moves in each sample, NaN
+    where nothing does; guard: as in `lags_of`."""
+    rays = [_rays(rig, camera, places) for camera, places in enumerate(places_px)]
+    known = [i for i, r in enumerate(rays) if np.isfinite(r[:, 0]).sum() >= LEAST_SAMPLES]
+    pairs = set()
+    for i in known:
+        cosines = rig.poses[:, 2, :3] @ rig.poses[i, 2, :3]
+        angles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+        fit = [j for j in known if LEAST_ANGLE_DEG <= angles[j] <= MOST_ANGLE_DEG]
+        nearest = sorted(fit, key=lambda j: abs(angles[j] - 45))[:PARTNERS]
+        pairs |= {(min(i, j), max(i, j)) for j in nearest}
+    places = centres(rig.poses)
+    curves = {(i, j): _curve(places[j] - places[i], rays[i], rays[j]) for i, j in sorted(pairs)}
+    found = {pair: curve for pair, curve in curves.items() if curve is not None}
+    return lags_of(found, len(rays), guard)
+
+
+def _rays(rig: Rig, camera: int, xy_px: Doubles) -> Doubles:
+    """(T, 3) directions in the world."""
+    straight = rig.straightened(camera, xy_px)
+    local = np.column_stack([straight, np.ones(len(straight))])
+    local /= np.linalg.norm(local, axis=1, keepdims=True)
+    rays: Doubles = local @ rig.poses[camera, :, :3]
+    return rays
+
+
+def _curve(base: Doubles, one: Doubles, other: Doubles) -> Curve | None:
+    """How much nearer than usual what moves in the other camera lies to the epipolar planes of what
+    moves in one, by lag; None if too little moves. base: from one to the other."""
+    normals = np.cross(base, one)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    away = np.minimum(np.abs(np.arcsin(np.clip(normals @ other.T, -1, 1))), FAR_RAD)
+    shifts = np.arange(1 - len(one), len(other))
+    found = [np.diagonal(away, int(shift)) for shift in shifts]
+    counts = np.array([np.isfinite(each).sum() for each in found])
+    enough = (counts >= LEAST_SAMPLES) & (counts >= LEAST_SHARE * counts.max())
+    if enough.sum() < 3:
+        return None
+    costs = np.array([np.nanmean(found[n]) for n in np.flatnonzero(enough)])
+    nearer = (np.median(costs) - costs) / FAR_RAD
+    return shifts[enough], nearer * np.sqrt(counts[enough] / counts.max())
+
 
 MOST_S = 60.0
 """How much of each take is compared: bounds the time that takes."""

@@ -1,4 +1,9 @@
-"""What the process of mapping.py found, and whether unseen moments bear it out."""
+"""What the process of mapping.py found, and whether unseen moments bear it out.
+
+Two rigs of the same cameras, brought together: which similarity, and by how much they differ.
+
+The world of a rig: which way is up, where the origin is, and the unit.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +16,80 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from codec.arrays import Doubles, Flags, Longs
+from codec.camera import Camera
+from codec.rig import rig_centre, rig_up
 
 from .mapping import LENSES
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Similarity:
+    """x -> scale * rotation @ x + offset, of one world into another."""
+
+    scale: float
+    rotation: Doubles  # (3, 3)
+    offset: Doubles  # (3,)
+
+    def points(self, xyz: Doubles) -> Doubles:
+        """The points (..., 3) in the other world."""
+        moved: Doubles = self.scale * xyz @ self.rotation.T + self.offset
+        return moved
+
+    def poses(self, poses: Doubles) -> Doubles:
+        """The poses (C, 3, 4), world to camera, in the other world."""
+        turned = poses[:, :, :3] @ self.rotation.T
+        moved = self.points(centres(poses))
+        return np.concatenate([turned, -(turned @ moved[:, :, None])], axis=2)
+
+
+def centres(poses: Doubles) -> Doubles:
+    """(C, 3) the places of cameras (C, 3, 4), world to camera."""
+    found: Doubles = -np.einsum("cji,cj->ci", poses[:, :, :3], poses[:, :, 3])
+    return found
+
+
+def angles_deg(one: Doubles, other: Doubles) -> Doubles:
+    """(...) by how much rotations (..., 3, 3) differ."""
+    cosines = (np.einsum("...ij,...ij->...", one, other) - 1) / 2
+    found: Doubles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+    return found
+
+
+def align(poses: Doubles, onto: Doubles) -> Similarity:
+    """The similarity that brings most cameras (C, 3, 4) of one rig onto the same ones of another;
+    up to half of them may be anywhere. Needs two cameras at least."""
+    turns = np.einsum("cji,cjk->cik", onto[:, :, :3], poses[:, :, :3])
+    apart = angles_deg(turns[:, None], turns[None])
+    best = int(np.argmin(np.median(apart, axis=1)))
+    close = apart[best] <= 2 * np.median(apart[best]) + 1e-6
+    u, _, vt = np.linalg.svd(turns[close].mean(axis=0))
+    rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    a, b = centres(poses), centres(onto)
+    pairs = np.triu_indices(len(a), 1)
+    lengths = (np.linalg.norm(each[pairs[0]] - each[pairs[1]], axis=1) for each in (a, b))
+    shorter, longer = lengths
+    counts = shorter > 1e-9 * max(shorter.max(), 1e-300)
+    scale = float(np.median(longer[counts] / shorter[counts]))
+    offset = np.median(b - scale * a @ rotation.T, axis=0)
+    return _refined(a, b, Similarity(scale, rotation, offset))
+
+
+def _refined(a: Doubles, b: Doubles, start: Similarity) -> Similarity:
+    """The similarity that is best for the squares of those cameras that `start` brings near."""
+    away = np.linalg.norm(start.points(a) - b, axis=1)
+    close = away <= 3 * np.median(away) + 1e-12
+    if close.sum() < 3:
+        return start
+    a, b = a[close], b[close]
+    middle_a, middle_b = a.mean(axis=0), b.mean(axis=0)
+    u, sizes, vt = np.linalg.svd((b - middle_b).T @ (a - middle_a))
+    if sizes[1] < 1e-6 * sizes[0]:  # on a line: places do not tell the turn about it
+        return start
+    signs = np.array([1, 1, np.sign(np.linalg.det(u @ vt))])
+    rotation = u @ np.diag(signs) @ vt
+    scale = float((sizes * signs).sum() / ((a - middle_a) ** 2).sum())
+    return Similarity(scale, rotation, middle_b - scale * rotation @ middle_a)
+
 
 Pair = tuple[int, int]
 
@@ -175,3 +252,78 @@ def _sums(values: Doubles, track: Longs) -> Doubles:
     np.add.at(sums, track, values)
     gathered: Doubles = sums[track]
     return gathered
+
+
+UNKNOWN_DISTANCE = 3.0
+"""Distance from the cameras to the origin where nothing gives the unit: that of a small studio in
+metres, so that what is meant for metres is of the right order."""
+
+FLOOR_TILT_DEG = 12.0
+"""Most by which a floor may be off the cameras' up: rigs are rarely held straighter."""
+
+FLOOR_SHARE, BELOW_SHARE, THICKNESS = 0.1, 0.04, 0.01
+"""A floor has at least this share of the points, at most that share lies below it, and it is so
+thick, over the distance of the cameras."""
+
+TRIES = 500
+
+
+def world_of(
+    cameras: Sequence[Camera], points: Doubles, scale: float | None
+) -> tuple[Similarity, bool]:
+    """The similarity into a world with z up, its origin in the middle of what all cameras see; and
+    whether its z comes from a floor, and not from how the cameras are held.
+
+    points: (P, 3). scale: metres of a unit; None if that is not known.
+    """
+    centre = rig_centre(cameras)
+    if centre is None:
+        centre = np.median(points, axis=0)
+    places = np.array([camera.position for camera in cameras])
+    distance = float(np.median(np.linalg.norm(places - centre, axis=1)))
+    up = rig_up(cameras)
+    floor = floor_normal(points, up, distance)
+    up = up if floor is None else floor
+    # x points away from the first camera, so that equal rigs get equal worlds.
+    x = np.cross(centre - places[0], up)
+    if np.linalg.norm(x) < 1e-6 * distance:
+        x = np.cross(np.eye(3)[int(np.argmin(np.abs(up)))], up)
+    x /= np.linalg.norm(x)
+    rotation = np.stack([x, np.cross(up, x), up])
+    scale = UNKNOWN_DISTANCE / distance if scale is None else scale
+    return Similarity(scale, rotation, -scale * rotation @ centre), floor is not None
+
+
+def floor_normal(points: Doubles, up: Doubles, distance: float) -> Doubles | None:
+    """(3,) the upward unit normal of the plane that many points (P, 3) lie in and next to none
+    below; None if there is none within FLOOR_TILT_DEG of `up`."""
+    if len(points) < 50:
+        return None
+    rng = np.random.default_rng(0)
+    thickness = THICKNESS * distance
+    best, most = None, FLOOR_SHARE * len(points)
+    for _ in range(TRIES):
+        a, b, c = points[rng.choice(len(points), 3, replace=False)]
+        normal = np.cross(b - a, c - a)
+        length = float(np.linalg.norm(normal))
+        if length == 0:
+            continue
+        normal *= np.sign(normal @ up) / length
+        if normal @ up < np.cos(np.radians(FLOOR_TILT_DEG)):
+            continue
+        heights = (points - a) @ normal
+        on = np.abs(heights) < thickness
+        if on.sum() > most and (heights < -3 * thickness).mean() < BELOW_SHARE:
+            best, most = on, int(on.sum())
+    if best is None:
+        return None
+    plane = points[best]
+    normal = np.linalg.svd(plane - plane.mean(axis=0), full_matrices=False)[2][2]
+    found: Doubles = normal * np.sign(normal @ up)
+    return found
+
+
+def metres_of_unit(cameras: Sequence[Camera], one: str, other: str, metres: float) -> float:
+    """Metres of a unit of the rig, of the distance between two cameras."""
+    places = {camera.name: camera.position for camera in cameras}
+    return metres / float(np.linalg.norm(places[one] - places[other]))

@@ -10,9 +10,7 @@ import numpy as np
 
 from codec.arrays import Doubles
 from codec.camera import Camera
-from trainer.capture.camerachoice import named
-from trainer.capture.capture import PictureSource
-from trainer.capture.footage import size_of
+from trainer.capture.capture import PictureSource, named
 from trainer.capture.picturefiles import (
     PICTURE_SUFFIXES,
     FileSource,
@@ -21,7 +19,7 @@ from trainer.capture.picturefiles import (
     pictures_by_camera,
     read_fps,
 )
-from trainer.capture.synchrony import frame_times_s, nearest_frames
+from trainer.capture.synchrony import frame_times_s, nearest_frames, size_of
 from trainer.capture.video import VIDEO_SUFFIXES, VideoSource, probe_video
 from trainer.errors import CaptureError
 

@@ -12,9 +12,8 @@ import numpy as np
 from codec.arrays import Doubles, Flags
 from trainer.errors import CaptureError
 
-from .alignment import align, angles_deg, centres
 from .mapping import LEAST_SHARED, LENSES
-from .solution import UNSEEN_PX, Solution, unseen_errors
+from .solution import UNSEEN_PX, Solution, align, angles_deg, centres, unseen_errors
 
 LEAST_CAMERAS, LEAST_SHARE = 4, 0.75
 """Number and share of the cameras that must be right for a rig to be written."""

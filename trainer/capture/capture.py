@@ -2,11 +2,16 @@
 
 Rule: opening a capture decodes no picture but the first of a video, yet proves that each camera has
 each frame, so that a training run does not die of a missing file in its third hour.
+
+Cameras by their names: which to open, and how a line names several.
+
+Which cameras of a capture are kept out of training: those that a file names, or one between the
+others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -14,11 +19,52 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from codec.arrays import Bytes, Floats
+from codec.arrays import Bytes, Doubles, Floats
 from codec.camera import Camera
+from codec.console import listed
 from codec.errors import InvalidError
 from codec.stream.manifest import MAX_FPS, MIN_FPS
 from trainer.errors import CaptureError
+
+MAX_NAMED = 4
+"""Cameras named in a line."""
+
+
+def named(names: Sequence[str]) -> str:
+    """The first of the names, and how many more there are."""
+    return listed(names, MAX_NAMED)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraChoice:
+    """Which cameras of a capture to open."""
+
+    without: tuple[str, ...] = ()
+    """Names of cameras to leave out."""
+    only: frozenset[str] | None = None
+    """Names of the cameras to open, those that exist; None for all."""
+
+    def keep(self, names: Collection[str], root: Path) -> list[str]:
+        """The names of the cameras to open, in their order. Raises CaptureError for a camera to
+        leave out that does not exist, and where none is left."""
+        for name in self.without:
+            if name not in names:
+                raise CaptureError(
+                    f"{root}: has no camera {name!r} to leave out; it has {named(sorted(names))}"
+                )
+        kept = [name for name in names if not self.leaves_out(name)]
+        if not kept:
+            asked = f"; it has {named(sorted(names))}"
+            raise CaptureError(f"{root}: has none of the cameras that are asked for{asked}")
+        return kept
+
+    def leaves_out(self, name: str) -> bool:
+        """Whether a camera of this name is not opened."""
+        return name in self.without or (self.only is not None and name not in self.only)
+
+
+ALL_CAMERAS = CameraChoice()
+
 
 Picture = npt.NDArray[np.uint8]
 """(H, W, 3) RGB, C-contiguous."""
@@ -180,3 +226,79 @@ def check_frame(frame: int, num_frames: int, name: str) -> None:
     """Raises InvalidError for a frame that the capture does not have."""
     if not 0 <= frame < num_frames:
         raise InvalidError(f"frame {frame} of camera {name}: the capture has {num_frames} frames")
+
+
+HELD_OUT_NAME = "held_out.txt"
+
+BETWEEN_RAD = np.radians(120)
+"""A camera stands between two others if it sees them at least this far apart: on a line they are
+pi apart, at the end of an arc or in a corner of a grid no more than pi / 2."""
+
+NEAREST_CAMERAS = 32
+"""How many of its nearest others a camera may stand between: bounds the pairs that are looked
+at."""
+
+SAME_REACH = 1.001
+"""Ratio of two distances that count as equal: poses are rounded."""
+
+
+def read_held_out(
+    root: Path, cameras: Sequence[Camera], choice: CameraChoice = ALL_CAMERAS
+) -> frozenset[str]:
+    """The names in held_out.txt, one a line, of a capture with these cameras.
+
+    An empty file holds out none. Without a file it is the one of `camera_between`. Cameras that
+    `choice` leaves out may be named. Raises CaptureError for any other name that no camera has.
+    """
+    path = root / HELD_OUT_NAME
+    names = [camera.name for camera in cameras]
+    if not path.is_file():
+        return frozenset({names[camera_between(cameras)]} if names else ())
+    try:
+        listed = path.read_text(encoding="utf-8").split()
+    except UnicodeDecodeError as error:
+        raise CaptureError(f"{path}: not text: {error}") from error
+    listed = [name for name in listed if not choice.leaves_out(name)]
+    for name in listed:
+        if name not in names:
+            raise CaptureError(
+                f"{path}: {name!r} is not a camera of this capture, such as {names[0]!r}"
+            )
+    return frozenset(listed)
+
+
+def camera_between(cameras: Sequence[Camera]) -> int:
+    """The index of a camera that the others surround, so that to score with it is to interpolate.
+
+    A camera's reach is the distance to the farther of the two nearest others that it stands
+    between (BETWEEN_RAD). Of the cameras whose reach is at most the median, the most central one is
+    chosen: that with the least sum of distances to all others, and of equals the first. Where no
+    camera stands between others, the one is chosen that comes nearest to it.
+    """
+    positions = np.array([camera.position for camera in cameras])
+    found = [_surrounded(positions, i) for i in range(len(cameras))]
+    reaches = np.array([reach for reach, _ in found])
+    standing = np.isfinite(reaches)
+    if standing.any():
+        chosen = reaches <= SAME_REACH * np.median(reaches[standing])
+    else:
+        widest = np.array([angle for _, angle in found])
+        chosen = widest >= widest.max() / SAME_REACH
+    sums = np.array([np.linalg.norm(positions - p, axis=1).sum() for p in positions])
+    central = chosen & (sums <= SAME_REACH * sums[chosen].min())
+    return int(np.argmax(central))
+
+
+def _surrounded(positions: Doubles, index: int) -> tuple[float, float]:
+    """How far a camera has to reach for two others that it stands between, inf if there are none;
+    and the widest angle at which it sees two others, radians."""
+    offsets = positions - positions[index]
+    distances = np.linalg.norm(offsets, axis=1)
+    order = np.argsort(distances, kind="stable")
+    nearest = order[distances[order] > 0][:NEAREST_CAMERAS]
+    if len(nearest) < 2:
+        return np.inf, 0.0
+    directions = offsets[nearest] / distances[nearest, None]
+    angles = np.arccos(np.clip(directions @ directions.T, -1, 1))
+    farther = np.maximum(distances[nearest, None], distances[None, nearest])
+    return float(np.min(farther, where=angles >= BETWEEN_RAD, initial=np.inf)), float(angles.max())

@@ -31,11 +31,18 @@ from codec.errors import InvalidError
 from codec.rig import rig_depths
 from trainer.errors import CaptureError
 
-from .camerachoice import ALL_CAMERAS, CameraChoice
-from .capture import STILL_TOLERANCE, Capture, CaptureCamera, PictureSource
-from .held_out import HELD_OUT_NAME, read_held_out
+from .capture import (
+    ALL_CAMERAS,
+    HELD_OUT_NAME,
+    STILL_TOLERANCE,
+    CameraChoice,
+    Capture,
+    CaptureCamera,
+    PictureSource,
+    read_held_out,
+)
 from .lens import Lens, check_optics
-from .maskfolders import folder_masks
+from .masks import folder_masks
 from .picturefiles import FileSource, read_fps
 from .points import read_points
 

@@ -21,17 +21,14 @@ from pathlib import Path
 import numpy as np
 
 from codec.arrays import Doubles
-from codec.camera import Camera
+from codec.camera import Camera, world_to_camera
 from codec.errors import InvalidError
-from codec.pose import world_to_camera
 from codec.rig import rig_depths
 from trainer.errors import CaptureError
 
-from .camerachoice import ALL_CAMERAS, CameraChoice
-from .capture import Capture, CaptureCamera, PictureSource
-from .held_out import read_held_out
+from .capture import ALL_CAMERAS, CameraChoice, Capture, CaptureCamera, PictureSource, read_held_out
 from .lens import Lens, check_optics
-from .maskfolders import folder_masks
+from .masks import folder_masks
 from .points import read_points
 from .synchrony import check_synchronised
 from .video import VideoFacts, VideoSource, check_video_size, probe_video

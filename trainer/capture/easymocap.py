@@ -25,15 +25,13 @@ from codec.errors import CodecError
 from codec.files import read_bounded
 from trainer.errors import CaptureError
 
-from .camerachoice import ALL_CAMERAS, CameraChoice
-from .capture import Capture
+from .capture import ALL_CAMERAS, CameraChoice, Capture, read_held_out
 from .dynerf import POINTS_NAME
-from .footage import filmed, photographed, size_of
-from .held_out import read_held_out
-from .maskfolders import folder_masks
-from .opencv import camera_of_opencv
+from .lens import camera_of_opencv
+from .masks import folder_masks
 from .picturefiles import IMAGES_NAME, folder_names, natural_order, pictures_by_camera
 from .points import read_points
+from .synchrony import filmed, photographed, size_of
 from .video import VIDEO_SUFFIXES
 
 INTRINSICS_NAME, EXTRINSICS_NAME = "intri.yml", "extri.yml"

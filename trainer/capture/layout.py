@@ -13,8 +13,7 @@ from codec.storage.openstorage import Target
 from trainer.errors import CaptureError
 from trainer.storedfiles import by_its_name, local_folder, translated
 
-from .camerachoice import ALL_CAMERAS, CameraChoice, named
-from .capture import Capture
+from .capture import ALL_CAMERAS, CameraChoice, Capture, named
 from .layouts import LAYOUTS, TABLE_SUFFIXES
 from .picturefiles import folder_names
 from .video import VIDEO_SUFFIXES

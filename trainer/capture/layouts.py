@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from pkgutil import resolve_name
 
-from .camerachoice import CameraChoice
-from .capture import Capture
+from .capture import CameraChoice, Capture
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,17 +3,23 @@
 The straight picture has the size and the intrinsics of the bent one. Where the lens saw less than
 the pinhole would (pincushion distortion), the nearest pixel of the edge stands in; such pixels do
 not count, and neither do those that the terms of the lens fold over (`unseen_pixels`).
+
+Cameras by OpenCV's parameters, as calibrations write them down.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from codec.arrays import Doubles, Flags
 from codec.camera import Camera
+from codec.errors import InvalidError
 from codec.kernel import kernel
 from trainer.errors import CaptureError
 
@@ -180,3 +186,59 @@ def _straighten(bent, straight, fx, fy, cx, cy, k1, k2, k3, p1, p2):  # type: ig
                 upper = (1 - a) * bent[top, left, channel] + a * bent[top, right, channel]
                 lower = (1 - a) * bent[low, left, channel] + a * bent[low, right, channel]
                 straight[row, column, channel] = np.uint8((1 - b) * upper + b * lower + 0.5)
+
+
+HALF_PX = 0.5
+"""OpenCV counts pixels from the middle of the first one, `Camera` from its corner."""
+
+
+def camera_of_opencv(name: str, table: Mapping[str, Any], path: Path) -> tuple[Camera, Lens]:
+    """The camera of size (2), matrix (3, 3), distortions (optional), rotation (a vector or (3, 3),
+    world to camera) and translation (3). Raises CaptureError, naming `path`."""
+    where = f"{path}: camera {name}"
+    if table.get("fisheye"):
+        raise CaptureError(f"{where}: fisheye lenses are not read; undistort the videos first")
+    width, height = _numbers(table, "size", where, (2,))
+    matrix = _numbers(table, "matrix", where, (3, 3))
+    bent = _numbers(table, "distortions", where, None) if "distortions" in table else np.zeros(0)
+    k1, k2, p1, p2, k3, *more = [*bent.ravel().tolist(), *[0.0] * 5]
+    if any(more) or matrix[0, 1]:
+        raise CaptureError(f"{where}: a skew, or more than k1, k2, p1, p2, k3, is not read")
+    w2c = np.eye(4)
+    w2c[:3, :3] = _rotation(table, where)
+    w2c[:3, 3] = _numbers(table, "translation", where, (3,))
+    (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
+    lens = Lens(k1, k2, k3, p1, p2)
+    try:
+        camera = Camera(name, int(width), int(height), fx, fy, cx + HALF_PX, cy + HALF_PX, w2c)
+    except InvalidError as error:
+        raise CaptureError(f"{path}: {error}") from error
+    check_optics(camera, lens, path)
+    return camera, lens
+
+
+def _rotation(table: Mapping[str, Any], where: str) -> Doubles:
+    """(3, 3) world to camera, of a matrix or of a rotation vector, whose length is the angle."""
+    given = _numbers(table, "rotation", where, None)
+    if given.shape == (3, 3):
+        return given
+    if given.size != 3:
+        raise CaptureError(f"{where}: rotation is neither rvec nor a 3x3 matrix")
+    matrix: Doubles = Rotation.from_rotvec(given.ravel()).as_matrix()
+    return matrix
+
+
+def _numbers(
+    table: Mapping[str, Any], key: str, where: str, shape: tuple[int, ...] | None
+) -> Doubles:
+    """The numbers of `key`, in `shape` unless that is None."""
+    try:
+        found = np.array(table[key], np.float64)
+        found = found if shape is None else found.reshape(shape)
+    except KeyError as error:
+        raise CaptureError(f"{where}: has no {key}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise CaptureError(f"{where}: {key} is not numbers of the expected shape") from error
+    if found.size > 64 or not np.isfinite(found).all():
+        raise CaptureError(f"{where}: {key} has too many numbers, or one that is not finite")
+    return found

@@ -40,14 +40,18 @@ from pathlib import Path, PurePosixPath
 
 from codec.camera import Camera
 
-from .camerachoice import ALL_CAMERAS, CameraChoice
-from .capture import Capture, InitialPoints, MaskSource, check_fps
+from .capture import (
+    ALL_CAMERAS,
+    HELD_OUT_NAME,
+    CameraChoice,
+    Capture,
+    InitialPoints,
+    MaskSource,
+    check_fps,
+    read_held_out,
+)
 from .dynerf import POINTS_NAME
-from .entryfiles import CameraFiles, files_by_camera, is_video
-from .footage import filmed, photographed
-from .held_out import HELD_OUT_NAME, read_held_out
-from .maskfolders import folder_masks
-from .masks import mask_source
+from .masks import folder_masks, mask_source
 from .picturefiles import (
     IMAGES_NAME,
     folder_names,
@@ -56,7 +60,15 @@ from .picturefiles import (
     safe_path,
 )
 from .points import read_ply, read_points
-from .transforms import TRANSFORMS_NAME, Transforms, read_entries
+from .synchrony import filmed, photographed
+from .transforms import (
+    TRANSFORMS_NAME,
+    CameraFiles,
+    Transforms,
+    files_by_camera,
+    is_video,
+    read_entries,
+)
 
 
 def open_nerfstudio(root: Path, choice: CameraChoice = ALL_CAMERAS) -> Capture:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from codec.camera import Camera
-from codec.sequence.numberedfiles import FPS_NAME
+from codec.sequence.survey import FPS_NAME
 from trainer.errors import CaptureError
 from trainer.pixels import opened_picture, read_rgb
 

@@ -14,14 +14,7 @@ from codec.arrays import Bytes, Doubles, Flags
 from codec.camera import Camera, Floating
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.files import opened_regular
-from codec.foreign.plyheader import (
-    BINARY,
-    MAX_HEADER_BYTES,
-    TEXT,
-    PlyElement,
-    PlyHeader,
-    read_ply_header,
-)
+from codec.foreign.ply import BINARY, MAX_HEADER_BYTES, TEXT, PlyElement, PlyHeader, read_ply_header
 from trainer.errors import CaptureError
 
 from .capture import InitialPoints

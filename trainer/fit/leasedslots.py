@@ -18,16 +18,15 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.arrays import Ints
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import KEPT, PREDICTED, Update
+from codec.slots.slotlayout import KEPT, PREDICTED, SlotLayout, Update
 from trainer.lease.leases import Leases
 from trainer.lease.takeover import Crossfade, PlayerState
-from trainer.step.together import cells_of
+from trainer.step.optimiser import cells_of
 
+from .config import WindowPlan
 from .observer import Window
 from .renew import Comparison
 from .sceneflow import scene_flow
-from .schedule import WindowPlan
 from .strategy import Fit, Strategy
 
 LAYERED_FROM = 0.6

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from codec.slice import Slice
-from codec.slots.update import Update
+from codec.slots.slotlayout import Update
 
 
 @dataclass(frozen=True, slots=True)

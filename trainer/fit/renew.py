@@ -18,8 +18,8 @@ from codec.arrays import Doubles, Flags, Floats, Ints, Longs
 from codec.camera import Camera
 from codec.kernel import kernel, prange
 from codec.splats import Splats
-from player.render.recipe import TILE_PX
-from trainer.pictures.feed import Pictures
+from player.render.project import TILE_PX
+from trainer.pictures.framecache import Pictures
 from trainer.pictures.scale import scaled_mask
 from trainer.seed.gaussians import initial_splats
 from trainer.seed.stereo import (

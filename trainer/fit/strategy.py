@@ -22,15 +22,14 @@ from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.splats import Splats
 from trainer.lease.takeover import PlayerState
-from trainer.pictures.feed import Pictures
+from trainer.pictures.framecache import Pictures
 from trainer.step.contribution import summed_contribution
 from trainer.step.raster import View
 
-from .config import FitConfig
+from .config import FitConfig, WindowPlan
 from .generations import Generations
 from .observer import Window
 from .renew import Comparer, Comparison, missing_splats
-from .schedule import WindowPlan
 
 SETTLE_RENEW_SHARE = 0.1
 """Share of the Gaussians that each settling round renews: those with the least contribution."""

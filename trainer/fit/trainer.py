@@ -20,17 +20,16 @@ from codec.arrays import Doubles
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.splats import Splats
-from trainer.pictures.feed import Pictures
+from trainer.pictures.framecache import Pictures
 from trainer.step.backend import Backend, Selection, Step, Training
 from trainer.step.colour import CameraColour
+from trainer.step.optimiser import CameraSpread
 from trainer.step.raster import View
-from trainer.step.scalebound import CameraSpread
 
-from .config import FitConfig
+from .config import FitConfig, Schedule, WindowPlan
 from .generations import Generations
 from .observer import Observer, Progress, Window
 from .renew import Comparer
-from .schedule import Schedule, WindowPlan
 from .strategy import Fit, Strategy, WholeSlices
 
 FALLBACK_FAR_M = 100.0

@@ -16,9 +16,8 @@ import numpy.typing as npt
 from codec.arrays import Bytes, Doubles, Flags, Floats, Ints, Longs
 from codec.errors import InvalidError
 from codec.lattice.lattice import States, dequantise, quantise
-from codec.lattice.morton import interleave
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
+from codec.lattice.quantise import interleave
+from codec.slots.slotlayout import ENDED, KEPT, NEW, PREDICTED, SlotLayout, Update
 from codec.splats import Splats
 
 from .takeover import NEAR_STEPS, PlayerState

@@ -18,8 +18,8 @@ import numpy.typing as npt
 from codec.arrays import Bytes, Flags, Floats, Ints, Longs
 from codec.errors import InvalidError
 from codec.lattice.lattice import States
-from codec.lattice.morton import interleave
-from codec.slots.update import KEPT, NEW, Update
+from codec.lattice.quantise import interleave
+from codec.slots.slotlayout import KEPT, NEW, Update
 from codec.splats import ARRAY_NAMES, Splats
 
 CELLS_PER_TURN = 1

@@ -1,24 +1,35 @@
-"""Puts the pieces of a stream together: their index, in order, as far as it goes."""
+"""Puts the pieces of a stream together: their index, in order, as far as it goes.
+
+Progress line and log while parts are trained and joined.
+
+Pictures of the stream as far as it goes, to look at while parts are trained.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from codec.errors import InvalidError
+from codec.progressline import ProgressLine
 from codec.storage.openstorage import open_growing
 from codec.stream import StreamReader
 from codec.stream.finishing import focus_of
-from codec.stream.index import SegmentRecord, parse_index, record_bytes
 from codec.stream.manifest import Manifest, object_name
-from codec.stream.poster import write_poster
-from codec.stream.storyboard import write_storyboard
+from codec.stream.poster import write_poster, write_storyboard
+from codec.stream.segment import SegmentRecord, parse_index, record_bytes
 from codec.stream.writer import SHAPE
 from player.render.cpu import render_splats
-from trainer.run.capturesound import SOURCE, CaptureSound
+from trainer.pictures.framecache import FrameCache
+from trainer.run.config import TrainConfig
+from trainer.run.monitor import RunLog, RunStatus
+from trainer.run.outputs import SOURCE, CaptureSound, write_snapshot
+from trainer.run.prepare import Prepared
 
-from .part_state import MANIFEST_PATH, MAX_STATE_BYTES, unpack_arrays
 from .task import STATE_FOLDER, Run, Task
+from .worker import MANIFEST_PATH, MAX_STATE_BYTES, unpack_arrays
 
 
 class Joiner:
@@ -92,3 +103,82 @@ class Joiner:
         self._files.finish(finished.to_json())
         self._files.delete(STATE_FOLDER)
         return finished
+
+
+class JoinMonitor:
+    """Shows all iterations of all workers on a progress line, and logs every segment that has
+    joined the stream."""
+
+    def __init__(
+        self,
+        line: ProgressLine,
+        log: RunLog,
+        num_frames: int,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._line, self._log, self._num_frames, self._now_s = line, log, num_frames, now_s
+        self._begin_s, self._total, self._done, self._before = now_s(), 1, 0, 0
+        self._frames = self._scored_frames = 0
+        self._played_bytes = 0
+        self._psnr_sum_db = 0.0
+
+    def begin(self, iterations: int) -> None:
+        """All workers together have so many before them."""
+        self._begin_s, self._total = self._now_s(), max(iterations, 1)
+
+    def found(self, records: Sequence[SegmentRecord]) -> None:
+        """These have joined the stream before."""
+        for record in records:
+            self._count(record)
+
+    def progressed(self, iterations: int, before: int = 0) -> None:
+        """All workers together have done so many, `before` of them in an earlier run."""
+        self._done, self._before = iterations, before
+        self._line.show(self._status().stage())
+
+    def joined(self, records: Sequence[SegmentRecord]) -> None:
+        """These have joined the stream now."""
+        for record in records:
+            self._count(record)
+            status = self._status()
+            self._log.add(status.log_row() | {"frame": self._frames - 1})
+            self._line.show(status.stage())
+
+    def _count(self, record: SegmentRecord) -> None:
+        self._frames = record.first_frame + record.num_frames
+        self._played_bytes += record.played_bytes
+        if not math.isnan(record.psnr_db[-1]):
+            self._scored_frames += record.num_frames
+            self._psnr_sum_db += record.num_frames * record.psnr_db[-1]
+
+    def _status(self) -> RunStatus:
+        elapsed_s, frames = self._now_s() - self._begin_s, self._frames
+        now_done = self._done - self._before
+        left_s = elapsed_s / now_done * (self._total - self._done) if now_done else None
+        scored = self._scored_frames
+        return RunStatus(
+            frame=frames,
+            num_frames=self._num_frames,
+            share=min(self._done / self._total, 1.0),
+            elapsed_s=elapsed_s,
+            left_s=left_s,
+            psnr_db=self._psnr_sum_db / scored if scored else None,
+            bytes_per_frame=self._played_bytes / frames if frames else None,
+            iterations_per_s=now_done / elapsed_s if now_done else None,
+        )
+
+
+def draw_joined(config: TrainConfig, prepared: Prepared, records: Sequence[SegmentRecord]) -> None:
+    """Draws every so many frames of the segments that have joined the stream now, beside the
+    capture's."""
+    every = config.snapshot_every
+    frames = [n for r in records for n in range(r.first_frame, r.first_frame + r.num_frames)]
+    due = [frame for frame in frames if every and frame % every == 0]
+    if not due:
+        return
+    reader = StreamReader(config.target, max_gaussians=None)
+    # Pictures of other frames need not be held for these.
+    with FrameCache(prepared.capture, prepared.frames, prepared.scale, config.cache_bytes) as cache:
+        for frame in due:
+            splats = reader.active_splats(frame, reader.manifest.num_layers)
+            write_snapshot(splats, frame, cache, prepared.near_planes, config.work_folder)

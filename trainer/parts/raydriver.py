@@ -1,46 +1,246 @@
 """`swings-train --ray`: a run in parts on a Ray cluster, from the driver's side.
 
 Ray decides where each task is done, and has it done again where its worker died.
+
+A Ray cluster, as a client of it sees it.
+
+A task on the cluster: what Ray runs, each time in a worker process of its own.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import logging
+import math
+import os
+import re
+import secrets
+import signal
+import socket
+import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from rich.console import Console
 
-from codec.errors import InvalidError
+from codec.errors import InvalidError, SwingsError
 from codec.progressline import ProgressLine
-from codec.storage.growingplace import GrowingPlace
 from codec.storage.openstorage import open_growing
-from codec.stream.index import SegmentRecord
+from codec.storage.storage import GrowingPlace
 from codec.stream.manifest import Manifest
+from codec.stream.segment import SegmentRecord
 from codec.stream.writer import SHAPE
-from trainer.run.capturesound import CaptureSound, capture_sound
-from trainer.run.config import TrainConfig
-from trainer.run.finished import finish_outputs, show_finished, show_result
-from trainer.run.outputs import check_targets, writing_run
+from trainer.run.config import LOCAL, TrainConfig, config_to_json
+from trainer.run.job import finish_outputs, show_finished, show_result
+from trainer.run.monitor import LOG_NAME, RunLog
+from trainer.run.outputs import CaptureSound, capture_sound, check_targets, writing_run
 from trainer.run.prepare import Prepared, fps_of, prepare
-from trainer.run.runlog import LOG_NAME, RunLog
-from trainer.run.storedconfig import config_to_json
 
-from .cluster import look_for_room, num_workers, open_cluster
-from .cut import cut
-from .joiner import Joiner
-from .joinmonitor import JoinMonitor
-from .joinpictures import draw_joined
-from .raytask import Tally, remote_task, task_result
-from .task import STATE_FOLDER, Kind, Run, Task, whole_segments
-from .taskqueue import TaskQueue
+from .joiner import Joiner, JoinMonitor, draw_joined
+from .task import STATE_FOLDER, Kind, Run, Task, TaskQueue, cut, whole_segments
 
 log = logging.getLogger(__name__)
+
+CONNECT_S = 10.0
+"""Timeout for the head of a cluster to answer, in seconds."""
+
+
+@contextmanager
+def open_cluster(address: str, least_cpus: float, console: Console) -> Iterator[Any]:
+    """The cluster at `address`; one of this machine alone has `least_cpus` in any case. console:
+    gets a line where a worker dies."""
+    if address == LOCAL:
+        # Ray listens on all interfaces, and runs what anyone sends. Versions before 2.52 ignore it.
+        os.environ.setdefault("RAY_AUTH_MODE", "token")
+        os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
+    try:
+        import ray
+    except ImportError as error:
+        raise InvalidError(
+            "--ray needs the package ray: pip install '.[ray]' in the folder of swings"
+        ) from error
+    # Without an address Ray would join a cluster that RAY_ADDRESS or a killed driver's files name.
+    options: dict[str, Any] = {"address": address}
+    if address == LOCAL:
+        options["num_cpus"] = max(os.cpu_count() or 1, math.ceil(least_cpus))
+    _check_listens(address)
+    try:
+        with keeping_signals():
+            ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
+    except Exception as error:  # where a node does not start in time, Ray raises no narrower one
+        raise InvalidError(f"--ray {address}: {' '.join(str(error).split())}") from error
+    with redirect_stdout(RayOutput(console)):
+        try:
+            yield ray
+        finally:
+            ray.shutdown()
+
+
+LOSSES = {
+    "memory pressure": "a node ran out of memory and ended a worker",
+    "A worker died": "{worker} was killed or crashed (out of memory, a signal, or native code)",
+    "User exception": "a task failed{error}",
+    "marked dead": "a node of the cluster is gone",
+}
+"""Messages of Ray, and their meaning for a user."""
+
+_DEAD_WORKER = re.compile(r"Worker IP address: (\S+) .*Worker PID: (\d+)")
+_ERROR = re.compile(r"^(\w+: .+)$", re.MULTILINE)
+
+
+class RayOutput(io.TextIOBase):
+    """Stands in for standard output, where Ray prints paragraphs about each worker that dies and
+    each task that fails: prints one line for each, and logs the rest at level debug."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def write(self, text: str) -> int:
+        if text.strip():
+            log.debug("ray: %s", text.strip())
+        for words, meaning in LOSSES.items():
+            if words in text:
+                worker, error = "a worker", ""
+                if found := _DEAD_WORKER.search(text):
+                    worker = f"worker process {found[2]} on node {found[1]}"
+                if found := _ERROR.search(text.partition("System error:")[0]):
+                    error = f" ({found[1]})"
+                line = meaning.format(worker=worker, error=error)
+                line += "; its task is run again (--verbose shows Ray's message)"
+                self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+                break
+        return len(text)
+
+
+@contextmanager
+def keeping_signals() -> Iterator[None]:
+    """Ray would end the process by itself when it is asked to end, without a word."""
+    handler = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        if handler is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, handler)
+
+
+def look_for_room(ray: Any, config: TrainConfig, console: Console) -> None:
+    """Says so where no node has what a worker claims: one may come, but until then all waits."""
+    if not num_workers(ray, config):
+        console.print(
+            f"no node of the cluster has {config.worker_cpus:g} cores and {config.worker_gpus:g} "
+            "GPUs for a worker (--worker-cpus, --worker-gpus): waiting for one",
+            highlight=False, soft_wrap=True,
+        )  # fmt: skip
+
+
+def num_workers(ray: Any, config: TrainConfig) -> int:
+    """Number of workers that fit on the nodes that are up now, if nothing else runs there."""
+    claims = {"CPU": config.worker_cpus, "GPU": config.worker_gpus}
+    return sum(
+        min(int(node["Resources"].get(kind, 0) / much) for kind, much in claims.items() if much)
+        for node in ray.nodes()
+        if node["Alive"]
+    )
+
+
+def _check_listens(address: str) -> None:
+    """Raises InvalidError if no process listens at HOST:PORT; Ray would try for minutes."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not colon or not port.isdigit():
+        return  # auto and local, and whatever else Ray knows
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), CONNECT_S).close()
+    except (OSError, OverflowError) as error:
+        raise InvalidError(f"--ray {address}: no cluster answers: {error}") from error
+
+
+MAX_RETRIES = 30
+"""Times that Ray runs a task again before the whole run fails."""
+
+PASSING = OSError, MemoryError, RuntimeError
+"""Errors that another try may not meet: of disks, networks, memory and GPUs."""
+
+
+class Tally:
+    """An actor that knows how many iterations of each task are done."""
+
+    def __init__(self) -> None:
+        self._before: dict[str, int] = {}
+        self._done: dict[str, int] = {}
+
+    def report(self, task: str, iterations: int) -> None:
+        self._before.setdefault(task, iterations)
+        self._done[task] = iterations
+
+    def totals(self) -> tuple[int, int]:
+        """Iterations done, and those of them that an earlier run had done."""
+        return sum(self._done.values()), sum(self._before.values())
+
+
+def remote_task(ray: Any, config: TrainConfig) -> Any:
+    """`do_task` as a remote function with the resources, threads and retries of `config`."""
+    environment = {
+        # Numba reads both once, when it is loaded: so a process for each task, and not one before.
+        "NUMBA_NUM_THREADS": str(math.ceil(config.worker_cpus)),
+        "OMP_WAIT_POLICY": "passive",  # see trainer/__main__.py
+    }
+    return ray.remote(
+        num_cpus=config.worker_cpus,
+        num_gpus=config.worker_gpus,
+        max_calls=1,
+        max_retries=MAX_RETRIES,
+        retry_exceptions=list(PASSING),
+        runtime_env={"env_vars": environment},
+    )(do_task)
+
+
+def do_task(task: Task, tally: Any, warm_nodes: frozenset[str]) -> str | None:
+    """Does a task in a process of Ray. Raises InvalidError where another try would be of no use.
+
+    A process that compiles kernels may round differently from those that load them. So where this
+    one has compiled any, and its node is not one of `warm_nodes`, it leaves the task undone and
+    gives the node's ID: the next process there loads them.
+    """
+    import ray
+
+    from trainer.run.warm import compile_kernels
+
+    from .worker import opened_worker
+
+    if open_growing(task.run.config.target, SHAPE).holds(task.last_path):
+        return None  # the process that finished it died before it could report that
+    node: str = ray.get_runtime_context().get_node_id()
+    if compile_kernels(task.run.config.fit.sh_degree) and node not in warm_nodes:
+        return node
+    try:
+        with opened_worker(task, lambda n: tally.report.remote(task.name, n)) as worker:
+            worker.work()
+    except SwingsError as error:
+        raise InvalidError(f"{task.name}: {error}") from error
+    return None
+
+
+def task_result(ray: Any, ref: Any, task: Task) -> str | None:
+    """The result of `do_task`. Raises InvalidError where Ray has given up on it."""
+    try:
+        node: str | None = ray.get(ref)
+    except ray.exceptions.RayTaskError as error:
+        if isinstance(error.cause, InvalidError):
+            raise error.cause from error
+        if isinstance(error.cause, PASSING):
+            words = f"{type(error.cause).__name__}: {error.cause}".splitlines()[0]
+            raise InvalidError(f"{task.name}: {words}, {MAX_RETRIES + 1} times") from error
+        raise
+    except ray.exceptions.RayError as error:
+        words = str(error).splitlines()[0]
+        raise InvalidError(f"{task.name}: {words} ({MAX_RETRIES + 1} times)") from error
+    return node
+
 
 RUN_PATH = f"{STATE_FOLDER}/run.json"
 

@@ -1,14 +1,47 @@
-"""A worker's task: the run, and the piece of it to train."""
+"""A worker's task: the run, and the piece of it to train.
+
+Where a capture is cut.
+
+Which task is given away next.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
+from codec.errors import InvalidError
 from trainer.fit.config import FitConfig
 from trainer.run.config import TrainConfig
 
-from .cut import Part
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Frames that one worker trains, whole segments but for the last."""
+
+    number: int
+    first_frame: int
+    end_frame: int
+
+
+def cut(num_frames: int, part_frames: int, segment_frames: int, seam_frames: int) -> list[Part]:
+    """The parts of a stream, of about `part_frames` each.
+
+    Each has more frames than the seam at its beginning, so the last one may be longer. Raises
+    InvalidError where parts would be shorter than that.
+    """
+    if part_frames <= seam_frames:
+        raise InvalidError(
+            f"part_frames {part_frames}: choose more than the {seam_frames} frames of a seam"
+        )
+    whole = -(-part_frames // segment_frames) * segment_frames
+    firsts = list(range(0, num_frames, whole))
+    if len(firsts) > 1 and num_frames - firsts[-1] <= seam_frames:
+        firsts.pop()
+    ends = [*firsts[1:], num_frames]
+    return [Part(n, first, end) for n, (first, end) in enumerate(zip(firsts, ends, strict=True))]
+
 
 STATE_FOLDER = ".parts"
 """Folder inside the stream, until it is finished, with the files that workers leave for others."""
@@ -142,3 +175,32 @@ class Task:
     def other(self, kind: Kind, number: int = 0) -> Task:
         """Another task of the same run."""
         return Task(self.run, kind, number)
+
+
+class TaskQueue:
+    """Hands tasks out in the order of the stream, each once what it needs has been done: so the
+    stream grows from its beginning, and little waits to be joined."""
+
+    def __init__(self, run: Run, is_done: Callable[[Task], bool]) -> None:
+        """is_done: whether a task has been done before."""
+        self._done = {task.name for task in run.tasks if is_done(task)}
+        self._waiting = [task for task in run.tasks if task.name not in self._done]
+
+    @property
+    def waiting(self) -> Sequence[Task]:
+        """Tasks that have not been handed out."""
+        return self._waiting
+
+    def is_done(self, task: Task) -> bool:
+        return task.name in self._done
+
+    def take(self) -> Task | None:
+        """The first that can be done now; None where all that are left need others first."""
+        for index, task in enumerate(self._waiting):
+            if all(map(self.is_done, task.needs)):
+                return self._waiting.pop(index)
+        return None
+
+    def done(self, task: Task) -> None:
+        """One that was handed out has been done."""
+        self._done.add(task.name)

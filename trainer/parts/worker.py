@@ -3,47 +3,82 @@ need.
 
 Rule: everything that is left is put whole, and a task that is done again, from its last checkpoint
 or from its beginning, leaves the same bytes. So a worker may die at any moment.
+
+The state that one worker leaves in storage for the next, as bytes.
 """
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from codec.arrays import Bytes
-from codec.slots.update import Update
+from codec.slots.slotlayout import Update
 from codec.splats import Splats
-from codec.storage.growingplace import GrowingPiece, GrowingPlace
 from codec.storage.openstorage import open_growing
-from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
+from codec.storage.storage import GrowingPiece, GrowingPlace
+from codec.stream.manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest
 from codec.stream.writer import SHAPE, StreamWriter
 from trainer.fit.config import FitConfig
 from trainer.fit.leasedslots import LeasedSlots
 from trainer.fit.observer import Observer, Progress, Window
 from trainer.fit.trainer import Trainer
 from trainer.lease.takeover import Crossfade, PlayerState
-from trainer.pictures.feed import CapturePictures
-from trainer.pictures.framecache import FrameCache
+from trainer.pictures.framecache import CapturePictures, FrameCache
 from trainer.run.checkpoint import KEEP_S, GenesisKeeper, KeepTimer, arrays_of, update_of
 from trainer.run.prepare import Prepared, first_gaussians, make_manifest, prepare
 from trainer.score.meter import QualityMeter
 
-from .part_state import (
-    MANIFEST_PATH,
-    MAX_STATE_BYTES,
-    Arrays,
-    pack_arrays,
-    part_state,
-    player_state_in,
-    unpack_arrays,
-    with_prefix,
-    without_prefix,
-)
-from .task import Kind, Task
+from .task import STATE_FOLDER, Kind, Task
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+MAX_STATE_BYTES = 1 << 34
+"""Largest accepted file: tens of millions of Gaussians."""
+
+MANIFEST_PATH = f"{STATE_FOLDER}/{MANIFEST_NAME}"
+"""The stream's manifest as genesis leaves it."""
+
+
+def pack_arrays(arrays: Arrays) -> bytes:
+    """The opposite of `unpack_arrays`. The same arrays give the same bytes."""
+    file = io.BytesIO()
+    np.savez(file, **arrays)  # type: ignore[arg-type]  # its stub takes the names for options
+    return file.getvalue()
+
+
+def unpack_arrays(data: bytes) -> Arrays:
+    with np.load(io.BytesIO(data), allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def with_prefix(name: str | int, arrays: Arrays) -> Arrays:
+    """`arrays` with the prefix `name` on each key."""
+    return {f"{name}.{key}": array for key, array in arrays.items()}
+
+
+def without_prefix(name: str | int, arrays: Arrays) -> Arrays:
+    """The arrays whose keys have the prefix `name`, without it; the opposite of `with_prefix`."""
+    start = f"{name}."
+    return {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
+
+
+def part_state(trainer: Trainer, held: PlayerState) -> Arrays:
+    """The state of a trainer, and that of a player which has received all its slices."""
+    return {**with_prefix("state", trainer.state()), **with_prefix("held", held.to_arrays())}
+
+
+def player_state_in(arrays: Arrays) -> PlayerState:
+    """The player's state in the arrays of `part_state`."""
+    return PlayerState.from_arrays(without_prefix("held", arrays))
+
 
 Report = Callable[[int], None]
 """Gets the number of iterations of the task that are done, by this process or one before it."""

@@ -3,24 +3,76 @@ within a bound; and their masks.
 
 State: the kept pictures and masks in order of use, one source per camera, and the thread that reads
 ahead. When full, the least recently used goes; to ask for it again reads it again.
+
+One thread that does small jobs ahead of time; a bounded number of them may wait.
+
+The pictures of a capture, as training draws them.
 """
 
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
-from collections.abc import Iterable, Sequence
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from codec.arrays import Bytes
 from codec.camera import Camera
 from codec.errors import InvalidError
 from trainer.capture.capture import Capture, Mask, Picture
 
-from .prefetch import Prefetcher
-from .scale import scaled_mask, scaled_picture
-from .shot import Shot
+from .scale import Shot, scaled_mask, scaled_picture
+
+_Job = TypeVar("_Job")
+
+
+class Prefetcher(Generic[_Job]):
+    """Does jobs in the order in which they were asked for; refuses one when too many wait.
+
+    Any thread may ask. The thread starts with the first job and ends with `close`.
+    """
+
+    def __init__(self, do: Callable[[_Job], None], max_waiting: int) -> None:
+        """do: what to do with a job; must not raise."""
+        self._do = do
+        self._max_waiting = max_waiting
+        self._changed = threading.Condition()  # guards all below
+        self._waiting: deque[_Job] = deque()
+        self._thread: threading.Thread | None = None
+
+    def ask(self, job: _Job) -> bool:
+        """Queues a job; False if too many wait."""
+        with self._changed:
+            if len(self._waiting) >= self._max_waiting:
+                return False
+            self._waiting.append(job)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="prefetch", daemon=True)
+                self._thread.start()
+            self._changed.notify()
+            return True
+
+    def close(self) -> None:
+        """Forgets the jobs that wait and returns when the running one has ended. Idempotent; a
+        later job starts a new thread."""
+        with self._changed:
+            self._waiting.clear()
+            thread, self._thread = self._thread, None
+            self._changed.notify_all()
+        if thread is not None:
+            thread.join()
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                while not self._waiting and self._thread is threading.current_thread():
+                    self._changed.wait()
+                if self._thread is not threading.current_thread():
+                    return
+                job = self._waiting.popleft()
+            self._do(job)
+
 
 DEFAULT_MAX_BYTES = 1 << 30
 """Bytes of pictures kept: 30 cameras x 200 frames at 320x180, or 30 x 8 at 1352x1014."""
@@ -273,3 +325,50 @@ class FrameCache:
         """Needs the lock."""
         self._held[key] = read
         self._held_bytes += read.nbytes
+
+
+class Pictures(Protocol):
+    """Pictures of frames 0..num_frames-1 of the training cameras."""
+
+    @property
+    def num_frames(self) -> int: ...
+
+    @property
+    def cameras(self) -> Sequence[Camera]: ...
+
+    def shot(self, camera: int, frame: int) -> Shot:
+        """The picture, of the camera's size, and its mask."""
+        ...
+
+    def mask(self, camera: int, frame: int) -> Mask | None:
+        """The shot's mask alone: reads no picture."""
+        ...
+
+
+class CapturePictures:
+    """The training cameras of a cache; its first frame is frame 0."""
+
+    def __init__(self, cache: FrameCache, indices: Sequence[int]) -> None:
+        """indices: of the training cameras, in the capture."""
+        self._cache, self._indices = cache, indices
+        self._cameras = [cache.camera(i) for i in indices]
+
+    @property
+    def num_frames(self) -> int:
+        return len(self._cache.frames)
+
+    @property
+    def cameras(self) -> Sequence[Camera]:
+        return self._cameras
+
+    def shot(self, camera: int, frame: int) -> Shot:
+        return self._cache.shot(self._indices[camera], self._cache.frames[frame])
+
+    def mask(self, camera: int, frame: int) -> Mask | None:
+        return self._cache.mask(self._indices[camera], self._cache.frames[frame])
+
+    def prefetch(self, frame: int, needed_from: int) -> None:
+        """Has a frame read ahead, if there is one; frames before `needed_from` may go for it."""
+        if frame < self.num_frames:
+            frames = self._cache.frames
+            self._cache.prefetch(self._indices, frames[frame], frames[needed_from])

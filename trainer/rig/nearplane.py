@@ -18,7 +18,7 @@ from codec.camera import Camera
 from codec.rig import rig_centre
 from trainer.capture.capture import Capture
 from trainer.pictures.scale import scaled_mask, scaled_picture
-from trainer.seed.nearest import STRAY_SHARE, nearest_seen, share_nearer, stereo_places
+from trainer.seed.gaussians import STRAY_SHARE, nearest_seen, share_nearer, stereo_places
 from trainer.seed.stereo import small_camera
 
 FALLBACK_NEAR_M = 0.2

@@ -1,8 +1,11 @@
-"""Cameras and points of a capture as a picture, from above and from the side, in its own axes."""
+"""Cameras and points of a capture as a picture, from above and from the side, in its own axes.
+
+Fonts for the names of cameras: matplotlib's own has no Chinese, Japanese or Korean letters.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import matplotlib.backends.backend_agg
@@ -12,6 +15,8 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection
+from matplotlib.font_manager import FontProperties, findfont, fontManager
+from matplotlib.ft2font import FT2Font
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
@@ -22,7 +27,31 @@ from codec.files import replacing
 from codec.rig import rig_centre, rig_up
 from trainer.capture.capture import Capture
 
-from .labelfont import OWN_FAMILY, families_for
+OWN_FAMILY = "DejaVu Sans"
+"""Comes with matplotlib."""
+
+STAND_INS = frozenset({"Last Resort High-Efficiency"})
+"""Fonts whose glyphs are boxes for every letter."""
+
+
+def families_for(texts: Iterable[str]) -> list[str] | None:
+    """Families of installed fonts that together have all letters of `texts`, to try one after the
+    other; None if no font has those that matplotlib's own lacks."""
+    own = FT2Font(findfont(FontProperties(family=[OWN_FAMILY])))
+    lacking = {ord(letter) for text in texts for letter in text} - own.get_charmap().keys()
+    if not lacking:
+        return [OWN_FAMILY]
+    for entry in fontManager.ttflist:
+        if entry.name in STAND_INS or entry.style != "normal":
+            continue
+        try:
+            letters = FT2Font(entry.fname).get_charmap().keys()
+        except (OSError, RuntimeError):  # has been removed, or is broken
+            continue
+        if lacking <= letters:
+            return [OWN_FAMILY, entry.name]
+    return None
+
 
 TRAINING_COLOUR, HELD_OUT_COLOUR, CENTRE_COLOUR = "#1f5fbf", "#d9480f", "#2b8a3e"
 FRUSTUM_SHARE = 0.07

@@ -12,17 +12,23 @@ from rich.console import Console
 from codec.framerange import FrameRange
 from codec.progressline import waiting
 from codec.rig import rig_centre
-from codec.sequence.numberedfiles import FPS_NAME
+from codec.sequence.survey import FPS_NAME
 from trainer.calibrate.lateness import late_doubts
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
 from trainer.capture.layouts import TITLES
 from trainer.capture.points import read_points_file
-from trainer.rig.coverage import coverage_doubts, describe_coverage, unseen_shares
-from trainer.rig.doubts import picture_doubt, picture_doubts, rig_doubts
+from trainer.rig.doubts import (
+    coverage_doubts,
+    describe_coverage,
+    picture_doubt,
+    picture_doubts,
+    rig_doubts,
+    unseen_shares,
+)
 from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane, near_planes
 from trainer.rig.rigdrawing import draw_capture
-from trainer.seed.nearest import STRAY_SHARE
+from trainer.seed.gaussians import STRAY_SHARE
 
 from .config import TrainConfig
 

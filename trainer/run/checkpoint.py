@@ -25,7 +25,7 @@ from codec.errors import InvalidError
 from codec.files import open_without_waiting, replacing, write_atomic
 from codec.lattice.lattice import States
 from codec.slice import Slice
-from codec.slots.update import Update
+from codec.slots.slotlayout import Update
 from codec.splats import ARRAY_NAMES, Splats
 from trainer.errors import CheckpointError
 from trainer.fit.observer import Observer, Progress

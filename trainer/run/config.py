@@ -1,23 +1,48 @@
-"""The settings of a training run; its `--help` is made of them."""
+"""The settings of a training run; its `--help` is made of them.
+
+A training run's settings as JSON, so that a resumed run needs no options.
+
+Presets: named defaults of swings-train, which every option still overrides.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
+from functools import partial
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from types import UnionType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import tyro
 
+from codec.console import cli, split_option
 from codec.errors import InvalidError
 from codec.helptext import Groups
-from codec.storage.openstorage import Target, is_url
-from codec.storage.targetargument import target_named
+from codec.storage.openstorage import Target, is_url, parse_target, target_named
 from codec.stream.manifest import MAX_FPS, MIN_FPS
-from trainer.capture.camerachoice import CameraChoice
+from trainer.capture.capture import CameraChoice
 from trainer.capture.layouts import listed_titles
+from trainer.errors import CheckpointError
 from trainer.fit.config import FitConfig
+from trainer.fit.mcmc import McmcConfig
 from trainer.pictures.framecache import DEFAULT_MAX_BYTES
 from trainer.step.backend import BackendName
+from trainer.step.optimiser import OptimiserConfig
+
+from .checkpoint import read_options
 
 
 def default_work(target: Target) -> Path:
@@ -218,3 +243,177 @@ class TrainConfig:
     def work_folder(self) -> Path:
         """Where what the run needs besides the stream is written."""
         return self.work if self.work is not None else default_work(self.target)
+
+
+Config = TypeVar("Config")
+
+
+def config_to_json(config: Any) -> dict[str, Any]:
+    """The fields of a dataclass, of those in it too. Paths are absolute: a run may be resumed from
+    another folder."""
+    return {f.name: _to_json(getattr(config, f.name)) for f in dataclasses.fields(config)}
+
+
+def _to_json(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return config_to_json(value)
+    if isinstance(value, Path):
+        return str(value.absolute())
+    if isinstance(value, Enum):
+        return value.value
+    return list(value) if isinstance(value, tuple) else value
+
+
+def config_from_json(config_type: type[Config], values: Any) -> Config:
+    """The opposite of `config_to_json`. A field that `values` lack has its default.
+
+    Raises TypeError or ValueError, InvalidError among them, for values that make no such config.
+    """
+    if not isinstance(values, Mapping):
+        raise TypeError(f"{values!r} holds no settings")
+    types = get_type_hints(config_type)
+    unknown = values.keys() - types.keys()
+    if unknown:
+        raise ValueError(f"no setting is called {min(unknown)}")
+    return config_type(**{name: _from_json(types[name], v) for name, v in values.items()})
+
+
+def _from_json(wanted: Any, value: Any) -> Any:
+    if get_origin(wanted) in (Union, UnionType):
+        if value is None:
+            return None
+        if {str, Path} <= set(get_args(wanted)):
+            return parse_target(value)
+        wanted = next(kind for kind in get_args(wanted) if kind is not type(None))
+    if get_origin(wanted) is tuple:
+        return tuple(value)
+    if isinstance(wanted, type):
+        if dataclasses.is_dataclass(wanted):
+            return config_from_json(wanted, value)
+        if issubclass(wanted, Path | Enum):
+            return wanted(value)
+    return value
+
+
+PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
+    # The defaults: what two cores train in minutes. Measured in docs/RESULTS.md.
+    "cpu": TrainConfig,
+    # A first look at a capture: a third of the iterations and half of the Gaussians of `cpu`.
+    "fast": partial(
+        TrainConfig,
+        preset="fast",
+        longest_px=480,
+        fit=FitConfig(
+            num_gs=10_000,
+            genesis_iterations=1_500,
+            settle_rounds=8,
+            window_iterations=150,
+            scene_flow=True,  # so few iterations leave a ghost where a ball was
+        ),
+    ),
+    # Two cores train 150 frames of 640x360 with it in an hour. docs/RESULTS.md.
+    "fine": partial(
+        TrainConfig,
+        preset="fine",
+        longest_px=None,
+        fit=FitConfig(
+            num_gs=24_000,
+            settle_rounds=90,
+            window_iterations=450,
+            window_coarse_share=0.4,  # saves a fifth of the time, costs some flicker
+            scene_flow=True,
+            settle_prefix_share=0.1,
+            prefix_share=0.08,
+            mcmc=McmcConfig(renew_share=0.03),
+        ),
+    ),
+    # What a GPU should train in seconds a frame at 1352x1014, the size at which DyNeRF captures are
+    # compared. Not measured: see docs/RESULTS.md for the command.
+    "gpu": partial(
+        TrainConfig,
+        preset="gpu",
+        backend="auto",
+        longest_px=1352,
+        fit=FitConfig(
+            num_gs=200_000,
+            genesis_iterations=9_000,
+            settle_rounds=20,
+            window_iterations=600,
+        ),
+    ),
+    # The paper's setting, made for a GPU: section 8.1 and, where it is silent, 3DGS-MCMC, on which
+    # it builds.
+    "paper": partial(
+        TrainConfig,
+        preset="paper",
+        longest_px=None,
+        fit=FitConfig(
+            num_gs=200_000,  # 8.1
+            swin_size=5,  # 8.1
+            sh_degree=1,  # 8.1
+            genesis_iterations=30_000,  # 8.1
+            window_iterations=2_000,  # 8.1
+            settle_rounds=0,  # not in the paper
+            calm_from=1.0,  # not in the paper
+            coarse_share=0.0,  # not in the paper
+            newest_share=0.0,  # Algorithm 1: frames of the window evenly
+            colour_lr=0.0,  # not in the paper
+            optimiser=OptimiserConfig(
+                window_means_lr=1.6e-4,  # 3DGS-MCMC, again for every window
+                window_means_lr_end=1.6e-6,
+                age_scaling="gradient",  # 4.5.1
+            ),
+            mcmc=McmcConfig(
+                renew_share=0.0,  # not in the paper
+                opacity_reg=0.02,  # 8.1
+                scale_reg=0.01,  # 8.1
+                max_scale=0.0,  # not in the paper
+            ),
+        ),
+        point_share=1.0,  # 3DGS: a capture's points and nothing else, as far as they go
+        rank="opacity",  # 5.5
+        whole_slices=True,
+    ),
+}
+"""TrainConfig with other defaults."""
+
+
+def parse_with_preset(
+    config_type: Callable[..., TrainConfig], args: Sequence[str], **options: Any
+) -> TrainConfig:
+    """Calls `cli` with the defaults of the preset that `args` name, if any; where they ask to
+    resume a run, with that run's settings.
+
+    An unknown name is left to tyro to refuse.
+    """
+    config: TrainConfig
+    args = _with_address(args)
+    before = _resumed(args) if "--resume" in args else None
+    if before is not None:
+        config = cli(TrainConfig, default=before, args=args, **options)
+        return config
+    preset, _ = split_option(args, "--preset", nargs="?")
+    config = cli(PRESETS.get(preset, config_type), args=args, **options)
+    return config
+
+
+def _with_address(args: Sequence[str]) -> list[str]:
+    """`args` with the address that --ray leaves out."""
+    given = list(args)
+    if "--ray" in given:
+        after = given.index("--ray") + 1
+        if after == len(given) or given[after].startswith("-"):
+            given.insert(after, LOCAL)
+    return given
+
+
+def _resumed(args: Sequence[str]) -> TrainConfig | None:
+    """The settings of the run whose folder is among `args`; None if there is none, or if they
+    cannot be read, which is reported later."""
+    # Before parsing, which needs them: of what is given, a part may be wrong without the rest.
+    folders = [default_work(parse_target(word)) for word in args if not word.startswith("-")]
+    try:
+        kept = next((options for f in folders if (options := read_options(f)) is not None), None)
+        return None if kept is None else config_from_json(TrainConfig, kept)
+    except (CheckpointError, TypeError, ValueError):
+        return None

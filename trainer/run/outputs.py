@@ -1,37 +1,183 @@
-"""The outputs of a run beside its log and its checkpoint: streams and snapshots."""
+"""The outputs of a run beside its log and its checkpoint: streams and snapshots.
+
+Slices in the order of what their Gaussians contribute to the training views.
+
+Contributions are summed over the views and over the frames in which a Gaussian shows: what is
+small, thin or hidden ranks low however opaque it is. A writer keeps the order with its rank
+`given`.
+
+The sound of a trained stream: a file's, or that of the capture's videos, aligned to its frames.
+
+Rule: it is encoded before training begins, so that a bad file ends the run at once; each segment
+gets its packets when it is written.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
-from codec.errors import InvalidError
+from codec.arrays import Doubles
+from codec.errors import InvalidError, SwingsError
 from codec.files import temporary_beside
 from codec.outputlock import writing_alone
-from codec.slice import Slice
-from codec.slots.update import Update
+from codec.slice import Slice, active_splats
+from codec.slots.slotlayout import Update
 from codec.splats import Splats
 from codec.storage.openstorage import Target, is_url, open_growing
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.finishing import finish_pictures
-from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest
 from codec.stream.poster import write_poster
+from codec.stream.segment import INDEX_NAME
+from codec.stream.sound import (
+    DEFAULT_BITRATE_BPS,
+    SAMPLE_RATE,
+    SoundObject,
+    SoundSource,
+    first_sample,
+    segment_sound,
+)
+from codec.stream.wholeslice import Rank
 from codec.stream.writer import SHAPE
+from codec.tracks.soundfile import Samples, encode, read_samples, shifted
 from player.render.cpu import render_splats
+from trainer.capture.capture import Capture
+from trainer.fit.observer import Window
+from trainer.fit.trainer import Trainer
 from trainer.pictures.framecache import FrameCache
 from trainer.score.meter import QualityMeter
-from trainer.score.picture import captured, displayed
 from trainer.score.sheet import comparison, save_png
+from trainer.score.truth import captured, displayed
+from trainer.step.contribution import summed_contribution
+from trainer.step.raster import Parameters, View
+from trainer.storedfiles import block_file, by_its_name, translated
 
-from .capturesound import SOURCE, CaptureSound
 from .checkpoint import CHECKPOINT_NAME, SETTINGS_NAME
 from .config import TrainConfig
-from .rank import writer_rank
+
+CONTRIBUTION = "contribution"
+"""The name of this rank in options."""
+
+
+def writer_rank(rank: str) -> Rank:
+    """The rank with which a StreamWriter keeps slices that are ordered by `rank`."""
+    return Rank.GIVEN if rank == CONTRIBUTION else Rank(rank)
+
+
+def _most_first(part: Slice, importance: Doubles) -> Slice:
+    """`part` with its Gaussians by falling importance; equal ones keep their order."""
+    order = np.argsort(-importance, kind="stable")
+    return Slice(part.birth, part.splats.take(order), part.start_offsets[order])
+
+
+def slices_by_contribution(reader: StreamReader, views: Sequence[View]) -> Iterator[Slice]:
+    """All slices of a stream in order of birth, the Gaussians that contribute most first.
+
+    Every frame is rendered once for each of `views`. Raises InvalidError for a stream without a
+    frame.
+    """
+    manifest = reader.manifest
+    if reader.num_frames == 0:
+        raise InvalidError(f"{reader.name}: the stream has no finished segment yet")
+    sums: dict[int, Doubles] = {}
+    window: list[Slice] = []
+    for frame in range(reader.num_frames):
+        window = reader.window(frame, manifest.num_layers)
+        splats = active_splats(window, frame, manifest.swin_size)
+        values = Parameters(*splats.arrays)
+        rows = np.arange(len(splats), dtype=np.int32)
+        contributions = summed_contribution(values, rows, views, [None] * len(views))
+        first = 0
+        for part in window:
+            shown = np.flatnonzero(part.active(frame, manifest.swin_size))
+            total = sums.setdefault(part.birth, np.zeros(len(part.splats)))
+            total[shown] += contributions[first : first + len(shown)]
+            first += len(shown)
+        # No later frame shows the oldest slice.
+        yield _most_first(window[0], sums.pop(window[0].birth))
+    for part in window[1:]:
+        yield _most_first(part, sums[part.birth])
+
+
+def matured_by_contribution(trainer: Trainer, window: Window) -> tuple[Slice, ...]:
+    """The slices of `window`, which `trainer` has just given, the Gaussians that contribute most
+    first."""
+    contributions = trainer.contributions(window)
+    return tuple(_most_first(*pair) for pair in zip(window.slices, contributions, strict=True))
+
+
+log = logging.getLogger(__name__)
+
+SOURCE = SoundSource("main", 2)
+"""The one source of a trained stream; swings-stream audio adds others."""
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureSound:
+    """The encoded sound of a capture, whole, to be cut into the segments of its stream."""
+
+    whole: SoundObject
+    fps: float
+
+    def objects(self, first_frame: int, end_frame: int) -> Mapping[str, bytes]:
+        """The objects of a segment of the stream, by their names. Raises InvalidError."""
+        begin, stop = first_sample(first_frame, self.fps), first_sample(end_frame, self.fps)
+        return {SOURCE.part: segment_sound(self.whole, begin, stop).pack()}
+
+
+def capture_sound(
+    config: TrainConfig, capture: Capture, frames: range, fps_of: Callable[[], float]
+) -> CaptureSound | None:
+    """The sound of `frames` of the capture: of `config.audio` from the capture's frame 0 on, else
+    of the first of its videos that has any; None without. fps_of: of the stream; is called where
+    there is sound. Raises a SwingsError for a file that was asked for; a video whose sound cannot
+    be read is logged and left out."""
+    if config.audio is not None:
+        return _encoded(config.audio, frames, fps_of())
+    if config.silent:
+        return None
+    starts_s = capture.starts_s or (0.0,) * len(capture.videos)
+    for video, start_s in zip(capture.videos, starts_s, strict=True):
+        try:
+            if not _has_sound(video):
+                continue
+            found = _encoded(video, frames, fps_of(), start_s)
+        except SwingsError as error:
+            log.warning("the sound of a video is left out: %s", error)
+            continue
+        log.info("the stream gets the sound of %s", video)
+        return found
+    return None
+
+
+def _encoded(file: Path, frames: range, fps: float, start_s: float = 0.0) -> CaptureSound:
+    """start_s: the time in the file at which frame 0 is."""
+    offset_s = -start_s - first_sample(frames.start, fps) / SAMPLE_RATE
+    pieces = shifted(_samples(file), SOURCE.channels, offset_s)
+    length = first_sample(len(frames), fps)
+    return CaptureSound(encode(pieces, SOURCE.channels, length, DEFAULT_BITRATE_BPS), fps)
+
+
+def _has_sound(video: Path) -> bool:
+    try:
+        return any(len(piece) for piece in islice(_samples(video), 1))
+    except InvalidError:
+        return False
+
+
+def _samples(file: Path) -> Iterator[Samples]:
+    """The samples of `file`, which may lie in an object store; see `read_samples`."""
+    with by_its_name(file), translated():
+        yield from read_samples(file, SOURCE.channels, block_file(file))
+
 
 SNAPSHOT_FOLDER = "snapshots"
 """In the work folder: pictures of a stream beside the capture's."""

@@ -17,29 +17,26 @@ from codec.interop.formats import read_splats
 from codec.lattice.lattice import Lattice
 from codec.lattice.quantise import layer_coarseness
 from codec.rig import central_camera
-from codec.sequence.numberedfiles import FPS_NAME
+from codec.sequence.survey import FPS_NAME
 from codec.splats import Splats
-from codec.stream.layers import RANKS, split_layers
 from codec.stream.manifest import Manifest
-from codec.stream.poster import POSTER_NAME
-from codec.stream.storyboard import STORYBOARD_NAME
+from codec.stream.poster import POSTER_NAME, STORYBOARD_NAME
+from codec.stream.wholeslice import RANKS, split_layers
 from trainer.calibrate.lateness import late_doubts
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
 from trainer.capture.points import points_evenness, read_points_file
 from trainer.errors import CaptureError
 from trainer.fit.trainer import FALLBACK_FAR_M
-from trainer.pictures.feed import Pictures
-from trainer.pictures.framecache import FrameCache
-from trainer.rig.coverage import coverage_doubts, unseen_shares
-from trainer.rig.doubts import rig_doubts
+from trainer.pictures.framecache import FrameCache, Pictures
+from trainer.rig.doubts import coverage_doubts, rig_doubts, unseen_shares
 from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane, near_planes
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.step.backend import MemoryNeeds
 from trainer.step.device.pick import Picked
 
 from .config import TrainConfig
-from .rank import writer_rank
+from .outputs import writer_rank
 
 GROWN = 1.25
 """Expected size of trained Gaussians, over the size of the first ones."""

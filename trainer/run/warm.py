@@ -21,13 +21,12 @@ from rich.console import Console
 from codec.camera import Camera
 from codec.lattice.lattice import Lattice
 from codec.progressline import waiting
-from codec.slots.slotdecoder import SlotDecoder
-from codec.slots.slotencoder import SlotEncoder
+from codec.slots.decoder import SlotDecoder
+from codec.slots.encoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
 from codec.splats import Splats
-from codec.stream.layers import given_rank
-from codec.stream.object import encode_packet
-from codec.stream.wholeslice import whole_update
+from codec.stream.segment import encode_packet
+from codec.stream.wholeslice import given_rank, whole_update
 from player.render.cpu import render_splats
 from trainer.capture.capture import Mask
 from trainer.capture.lens import Lens, straightened
@@ -36,11 +35,11 @@ from trainer.fit.leasedslots import LeasedSlots
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.trainer import SMALLEST_HALVED_PX, Trainer
 from trainer.lease.leases import LeaseConfig
-from trainer.pictures.shot import Shot
+from trainer.pictures.scale import Shot
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.storedfiles import forget_stored
 
-from .rank import matured_by_contribution
+from .outputs import matured_by_contribution
 
 _STARTED_OVER = "SWINGS_STARTED_OVER"
 """Environment variable that ends the second try where numba cannot keep what it compiles."""

@@ -15,15 +15,22 @@ from rich.markup import escape
 from rich.table import Table
 
 from codec.errors import InvalidError
-from codec.storage.openstorage import Target
-from codec.storage.targetargument import target_named
+from codec.storage.openstorage import Target, target_named
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.show.sink import check_output
-from trainer.rig.coverage import UNSEEN_SHARE, unseen_shares
+from trainer.rig.doubts import UNSEEN_SHARE, unseen_shares
 
-from .gap import Gap, side_score
-from .scores import Scores, camera_means, frame_means, mean, seen_of
-from .traffic import Traffic, traffic
+from .scores import (
+    Gap,
+    Scores,
+    Traffic,
+    camera_means,
+    frame_means,
+    mean,
+    seen_of,
+    side_score,
+    traffic,
+)
 from .truth import ScoredCameras, open_held_out
 
 COLUMNS = (

@@ -11,7 +11,7 @@ from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 from trainer.pictures.framecache import FrameCache
 
-from .picture import score_splats
+from .truth import score_splats
 
 MOST_CAMERAS = 8
 """Maximum cameras that are scored: where none is held out, all training cameras watch."""

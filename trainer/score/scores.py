@@ -1,4 +1,18 @@
-"""Scores of a stream from some cameras, frame by frame."""
+"""Scores of a stream from some cameras, frame by frame.
+
+A picture in the colours of the camera that it is compared with.
+
+The cameras of a rig differ in exposure and white balance, and those of a camera that training never
+saw are not known: a stream in the rig's mean colours loses decibels there that no viewer misses. So
+a picture is also scored with a gain and a bias for each channel, fitted to what the camera saw.
+
+How much better a stream looks from the cameras that trained it than from those held out.
+
+What explains single cameras and not the scene shows as a gap between the two; more iterations widen
+it.
+
+The traffic of a player that begins at frame 0 or later: bytes, and Gaussians.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +20,35 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from rich.table import Table
 
 from codec.arrays import Doubles, Floats
 from codec.splats import Splats
+from codec.stream import StreamReader
+from codec.tools.audit import count_slots
 from trainer.capture.capture import Mask
 from trainer.step.loss import psnr_db
 
-from .colourfit import colour_fitted
-from .moving import Movement, movement_of
-from .picture import captured, displayed, score_picture
-from .truth import ScoredCameras
+from .truth import Movement, ScoredCameras, captured, displayed, movement_of, score_picture
+
+LEAST_VARIANCE = 1e-8
+"""Smallest variance of a channel that has a gain; with less, only a bias can be fitted."""
+
+
+def colour_fitted(shown: Floats, truth: Floats, mask: Mask | None = None) -> Floats:
+    """`shown`, (H, W, 3) in 0..1, with each channel's gain and bias of least squares to `truth`
+    over the pixels that count; not clipped. Unchanged where none counts."""
+    counts = np.ones(shown.shape[:2], bool) if mask is None else mask > 0
+    if not counts.any():
+        return shown
+    seen, wanted = shown[counts].astype(np.float64), truth[counts].astype(np.float64)
+    seen_mean, wanted_mean = seen.mean(axis=0), wanted.mean(axis=0)
+    variance = ((seen - seen_mean) ** 2).mean(axis=0)
+    covariance = ((seen - seen_mean) * (wanted - wanted_mean)).mean(axis=0)
+    gain = np.where(variance > LEAST_VARIANCE, covariance / np.maximum(variance, LEAST_VARIANCE), 1)
+    fitted: Floats = (gain * (shown - seen_mean) + wanted_mean).astype(np.float32)
+    return fitted
+
 
 STILL = 4 / 255
 """Largest change of a capture's pixel, in any channel, that counts as standing still."""
@@ -119,3 +152,98 @@ def camera_means(names: Sequence[str], frames: Sequence[Sequence[float]]) -> dic
     """The mean of each camera over the frames."""
     scores: Doubles = np.array(frames)
     return dict(zip(names, map(float, scores.mean(axis=0)), strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class SideScore:
+    """All layers of a stream, seen from its training cameras or from the held-out ones: PSNR in dB,
+    means over cameras and frames, and for each frame over the cameras. None where nothing moves."""
+
+    psnr_db: float | None
+    fitted_psnr_db: float | None
+    """With each picture's colours fitted to its camera's: see colourfit.py."""
+    moving_psnr_db: float | None
+    """Over the pixels that move since the frame before."""
+    fitted_moving_psnr_db: float | None
+    per_frame_psnr_db: list[float | None]
+    per_frame_fitted_psnr_db: list[float | None]
+    per_frame_moving_psnr_db: list[float | None]
+    per_frame_fitted_moving_psnr_db: list[float | None]
+
+    @property
+    def means(self) -> tuple[float | None, ...]:
+        """The four means."""
+        return self.psnr_db, self.fitted_psnr_db, self.moving_psnr_db, self.fitted_moving_psnr_db
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Both sides."""
+
+    training: SideScore
+    held_out: SideScore
+
+    def table(self) -> Table:
+        """A row for each side, and their difference."""
+        table = Table()
+        table.add_column("cameras")
+        for name in ("PSNR\ndB", "fitted\ndB", "moving\ndB", "moving,\nfitted, dB"):
+            table.add_column(name, justify="right", no_wrap=True)
+        sides = self.training.means, self.held_out.means
+        rows = zip(("training", "held out"), sides, strict=True)
+        for name, values in rows:
+            table.add_row(name, *map(_text, values))
+        table.add_section()
+        pairs = zip(*sides, strict=True)
+        gaps = (None if a is None or b is None else a - b for a, b in pairs)
+        table.add_row("gap", *map(_text, gaps))
+        return table
+
+
+def side_score(scores: Scores) -> SideScore:
+    """The means of `scores`."""
+    whole, fitted = frame_means(scores.psnr_db), frame_means(scores.fitted_psnr_db)
+    moving = frame_means(scores.moving_psnr_db)
+    fitted_moving = frame_means(scores.fitted_moving_psnr_db)
+    return SideScore(
+        psnr_db=mean(whole),
+        fitted_psnr_db=mean(fitted),
+        # Over the pictures where enough moves, as everywhere; not every frame has as many of them.
+        moving_psnr_db=mean(x for frame in scores.moving_psnr_db for x in frame),
+        fitted_moving_psnr_db=mean(x for frame in scores.fitted_moving_psnr_db for x in frame),
+        per_frame_psnr_db=whole,
+        per_frame_fitted_psnr_db=fitted,
+        per_frame_moving_psnr_db=moving,
+        per_frame_fitted_moving_psnr_db=fitted_moving,
+    )
+
+
+def _text(value_db: float | None) -> str:
+    return "-" if value_db is None else f"{value_db:.2f}"
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """The traffic of a player of one number of layers."""
+
+    object_bytes: int
+    """Size of the objects that a player from frame 0 on fetches."""
+    gaussians: int
+    """Gaussians in those objects: those of frame 0, and all that a later slice sends,
+    whether new or changed."""
+    join_bytes: int
+    """Size of the snapshots that a player fetches only if it joins later, or takes up a layer
+    again."""
+
+
+def traffic(reader: StreamReader) -> list[Traffic]:
+    """The traffic of 1, 2, ... layers. Raises a CodecError that names the object at fault."""
+    manifest, records = reader.manifest, reader.records
+    layers = range(1, manifest.num_layers + 1)
+    brought = np.cumsum(count_slots(reader).brought)
+    found = []
+    for n in layers:
+        played = sum(sum(record.object_bytes[:n]) + record.side_bytes[0] for record in records)
+        snapshots = [sum(record.side_bytes[1 : n + 1]) for record in records]
+        found.append(Traffic(played + sum(snapshots[:1]), int(brought[n - 1]), sum(snapshots[1:])))
+    return found

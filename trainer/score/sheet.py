@@ -15,9 +15,7 @@ from codec.storage.openstorage import Target
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from trainer.step.loss import psnr_db
 
-from .moving import Movement, movement_of
-from .picture import captured, displayed
-from .truth import open_held_out
+from .truth import Movement, captured, displayed, movement_of, open_held_out
 
 MAX_ROWS = 6
 ERROR_GAIN = 4

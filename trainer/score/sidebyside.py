@@ -13,15 +13,14 @@ from PIL import Image, ImageDraw, ImageFont
 from codec.arrays import Bytes, Floats
 from codec.camera import Camera
 from codec.errors import InvalidError
-from player.show.filesinks import open_sink
+from player.show.sink import open_sink
 from player.view.path import Size
 from trainer.capture.capture import Mask
 from trainer.pictures.framecache import FrameCache
 from trainer.step.loss import psnr_db
 
 from .evaluate import EvaluateConfig
-from .picture import captured, displayed
-from .truth import open_held_out
+from .truth import captured, displayed, open_held_out
 
 MOST_ERROR = 64 / 255
 """Error at the bright end of the colour bar, and what lies above it: the mean of the channels."""

@@ -6,8 +6,8 @@ import numpy as np
 
 from codec.arrays import Flags, Ints
 from codec.kernel import kernel, prange
+from player.render.blend import Reach, TileLists, dealt
 from player.render.project import FIRST_Y, Projection
-from player.render.tiles import Reach, TileLists, dealt
 
 
 @kernel(parallel=True)

@@ -18,14 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.arrays import Floats, Ints
-from trainer.pictures.feed import Pictures
-from trainer.pictures.shot import Shot
+from trainer.pictures.framecache import Pictures
+from trainer.pictures.scale import Shot
 
 from .colour import CameraColour
 from .loss import Loss
-from .optimiser import Adam
+from .optimiser import Adam, CameraSpread
 from .raster import Parameters, View
-from .scalebound import CameraSpread
 
 BackendName = Literal["auto", "cpu", "cuda", "torch"]
 

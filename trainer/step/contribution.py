@@ -15,8 +15,7 @@ from player.render.blend import (
     tile_corner,
     unclamped_alpha,
 )
-from player.render.project import CONIC_A, CONIC_B, CONIC_C, OPACITY, Q_MAX, X, Y
-from player.render.recipe import TILE_PX
+from player.render.project import CONIC_A, CONIC_B, CONIC_C, OPACITY, Q_MAX, TILE_PX, X, Y
 from trainer.capture.capture import Mask
 
 from .raster import Parameters, Rendered, View, render

@@ -1,4 +1,7 @@
-"""The numba rasteriser, and the resident that it computes: its arrays are the host's."""
+"""The numba rasteriser, and the resident that it computes: its arrays are the host's.
+
+Training pictures as the loss wants them: planar floats, whole or at half the size.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,29 @@ from collections.abc import Sequence
 import numpy as np
 
 from codec.arrays import Floats, Ints
+from trainer.pictures.scale import Shot
 
 from .backend import MemoryNeeds, Resident, Selection, Step, StepInput, Training
-from .loss import Loss, photometric_loss
-from .optimiser import GATE_STEEPNESS, add_noise
+from .loss import Loss, Workspace, photometric_loss
+from .optimiser import GATE_STEEPNESS, add_noise, bound_scales, move_together
 from .raster import Parameters, Scratch, backward, render
-from .scalebound import bound_scales
-from .target import Targets
-from .together import move_together
+
+
+class Targets:
+    """Converts pictures; keeps one target and one workspace of the loss for every size."""
+
+    def __init__(self) -> None:
+        self._held: dict[tuple[int, int], tuple[Floats, Workspace]] = {}
+
+    def take(self, shot: Shot) -> tuple[Floats, Workspace]:
+        """The shot's picture as (3, h, w) float32 in 0..1, and the workspace for it. The next call
+        of that size reuses both."""
+        if shot.shape not in self._held:
+            shape = (3, *shot.shape)
+            self._held[shot.shape] = np.empty(shape, np.float32), Workspace(shape)
+        target, workspace = self._held[shot.shape]
+        shot.fill(target)
+        return target, workspace
 
 
 class CpuBackend:

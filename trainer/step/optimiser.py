@@ -3,21 +3,76 @@ dynamics.
 
 Every row counts its own steps: rows of different ages are optimised together (paper, section
 4.5.1), and a row whose Gaussian was relocated starts afresh.
+
+The bound of the scales of genesis: a share of a Gaussian's distance from the cameras.
+
+Coherent motion: for a while, Gaussians that lie close together move as one.
+
+What moves in a scene moves in pieces much larger than a Gaussian. The gradient of one shows only
+how its own pixels would look better; that of a whole cell shows where the piece went.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from codec.arrays import Floats, Ints
+from codec.arrays import Doubles, Floats, Ints
+from codec.camera import Camera
 from codec.kernel import kernel, prange
 from player.render.project import rotation_of
 
 from .raster import Parameters
+
+
+@dataclass(frozen=True)
+class CameraSpread:
+    """Where the cameras of a capture stand."""
+
+    centre: Doubles  # (3,) metres, world
+    radius_m: float
+    """Root mean square of their distances from the centre."""
+
+    @staticmethod
+    def of(cameras: Sequence[Camera]) -> CameraSpread:
+        places = np.stack([camera.position for camera in cameras])
+        centre = places.mean(axis=0)
+        return CameraSpread(centre, float(np.sqrt(((places - centre) ** 2).sum(axis=1).mean())))
+
+    def distances_m(self, means: Floats) -> Doubles:
+        """(N,) root mean square of the distances of (N, 3) places from all cameras."""
+        apart = means - self.centre
+        distances: Doubles = np.sqrt((apart**2).sum(axis=1) + self.radius_m**2)
+        return distances
+
+
+def bound_scales(values: Parameters, rows: Ints, spread: CameraSpread, max_scale: float) -> None:
+    """Keeps the scales of `rows` within max_scale times their distances from the cameras."""
+    most = np.log(max_scale * spread.distances_m(values.means[rows])).astype(np.float32)
+    values.log_scales[rows] = np.minimum(values.log_scales[rows], most[:, None])
+
+
+def cells_of(means: Floats, size_m: float) -> Ints:
+    """(N,) int32: the cell, a cube of side `size_m`, that each of (N, 3) positions lies in."""
+    corners = np.floor(means / np.float32(size_m)).astype(np.int64)
+    corners -= corners.min(axis=0)
+    spans = corners.max(axis=0) + 1
+    keys = (corners[:, 0] * spans[1] + corners[:, 1]) * spans[2] + corners[:, 2]
+    cells: Ints = np.unique(keys, return_inverse=True)[1].astype(np.int32)
+    return cells
+
+
+def move_together(gradients: Floats, rows: Ints, cells: Ints) -> None:
+    """Replaces the gradients (N, 3) of `rows` by the sums over their cells, in place."""
+    mine = cells[rows]
+    for axis in range(3):
+        sums = np.bincount(mine, gradients[rows, axis])
+        gradients[rows, axis] = sums[mine]
+
 
 BETA1 = 0.9
 BETA2 = 0.999

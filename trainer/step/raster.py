@@ -10,16 +10,27 @@ import numpy as np
 from codec.arrays import Flags, Floats, Ints
 from codec.camera import Camera
 from codec.splats import array_shapes
-from player.render.blend import blend_tiles
-from player.render.colours import ALWAYS, SeenColours, project
-from player.render.project import PROJECTED, Projection, camera_vector
-from player.render.recipe import TILE_PX
-from player.render.tiles import TileLists, list_tiles, reach_of, tile_grid
+from player.render.blend import TileLists, blend_tiles, list_tiles, reach_of, tile_grid
+from player.render.project import (
+    ALWAYS,
+    PROJECTED,
+    TILE_PX,
+    Projection,
+    SeenColours,
+    camera_vector,
+    project,
+)
 
 from .active import active_tiles, trained_ends, with_neighbours
-from .blend_backward import G_BLUE, G_GREEN, G_RED, PAIR_GRADIENT, blend_tiles_backward
-from .colour_backward import colour_backward_kernel
-from .project_backward import project_backward_kernel
+from .backward import (
+    G_BLUE,
+    G_GREEN,
+    G_RED,
+    PAIR_GRADIENT,
+    blend_tiles_backward,
+    colour_backward_kernel,
+    project_backward_kernel,
+)
 
 NEARLY_ALL = 0.9
 """Share of the tiles from which on leaving the others out gains less than finding them costs."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from codec.arrays import Flags, Ints
 from codec.kernel import kernel
-from player.render.recipe import TILE_PX
+from player.render.project import TILE_PX
 
 VECTOR_PX = 8
 """Floats that a processor handles at a time, or half of them."""

@@ -30,14 +30,11 @@ from codec.errors import InvalidError
 from codec.files import making_folder, name_file
 from codec.progressline import counted
 from codec.splats import Splats
-from player.render.cpu import render_splats
-from player.render.depth import render_depth
-from trainer.capture.capture import Picture
+from player.render.cpu import render_depth, render_splats
+from trainer.capture.capture import HELD_OUT_NAME, Picture
 from trainer.capture.dynerf import POINTS_NAME, POSES_NAME, encode_pose
-from trainer.capture.held_out import HELD_OUT_NAME
 
-from .motion import WALK_RADIUS_M
-from .scene import Scene, camera_rig, held_out_cameras
+from .scene import WALK_RADIUS_M, Scene, camera_rig, held_out_cameras
 
 MAX_SIDE_PX = 4096
 """Largest width or height."""

@@ -1,9 +1,7 @@
 """Drawing with OpenGL: 3.3 with a texture, 4.3 with buffers and compute shaders."""
 
-from .glcontext import GlError, first_context, open_context
-from .glrenderer import GlRenderer
-from .offscreen import Target
-from .rendererchoice import create_renderer, with_what_works
+from .context import GlError, Target, first_context, open_context
+from .glrenderer import GlRenderer, create_renderer, with_what_works
 
 __all__ = [
     "GlError",

@@ -2,14 +2,17 @@
 
 Rule: one thread makes a GlRenderer, draws with it and closes it; only `put` and `forget_waiting`
 may come from others, and they make no GL call.
+
+The choice of a renderer.
 """
 
 from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from typing import Any, TypeVar
 
 import moderngl
 
@@ -18,16 +21,22 @@ from codec.camera import Camera
 from codec.errors import SwingsError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
+from player.render.cpu import StepTimes, step
+from player.render.renderer import GlVersion, Renderer, RendererKind, check_drawable
+from player.render.upload import Arrivals, check_slice
 
-from ..arrivals import Arrivals
-from ..lane import check_slice
-from ..renderer import GlVersion
-from ..steptimes import StepTimes, step
-from .bufferresident import BufferResident
-from .glcontext import GlError, Unlocked, open_context, version_for
-from .offscreen import BLACK, Colour, DepthPixel, Offscreen, Target
-from .resident import Resident
-from .textureresident import TextureResident
+from .context import (
+    BLACK,
+    Colour,
+    DepthPixel,
+    GlError,
+    Offscreen,
+    Target,
+    Unlocked,
+    open_context,
+    version_for,
+)
+from .resident import BufferResident, Resident, TextureResident
 
 log = logging.getLogger(__name__)
 
@@ -190,3 +199,41 @@ class GlRenderer:
             self._context.gc()
         if self._own:
             self._context.release()
+
+
+Result = TypeVar("Result")
+
+
+def with_what_works(
+    kind: RendererKind, version: GlVersion, make: Callable[[RendererKind], Result]
+) -> Result:
+    """What `make` gives for `kind`. For AUTO with GL, or with the CPU where OpenGL cannot start,
+    which is logged. Raises GlError when OpenGL, or one version of it, is asked for and cannot."""
+    if kind is RendererKind.CPU:
+        return make(RendererKind.CPU)
+    try:
+        return make(RendererKind.GL)
+    except GlError as error:
+        if kind is RendererKind.GL or version is not GlVersion.AUTO:
+            raise
+        log.warning("drawing on the CPU: %s", error)
+        return make(RendererKind.CPU)
+
+
+def create_renderer(
+    kind: RendererKind, manifest: Manifest, version: GlVersion = GlVersion.AUTO
+) -> Renderer:
+    """A renderer for the stream of `manifest`, to be used by the calling thread.
+
+    See `with_what_works`; raises UnsupportedError when the recipe cannot draw the stream.
+    """
+    check_drawable(manifest)
+
+    def make(kind: RendererKind) -> Renderer:
+        if kind is RendererKind.GL:
+            return GlRenderer(manifest, version=version)
+        from ..cpu import CpuRenderer  # its kernels load slowly, and a window has no use for them
+
+        return CpuRenderer(manifest)
+
+    return with_what_works(kind, version, make)

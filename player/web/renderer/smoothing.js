@@ -5,7 +5,7 @@ import IN_MOTION from "./shaders/moving.glsl";
 
 /**
  * Draws Gaussians in motion from the previous frame: continuing Gaussians are mixed with their previous
- * state, new ones fade in, and replaced ones fade out (codec/halfway.py). All of it happens in the vertex
+ * state, new ones fade in, and replaced ones fade out (codec/slice.py). All of it happens in the vertex
  * stage: a picture between two frames uploads nothing.
  */
 export class Inbetween {
@@ -141,7 +141,7 @@ export class Inbetween {
   }
 }
 
-/** In-between pictures are drawn if the screen is this many times faster (player/playout/smoothing.py). */
+/** In-between pictures are drawn if the screen is this many times faster (player/playout/clock.py). */
 const FASTER = 1.05;
 /** The screen's rate is the median of this many intervals, and of at least LEAST_INTERVALS. */
 const MOST_INTERVALS = 15;

@@ -14,8 +14,7 @@ import tyro
 from codec.console import run_command
 from codec.errors import InvalidError
 
-from .keyfile import add_key, read_keys
-from .signing import ALL, Signer, nginx_secrets, sign_for_nginx
+from .signing import ALL, Signer, add_key, nginx_secrets, read_keys, sign_for_nginx
 
 MAX_HOURS = 10 * 366 * 24
 

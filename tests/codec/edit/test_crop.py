@@ -10,15 +10,12 @@ import pytest
 from PIL import Image
 
 from codec.arrays import Doubles, Longs
-from codec.camera import Camera
-from codec.edit.crop import CropOptions
-from codec.edit.editing import edit_stream
-from codec.edit.floaters import FloaterOptions
+from codec.camera import Camera, look_at
+from codec.edit.filters import CropOptions, FloaterOptions
+from codec.edit.rewrite import edit_stream
 from codec.errors import InvalidError
 from codec.lattice.lattice import Lattice, quantise
-from codec.pose import look_at
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import KEPT, NEW, PREDICTED, Update
+from codec.slots.slotlayout import KEPT, NEW, PREDICTED, SlotLayout, Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import verify_stream

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec.edit.join import join_streams
-from codec.edit.trim import trim_stream
+from codec.edit.cut import join_streams, trim_stream
 from codec.errors import CorruptError, InvalidError
 from codec.files import write_atomic
 from codec.framerange import FrameRange

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from codec.arrays import Doubles
-from codec.edit.crop import CropOptions
-from codec.edit.editing import Options, edit_stream
-from codec.edit.fitting import first_segment_bytes, fitted
+from codec.camera import rotation_about
+from codec.edit.filters import CropOptions
+from codec.edit.rewrite import Options, edit_stream, first_segment_bytes, fitted
 from codec.edit.transform import Transform, TransformOptions
-from codec.edit.view import ViewOptions
+from codec.edit.walk import ViewOptions
 from codec.errors import SwingsError
-from codec.pose import rotation_about
 from codec.similarity import harmonics
 from codec.splats import Splats
 from codec.stream import StreamReader

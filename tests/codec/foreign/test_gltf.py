@@ -16,8 +16,7 @@ import pytest
 from hypothesis import given, settings
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
-from codec.foreign.gltf import decode_gltf, encode_glb, encode_gltf
-from codec.foreign.gltfbuffers import join_glb
+from codec.foreign.gltf import decode_gltf, encode_glb, encode_gltf, join_glb
 from codec.foreign.spz import SpzVersion, decode_spz, encode_spz
 from codec.interop.formats import decode_any, read_splats
 from codec.splats import Splats

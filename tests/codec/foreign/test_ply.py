@@ -10,8 +10,14 @@ import pytest
 from hypothesis import given, settings
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
-from codec.foreign.ply import decode_ply, encode_ply
-from codec.foreign.plyheader import BINARY, MAX_HEADER_BYTES, TEXT, read_ply_header
+from codec.foreign.ply import (
+    BINARY,
+    MAX_HEADER_BYTES,
+    TEXT,
+    decode_ply,
+    encode_ply,
+    read_ply_header,
+)
 from codec.interop.formats import decode_any
 from codec.splats import SH_C0, Splats
 from tests.support.drawn import drawn_splats, same_splats

@@ -16,11 +16,9 @@ from PIL import Image
 
 from codec.arrays import Bytes
 from codec.errors import CodecError, CorruptError, UnsupportedError
-from codec.foreign.bundle import MAX_DIRECTORY_BYTES, Bundle
-from codec.foreign.sog import decode_sog, encode_sog
+from codec.foreign.sog import MAX_DIRECTORY_BYTES, Bundle, decode_sog, encode_sog
 from codec.foreign.webp import decode_webp, encode_webp, webp_size
-from codec.interop.containers import ContainedFrame, contained_frames
-from codec.interop.formats import decode_any, read_splats
+from codec.interop.formats import ContainedFrame, contained_frames, decode_any, read_splats
 from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import Splats
 from codec.stream import StreamReader

@@ -11,18 +11,19 @@ import numpy as np
 import pytest
 
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
-from codec.foreign.limits import MAX_GAUSSIANS
+from codec.foreign.bounds import MAX_GAUSSIANS
 from codec.foreign.spz import SpzVersion
-from codec.interop.exporting import export_stream, numbered
 from codec.interop.formats import (
     MAX_FILE_BYTES,
     SplatFormat,
     decode_any,
     encode_splats,
+    export_stream,
+    numbered,
     read_splats,
     write_splats,
 )
-from codec.sequence.numberedfiles import find_files
+from codec.sequence.survey import find_files
 from codec.splats import Splats
 from codec.stream import StreamReader
 from tests.goldens.decoder import Gaussian, to_floats

@@ -17,8 +17,13 @@ import pytest
 from scipy.spatial import cKDTree
 
 from codec.foreign.spz import SpzVersion
-from codec.interop.exporting import export_stream
-from codec.interop.formats import SplatFormat, encode_splats, read_splats, write_splats
+from codec.interop.formats import (
+    SplatFormat,
+    encode_splats,
+    export_stream,
+    read_splats,
+    write_splats,
+)
 from codec.lattice.lattice import Lattice
 from codec.similarity import half_turned
 from codec.slice import Slice

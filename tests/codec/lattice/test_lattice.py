@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from codec.errors import InvalidError
 from codec.lattice.lattice import MAX_HOLD, MIN_STEP, POSITION_LIMIT, dequantise, quantise
-from codec.lattice.orientation import canonical
 from codec.lattice.quantise import (
     MAX_COARSENESS,
     MAX_LOGIT,
     MIN_COARSENESS,
+    canonical,
     layer_coarseness,
     opacity_logits,
     position_step_m,

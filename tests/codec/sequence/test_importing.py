@@ -16,7 +16,6 @@ from codec.errors import CodecError, InvalidError, UnsupportedError
 from codec.framerange import FrameRange
 from codec.interop.formats import SplatFormat, read_splats, write_splats
 from codec.lattice.lattice import Lattice
-from codec.sequence.errorbound import HOLD, KINDS, ErrorBound, steps_of
 from codec.sequence.importing import (
     VIEW_TILT_RAD,
     VIEW_TURN_RAD,
@@ -26,10 +25,11 @@ from codec.sequence.importing import (
     import_stream,
     make_manifest,
 )
+from codec.sequence.slotfiller import HOLD, KINDS, ErrorBound, steps_of
 from codec.sequence.survey import Survey
 from codec.splats import Splats
 from codec.stream import StreamReader
-from codec.stream.layers import Rank
+from codec.stream.wholeslice import Rank
 from codec.tools.audit import verify_stream
 from player.render.cpu import render_splats
 from player.streamcommand import draw_poster

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 
 from codec.lattice.lattice import dequantise
 from codec.sequence import slotfiller
-from codec.sequence.errorbound import KINDS, ErrorBound
 from codec.sequence.matching import match
-from codec.sequence.slotfiller import SlotFiller, SlotPlan
-from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
+from codec.sequence.slotfiller import KINDS, ErrorBound, SlotFiller, SlotPlan
+from codec.slots.slotlayout import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
-from codec.stream.layers import coverage_rank, opacity_rank
+from codec.stream.wholeslice import coverage_rank, opacity_rank
 from tests.support.deforming import Deforming
 from tests.support.drawn import drawn_splats
 from tests.support.slots.rotating import figure, turned

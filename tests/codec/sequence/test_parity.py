@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from codec.arrays import Doubles, Flags, Floats
 from codec.interop.formats import SplatFormat, read_splats, write_splats
-from codec.sequence.errorbound import ErrorBound
 from codec.sequence.importing import ImportOptions, import_stream
+from codec.sequence.slotfiller import ErrorBound
 from codec.splats import SH_C0, Splats, sh_count
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream

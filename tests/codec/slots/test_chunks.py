@@ -11,13 +11,18 @@ import pytest
 
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.lattice.lattice import POSITION_LIMIT, Lattice, States
+from codec.slots.change import Change, Newcomers, decode_change, encode_change
+from codec.slots.decoder import SlotDecoder
+from codec.slots.encoder import SlotEncoder
 from codec.slots.mask import MaskHistory, decode_mask, encode_mask
-from codec.slots.slotchange import Change, Newcomers, decode_change, encode_change
-from codec.slots.slotchunk import SLOT_HEADER
-from codec.slots.slotdecoder import SlotDecoder
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import MAX_SLOT_CHUNK_BYTES, SlotLayout
-from codec.slots.update import NEW, PREDICTED, Update
+from codec.slots.slotlayout import (
+    MAX_SLOT_CHUNK_BYTES,
+    NEW,
+    PREDICTED,
+    SLOT_HEADER,
+    SlotLayout,
+    Update,
+)
 from codec.splats import Splats
 from tests.support.hostile import flips, refused, survives, truncations
 from tests.support.slots.updates import (

@@ -10,12 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from codec.halfway import JUMP_SIGMAS, Motion, jumps
-from codec.slice import HIDDEN
-from codec.slots.slotdecoder import SlotDecoder
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import KEPT, PREDICTED
+from codec.slice import HIDDEN, JUMP_SIGMAS, Motion, jumps
+from codec.slots.decoder import SlotDecoder
+from codec.slots.encoder import SlotEncoder
+from codec.slots.slotlayout import KEPT, PREDICTED, SlotLayout
 from codec.splats import Splats
 from tests.support.drawn import same_splats
 from tests.support.hosted_streams import random_splats

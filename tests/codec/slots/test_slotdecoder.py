@@ -12,15 +12,13 @@ from hypothesis import strategies as st
 from codec.errors import CorruptError, InvalidError
 from codec.lattice.lattice import POSITION_LIMIT, States
 from codec.slice import HIDDEN
-from codec.slots import slotdecoder
+from codec.slots import decoder as slotdecoder
+from codec.slots.change import Newcomers, encode_change
+from codec.slots.decoder import SlotDecoder
+from codec.slots.encoder import SlotEncoder
 from codec.slots.mask import MaskHistory, decode_mask, encode_mask
-from codec.slots.slotchange import Newcomers, encode_change
-from codec.slots.slotdecoder import SlotDecoder
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.slotstate import EMPTY, ESCAPED, ON_LATTICE, UNKNOWN, Slots
-from codec.slots.snapshot import encode_snapshot
-from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
+from codec.slots.slotlayout import ENDED, KEPT, NEW, PREDICTED, SlotLayout, Update
+from codec.slots.state import EMPTY, ESCAPED, ON_LATTICE, UNKNOWN, Slots, encode_snapshot
 from codec.splats import Splats
 from tests.support.drawn import same_splats
 from tests.support.hostile import flips, refused, survives

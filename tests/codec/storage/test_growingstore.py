@@ -16,12 +16,12 @@ from typing import Any
 import pytest
 
 from codec.errors import CorruptError, InvalidError, UnwritableError
-from codec.slots.update import Update
+from codec.slots.slotlayout import Update
 from codec.storage import objectstore
 from codec.storage.objectstore import RetryPolicy
 from codec.storage.openstorage import Target, open_storage, parse_target
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.index import record_bytes
+from codec.stream.segment import record_bytes
 from codec.tools.audit import verify_stream
 from tests.support.forked.forked_writer import (
     NUM_FRAMES,

@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CodecError, SwingsError
-from codec.interop.exporting import export_stream
-from codec.interop.formats import SplatFormat
+from codec.interop.formats import SplatFormat, export_stream
 from codec.storage.folder import FolderStorage
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import verify_stream

@@ -12,12 +12,10 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CodecError, CorruptError, UnreadableError
-from codec.storage import growingfolder
-from codec.storage.folder import FolderStorage
-from codec.storage.growingfolder import GrowingFolder
-from codec.storage.growingplace import Shape
+from codec.storage import folder as growingfolder
+from codec.storage.folder import FolderStorage, GrowingFolder
 from codec.storage.objectstore import open_store
-from codec.storage.storage import StorageRoot
+from codec.storage.storage import Shape, StorageRoot
 from codec.stream.reader import StreamReader
 from codec.tools.audit import summarise, verify_stream
 from tests.support.hostile import refused

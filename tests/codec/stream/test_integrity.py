@@ -12,16 +12,6 @@ from dataclasses import replace
 import pytest
 
 from codec.errors import CorruptError, InvalidError
-from codec.stream.index import (
-    CHECKSUM,
-    HEAD,
-    LAYER,
-    SIDE,
-    SegmentRecord,
-    pack_record,
-    parse_index,
-    record_bytes,
-)
 from codec.stream.integrity import (
     CheckedObject,
     check_index_end,
@@ -30,7 +20,20 @@ from codec.stream.integrity import (
     read_index,
 )
 from codec.stream.manifest import MASKS, Part, snapshot_part
-from codec.stream.object import MAX_OBJECT_BYTES, encode_packet, join_packets, read_object_table
+from codec.stream.segment import (
+    CHECKSUM,
+    HEAD,
+    LAYER,
+    MAX_OBJECT_BYTES,
+    SIDE,
+    SegmentRecord,
+    encode_packet,
+    join_packets,
+    pack_record,
+    parse_index,
+    read_object_table,
+    record_bytes,
+)
 from tests.support.hostile import flips, refused
 from tests.support.objects import new_chunk, object_of
 from tests.support.tiny_stream import tiny_manifest

@@ -28,17 +28,14 @@ import zstandard
 from codec.coders.zstd import decompress
 from codec.interop.formats import decode_any
 from codec.lattice.lattice import Lattice
+from codec.slots.change import COUNTS, decode_change
 from codec.slots.mask import MaskHistory, decode_mask
-from codec.slots.slotchange import COUNTS, decode_change
-from codec.slots.slotchunk import SLOT_HEADER, Kind
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.snapshot import decode_snapshot
-from codec.slots.update import Update
+from codec.slots.slotlayout import SLOT_HEADER, Kind, SlotLayout, Update
+from codec.slots.state import decode_snapshot
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.index import pack_record
 from codec.stream.manifest import Manifest
-from codec.stream.object import HEAD, packet_content
 from codec.stream.playrecord import LENGTH, MAX_RECORD_BYTES, RecordParser
+from codec.stream.segment import OBJECT_HEAD, pack_record, packet_content
 from codec.tools.audit import verify_stream
 from tests.support.commands import ROOT
 from tests.support.hostile import put_packets
@@ -153,8 +150,8 @@ def claiming(size: int) -> bytes:
 def lying_table() -> bytes:
     """A table of the maximum number of chunks, each claiming 65000 bytes; there are no chunks."""
     count = 1 << 14
-    end = HEAD.size + 12 * count
-    data = HEAD.pack(0x184D2A50, end - 8, b"SWGO", 1, 1, 0, count)
+    end = OBJECT_HEAD.size + 12 * count
+    data = OBJECT_HEAD.pack(0x184D2A50, end - 8, b"SWGO", 1, 1, 0, count)
     return data + b"".join(struct.pack("<iII", n, end + n * 65000, 65000) for n in range(count))
 
 

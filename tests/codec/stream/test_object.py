@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from codec.coders.zstd import compress, decompress
 from codec.errors import CorruptError, InvalidError
 from codec.slots.slotlayout import MAX_SLOT_CHUNK_BYTES
-from codec.stream.object import (
+from codec.stream.segment import (
     MAX_CHUNKS_PER_OBJECT,
     encode_packet,
     join_packets,
@@ -72,7 +72,7 @@ def test_what_is_not_an_object_is_not_written(monkeypatch: pytest.MonkeyPatch) -
     for wrong in ([chunks[0], chunks[0]], [chunks[1], chunks[0]]):
         refused(InvalidError, "do not rise", object_of, wrong)
     size = len(object_of(chunks))
-    monkeypatch.setattr("codec.stream.object.MAX_OBJECT_BYTES", size - 1)
+    monkeypatch.setattr("codec.stream.segment.MAX_OBJECT_BYTES", size - 1)
     refused(InvalidError, "use shorter segments", object_of, chunks)
     with pytest.raises(InvalidError, match="16385 chunks, at most 16384"):
         join_packets([(birth, b"x") for birth in range(MAX_CHUNKS_PER_OBJECT + 1)])

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
-from codec.stream.index import SegmentRecord, pack_record
 from codec.stream.packedlayout import PackedHead, PackedLayout, packed_parts, read_layout
+from codec.stream.segment import SegmentRecord, pack_record
 from fuzz.seed import made_manifest, packed
 from tests.support.hostile import refused, survives, truncations
 

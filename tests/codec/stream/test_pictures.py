@@ -24,12 +24,13 @@ from codec.stream.pictures import (
     picture_type,
     read_picture,
 )
-from codec.stream.poster import POSTER_NAME, write_poster
-from codec.stream.storyboard import (
+from codec.stream.poster import (
     AIM_BYTES,
     MAX_TILES,
+    POSTER_NAME,
     STORYBOARD_NAME,
     StoryboardLayout,
+    write_poster,
     write_storyboard,
 )
 from codec.tools.audit import verify_stream

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 
 from codec.errors import CodecError, InvalidError
 from codec.slice import Slice, active_splats, window_births
-from codec.slots.slotdecoder import SlotDecoder
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import Update
+from codec.slots.decoder import SlotDecoder
+from codec.slots.encoder import SlotEncoder
+from codec.slots.slotlayout import SlotLayout, Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import verify_stream

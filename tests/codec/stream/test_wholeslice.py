@@ -13,15 +13,12 @@ from hypothesis import strategies as st
 from codec.arrays import Doubles
 from codec.errors import InvalidError
 from codec.lattice.lattice import Lattice, dequantise
-from codec.lattice.orientation import canonical
-from codec.lattice.quantise import to_luma
+from codec.lattice.quantise import canonical, to_luma
 from codec.slice import HIDDEN, Slice
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import ENDED, NEW, Update
+from codec.slots.encoder import SlotEncoder
+from codec.slots.slotlayout import ENDED, NEW, SlotLayout, Update
 from codec.splats import SH_C0, Splats
-from codec.stream.layers import layer_counts, opacity_rank
-from codec.stream.wholeslice import whole_update
+from codec.stream.wholeslice import layer_counts, opacity_rank, whole_update
 from tests.support.drawn import drawn_splats, same_splats
 from tests.support.hostile import refused
 from tests.support.slots.updates import small_layout

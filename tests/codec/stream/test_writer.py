@@ -14,7 +14,7 @@ import pytest
 
 from codec.errors import InvalidError
 from codec.slice import Slice
-from codec.slots.update import Update
+from codec.slots.slotlayout import Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import verify_stream

@@ -16,11 +16,11 @@ import pytest
 import codec
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.slots.mask import encode_mask
-from codec.slots.update import ENDED, KEPT
+from codec.slots.slotlayout import ENDED, KEPT
 from codec.storage.openstorage import open_storage
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import MASKS, Part, is_snapshot, snapshot_part
-from codec.stream.object import encode_packet, read_object_table
+from codec.stream.segment import encode_packet, read_object_table
 from codec.tools.audit import verify_stream
 from tests.support.drawn import same_splats
 from tests.support.hostile import flips, packets_of, put_packets, refused

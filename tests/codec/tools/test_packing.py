@@ -11,19 +11,17 @@ import pytest
 
 import codec
 from codec.errors import CodecError, CorruptError, InvalidError
-from codec.interop.exporting import export_stream
-from codec.interop.formats import SplatFormat
-from codec.slots.slotchange import encoded_elsewhere
-from codec.slots.slotchunk import Kind
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import SlotLayout
+from codec.interop.formats import SplatFormat, export_stream
+from codec.slots.change import encoded_elsewhere
+from codec.slots.encoder import SlotEncoder
+from codec.slots.slotlayout import Kind, SlotLayout
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.captions import Captions
 from codec.stream.manifest import Manifest
 from codec.stream.packedstorage import PackedStorage, open_place
+from codec.stream.streampacker import pack_stream, unpack_stream, verify_packed
 from codec.tools.audit import summarise, verify_stream
 from codec.tools.commands import Export, export_files
-from codec.tools.packing import pack_stream, unpack_stream, verify_packed
 from codec.tools.static import export_static
 from codec.tracks.streamtracks import add_captions
 from tests.support.commands import run_ok

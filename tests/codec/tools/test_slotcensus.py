@@ -11,11 +11,10 @@ import pytest
 from PIL import Image
 
 from codec.errors import CodecError, CorruptError, InvalidError
-from codec.slots.update import Update
+from codec.slots.slotlayout import Update
 from codec.stream import StreamReader, StreamWriter
-from codec.tools.audit import describe, summarise
+from codec.tools.audit import count_slots, describe, summarise
 from codec.tools.plot import JOIN_COLOUR, STATUS_COLOURS, draw_stream, played_bands, slot_bands
-from codec.tools.slotcensus import count_slots
 from tests.support.commands import run, run_ok
 from tests.support.hostile import refused
 from tests.support.slots.folder import slots_manifest, write_slots

@@ -14,23 +14,28 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from codec.edit.crop import CropOptions
-from codec.edit.editing import edit_stream
-from codec.edit.join import join_streams
+from codec.edit.cut import join_streams, trim_stream
+from codec.edit.filters import CropOptions
+from codec.edit.rewrite import edit_stream
 from codec.edit.transform import TransformOptions
-from codec.edit.trim import trim_stream
 from codec.errors import CodecError, CorruptError, SwingsError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.captions import MAX_CAPTIONS_BYTES, Captions, Cue, parse_webvtt
 from codec.stream.sound import SAMPLE_RATE, SoundObject, SoundSource, first_sample, segment_sound
+from codec.stream.streampacker import pack_stream
 from codec.tools.audit import verify_stream
-from codec.tools.packing import pack_stream
 from codec.tools.static import export_static
 from codec.tracks.soundcommands import Add, Audio, run_audio
 from codec.tracks.soundfile import decode, encode, read_samples
-from codec.tracks.streamsound import add_sound, read_sound, remove_sound, samples
-from codec.tracks.streamtracks import add_captions, remove_captions
+from codec.tracks.streamtracks import (
+    add_captions,
+    add_sound,
+    read_sound,
+    remove_captions,
+    remove_sound,
+    samples,
+)
 from tests.support.commands import run, run_ok
 from tests.support.hostile import refused
 from tests.support.server.running_server import served

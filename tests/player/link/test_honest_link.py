@@ -12,8 +12,8 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from player.link.linkprocess import LinkProcess
-from player.link.linktext import read_link
-from server.http.tcpinfo import unacked_bytes
+from player.link.relay import read_link
+from server.http.connection import unacked_bytes
 from tests.player.link.pouring import drain, pouring
 
 pytestmark = pytest.mark.realtime

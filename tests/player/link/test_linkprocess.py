@@ -17,7 +17,7 @@ import pytest
 
 from codec.errors import SwingsError
 from player.link.linkprocess import LinkProcess, RelayError
-from player.link.linktext import read_link
+from player.link.relay import read_link
 from tests.player.link.pouring import drain, pouring
 from tests.support.commands import ROOT
 from tests.support.waiting import BOUND_S, is_running, wait_until
@@ -27,7 +27,7 @@ LINK = read_link("8M")
 PLAYER = """
 import threading
 from player.link.linkprocess import LinkProcess
-from player.link.linktext import read_link
+from player.link.relay import read_link
 relay = LinkProcess(read_link("8M"), "127.0.0.1", 9)
 print(relay.pid, relay.address[1], flush=True)
 threading.Event().wait()

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from player.link.linktext import read_link
+from player.link.relay import read_link
 from server.abr.link import LinkStep
 from server.abr.traces import MAX_TRACE_BYTES
 

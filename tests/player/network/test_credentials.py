@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 import codec
 from codec.errors import SwingsError
 from codec.framerange import FrameRange
-from codec.storage.credentials import without_credentials
+from codec.storage.objectstore import without_credentials
 from player.network.fetch import FetchError
-from player.network.requesttarget import logins_of
+from player.network.target import logins_of
 from player.script.openscene import Scene
 from player.source.opener import Opener, opened
 from tests.player.network.webhosts import LOGIN, LOGIN_HEADER, SECRETS, web_host

@@ -17,9 +17,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from player.network.fetch import BrokenError, Fetcher, FetchError
-from player.network.httppool import MAX_IDLE, HttpPool
-from player.network.requesttarget import Target
+from player.network.fetch import Fetcher, FetchError
+from player.network.http import MAX_IDLE, HttpPool
+from player.network.target import BrokenError, Target
 from tests.player.network.webhosts import ScriptedHost, script, web_host
 from tests.support.commands import environment, run, serving
 from tests.support.waiting import BOUND_S

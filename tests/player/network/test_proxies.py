@@ -9,11 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from player.network.faults import BrokenError, FetchError
 from player.network.fetch import Fetcher
-from player.network.httppool import _tls
-from player.network.proxies import proxy_for
-from player.network.requesttarget import Target
+from player.network.http import _tls, proxy_for
+from player.network.target import BrokenError, FetchError, Target
 from tests.player.network.webhosts import (
     LOGIN,
     LOGIN_HEADER,

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from player.network.fetch import BrokenError, parse_retry_after
-from player.network.retry import Retry, RetryConfig
+from player.network.fetch import Retry, RetryConfig, parse_retry_after
+from player.network.target import BrokenError
 
 ERROR = BrokenError("x")
 

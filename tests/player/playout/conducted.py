@@ -9,10 +9,9 @@ from pathlib import Path
 
 from codec.errors import SwingsError
 from codec.framerange import FrameRange
-from player.playout.clock import Clock
+from player.playout.clock import Clock, Smoothing
 from player.playout.conductor import Conductor
 from player.playout.queues import Events
-from player.playout.smoothing import Smoothing
 from player.playout.timeline import FrameRecord, Playout
 from player.render.cpu import CpuRenderer
 from player.source.directory import DirectorySource

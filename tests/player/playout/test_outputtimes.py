@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from player.playout.outputtimes import OutputTimes, Picture, exact_rate
-from player.playout.smoothing import Smoothing
+from player.playout.clock import OutputTimes, Picture, Smoothing, exact_rate
 
 RATES = st.sampled_from([1.0, 10.0, 23.976, 24.0, 25.0, 29.97, 30.0, 50.0, 60.0, 120.0, 999.0])
 

@@ -18,8 +18,7 @@ from codec.framerange import FrameRange
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 from player.network.fetch import StoppedError
-from player.playout.clock import Clock
-from player.playout.outputtimes import OutputTimes
+from player.playout.clock import Clock, OutputTimes
 from player.playout.queues import Events, Handoff
 from player.playout.threads import Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from player.playout.transport import Transport, next_rate
+from player.playout.timeline import Transport, next_rate
 
 frames = st.integers(-(10**9), 10**9)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from player.render.blend import blend_pixel, exp_minus, rows_hit
-from player.render.recipe import ALPHA_MAX, ALPHA_MIN, TILE_PX, TRANSMITTANCE_MIN
+from player.render.project import ALPHA_MAX, ALPHA_MIN, TILE_PX, TRANSMITTANCE_MIN
 
 F = np.float32
 

@@ -15,7 +15,7 @@ from codec.similarity import harmonics as codec_harmonics
 from codec.slice import Slice
 from player.render.cpu import CpuRenderer, render_splats
 from player.render.gl import create_renderer
-from player.render.recipe import COLOUR_TURN_RAD
+from player.render.project import COLOUR_TURN_RAD
 from player.render.renderer import GlVersion, Renderer, RendererKind
 from tests.support.hosted_streams import small_manifest
 from tests.support.reference_render import (

@@ -7,7 +7,7 @@ import pytest
 
 from codec.camera import Camera
 from codec.splats import Splats
-from player.render.depth import render_depth
+from player.render.cpu import render_depth
 
 NEAR_M = 0.5
 

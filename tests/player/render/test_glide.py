@@ -13,8 +13,7 @@ from codec.framerange import FrameRange
 from codec.interop.formats import SplatFormat, encode_splats
 from codec.lattice.lattice import Lattice, States, quantise
 from codec.sequence.importing import ImportOptions, import_stream
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import NEW, PREDICTED, Update
+from codec.slots.slotlayout import NEW, PREDICTED, SlotLayout, Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from player.playout.assembler import Assembler

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from player.render.blend import near_first, radix_sort
 from player.render.order import Order
-from player.render.pack import NEVER
-from player.render.sort import near_first, radix_sort
+from player.render.upload import NEVER
 
 
 def test_the_order_is_that_of_a_stable_sort_by_depth() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from codec.errors import InvalidError
 from codec.slice import Slice
-from player.render.patch import FIRST_GAP, MAX_PATCHES, PackedLanes, rectangles_of
+from player.render.upload import FIRST_GAP, MAX_PATCHES, PackedLanes, rectangles_of
 from tests.support.hosted_streams import random_slice, random_splats
 
 

@@ -12,8 +12,7 @@ from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamReader
-from player.render.cpu import CpuRenderer, render_splats
-from player.render.ring import Ring
+from player.render.cpu import CpuRenderer, Ring, render_splats
 from tests.support.drawn import same_splats
 from tests.support.hosted_streams import (
     SLICE_SIZE,

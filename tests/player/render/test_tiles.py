@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from codec.camera import Camera
+from player.render.blend import list_tiles, tile_grid
 from player.render.project import (
     CONIC_A,
     CONIC_B,
     CONIC_C,
     Q_MAX,
+    TILE_PX,
     Projection,
     X,
     Y,
     camera_vector,
     project_kernel,
 )
-from player.render.recipe import TILE_PX
-from player.render.tiles import list_tiles, tile_grid
 
 COUNT = 400
 CAMERA = Camera("c", 200, 120, 150.0, 150.0, 100.0, 60.0, np.eye(4))

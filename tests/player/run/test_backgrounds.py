@@ -21,7 +21,7 @@ from player.run.playback import play
 from player.run.stills import draw_frames
 from player.show.background import Colour
 from player.show.sink import to_bytes
-from player.view.moment import Moment
+from player.view.path import Moment
 
 FRAME, WHITE, BLUE = 9, (1.0, 1.0, 1.0), (0.2, 0.4, 1.0)
 SH_C0 = 0.28209479177387814

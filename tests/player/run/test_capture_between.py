@@ -9,8 +9,7 @@ import pytest
 from PIL import Image
 
 from codec.lattice.lattice import Lattice, States, quantise
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import ENDED, NEW, PREDICTED, Update
+from codec.slots.slotlayout import ENDED, NEW, PREDICTED, SlotLayout, Update
 from codec.splats import Splats
 from codec.stream import StreamWriter
 from player.config import PlayConfig

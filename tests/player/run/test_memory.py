@@ -59,7 +59,7 @@ EMPTY = """
 import glfw, moderngl
 from player.render.renderer import GlVersion
 from player.show.glwindow import GlWindow, window_system
-from player.show.posterscreen import PosterScreen
+from player.show.window import PosterScreen
 from player.view.path import Size
 from PIL import Image
 with window_system():

@@ -23,8 +23,7 @@ from player.render.renderer import RendererKind
 from player.run.playback import play
 from player.run.stills import draw_frames
 from player.show.sink import to_bytes
-from player.view.moment import Moment
-from player.view.path import Size, orbit
+from player.view.path import Moment, Size, orbit
 from tests.support.commands import run_ok, started
 from tests.support.hosted_streams import served, write_stream
 from tests.support.slots.slot_streams import write_busy_stream

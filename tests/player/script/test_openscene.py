@@ -26,8 +26,7 @@ from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.static import export_static
 from player import Scene
-from player.network.fetch import Fetcher, FetchError
-from player.network.retry import RetryConfig
+from player.network.fetch import Fetcher, FetchError, RetryConfig
 from player.render.cpu import CpuRenderer, render_splats
 from player.source.opener import SourceConfig
 from tests.support.commands import ROOT

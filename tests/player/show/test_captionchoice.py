@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from codec.errors import CorruptError, InvalidError
 from codec.framerange import FrameRange
 from codec.stream.captions import Captions
-from codec.tools.packing import pack_stream
+from codec.stream.streampacker import pack_stream
 from codec.tracks.streamtracks import add_captions
 from player.show.captionchoice import MAX_LINE_CHARS, MAX_LINES, CaptionChoice
 from player.show.overlay import caption_panel

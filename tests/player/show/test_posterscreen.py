@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from player.show.posterscreen import MAX_SIDE_PX, read_picture
+from player.show.window import MAX_SIDE_PX, read_picture
 
 
 def poster(mode: str = "RGB", size: tuple[int, int] = (64, 48), kind: str = "PNG") -> bytes:

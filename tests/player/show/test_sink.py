@@ -11,8 +11,7 @@ from PIL import Image
 
 from codec.arrays import Bytes
 from codec.errors import InvalidError
-from player.show.filesinks import FolderSink, open_sink
-from player.show.sink import check_output
+from player.show.sink import FolderSink, check_output, open_sink
 from player.view.path import Size
 
 

@@ -19,7 +19,7 @@ from player.config import PlayConfig
 from player.playout.conductor import Conductor
 from player.playout.timeline import FrameRecord
 from player.render.renderer import GlVersion
-from player.show import overlays
+from player.show import window
 from player.show.overlay import BAR_PX, text_panel
 from player.view.path import Size
 from tests.player.show.windowed import Acts, Person
@@ -210,7 +210,7 @@ def test_mouse_and_keys_move_the_camera(
 ) -> None:
     said = [""]
     show = lambda lines: said.append(lines[-1]) or text_panel(lines)  # type: ignore[func-returns-value]  # noqa: E731
-    monkeypatch.setattr(overlays, "text_panel", show)
+    monkeypatch.setattr(window, "text_panel", show)
     left, right = glfw.MOUSE_BUTTON_LEFT, glfw.MOUSE_BUTTON_RIGHT
 
     def acts(person: Person) -> Acts:

@@ -13,7 +13,7 @@ import pytest
 import player.show.window
 from player.config import PlayConfig
 from player.playout.conductor import Conductor
-from player.report.playsummary import PlaySummary
+from player.report.journal import PlaySummary
 from player.run.playback import play
 from player.show.glwindow import GlWindow
 from player.show.overlay import BAR_PX

@@ -19,7 +19,7 @@ from codec.stream.sound import (
     segment_sound,
 )
 from codec.tracks.soundfile import PACKET_SAMPLES, decode, encode
-from player.sound.segmentsound import MAX_SEGMENT_S, SegmentDecoder, check_playable, segment_span
+from player.sound.feed import MAX_SEGMENT_S, SegmentDecoder, check_playable, segment_span
 from tests.support.hosted_streams import small_manifest
 from tests.support.hostile import within_bytes
 

@@ -12,19 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.framerange import FrameRange
-from codec.tools.packing import pack_stream
-from player.network.retry import RetryConfig
-from player.sound.decodedsound import DecodedSound
-from player.sound.segmentsound import segment_span
-from player.sound.soundfeed import (
+from codec.stream.streampacker import pack_stream
+from player.network.fetch import RetryConfig
+from player.sound.feed import (
     AHEAD_S,
     GROWTH_SHARE,
     REST_SHARE,
     URGENT_S,
+    DecodedSound,
     FetchPace,
     SoundFeed,
     Whereabouts,
     segment_before,
+    segment_span,
     wanted_segments,
 )
 from player.source.opener import Opener, SourceConfig

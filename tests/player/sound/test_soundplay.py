@@ -18,14 +18,13 @@ import pytest
 
 from codec.framerange import FrameRange
 from codec.stream.sound import SAMPLE_RATE, SoundSource
-from codec.tracks.streamsound import add_sound
+from codec.tracks.streamtracks import add_sound
 from player.link.linkprocess import LinkProcess
-from player.playout.clock import Clock
+from player.playout.clock import Clock, DeviceTime
 from player.playout.conductor import Conductor
-from player.playout.mediatime import DeviceTime
 from player.playout.queues import Events
 from player.playout.timeline import Playout
-from player.report.soundcounts import SoundCounts
+from player.report.journal import SoundCounts
 from player.run.playback import WINDOW_PLAYOUT
 from player.run.soundplay import sounding
 from player.sound.soundplayer import SoundPlayer

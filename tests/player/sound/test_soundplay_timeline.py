@@ -16,11 +16,9 @@ import pytest
 
 from codec.stream.manifest import Manifest
 from codec.stream.sound import SAMPLE_RATE, SoundSource, first_sample
-from player.playout.clock import Clock
-from player.playout.mediatime import DeviceTime
+from player.playout.clock import Clock, DeviceTime
 from player.playout.timeline import Playout
-from player.sound.decodedsound import DecodedSound
-from player.sound.segmentsound import segment_span
+from player.sound.feed import DecodedSound, segment_span
 from player.sound.soundplayer import SoundPlayer
 from player.source.source import Packets, SlicePackets, SnapshotPackets
 from server.abr.playout import PlayoutConfig

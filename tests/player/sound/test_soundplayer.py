@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from codec.stream.sound import SAMPLE_RATE, SoundSource
-from player.playout.mediatime import DeviceTime
-from player.sound.decodedsound import DecodedSound
-from player.sound.mixing import Stereo
-from player.sound.segmentsound import segment_span
+from player.playout.clock import DeviceTime
+from player.sound.feed import DecodedSound, Stereo, segment_span
 from player.sound.soundplayer import SoundPlayer
-from player.sound.splicer import HOP, Splicer
+from player.sound.soundtrack import HOP, Splicer
 from tests.support.hosted_streams import small_manifest
 
 NUM_FRAMES = 20

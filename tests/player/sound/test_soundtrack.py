@@ -17,9 +17,8 @@ from codec.stream.sound import SoundObject, SoundSource, first_sample
 from player.config import CameraPathName, PlayConfig
 from player.render.renderer import RendererKind
 from player.run.playback import play
-from player.show.filesinks import VideoSink
-from player.show.sink import Sound
-from player.sound.mixing import gains_of
+from player.show.sink import Sound, VideoSink
+from player.sound.feed import gains_of
 from player.view.path import Size
 from tests.support.hosted_streams import ring_of_cameras, served, static_host, write_stream
 from tests.support.sounding import add_clicks, best_shift, heard, track_of

@@ -23,9 +23,8 @@ from codec.stream.manifest import MASKS, Part, layer_of, snapshot_part
 from player.playout.assembler import Assembler
 from player.playout.timeline import FrameRecord, Playout
 from player.run.playback import WINDOW_PLAYOUT
-from player.source.hostedplay import Ask, HostedPlay
+from player.source.hostedplay import Ask, HostedPlay, PartialObject
 from player.source.opener import opened
-from player.source.partialobject import PartialObject
 from player.source.source import Packets, SlicePackets
 from server.abr.clientstatus import ClientStatus
 from server.abr.holding import Holding

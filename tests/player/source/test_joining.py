@@ -12,13 +12,11 @@ from hypothesis import strategies as st
 
 from codec.framerange import FrameRange
 from codec.slice import window_births
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import Update
+from codec.slots.slotlayout import SlotLayout, Update
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import MASKS, snapshot_part
-from codec.tools.audit import verify_stream
-from codec.tools.slotcensus import count_slots, summarise_slots
-from player.network.retry import RetryConfig
+from codec.tools.audit import count_slots, summarise_slots, verify_stream
+from player.network.fetch import RetryConfig
 from player.source.opener import SourceConfig, opened
 from tests.support.delivery.assembled import Assembled, assembled, checked, read_all, slices_of
 from tests.support.hosted_streams import ServerProcess, static_host, wait_for_stream

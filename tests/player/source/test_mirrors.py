@@ -12,8 +12,8 @@ import pytest
 
 from codec.errors import CorruptError, SwingsError
 from codec.stream import StreamReader, StreamWriter
-from player.network.fetch import BrokenError, Fetcher, FetchError
-from player.network.retry import RetryConfig
+from player.network.fetch import Fetcher, FetchError, RetryConfig
+from player.network.target import BrokenError
 from player.source.opener import SourceConfig, opened
 from player.source.source import Packets, SlicePackets
 from tests.support.delivery.assembled import assembled, check_packets, checked

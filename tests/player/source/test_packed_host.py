@@ -13,9 +13,8 @@ import pytest
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
-from codec.tools.packing import pack_stream
-from player.network.fetch import FetchError
-from player.network.retry import RetryConfig
+from codec.stream.streampacker import pack_stream
+from player.network.fetch import FetchError, RetryConfig
 from player.script.openscene import Scene
 from player.source.opener import Opener, SourceConfig, opened
 from player.source.source import SlicePackets, Source

@@ -21,7 +21,7 @@ from codec.stream import StreamReader
 from codec.stream.playrecord import SliceRecord, SnapshotRecord
 from player.playout.assembler import Assembler
 from player.playout.timeline import PlayedMedia
-from player.source.playreceiver import PlayReceiver
+from player.source.served import PlayReceiver
 from player.source.source import Packets
 from server.abr.holding import Holding
 from tests.support.delivery.playrecords import slice_record, snapshot_record

@@ -12,7 +12,6 @@ import pytest
 
 from codec.errors import CorruptError, SwingsError
 from codec.framerange import FrameRange
-from codec.stream.index import record_bytes
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import (
     EndRecord,
@@ -22,8 +21,9 @@ from codec.stream.playrecord import (
     StartRecord,
     encode_record,
 )
-from player.network.fetch import BrokenError, FetchConfig, Fetcher, FetchError
-from player.network.retry import RetryConfig
+from codec.stream.segment import record_bytes
+from player.network.fetch import FetchConfig, Fetcher, FetchError, RetryConfig
+from player.network.target import BrokenError
 from player.playout.clock import Clock
 from player.playout.queues import Events
 from player.playout.threads import Threads

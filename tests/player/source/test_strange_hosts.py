@@ -24,13 +24,13 @@ from PIL import Image
 from codec.errors import CorruptError, SwingsError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
-from codec.stream.index import pack_record
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import LENGTH, Record, SliceRecord, SnapshotRecord, encode_record
-from player.network.fetch import BrokenError, FetchConfig, Fetcher, FetchError, Response
-from player.network.requesttarget import joined
+from codec.stream.segment import pack_record
+from player.network.fetch import FetchConfig, Fetcher, FetchError, Response
+from player.network.target import BrokenError, joined
 from player.source.opener import SourceConfig, opened
-from player.source.playreceiver import KEPT_BIRTHS, PlayReceiver
+from player.source.served import KEPT_BIRTHS, PlayReceiver
 from server.abr.clientstatus import ClientStatus
 from tests.player.network.webhosts import HOLD, script
 from tests.player.source.test_served import (

@@ -13,15 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.arrays import Doubles
-from codec.camera import Camera
+from codec.camera import Camera, look_at
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
-from codec.pose import look_at
 from codec.stream.views import scene_centre
-from player.view.keyframes import read_keyframes
-from player.view.moment import Moment
 from player.view.mouse import view_of
-from player.view.path import Size, camera_path
+from player.view.path import Moment, Size, camera_path, read_keyframes
 from tests.support.hosted_streams import ring_of_cameras, small_manifest
 
 MANIFEST = small_manifest()

@@ -13,7 +13,7 @@ from urllib.request import urlopen
 import pytest
 
 from codec.tools.static import write_page
-from server.html.watchpage import WatchedStream, frame_html, watch_page
+from server.html.htmlpages import WatchedStream, frame_html, watch_page
 from server.html.webplayer import WebPlayer
 from tests.server.hostile.serverprocess import ServerProcess, server_process
 from tests.support.commands import ROOT

@@ -20,10 +20,8 @@ from codec.coders.zstd import decompress
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.lattice.quantise import opacity_logits
 from codec.stream.captions import captions_of, check_captions, parse_webvtt
-from codec.stream.index import SegmentRecord
 from codec.stream.integrity import read_index
 from codec.stream.manifest import Manifest
-from codec.stream.object import packet_content
 from codec.stream.pictures import picture_path
 from codec.stream.playrecord import (
     EndRecord,
@@ -35,7 +33,8 @@ from codec.stream.playrecord import (
     StartRecord,
     encode_record,
 )
-from codec.stream.storyboard import StoryboardLayout
+from codec.stream.poster import StoryboardLayout
+from codec.stream.segment import SegmentRecord, packet_content
 from fuzz.codec import TARGETS
 from fuzz.seed import CORPUS
 from tests.goldens.suite import FOLDER, read_table

@@ -7,9 +7,8 @@ import time
 from pathlib import Path
 
 from codec.stream import StreamReader
-from codec.stream.object import packet_content
-from server.operate.sign.keyfile import add_key, read_keys
-from server.operate.sign.signing import Signer
+from codec.stream.segment import packet_content
+from server.operate.sign.signing import Signer, add_key, read_keys
 from tests.support.commands import serving
 from tests.support.hosted_streams import write_stream
 from tests.support.slots.slot_streams import write_busy_stream

@@ -17,7 +17,7 @@ from PIL import Image
 from codec.stream.reader import StreamReader
 from codec.tools.static import export_static
 from player.render.cpu import render_splats
-from player.render.recipe import ALPHA_MIN
+from player.render.project import ALPHA_MIN
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.waiting import wait_until
 from tests.support.web.canvas import psnr_db

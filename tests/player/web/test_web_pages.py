@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from server.html.gallery import MANY, Card, card_html, front_page
+from server.html.htmlpages import MANY, Card, card_html, front_page
 from tests.support.hosted_streams import (
     ServerProcess,
     served,

@@ -12,7 +12,7 @@ import pytest
 from codec.splats import SH_C0, Splats
 from codec.stream.reader import StreamReader
 from codec.tools.static import export_static
-from player.render.recipe import ALPHA_MIN
+from player.render.project import ALPHA_MIN
 from tests.support.hosted_streams import folder_files, write_stream
 from tests.support.slots.slot_streams import write_slot_stream
 from tests.support.slots.updates import small_layout

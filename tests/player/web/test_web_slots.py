@@ -11,7 +11,7 @@ import pytest
 
 from codec.errors import CodecError
 from codec.foreign.ply import encode_ply
-from codec.slots.slotdecoder import SlotDecoder
+from codec.slots.decoder import SlotDecoder
 from codec.stream.reader import StreamReader
 from tests.goldens.folder import StreamFolder
 from tests.goldens.statehash import state_sha256

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from codec.slots.slotdecoder import SlotDecoder
+from codec.slots.decoder import SlotDecoder
 from codec.tools.static import export_static
-from player.render.moves import ENTERS, MOVES
+from player.render.upload import ENTERS, MOVES
 from tests.support.slots.moving_updates import moving_updates, write_moving_stream
 from tests.support.slots.plain import encoded_chunks
 from tests.support.slots.updates import patternless_updates, small_layout

@@ -15,7 +15,7 @@ from codec.errors import CodecError
 from codec.stream.reader import StreamReader
 from codec.stream.sound import SAMPLE_RATE, SoundObject, SoundSource, first_sample, packet_samples
 from codec.tracks.soundfile import decode
-from codec.tracks.streamsound import read_sound
+from codec.tracks.streamtracks import read_sound
 from tests.support.web.browsercode import BrowserCode
 from tests.support.web.clicks import write_clicking_stream
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from codec.stream.storyboard import StoryboardLayout
+from codec.stream.poster import StoryboardLayout
 from tests.support.suite.once import made_once
 from tests.support.web.chromium import Page
 from tests.support.web.playerstates import (

@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 from aiohttp import web
 
-from server.http.content import Content, serve
-from server.http.streaming import StreamedResponse
+from server.http.content import Content, StreamedResponse, serve
 from server.operate.workers import SupervisorConfig
 from tests.support.server.certificates import make_certificate
 from tests.support.server.plain_site import (

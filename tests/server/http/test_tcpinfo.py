@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from server.http.tcpinfo import (
+from server.http.connection import (
     SO_NWRITE,
     TCP_INFO_BYTES,
     TcpInfo,

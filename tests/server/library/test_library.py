@@ -16,8 +16,8 @@ import pytest
 from codec.errors import SwingsError
 from codec.storage.storage import Storage
 from codec.stream import StreamReader
-from codec.stream.index import record_bytes
 from codec.stream.reader import read_stream_file
+from codec.stream.segment import record_bytes
 from server.library import Library, entry
 from server.library.entry import one_line
 from tests.support.server.running_server import (

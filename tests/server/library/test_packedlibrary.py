@@ -13,7 +13,7 @@ import pytest
 
 from codec.stream.captions import Captions
 from codec.stream.reader import StreamReader
-from codec.tools.packing import pack_stream, unpack_stream
+from codec.stream.streampacker import pack_stream, unpack_stream
 from codec.tracks.streamtracks import add_captions
 from server.library import Library
 from tests.support.hosted_streams import served, write_stream

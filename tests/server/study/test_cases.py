@@ -124,7 +124,7 @@ def test_a_play_that_does_not_end_is_told(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_policy_that_fails_is_told(tmp_path: Path) -> None:
     file = tmp_path / "failing.py"
     file.write_text(
-        "from server.study.rule import Rule\n"
+        "from server.study.policies import Rule\n"
         "class Failing(Rule):\n"
         "    def choose_layers(self, situation): return 1 // 0\n"
     )

@@ -22,7 +22,7 @@ from server.abr.link import Link, LinkStep
 from server.abr.media import SegmentSizes
 from server.abr.session import SessionConfig
 from server.study.choice import OWN, POLICIES, check_policy, make_policy
-from server.study.rule import InOrder, Rule, Situation, group_end
+from server.study.policies import InOrder, Rule, Situation, group_end
 from server.study.simulator import play_out, simulate
 from tests.support.delivery.media import MadeMedia, sizes_of
 
@@ -147,7 +147,7 @@ def test_a_link_below_layer_0_gets_layer_0(name: str, media: MadeMedia) -> None:
 
 FILE = """
 from dataclasses import dataclass
-from server.study.rule import Rule
+from server.study.policies import Rule
 
 @dataclass
 class Two(Rule):

@@ -14,14 +14,16 @@ from server.study.policies import (
     RISE_S,
     SAFETY,
     BolaRule,
+    Group,
     Lyapunov,
     RobustMpcRule,
+    Rule,
+    Situation,
     TailDropRule,
     ThroughputRule,
     best_plan,
 )
 from server.study.qoe import QoeConfig
-from server.study.rule import Group, Rule, Situation
 
 MAX_LEAD_S = 6.0
 

@@ -10,11 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.arrays import Doubles
-from codec.camera import Camera
-from codec.pose import look_at
+from codec.camera import Camera, look_at
 from trainer.synth.film import Studio, spacing_m
-from trainer.synth.motion import WALK_RADIUS_M
-from trainer.synth.scene import UP, Scene, camera_rig
+from trainer.synth.scene import UP, WALK_RADIUS_M, Scene, camera_rig
 
 Picture = npt.NDArray[np.uint8]
 

@@ -7,7 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from codec.slots.update import Update
+from codec.slots.slotlayout import Update
 from codec.storage.openstorage import Target, open_storage, parse_target
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest

@@ -15,7 +15,7 @@ import numpy as np
 from codec.coders.zstd import compress
 from codec.errors import CodecError
 from codec.slots.slotlayout import SlotLayout
-from codec.slots.snapshot import decode_snapshot
+from codec.slots.state import decode_snapshot
 from codec.stream.manifest import Part
 from player.playout.assembler import Assembler
 from player.source.source import Packets, SlicePackets, SnapshotPackets

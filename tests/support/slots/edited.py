@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from codec.camera import Camera
-from codec.edit.editing import Options, edit_stream
+from codec.edit.rewrite import Options, edit_stream
 from codec.interop.formats import SplatFormat, write_splats
 from codec.sequence.importing import ImportOptions, facing_camera, import_stream
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.draft import Quality
+from codec.stream.writer import Quality
 from codec.tools.audit import verify_stream
 from player.render.cpu import render_splats
 from tests.support.slots.slot_streams import gaussians, slot_manifest

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from codec.camera import Camera
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import Update
+from codec.slots.slotlayout import SlotLayout, Update
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 from tests.support.slots.updates import patternless_updates, small_layout

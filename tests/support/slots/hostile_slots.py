@@ -7,8 +7,8 @@ import random
 import struct
 
 from codec.errors import CodecError
-from codec.slots.slotdecoder import SlotDecoder
-from codec.slots.slotencoder import EncodedSlice, SlotEncoder
+from codec.slots.decoder import SlotDecoder
+from codec.slots.encoder import EncodedSlice, SlotEncoder
 from tests.support.slots.updates import patternless_updates, small_layout
 
 BYTES = (0, 1, 3, 24, 25, 26, 127, 128, 160, 161, 254, 255)

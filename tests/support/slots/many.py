@@ -9,11 +9,9 @@ import numpy as np
 import zstandard
 
 from codec.lattice.lattice import Lattice
-from codec.slots.slotchange import COUNTS
-from codec.slots.slotchunk import SLOT_HEADER, Kind
-from codec.slots.slotlayout import SlotLayout
-from codec.stream.index import SegmentRecord, pack_record
-from codec.stream.object import join_packets
+from codec.slots.change import COUNTS
+from codec.slots.slotlayout import SLOT_HEADER, Kind, SlotLayout
+from codec.stream.segment import SegmentRecord, join_packets, pack_record
 from tests.support.slots.folder import slots_manifest
 
 LANES, SLOTS = 16, 1 << 20

@@ -9,8 +9,7 @@ import numpy as np
 
 from codec.arrays import Floats
 from codec.lattice.lattice import Lattice, States
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
+from codec.slots.slotlayout import ENDED, KEPT, NEW, PREDICTED, SlotLayout, Update
 from codec.splats import Splats
 from codec.stream import StreamWriter
 from tests.support.slots.slot_streams import slot_manifest

@@ -15,12 +15,11 @@ import numpy as np
 from codec.errors import CodecError
 from codec.lattice.lattice import Lattice
 from codec.slice import HIDDEN, Slice
+from codec.slots.decoder import SlotDecoder
+from codec.slots.encoder import SlotEncoder
 from codec.slots.mask import decode_mask
-from codec.slots.slotdecoder import SlotDecoder
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.slotstate import EMPTY, ON_LATTICE, UNKNOWN
-from codec.slots.update import Update
+from codec.slots.slotlayout import SlotLayout, Update
+from codec.slots.state import EMPTY, ON_LATTICE, UNKNOWN
 from codec.splats import Splats
 from tests.goldens import decoder as plain
 from tests.goldens.decoder import f32

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from codec.pose import rotation_about
+from codec.camera import rotation_about
 from codec.splats import Splats
 from tests.support.trained_like import trained_like_splats
 

@@ -11,12 +11,11 @@ import numpy as np
 
 from codec.lattice.lattice import States
 from codec.slice import Slice
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import KEPT, NEW, PREDICTED, Update
+from codec.slots.slotlayout import KEPT, NEW, PREDICTED, SlotLayout, Update
 from codec.splats import Splats
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
-from player.render.ring import Ring
+from player.render.cpu import Ring
 from tests.support.hosted_streams import small_manifest
 from tests.support.slots.updates import patternless_updates, small_layout
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from codec.arrays import Bytes, Floats
 from codec.lattice.lattice import Lattice, States, quantise
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
+from codec.slots.slotlayout import ENDED, KEPT, NEW, PREDICTED, SlotLayout, Update
 from codec.splats import Splats
 from tests.support.trained_like import trained_like_splats
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from codec.lattice.lattice import POSITION_LIMIT, Lattice, States, num_attributes
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
+from codec.slots.slotlayout import ENDED, KEPT, NEW, PREDICTED, SlotLayout, Update
 from codec.splats import Splats, array_shapes
 
 LATTICE = Lattice(0.01, 0.125, 1 / 60, 0.056, 161)

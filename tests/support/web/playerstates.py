@@ -8,8 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from codec.stream.poster import POSTER_NAME, write_poster
-from codec.stream.storyboard import STORYBOARD_NAME, write_storyboard
+from codec.stream.poster import POSTER_NAME, STORYBOARD_NAME, write_poster, write_storyboard
 from codec.tools.static import export_static
 from player.render.cpu import render_splats
 from tests.support.hosted_streams import ring_of_cameras, write_stream

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from codec.files import append_durably, write_atomic
 from codec.stream import StreamReader
-from codec.stream.index import INDEX_NAME, pack_record
 from codec.stream.manifest import MANIFEST_NAME, SEGMENTS_NAME
+from codec.stream.segment import INDEX_NAME, pack_record
 
 
 class Publisher:

@@ -15,11 +15,8 @@ from tests.support.commands import environment, run
 from tests.support.tiny_capture import tiny_rig, write_video
 from tests.support.tiny_models import write_videos
 from tests.trainer.calibrate.test_rigs import FOCAL, HEIGHT, WIDTH, arc
-from trainer.calibrate.alignment import align, centres
-from trainer.calibrate.geometry import geometric_lags
-from trainer.calibrate.lags import lags_of
-from trainer.calibrate.offsets import synchronise
-from trainer.calibrate.solution import Rig
+from trainer.calibrate.offsets import geometric_lags, lags_of, synchronise
+from trainer.calibrate.solution import Rig, align, centres
 from trainer.calibrate.takes import find_takes
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError

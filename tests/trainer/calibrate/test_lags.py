@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trainer.calibrate.lags import correlate, series_lags
+from trainer.calibrate.offsets import correlate, series_lags
 
 
 def observed(

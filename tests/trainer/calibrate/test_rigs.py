@@ -9,12 +9,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from codec.arrays import Doubles
-from codec.camera import Camera
-from codec.pose import look_at
-from trainer.calibrate.alignment import Similarity, align, angles_deg, centres
-from trainer.calibrate.solution import Rig, Solution, unseen_errors
+from codec.camera import Camera, look_at
+from trainer.calibrate.solution import (
+    Rig,
+    Similarity,
+    Solution,
+    align,
+    angles_deg,
+    centres,
+    metres_of_unit,
+    unseen_errors,
+    world_of,
+)
 from trainer.calibrate.verdicts import judge, moved
-from trainer.calibrate.world import metres_of_unit, world_of
 from trainer.errors import CaptureError
 
 WIDTH, HEIGHT, FOCAL = 640, 360, 500.0

@@ -10,14 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec.camera import Camera
-from codec.pose import look_at
+from codec.camera import Camera, look_at
 from codec.rig import rig_centre, rig_depths
 from tests.support.hostile import refused
 from tests.support.tiny_capture import refusal, tiny_rig
 from tests.trainer.capture.test_masks import LAYOUTS, write_layout
-from trainer.capture.camerachoice import CameraChoice
-from trainer.capture.held_out import camera_between, read_held_out
+from trainer.capture.capture import CameraChoice, camera_between, read_held_out
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
 from trainer.synth.scene import CAMERA_RADIUS_M, CAMERA_TARGET

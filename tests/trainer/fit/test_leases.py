@@ -13,18 +13,16 @@ from hypothesis import strategies as st
 from codec.errors import InvalidError
 from codec.lattice.lattice import Lattice
 from codec.slice import active_splats
-from codec.slots.slotdecoder import SlotDecoder
-from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
+from codec.slots.decoder import SlotDecoder
+from codec.slots.encoder import SlotEncoder
+from codec.slots.slotlayout import ENDED, KEPT, NEW, PREDICTED, SlotLayout, Update
 from codec.splats import Splats
 from player.render.cpu import render_splats
-from trainer.fit.config import FitConfig
+from trainer.fit.config import FitConfig, Schedule, WindowPlan
 from trainer.fit.generations import Generations
 from trainer.fit.leasedslots import LeasedSlots
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.renew import ChangeScores
-from trainer.fit.schedule import Schedule, WindowPlan
 from trainer.fit.trainer import Trainer
 from trainer.lease.leases import ByteBudget, LeaseConfig, Leases
 from trainer.lease.takeover import Crossfade, PlayerState, turns

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.camera import Camera
-from player.render.recipe import ALPHA_MAX
+from player.render.project import ALPHA_MAX
 from trainer.fit.generations import Lifespans
 from trainer.fit.mcmc import MAX_COPIES, relocate, split_opacity_and_scale
 from trainer.fit.trainer import CameraDraws
+from trainer.step.optimiser import CameraSpread, bound_scales
 from trainer.step.raster import Parameters, View, render
-from trainer.step.scalebound import CameraSpread, bound_scales
 
 sizes = st.tuples(st.integers(1, 6), st.integers(1, 5))  # swin_size, slice_size
 

@@ -25,7 +25,7 @@ from trainer.fit.renew import Comparer, Comparison, missing_splats
 from trainer.fit.sceneflow import scene_flow as flow_of
 from trainer.fit.trainer import Trainer
 from trainer.lease.leases import LeaseConfig
-from trainer.pictures.shot import Shot
+from trainer.pictures.scale import Shot
 from trainer.seed.gaussians import initial_splats
 from trainer.step.colour import CameraColour
 from trainer.step.raster import Parameters, View
@@ -267,7 +267,7 @@ def test_a_window_begins_where_things_went(
     scene_flow: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("trainer.fit.strategy.SETTLE_RENEW_SHARE", 0)
-    monkeypatch.setattr("trainer.fit.schedule.WINDOW_NOISE", 0)
+    monkeypatch.setattr("trainer.fit.config.WINDOW_NOISE", 0)
     monkeypatch.setattr("trainer.lease.leases.TRADE_SHARE", 0)
     moved = np.array([0.3, 0, 0], np.float32)
     before = Splats.concatenate([room(), thing()])

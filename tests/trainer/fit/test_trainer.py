@@ -16,20 +16,19 @@ from codec.splats import ARRAY_NAMES, Splats
 from player.render.cpu import render_splats
 from tests.support.hostile import refused
 from trainer.capture.capture import Mask
-from trainer.fit.config import FitConfig
+from trainer.fit.config import FitConfig, WindowPlan
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.observer import Observer, Progress
-from trainer.fit.schedule import WindowPlan
 from trainer.fit.strategy import Strategy, WholeSlices
 from trainer.fit.trainer import Trainer
 from trainer.lease.leases import LeaseConfig
-from trainer.pictures.shot import Shot
+from trainer.pictures.scale import Shot
 from trainer.seed.gaussians import initial_splats
 from trainer.step.backend import StepInput
 from trainer.step.cpubackend import CpuBackend
 from trainer.step.loss import Loss, psnr_db
+from trainer.step.optimiser import CameraSpread
 from trainer.step.raster import Parameters
-from trainer.step.scalebound import CameraSpread
 
 NEAR_M = 0.2
 FRAMES = 5

@@ -15,22 +15,20 @@ from codec.errors import InvalidError
 from codec.progressline import ProgressLine
 from codec.storage.openstorage import open_growing
 from codec.stream import StreamReader
-from codec.stream.index import SegmentRecord, record_bytes
+from codec.stream.segment import SegmentRecord, record_bytes
 from codec.stream.writer import SHAPE
 from codec.tools.audit import verify_stream
-from codec.tracks.streamsound import add_sound
+from codec.tracks.streamtracks import add_sound
 from tests.support.hosted_streams import write_stream
 from tests.support.sounding import write_clicks
 from tests.support.tiny_capture import write_dynamic3dgs
 from trainer.capture.layout import open_capture
-from trainer.parts.cut import cut
-from trainer.parts.joiner import Joiner
-from trainer.parts.joinmonitor import JoinMonitor
-from trainer.parts.part_state import MANIFEST_PATH, pack_arrays
-from trainer.parts.task import Run, Task
-from trainer.run.capturesound import SOURCE, CaptureSound, capture_sound
+from trainer.parts.joiner import Joiner, JoinMonitor
+from trainer.parts.task import Run, Task, cut
+from trainer.parts.worker import MANIFEST_PATH, pack_arrays
 from trainer.run.config import TrainConfig
-from trainer.run.runlog import RunLog
+from trainer.run.monitor import RunLog
+from trainer.run.outputs import SOURCE, CaptureSound, capture_sound
 
 FPS = 10.0
 FRAMES, PART_FRAMES, SEGMENT_FRAMES = 22, 7, 2

@@ -27,12 +27,12 @@ from tests.support.commands import environment, run, run_ok, started
 from tests.support.parts import FRAMES, SETTINGS, capture_of, do_here, run_of, train
 from tests.support.trainings import contents
 from tests.support.waiting import BOUND_S, wait_until
-from trainer.parts.raytask import do_task, task_result
+from trainer.parts.raydriver import do_task, task_result
 from trainer.parts.task import STATE_FOLDER, Kind, Run, Task
 from trainer.run import warm
 from trainer.run.config import TrainConfig
+from trainer.run.monitor import LOG_NAME
 from trainer.run.outputs import SNAPSHOT_FOLDER
-from trainer.run.runlog import LOG_NAME
 
 pytest.importorskip("ray", reason="ray is not installed")
 # Ray starts a dozen processes for each cluster, and gives up if they need more than 30 s.
@@ -142,7 +142,7 @@ def test_a_cluster_of_this_machine_alone_is_a_new_one_that_others_cannot_use() -
     code = """
 import os, subprocess, sys
 from rich.console import Console
-from trainer.parts.cluster import open_cluster
+from trainer.parts.raydriver import open_cluster
 
 others = dict(os.environ)
 with open_cluster("local", 1, Console()) as ray:

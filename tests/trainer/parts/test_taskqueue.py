@@ -16,10 +16,8 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from codec.errors import InvalidError
-from trainer.parts.cluster import RayOutput, look_for_room, num_workers
-from trainer.parts.cut import cut
-from trainer.parts.task import Kind, Run, Task
-from trainer.parts.taskqueue import TaskQueue
+from trainer.parts.raydriver import RayOutput, look_for_room, num_workers
+from trainer.parts.task import Kind, Run, Task, TaskQueue, cut
 from trainer.run.config import TrainConfig
 
 

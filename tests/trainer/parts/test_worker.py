@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from codec.stream import StreamReader
-from codec.stream.seeker import roll
+from codec.stream.reader import roll
 from codec.tools.audit import verify_stream
 from tests.support.parts import FRAMES, DiedError, capture_of, do_here, run_of, train
 from tests.support.stores.s3_server import BUCKET, s3_server

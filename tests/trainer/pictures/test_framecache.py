@@ -21,11 +21,8 @@ from trainer.capture.capture import Capture, Picture, PictureSource
 from trainer.capture.layout import open_capture
 from trainer.capture.video import VideoSource
 from trainer.errors import CaptureError
-from trainer.pictures.feed import CapturePictures
-from trainer.pictures.framecache import CacheStatistics, FrameCache
-from trainer.pictures.prefetch import Prefetcher
-from trainer.pictures.scale import scaled_mask, scaled_picture
-from trainer.pictures.shot import Shot
+from trainer.pictures.framecache import CacheStatistics, CapturePictures, FrameCache, Prefetcher
+from trainer.pictures.scale import Shot, scaled_mask, scaled_picture
 
 FRAMES = 8
 PICTURE_BYTES = 3 * 64 * 36

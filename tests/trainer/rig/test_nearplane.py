@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from codec.camera import Camera
-from codec.pose import rotation_about
+from codec.camera import Camera, rotation_about
 from codec.rig import rig_depths
 from tests.support.footage.checking import all_said, checked, said
 from tests.support.footage.rebuilt import SIZE_PX, close_rig, filmed, points_seen, room
@@ -20,8 +19,14 @@ from trainer.calibrate.lateness import late_frames
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture, twin_doubts
 from trainer.rig import nearplane
-from trainer.rig.coverage import coverage_doubts, describe_coverage, unseen_share, unseen_shares
-from trainer.rig.doubts import picture_doubt, rig_doubts
+from trainer.rig.doubts import (
+    coverage_doubts,
+    describe_coverage,
+    picture_doubt,
+    rig_doubts,
+    unseen_share,
+    unseen_shares,
+)
 from trainer.rig.nearplane import LEAST_OWN_SHARE, LEAST_SHARE, MARGIN, look
 from trainer.run.config import TrainConfig
 from trainer.run.prepare import prepare

@@ -17,14 +17,12 @@ from matplotlib.text import Text
 from PIL import Image
 
 from codec.arrays import Doubles
-from codec.camera import Camera
-from codec.pose import look_at, rotation_about
+from codec.camera import Camera, look_at, rotation_about
 from tests.support.footage.checking import checked, said
 from tests.support.tiny_capture import write_dynamic3dgs, write_dynerf
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
-from trainer.rig.labelfont import families_for
-from trainer.rig.rigdrawing import axis_name, draw_capture, drawn_axes
+from trainer.rig.rigdrawing import axis_name, draw_capture, drawn_axes, families_for
 
 
 def test_picture_shows_cameras_and_points_and_appears_whole(tmp_path: Path) -> None:
@@ -120,7 +118,7 @@ def test_names_that_no_font_has_become_numbers(tmp_path: Path) -> None:
     write_dynamic3dgs(tmp_path / "c")
     names = ["カメラ1", "左", "相机$x$", "cam_4"]
     capture = named(open_capture(tmp_path / "c"), names)
-    with patch("trainer.rig.labelfont.fontManager", SimpleNamespace(ttflist=[])):
+    with patch("trainer.rig.rigdrawing.fontManager", SimpleNamespace(ttflist=[])):
         texts = texts_of(capture, tmp_path / "rig.png").split("|")
         with patch("trainer.run.check.open_capture", lambda *_: capture):
             lines = checked(tmp_path / "c", check=tmp_path / "rig.png")
@@ -138,7 +136,7 @@ def test_letters_that_matplotlibs_own_font_lacks_are_taken_from_another(tmp_path
     only_there = chr(min(letters - own))
     write_dynamic3dgs(tmp_path / "c")
     capture = named(open_capture(tmp_path / "c"), [only_there, "b", "c", "$d^2"])
-    with patch("trainer.rig.labelfont.fontManager", SimpleNamespace(ttflist=others)):
+    with patch("trainer.rig.rigdrawing.fontManager", SimpleNamespace(ttflist=others)):
         assert families_for([only_there]) == ["DejaVu Sans", "STIXGeneral"]
         assert families_for([missing]) is None
         assert draw_capture(capture, tmp_path / "rig.png")

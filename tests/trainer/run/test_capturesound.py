@@ -14,14 +14,14 @@ from codec.storage import objectstore
 from codec.stream import StreamReader
 from codec.stream.sound import SAMPLE_RATE, SoundSource, first_sample
 from codec.tools.audit import verify_stream
-from codec.tracks.streamsound import add_sound
+from codec.tracks.streamtracks import add_sound
 from tests.support.sounding import best_shift, heard, track_of, write_clicks
 from tests.support.stores.s3_server import BUCKET, s3_server
 from tests.support.trainings import train_here
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
-from trainer.run.capturesound import CaptureSound, capture_sound
 from trainer.run.config import TrainConfig
+from trainer.run.outputs import CaptureSound, capture_sound
 from trainer.storedfiles import forget_stored
 
 SETTINGS = (

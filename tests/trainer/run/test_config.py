@@ -15,9 +15,13 @@ from tests.support.commands import run, run_ok
 from tests.support.hostile import refused
 from trainer.fit.config import FitConfig
 from trainer.lease.leases import LeaseConfig
-from trainer.run.config import TrainConfig
-from trainer.run.preset import PRESETS, parse_with_preset
-from trainer.run.storedconfig import config_from_json, config_to_json
+from trainer.run.config import (
+    PRESETS,
+    TrainConfig,
+    config_from_json,
+    config_to_json,
+    parse_with_preset,
+)
 
 ROOT = Path("/somewhere")
 OTHER = TrainConfig(

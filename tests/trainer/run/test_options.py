@@ -18,7 +18,7 @@ from codec.tools.audit import verify_stream
 from tests.support.commands import run
 from tests.support.tiny_capture import WIDTH_PX
 from tests.support.trainings import train_here
-from trainer.run.runlog import LOG_NAME
+from trainer.run.monitor import LOG_NAME
 
 FRAMES = 6
 LATER = "--window-iterations", 10, "--num-gs", 200, "--frames", "0:2"

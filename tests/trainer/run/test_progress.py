@@ -17,9 +17,7 @@ from codec.progressline import ProgressLine, line_of
 from tests.support.commands import run
 from trainer.fit.config import FitConfig
 from trainer.fit.observer import Progress as FitProgress
-from trainer.run.monitor import Monitor
-from trainer.run.runlog import RunLog
-from trainer.run.runstatus import RunStatus
+from trainer.run.monitor import Monitor, RunLog, RunStatus
 
 TINY = (
     "--num-gs", 100, "--genesis-iterations", 40, "--settle-rounds", 1, "--window-iterations", 20,

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from codec.errors import InvalidError, SwingsError
-from codec.slots.update import Update
+from codec.slots.slotlayout import Update
 from codec.stream import StreamReader
 from codec.stream.manifest import MANIFEST_NAME
 from codec.stream.poster import POSTER_NAME

@@ -15,13 +15,13 @@ from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.lattice.lattice import SCALES, TURNS, Lattice, lattice_values
 from codec.slice import Slice, active_splats
-from codec.slots.slotstate import ESCAPED, ON_LATTICE
-from codec.slots.update import NEW
+from codec.slots.slotlayout import NEW
+from codec.slots.state import ESCAPED, ON_LATTICE
 from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.layers import Rank
 from codec.stream.manifest import Manifest
-from codec.tools.slotcensus import count_slots
+from codec.stream.wholeslice import Rank
+from codec.tools.audit import count_slots
 from player.render.cpu import render_splats
 from tests.support.reference_render import scattered_splats, turned_camera
 from tests.support.tiny_stream import tiny_manifest
@@ -30,13 +30,11 @@ from trainer.fit.config import FitConfig
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.observer import Observer
 from trainer.fit.trainer import Trainer
-from trainer.pictures.feed import CapturePictures
-from trainer.pictures.framecache import FrameCache
+from trainer.pictures.framecache import CapturePictures, FrameCache
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
-from trainer.run.outputs import run_targets
+from trainer.run.outputs import matured_by_contribution, run_targets, slices_by_contribution
 from trainer.run.prepare import first_gaussians, layer_slots, make_manifest, prepare
-from trainer.run.rank import matured_by_contribution, slices_by_contribution
 from trainer.step.raster import View
 
 NUM_FRAMES, WINDOW = 5, 2

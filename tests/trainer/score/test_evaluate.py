@@ -17,8 +17,7 @@ from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.lattice.lattice import Lattice
 from codec.slice import Slice
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import PREDICTED
+from codec.slots.slotlayout import PREDICTED, SlotLayout
 from codec.stream import StreamReader, StreamWriter
 from tests.support.commands import run_ok
 from tests.support.slots.folder import slots_manifest
@@ -32,10 +31,9 @@ from trainer.errors import CaptureError
 from trainer.pictures.framecache import FrameCache
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 from trainer.score.meter import QualityMeter
-from trainer.score.picture import captured, displayed
+from trainer.score.scores import traffic
 from trainer.score.sheet import HEADER_PX, write_sheet
-from trainer.score.traffic import traffic
-from trainer.score.truth import stream_cameras
+from trainer.score.truth import captured, displayed, stream_cameras
 from trainer.step.loss import psnr_db
 
 SCALE = 0.3

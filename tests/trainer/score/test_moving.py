@@ -19,12 +19,11 @@ from codec.stream import StreamWriter
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, seen_by, write_dynamic3dgs
 from tests.support.tiny_stream import tiny_manifest, tiny_slice
 from trainer.capture.capture import Mask, Picture
-from trainer.pictures.shot import Shot
-from trainer.score.colourfit import colour_fitted
+from trainer.pictures.scale import Shot
 from trainer.score.evaluate import EvaluateConfig, Evaluation, evaluate_stream
-from trainer.score.moving import MIN_MOVING_PX, Movement, movement_of
-from trainer.score.picture import captured
+from trainer.score.scores import colour_fitted
 from trainer.score.sheet import ENLARGED, HEADER_PX, write_sheet
+from trainer.score.truth import MIN_MOVING_PX, Movement, captured, movement_of
 from trainer.step.loss import psnr_db
 
 FRAMES = 4

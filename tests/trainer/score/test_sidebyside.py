@@ -16,8 +16,8 @@ from tests.support.commands import run_ok
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, seen_by, write_dynamic3dgs
 from tests.support.tiny_stream import tiny_manifest, write_tiny
 from trainer.score.evaluate import EvaluateConfig
-from trainer.score.picture import captured, displayed
 from trainer.score.sidebyside import MOST_ERROR, error_colours, side_by_side, write_side_by_side
+from trainer.score.truth import captured, displayed
 from trainer.step.loss import psnr_db
 
 FRAMES = 6

@@ -14,8 +14,16 @@ from codec.arrays import Floats
 from codec.camera import Camera
 from codec.splats import SH_C0
 from tests.support.tiny_capture import tiny_rig
-from trainer.seed.gaussians import SPACING_SCALE, initial_splats, spacings, stereo_seeds
-from trainer.seed.nearest import MIN_IN_VIEW, MIN_STRAYS, nearest_seen, share_nearer
+from trainer.seed.gaussians import (
+    MIN_IN_VIEW,
+    MIN_STRAYS,
+    SPACING_SCALE,
+    initial_splats,
+    nearest_seen,
+    share_nearer,
+    spacings,
+    stereo_seeds,
+)
 from trainer.seed.stereo import better_half
 
 FLOOR_Y_M = 0.0

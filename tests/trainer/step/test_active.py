@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.camera import Camera
-from player.render.recipe import TILE_PX
+from player.render.project import TILE_PX
 from tests.support.reference_render import scattered_splats, turned_camera
-from trainer.pictures.shot import Shot
+from trainer.pictures.scale import Shot
 from trainer.step import raster
 from trainer.step.active import with_neighbours
 from trainer.step.backend import StepInput

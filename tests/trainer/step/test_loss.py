@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from codec.arrays import Bytes, Doubles, Floats
-from player.render.recipe import TILE_PX
+from player.render.project import TILE_PX
 from trainer.step.loss import C1, C2, TAPS, Loss, Workspace, photometric_loss, psnr_db, ssim
 
 

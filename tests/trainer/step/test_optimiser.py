@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from codec.pose import rotation_of
+from codec.camera import rotation_of
 from trainer.step.optimiser import (
     GATE_STEEPNESS,
     LOG_SCALES_LR,
@@ -19,9 +19,10 @@ from trainer.step.optimiser import (
     AgeScaling,
     OptimiserConfig,
     add_noise,
+    cells_of,
+    move_together,
 )
 from trainer.step.raster import Parameters
-from trainer.step.together import cells_of, move_together
 
 
 def round_gaussians(rows: int, opacity: float) -> Parameters:

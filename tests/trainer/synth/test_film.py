@@ -22,8 +22,15 @@ from tests.support.commands import run_ok
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.synth.film import Studio, SynthConfig, check_config, spacing_m, synthesise
-from trainer.synth.motion import BALL_RADIUS_M, WALK_RADIUS_M, ball_place, foot_place, moving_cones
-from trainer.synth.scene import Scene, camera_rig
+from trainer.synth.scene import (
+    BALL_RADIUS_M,
+    WALK_RADIUS_M,
+    Scene,
+    ball_place,
+    camera_rig,
+    foot_place,
+    moving_cones,
+)
 
 TINY = SynthConfig(
     Path("unset"), frames=3, cameras=4, held_out=1, width_px=64, height_px=36, points=300

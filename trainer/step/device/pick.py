@@ -11,13 +11,12 @@ import numpy as np
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from trainer.pictures.shot import Shot
+from trainer.pictures.scale import Shot
 from trainer.step.backend import Backend, BackendName, Selection, Step, StepInput, Training
 from trainer.step.colour import CameraColour
 from trainer.step.cpubackend import CpuBackend
-from trainer.step.optimiser import Adam, OptimiserConfig
+from trainer.step.optimiser import Adam, CameraSpread, OptimiserConfig
 from trainer.step.raster import Parameters, View
-from trainer.step.scalebound import CameraSpread
 
 TOLERANCE = 1e-3
 """Tolerated error of a trial's loss: far above rounding, far below a device that errs."""
@@ -67,13 +66,13 @@ def _cuda_lacks() -> str | None:
 def _cuda(weights: Weights) -> Backend:
     from gsplat import rasterization
 
-    from .cuda import CudaBackend
+    from .backends import CudaBackend
 
     return CudaBackend(weights.dssim, weights.opacity_reg, weights.scale_reg, rasterization)
 
 
 def _plain(weights: Weights, device: str) -> Backend:
-    from .torchraster import TorchBackend
+    from .backends import TorchBackend
 
     return TorchBackend(weights.dssim, weights.opacity_reg, weights.scale_reg, device)
 

@@ -206,7 +206,7 @@ export function spareSlots(numSlots) {
 
 /**
  * The transition of each slot that a slice changes: MOVES, ENTERS, or 0 if nothing shows yet; possibly
- * with LEFT (codec/halfway.py).
+ * with LEFT (codec/slice.py).
  * @param {Slots} slots before the slice @param {Delta} delta @param {Uint8Array} statuses of the slots
  * @param {import("../gaussians.js").Lattice} lattice
  */

@@ -10,8 +10,8 @@ import numpy.typing as npt
 import pytest
 
 from player.render.gl import open_context
-from player.render.gl.depthsort import ABSENT, BLOCK, KEY_BITS, DepthSort
-from player.render.gl.glcontext import Unlocked
+from player.render.gl.context import Unlocked
+from player.render.gl.passes import ABSENT, BLOCK, KEY_BITS, DepthSort
 from player.render.renderer import GlVersion
 from tests.support.screen.opengl import NO_GL43
 

@@ -19,11 +19,9 @@ from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
-from player.render.cpu import CpuRenderer, render_splats
-from player.render.depth import render_depth
-from player.render.gl import GlError, GlRenderer, Target, bufferresident, glrenderer, open_context
+from player.render.cpu import CpuRenderer, Ring, render_depth, render_splats
+from player.render.gl import GlError, GlRenderer, Target, glrenderer, open_context, resident
 from player.render.renderer import GlVersion
-from player.render.ring import Ring
 from tests.player.render.test_glide import psnr_db
 from tests.support.hosted_streams import SWIN_SIZE, random_slice, random_splats, small_manifest
 from tests.support.screen.opengl import GL_VERSIONS, NO_GL43
@@ -306,7 +304,7 @@ def test_without_the_system_s_library_moderngl_draws_the_same(
 
     manifest = small_manifest(slice_size=50)
     usual = open_gl(manifest)
-    monkeypatch.setattr("player.render.gl.glcontext.ctypes.CDLL", missing)
+    monkeypatch.setattr("player.render.gl.context.ctypes.CDLL", missing)
     other = open_gl(manifest)
     for birth in range(1 - SWIN_SIZE, 1):
         usual.put(random_slice(birth, 50))
@@ -323,7 +321,7 @@ def test_what_4_3_cannot_hold_is_drawn_with_3_3(
     def refuse(*_: object) -> None:
         raise GlError("too many for this GPU")
 
-    monkeypatch.setattr(bufferresident, "_check_limits", refuse)
+    monkeypatch.setattr(resident, "_check_limits", refuse)
     monkeypatch.setattr(glrenderer, "version_for", lambda *_: GlVersion.V43)
     manifest = small_manifest(slice_size=10)
     with closing(GlRenderer(manifest)) as gl:

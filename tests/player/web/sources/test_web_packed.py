@@ -11,7 +11,7 @@ from PIL import Image
 from codec.errors import CodecError
 from codec.stream import StreamReader
 from codec.stream.captions import Captions
-from codec.tools.packing import pack_stream
+from codec.stream.streampacker import pack_stream
 from codec.tools.static import export_static
 from codec.tracks.streamtracks import add_captions
 from tests.support.delivery.rangehost import RangeHost, range_host

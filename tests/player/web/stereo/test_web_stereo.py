@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from codec.arrays import Doubles
-from codec.camera import Camera
-from codec.pose import rotation_about, world_to_camera
+from codec.camera import Camera, rotation_about, world_to_camera
 from tests.support.web.canvas import (
     LEAST_PSNR_DB,
     camera_of,

@@ -9,8 +9,15 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CorruptError, InvalidError
-from server.operate.sign.keyfile import add_key, read_keys
-from server.operate.sign.signing import ALL, Grant, Signer, nginx_secrets, sign_for_nginx
+from server.operate.sign.signing import (
+    ALL,
+    Grant,
+    Signer,
+    add_key,
+    nginx_secrets,
+    read_keys,
+    sign_for_nginx,
+)
 from tests.support.commands import run, run_ok
 from tests.support.hostile import refused
 

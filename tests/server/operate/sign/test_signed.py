@@ -14,8 +14,7 @@ import pytest
 
 from codec.stream.playrecord import EndRecord
 from server.abr.clientstatus import PLAY_HEADER
-from server.operate.sign.keyfile import add_key, read_keys
-from server.operate.sign.signing import Signer
+from server.operate.sign.signing import Signer, add_key, read_keys
 from tests.server.hostile.serverprocess import ask, server_process
 from tests.support.commands import run, run_ok
 from tests.support.hosted_streams import write_stream

@@ -22,8 +22,7 @@ import pytest
 from codec.stream.playrecord import EndRecord, ErrorRecord, Record
 from server.abr.clientstatus import PLAY_HEADER, RATE_HEADER
 from server.http.errors import ServerError
-from server.operate.sign.keyfile import add_key, read_keys
-from server.operate.sign.signing import Signer
+from server.operate.sign.signing import Signer, add_key, read_keys
 from server.operate.workers import SHARED_MEMORY, WorkerFolder
 from server.serving import check_files
 from server.state.config import ServerConfig

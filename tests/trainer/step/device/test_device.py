@@ -15,13 +15,12 @@ from torch import Tensor
 
 from codec.camera import Camera
 from codec.splats import SH_C0
-from player.render.recipe import LOW_PASS_PX2, TILE_PX
+from player.render.project import LOW_PASS_PX2, TILE_PX
 from tests.support.reference_render import render_reference
 from tests.trainer.step.device.test_torchraster import WEIGHTS, shot_of, stepped
 from trainer.step.backend import Backend
 from trainer.step.cpubackend import CpuBackend
-from trainer.step.device.cuda import CudaBackend
-from trainer.step.device.torchraster import TorchBackend
+from trainer.step.device.backends import CudaBackend, TorchBackend
 from trainer.step.raster import Parameters
 
 COUNT, TRAINABLE = 60, 45

@@ -18,12 +18,11 @@ import torch
 from torch import Tensor
 
 from codec.camera import Camera
-from player.render.recipe import LOW_PASS_PX2
+from player.render.project import LOW_PASS_PX2
 from tests.support.reference_render import turned_camera
-from trainer.step.device.crossing import Crossing
-from trainer.step.device.cuda import gsplat_picture, reached_tiles
-from trainer.step.device.deviceview import DeviceView
-from trainer.step.device.torchproject import CONIC_A, CONIC_C, Solids, X, Y, project, rotations
+from trainer.step.device.backends import gsplat_picture, reached_tiles
+from trainer.step.device.tensors import Crossing, DeviceView
+from trainer.step.device.torchrender import CONIC_A, CONIC_C, Solids, X, Y, project, rotations
 from trainer.step.raster import View
 
 VERSION = "1.5.3"

@@ -15,9 +15,8 @@ from tests.support.hostile import refused
 from trainer.step.backend import BackendName, Resident, StepInput, Training
 from trainer.step.cpubackend import CpuBackend
 from trainer.step.device import pick
-from trainer.step.device.cuda import CudaBackend
+from trainer.step.device.backends import CudaBackend, TorchBackend
 from trainer.step.device.pick import Weights, pick_backend
-from trainer.step.device.torchraster import TorchBackend
 from trainer.step.loss import Loss
 from trainer.step.raster import Parameters
 

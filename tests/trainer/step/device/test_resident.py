@@ -16,19 +16,22 @@ from codec.arrays import Ints
 from codec.camera import Camera
 from tests.support.reference_render import turned_camera
 from trainer.capture.capture import Mask
-from trainer.pictures.shot import Shot
+from trainer.pictures.scale import Shot
 from trainer.step.backend import Resident, Selection, Step, Training
 from trainer.step.colour import CameraColour
 from trainer.step.cpubackend import CpuBackend
-from trainer.step.device.crossing import Crossing
-from trainer.step.device.cuda import CudaBackend
-from trainer.step.device.packedrows import pack
-from trainer.step.device.picturecache import PictureCache
-from trainer.step.device.tensorupdate import add_tensor_noise
-from trainer.step.device.torchraster import TorchBackend
-from trainer.step.optimiser import GATE_STEEPNESS, Adam, AgeScaling, OptimiserConfig, add_noise
+from trainer.step.device.backends import CudaBackend, TorchBackend
+from trainer.step.device.tensors import Crossing, PictureCache, pack
+from trainer.step.device.tensorstep import add_tensor_noise
+from trainer.step.optimiser import (
+    GATE_STEEPNESS,
+    Adam,
+    AgeScaling,
+    CameraSpread,
+    OptimiserConfig,
+    add_noise,
+)
 from trainer.step.raster import Parameters, View
-from trainer.step.scalebound import CameraSpread
 
 NUM_GS = 300
 SHOWN = np.concatenate([np.arange(20, NUM_GS), NUM_GS + np.arange(10, 60)]).astype(np.int32)

@@ -17,14 +17,24 @@ from codec.camera import Camera
 from codec.errors import InvalidError
 from tests.support.reference_render import turned_camera
 from tests.trainer.step.device.test_resident import NUM_GS, begin, steps, training
-from trainer.pictures.shot import Shot
+from trainer.pictures.scale import Shot
 from trainer.step.backend import Backend, MemoryNeeds, Selection, StepInput
 from trainer.step.cpubackend import CpuBackend
-from trainer.step.device.devicememory import planned
-from trainer.step.device.torchblend import PAIR_BYTES, SLAB, blend
-from trainer.step.device.torchproject import CONIC_A, CONIC_C, DRAWN, OPACITY, RED, X, Y
-from trainer.step.device.torchraster import TorchBackend
-from trainer.step.device.torchtiles import TensorLists
+from trainer.step.device.backends import TorchBackend
+from trainer.step.device.device import planned
+from trainer.step.device.torchrender import (
+    CONIC_A,
+    CONIC_C,
+    DRAWN,
+    OPACITY,
+    PAIR_BYTES,
+    RED,
+    SLAB,
+    TensorLists,
+    X,
+    Y,
+    blend,
+)
 from trainer.step.loss import Loss
 from trainer.step.raster import Parameters, View
 
