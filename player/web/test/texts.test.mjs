@@ -26,7 +26,7 @@ const IN_FILE = {
 function textsOfCode() {
   const found = new Set([REPLACED, ...[GONE, SILENT, BUSY].map((why) => `${why}; trying again`)]);
   const isCode = (path) =>
-    /^(element|playback|renderer|sound|source|stereo|view)\/[^.]*\.js$/.test(path);
+    /^(controls|element|playback|renderer|sound|source|stereo|view)\/[^.]*\.js$/.test(path);
   for (const path of readdirSync(WEB, { recursive: true }).filter(isCode)) {
     const code = readFileSync(new URL(path, WEB), "utf8").replace(/" \+\s+"/g, "");
     for (const pattern of [...SHOWN, ...(IN_FILE[path] ? [IN_FILE[path]] : [])])

@@ -7,7 +7,7 @@ import { create, ts } from "@custom-elements-manifest/analyzer";
 const WEB = fileURLToPath(new URL("../", import.meta.url));
 
 /** The element's class and those that it extends. */
-const SOURCES = ["swingsplayer", "mediainterface", "pictureinterface", "mediaattributes"];
+const SOURCES = ["swingsplayer", "mediainterface", "pictureinterface"];
 
 /** @typedef {{ name: string, kind?: string, description?: string, privacy?: string }} Described */
 
