@@ -118,7 +118,7 @@ class Outcome:
     ssim: float
     flicker: float | None
     bytes_per_frame: float
-    """Bytes of one slice; in a short run the snapshot of frame 0 would weigh too much."""
+    """Bytes of one slice; in a short run the keyframe of frame 0 would weigh too much."""
     layers_db: list[float]
     """PSNR with 1, 2, ... layers."""
     layers_bytes: list[float]
@@ -179,11 +179,12 @@ def training(config: TrialsConfig, setting: Setting, stream: Path) -> TrainConfi
 
 
 def slice_bytes(reader: StreamReader) -> float:
-    """Mean bytes of a slice, masks and changes. The slice of frame 0 is empty and not counted."""
+    """Mean bytes of a slice, skip maps and changes. The slice of frame 0 is empty and not
+    counted."""
     records = reader.records
-    masks = sum(record.side_bytes[0] for record in records)
+    skip_maps = sum(record.side_bytes[0] for record in records)
     changes = sum(sum(record.object_bytes) for record in records)
-    return (masks + changes) / max(reader.num_frames - 1, 1)
+    return (skip_maps + changes) / max(reader.num_frames - 1, 1)
 
 
 def measure_once(config: TrialsConfig, setting: Setting, examine: Examine) -> Outcome:

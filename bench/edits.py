@@ -26,7 +26,7 @@ from codec.interop.formats import SplatFormat, write_splats
 from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.manifest import snapshot_part
+from codec.stream.manifest import keyframe_part
 from tests.support.slots.edited import FrameEdit, least_psnr_db, objects_bytes
 from tests.support.slots.slot_streams import slot_manifest
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
@@ -114,7 +114,7 @@ def joined(source: Path, config: EditsConfig, root: Path) -> Iterator[list[str]]
     for following in (second, other):
         made = join_streams([first, following], root / f"joined {following.name}")
         reader = StreamReader(following)
-        parts = map(snapshot_part, range(reader.manifest.num_layers))
+        parts = map(keyframe_part, range(reader.manifest.num_layers))
         state_bytes = sum(len(reader.read_object(0, part).data) for part in parts)
         yield [
             f"{source.name}, {following.name.removeprefix(source.name)}",

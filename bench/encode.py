@@ -57,18 +57,18 @@ def synthetic_slices(count: int) -> list[Slice]:
 
 
 def encode_slice(slice: Slice, layout: SlotLayout, exact: bool) -> list[EncodedChunk]:
-    """The mask of `slice` and its change of each layer, as the writer encodes them."""
+    """The skip map of `slice` and its change of each layer, as the writer encodes them."""
     encoder = SlotEncoder(layout)
     encoder.append(Update.keeping(0, layout))
     made = encoder.append(whole_update(slice, layout, opacity_rank, exact))
     assert made is not None
-    return [made.mask, *made.changes]
+    return [made.skip_map, *made.changes]
 
 
 def decode_slice(parts: list[bytes], layout: SlotLayout) -> Slice:
     decoder, empty = SlotDecoder(layout), SlotEncoder(layout)
     empty.append(Update.keeping(0, layout))
-    for chunk in empty.snapshots():
+    for chunk in empty.keyframes():
         decoder.load(chunk.data)
     decoder.apply(1, parts[0], parts[1:])
     return decoder.whole(1)
@@ -79,7 +79,7 @@ def pack(chunks: list[EncodedChunk]) -> list[bytes]:
 
 
 def inflate_and_decode(packets: list[bytes], layout: SlotLayout) -> Slice:
-    limits = [layout.max_mask_bytes, *map(layout.max_change_bytes, range(layout.num_layers))]
+    limits = [layout.max_skip_map_bytes, *map(layout.max_change_bytes, range(layout.num_layers))]
     parts = [packet_content(data, limit) for data, limit in zip(packets, limits, strict=True)]
     return decode_slice(parts, layout)
 

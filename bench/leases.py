@@ -5,10 +5,9 @@ Usage: scripts/bench leases CAPTURE --out docs/leases.png
 
 One choice is changed at a time. Every setting is trained once per seed and scored from its decoded
 files on the held-out cameras; finished runs are kept as JSON in --work, like those of
-`scripts/bench ablate`. "kB a frame" is the size of a slice, mask and changes: the stream's rate in
-the long run. "frame 0 kB" is the size of the snapshots of frame 0. "unpredicted" is the size of the
-same slices if every Gaussian that they send were coded by itself, as a new one.
-"""
+`scripts/bench ablate`. "kB a frame" is the size of a slice, skip map and changes: the stream's rate
+in the long run. "frame 0 kB" is the size of the keyframes of frame 0. "unpredicted" is the size of
+the same slices if every Gaussian that they send were coded by itself, as a new one."""
 
 from __future__ import annotations
 
@@ -34,7 +33,7 @@ from codec.errors import InvalidError
 from codec.slots.encoder import SlotEncoder
 from codec.slots.slotlayout import NEW, PREDICTED
 from codec.stream import StreamReader
-from codec.stream.manifest import MASKS
+from codec.stream.manifest import SKIP_MAPS
 from codec.stream.segment import encode_packet
 from trainer.fit.config import FitConfig
 
@@ -112,29 +111,29 @@ def settings(config: LeasesConfig) -> list[Setting]:
 
 
 def recoded(reader: StreamReader, predicts: bool = False) -> Iterator[list[bytes]]:
-    """The packets of each slice from frame 1 on, mask first: unchanged, or with every predicted
+    """The packets of each slice from frame 1 on, skip map first: unchanged, or with every predicted
     Gaussian coded as new."""
     manifest = reader.manifest
     decoder = reader.decoder_at(0, manifest.num_layers)
     for birth in range(1, reader.num_frames):
-        mask, *changes = (
+        skip_map, *changes = (
             reader.read_object(manifest.segment_of(birth), part).content(birth)
-            for part in (MASKS, *range(manifest.num_layers))
+            for part in (SKIP_MAPS, *range(manifest.num_layers))
         )
         encoder = SlotEncoder.resumed(decoder)
-        statuses = decoder.statuses(birth, mask, changes)
-        decoder.apply(birth, mask, changes)
+        statuses = decoder.statuses(birth, skip_map, changes)
+        decoder.apply(birth, skip_map, changes)
         update = recorded_update(decoder, birth, statuses)
         if not predicts:
             statuses = np.where(statuses == PREDICTED, NEW, statuses).astype(np.uint8)
             update = replace(update, statuses=statuses)
         encoded = encoder.encode(update)
         assert encoded is not None  # nothing is born before frame 0 here
-        yield [encode_packet(chunk) for chunk in (encoded.mask, *encoded.changes)]
+        yield [encode_packet(chunk) for chunk in (encoded.skip_map, *encoded.changes)]
 
 
 def examine(reader: StreamReader) -> dict[str, float]:
-    """Bytes of a slice without prediction, and bytes of the snapshots of frame 0."""
+    """Bytes of a slice without prediction, and bytes of the keyframes of frame 0."""
     without = [sum(map(len, packets)) for packets in recoded(reader)]
     return {
         "unpredicted_bytes": sum(without) / max(len(without), 1),

@@ -13,7 +13,7 @@ from codec.slots.decoder import SlotDecoder
 from codec.slots.slotlayout import KEPT, NEW, PREDICTED, Update
 from codec.slots.state import ESCAPED, holds
 from codec.splats import Splats
-from codec.stream.manifest import MASKS
+from codec.stream.manifest import SKIP_MAPS
 from codec.stream.reader import StreamReader
 
 
@@ -27,12 +27,12 @@ def recorded_slices(reader: StreamReader) -> Iterator[tuple[int, SlotDecoder, By
         held = np.concatenate([holds(slots.conditions) for slots in lane])
         yield birth, decoder, np.where(held, NEW, KEPT).astype(np.uint8)
     for birth in range(1, reader.num_frames):
-        mask, *changes = (
+        skip_map, *changes = (
             reader.read_object(manifest.segment_of(birth), part).content(birth)
-            for part in (MASKS, *range(manifest.num_layers))
+            for part in (SKIP_MAPS, *range(manifest.num_layers))
         )
-        statuses = decoder.statuses(birth, mask, changes)
-        decoder.apply(birth, mask, changes)
+        statuses = decoder.statuses(birth, skip_map, changes)
+        decoder.apply(birth, skip_map, changes)
         yield birth, decoder, statuses
 
 

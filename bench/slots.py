@@ -29,7 +29,7 @@ SEGMENT_FRAMES = 30
 
 @dataclass(frozen=True, slots=True)
 class SlotsConfig:
-    """Measures masks, changes and snapshots on one core."""
+    """Measures skip maps, changes and keyframes on one core."""
 
     num_slots: int = 30_000
     """Slots in a lane."""
@@ -58,10 +58,10 @@ def run(config: SlotsConfig) -> None:
     encoder, decoder = SlotEncoder(layout), SlotDecoder(layout)
     for update in updates[:SWIN_SIZE]:
         encoder.append(update)
-    snapshots = [packet(chunk) for chunk in encoder.snapshots()]
-    limits = [layout.max_snapshot_bytes(n) for n in range(layout.num_layers)]
+    keyframes = [packet(chunk) for chunk in encoder.keyframes()]
+    limits = [layout.max_keyframe_bytes(n) for n in range(layout.num_layers)]
     start = time.thread_time()
-    for data, limit in zip(snapshots, limits, strict=True):
+    for data, limit in zip(keyframes, limits, strict=True):
         decoder.load(decompress(data, limit))
     join_ms = 1e3 * (time.thread_time() - start)
     sent: list[tuple[bytes, list[bytes]]] = []
@@ -69,12 +69,12 @@ def run(config: SlotsConfig) -> None:
     def encode(update: Update) -> None:
         made = encoder.append(update)
         assert made is not None
-        sent.append((packet(made.mask), [packet(change) for change in made.changes]))
+        sent.append((packet(made.skip_map), [packet(change) for change in made.changes]))
 
-    def decode(birth: int, mask: bytes, changes: list[bytes]) -> None:
+    def decode(birth: int, skip_map: bytes, changes: list[bytes]) -> None:
         decoder.apply(
             birth,
-            decompress(mask, layout.max_mask_bytes),
+            decompress(skip_map, layout.max_skip_map_bytes),
             [decompress(c, layout.max_change_bytes(n)) for n, c in enumerate(changes)],
         )
 
@@ -84,10 +84,10 @@ def run(config: SlotsConfig) -> None:
         [partial(decode, update.birth, *parts) for update, parts in zip(late, sent, strict=True)]
     )
     whole_ms = median_ms([partial(decoder.whole, late[-1].birth)] * 9)
-    a_slot = sum(map(len, snapshots)) / (SWIN_SIZE * config.num_slots)
+    a_slot = sum(map(len, keyframes)) / (SWIN_SIZE * config.num_slots)
     changed = np.mean([np.count_nonzero(update.statuses) for update in late])
     coded = np.mean([len(update.states) for update in late])
-    mask_bytes = np.mean([len(mask) for mask, _ in sent])
+    skip_map_bytes = np.mean([len(skip_map) for skip_map, _ in sent])
     change_bytes = np.mean([sum(map(len, changes)) for _, changes in sent])
     table = Table(
         title=f"{config.num_slots} slots in {layout.num_layers} layers", show_header=False
@@ -97,8 +97,9 @@ def run(config: SlotsConfig) -> None:
         "packets -> applied slice (median)": f"{decode_ms:.2f} ms",
         "update -> packets (median)": f"{encode_ms:.1f} ms",
         "a lane as a whole slice": f"{whole_ms:.2f} ms",
-        f"snapshots of {SWIN_SIZE} lanes loaded": f"{join_ms:.1f} ms",
-        "mask": f"{mask_bytes:.0f} bytes, {8 * mask_bytes / config.num_slots:.2f} bits a slot",
+        f"keyframes of {SWIN_SIZE} lanes loaded": f"{join_ms:.1f} ms",
+        "skip map": f"{skip_map_bytes:.0f} bytes, "
+        f"{8 * skip_map_bytes / config.num_slots:.2f} bits a slot",
         "changes": f"{change_bytes:.0f} bytes, {change_bytes / coded:.2f} a predicted or new one",
         "snapshots": f"{a_slot:.2f} bytes a slot",
     }

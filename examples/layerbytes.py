@@ -21,6 +21,6 @@ for layer in range(reader.manifest.num_layers):
         f"layer {layer}: {layer_bytes / frames / 1e3:.2f} kB a frame; up to here "
         f"{8 * total_bytes / frames * fps / 1e6:.2f} Mbit/s, {psnr_db:.2f} dB"
     )
-for name, part in (("masks", slice(0, 1)), ("snapshots, fetched on joining", slice(1, None))):
+for name, part in (("skipmaps", slice(0, 1)), ("keyframes, fetched on joining", slice(1, None))):
     side_bytes = sum(sum(record.side_bytes[part]) for record in reader.records)
     print(f"{name}: {side_bytes / frames / 1e3:.2f} kB a frame")

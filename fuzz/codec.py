@@ -18,7 +18,7 @@ New inputs are written to the first folder, inputs that violate the property to 
 `python -m fuzz FILE...` runs single files again; `tests/codec/test_fuzz.py` does so with the whole
 corpus, without atheris. Inputs that found a bug, since fixed, are kept in fuzz/corpus as `found-*`;
 `python -m fuzz.seed` rewrites the corpus. A new parser needs a function and an entry at the end of
-TARGETS here, and a seed there. Masks, changes and snapshots are in fuzz/slots.py and
+TARGETS here, and a seed there. Skip maps, changes and keyframes are in fuzz/slots.py and
 fuzz/slotseed.py, containers of other programs in fuzz/foreign.py and fuzz/foreignseed.py.
 """
 
@@ -57,7 +57,7 @@ from .foreign import (
     fuzz_sequence,
     fuzz_webp,
 )
-from .slots import fuzz_change, fuzz_mask, fuzz_slots, fuzz_snapshot
+from .slots import fuzz_change, fuzz_keyframe, fuzz_skip_map, fuzz_slots
 
 MAX_PACKET_BYTES = 1 << 20
 """Maximum content of a packet that is inflated."""
@@ -180,9 +180,9 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "splat": fuzz_splat,
     "inflated_spz": fuzz_inflated_spz,
     "inflated_spz_4": fuzz_inflated_spz_4,
-    "mask": fuzz_mask,
+    "skip_map": fuzz_skip_map,
     "change": fuzz_change,
-    "snapshot": fuzz_snapshot,
+    "keyframe": fuzz_keyframe,
     "slots": fuzz_slots,
     "bundle": fuzz_bundle,
     "webp": fuzz_webp,

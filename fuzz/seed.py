@@ -24,9 +24,9 @@ from codec.stream.packedlayout import PackedHead, PackedLayout
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
+    KeyframeRecord,
     Record,
     SliceRecord,
-    SnapshotRecord,
     StartRecord,
     encode_record,
 )
@@ -123,7 +123,7 @@ def records() -> bytes:
     packet = compress(bytes(range(99)))
     sent: list[Record] = [
         StartRecord(0, 8, made_manifest().to_json()),
-        SnapshotRecord(0, 0, (packet,)),
+        KeyframeRecord(0, 0, (packet,)),
         SliceRecord(1, (packet, b""), packet),
         SliceRecord(2, (packet,), None, 1),
         ErrorRecord("the disk is gone"),
@@ -167,9 +167,9 @@ def seeds() -> Iterator[tuple[str, str, bytes]]:
     yield "manifest", "plain", made_manifest().to_json()
     yield "record", "all", records()
     yield "sealed_record", "slice", encode_record(SliceRecord(7, (b"ab", b"c"), None, 1))[4:]
-    yield "sealed_record", "masked", encode_record(SliceRecord(7, (b"ab",), b"mask"))[4:]
-    yield "sealed_record", "mask-only", encode_record(SliceRecord(7, (), b"mask"))[4:]
-    yield "sealed_record", "snapshot", encode_record(SnapshotRecord(8, 1, (b"ab", b"c")))[4:]
+    yield "sealed_record", "masked", encode_record(SliceRecord(7, (b"ab",), b"skip_map"))[4:]
+    yield "sealed_record", "skip-map-only", encode_record(SliceRecord(7, (), b"skip_map"))[4:]
+    yield "sealed_record", "keyframe", encode_record(KeyframeRecord(8, 1, (b"ab", b"c")))[4:]
     yield "sealed_record", "end", encode_record(EndRecord(3))[4:]
     yield "sealed_record", "start", encode_record(StartRecord(2, 5, b"{}"))[4:]
     yield "sealed_record", "error", encode_record(ErrorRecord("no"))[4:]

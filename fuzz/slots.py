@@ -1,5 +1,5 @@
-"""Targets for the parsers of chunks, with the property of fuzz/codec.py: masks, changes, snapshots,
-and a reader that executes a script.
+"""Targets for the parsers of chunks, with the property of fuzz/codec.py: skip maps, changes,
+keyframes, and a reader that executes a script.
 
 The first byte of the input chooses the layout (`LAYOUTS`).
 """
@@ -15,9 +15,9 @@ from codec.lattice.lattice import Lattice, States
 from codec.slots.change import decode_change, encode_change
 from codec.slots.decoder import MIN_LOG_BYTES, SlotDecoder
 from codec.slots.encoder import SlotEncoder
-from codec.slots.mask import decode_mask, encode_mask
+from codec.slots.skipmap import decode_skip_map, encode_skip_map
 from codec.slots.slotlayout import HEADER_BYTES, SLOT_HEADER, Kind, SlotHeader, SlotLayout
-from codec.slots.state import UNKNOWN, Slots, decode_snapshot, encode_snapshot
+from codec.slots.state import UNKNOWN, Slots, decode_keyframe, encode_keyframe
 
 LATTICE = Lattice(0.01, 0.125, 1 / 60, 0.056, 41)
 LAYOUTS = (
@@ -54,21 +54,21 @@ def state_bytes(slots: Slots) -> bytes:
     return b"".join(array.tobytes() for array in arrays)
 
 
-def fuzz_mask(data: bytes) -> None:
-    """A mask, after one byte for each slot: its status in earlier masks."""
+def fuzz_skip_map(data: bytes) -> None:
+    """A skip map, after one byte for each slot: its status in earlier skip maps."""
     layout, data = LAYOUTS[data[0] % len(LAYOUTS)], data[1:]
     said = data[: layout.num_slots].ljust(layout.num_slots, b"\0")
     history = np.frombuffer(said, np.uint8) & np.uint8(3)
     food = data[layout.num_slots :]
     birth = SLOT_HEADER.unpack_from(food)[-1] if len(food) >= HEADER_BYTES else 0
-    statuses = decode_mask(layout, birth, food, history)
-    assert len(food) <= layout.max_mask_bytes
-    again = encode_mask(layout, birth, statuses, history).data
-    assert (decode_mask(layout, birth, again, history) == statuses).all()
+    statuses = decode_skip_map(layout, birth, food, history)
+    assert len(food) <= layout.max_skip_map_bytes
+    again = encode_skip_map(layout, birth, statuses, history).data
+    assert (decode_skip_map(layout, birth, again, history) == statuses).all()
 
 
 def fuzz_change(data: bytes) -> None:
-    """A change; its own counts stand for those of a mask, as far as there are slots."""
+    """A change; its own counts stand for those of a skip map, as far as there are slots."""
     layout, food = LAYOUTS[data[0] % len(LAYOUTS)], data[1:]
     header = SlotHeader.read(food, Kind.CHANGE)
     layer = header.layer % layout.num_layers
@@ -94,16 +94,16 @@ def fuzz_change(data: bytes) -> None:
     assert (again.start_offsets == change.start_offsets).all()
 
 
-def fuzz_snapshot(data: bytes) -> None:
-    """A snapshot of any layer and segment."""
+def fuzz_keyframe(data: bytes) -> None:
+    """A keyframe of any layer and segment."""
     layout, food = LAYOUTS[data[0] % len(LAYOUTS)], data[1:]
-    snapshot = decode_snapshot(layout, food)
-    assert len(food) <= layout.max_snapshot_bytes(snapshot.layer)
-    encoded = encode_snapshot(layout, snapshot.layer, snapshot.frame, snapshot.lanes).data
-    again = decode_snapshot(layout, encoded)
+    keyframe = decode_keyframe(layout, food)
+    assert len(food) <= layout.max_keyframe_bytes(keyframe.layer)
+    encoded = encode_keyframe(layout, keyframe.layer, keyframe.frame, keyframe.lanes).data
+    again = decode_keyframe(layout, encoded)
     # A start in the past is now 0, and the integers of an escape are zeros.
-    assert encode_snapshot(layout, again.layer, again.frame, again.lanes).data == encoded
-    for one, other in zip(snapshot.lanes, again.lanes, strict=True):
+    assert encode_keyframe(layout, again.layer, again.frame, again.lanes).data == encoded
+    for one, other in zip(keyframe.lanes, again.lanes, strict=True):
         assert (one.conditions == other.conditions).all()
         assert one.states.positions.tobytes() == other.states.positions.tobytes()
 
@@ -140,7 +140,7 @@ def _step(decoder: SlotDecoder, what: int, missing: int, layer: int, age: int, f
     if what == LOAD:
         decoder.load(food)
     elif frame is None:
-        raise CorruptError("no snapshot yet")
+        raise CorruptError("no keyframe yet")
     elif what == LATE:
         decoder.late(frame - age, layer % decoder.num_layers, food)
     else:
@@ -150,7 +150,7 @@ def _step(decoder: SlotDecoder, what: int, missing: int, layer: int, age: int, f
 
 
 def _parts(food: bytes) -> list[bytes]:
-    """The parts of a slice: the mask, then the change of each layer."""
+    """The parts of a slice: the skip map, then the change of each layer."""
     parts = []
     at = 0
     while at + PART.size <= len(food):
@@ -170,7 +170,7 @@ def _check(decoder: SlotDecoder) -> None:
     known = not any((slots.conditions == UNKNOWN).any() for lane in decoder.lanes for slots in lane)
     if known and decoder.frame == decoder.layout.segment_start(decoder.frame):
         other = SlotDecoder(decoder.layout)
-        for chunk in SlotEncoder.resumed(decoder).snapshots():
+        for chunk in SlotEncoder.resumed(decoder).keyframes():
             other.load(chunk.data)
         for mine, its in zip(
             decoder.window(decoder.frame), other.window(decoder.frame), strict=True
@@ -188,5 +188,5 @@ def script(layout_number: int, steps: list[Step]) -> bytes:
 
 
 def slice_food(parts: list[bytes]) -> bytes:
-    """A slice in a script: its mask and its changes."""
+    """A slice in a script: its skip map and its changes."""
     return b"".join(PART.pack(len(part)) + part for part in parts)

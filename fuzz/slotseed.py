@@ -48,36 +48,36 @@ def made_update(encoder: SlotEncoder, rng: np.random.Generator) -> Update:
 def made_chunks(
     layout: SlotLayout,
 ) -> tuple[list[EncodedChunk], list[list[EncodedChunk]], dict[int, list[EncodedChunk]]]:
-    """The masks, the changes of each layer, and the snapshots by frame, of a stream."""
+    """The skip maps, the changes of each layer, and the keyframes by frame, of a stream."""
     encoder, rng = SlotEncoder(layout), np.random.default_rng(layout.num_slots)
-    masks: list[EncodedChunk] = []
+    skip_maps: list[EncodedChunk] = []
     changes: list[list[EncodedChunk]] = []
-    snapshots: dict[int, list[EncodedChunk]] = {}
+    keyframes: dict[int, list[EncodedChunk]] = {}
     while encoder.next_birth < NUM_FRAMES:
         encoded = encoder.append(made_update(encoder, rng))
         if encoded is None:
             continue
-        masks.append(encoded.mask)
+        skip_maps.append(encoded.skip_map)
         changes.append(list(encoded.changes))
         if encoded.birth == layout.segment_start(encoded.birth):
-            snapshots[encoded.birth] = list(encoder.snapshots())
-    return masks, changes, snapshots
+            keyframes[encoded.birth] = list(encoder.keyframes())
+    return skip_maps, changes, keyframes
 
 
 def _scripts(number: int) -> Iterator[tuple[str, bytes]]:
     """Scripts for a reader: one complete, and one with missing, late and repeated parts."""
-    masks, changes, snapshots = made_chunks(LAYOUTS[number])
-    loads: list[Step] = [(LOAD, 0, 0, 0, chunk.data) for chunk in snapshots[0]]
+    skip_maps, changes, keyframes = made_chunks(LAYOUTS[number])
+    loads: list[Step] = [(LOAD, 0, 0, 0, chunk.data) for chunk in keyframes[0]]
     slices = [
-        slice_food([mask.data, *(change.data for change in of_layers)])
-        for mask, of_layers in zip(masks, changes, strict=True)
+        slice_food([skip_map.data, *(change.data for change in of_layers)])
+        for skip_map, of_layers in zip(skip_maps, changes, strict=True)
     ]
     whole = [*loads, *((APPLY, 0, 0, 0, food) for food in slices[1:])]
     yield f"whole-{number}", script(number, whole)
     torn = list(loads)
     for birth, food in enumerate(slices[1:], start=1):
-        torn.append((APPLY, 2 if birth < 4 else 1, 0, 0, food))  # the first change, or the mask
-        torn += [(LOAD, 0, 0, 0, chunk.data) for chunk in snapshots.get(birth, [])]
+        torn.append((APPLY, 2 if birth < 4 else 1, 0, 0, food))  # the first change, or the skip map
+        torn += [(LOAD, 0, 0, 0, chunk.data) for chunk in keyframes.get(birth, [])]
         if birth == 3:
             torn += [(LATE, 0, 0, 3 - b, changes[b][0].data) for b in (2, 1, 3, 3)]
     yield f"torn-{number}", script(number, torn)
@@ -96,19 +96,19 @@ def made_index() -> bytes:
 def slot_seeds() -> Iterator[tuple[str, str, bytes]]:
     """(target, name, input), as in fuzz/seed.py."""
     for number, layout in enumerate(LAYOUTS):
-        masks, changes, snapshots = made_chunks(layout)
+        skip_maps, changes, keyframes = made_chunks(layout)
         head = bytes([number])
-        # The second mask of a segment is read as if it were the first.
+        # The second skip map of a segment is read as if it were the first.
         history = bytes(layout.num_slots)
         first = 1 if layout.segment_frames > 1 else 0
-        yield "mask", str(number), head + history + masks[first].data
+        yield "skip_map", str(number), head + history + skip_maps[first].data
         told = [change.data for of_layers in changes for change in of_layers if change.data]
         yield "change", str(number), head + told[-1]
-        last = snapshots[max(snapshots)]
-        yield "snapshot", str(number), head + last[0].data
+        last = keyframes[max(keyframes)]
+        yield "keyframe", str(number), head + last[0].data
         for what, food in _scripts(number):
             yield "slots", what, food
-        packets = [(mask.birth, encode_packet(mask)) for mask in masks]
+        packets = [(skip_map.birth, encode_packet(skip_map)) for skip_map in skip_maps]
         yield "object", str(number), join_packets(packets)
         yield "packet", str(number), packets[-1][1]
     yield "index", "two", made_index()

@@ -15,12 +15,9 @@ from types import ModuleType
 from typing import Any
 
 from codec import camera, slice, splats
-from codec import slice as halfway
 from codec.coders import zstd
 from codec.lattice import lattice, quantise
-from codec.slots import change, decoder, mask, rangecoder, slotlayout, state
-from codec.slots import slotlayout as slotchunk
-from codec.slots import slotlayout as update
+from codec.slots import change, decoder, rangecoder, skipmap, slotlayout, state
 from codec.stream import (
     captions,
     integrity,
@@ -33,36 +30,33 @@ from codec.stream import (
     segment,
     sound,
 )
-from player.render import project as recipe
-from player.render import upload
+from player.render import project, upload
 
 ROOT = Path(__file__).parents[1]
 WEB = ROOT / "player" / "web"
 
 CONSTANTS: dict[ModuleType, str] = {
-    recipe: "LOW_PASS_PX2 JACOBIAN_CLAMP ALPHA_MAX ALPHA_MIN MAX_EXTENT_SIGMA SH_C1 "
+    project: "LOW_PASS_PX2 JACOBIAN_CLAMP ALPHA_MAX ALPHA_MIN MAX_EXTENT_SIGMA SH_C1 "
     "SH_C2 SH_C3 COLOUR_TURN_RAD",
     upload: "COLOUR_COLUMNS MOVES ENTERS LEAST_SPARE SPARE_SHARE",
-    halfway: "JUMP_SIGMAS",
     splats: "SH_C0 MAX_SH_DEGREE",
-    slice: "MAX_SWIN_SIZE HIDDEN",
+    slice: "MAX_SWIN_SIZE HIDDEN JUMP_SIGMAS",
     camera: "MAX_IMAGE_PX",
     manifest: "VERSION MAX_MANIFEST_BYTES MAX_CAMERAS MIN_FPS MAX_FPS MAX_TEXT_CHARS "
     "MAX_POSTER_BYTES",
     reader: "DEFAULT_MAX_GAUSSIANS FLOAT_COPIES",
     slotlayout: "MAX_SLOTS MAX_NUM_GS=MAX_SLOTS_OF_LANES MAX_SEGMENT_SLOTS MAX_LAYERS "
-    "MAX_SEGMENT_FRAMES MAX_CHUNK_BYTES=MAX_SLOT_CHUNK_BYTES COUNTS_BYTES",
+    "MAX_SEGMENT_FRAMES MAX_CHUNK_BYTES=MAX_SLOT_CHUNK_BYTES COUNTS_BYTES "
+    "CHUNK_MAGIC=SLOT_MAGIC CHUNK_HEAD=SLOT_HEADER CHUNK_KINDS=Kind "
+    "HAS_STARTS=FLAG_SLOT_OFFSETS KEPT ENDED PREDICTED NEW",
     lattice: "POSITION_LIMIT MIN_STEP MAX_STEP MAX_BASE",
     quantise: "MAX_OPACITY_LEVELS MAX_LOGIT",
-    slotchunk: "CHUNK_MAGIC=SLOT_MAGIC CHUNK_HEAD=SLOT_HEADER CHUNK_KINDS=Kind "
-    "HAS_STARTS=FLAG_SLOT_OFFSETS",
     change: "CHANGE_COUNTS=COUNTS LONG MAX_GAP_BITS=MAX_LENGTH",
-    mask: "CONTEXTS FIRST_OF_B CONTEXT_OF_C",
+    skipmap: "CONTEXTS FIRST_OF_B CONTEXT_OF_C",
     rangecoder: "WHOLE_RANGE=WHOLE LEAST_RANGE=LEAST FIRST_PROBABILITY MOST_COUNTED",
-    update: "KEPT ENDED PREDICTED NEW",
     state: "UNKNOWN EMPTY ON_LATTICE ESCAPED",
     decoder: "MIN_LOG_BYTES LOG_SHARE",
-    segment: "SKIPPABLE_MAGIC TABLE_MAGIC OBJECT_HEAD=HEAD OBJECT_ENTRY=ENTRY "
+    segment: "SKIPPABLE_MAGIC TABLE_MAGIC OBJECT_HEAD OBJECT_ENTRY=ENTRY "
     "MAX_CHUNKS=MAX_CHUNKS_PER_OBJECT MAX_OBJECT_BYTES INDEX_HEAD=HEAD "
     "INDEX_LAYER=LAYER INDEX_SIDE=SIDE INDEX_CHECKSUM=CHECKSUM",
     zstd: "CODER ZSTD_MAGIC=MAGIC MAX_EXPANSION",
@@ -87,7 +81,7 @@ MOST_COLUMNS = 100
 RECORDS = {
     "start": playrecord.StartRecord,
     "slice": playrecord.SliceRecord,
-    "snapshot": playrecord.SnapshotRecord,
+    "keyframe": playrecord.KeyframeRecord,
     "end": playrecord.EndRecord,
     "error": playrecord.ErrorRecord,
 }

@@ -99,7 +99,7 @@ def test_quantising_costs_little_and_slots_that_last_save_bytes(made: Path) -> N
     assert abs(coded["psnr_db"] - raw["psnr_db"]) < 0.15
     assert coded["bytes_per_frame"] < raw["bytes_per_frame"] / 3
     assert lasting["bytes_per_frame"] < coded["bytes_per_frame"]
-    assert lasting["snapshot_bytes_per_frame"] > 0
+    assert lasting["keyframe_bytes_per_frame"] > 0
 
 
 @pytest.mark.parametrize("name", ["stream", "lasting"])

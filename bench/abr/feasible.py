@@ -79,18 +79,18 @@ def _base_bytes(media: Media, birth: int) -> float:
     """The least that layer 0 takes from one frame to the next."""
     sizes = media.sizes(birth)
     if birth % media.segment_frames == 0:
-        return min(sizes.layer_bytes[0], sizes.snapshot_bytes[0])
+        return min(sizes.layer_bytes[0], sizes.keyframe_bytes[0])
     return sizes.layer_bytes[0]
 
 
 def _first_bytes(media: Media, frame: int) -> float:
     """The least that layer 0 takes for `frame` to show when nothing is there."""
-    # Any snapshot before will do, with all changes since.
+    # Any keyframe before will do, with all changes since.
     least, since = math.inf, 0.0
     for birth in range(frame, -1, -1):
         sizes = media.sizes(birth)
         if birth % media.segment_frames == 0:
-            least = min(least, since + sizes.snapshot_bytes[0])
+            least = min(least, since + sizes.keyframe_bytes[0])
         since += sizes.layer_bytes[0]
         if since >= least:
             break

@@ -8,7 +8,7 @@ frame to the next. So a layer is known in frame f to no more than
 
     known(f) = (1 - changed(f)) * known(f - 1) + changed(f) * [its change is there],
 
-and a snapshot adds 1. Summed up, a change of frame b is worth changed(b) * (1 + left(b)) frames,
+and a keyframe adds 1. Summed up, a change of frame b is worth changed(b) * (1 + left(b)) frames,
 where left(b) are the frames that what is known at b is still known for, worn as it is; changes
 that all come are worth a frame each. A holding asks for more: that no change before is missing.
 
@@ -89,7 +89,7 @@ class Offer:
     frames: float
     """Frames of the layer that a unit shows, at most, if it is bought in parts too."""
     begins: float = 0.0
-    """Size of a snapshot as a multiple of the smallest one; 0 for other packets."""
+    """Size of a keyframe as a multiple of the smallest one; 0 for other packets."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,10 +134,10 @@ class _Worth:
     """Frames for each byte of the best change before, if it comes only now."""
     num_bytes: list[float]
     """Bytes of the frame's change."""
-    snapshot_bytes: list[float]
-    """Bytes of the smallest snapshot so far."""
-    snapshot: list[float]
-    """Frames for each byte of the best snapshot so far, if it comes now."""
+    keyframe_bytes: list[float]
+    """Bytes of the smallest keyframe so far."""
+    keyframe: list[float]
+    """Frames for each byte of the best keyframe so far, if it comes now."""
     spare_bytes: float
 
 
@@ -151,21 +151,21 @@ def _worth(play: Play, layer: int) -> _Worth:
     for frame in range(until - 1, 0, -1):
         left[frame - 1] = (1 - changed[frame]) * (1 + left[frame])
     own = [c * (1 + more) / size for c, more, size in zip(changed, left, num_bytes, strict=True)]
-    late, snapshot, snapshot_bytes = [0.0] * until, [0.0] * until, [0.0] * until
-    change_share, snapshot_share, least_bytes = 0.0, 0.0, math.inf  # shares for each byte, worn
+    late, keyframe, keyframe_bytes = [0.0] * until, [0.0] * until, [0.0] * until
+    change_share, keyframe_share, least_bytes = 0.0, 0.0, math.inf  # shares for each byte, worn
     for frame in range(until):
         change_share *= 1 - changed[frame]
-        snapshot_share *= 1 - changed[frame]
+        keyframe_share *= 1 - changed[frame]
         late[frame] = change_share * (1 + left[frame])
         change_share = max(change_share, changed[frame] / num_bytes[frame])
         if frame % media.segment_frames == 0:
-            whole_bytes = max(LEAST_BYTES, every[frame].snapshot_bytes[layer])
-            spare_bytes += whole_bytes - every[frame].snapshot_bytes[layer]
+            whole_bytes = max(LEAST_BYTES, every[frame].keyframe_bytes[layer])
+            spare_bytes += whole_bytes - every[frame].keyframe_bytes[layer]
             least_bytes = min(least_bytes, whole_bytes)
-            snapshot_share = max(snapshot_share, 1 / whole_bytes)
-        snapshot_bytes[frame] = least_bytes
-        snapshot[frame] = snapshot_share * (1 + left[frame])
-    return _Worth(left, own, late, num_bytes, snapshot_bytes, snapshot, spare_bytes)
+            keyframe_share = max(keyframe_share, 1 / whole_bytes)
+        keyframe_bytes[frame] = least_bytes
+        keyframe[frame] = keyframe_share * (1 + left[frame])
+    return _Worth(left, own, late, num_bytes, keyframe_bytes, keyframe, spare_bytes)
 
 
 def _group_offers(play: Play, group: Group, number: int, layer: int, worth: _Worth) -> list[Offer]:
@@ -181,8 +181,8 @@ def _group_offers(play: Play, group: Group, number: int, layer: int, worth: _Wor
     # Where late ones are worth less, those of the group stand for them.
     if late > best:
         offers.append(Offer(layer, number, num_bytes, late * num_bytes))
-    num_bytes = max(LEAST_BYTES, group.sizes.snapshot_bytes[layer])
-    most = max(worth.snapshot[frame] for frame in frames)
-    begins = num_bytes / worth.snapshot_bytes[group.end_frame - 1]
+    num_bytes = max(LEAST_BYTES, group.sizes.keyframe_bytes[layer])
+    most = max(worth.keyframe[frame] for frame in frames)
+    begins = num_bytes / worth.keyframe_bytes[group.end_frame - 1]
     offers.append(Offer(layer, number, num_bytes, most * num_bytes, begins))
     return offers

@@ -62,7 +62,7 @@ class Columns:
         self.store = self._next(upper, groups)
         """Frames of the layer that are in store behind the group."""
         self.begun = self._next(upper, groups)
-        """Snapshots of the layer that have come, up to 1."""
+        """Keyframes of the layer that have come, up to 1."""
         self.step = self._next(steps)
         """Between a stretch and the next, dB."""
 

@@ -89,10 +89,10 @@ async function play({ manifest, index, steps }) {
   const { fps, segmentFrames, numLayers: mostLayers } = stream.manifest;
   const hasPart = (/** @type {number} */ frame, /** @type {string} */ part) =>
     here.has(`${Math.floor(frame / segmentFrames)}/${part}`);
-  const hasSlice = (/** @type {number} */ frame) => hasPart(frame, "0") && hasPart(frame, "masks");
+  const hasSlice = (/** @type {number} */ frame) => hasPart(frame, "0") && hasPart(frame, "skipmaps");
   const shown = {
     canAdvance: hasSlice,
-    has: (/** @type {number} */ frame) => hasPart(frame, "snapshot-0"),
+    has: (/** @type {number} */ frame) => hasPart(frame, "keyframe-0"),
     join: () => [],
     advance: () => ({ isJoin: false, updates: [] }),
   };

@@ -29,7 +29,7 @@ from codec.console import run_command
 from codec.lattice.lattice import Lattice
 from codec.stream.manifest import Manifest
 from codec.stream.segment import SegmentRecord, pack_record
-from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
+from server.abr.decisioncontext import Send, SendKeyframes, SendSlices
 from server.abr.media import SegmentSizes, segment_sizes
 from server.study.choice import OWN
 from server.study.config import LOADS, Rules
@@ -41,8 +41,8 @@ from server.study.tracefolder import Half, read_traces
 
 FPS = 30.0
 SEGMENT_FRAMES = 30
-MASK_SHARE = 0.05
-"""Bytes of the masks, as a share of the bytes of layer 0."""
+SKIP_MAP_SHARE = 0.05
+"""Bytes of the skip maps, as a share of the bytes of layer 0."""
 SPREAD = 0.25
 """Maximum deviation of a segment's size from the mean, as a share."""
 
@@ -99,9 +99,9 @@ def make_records(sizes: SegmentSizes, config: HostedConfig) -> list[SegmentRecor
     for segment in range(round(config.length_s * FPS / SEGMENT_FRAMES)):
         factor = rng.uniform(1 - SPREAD, 1 + SPREAD)
         layers = [round(factor * SEGMENT_FRAMES * size) for size in sizes.layer_bytes]
-        masks = round(MASK_SHARE * layers[0])
-        layers[0] -= masks
-        sides = (masks, *(round(factor * size) for size in sizes.snapshot_bytes))
+        skip_maps = round(SKIP_MAP_SHARE * layers[0])
+        layers[0] -= skip_maps
+        sides = (skip_maps, *(round(factor * size) for size in sizes.keyframe_bytes))
         sha256 = hashlib.sha256(bytes([segment])).digest()
         records.append(
             SegmentRecord(
@@ -137,27 +137,28 @@ def make_manifest(num_layers: int) -> Manifest:
 
 
 def send_of(segment: int, part: str) -> Send | None:
-    """The content of an object; None for the masks, which are requested after layer 0."""
+    """The content of an object; None for the skip maps, which are requested after layer 0."""
     first = segment * SEGMENT_FRAMES
-    if part == "masks":
+    if part == "skipmaps":
         return None
-    if part.startswith("snapshot-"):
-        layer = int(part.removeprefix("snapshot-"))
-        return SendSnapshots(first, layer, layer + 1)
+    if part.startswith("keyframe-"):
+        layer = int(part.removeprefix("keyframe-"))
+        return SendKeyframes(first, layer, layer + 1)
     return SendSlices(range(first, first + SEGMENT_FRAMES), int(part), int(part) + 1)
 
 
 def arrivals_of(rows: Sequence[tuple[float, int, int, str]]) -> Iterator[Arrival]:
-    """The objects at the times from which they are usable: a layer needs its segment's masks."""
-    masks: set[int] = set()
+    """The objects at the times from which they are usable: a layer needs its segment's skip
+    maps."""
+    skip_maps: set[int] = set()
     waiting: dict[int, list[tuple[float, Send]]] = {}
     for time_s, num_bytes, segment, part in rows:
         send = send_of(segment, part)
         if send is None:
-            masks.add(segment)
+            skip_maps.add(segment)
             for size, held in waiting.pop(segment, []):
                 yield Arrival(time_s, size, held)
-        elif isinstance(send, SendSnapshots) or segment in masks:
+        elif isinstance(send, SendKeyframes) or segment in skip_maps:
             yield Arrival(time_s, num_bytes, send)
         else:
             waiting.setdefault(segment, []).append((num_bytes, send))

@@ -29,10 +29,10 @@ from rich.table import Table
 from codec.console import run_command
 from codec.errors import CodecError, InvalidError
 from codec.stream import StreamReader
-from codec.stream.manifest import MASKS, Part, snapshot_part
+from codec.stream.manifest import SKIP_MAPS, Part, keyframe_part
 from player.playout.assembler import Assembler
 from player.render.cpu import CpuRenderer
-from player.source.source import Packets, SlicePackets, SnapshotPackets
+from player.source.source import KeyframePackets, Packets, SlicePackets
 from server.abr.holding import Holding
 from server.study.looped import open_media
 from trainer.score.truth import ScoredCameras, captured, on_screen, open_held_out, score_picture
@@ -70,17 +70,17 @@ def blame(error: CodecError, part: Part) -> CodecError:
 def packets_of(reader: StreamReader, arrival: dict[str, Any]) -> Packets:
     """The packets of one arrival."""
     layers = range(arrival["first_layer"], arrival["first_layer"] + arrival["layers"])
-    birth, frame = arrival["birth"], arrival["snapshot_frame"]
+    birth, frame = arrival["birth"], arrival["keyframe_frame"]
 
     def packet(at: int, part: Part) -> bytes:
         return reader.read_object(reader.manifest.segment_of(at), part).packet(at)
 
     if birth is None:
-        snapshots = tuple(packet(frame, snapshot_part(layer)) for layer in layers)
-        return SnapshotPackets(frame, layers.start, snapshots, blame)
-    mask = None if layers.start else packet(birth, MASKS)
+        keyframes = tuple(packet(frame, keyframe_part(layer)) for layer in layers)
+        return KeyframePackets(frame, layers.start, keyframes, blame)
+    skip_map = None if layers.start else packet(birth, SKIP_MAPS)
     return SlicePackets(
-        birth, layers.start, tuple(packet(birth, layer) for layer in layers), mask, blame
+        birth, layers.start, tuple(packet(birth, layer) for layer in layers), skip_map, blame
     )
 
 

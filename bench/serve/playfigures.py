@@ -5,8 +5,8 @@ Definitions of the figures:
 * head: time from the write of a client's request to the first byte of the response. The connection
   exists by then, so the wait until the server accepts it counts.
 * record: time from the same write to the end of the first record. picture: time to the last packet
-  of layer 0 that the first requested frame needs: a snapshot, and the slices from there to that
-  frame. A snapshot counts as the slice of its frame.
+  of layer 0 that the first requested frame needs: a keyframe, and the slices from there to that
+  frame. A keyframe counts as the slice of its frame.
 * due: a player that shows its first picture at that moment and 30 frames per second from then on
   needs layer 0 of the slice born at f when it shows frame f. late: delay of the slice after that
   time, 0 if it arrived before; a slice that was due and had not arrived at the end counts as

@@ -176,7 +176,7 @@ class Load:
             client.record_s = now_s if np.isnan(client.record_s) else client.record_s
             with memoryview(pending) as view, view[at + 4 : end] as record:
                 value = msgpack.unpackb(record)
-            if value["kind"] in ("slice", "snapshot"):
+            if value["kind"] in ("slice", "keyframe"):
                 self.who.append(client.number)
                 self.birth.append(value["birth"] if value["kind"] == "slice" else value["frame"])
                 self.first.append(value.get("first", 0))

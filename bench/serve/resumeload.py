@@ -22,9 +22,9 @@ import numpy as np
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
+    KeyframeRecord,
     RecordParser,
     SliceRecord,
-    SnapshotRecord,
 )
 from player.network.fetch import RetryConfig
 from player.source.source import LastPlay
@@ -197,7 +197,7 @@ class _Client:
                 for record in parser.feed(piece):
                     if isinstance(record, SliceRecord):
                         self._take(record.birth, record, now_s)
-                    elif isinstance(record, SnapshotRecord):
+                    elif isinstance(record, KeyframeRecord):
                         self._take(record.frame, record, now_s)
                     elif isinstance(record, ErrorRecord):
                         load.said[record.message] = load.said.get(record.message, 0) + 1
@@ -205,9 +205,9 @@ class _Client:
                         self._over = True
                         load.over_s[number] = now_s
 
-    def _take(self, birth: int, record: SliceRecord | SnapshotRecord, now_s: float) -> None:
-        """Records a slice, or a snapshot as the slice of its frame. Slices that a play repeats,
-        from a snapshot up to the requested frame, are not recorded."""
+    def _take(self, birth: int, record: SliceRecord | KeyframeRecord, now_s: float) -> None:
+        """Records a slice, or a keyframe as the slice of its frame. Slices that a play repeats,
+        from a keyframe up to the requested frame, are not recorded."""
         if birth < self._asked_birth:
             return
         load = self._load

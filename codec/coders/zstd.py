@@ -21,7 +21,7 @@ PLANES_LEVEL = 19
 
 QUICK_LEVEL = 1
 """The same for a live stream, whose viewers wait for the encoder: 5 to 40 times as fast, for 14 %
-more bytes at most, of snapshots 2 %."""
+more bytes at most, of keyframes 2 %."""
 
 FLOATS_LEVEL = 3
 """zstd level for float32, which hardly shrinks however long one tries."""

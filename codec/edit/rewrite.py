@@ -38,7 +38,7 @@ from codec.slots.encoder import SlotEncoder
 from codec.slots.slotlayout import Kind, with_birth
 from codec.storage.openstorage import Place
 from codec.stream.integrity import CheckedObject
-from codec.stream.manifest import MASKS, Manifest, Part, is_snapshot, snapshot_part
+from codec.stream.manifest import SKIP_MAPS, Manifest, Part, is_keyframe, keyframe_part
 from codec.stream.pictures import Draw
 from codec.stream.poster import POSTER_NAME, STORYBOARD_NAME, write_poster, write_storyboard
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
@@ -97,11 +97,11 @@ class Recoder:
             encoded = self._encoder.append(update)
             if encoded is None:
                 continue
-            chunks: list[tuple[Part, EncodedChunk]] = [(MASKS, encoded.mask)]
+            chunks: list[tuple[Part, EncodedChunk]] = [(SKIP_MAPS, encoded.skip_map)]
             chunks += enumerate(encoded.changes)
             if birth == layout.segment_start(birth):
-                snapshots = enumerate(self._encoder.snapshots())
-                chunks += [(snapshot_part(layer), chunk) for layer, chunk in snapshots]
+                keyframes = enumerate(self._encoder.keyframes())
+                chunks += [(keyframe_part(layer), chunk) for layer, chunk in keyframes]
                 self._same_as = None if offset else walk
             for part, chunk in chunks:
                 content, packet = (b"", b"") if offset else walk.content(birth, part)
@@ -347,7 +347,7 @@ def copy_segment(
     gives whether it is the same byte for byte.
 
     offset: added to births; a whole number of segments. What comes from the slice that becomes
-    frame 0 is in the snapshots.
+    frame 0 is in the keyframes.
     """
     record, manifest = reader.records[segment], reader.manifest
     whole = len(births) == record.num_frames
@@ -359,7 +359,7 @@ def copy_segment(
     for part, found in objects.items():
         for entry in found.entries:
             birth = entry.birth + offset
-            if entry.birth in births and (birth or is_snapshot(part)):
+            if entry.birth in births and (birth or is_keyframe(part)):
                 files.put(part, birth, renumbered(found, entry.birth, offset))
     files.end_segment(len(births), psnr_db)
     return False
@@ -378,7 +378,7 @@ def renumbered(found: CheckedObject, birth: int, offset: int) -> bytes:
 def _chunk_elsewhere(found: CheckedObject, birth: int, offset: int) -> EncodedChunk:
     """The chunk of `birth` in `found`, to be compressed once more as that of `birth` + `offset`."""
     layout, part, data = found.manifest.slot_layout, found.part, found.content(birth)
-    kind = Kind.CHANGE if isinstance(part, int) else Kind.SNAPSHOT
-    if part == MASKS:
-        kind = Kind.MASK
+    kind = Kind.CHANGE if isinstance(part, int) else Kind.KEYFRAME
+    if part == SKIP_MAPS:
+        kind = Kind.SKIP_MAP
     return encoded_elsewhere(layout, kind, with_birth(data, birth + offset))

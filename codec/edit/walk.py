@@ -29,12 +29,12 @@ from codec.errors import InvalidError
 from codec.lattice.lattice import Lattice, States, dequantise
 from codec.slice import window_births
 from codec.slots.decoder import SlotDecoder
-from codec.slots.mask import decode_mask
+from codec.slots.skipmap import decode_skip_map
 from codec.slots.slotlayout import ENDED, KEPT, NEW, PREDICTED, SlotLayout, Update
 from codec.slots.state import ESCAPED, ON_LATTICE, Slots, holds
 from codec.splats import Splats
 from codec.stream.integrity import CheckedObject
-from codec.stream.manifest import MASKS, Manifest, Part
+from codec.stream.manifest import SKIP_MAPS, Manifest, Part
 from codec.stream.reader import StreamReader, roll
 from codec.stream.views import view_from_text
 from codec.stream.wholeslice import neighbours_first
@@ -280,8 +280,8 @@ class Walk:
         decoder, manifest = self._decoder, self.reader.manifest
         layout, history = decoder.layout, decoder.history.of(birth).copy()
         roll(self._object, manifest, birth, decoder)
-        mask = self._object(manifest.segment_of(birth), MASKS).content(birth)
-        statuses = decode_mask(layout, birth, mask, history)
+        skip_map = self._object(manifest.segment_of(birth), SKIP_MAPS).content(birth)
+        statuses = decode_skip_map(layout, birth, skip_map, history)
         return SourceSlice(birth, statuses, decoder.lanes[layout.lane(birth)])
 
     def _whole(self, birth: int) -> SourceSlice:

@@ -58,7 +58,7 @@ class FollowOptions:
 
     segment_s: float = 0.2
     """Length of a segment. Viewers get a frame when its segment is written, so shorter is sooner;
-    each segment costs disk space for a snapshot."""
+    each segment costs disk space for a keyframe."""
     room: float = 1.25
     """Slots of the stream, as a multiple of the Gaussians in the first file. Of a file with more,
     the least important are left out."""
@@ -188,7 +188,7 @@ def _rehearse() -> None:
     for birth, frame in enumerate((splats, moved, moved.take(np.arange(64)[::-1]))):
         encoded = encoder.append(filler.update(birth, frame))
         assert encoded is not None
-        for chunk in (encoded.mask, *encoded.changes):
+        for chunk in (encoded.skip_map, *encoded.changes):
             encode_packet(chunk, effort=Effort.QUICK)
 
 

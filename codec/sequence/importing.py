@@ -194,7 +194,7 @@ class Imported:
     played_bytes: int
     """Size of the objects that a player from frame 0 on fetches."""
     first_bytes: int
-    """Size of the part that comes before anything shows: the snapshots of frame 0."""
+    """Size of the part that comes before anything shows: the keyframes of frame 0."""
     errors: dict[str, float]
     """The most that each of KINDS was off; of positions in metres."""
     num_escaped: int
@@ -268,7 +268,7 @@ def _point(values: Doubles) -> Point:
 
 
 def _segment_frames(survey: Survey, fps: float) -> int:
-    """Frames in a segment such that its changes are about as large as its snapshot, which a joining
+    """Frames in a segment such that its changes are about as large as its keyframe, which a joining
     player fetches, too: the less moves, the longer."""
     most = max(SEGMENT_FRAMES, round(LONGEST_SEGMENT_S * fps))
     fitting = min(most, MAX_SEGMENT_SLOTS // max(1, survey.num_gs))

@@ -2,8 +2,8 @@
 
 A change: what a slice brings to one layer (codec/FORMAT.md, section 10).
 
-Rule: nothing is allocated before the counts in the bytes are those that the mask says, and no state
-is touched: a `Change` is what the bytes say, and `Slots` says what becomes of it.
+Rule: nothing is allocated before the counts in the bytes are those that the skip map says, and no
+state is touched: a `Change` is what the bytes say, and `Slots` says what becomes of it.
 
 The Gaussians of a change as byte planes: predicted ones as differences to what they were, new
 ones one after another (codec/FORMAT.md, sections 10.1 and 10.2).
@@ -345,9 +345,9 @@ def _chunk_edges(first_bytes: int, body_edges: Iterable[int]) -> list[int]:
 def encoded_elsewhere(layout: SlotLayout, kind: Kind, data: bytes) -> EncodedChunk:
     """The chunk of `kind` in `data`, which can be decoded, to be compressed once more."""
     header = SlotHeader.read(data, kind)
-    if kind is Kind.MASK:
+    if kind is Kind.SKIP_MAP:
         return EncodedChunk(header.birth, data, (0, len(data)))
-    first_bytes = layout.flags_bytes(header.layer) if kind is Kind.SNAPSHOT else 0
+    first_bytes = layout.flags_bytes(header.layer) if kind is Kind.KEYFRAME else 0
     counts = COUNTS.unpack_from(data, HEADER_BYTES + first_bytes)
     head, predicted, longs, new, *rest = _part_sizes(layout, counts, header.has_start_offsets)
     planes = layout.num_planes
@@ -381,7 +381,7 @@ def decode_change(
     num_predicted: int,
     num_new: int,
 ) -> Change:
-    """The change in `data`, whose counts are those of the mask; without data it brings nothing.
+    """The change in `data`, whose counts are those of the skip map; without data it brings nothing.
     Raises a CodecError."""
     if not data:
         return _nothing(layout, layer, num_predicted, num_new)
@@ -398,7 +398,8 @@ def _nothing(layout: SlotLayout, layer: int, num_predicted: int, num_new: int) -
     """The change that has no packet."""
     if num_predicted or num_new:
         raise CorruptError(
-            f"change: it is missing, but the mask declares {num_predicted} predicted, {num_new} new"
+            "change: it is missing, but the skip map declares "
+            f"{num_predicted} predicted, {num_new} new"
         )
     return read_body(layout, layer, memoryview(bytes(COUNTS.size)), 0, 0, False)
 
@@ -421,7 +422,7 @@ def read_body(
     names = "predicted", "new", "long residuals", "escapes"
     for n, (name, found, limit) in enumerate(zip(names, counts, limits, strict=False)):
         if found > limit or (n < 2 and found != limit):
-            rule = "the mask declares" if n < 2 else "at most"
+            rule = "the skip map declares" if n < 2 else "at most"
             raise CorruptError(f"change: {found} {name}, {rule} {limit}", 4 * n)
     levels, sh_degree = layout.lattices[layer].opacity_levels, layout.sh_degree
     sizes = _part_sizes(layout, counts, has_start_offsets)

@@ -1,4 +1,4 @@
-"""Masks, changes and snapshots to Gaussians (codec/FORMAT.md, section 7).
+"""Skip maps, changes and keyframes to Gaussians (codec/FORMAT.md, section 7).
 
 Rule: any bytes give a value or a CodecError that leaves everything as it was; memory goes by the
 layout.
@@ -19,9 +19,9 @@ from codec.slice import Slice, window_births
 from codec.splats import Splats
 
 from .change import decode_change
-from .mask import MaskHistory, decode_mask
+from .skipmap import SkipMapHistory, decode_skip_map
 from .slotlayout import BIRTH_AT, KEPT, LAYER_AT, NEW, PREDICTED, SlotLayout
-from .state import UNKNOWN, Delta, HeldSlots, Slots, decode_snapshot, empty_arrays, holds
+from .state import UNKNOWN, Delta, HeldSlots, Slots, decode_keyframe, empty_arrays, holds
 
 
 @dataclass(slots=True)
@@ -65,14 +65,14 @@ MIN_LOG_BYTES = 1 << 24
 
 LOG_SHARE = 6
 """The bound as a multiple of the bytes of the slots, where that is more than MIN_LOG_BYTES.
-Measured: while the snapshots of three of four layers are missing, a segment of 30 frames that
+Measured: while the keyframes of three of four layers are missing, a segment of 30 frames that
 changes 30 % of the slots in each keeps about 4 times their bytes."""
 
 
 class SlotDecoder:
     """A reader's slots of layers 0..num_layers-1, from one frame to the next.
 
-    Load the snapshots of a segment's first frame, then apply the slices born after it one by one.
+    Load the keyframes of a segment's first frame, then apply the slices born after it one by one.
     Layers that were not loaded are unknown, and hidden.
     """
 
@@ -84,24 +84,24 @@ class SlotDecoder:
         self.clear()
 
     def clear(self) -> None:
-        """Forgets all, so that a snapshot of any segment can be loaded."""
+        """Forgets all, so that a keyframe of any segment can be loaded."""
         layout = self.layout
         self.frame: int | None = None
-        """Birth of the slice that was applied last; None before the first snapshot."""
+        """Birth of the slice that was applied last; None before the first keyframe."""
         self.joined: int | None = None
-        """The frame whose snapshot came first."""
+        """The frame whose keyframe came first."""
         self.lanes = [
             [Slots(count, layout.sh_degree, UNKNOWN) for count in layout.slots[: self.num_layers]]
             for _ in range(layout.swin_size)
         ]
         """The values of the slots, lane after lane, layer after layer."""
-        self.history = MaskHistory(layout)
+        self.history = SkipMapHistory(layout)
         self._logs: dict[tuple[int, int], SlotLog] = {}
         """By lane and layer, the oldest first."""
         self._said: dict[int, Bytes] = {}
-        """By birth the statuses of this segment's slices, for a snapshot that comes late."""
+        """By birth the statuses of this segment's slices, for a keyframe that comes late."""
         self._pending: dict[tuple[int, int], Flags] = {}
-        """By lane and layer the slots that snapshots and late changes have altered since the lane
+        """By lane and layer the slots that keyframes and late changes have altered since the lane
         was handed out."""
 
     def copy(self) -> SlotDecoder:
@@ -113,45 +113,46 @@ class SlotDecoder:
         return made
 
     def load(self, data: Data, layer: int | None = None, frame: int | None = None) -> bool:
-        """Takes in the snapshot `data`, in place of what is here of its layer.
+        """Takes in the keyframe `data`, in place of what is here of its layer.
 
-        layer, frame: which snapshot it should be; None takes that of any layer, and the first one
+        layer, frame: which keyframe it should be; None takes that of any layer, and the first one
         of any segment, then that of the segment of the last slice. It may come late, after slices
         of its segment, and so may the changes since.
         Gives whether it is of use: that of an earlier segment is not, nor one of what is here.
         """
-        snapshot = decode_snapshot(self.layout, data)
+        keyframe = decode_keyframe(self.layout, data)
         if frame is None and self.frame is not None:
             frame = self.layout.segment_start(self.frame)
-        if frame is not None and snapshot.frame != frame:
+        if frame is not None and keyframe.frame != frame:
             raise CorruptError(
-                f"snapshot: of frame {snapshot.frame} where that of {frame} belongs", BIRTH_AT
+                f"keyframe: of frame {keyframe.frame} where that of {frame} belongs", BIRTH_AT
             )
-        if layer is not None and snapshot.layer != layer:
+        if layer is not None and keyframe.layer != layer:
             raise CorruptError(
-                f"snapshot: of layer {snapshot.layer} where that of {layer} belongs", LAYER_AT
+                f"keyframe: of layer {keyframe.layer} where that of {layer} belongs", LAYER_AT
             )
-        if self.frame is not None and snapshot.frame > self.frame:
-            raise InvalidError(f"the slices have come to {self.frame}, the snapshot to {frame}")
-        if snapshot.layer >= self.num_layers:
-            raise InvalidError(f"snapshot: of layer {snapshot.layer}, held are {self.num_layers}")
+        if self.frame is not None and keyframe.frame > self.frame:
+            raise InvalidError(f"the slices have come to {self.frame}, the keyframe to {frame}")
+        if keyframe.layer >= self.num_layers:
+            raise InvalidError(f"keyframe: of layer {keyframe.layer}, held are {self.num_layers}")
         if self.frame is None:
-            self.frame = self.joined = snapshot.frame
-        if snapshot.frame != self.layout.segment_start(self.frame):
+            self.frame = self.joined = keyframe.frame
+        if keyframe.frame != self.layout.segment_start(self.frame):
             return False
-        births, used = window_births(snapshot.frame, self.layout.swin_size), False
-        for birth, slots in zip(births, snapshot.lanes, strict=True):
+        births, used = window_births(keyframe.frame, self.layout.swin_size), False
+        for birth, slots in zip(births, keyframe.lanes, strict=True):
             lane = self.layout.lane(birth)
             since = range(birth + self.layout.swin_size, self.frame + 1, self.layout.swin_size)
-            on_time = snapshot.frame == self.frame
-            if on_time or self._can_use_late(lane, snapshot.layer, since):
-                self._begin_anew(lane, snapshot.layer, slots, since)
+            on_time = keyframe.frame == self.frame
+            if on_time or self._can_use_late(lane, keyframe.layer, since):
+                self._begin_anew(lane, keyframe.layer, slots, since)
                 used = True
         return used
 
     def _can_use_late(self, lane: int, layer: int, births: range) -> bool:
-        """Whether a snapshot from before `births` adds to a layer of a lane: something is unknown
-        that did not go missing since, and no mask is missing, without which all of it would be."""
+        """Whether a keyframe from before `births` adds to a layer of a lane: something is unknown
+        that did not go missing since, and no skip map is missing, without which all of it would
+        be."""
         if any(birth not in self._said for birth in births):
             return False
         log = self._logs.get((lane, layer))
@@ -175,7 +176,7 @@ class SlotDecoder:
     def apply(
         self,
         birth: int,
-        mask: Data | None,
+        skip_map: Data | None,
         changes: Sequence[Data | None],
         blamed: Blamed = _as_it_is,
         with_motion: bool = False,
@@ -183,25 +184,23 @@ class SlotDecoder:
         """Goes on by the slice born at `birth`, which follows the last one.
 
         changes: of layers 0, 1, ...; None for one that is missing, which may come `late`. Layers
-        behind the last are not expected.
-        mask: None if it is missing. All slots of the lane are unknown then, and the changes are of
-        no use. Later masks of the lane in this segment are not read, and count as missing, too,
-        unless it was that of the segment's first frame.
-        blamed: makes of an error the one that is raised, given the layer of the change at fault,
-        or None if it is the mask.
-        with_motion: whether the slice says where its Gaussians come from, and which ones leave.
-        Gives the slots that changed since the lane's slice before, by late changes and snapshots,
-        too, as a slice with rows: row r is slot r of the lane, counted over all layers.
-        """
+        behind the last are not expected. skip map: None if it is missing. All slots of the lane are
+        unknown then, and the changes are of no use. Later skip maps of the lane in this segment are
+        not read, and count as missing, too, unless it was that of the segment's first frame.
+        blamed: makes of an error the one that is raised, given the layer of the change at fault, or
+        None if it is the skip map. with_motion: whether the slice says where its Gaussians come
+        from, and which ones leave. Gives the slots that changed since the lane's slice before, by
+        late changes and keyframes, too, as a slice with rows: row r is slot r of the lane, counted
+        over all layers."""
         if self.frame is None or birth != self.frame + 1:
             last = "nothing" if self.frame is None else f"the slice born at {self.frame}"
             raise InvalidError(f"the slice born at {birth} does not follow {last}")
         if len(changes) > self.num_layers:
             raise InvalidError(f"{len(changes)} changes for {self.num_layers} layers")
-        if mask is None or not self.history.is_readable(birth):
+        if skip_map is None or not self.history.is_readable(birth):
             return self._lose_lane(birth)
         lane = self.layout.lane(birth)
-        statuses, deltas = self._read(birth, mask, changes, blamed)
+        statuses, deltas = self._read(birth, skip_map, changes, blamed)
         parts = self._by_layer(statuses)
         changed = [part != KEPT for part in parts]
         held = self._held(lane, parts) if with_motion else None
@@ -233,10 +232,10 @@ class SlotDecoder:
         return HeldSlots(numbers, splats, np.concatenate(here), np.concatenate(others))
 
     def _go_on(self, birth: int, statuses: Bytes | None) -> None:
-        """Notes that the slices have come to `birth`; statuses: None if its mask is missing."""
+        """Notes that the slices have come to `birth`; statuses: None if its skip map is missing."""
         if birth == self.layout.segment_start(birth):
             self._said = {}
-            # The snapshots of the segment before can no longer come: only changes can.
+            # The keyframes of the segment before can no longer come: only changes can.
             self._logs = {key: log for key, log in self._logs.items() if log.is_waiting}
         elif statuses is not None:
             self._said[birth] = statuses
@@ -259,20 +258,20 @@ class SlotDecoder:
         return self._slice(birth, map(np.flatnonzero, changed), with_rows=True)
 
     def statuses(
-        self, birth: int, mask: Data, changes: Sequence[Data | None], blamed: Blamed = _as_it_is
+        self, birth: int, skip_map: Data, changes: Sequence[Data | None], blamed: Blamed = _as_it_is
     ) -> Bytes:
         """(S,) what the slice born at `birth` says of the slots of its lane; checks the changes,
         and applies nothing."""
-        return self._read(birth, mask, changes, blamed)[0]
+        return self._read(birth, skip_map, changes, blamed)[0]
 
     def _read(
-        self, birth: int, mask: Data, changes: Sequence[Data | None], blamed: Blamed
+        self, birth: int, skip_map: Data, changes: Sequence[Data | None], blamed: Blamed
     ) -> tuple[Bytes, list[Delta]]:
         """The statuses of a slice, and what it makes of each layer."""
         at_fault: int | None = None
         deltas = []
         try:
-            statuses = decode_mask(self.layout, birth, mask, self.history.of(birth))
+            statuses = decode_skip_map(self.layout, birth, skip_map, self.history.of(birth))
             parts = self._by_layer(statuses)
             for layer, slots in enumerate(self.lanes[self.layout.lane(birth)]):
                 at_fault = layer
@@ -283,7 +282,7 @@ class SlotDecoder:
         return statuses, deltas
 
     def _lose_lane(self, birth: int) -> Slice:
-        """Goes on by a slice whose mask is not at hand."""
+        """Goes on by a slice whose skip map is not at hand."""
         lane, sh_degree = self.layout.lane(birth), self.layout.sh_degree
         counts = self.layout.slots[: self.num_layers]
         self.lanes[lane] = [Slots(count, sh_degree, UNKNOWN) for count in counts]
@@ -393,7 +392,7 @@ class SlotDecoder:
     def _remember(
         self, birth: int, layer: int, slots: Slots, statuses: Bytes, change: Data | None
     ) -> None:
-        """Logs what a late change or snapshot needs, before the slice is applied to `slots`."""
+        """Logs what a late change or keyframe needs, before the slice is applied to `slots`."""
         key = self.layout.lane(birth), layer
         if key not in self._logs:
             is_missing = change is None and bool((statuses >= PREDICTED).any())
@@ -427,12 +426,12 @@ class SlotDecoder:
 
     @property
     def log_bytes(self) -> int:
-        """Bytes kept only because changes, or the snapshots before them, may come late."""
+        """Bytes kept only because changes, or the keyframes before them, may come late."""
         return sum(log.num_bytes for log in self._logs.values())
 
     @property
     def said_bytes(self) -> int:
-        """Bytes held only because snapshots may come late."""
+        """Bytes held only because keyframes may come late."""
         return len(self._said) * self.layout.num_slots
 
     def _state_bytes(self) -> int:

@@ -1,4 +1,4 @@
-"""Updates of slots to the chunks of a stream: masks, changes, snapshots.
+"""Updates of slots to the chunks of a stream: skip maps, changes, keyframes.
 
 The motion of all slots of a stream between two of its frames, however far apart.
 """
@@ -19,9 +19,9 @@ from codec.splats import Splats
 
 from .change import Newcomers, encode_change
 from .decoder import SlotDecoder
-from .mask import MaskHistory, encode_mask
+from .skipmap import SkipMapHistory, encode_skip_map
 from .slotlayout import ENDED, NEW, PREDICTED, SlotLayout, Update
-from .state import EMPTY, ESCAPED, ON_LATTICE, Delta, Slots, encode_snapshot
+from .state import EMPTY, ESCAPED, ON_LATTICE, Delta, Slots, encode_keyframe
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class EncodedSlice:
     """A slice before the entropy coder."""
 
     birth: int
-    mask: EncodedChunk
+    skip_map: EncodedChunk
     changes: tuple[EncodedChunk, ...]
     """The change of each layer."""
 
@@ -63,7 +63,7 @@ class SlotEncoder:
             for _ in range(layout.swin_size)
         ]
         """The values of the slots, lane after lane, layer after layer."""
-        self.history = MaskHistory(layout)
+        self.history = SkipMapHistory(layout)
 
     @staticmethod
     def resumed(decoder: SlotDecoder) -> SlotEncoder:
@@ -110,7 +110,7 @@ class SlotEncoder:
 
     def encode(self, update: Update) -> EncodedSlice | None:
         """The chunks of the slice of `update`, which is not yet taken in; None before frame 0. The
-        slice of frame 0 keeps all, for what it brings is in the snapshot of frame 0."""
+        slice of frame 0 keeps all, for what it brings is in the keyframe of frame 0."""
         return self._encoded(update, self._checked(update))
 
     def _encoded(self, update: Update, parts: list[_Part]) -> EncodedSlice | None:
@@ -121,7 +121,7 @@ class SlotEncoder:
         if birth == 0:
             update = Update.keeping(birth, self.layout)
             parts = list(self._parts(update, self.lanes[self.layout.lane(birth)]))
-        mask = encode_mask(self.layout, birth, update.statuses, self.history.of(birth))
+        skip_map = encode_skip_map(self.layout, birth, update.statuses, self.history.of(birth))
         changes = (
             encode_change(
                 part.layer,
@@ -133,19 +133,19 @@ class SlotEncoder:
             )
             for part in parts
         )
-        return EncodedSlice(birth, mask, tuple(changes))
+        return EncodedSlice(birth, skip_map, tuple(changes))
 
-    def snapshots(self) -> tuple[EncodedChunk, ...]:
-        """The snapshot of each layer as it is now, at the first frame of a segment."""
+    def keyframes(self) -> tuple[EncodedChunk, ...]:
+        """The keyframe of each layer as it is now, at the first frame of a segment."""
         frame = self.next_birth - 1
         if frame < 0 or frame != self.layout.segment_start(frame):
-            raise InvalidError(f"snapshot: frame {frame} is not the first of a segment")
+            raise InvalidError(f"keyframe: frame {frame} is not the first of a segment")
         lanes = [
             self.lanes[self.layout.lane(birth)]
             for birth in window_births(frame, self.layout.swin_size)
         ]
         return tuple(
-            encode_snapshot(self.layout, layer, frame, [lane[layer] for lane in lanes])
+            encode_keyframe(self.layout, layer, frame, [lane[layer] for lane in lanes])
             for layer in range(self.layout.num_layers)
         )
 

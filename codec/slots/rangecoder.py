@@ -1,4 +1,4 @@
-"""The adaptive binary arithmetic coder of masks (codec/FORMAT.md, section 9).
+"""The adaptive binary arithmetic coder of skip maps (codec/FORMAT.md, section 9).
 
 Rule: what the encoder writes is, byte for byte, what the decoder reads, so that the end of a body
 is known. All numbers are int64, in which nothing here can overflow.

@@ -35,9 +35,9 @@ MAX_SLOTS_OF_LANES = 1 << 24
 """Slots in all lanes together."""
 
 MAX_SEGMENT_SLOTS = 1 << 28
-"""Slots of a lane times frames in a segment: bounds what the masks of a segment inflate to."""
+"""Slots of a lane times frames in a segment: bounds what the skip maps of a segment inflate to."""
 
-MAX_MASK_BYTES_PER_SLOT = 4
+MAX_SKIP_MAP_BYTES_PER_SLOT = 4
 """Three bits at most, each of which costs 10.5 at most: a probability stays above 3 in 4096."""
 
 MAX_LAYERS = 16
@@ -49,7 +49,7 @@ HEADER_BYTES = 12
 """In front of every chunk."""
 
 COUNTS_BYTES = 20
-"""In front of every change, and behind the flags of a snapshot."""
+"""In front of every change, and behind the flags of a keyframe."""
 
 MAX_SLOT_CHUNK_BYTES = 64 + 248_512_560
 """The largest chunk, whatever the layout."""
@@ -57,8 +57,8 @@ MAX_SLOT_CHUNK_BYTES = 64 + 248_512_560
 
 @dataclass(frozen=True, slots=True)
 class SlotLayout:
-    """Layout by which masks, changes and snapshots are read. Raises InvalidError for a layout that
-    the format does not allow."""
+    """Layout by which skip maps, changes and keyframes are read. Raises InvalidError for a layout
+    that the format does not allow."""
 
     swin_size: int
     """Lanes, and frames that a lease lasts."""
@@ -68,7 +68,7 @@ class SlotLayout:
     lattices: tuple[Lattice, ...]
     """The lattice of each layer."""
     segment_frames: int
-    """Frames in a segment: masks and snapshots begin anew with each."""
+    """Frames in a segment: skip maps and keyframes begin anew with each."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.swin_size <= MAX_SWIN_SIZE:
@@ -128,23 +128,23 @@ class SlotLayout:
         return birth // self.segment_frames * self.segment_frames
 
     @property
-    def max_mask_bytes(self) -> int:
-        """Bytes of the longest mask, before the entropy coder."""
-        return HEADER_BYTES + CODE_BYTES + MAX_MASK_BYTES_PER_SLOT * self.num_slots
+    def max_skip_map_bytes(self) -> int:
+        """Bytes of the longest skip map, before the entropy coder."""
+        return HEADER_BYTES + CODE_BYTES + MAX_SKIP_MAP_BYTES_PER_SLOT * self.num_slots
 
     def max_change_bytes(self, layer: int) -> int:
         """Bytes of the longest change of `layer`: all new, all escaped."""
         most = HEADER_BYTES + COUNTS_BYTES + self.slots[layer] * self._max_slot_bytes
         return min(most, MAX_SLOT_CHUNK_BYTES)
 
-    def max_snapshot_bytes(self, layer: int) -> int:
-        """Bytes of the longest snapshot of `layer`."""
+    def max_keyframe_bytes(self, layer: int) -> int:
+        """Bytes of the longest keyframe of `layer`."""
         count = self.swin_size * self.slots[layer]
         most = HEADER_BYTES + self.flags_bytes(layer) + COUNTS_BYTES + count * self._max_slot_bytes
         return min(most, MAX_SLOT_CHUNK_BYTES)
 
     def flags_bytes(self, layer: int) -> int:
-        """Bytes of the flags in a snapshot of `layer`: a bit for each slot of each lane."""
+        """Bytes of the flags in a keyframe of `layer`: a bit for each slot of each lane."""
         return (self.swin_size * self.slots[layer] + 7) // 8
 
     @property
@@ -176,9 +176,14 @@ def with_birth(data: bytes | memoryview, birth: int) -> bytes:
 class Kind(IntEnum):
     """The kinds of chunks of slots."""
 
-    MASK = 0
+    SKIP_MAP = 0
     CHANGE = 1
-    SNAPSHOT = 2
+    KEYFRAME = 2
+
+    @property
+    def words(self) -> str:
+        """Its name in messages."""
+        return self.name.lower().replace("_", " ")
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +193,7 @@ class SlotHeader:
     kind: Kind
     layer: int
     birth: int
-    """Birth of the slice; in a snapshot the first frame of its segment."""
+    """Birth of the slice; in a keyframe the first frame of its segment."""
     has_start_offsets: bool = False
 
     def pack(self) -> bytes:
@@ -200,12 +205,12 @@ class SlotHeader:
     @property
     def name(self) -> str:
         """The chunk's kind, in messages."""
-        return self.kind.name.lower()
+        return self.kind.words
 
     @staticmethod
     def read(data: bytes | memoryview, kind: Kind) -> SlotHeader:
         """The header at the start of `data`, which should be that of a chunk of `kind`."""
-        name = kind.name.lower()
+        name = kind.words
         if len(data) < HEADER_BYTES:
             raise CorruptError(
                 f"{name}: {len(data)} bytes are too few for a header of {HEADER_BYTES}", len(data)
@@ -214,16 +219,16 @@ class SlotHeader:
         if magic != SLOT_MAGIC:
             raise CorruptError(f"{name}: starts with {bytes(magic)!r}, not {SLOT_MAGIC!r}", 0)
         if found not in set(Kind):
-            known = ", ".join(f"{k.value} ({k.name.lower()})" for k in Kind)
+            known = ", ".join(f"{k.value} ({k.words})" for k in Kind)
             raise UnsupportedError(f"{name}: kind {found}; this program reads {known}", KIND_AT)
         if found != kind:
-            other = Kind(found).name.lower()
+            other = Kind(found).words
             raise CorruptError(f"{name}: a {other} where a {name} belongs", KIND_AT)
-        if flags & ~FLAG_SLOT_OFFSETS or (flags and kind is Kind.MASK) or zero:
-            at = FLAGS_AT if flags & ~FLAG_SLOT_OFFSETS or kind is Kind.MASK else ZERO_AT
+        if flags & ~FLAG_SLOT_OFFSETS or (flags and kind is Kind.SKIP_MAP) or zero:
+            at = FLAGS_AT if flags & ~FLAG_SLOT_OFFSETS or kind is Kind.SKIP_MAP else ZERO_AT
             raise UnsupportedError(f"{name}: a reserved bit is set", at)
-        if kind is Kind.MASK and layer:
-            raise CorruptError(f"mask: layer {layer} where 0 belongs", LAYER_AT)
+        if kind is Kind.SKIP_MAP and layer:
+            raise CorruptError(f"skip map: layer {layer} where 0 belongs", LAYER_AT)
         return SlotHeader(kind, layer, birth, bool(flags))
 
     def expect(self, birth: int, layer: int) -> None:

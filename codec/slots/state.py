@@ -8,7 +8,7 @@ everything as it was.
 
 The slots of a lane just before a slice changes them, from which the slice's motion comes.
 
-A snapshot: all slots of one layer at a segment's first frame (codec/FORMAT.md, section 11).
+A keyframe: all slots of one layer at a segment's first frame (codec/FORMAT.md, section 11).
 """
 
 from __future__ import annotations
@@ -215,8 +215,8 @@ class HeldSlots:
 
 
 @dataclass(frozen=True, slots=True)
-class Snapshot:
-    """A snapshot, decoded."""
+class Keyframe:
+    """A keyframe, decoded."""
 
     frame: int
     layer: int
@@ -224,14 +224,14 @@ class Snapshot:
     """The slots in the lanes of the births frame - swin_size + 1 .. frame."""
 
 
-def encode_snapshot(
+def encode_keyframe(
     layout: SlotLayout, layer: int, frame: int, lanes: Sequence[Slots]
 ) -> EncodedChunk:
-    """The snapshot of `layer` whose slots, oldest lane first, are `lanes`."""
+    """The keyframe of `layer` whose slots, oldest lane first, are `lanes`."""
     parts, offsets, present = [], [], []
     for birth, slots in zip(window_births(frame, layout.swin_size), lanes, strict=True):
         if (slots.conditions == UNKNOWN).any():
-            raise InvalidError(f"snapshot: slots of layer {layer} are unknown in frame {frame}")
+            raise InvalidError(f"keyframe: slots of layer {layer} are unknown in frame {frame}")
         here = holds(slots.conditions)
         starts = slots.starts[here]
         parts.append(slots.newcomers())
@@ -248,32 +248,32 @@ def encode_snapshot(
     has_offsets = bool(start_offsets.any())
     body, edges = encode_body(none, none, new, start_offsets if has_offsets else None)
     flags = np.packbits(np.concatenate(present), bitorder="little").tobytes()
-    header = SlotHeader(Kind.SNAPSHOT, layer, frame, has_offsets)
+    header = SlotHeader(Kind.KEYFRAME, layer, frame, has_offsets)
     return finish_chunk(header, flags, body, edges)
 
 
-def decode_snapshot(layout: SlotLayout, data: bytes | memoryview) -> Snapshot:
-    """The snapshot in `data`, of any layer and segment. Raises a CodecError."""
-    header = SlotHeader.read(data, Kind.SNAPSHOT)
+def decode_keyframe(layout: SlotLayout, data: bytes | memoryview) -> Keyframe:
+    """The keyframe in `data`, of any layer and segment. Raises a CodecError."""
+    header = SlotHeader.read(data, Kind.KEYFRAME)
     if header.layer >= layout.num_layers:
         raise CorruptError(
-            f"snapshot: layer {header.layer} of {layout.num_layers} layers", LAYER_AT
+            f"keyframe: layer {header.layer} of {layout.num_layers} layers", LAYER_AT
         )
     if header.birth < 0 or header.birth != layout.segment_start(header.birth):
         raise CorruptError(
-            f"snapshot: frame {header.birth} is not the first of a segment of "
+            f"keyframe: frame {header.birth} is not the first of a segment of "
             f"{layout.segment_frames}",
             BIRTH_AT,
         )
     count = layout.slots[header.layer]
     size = layout.flags_bytes(header.layer)
     if len(data) < HEADER_BYTES + size:
-        raise CorruptError("snapshot: too short for its flags", len(data))
+        raise CorruptError("keyframe: too short for its flags", len(data))
     bits = np.unpackbits(np.frombuffer(data, np.uint8, size, HEADER_BYTES), bitorder="little").view(
         np.bool_
     )
     if bits[layout.swin_size * count :].any():
-        raise CorruptError("snapshot: a bit is set after the last flag", HEADER_BYTES + size - 1)
+        raise CorruptError("keyframe: a bit is set after the last flag", HEADER_BYTES + size - 1)
     present = bits[: layout.swin_size * count]
     begin = HEADER_BYTES + size
     try:
@@ -304,4 +304,4 @@ def decode_snapshot(layout: SlotLayout, data: bytes | memoryview) -> Snapshot:
         slots.escapes = new.escapes.take(slice(escape_at, escape_at + num_escaped))
         escape_at += num_escaped
         lanes.append(slots)
-    return Snapshot(header.birth, header.layer, tuple(lanes))
+    return Keyframe(header.birth, header.layer, tuple(lanes))

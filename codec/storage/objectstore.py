@@ -44,7 +44,8 @@ ENDPOINTS = {
     "AZURE_STORAGE_ENDPOINT": "AZURE_ALLOW_HTTP",
     "AZURE_ENDPOINT": "AZURE_ALLOW_HTTP",
 }
-"""Each variable from which obstore reads an endpoint, and the one that allows or forbids http://."""
+"""Each variable from which obstore reads an endpoint, and the one that allows or forbids
+http://."""
 
 
 def settle_endpoints(environment: MutableMapping[str, str]) -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from codec.errors import CodecError, CorruptError
 
-from .manifest import Manifest, Part, is_snapshot
+from .manifest import Manifest, Part, is_keyframe
 from .segment import (
     MAX_OBJECT_BYTES,
     NUM_CHUNKS_OFFSET,
@@ -103,7 +103,7 @@ def object_table(
     """
     entries = read_object_table(data)
     births = manifest.part_births(record.segment, record.num_frames, part)
-    if is_snapshot(part):
+    if is_keyframe(part):
         _check_all_births(entries, births)
     else:
         _check_some_births(entries, births)
@@ -182,7 +182,7 @@ class CheckedObject:
         return self.data[entry.offset : entry.offset + entry.size] if entry else b""
 
     def content(self, birth: int) -> bytes:
-        """The chunk of `birth` as bytes: a mask, a change or a snapshot, or none.
+        """The chunk of `birth` as bytes: a skip map, a change or a keyframe, or none.
         Raises a CodecError that names the object."""
         entry = self.entry(birth)
         if entry is None:

@@ -57,25 +57,25 @@ MAX_POSTER_BYTES = 255
 Point = tuple[float, float, float]
 
 
-MASKS = "masks"
-"""The part of a segment that holds the masks of its slices."""
+SKIP_MAPS = "skipmaps"
+"""The part of a segment that holds the skip maps of its slices."""
 
 Part = int | str
-"""The parts of a segment, an object each: the number of a layer, MASKS, or `snapshot_part`."""
+"""The parts of a segment, an object each: the number of a layer, MASKS, or `keyframe_part`."""
 
 
-def snapshot_part(layer: int) -> str:
-    """The part of a segment that is the snapshot of `layer`."""
-    return f"snapshot-{layer}"
+def keyframe_part(layer: int) -> str:
+    """The part of a segment that is the keyframe of `layer`."""
+    return f"keyframe-{layer}"
 
 
-def is_snapshot(part: Part) -> bool:
-    """Whether `part` is what `snapshot_part` gives."""
-    return type(part) is str and part != MASKS
+def is_keyframe(part: Part) -> bool:
+    """Whether `part` is what `keyframe_part` gives."""
+    return type(part) is str and part != SKIP_MAPS
 
 
 def layer_of(part: Part) -> int:
-    """The layer that `part` belongs to; 0 for the masks."""
+    """The layer that `part` belongs to; 0 for the skip maps."""
     return part if isinstance(part, int) else int(part.partition("-")[2] or 0)
 
 
@@ -207,7 +207,7 @@ class Manifest:
 
     @property
     def slot_layout(self) -> SlotLayout:
-        """The layout by which masks, changes and snapshots are coded."""
+        """The layout by which skip maps, changes and keyframes are coded."""
         try:
             return SlotLayout(
                 self.swin_size, self.slots, self.sh_degree, self.lattice, self.segment_frames
@@ -219,7 +219,7 @@ class Manifest:
     def parts(self) -> tuple[Part, ...]:
         """The parts that each segment has an object of, in the order of the index."""
         layers = range(self.num_layers)
-        return (*layers, MASKS, *map(snapshot_part, layers))
+        return (*layers, SKIP_MAPS, *map(keyframe_part, layers))
 
     def part_number(self, part: Part) -> int:
         """The place of `part` in `parts`. Raises InvalidError if it has none."""
@@ -230,11 +230,11 @@ class Manifest:
     def max_content_bytes(self, part: Part) -> int:
         """Bytes of the largest chunk that a packet of `part` can hold."""
         layout, number = self.slot_layout, self.part_number(part)
-        if part == MASKS:
-            return layout.max_mask_bytes
+        if part == SKIP_MAPS:
+            return layout.max_skip_map_bytes
         if number < self.num_layers:
             return layout.max_change_bytes(number)
-        return layout.max_snapshot_bytes(number - self.num_layers - 1)
+        return layout.max_keyframe_bytes(number - self.num_layers - 1)
 
     @property
     def slice_size(self) -> int:
@@ -305,14 +305,14 @@ class Manifest:
 
     def births(self, segment: int, num_frames: int) -> range:
         """The births that the objects of `segment` hold, which shows `num_frames` frames. The
-        slices before frame 0 are in its snapshots."""
+        slices before frame 0 are in its keyframes."""
         first = segment * self.segment_frames
         return range(first, first + num_frames)
 
     def part_births(self, segment: int, num_frames: int, part: Part) -> range:
         """The births that the object of `part` may have packets of, see `births`."""
         births = self.births(segment, num_frames)
-        return births[:1] if is_snapshot(part) else births
+        return births[:1] if is_keyframe(part) else births
 
     def is_same_but_live(self, other: Manifest) -> bool:
         """Whether both are of one stream, which may have ended in between."""

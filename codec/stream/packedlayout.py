@@ -30,13 +30,13 @@ from .captions import MAX_CAPTIONS_BYTES
 from .integrity import MAX_INDEX_BYTES, check_index_end, read_index
 from .manifest import (
     MANIFEST_NAME,
-    MASKS,
     MAX_MANIFEST_BYTES,
     SEGMENTS_NAME,
+    SKIP_MAPS,
     Manifest,
     Part,
+    keyframe_part,
     object_name,
-    snapshot_part,
 )
 from .pictures import MAX_PICTURE_BYTES, picture_path
 from .segment import INDEX_NAME, SegmentRecord
@@ -305,9 +305,9 @@ class PackedHead:
 
 def packed_parts(num_layers: int) -> tuple[Part, ...]:
     """The parts of a segment as they lie in the file. What a player of n layers fetches lies side
-    by side, with snapshots or without, for every n."""
+    by side, with keyframes or without, for every n."""
     layers = range(num_layers)
-    return (*(snapshot_part(layer) for layer in reversed(layers)), MASKS, *layers)
+    return (*(keyframe_part(layer) for layer in reversed(layers)), SKIP_MAPS, *layers)
 
 
 class PackedLayout:

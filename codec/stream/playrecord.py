@@ -53,21 +53,21 @@ class SliceRecord:
 
     birth: int
     packets: tuple[bytes, ...]
-    """Packets of the layers first_layer, first_layer + 1, ..., at least one unless it has a mask. A
-    packet has no bytes where nothing changes."""
-    mask: bytes | None = None
-    """The packet of its mask, which comes with layer 0 and no other."""
+    """Packets of the layers first_layer, first_layer + 1, ..., at least one unless it has a skip
+    map. A packet has no bytes where nothing changes."""
+    skip_map: bytes | None = None
+    """The packet of its skip map, which comes with layer 0 and no other."""
     first_layer: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class SnapshotRecord:
+class KeyframeRecord:
     """Layers as they are after the slice of `frame`, the first of a segment."""
 
     frame: int
     first_layer: int
     packets: tuple[bytes, ...]
-    """The snapshots of the layers first_layer, first_layer + 1, ..., at least one."""
+    """The keyframes of the layers first_layer, first_layer + 1, ..., at least one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class ErrorRecord:
     message: str
 
 
-Record = StartRecord | SliceRecord | SnapshotRecord | EndRecord | ErrorRecord
+Record = StartRecord | SliceRecord | KeyframeRecord | EndRecord | ErrorRecord
 
 
 def encode_record(record: Record) -> bytes:
@@ -100,13 +100,13 @@ def encode_record(record: Record) -> bytes:
             }
         case SliceRecord():
             value = {"kind": "slice", "birth": record.birth, PACKETS_KEY: list(record.packets)}
-            if record.mask is not None:
-                value["mask"] = record.mask
+            if record.skip_map is not None:
+                value["skip_map"] = record.skip_map
             if record.first_layer:
                 value["first"] = record.first_layer
-        case SnapshotRecord():
+        case KeyframeRecord():
             value = {
-                "kind": "snapshot",
+                "kind": "keyframe",
                 "frame": record.frame,
                 "first": record.first_layer,
                 PACKETS_KEY: list(record.packets),
@@ -129,11 +129,13 @@ def _check(record: Record) -> None:
         case StartRecord():
             sound = 0 <= record.from_frame < 1 << 31 and 0 <= record.num_frames < 1 << 31
         case SliceRecord():
-            sound = record.first_layer >= 0 and (record.mask is None) == (record.first_layer > 0)
+            sound = record.first_layer >= 0 and (record.skip_map is None) == (
+                record.first_layer > 0
+            )
             least = int(record.first_layer > 0)
             sound &= least <= len(record.packets) <= MAX_LAYERS - record.first_layer
             sound &= -(1 << 31) <= record.birth < 1 << 31
-        case SnapshotRecord():
+        case KeyframeRecord():
             sound = 0 <= record.frame < 1 << 31 and record.first_layer >= 0
             sound &= 1 <= len(record.packets) <= MAX_LAYERS - record.first_layer
         case EndRecord():
@@ -216,12 +218,12 @@ def decode_record(body: bytes | memoryview) -> Record:
             first_layer = _count(value, "first") if "first" in value else 0
             packets = _packets(value, int(first_layer > 0))
             _check_layers(first_layer, packets)
-            mask = None if first_layer else _field(value, "mask", bytes)
-            return SliceRecord(birth, packets, mask, first_layer)
-        case "snapshot":
+            skip_map = None if first_layer else _field(value, "skip_map", bytes)
+            return SliceRecord(birth, packets, skip_map, first_layer)
+        case "keyframe":
             packets, first_layer = _packets(value, 1), _count(value, "first")
             _check_layers(first_layer, packets)
-            return SnapshotRecord(_count(value, "frame"), first_layer, packets)
+            return KeyframeRecord(_count(value, "frame"), first_layer, packets)
         case "end":
             return EndRecord(_count(value, "num_frames"))
         case "error":

@@ -2,7 +2,7 @@
 
 Rule: every file is checked against the index before it is decoded, and an error names the file.
 
-The slots that show at any frame of a stream: decoders that go on, or begin at a snapshot.
+The slots that show at any frame of a stream: decoders that go on, or begin at a keyframe.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from codec.storage.storage import Storage
 from .integrity import MAX_INDEX_BYTES, CheckedObject, read_index
 from .manifest import (
     MANIFEST_NAME,
-    MASKS,
     MAX_MANIFEST_BYTES,
+    SKIP_MAPS,
     Manifest,
     Part,
+    keyframe_part,
     object_name,
-    snapshot_part,
 )
 from .packedstorage import open_place
 from .segment import INDEX_NAME, SegmentRecord, record_bytes
@@ -37,17 +37,17 @@ FindObject = Callable[[int, Part], CheckedObject]
 
 
 def join(find: FindObject, manifest: Manifest, frame: int, decoder: SlotDecoder) -> None:
-    """Brings `decoder`, whatever it held, to `frame`, from the snapshots of its segment on. Raises
+    """Brings `decoder`, whatever it held, to `frame`, from the keyframes of its segment on. Raises
     a CodecError that names the object at fault; the decoder holds nothing then."""
     segment = manifest.segment_of(frame)
     first = segment * manifest.segment_frames
     decoder.clear()
     try:
         for layer in range(decoder.num_layers):
-            found = find(segment, snapshot_part(layer))
-            snapshot = found.content(first)
+            found = find(segment, keyframe_part(layer))
+            keyframe = found.content(first)
             try:
-                decoder.load(snapshot, layer, first)
+                decoder.load(keyframe, layer, first)
             except CodecError as error:
                 raise found.blamed(error, first) from error
         roll(find, manifest, frame, decoder)
@@ -70,20 +70,20 @@ def roll(
     made = []
     for birth in range(decoder.frame + 1, frame + 1):
         segment = manifest.segment_of(birth)
-        masks = find(segment, MASKS)
+        skip_maps = find(segment, SKIP_MAPS)
         layers = [find(segment, layer) for layer in range(decoder.num_layers)]
 
         def blamed(
             error: CodecError,
             layer: int | None,
-            masks: CheckedObject = masks,
+            skip_maps: CheckedObject = skip_maps,
             layers: list[CheckedObject] = layers,
             birth: int = birth,
         ) -> CodecError:
-            return (masks if layer is None else layers[layer]).blamed(error, birth)
+            return (skip_maps if layer is None else layers[layer]).blamed(error, birth)
 
         changes = [found.content(birth) for found in layers]
-        slice = decoder.apply(birth, masks.content(birth), changes, blamed, with_motion)
+        slice = decoder.apply(birth, skip_maps.content(birth), changes, blamed, with_motion)
         if with_motion:
             made.append(slice)
     return made
@@ -120,7 +120,7 @@ class Seeker:
 
     def _holds(self, decoder: SlotDecoder, birth: int) -> bool:
         """Whether the slice of `birth` lies in the window of `decoder` as it was born: of slices
-        before a snapshot one knows only what is left of them."""
+        before a keyframe one knows only what is left of them."""
         if decoder.frame is None or decoder.joined is None:
             return False
         window = window_births(decoder.frame, self._manifest.swin_size)
@@ -133,7 +133,7 @@ class Seeker:
             self._decoders[num_layers] = SlotDecoder(manifest.slot_layout, num_layers)
         decoder = self._decoders[num_layers]
         first = manifest.segment_of(frame) * manifest.segment_frames
-        # A snapshot costs about as much as the slices of a window.
+        # A keyframe costs about as much as the slices of a window.
         if (
             decoder.frame is not None
             and first - manifest.swin_size <= decoder.frame <= frame

@@ -35,7 +35,7 @@ INDEX_NAME = "index.bin"
 HEAD = struct.Struct("<IIII")
 # object bytes, object sha256, PSNR in dB of layers 0..this (NaN: unknown)
 LAYER = struct.Struct("<Q32sf")
-# object bytes, object sha256: of the masks, then of each snapshot
+# object bytes, object sha256: of the skip maps, then of each keyframe
 SIDE = struct.Struct("<Q32s")
 CHECKSUM = struct.Struct("<I")
 assert HEAD.size == 16
@@ -54,7 +54,7 @@ class SegmentRecord:
     object_bytes: tuple[int, ...]
     object_sha256: tuple[bytes, ...]
     psnr_db: tuple[float, ...]  # of layers 0..n together, float32; NaN where unknown
-    side_bytes: tuple[int, ...]  # of the masks, then of each snapshot
+    side_bytes: tuple[int, ...]  # of the skip maps, then of each keyframe
     side_sha256: tuple[bytes, ...]
 
     @staticmethod
@@ -67,7 +67,7 @@ class SegmentRecord:
     ) -> SegmentRecord:
         """The record of a segment of these objects, in the order of `Manifest.parts`. psnr_db: None
         if unknown."""
-        layers = len(objects) // 2  # as many snapshots, and the masks
+        layers = len(objects) // 2  # as many keyframes, and the skip maps
         sizes = tuple(map(len, objects))
         hashes = tuple(hashlib.sha256(data).digest() for data in objects)
         return SegmentRecord(
@@ -88,9 +88,9 @@ class SegmentRecord:
 
     @property
     def played_bytes(self) -> int:
-        """Bytes that a player of all layers from frame 0 on fetches: no snapshot but the first."""
-        masks_end = len(self.object_bytes) + 1
-        return sum(self.part_bytes if self.segment == 0 else self.part_bytes[:masks_end])
+        """Bytes that a player of all layers from frame 0 on fetches: no keyframe but the first."""
+        skip_maps_end = len(self.object_bytes) + 1
+        return sum(self.part_bytes if self.segment == 0 else self.part_bytes[:skip_maps_end])
 
     @property
     def part_sha256(self) -> tuple[bytes, ...]:
@@ -111,7 +111,7 @@ def size_offset(layer: int) -> int:
 
 
 def side_offset(number: int, num_layers: int) -> int:
-    """Where in a record the size of the masks (0) or of a snapshot (1 + layer) lies."""
+    """Where in a record the size of the skip maps (0) or of a keyframe (1 + layer) lies."""
     return size_offset(num_layers) + SIDE.size * number
 
 
@@ -126,7 +126,7 @@ def pack_record(record: SegmentRecord) -> bytes:
         layers = list(zip(record.object_bytes, record.object_sha256, record.psnr_db, strict=True))
         sides = list(zip(record.side_bytes, record.side_sha256, strict=True))
         if len(sides) != len(layers) + 1:
-            raise ValueError(f"{len(sides)} objects of masks and snapshots")
+            raise ValueError(f"{len(sides)} objects of skip maps and keyframes")
         if any(len(sha256) != 32 for sha256 in record.part_sha256):
             raise ValueError("a sha256 has 32 bytes")
         if any(map(math.isinf, record.psnr_db)):

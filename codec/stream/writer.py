@@ -28,7 +28,7 @@ from codec.slots.slotlayout import Update
 from codec.storage.openstorage import Target, open_growing
 from codec.storage.storage import GrowingPiece, GrowingPlace, Shape
 
-from .manifest import MANIFEST_NAME, MASKS, SEGMENTS_NAME, Manifest, Part, snapshot_part
+from .manifest import MANIFEST_NAME, SEGMENTS_NAME, SKIP_MAPS, Manifest, Part, keyframe_part
 from .reader import StreamReader
 from .segment import (
     INDEX_NAME,
@@ -127,12 +127,12 @@ class Draft:
             return replace(self, encoder=encoder)
         birth, packets = update.birth, dict(self.packets)
         parts: list[tuple[Part, EncodedChunk]] = [
-            (MASKS, encoded.mask),
+            (SKIP_MAPS, encoded.skip_map),
             *enumerate(encoded.changes),
         ]
         if birth % self.manifest.segment_frames == 0:
-            snapshots = enumerate(encoder.snapshots())
-            parts += [(snapshot_part(layer), chunk) for layer, chunk in snapshots]
+            keyframes = enumerate(encoder.keyframes())
+            parts += [(keyframe_part(layer), chunk) for layer, chunk in keyframes]
         for part, chunk in parts:
             packets[part] = (*packets[part], (birth, encode_packet(chunk, effort=self.effort)))
         after = replace(self, encoder=encoder, packets=packets)
@@ -146,12 +146,12 @@ class Draft:
         if self.decoder is None:
             decoder = SlotDecoder(manifest.slot_layout)
             for layer in range(manifest.num_layers):
-                decoder.load(self._content(snapshot_part(layer)), layer, birth)
+                decoder.load(self._content(keyframe_part(layer)), layer, birth)
             births = window_births(birth, manifest.swin_size)
         else:
             decoder = self.decoder.copy()
             changes = [self._content(layer) for layer in range(manifest.num_layers)]
-            decoder.apply(birth, self._content(MASKS), changes)
+            decoder.apply(birth, self._content(SKIP_MAPS), changes)
         scores_db = self.scores_db
         for number in births:
             slices = [decoder.whole(number, n) for n in layers]
@@ -160,8 +160,8 @@ class Draft:
 
     @property
     def slice_bytes(self) -> int:
-        """Size of the last slice's packets, without snapshots."""
-        parts = (MASKS, *range(self.manifest.num_layers))
+        """Size of the last slice's packets, without keyframes."""
+        parts = (SKIP_MAPS, *range(self.manifest.num_layers))
         return sum(len(packet) for part in parts for _, packet in self.packets[part][-1:])
 
     def _content(self, part: Part) -> bytes:
@@ -227,7 +227,7 @@ class StreamWriter:
         self.played_bytes = sum(record.played_bytes for record in records)
         """Bytes of those that a player from frame 0 on fetches."""
         self.slice_bytes = 0
-        """Bytes of the last slice's packets, without snapshots."""
+        """Bytes of the last slice's packets, without keyframes."""
 
     @classmethod
     def create(
@@ -275,7 +275,7 @@ class StreamWriter:
         if records:
             last = reader.num_frames - 1
             read = reader.decoder_at(last, manifest.num_layers)
-            parts = (MASKS, *range(manifest.num_layers))
+            parts = (SKIP_MAPS, *range(manifest.num_layers))
             objects = [reader.read_object(len(records) - 1, part) for part in parts]
             slice_bytes = sum(len(object.packet(last)) for object in objects)
         writer = cls(target, place, manifest, records, rank, quality, read, exact, effort)

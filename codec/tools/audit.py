@@ -16,9 +16,9 @@ from codec.arrays import Longs
 from codec.errors import CodecError, CorruptError
 from codec.slice import window_births
 from codec.slots.decoder import SlotDecoder
-from codec.slots.mask import MaskHistory, decode_mask
+from codec.slots.skipmap import SkipMapHistory, decode_skip_map
 from codec.slots.slotlayout import NEW, PREDICTED
-from codec.slots.state import ESCAPED, ON_LATTICE, Slots, Snapshot, decode_snapshot, holds
+from codec.slots.state import ESCAPED, ON_LATTICE, Keyframe, Slots, decode_keyframe, holds
 from codec.storage.openstorage import Place
 from codec.stream.integrity import (
     CheckedObject,
@@ -27,7 +27,7 @@ from codec.stream.integrity import (
     entry_content,
     object_table,
 )
-from codec.stream.manifest import MASKS, Part, Point, object_name, snapshot_part
+from codec.stream.manifest import SKIP_MAPS, Part, Point, keyframe_part, object_name
 from codec.stream.packedstorage import PackedStorage
 from codec.stream.pictures import check_pictures
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader, join, read_stream_file, roll
@@ -43,30 +43,30 @@ class SlotCensus:
     statuses: Longs
     """(F, L, 4) how many slots the slice born at each frame says KEPT, ENDED, PREDICTED, NEW of."""
     first: Longs
-    """(L,) Gaussians in the snapshots of frame 0."""
+    """(L,) Gaussians in the keyframes of frame 0."""
 
     @property
     def brought(self) -> Longs:
-        """(L,) Gaussians sent to a player from frame 0 on: those of the first snapshots, and all
+        """(L,) Gaussians sent to a player from frame 0 on: those of the first keyframes, and all
         that a slice changes or adds."""
         sent: Longs = self.statuses[:, :, [PREDICTED, NEW]].sum(axis=(0, 2))
         return self.first + sent
 
 
 def count_slots(reader: StreamReader) -> SlotCensus:
-    """The census of a stream, from its masks and its first snapshots. Raises a
+    """The census of a stream, from its skip maps and its first keyframes. Raises a
     CodecError that names the object at fault."""
     layout = reader.manifest.slot_layout
-    history = MaskHistory(layout)
+    history = SkipMapHistory(layout)
     counts = np.zeros((reader.num_frames, layout.num_layers, 4), np.int64)
     for record in reader.records:
-        masks = reader.read_object(record.segment, MASKS)
+        skip_maps = reader.read_object(record.segment, SKIP_MAPS)
         for birth in range(record.first_frame, record.first_frame + record.num_frames):
-            content = masks.content(birth)
+            content = skip_maps.content(birth)
             try:
-                statuses = decode_mask(layout, birth, content, history.of(birth))
+                statuses = decode_skip_map(layout, birth, content, history.of(birth))
             except CodecError as error:
-                raise masks.blamed(error, birth) from error
+                raise skip_maps.blamed(error, birth) from error
             history.note(birth, statuses)
             for layer, part in enumerate(np.split(statuses, layout.row_edges[1:-1])):
                 counts[birth, layer] = np.bincount(part, minlength=4)
@@ -78,13 +78,13 @@ def _first(reader: StreamReader) -> Longs:
     held = np.zeros(layout.num_layers, np.int64)
     if reader.records:
         for layer in range(layout.num_layers):
-            found = reader.read_object(0, snapshot_part(layer))
+            found = reader.read_object(0, keyframe_part(layer))
             content = found.content(0)
             try:
-                snapshot = decode_snapshot(layout, content)
+                keyframe = decode_keyframe(layout, content)
             except CodecError as error:
                 raise found.blamed(error, 0) from error
-            held[layer] = sum(int(holds(slots.conditions).sum()) for slots in snapshot.lanes)
+            held[layer] = sum(int(holds(slots.conditions).sum()) for slots in keyframe.lanes)
     return held
 
 
@@ -92,7 +92,7 @@ def _first(reader: StreamReader) -> Longs:
 class SlotSummary:
     """The census of slots for `swings-stream info`; the tuples have one entry for each layer.
 
-    The means are of the slices born after frame 0, for that of frame 0 is in the snapshots.
+    The means are of the slices born after frame 0, for that of frame 0 is in the keyframes.
     """
 
     slots: tuple[int, ...]
@@ -102,12 +102,12 @@ class SlotSummary:
     predicted: tuple[float, ...]
     new: tuple[float, ...]
     ended: tuple[float, ...]
-    mask_bytes: int
+    skip_map_bytes: int
     change_bytes: tuple[int, ...]
-    first_snapshot_bytes: tuple[int, ...]
-    """Snapshots of frame 0, which a player from there on fetches."""
-    join_snapshot_bytes: tuple[int, ...]
-    """Snapshots of all later segments, which players fetch that join there."""
+    first_keyframe_bytes: tuple[int, ...]
+    """Keyframes of frame 0, which a player from there on fetches."""
+    join_keyframe_bytes: tuple[int, ...]
+    """Keyframes of all later segments, which players fetch that join there."""
 
 
 def summarise_slots(reader: StreamReader, census: SlotCensus) -> SlotSummary:
@@ -136,22 +136,22 @@ def describe_slots(summary: SlotSummary) -> list[str]:
     named = ("kept", s.kept), ("predicted", s.predicted), ("new", s.new), ("ended", s.ended)
     means = ", ".join(f"{sum(values):.1f} {name}" for name, values in named)
     lines = [f"slots        {sum(s.slots)} a slice; as a mean {means}"]
-    lines.append(f"masks        {s.mask_bytes:>12} bytes")
+    lines.append(f"skip maps        {s.skip_map_bytes:>12} bytes")
     for layer, count in enumerate(s.slots):
         lines.append(
             f"changes {layer:<2}   {s.change_bytes[layer]:>12} bytes; of {count} slots "
             f"{s.predicted[layer]:.1f} predicted, {s.new[layer]:.1f} new"
         )
-    for layer, size in enumerate(s.first_snapshot_bytes):
-        joins = s.join_snapshot_bytes[layer]
+    for layer, size in enumerate(s.first_keyframe_bytes):
+        joins = s.join_keyframe_bytes[layer]
         lines.append(
-            f"snapshots {layer:<2} {size:>12} bytes of frame 0, {joins} bytes for joining players"
+            f"keyframes {layer:<2} {size:>12} bytes of frame 0, {joins} bytes for joining players"
         )
     return lines
 
 
 def verify_objects(reader: StreamReader) -> None:
-    """Reads, checks and decodes every object; a snapshot must be what the slices before it have
+    """Reads, checks and decodes every object; a keyframe must be what the slices before it have
     led to. Raises a CodecError that names the file and the first byte that may be wrong."""
     manifest = reader.manifest
     decoder = SlotDecoder(manifest.slot_layout)
@@ -170,7 +170,7 @@ def verify_objects(reader: StreamReader) -> None:
         else:
             roll(find, manifest, first, decoder)
             for layer in range(manifest.num_layers):
-                _check_snapshot(decoder, segment[snapshot_part(layer)], first, layer)
+                _check_keyframe(decoder, segment[keyframe_part(layer)], first, layer)
         roll(find, manifest, first + record.num_frames - 1, decoder)
 
 
@@ -199,40 +199,40 @@ def _whole_object(reader: StreamReader, record: SegmentRecord, part: Part) -> Ch
 
 
 def _check_first_slice(decoder: SlotDecoder, segment: dict[Part, CheckedObject]) -> None:
-    """The slice born at 0 is in the snapshots: its own packets, if any, keep all slots."""
-    masks = segment[MASKS]
+    """The slice born at 0 is in the keyframes: its own packets, if any, keep all slots."""
+    skip_maps = segment[SKIP_MAPS]
     layers = [segment[layer] for layer in range(decoder.num_layers)]
 
     def blamed(error: CodecError, layer: int | None) -> CodecError:
-        return (masks if layer is None else layers[layer]).blamed(error, 0)
+        return (skip_maps if layer is None else layers[layer]).blamed(error, 0)
 
-    statuses = decoder.statuses(0, masks.content(0), [one.content(0) for one in layers], blamed)
+    statuses = decoder.statuses(0, skip_maps.content(0), [one.content(0) for one in layers], blamed)
     if statuses.any():
-        error = CorruptError("mask: the slice born at 0 does not keep all slots")
-        raise masks.blamed(error, 0)
+        error = CorruptError("skip map: the slice born at 0 does not keep all slots")
+        raise skip_maps.blamed(error, 0)
 
 
-def _check_snapshot(decoder: SlotDecoder, found: CheckedObject, frame: int, layer: int) -> None:
-    """Raises CorruptError unless the snapshot is what `decoder` holds at `frame`."""
+def _check_keyframe(decoder: SlotDecoder, found: CheckedObject, frame: int, layer: int) -> None:
+    """Raises CorruptError unless the keyframe is what `decoder` holds at `frame`."""
     content = found.content(frame)
     try:
-        snapshot = decode_snapshot(decoder.layout, content)
-        _check_header(snapshot, frame, layer)
+        keyframe = decode_keyframe(decoder.layout, content)
+        _check_header(keyframe, frame, layer)
         births = window_births(frame, decoder.layout.swin_size)
-        for birth, slots in zip(births, snapshot.lanes, strict=True):
+        for birth, slots in zip(births, keyframe.lanes, strict=True):
             held = decoder.lanes[decoder.layout.lane(birth)][layer]
             if not _same(held, slots, frame - birth):
                 raise CorruptError(
-                    f"snapshot: the lane of birth {birth} is not what the slices before it left"
+                    f"keyframe: the lane of birth {birth} is not what the slices before it left"
                 )
     except CodecError as error:
         raise found.blamed(error, frame) from error
 
 
-def _check_header(snapshot: Snapshot, frame: int, layer: int) -> None:
-    if (snapshot.frame, snapshot.layer) != (frame, layer):
+def _check_header(keyframe: Keyframe, frame: int, layer: int) -> None:
+    if (keyframe.frame, keyframe.layer) != (frame, layer):
         raise CorruptError(
-            f"snapshot: of frame {snapshot.frame} layer {snapshot.layer} where frame {frame} layer "
+            f"keyframe: of frame {keyframe.frame} layer {keyframe.layer} where frame {frame} layer "
             f"{layer} belongs"
         )
 
@@ -261,8 +261,8 @@ class LayerSummary:
     gaussians_share: float
     """Share of the Gaussians, 0 to 1."""
     size_bytes: int
-    """Size of the objects that a player from frame 0 on fetches, with the masks and the snapshots
-    of frame 0."""
+    """Size of the objects that a player from frame 0 on fetches, with the skip maps and the
+    keyframes of frame 0."""
     bitrate_bps: float
     """Bits of them for each second of play."""
     psnr_db: float | None
@@ -293,7 +293,7 @@ class StreamSummary:
     size_bytes: int
     """Manifest, index and objects."""
     played_bytes: int
-    """The same without the snapshots of later segments, which players fetch that join there."""
+    """The same without the keyframes of later segments, which players fetch that join there."""
     bytes_per_gaussian: float
     """`played_bytes` without manifest and index, over the Gaussians sent: those of frame 0 and all
     that change or are new later."""
@@ -302,8 +302,8 @@ class StreamSummary:
 
 
 def summarise(place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS) -> StreamSummary:
-    """The summary of the stream at `place`, from its manifest, its index, its masks and the
-    snapshots of frame 0. max_gaussians: see `check_gaussians`.
+    """The summary of the stream at `place`, from its manifest, its index, its skip maps and the
+    keyframes of frame 0. max_gaussians: see `check_gaussians`.
 
     Raises a CodecError.
     """
@@ -390,10 +390,10 @@ def describe(summary: StreamSummary) -> str:
     s = summary
     state = "live, may still grow" if s.live else "finished"
     frames = "1 frame" if s.swin_size == 1 else f"{s.swin_size} frames"
-    snapshots_bytes = s.size_bytes - s.played_bytes
+    keyframes_bytes = s.size_bytes - s.played_bytes
     size = (
         f"{s.played_bytes} bytes, {s.bytes_per_gaussian:.2f} bytes a Gaussian that is sent; "
-        f"{snapshots_bytes} bytes of snapshots for joining players"
+        f"{keyframes_bytes} bytes of keyframes for joining players"
     )
     lines = [
         f"title        {s.title or '-'}",

@@ -29,7 +29,7 @@ Stream = Annotated[str, tyro.conf.arg(metavar="STREAM")]
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """Describe a stream from its manifest, index and masks."""
+    """Describe a stream from its manifest, index and skip maps."""
 
     stream: tyro.conf.Positional[Stream]
     """Folder of the stream, its .swings file, or the URL of either in an object store, such as

@@ -25,7 +25,7 @@ from .audit import count_slots
 LAYER_COLOURS = ("#33307a", "#2a78b5", "#2fa58a", "#e3a72f")
 """Colours of layers 0, 1, ..., the darkest first. More layers take steps between."""
 MEAN_COLOUR = "#b3411b"
-MASKS_COLOUR = "#7d7d7d"
+SKIP_MAPS_COLOUR = "#7d7d7d"
 FIRST_COLOUR = "#d5b9cd"
 JOIN_COLOUR = "#9c4f8a"
 STATUS_COLOURS = {"predicted": "#4a8f3c", "new": "#d98f2b", "ended": "#a8a8a8"}
@@ -53,8 +53,8 @@ class Band:
 
 
 def played_bands(reader: StreamReader) -> list[Band]:
-    """The bitrates, in Mbit/s, of all that a player from frame 0 on fetches: the masks, layer after
-    layer, and the snapshots of frame 0."""
+    """The bitrates, in Mbit/s, of all that a player from frame 0 on fetches: the skip maps, layer
+    after layer, and the keyframes of frame 0."""
     records, manifest = reader.records, reader.manifest
     rates_mbps = bitrates_bps(records, manifest.fps).T / 1e6
     colours = _layer_colours(manifest.num_layers)
@@ -64,12 +64,12 @@ def played_bands(reader: StreamReader) -> list[Band]:
     ]
     sides_mbps = _sides_mbps(reader)
     first = np.where(np.arange(len(records)) == 0, sides_mbps[:, 1:].sum(axis=1), 0.0)
-    masks = Band("masks", MASKS_COLOUR, sides_mbps[:, 0])
-    return [masks, *bands, Band("snapshots of frame 0", FIRST_COLOUR, first)]
+    skip_maps = Band("skipmaps", SKIP_MAPS_COLOUR, sides_mbps[:, 0])
+    return [skip_maps, *bands, Band("keyframes of frame 0", FIRST_COLOUR, first)]
 
 
 def _sides_mbps(reader: StreamReader) -> Doubles:
-    """(segments, 1 + layers) the bitrates of the masks, then of each snapshot."""
+    """(segments, 1 + layers) the bitrates of the skip maps, then of each keyframe."""
     seconds = np.array([record.num_frames for record in reader.records]) / reader.manifest.fps
     sizes = np.array([record.side_bytes for record in reader.records], np.float64)
     return np.asarray(8e-6 * sizes / seconds[:, None])
@@ -78,7 +78,7 @@ def _sides_mbps(reader: StreamReader) -> Doubles:
 def slot_bands(reader: StreamReader) -> list[Band]:
     """How many slots a slice does not keep, as a mean of each segment."""
     counts = count_slots(reader).statuses.sum(axis=1)
-    counts[0] = 0  # in the snapshots
+    counts[0] = 0  # in the keyframes
     starts = [record.first_frame for record in reader.records]
     # What is born at frame 0 does not count.
     slices = np.array([record.num_frames - (not record.segment) for record in reader.records])
@@ -173,7 +173,7 @@ def _draw_rates(axes: Axes, edges_s: Doubles, reader: StreamReader, mean_mbps: f
             color=JOIN_COLOUR,
             linestyle=":",
             linewidth=1.5,
-            label="snapshots, for joining players",
+            label="keyframes, for joining players",
         )
     axes.axhline(
         mean_mbps,
@@ -185,7 +185,7 @@ def _draw_rates(axes: Axes, edges_s: Doubles, reader: StreamReader, mean_mbps: f
     axes.set_ylim(bottom=0)
     axes.set_ylabel("bitrate (Mbit/s)")
     axes.set_title(
-        "bitrate of each segment; the first also carries the snapshots of frame 0",
+        "bitrate of each segment; the first also carries the keyframes of frame 0",
         fontsize=10,
         loc="left",
     )

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from codec.errors import CodecError, CorruptError
 from codec.slice import Slice
 from codec.slots.decoder import SlotDecoder
-from codec.stream.manifest import MASKS, Manifest, Part, layer_of, snapshot_part
+from codec.stream.manifest import SKIP_MAPS, Manifest, Part, keyframe_part, layer_of
 from codec.stream.segment import packet_content
-from player.source.source import Blame, Packets, SlicePackets, SnapshotPackets
+from player.source.source import Blame, KeyframePackets, Packets, SlicePackets
 
 log = logging.getLogger(__name__)
 
@@ -52,28 +52,28 @@ class Assembler:
         with_motion: whether the slices say which Gaussians they move. Raises a CodecError.
         """
         decoder = self._decoder
-        snapshots: dict[int, list[SnapshotPackets]] = {}
+        keyframes: dict[int, list[KeyframePackets]] = {}
         slices: dict[int, _Gathered] = {}
         for one in packets:
-            if isinstance(one, SnapshotPackets):
-                snapshots.setdefault(one.frame, []).append(one)
+            if isinstance(one, KeyframePackets):
+                keyframes.setdefault(one.frame, []).append(one)
             else:
                 self._gather(slices.setdefault(one.birth, _Gathered()), one)
         if decoder.frame is None:
             first = decoder.layout.segment_start(self._first_frame)
-            self._load(snapshots.pop(first, []))
+            self._load(keyframes.pop(first, []))
         if decoder.frame is None:
-            raise CorruptError(f"frame {frame} is due, but no snapshot has arrived")
-        for early in sorted(snapshots):
+            raise CorruptError(f"frame {frame} is due, but no keyframe has arrived")
+        for early in sorted(keyframes):
             if early <= decoder.frame:
-                self._load(snapshots.pop(early))
+                self._load(keyframes.pop(early))
         for birth in sorted(slices):
             if birth <= decoder.frame:
                 self._late(birth, slices[birth])
         made = []
         for birth in range(decoder.frame + 1, frame + 1):
-            gathered, whole = slices.get(birth, _Gathered()), snapshots.get(birth, [])
-            if MASKS not in gathered.parts and any(one.first_layer == 0 for one in whole):
+            gathered, whole = slices.get(birth, _Gathered()), keyframes.get(birth, [])
+            if SKIP_MAPS not in gathered.parts and any(one.first_layer == 0 for one in whole):
                 # After a break the stream begins anew: nothing says what became of the slots.
                 decoder.clear()
                 self._load(whole)
@@ -85,8 +85,8 @@ class Assembler:
 
     def _gather(self, gathered: _Gathered, one: SlicePackets) -> None:
         parts: list[tuple[Part, bytes]] = [*enumerate(one.packets, one.first_layer)]
-        if one.mask is not None:
-            parts.append((MASKS, one.mask))
+        if one.skip_map is not None:
+            parts.append((SKIP_MAPS, one.skip_map))
         for part, packet in parts:
             if part not in gathered.parts:
                 with self._mending(part):
@@ -99,10 +99,10 @@ class Assembler:
         except CodecError as error:
             raise blame(error, part) from error
 
-    def _load(self, snapshots: Iterable[SnapshotPackets]) -> None:
-        for one in snapshots:
+    def _load(self, keyframes: Iterable[KeyframePackets]) -> None:
+        for one in keyframes:
             for layer, packet in enumerate(one.packets, one.first_layer):
-                part = snapshot_part(layer)
+                part = keyframe_part(layer)
                 with self._mending(part):
                     content = self._content(packet, part, one.blame)
                     try:
@@ -136,20 +136,22 @@ class Assembler:
 
     def _apply(self, birth: int, gathered: _Gathered, with_motion: bool) -> Slice:
         parts = gathered.parts
-        if MASKS not in parts:
-            raise CorruptError(f"the slice born at {birth} is due, but its mask has not arrived")
+        if SKIP_MAPS not in parts:
+            raise CorruptError(
+                f"the slice born at {birth} is due, but its skip map has not arrived"
+            )
 
-        at_fault: Part = MASKS
+        at_fault: Part = SKIP_MAPS
 
         def blamed(error: CodecError, layer: int | None) -> CodecError:
             nonlocal at_fault
-            at_fault = MASKS if layer is None else layer
+            at_fault = SKIP_MAPS if layer is None else layer
             return gathered.blames[at_fault](error, at_fault)
 
         while True:
             changes = [parts.get(layer) for layer in range(self._decoder.num_layers)]
             try:
-                return self._decoder.apply(birth, parts[MASKS], changes, blamed, with_motion)
+                return self._decoder.apply(birth, parts[SKIP_MAPS], changes, blamed, with_motion)
             except CodecError as error:
                 self._check_mends(error, at_fault)
                 del parts[at_fault]

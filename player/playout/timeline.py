@@ -282,7 +282,7 @@ class Playout:
 
     def _used(self, frame: int, until_s: float) -> list[Packets]:
         """Takes the packets out of the queue that came by `until_s` and that `frame` is the first
-        to show, in order of birth, a snapshot behind the slice of its frame."""
+        to show, in order of birth, a keyframe behind the slice of its frame."""
         used: list[Packets] = []
         for birth in sorted(birth for birth in self._waiting if birth <= frame):
             waiting = self._waiting[birth]

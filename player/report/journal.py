@@ -81,9 +81,9 @@ class Arrival:
     play: int
     """Which of the plays, from 0 on: each loop and each seek begins one."""
     birth: int | None
-    """Birth of the slice; None for snapshots."""
+    """Birth of the slice; None for keyframes."""
     frame: int | None
-    """Frame of the snapshots; None for a slice."""
+    """Frame of the keyframes; None for a slice."""
     first_layer: int
     layers: int
     wire_bytes: int
@@ -284,7 +284,7 @@ class PlaySummary:
                 {
                     "play": arrival.play,
                     "birth": arrival.birth,
-                    "snapshot_frame": arrival.frame,
+                    "keyframe_frame": arrival.frame,
                     "first_layer": arrival.first_layer,
                     "layers": arrival.layers,
                     "bytes": arrival.wire_bytes,

@@ -119,7 +119,7 @@ def buffer_line(
     """When the buffer of one play changed, and what it then held: seconds of frames that could
     show, with layer 0 of all that they need, and had not."""
     ends = [
-        (one["came_s"], max(x for x in (one["birth"], one["snapshot_frame"]) if x is not None) + 1)
+        (one["came_s"], max(x for x in (one["birth"], one["keyframe_frame"]) if x is not None) + 1)
         for one in arrivals
         if one["first_layer"] == 0
     ]

@@ -296,7 +296,7 @@ class _Held:
         are from now on."""
         swin_size = self._manifest.swin_size
         if frame < self._frame:
-            # A slice from before a snapshot is known only as far as it shows behind that.
+            # A slice from before a keyframe is known only as far as it shows behind that.
             self.clear()
         self._frame = frame
         window = window_births(frame, swin_size)

@@ -17,7 +17,7 @@ from codec.errors import CodecError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.integrity import CheckedObject
-from codec.stream.manifest import MASKS, Manifest, Part, snapshot_part
+from codec.stream.manifest import SKIP_MAPS, Manifest, Part, keyframe_part
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.network.fetch import FetchConfig
 from player.network.http import IdleLimit
@@ -29,9 +29,9 @@ from .source import (
     NO_PLAY,
     REPORT_S,
     Blame,
+    KeyframePackets,
     Packets,
     SlicePackets,
-    SnapshotPackets,
     check_frames,
     check_layers,
 )
@@ -51,7 +51,7 @@ class SegmentReader:
         self._num_layers = num_layers
         self._end = frames.end
         self._next_segment = manifest.segment_of(frames.first)
-        # The slice of a segment's first frame is in its snapshots.
+        # The slice of a segment's first frame is in its keyframes.
         self._first_birth = self._next_segment * manifest.segment_frames + 1
         self._joined = False
 
@@ -66,24 +66,24 @@ class SegmentReader:
     def parts(self) -> list[Part]:
         """Parts of that segment to get, in the order of their use."""
         layers = range(self._num_layers)
-        snapshots = [] if self._joined else list(map(snapshot_part, layers))
-        return [*snapshots, MASKS, *layers]
+        keyframes = [] if self._joined else list(map(keyframe_part, layers))
+        return [*keyframes, SKIP_MAPS, *layers]
 
     def packets(self, objects: Objects) -> Iterator[Packets]:
         """The packets that the segment adds. objects: its `parts`."""
         layers = range(self._num_layers)
         if not self._joined:
             frame = self._next_segment * self._manifest.segment_frames
-            snapshots = tuple(objects[snapshot_part(layer)].packet(frame) for layer in layers)
-            yield SnapshotPackets(frame, 0, snapshots, _blame(objects, frame))
+            keyframes = tuple(objects[keyframe_part(layer)].packet(frame) for layer in layers)
+            yield KeyframePackets(frame, 0, keyframes, _blame(objects, frame))
             self._joined = True
         for birth in objects[0].births:
             if self._end is not None and birth >= self._end:
                 break
             if birth >= self._first_birth:
                 packets = tuple(objects[layer].packet(birth) for layer in layers)
-                mask = objects[MASKS].packet(birth)
-                yield SlicePackets(birth, 0, packets, mask, _blame(objects, birth))
+                skip_map = objects[SKIP_MAPS].packet(birth)
+                yield SlicePackets(birth, 0, packets, skip_map, _blame(objects, birth))
         self._next_segment += 1
 
 

@@ -19,10 +19,10 @@ from dataclasses import dataclass, field, replace
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
 from codec.stream.integrity import check_object_bytes, object_table
-from codec.stream.manifest import MASKS, Manifest, Part, is_snapshot, snapshot_part
+from codec.stream.manifest import SKIP_MAPS, Manifest, Part, is_keyframe, keyframe_part
 from codec.stream.segment import ENTRY, OBJECT_HEAD, ChunkEntry, SegmentRecord, error_in_object
 from server.abr.clientstatus import ClientStatus
-from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
+from server.abr.decisioncontext import Send, SendKeyframes, SendSlices
 from server.abr.media import RecordedMedia
 from server.abr.session import (
     Finished,
@@ -34,7 +34,7 @@ from server.abr.session import (
 )
 from server.abr.sweep import Sweep
 
-from .source import Blame, Packets, SlicePackets, SnapshotPackets
+from .source import Blame, KeyframePackets, Packets, SlicePackets
 
 MARGIN = 1.1
 """Before the table of an object is here: bytes asked for as a share of what the packets take in
@@ -45,7 +45,7 @@ SKIP_BYTES = 32 << 10
 too: about what a link of 10 Mbit/s carries in the time."""
 
 REST_BYTES = 8 << 10
-"""If less than this would be left of an object, the rest is requested too: masks come whole."""
+"""If less than this would be left of an object, the rest is requested too: skip maps come whole."""
 
 
 class PartialObject:
@@ -224,10 +224,10 @@ class _Wanted:
     send: Send
     segment: int
     parts: tuple[Part, ...]
-    """All that one of its slices, or snapshots, needs."""
+    """All that one of its slices, or keyframes, needs."""
     layer: int
     births: range
-    """Births that have not been handed over; of snapshots their frame."""
+    """Births that have not been handed over; of keyframes their frame."""
     asks: list[Ask] = field(default_factory=list)
     """Requests that are not fully answered."""
 
@@ -295,7 +295,7 @@ class HostedPlay:
                 if self._would_delay_the_start(now_s):
                     return WaitForAck()
                 decision = session.decide(now_s)
-                if not isinstance(decision, SendSlices | SendSnapshots):
+                if not isinstance(decision, SendSlices | SendKeyframes):
                     return decision
                 self._forget()
                 self._chosen = self._by_segment(decision)
@@ -334,15 +334,15 @@ class HostedPlay:
         segment = manifest.segment_of(births[0])
         for layer in range(send.first_layer, send.end_layer):
             parts: tuple[Part, ...] = (layer,)
-            if isinstance(send, SendSnapshots):
-                parts = (snapshot_part(layer),)
+            if isinstance(send, SendKeyframes):
+                parts = (keyframe_part(layer),)
             elif layer == 0:
-                parts = (MASKS, layer)
+                parts = (SKIP_MAPS, layer)
             fresh = self._fresh(segment, parts[-1], births)
             if (segment, layer) in self._lost:
-                continue  # the session need not know: the next segment comes with its snapshot
+                continue  # the session need not know: the next segment comes with its keyframe
             if (segment - 1, layer) in self._lost and isinstance(send, SendSlices):
-                num_bytes += self._want_snapshot(segment, layer)
+                num_bytes += self._want_keyframe(segment, layer)
             for run in fresh:
                 wanted = _Wanted(send, segment, parts, layer, run)
                 self._wanted.append(wanted)
@@ -350,19 +350,19 @@ class HostedPlay:
         # It hears of what is here or underway already, too: that was chosen.
         self.session.sent(send, num_bytes, now_s)
 
-    def _want_snapshot(self, segment: int, layer: int) -> int:
-        """Asks for the snapshot of a layer, unless it was chosen before; gives its bytes."""
-        frame, part = self._records[segment].first_frame, snapshot_part(layer)
+    def _want_keyframe(self, segment: int, layer: int) -> int:
+        """Asks for the keyframe of a layer, unless it was chosen before; gives its bytes."""
+        frame, part = self._records[segment].first_frame, keyframe_part(layer)
         num_bytes = 0
         for births in self._fresh(segment, part, range(frame, frame + 1)):
-            send = SendSnapshots(frame, layer, layer + 1)
+            send = SendKeyframes(frame, layer, layer + 1)
             wanted = _Wanted(send, segment, (part,), layer, births)
             self._wanted.insert(0, wanted)  # before the changes that need it
             num_bytes += self._ask(wanted)
         return num_bytes
 
     def lose(self, segment: int, layer: int, now_s: float) -> list[Ask]:
-        """Goes on without a layer above 0 of a segment; the next one begins with its snapshot.
+        """Goes on without a layer above 0 of a segment; the next one begins with its keyframe.
         Gives the requests that are not needed any more. Raises a CodecError."""
         self._lost.add((segment, layer))
         lost = [one for one in self._wanted if (one.segment, one.layer) == (segment, layer)]
@@ -373,8 +373,8 @@ class HostedPlay:
         self._ended_bytes += come_bytes
         self.session.lost(sum(ask.num_bytes for ask in asks) - come_bytes)
         if self._given.get((segment + 1, layer)):
-            send = SendSnapshots(self._records[segment + 1].first_frame, layer, layer + 1)
-            self.session.sent(send, self._want_snapshot(segment + 1, layer), now_s)
+            send = SendKeyframes(self._records[segment + 1].first_frame, layer, layer + 1)
+            self.session.sent(send, self._want_keyframe(segment + 1, layer), now_s)
         return asks
 
     def _by_segment(self, send: Send) -> list[Send]:
@@ -474,7 +474,7 @@ class HostedPlay:
 
     def packets(self) -> Iterator[Packets]:
         """Packets that have arrived and were not handed over: of each layer in the order of choice,
-        as a snapshot comes before its changes."""
+        as a keyframe comes before its changes."""
         behind: set[int] = set()  # layers of which something is to come first
         for wanted in list(self._wanted):
             if wanted.layer not in behind:
@@ -493,13 +493,13 @@ class HostedPlay:
             if None in found:
                 return
             wanted.births = wanted.births[1:]
-            *masks, packet = (one or b"" for one in found)
+            *skip_maps, packet = (one or b"" for one in found)
             blame = _blame(objects, birth)
-            if is_snapshot(wanted.parts[-1]):
-                yield SnapshotPackets(birth, wanted.layer, (packet,), blame)
+            if is_keyframe(wanted.parts[-1]):
+                yield KeyframePackets(birth, wanted.layer, (packet,), blame)
             else:
-                mask = masks[0] if masks else None
-                yield SlicePackets(birth, wanted.layer, (packet,), mask, blame)
+                skip_map = skip_maps[0] if skip_maps else None
+                yield SlicePackets(birth, wanted.layer, (packet,), skip_map, blame)
 
     def _forget(self) -> None:
         """Drops what is here of segments of which nothing shows any more."""

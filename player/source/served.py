@@ -20,15 +20,15 @@ from dataclasses import replace
 
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
-from codec.stream.manifest import MASKS, Manifest, Part, snapshot_part
+from codec.stream.manifest import SKIP_MAPS, Manifest, Part, keyframe_part
 from codec.stream.playrecord import (
     CONTENT_TYPE,
     EndRecord,
     ErrorRecord,
+    KeyframeRecord,
     Record,
     RecordParser,
     SliceRecord,
-    SnapshotRecord,
     StartRecord,
 )
 from codec.stream.segment import INDEX_NAME, record_bytes
@@ -63,10 +63,10 @@ from .source import (
     NO_PLAY,
     REPORT_S,
     Blame,
+    KeyframePackets,
     LastPlay,
     Packets,
     SlicePackets,
-    SnapshotPackets,
     check_frames,
     check_layers,
 )
@@ -93,7 +93,7 @@ class PlayReceiver:
         self._end = frames.end
         # Layers that have arrived, one bit for each, by birth and by frame.
         self._slices: dict[int, int] = {}
-        self._snapshots: dict[int, int] = {}
+        self._keyframes: dict[int, int] = {}
 
     def rejoin(self, num_frames: int) -> int:
         """The frame to ask for after a break, of a stream of `num_frames` frames."""
@@ -102,72 +102,72 @@ class PlayReceiver:
         self._asked_frame = max(min(self.next_birth, num_frames - 1), self._first_frame)
         return self._asked_frame
 
-    def ingest(self, record: SliceRecord | SnapshotRecord) -> Packets | None:
+    def ingest(self, record: SliceRecord | KeyframeRecord) -> Packets | None:
         """Packets of `record`; None if they came already, or were not requested.
         Raises a CodecError that names what is wrong."""
         end_layer = record.first_layer + len(record.packets)
         if end_layer > self._num_layers:
-            what = "a snapshot" if isinstance(record, SnapshotRecord) else "a slice"
+            what = "a keyframe" if isinstance(record, KeyframeRecord) else "a slice"
             raise CorruptError(
                 f"{self._name}: {what} has layer {end_layer - 1}; this play has {self._num_layers} "
                 "layers"
             )
-        if isinstance(record, SnapshotRecord):
-            return self._ingest_snapshots(record)
+        if isinstance(record, KeyframeRecord):
+            return self._ingest_keyframes(record)
         return self._ingest_slice(record)
 
-    def _ingest_snapshots(self, record: SnapshotRecord) -> Packets | None:
+    def _ingest_keyframes(self, record: KeyframeRecord) -> Packets | None:
         manifest, frame = self._manifest, record.frame
         if frame % manifest.segment_frames:
             raise CorruptError(
-                f"{self._name}: a snapshot of frame {frame} arrived, which does not begin a segment"
+                f"{self._name}: a keyframe of frame {frame} arrived, which does not begin a segment"
             )
 
         def blame(error: CodecError, part: Part) -> CodecError:
             layer = str(part).rpartition("-")[2]
-            return error.within(f"{self._name}: layer {layer} of the snapshot of frame {frame}")
+            return error.within(f"{self._name}: layer {layer} of the keyframe of frame {frame}")
 
         numbered = enumerate(record.packets, record.first_layer)
-        self._check_packets([(snapshot_part(layer), packet) for layer, packet in numbered], blame)
+        self._check_packets([(keyframe_part(layer), packet) for layer, packet in numbered], blame)
         if not self._joined:
             first = manifest.slot_layout.segment_start(self._asked_frame)
             if record.first_layer or frame != first:
                 raise CorruptError(
                     f"{self._name}: the play begins with layer {record.first_layer} of the "
-                    f"snapshot of frame {frame}, not with layer 0 of the snapshot of frame {first}"
+                    f"keyframe of frame {frame}, not with layer 0 of the keyframe of frame {first}"
                 )
             self._joined = True
             self.next_birth = max(self.next_birth, frame + 1)
         if not self._is_asked(frame):
             return None
-        first_layer, packets = _fresh(self._snapshots, frame, record)
-        return SnapshotPackets(frame, first_layer, packets, blame) if packets else None
+        first_layer, packets = _fresh(self._keyframes, frame, record)
+        return KeyframePackets(frame, first_layer, packets, blame) if packets else None
 
     def _ingest_slice(self, record: SliceRecord) -> Packets | None:
         birth = record.birth
         what = f"the slice born at {birth}"
         if not self._joined:
-            raise CorruptError(f"{self._name}: {what} arrived before a snapshot")
+            raise CorruptError(f"{self._name}: {what} arrived before a keyframe")
         if self._end is not None and birth >= self._end:
             raise CorruptError(
                 f"{self._name}: {what} arrived, but the play ends before frame {self._end}"
             )
 
         def blame(error: CodecError, part: Part) -> CodecError:
-            place = "the mask" if part == MASKS else f"layer {part}"
+            place = "the skip map" if part == SKIP_MAPS else f"layer {part}"
             return error.within(f"{self._name}: {place} of {what}")
 
         parts: list[tuple[Part, bytes]] = [*enumerate(record.packets, record.first_layer)]
-        if record.mask is not None:
-            parts.append((MASKS, record.mask))
+        if record.skip_map is not None:
+            parts.append((SKIP_MAPS, record.skip_map))
         self._check_packets(parts, blame)
         if record.first_layer == 0:
             if birth > self.next_birth:
                 raise CorruptError(
                     f"{self._name}: {what} arrived before the slice born at {self.next_birth}"
                 )
-            if record.mask is None:
-                raise CorruptError(f"{self._name}: {what} has no mask")
+            if record.skip_map is None:
+                raise CorruptError(f"{self._name}: {what} has no skip map")
             if not record.packets:
                 raise CorruptError(f"{self._name}: {what} has no layers")
             self.next_birth = max(self.next_birth, birth + 1)
@@ -175,8 +175,8 @@ class PlayReceiver:
         if not self._is_asked(birth):
             return None
         first_layer, packets = _fresh(self._slices, birth, record)
-        mask = None if first_layer else record.mask
-        return SlicePackets(birth, first_layer, packets, mask, blame) if packets else None
+        skip_map = None if first_layer else record.skip_map
+        return SlicePackets(birth, first_layer, packets, skip_map, blame) if packets else None
 
     def _check_packets(self, parts: list[tuple[Part, bytes]], blame: Blame) -> None:
         for part, packet in parts:
@@ -186,7 +186,7 @@ class PlayReceiver:
                 raise blame(error, part) from error
 
     def _is_asked(self, birth: int) -> bool:
-        """Whether a slice, or a snapshot, of `birth` is neither too old nor far too early."""
+        """Whether a slice, or a keyframe, of `birth` is neither too old nor far too early."""
         manifest = self._manifest
         ahead = max(manifest.swin_size, 2 * manifest.segment_frames)
         return self._oldest <= birth < self.next_birth + ahead
@@ -195,12 +195,12 @@ class PlayReceiver:
         """Drops what is known of slices that are too old to be of use."""
         while self._oldest < self.next_birth - KEPT_BIRTHS:
             self._slices.pop(self._oldest, None)
-            self._snapshots.pop(self._oldest, None)
+            self._keyframes.pop(self._oldest, None)
             self._oldest += 1
 
 
 def _fresh(
-    arrived: dict[int, int], at: int, record: SliceRecord | SnapshotRecord
+    arrived: dict[int, int], at: int, record: SliceRecord | KeyframeRecord
 ) -> tuple[int, tuple[bytes, ...]]:
     """Notes that the packets of `record`, born `at`, have arrived. Gives the first layer and the
     packets from the first one that had not to the last one; some between them may have."""
@@ -461,7 +461,7 @@ class ServedSource:
                     message = f"the stream ended before frame {receiver.next_birth}"
                     raise CorruptError(f"{self.name}: {message}")
                 return
-            if not isinstance(record, SliceRecord | SnapshotRecord):
+            if not isinstance(record, SliceRecord | KeyframeRecord):
                 raise CorruptError(f"{self.name}: a second start record arrived")
             packets = receiver.ingest(record)
             if packets is not None:

@@ -6,7 +6,7 @@ Rule: no I/O. The manifest bounds what is decoded; here it bounds what is held c
 from __future__ import annotations
 
 from codec.errors import CorruptError
-from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest, Part, is_snapshot
+from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest, Part, is_keyframe
 from codec.stream.segment import ENTRY, OBJECT_HEAD, SegmentRecord
 
 RECORD_BYTES = 4096
@@ -20,9 +20,9 @@ class SizeLimits:
         self._manifest = manifest
         contents = {part: manifest.max_content_bytes(part) for part in manifest.parts}
         self._packet_bytes = {part: _packed(size) for part, size in contents.items()}
-        snapshots = sum(size for part, size in self._packet_bytes.items() if is_snapshot(part))
-        slices = sum(self._packet_bytes.values()) - snapshots
-        self.record_bytes = max(slices, snapshots, MAX_MANIFEST_BYTES) + RECORD_BYTES
+        keyframes = sum(size for part, size in self._packet_bytes.items() if is_keyframe(part))
+        slices = sum(self._packet_bytes.values()) - keyframes
+        self.record_bytes = max(slices, keyframes, MAX_MANIFEST_BYTES) + RECORD_BYTES
         """Longest record of a play, bytes."""
 
     def check_packet(self, packet: bytes, part: Part) -> None:

@@ -1,6 +1,6 @@
 """The interface of a source of packets: a folder, a server, or a static host.
 
-Every source gives a manifest at once, and then packets of slices and snapshots, each once: in
+Every source gives a manifest at once, and then packets of slices and keyframes, each once: in
 whatever layers and order they come, layer 0 in order of birth.
 """
 
@@ -28,14 +28,14 @@ class SlicePackets:
     first_layer: int
     packets: tuple[bytes, ...]
     """One packet for each of the layers first_layer, first_layer + 1, ..."""
-    mask: bytes | None
-    """The packet of its mask, beside that of layer 0; None without it."""
+    skip_map: bytes | None
+    """The packet of its skip map, beside that of layer 0; None without it."""
     blame: Blame
 
     @property
     def wire_bytes(self) -> int:
         """Bytes on the wire or on disk."""
-        return sum(map(len, self.packets)) + len(self.mask or b"")
+        return sum(map(len, self.packets)) + len(self.skip_map or b"")
 
     @property
     def end_layer(self) -> int:
@@ -52,8 +52,8 @@ class SlicePackets:
 
 
 @dataclass(frozen=True, slots=True)
-class SnapshotPackets:
-    """Snapshots of some layers at the first frame of a segment."""
+class KeyframePackets:
+    """Keyframes of some layers at the first frame of a segment."""
 
     frame: int
     first_layer: int
@@ -77,10 +77,10 @@ class SnapshotPackets:
 
     def add_to(self, holding: Holding) -> None:
         """Notes in `holding` that they are there."""
-        holding.add_snapshots(self.frame, self.first_layer, self.end_layer)
+        holding.add_keyframes(self.frame, self.first_layer, self.end_layer)
 
 
-Packets = SlicePackets | SnapshotPackets
+Packets = SlicePackets | KeyframePackets
 
 
 @dataclass(frozen=True, slots=True)

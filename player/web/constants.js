@@ -18,15 +18,10 @@ export const COLOUR_TURN_RAD = 0.002;
 
 // player.render.upload
 export const COLOUR_COLUMNS = 2048;
-
-// player.render.upload
 export const MOVES = 1;
 export const ENTERS = 2;
 export const LEAST_SPARE = 64;
 export const SPARE_SHARE = 16;
-
-// codec.slice
-export const JUMP_SIGMAS = 8;
 
 // codec.splats
 export const SH_C0 = 0.28209479177387814;
@@ -35,6 +30,7 @@ export const MAX_SH_DEGREE = 3;
 // codec.slice
 export const MAX_SWIN_SIZE = 255;
 export const HIDDEN = 255;
+export const JUMP_SIGMAS = 8;
 
 // codec.camera
 export const MAX_IMAGE_PX = 16384;
@@ -60,6 +56,14 @@ export const MAX_LAYERS = 16;
 export const MAX_SEGMENT_FRAMES = 4096;
 export const MAX_CHUNK_BYTES = 248512624;
 export const COUNTS_BYTES = 20;
+export const CHUNK_MAGIC = "SWG1";
+export const CHUNK_HEAD = "<4sBBBBi";
+export const CHUNK_KINDS = { SKIP_MAP: 0, CHANGE: 1, KEYFRAME: 2 };
+export const HAS_STARTS = 1;
+export const KEPT = 0;
+export const ENDED = 1;
+export const PREDICTED = 2;
+export const NEW = 3;
 
 // codec.lattice.lattice
 export const POSITION_LIMIT = 8388608;
@@ -71,20 +75,12 @@ export const MAX_BASE = 1000;
 export const MAX_OPACITY_LEVELS = 256;
 export const MAX_LOGIT = 16;
 
-// codec.slots.slotlayout
-export const CHUNK_MAGIC = "SWG1";
-export const CHUNK_HEAD = "<4sBBBBi";
-export const CHUNK_KINDS = { MASK: 0, CHANGE: 1, SNAPSHOT: 2 };
-export const HAS_STARTS = 1;
-
 // codec.slots.change
 export const CHANGE_COUNTS = "<5I";
-
-// codec.slots.change
 export const LONG = 255;
 export const MAX_GAP_BITS = 25;
 
-// codec.slots.mask
+// codec.slots.skipmap
 export const CONTEXTS = 37;
 export const FIRST_OF_B = 32;
 export const CONTEXT_OF_C = 36;
@@ -94,12 +90,6 @@ export const WHOLE_RANGE = 4294967295;
 export const LEAST_RANGE = 16777216;
 export const FIRST_PROBABILITY = 32768;
 export const MOST_COUNTED = 127;
-
-// codec.slots.slotlayout
-export const KEPT = 0;
-export const ENDED = 1;
-export const PREDICTED = 2;
-export const NEW = 3;
 
 // codec.slots.state
 export const UNKNOWN = 0;
@@ -118,17 +108,15 @@ export const OBJECT_HEAD = "<II4sBBHI";
 export const OBJECT_ENTRY = "<iII";
 export const MAX_CHUNKS = 16384;
 export const MAX_OBJECT_BYTES = 1073741824;
+export const INDEX_HEAD = "<IIII";
+export const INDEX_LAYER = "<Q32sf";
+export const INDEX_SIDE = "<Q32s";
+export const INDEX_CHECKSUM = "<I";
 
 // codec.coders.zstd
 export const CODER = 1;
 export const ZSTD_MAGIC = [40, 181, 47, 253];
 export const MAX_EXPANSION = 32768;
-
-// codec.stream.segment
-export const INDEX_HEAD = "<IIII";
-export const INDEX_LAYER = "<Q32sf";
-export const INDEX_SIDE = "<Q32s";
-export const INDEX_CHECKSUM = "<I";
 
 // codec.stream.integrity
 export const MAX_INDEX_BYTES = 268435456;
@@ -143,8 +131,6 @@ export const MAX_PICTURE_BYTES = 1048576;
 // codec.stream.packedlayout
 export const ZIP_LOCAL = "<IHHHHHIIIHH";
 export const ZIP_LOCAL_MAGIC = 67324752;
-
-// codec.stream.packedlayout
 export const PACKED_SUFFIX = ".swings";
 export const PACKED_EXTRA = "<HHHHIIII";
 export const PACKED_EXTRA_ID = 22355;
@@ -180,9 +166,9 @@ export const STORYBOARD_PER_S = 4;
 /**
  * codec.stream.playrecord
  * @typedef {{ kind: "start", fromFrame: number, numFrames: number, manifest: Uint8Array }} StartRecord
- * @typedef {{ kind: "slice", birth: number, packets: Uint8Array[], mask: Uint8Array | null, firstLayer: number }} SliceRecord
- * @typedef {{ kind: "snapshot", frame: number, firstLayer: number, packets: Uint8Array[] }} SnapshotRecord
+ * @typedef {{ kind: "slice", birth: number, packets: Uint8Array[], skipMap: Uint8Array | null, firstLayer: number }} SliceRecord
+ * @typedef {{ kind: "keyframe", frame: number, firstLayer: number, packets: Uint8Array[] }} KeyframeRecord
  * @typedef {{ kind: "end", numFrames: number }} EndRecord
  * @typedef {{ kind: "error", message: string }} ErrorRecord
- * @typedef {StartRecord | SliceRecord | SnapshotRecord | EndRecord | ErrorRecord} PlayRecord
+ * @typedef {StartRecord | SliceRecord | KeyframeRecord | EndRecord | ErrorRecord} PlayRecord
  */

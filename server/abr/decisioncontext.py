@@ -32,8 +32,8 @@ class SendSlices:
 
 
 @dataclass(frozen=True, slots=True)
-class SendSnapshots:
-    """Send the snapshots of these layers at `frame`, the first of a segment."""
+class SendKeyframes:
+    """Send the keyframes of these layers at `frame`, the first of a segment."""
 
     frame: int
     first_layer: int
@@ -41,10 +41,10 @@ class SendSnapshots:
 
     def add_to(self, holding: Holding) -> None:
         """Notes in `holding` that they are there."""
-        holding.add_snapshots(self.frame, self.first_layer, self.end_layer)
+        holding.add_keyframes(self.frame, self.first_layer, self.end_layer)
 
 
-Send = SendSlices | SendSnapshots
+Send = SendSlices | SendKeyframes
 
 
 @dataclass(slots=True)
@@ -135,16 +135,16 @@ class FixedLayers:
         birth = holding.end_birth(0)
         if birth is None:
             first = segment_start(media, context.clock.first_frame)
-            return SendSnapshots(first, 0, wanted) if first < context.end_birth else None
+            return SendKeyframes(first, 0, wanted) if first < context.end_birth else None
         held = next((n for n in range(wanted) if holding.end_birth(n) != birth), wanted)
         if held < wanted and (birth - 1) % media.segment_frames == 0:
-            return SendSnapshots(birth - 1, held, wanted)
+            return SendKeyframes(birth - 1, held, wanted)
         if birth >= context.end_birth:
             return None
         size = media.sizes(birth).slice_bytes[held - 1]
         end = min(context.end_birth, birth + context.run_length(size, context.rate_bps))
         if held < wanted:
-            # With the slice of a segment's first frame they stop: snapshots follow.
+            # With the slice of a segment's first frame they stop: keyframes follow.
             first = segment_start(media, birth + media.segment_frames - 1)
             end = min(end, first + 1)
         return SendSlices(range(birth, end), 0, held)

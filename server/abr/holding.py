@@ -1,7 +1,7 @@
 """The packets of a stream that a client holds, or will hold when everything sent has arrived.
 
 Rule: a change is usable only after the change before it. So the usable part of a layer is a chain:
-from the frame of a snapshot to the last change that follows without a gap. After the chain's end
+from the frame of a keyframe to the last change that follows without a gap. After the chain's end
 the layer decays by the share that each slice would have changed. Layers 0..n are usable together; a
 layer without all lower layers is not.
 """
@@ -52,8 +52,8 @@ class Holding:
             self._join(layer)
         self._reach()
 
-    def add_snapshots(self, frame: int, first_layer: int, end_layer: int) -> None:
-        """Adds the snapshots of these layers at `frame`."""
+    def add_keyframes(self, frame: int, first_layer: int, end_layer: int) -> None:
+        """Adds the keyframes of these layers at `frame`."""
         for layer in range(first_layer, end_layer):
             chains = self._chains[layer]
             if not any(first <= frame <= last for first, last in chains):
@@ -62,7 +62,7 @@ class Holding:
         self._reach()
 
     def _reach(self) -> None:
-        """Notes how far the layers that are needed go without a gap: a later snapshot does not fill
+        """Notes how far the layers that are needed go without a gap: a later keyframe does not fill
         one."""
         for layer, end in enumerate(self._ends):
             for first, last in self._chains[layer]:

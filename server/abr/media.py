@@ -19,7 +19,7 @@ UNKNOWN_GAIN_DB = 3.0
 """Assumed gain from twice the bytes, if the index has no quality, dB."""
 
 SENT_SHARE_OF_WHOLE = 0.4
-"""Bytes of a Gaussian that a slice predicts, as a share of what it takes in a snapshot. Measured
+"""Bytes of a Gaussian that a slice predicts, as a share of what it takes in a keyframe. Measured
 on the basketball, docs/RESULTS.md."""
 
 
@@ -28,11 +28,12 @@ class SegmentSizes:
     """Sizes and qualities of a segment's slices; the tuples have one entry per layer."""
 
     layer_bytes: tuple[float, ...]
-    """Mean bytes of a slice's packet of this layer; that of the mask is counted with layer 0."""
+    """Mean bytes of a slice's packet of this layer; that of the skip map is counted with layer
+    0."""
     psnr_db: tuple[float, ...]
     """PSNR of the layers up to this one together, dB; rising."""
-    snapshot_bytes: tuple[float, ...]
-    """Bytes of the layer's snapshot at the segment's first frame."""
+    keyframe_bytes: tuple[float, ...]
+    """Bytes of the layer's keyframe at the segment's first frame."""
     changed_shares: tuple[float, ...]
     """Share of the layer's slots that a slice changes."""
 
@@ -133,16 +134,16 @@ def segment_sizes(record: SegmentRecord, manifest: Manifest) -> SegmentSizes:
     """Sizes and qualities of a segment, from its index record."""
     births = len(manifest.births(record.segment, record.num_frames))
     layer_bytes = [size / births for size in record.object_bytes]
-    masks_bytes, *snapshot_bytes = record.side_bytes
+    skip_maps_bytes, *keyframe_bytes = record.side_bytes
     # A slice has one lane of slots, so it cannot change more.
     shares = [
         min(1 / manifest.swin_size, sent / max(1.0, SENT_SHARE_OF_WHOLE * whole))
-        for sent, whole in zip(layer_bytes, snapshot_bytes, strict=True)
+        for sent, whole in zip(layer_bytes, keyframe_bytes, strict=True)
     ]
-    layer_bytes[0] += masks_bytes / births
+    layer_bytes[0] += skip_maps_bytes / births
     return SegmentSizes(
         tuple(layer_bytes),
         rising(record.psnr_db, layer_bytes),
-        tuple(map(float, snapshot_bytes)),
+        tuple(map(float, keyframe_bytes)),
         tuple(shares),
     )

@@ -5,8 +5,8 @@ A layer that is up to date offers its next change. It is worth what the layer ad
 
     priority = gain_db / bytes * exp(-slack / patience)
 
-A layer that is behind offers the cheapest way back: the changes that it missed, the snapshot of
-this segment with the changes since, or the snapshot of the next one. What that costs is weighed
+A layer that is behind offers the cheapest way back: the changes that it missed, the keyframe of
+this segment with the changes since, or the keyframe of the next one. What that costs is weighed
 against the time for which the link can keep it up.
 
 Layer 0 counts as much as a stall costs. So the leads of the layers order themselves, layer 0 far
@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 from codec.errors import InvalidError
 
-from .decisioncontext import DecisionContext, Send, SendSlices, SendSnapshots
+from .decisioncontext import DecisionContext, Send, SendKeyframes, SendSlices
 from .holding import Holding
 from .media import segment_start
 
@@ -187,7 +187,7 @@ class Sweep:
         birth = holding.end_birth(layer)
         if layer == 0 and birth is None:
             first = segment_start(media, context.clock.first_frame)
-            return _Offer(math.inf, SendSnapshots(first, 0, 1))
+            return _Offer(math.inf, SendKeyframes(first, 0, 1))
         if birth is not None:
             if birth >= end:
                 return None
@@ -250,15 +250,15 @@ class Sweep:
                 births = range(birth, min(end, birth + context.run_length(size, rate_bps)))
                 offers.append(_Offer(worth(cost, 0.0), SendSlices(births, layer, layer + 1)))
             if first < end and (birth is None or first > birth):
-                cost = (sizes.snapshot_bytes[layer] + (frame - first) * size) / ahead
-                offers.append(_Offer(worth(cost, 0.0), SendSnapshots(first, layer, layer + 1)))
+                cost = (sizes.keyframe_bytes[layer] + (frame - first) * size) / ahead
+                offers.append(_Offer(worth(cost, 0.0), SendKeyframes(first, layer, layer + 1)))
         for later in (first + media.segment_frames, first + 2 * media.segment_frames):
             if later >= end:
                 break
-            cost = media.sizes(later).snapshot_bytes[layer]
+            cost = media.sizes(later).keyframe_bytes[layer]
             slack_s = context.due_s(later) - free_s - 8 * cost / rate_bps
             if slack_s >= 0:
-                offers.append(_Offer(worth(cost, slack_s), SendSnapshots(later, layer, layer + 1)))
+                offers.append(_Offer(worth(cost, slack_s), SendKeyframes(later, layer, layer + 1)))
                 break
         return max(offers, key=lambda offer: offer.priority, default=None)
 
@@ -271,7 +271,7 @@ def _missing_of_picture(context: DecisionContext, rate_bps: float) -> Send | Non
     for layer in range(context.num_layers):
         birth = holding.end_birth_from(layer, frame)
         if birth is None or birth < first:
-            return SendSnapshots(first, layer, layer + 1)
+            return SendKeyframes(first, layer, layer + 1)
         if birth <= frame:
             size = media.sizes(birth).layer_bytes[layer]
             end = min(frame + 1, birth + context.run_length(size, rate_bps))

@@ -14,7 +14,7 @@ from aiohttp import web
 from codec.errors import CorruptError
 from codec.stream.captions import CAPTIONS_TYPE
 from codec.stream.integrity import MAX_INDEX_BYTES
-from codec.stream.manifest import MANIFEST_NAME, MASKS, Part
+from codec.stream.manifest import MANIFEST_NAME, SKIP_MAPS, Part
 from codec.stream.packedlayout import PACKED_SUFFIX
 from codec.stream.pictures import picture_type
 from codec.stream.segment import INDEX_NAME
@@ -40,7 +40,7 @@ MAX_WAIT_S = 30
 
 _NUMBER = "0|[1-9][0-9]{0,8}"
 
-_PART = f"{_NUMBER}|{MASKS}|snapshot-(?:{_NUMBER})|{SOUND_PREFIX}{SOUND_NAME}"
+_PART = f"{_NUMBER}|{SKIP_MAPS}|keyframe-(?:{_NUMBER})|{SOUND_PREFIX}{SOUND_NAME}"
 """What a segment has an object of; which of them there are, the stream says."""
 
 routes = web.RouteTableDef()

@@ -32,7 +32,7 @@ from server.abr.clientstatus import (
     parse_frame,
     parse_rate,
 )
-from server.abr.decisioncontext import FixedLayers, SendSlices, SendSnapshots
+from server.abr.decisioncontext import FixedLayers, SendKeyframes, SendSlices
 from server.abr.receipts import MOST_BEHIND_BYTES, REPORT_S, Receipts
 from server.abr.session import (
     Finished,
@@ -54,8 +54,8 @@ from .statusreport import may_continue
 
 log = logging.getLogger(__name__)
 
-SNAPSHOTS_BYTES = 1 << 20
-"""Bytes of snapshots after which a record ends, and the next layer goes into another one."""
+KEYFRAMES_BYTES = 1 << 20
+"""Bytes of keyframes after which a record ends, and the next layer goes into another one."""
 
 PLAYS_PER_REST = 100
 """For so many plays that run already a new one rests once more as long between two bursts."""
@@ -258,8 +258,8 @@ class Play:
             match decision:
                 case SendSlices() as send:
                     await self._send_layers(send)
-                case SendSnapshots() as send:
-                    await self._send_snapshots(send)
+                case SendKeyframes() as send:
+                    await self._send_keyframes(send)
                 case WaitForAck():
                     await self._pause(config.poll_s)
                 case WaitUntil(time_s=time_s):
@@ -310,15 +310,15 @@ class Play:
         if error is not None:
             raise error
 
-    async def _send_snapshots(self, send: SendSnapshots) -> None:
-        """Sends the snapshots in records of not much more than SNAPSHOTS_BYTES."""
+    async def _send_keyframes(self, send: SendKeyframes) -> None:
+        """Sends the keyframes in records of not much more than KEYFRAMES_BYTES."""
         frame, first, records = send.frame, send.first_layer, self._state.records
         while first < send.end_layer:
-            coded = await records.snapshots(
-                self._stream, frame, first, SNAPSHOTS_BYTES, send.end_layer
+            coded = await records.keyframes(
+                self._stream, frame, first, KEYFRAMES_BYTES, send.end_layer
             )
             end = first + len(coded.parts)
-            one = SendSnapshots(frame, first, end)
+            one = SendKeyframes(frame, first, end)
             self._session.sent(one, len(coded.data), self._clock())
             await self._write([coded])
             first = end

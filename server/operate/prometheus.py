@@ -80,12 +80,13 @@ class Metrics:
         self.requests = counter("requests", "Responses by route and status code.", "route", "code")
         self.layer_bytes = counter(
             "layer_bytes",
-            "Bytes of objects or packets sent, by layer, mask or snapshot, and by request type.",
+            "Bytes of objects or packets sent, by layer, skip map or keyframe, and by request "
+            "type.",
             "via",
             "layer",
         )
         self.packets = counter(
-            "play_packets", "Packets sent by plays, by layer, mask or snapshot.", "layer"
+            "play_packets", "Packets sent by plays, by layer, skip map or keyframe.", "layer"
         )
         self.plays = counter("plays", "Finished plays, by outcome.", "outcome")
         self.status_reports = counter(

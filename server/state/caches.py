@@ -13,8 +13,8 @@ from typing import Generic, Protocol, TypeVar
 
 from codec.errors import CodecError
 from codec.stream.integrity import CheckedObject
-from codec.stream.manifest import MASKS, Part, snapshot_part
-from codec.stream.playrecord import SliceRecord, SnapshotRecord, encode_record
+from codec.stream.manifest import SKIP_MAPS, Part, keyframe_part
+from codec.stream.playrecord import KeyframeRecord, SliceRecord, encode_record
 from server.abr.decisioncontext import SendSlices
 from server.http.content import IMMUTABLE, OBJECT_TYPE, REVALIDATE, Content
 from server.library import ServedStream
@@ -167,7 +167,7 @@ class RecordCache:
     async def slices(
         self, stream: ServedStream, send: SendSlices
     ) -> tuple[list[CodedRecord], CodecError | OSError | None]:
-        """A record for each slice of `send`, with its mask where it has layer 0; or for those
+        """A record for each slice of `send`, with its skip map where it has layer 0; or for those
         before a file that is bad, and what is wrong with it."""
         first, end, generation = send.first_layer, send.end_layer, stream.generation
         coded = []
@@ -183,18 +183,18 @@ class RecordCache:
         _, birth, first_layer, end_layer = key
         segment = stream.view.manifest.segment_of(birth)
         layers: list[Part] = [*range(first_layer, end_layer)]
-        parts = layers if first_layer else [*layers, MASKS]
+        parts = layers if first_layer else [*layers, SKIP_MAPS]
         packets = [
             (await self._objects.load(stream, segment, part)).checked.packet(birth)
             for part in parts
         ]
-        mask = packets[-1] if len(parts) > len(layers) else None
-        record = SliceRecord(birth, tuple(packets[: len(layers)]), mask, first_layer)
+        skip_map = packets[-1] if len(parts) > len(layers) else None
+        record = SliceRecord(birth, tuple(packets[: len(layers)]), skip_map, first_layer)
         coded = _coded(record, parts, packets)
         self._records.keep(key, coded)
         return coded
 
-    async def snapshots(
+    async def keyframes(
         self,
         stream: ServedStream,
         frame: int,
@@ -202,22 +202,22 @@ class RecordCache:
         most_bytes: int,
         end_layer: int,
     ) -> CodedRecord:
-        """The snapshots at `frame` of layers from `first_layer` on: as many as have not much more
+        """The keyframes at `frame` of layers from `first_layer` on: as many as have not much more
         than `most_bytes`, up to `end_layer`."""
         segment = stream.view.manifest.segment_of(frame)
         parts, packets = list[Part](), list[bytes]()
         for layer in range(first_layer, end_layer):
-            part = snapshot_part(layer)
+            part = keyframe_part(layer)
             parts.append(part)
             found = await self._objects.load(stream, segment, part)
             packets.append(found.checked.packet(frame))
             if sum(map(len, packets)) >= most_bytes:
                 break
-        record = SnapshotRecord(frame, first_layer, tuple(packets))
+        record = KeyframeRecord(frame, first_layer, tuple(packets))
         return _coded(record, parts, packets)
 
 
 def _coded(
-    record: SliceRecord | SnapshotRecord, parts: list[Part], packets: list[bytes]
+    record: SliceRecord | KeyframeRecord, parts: list[Part], packets: list[bytes]
 ) -> CodedRecord:
     return CodedRecord(encode_record(record), tuple(parts), tuple(map(len, packets)))

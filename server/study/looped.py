@@ -53,7 +53,7 @@ class LoopedMedia:
 
     @property
     def need_bps(self) -> float:
-        """Rate of the slices of all frames with all layers, bits per second; without snapshots,
+        """Rate of the slices of all frames with all layers, bits per second; without keyframes,
         which not every client is sent."""
         slices_bytes = (self.sizes(frame).slice_bytes[-1] for frame in range(self.num_frames))
         return 8 * self.fps * fmean(slices_bytes)

@@ -8,7 +8,7 @@ be written as their papers put them: a chunk comes, which of its sizes is it to 
 
 `InOrder` sends by it: slices in order of birth, each complete at once. This is how video is
 delivered by chunks: what was sent is never mended, and nothing is sent out of its turn. More layers
-begin at a segment's first frame only: the slice of that frame as before, the snapshots of the
+begin at a segment's first frame only: the slice of that frame as before, the keyframes of the
 layers that are new, and then slices with more layers. Any group may have fewer.
 """
 
@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from itertools import accumulate
 from statistics import fmean, harmonic_mean
 
-from server.abr.decisioncontext import DecisionContext, Send, SendSlices, SendSnapshots
+from server.abr.decisioncontext import DecisionContext, Send, SendKeyframes, SendSlices
 from server.abr.media import Media, segment_start
 
 from .qoe import QoeConfig
@@ -37,8 +37,8 @@ class Group:
     """Bytes of its slices with 1, 2, ... layers; rising."""
     psnr_db: tuple[float, ...]
     """Mean PSNR with 1, 2, ... layers, dB (index.bin); rising."""
-    snapshot_bytes: tuple[float, ...]
-    """Bytes of the snapshots of 1, 2, ... layers at its first frame."""
+    keyframe_bytes: tuple[float, ...]
+    """Bytes of the keyframes of 1, 2, ... layers at its first frame."""
     can_rise: bool
     """Whether it may get more layers than the group before it."""
 
@@ -51,9 +51,9 @@ class Group:
         return len(self.slice_bytes) if self.can_rise else max(held, 1)
 
     def rise_bytes(self, num_layers: int, held: int) -> float:
-        """Bytes of the snapshots that raise its first frame from `held` layers to `num_layers`."""
-        before = self.snapshot_bytes[held - 1] if held else 0.0
-        return self.snapshot_bytes[num_layers - 1] - before if num_layers > held else 0.0
+        """Bytes of the keyframes that raise its first frame from `held` layers to `num_layers`."""
+        before = self.keyframe_bytes[held - 1] if held else 0.0
+        return self.keyframe_bytes[num_layers - 1] - before if num_layers > held else 0.0
 
     def cost_bytes(self, num_layers: int, held: int) -> float:
         """All that it takes with `num_layers` behind a group with `held`."""
@@ -124,7 +124,7 @@ class InOrder:
         self._layers = 0
         """Layers of that group."""
         self._rises = False
-        """Whether the snapshots with which it rises may still have to be sent."""
+        """Whether the keyframes with which it rises may still have to be sent."""
 
     def choose(self, context: DecisionContext) -> Send | None:
         media, holding = context.media, context.holding
@@ -134,18 +134,18 @@ class InOrder:
             if first >= context.end_birth:
                 return None
             self._decide(context, first, held=0)
-            return SendSnapshots(first, 0, self._layers)
+            return SendKeyframes(first, 0, self._layers)
         layers = range(media.num_layers)
         held = next((n for n in layers if holding.end_birth(n) != birth), len(layers))
         if self._rises and held < self._layers:
-            return SendSnapshots(birth - 1, held, self._layers)
+            return SendKeyframes(birth - 1, held, self._layers)
         self._rises = False
         if birth >= context.end_birth:
             return None
         if birth >= self._end:
             self._decide(context, birth, held)
         if self._layers > held:
-            # The first slice of a group that rises; the snapshots follow.
+            # The first slice of a group that rises; the keyframes follow.
             return SendSlices(range(birth, birth + 1), 0, held)
         size = media.sizes(birth).slice_bytes[self._layers - 1]
         end = birth + context.run_length(size, context.rate_bps)
@@ -201,7 +201,7 @@ def group_of(media: Media, begin: int, end: int, first_frame: int) -> Group:
         media_s=max(0, end - max(begin, first_frame)) / media.fps,
         slice_bytes=tuple(map(sum, zip(*(s.slice_bytes for s in sizes), strict=True))),
         psnr_db=tuple(map(fmean, zip(*(s.psnr_db for s in sizes), strict=True))),
-        snapshot_bytes=tuple(accumulate(sizes[0].snapshot_bytes)),
+        keyframe_bytes=tuple(accumulate(sizes[0].keyframe_bytes)),
         can_rise=begin % media.segment_frames == 0,
     )
 
@@ -209,7 +209,7 @@ def group_of(media: Media, begin: int, end: int, first_frame: int) -> Group:
 SAFETY = 0.9
 """Share of the estimated rate that is planned with (dash.js, Sabre)."""
 RISE_S = 4.0
-"""Seconds over which the snapshots that a rise takes are spread (ours)."""
+"""Seconds over which the keyframes that a rise takes are spread (ours)."""
 
 
 class ThroughputRule(Rule):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
-from server.abr.decisioncontext import Policy, Send, SendSlices, SendSnapshots
+from server.abr.decisioncontext import Policy, Send, SendKeyframes, SendSlices
 from server.abr.holding import Holding
 from server.abr.link import Link
 from server.abr.media import Media
@@ -55,8 +55,8 @@ class _Piece:
 def send_bytes(media: Media, send: Send) -> float:
     """Bytes of `send` on the wire."""
     layers = range(send.first_layer, send.end_layer)
-    if isinstance(send, SendSnapshots):
-        return sum(media.sizes(send.frame).snapshot_bytes[layer] for layer in layers)
+    if isinstance(send, SendKeyframes):
+        return sum(media.sizes(send.frame).keyframe_bytes[layer] for layer in layers)
     return sum(media.sizes(birth).layer_bytes[layer] for birth in send.births for layer in layers)
 
 
@@ -76,7 +76,7 @@ def simulate(
     now_s = free_s = acked_bytes = 0.0
     while now_s < at_most_s:
         decision = session.decide(now_s)
-        if isinstance(decision, SendSlices | SendSnapshots):
+        if isinstance(decision, SendSlices | SendKeyframes):
             num_bytes = send_bytes(media, decision)
             session.sent(decision, num_bytes, now_s)
             whole, left = None, num_bytes

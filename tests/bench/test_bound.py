@@ -44,13 +44,13 @@ def make_stream(
             # A sender takes nothing of layer 0 for something that has come at once.
             layer_bytes[layer] = 0.0 if layer else 1.0
         gains_db = [20 + 8 * rng.random(), *rng.uniform(0, 3, num_layers - 1).tolist()]
-        snapshots = layer_bytes * rng.uniform(0.5, 12, num_layers)
+        keyframes = layer_bytes * rng.uniform(0.5, 12, num_layers)
         changed = rng.choice([0.0, 0.1, 0.3, 1.0], num_layers, p=[0.1, 0.4, 0.4, 0.1])
         segments.append(
             SegmentSizes(
                 tuple(layer_bytes.tolist()),
                 tuple(accumulate(gains_db)),
-                tuple(snapshots.tolist()),
+                tuple(keyframes.tolist()),
                 tuple(changed.tolist()),
             )
         )
@@ -167,7 +167,7 @@ def test_a_link_that_carries_all_gives_all_layers() -> None:
 
 def test_half_of_a_layer_is_half_of_its_worth() -> None:
     """For a long play on a link between one and two layers, the bound is on the line between."""
-    # A snapshot is worth 5 slices, and takes more.
+    # A keyframe is worth 5 slices, and takes more.
     sizes = SegmentSizes((1e4, 1e4), (30.0, 34.0), (1e5, 1e5), (0.2, 0.2))
     media = MadeMedia((sizes,), 600, fps=10, segment_frames=10)
     found = bound(media, steady(8 * 10 * 1.5e4), *RULES, 0, 600)

@@ -38,5 +38,5 @@ def test_what_is_coded_again_is_the_same_but_for_the_prediction(
     found = examine(reader)
     sizes = [sum(map(len, packets)) for packets in without]
     assert found["unpredicted_bytes"] == sum(sizes) / (FRAMES - 1)
-    first = [(tmp_path / f"segments/0/snapshot-{n}").stat().st_size for n in (0, 1)]
+    first = [(tmp_path / f"segments/0/keyframe-{n}").stat().st_size for n in (0, 1)]
     assert found["first_bytes"] == sum(first)

@@ -134,12 +134,12 @@ def report_of(reader: StreamReader, layers: int, late_s: float = 0.0) -> dict[st
 
     def came(first_layer: int, count: int, came_s: float, **what: int) -> None:
         packets = {"first_layer": first_layer, "layers": count, "bytes": 1, "came_s": came_s}
-        arrivals.append({"play": 0, "birth": None, "snapshot_frame": None, **packets, **what})
+        arrivals.append({"play": 0, "birth": None, "keyframe_frame": None, **packets, **what})
 
     for first, count in ((0, layers), (layers, manifest.num_layers - layers)):
         if not count or (first and not late_s):
             continue
-        came(first, count, late_s if first else 0.0, snapshot_frame=0)
+        came(first, count, late_s if first else 0.0, keyframe_frame=0)
         for birth in range(1, FRAMES):
             came(first, count, birth + late_s if first else 0.0, birth=birth)
     frames = [{"play": 0, "frame": frame, "shown_s": float(frame)} for frame in range(FRAMES)]

@@ -33,11 +33,11 @@ def test_arrays_have_the_shapes_that_are_promised(sh_degree: int) -> None:
     assert splats.num_bytes == 3 * 4 * (11 + 3 * (sh_degree + 1) ** 2)
 
 
-def test_rows_are_taken_by_numbers_a_mask_or_a_slice() -> None:
-    mask = np.array([False, True, False, True])
-    for rows in (np.array([1, 3]), mask, slice(1, None, 2)):
+def test_rows_are_taken_by_numbers_a_skip_map_or_a_slice() -> None:
+    skip_map = np.array([False, True, False, True])
+    for rows in (np.array([1, 3]), skip_map, slice(1, None, 2)):
         for taken, array in zip(GOOD.take(rows).arrays, GOOD.arrays, strict=True):
-            np.testing.assert_array_equal(taken, array[mask])
+            np.testing.assert_array_equal(taken, array[skip_map])
 
 
 def test_another_degree_keeps_what_both_have() -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 
 KEPT, ENDED, PREDICTED, NEW = range(4)
-MASK, CHANGE, SNAPSHOT = range(3)
+SKIP_MAP, CHANGE, KEYFRAME = range(3)
 
 Statuses = list[list[int]]
 """The statuses of a slice: one for each slot of each layer."""
@@ -116,7 +116,7 @@ def to_floats(gaussian: Gaussian, lattice: Lattice) -> Floats:
     return Floats(mean, scales, (w, x, y, z), opacity, tuple(sh))
 
 
-# --- Section 9: mask ---
+# --- Section 9: skip map ---
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,11 +131,11 @@ def decode_head(chunk: bytes, kind: int, shape: Shape) -> Head:
     assert len(chunk) >= 12
     magic, found, layer, flags, zero, birth = struct.unpack_from("<4sBBBBi", chunk)
     assert magic == b"SWG1"
-    if found > SNAPSHOT or zero or flags & (0xFF if found == MASK else 0xFE):
+    if found > KEYFRAME or zero or flags & (0xFF if found == SKIP_MAP else 0xFE):
         raise Unsupported
     assert found == kind
     assert layer < len(shape.slots)
-    assert not (kind == MASK and layer)
+    assert not (kind == SKIP_MAP and layer)
     return Head(layer, bool(flags & 1), birth)
 
 
@@ -171,10 +171,10 @@ class BitDecoder:
         return bit
 
 
-def decode_mask(body: bytes, slots: Sequence[int], before: Sequence[Statuses]) -> Statuses:
-    """`before`: the relevant earlier masks of this lane, the last one first."""
+def decode_skip_map(body: bytes, slots: Sequence[int], before: Sequence[Statuses]) -> Statuses:
+    """`before`: the relevant earlier skip maps of this lane, the last one first."""
     decoder = BitDecoder(body)
-    mask = []
+    skip_map = []
     for layer, count in enumerate(slots):
         statuses: list[int] = []
         for slot in range(count):
@@ -187,9 +187,9 @@ def decode_mask(body: bytes, slots: Sequence[int], before: Sequence[Statuses]) -
                 statuses.append(PREDICTED)
             else:
                 statuses.append(NEW if decoder.bit(36) == 0 else ENDED)
-        mask.append(statuses)
+        skip_map.append(statuses)
     assert decoder.at == len(body)
-    return mask
+    return skip_map
 
 
 # --- Section 10: change ---
@@ -336,12 +336,12 @@ def predict(before: Slot, residual: Residual, birth: int, lattice: Lattice) -> S
     return Gaussian(birth, position, (*signed, opacity))
 
 
-# --- Section 11: snapshot ---
+# --- Section 11: keyframe ---
 
 
-def decode_snapshot(chunk: bytes, shape: Shape) -> tuple[Head, list[list[Slot]]]:
+def decode_keyframe(chunk: bytes, shape: Shape) -> tuple[Head, list[list[Slot]]]:
     """The slots of each lane, in the order of births birth - swin_size + 1 .. birth."""
-    head = decode_head(chunk, SNAPSHOT, shape)
+    head = decode_head(chunk, KEYFRAME, shape)
     count = shape.slots[head.layer]
     num_flags = shape.swin_size * count
     num_bytes = (num_flags + 7) // 8

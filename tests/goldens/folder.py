@@ -100,7 +100,7 @@ def read_manifest(text: bytes) -> Shape:
 def file_names(num_layers: int) -> list[str]:
     """The objects of a segment, in the order of their entries in the index."""
     layers = range(num_layers)
-    return [*map(str, layers), "masks", *(f"snapshot-{layer}" for layer in layers)]
+    return [*map(str, layers), "skipmaps", *(f"keyframe-{layer}" for layer in layers)]
 
 
 def read_index(data: bytes, shape: Shape) -> list[IndexRecord]:
@@ -132,9 +132,9 @@ def read_record(row: bytes, n: int, shape: Shape) -> IndexRecord:
 
 def largest_content(name: str, shape: Shape) -> int:
     """Maximum bytes that the slots can need in a chunk of this object."""
-    if name == "masks":
+    if name == "skipmaps":
         return 16 + 4 * sum(shape.slots)
-    num_slots = shape.slots[int(name.removeprefix("snapshot-"))]
+    num_slots = shape.slots[int(name.removeprefix("keyframe-"))]
     flag_bytes = 0
     if not name.isdecimal():
         num_slots *= shape.swin_size
@@ -163,7 +163,7 @@ class StreamFolder:
         chunks = decode_object(data, largest_content(name, self.shape))
         births = births_of(chunks)
         first = record.first_frame
-        if name.startswith("snapshot-"):
+        if name.startswith("keyframe-"):
             assert births == [first]
         else:
             assert set(births) <= set(range(first, first + record.num_frames))
@@ -176,14 +176,14 @@ class StreamFolder:
         assert 0 <= frame < self.num_frames
         reader, segment = Reader(self.shape), frame // self.shape.segment_frames
         for layer in range(num_layers):
-            (chunk,) = self.chunks(segment, f"snapshot-{layer}").values()
+            (chunk,) = self.chunks(segment, f"keyframe-{layer}").values()
             assert chunk[5:6] == bytes([layer])
             reader.load(chunk)
-        masks = self.chunks(segment, "masks")
+        skip_maps = self.chunks(segment, "skipmaps")
         changes = [self.chunks(segment, str(layer)) for layer in range(num_layers)]
         for birth in range(self.index[segment].first_frame + 1, frame + 1):
             here = {layer: chunks[birth] for layer, chunks in enumerate(changes)}
-            reader.apply(birth, masks[birth], here)
+            reader.apply(birth, skip_maps[birth], here)
         return reader
 
 

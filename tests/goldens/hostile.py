@@ -232,26 +232,28 @@ def _packets() -> Iterator[Row]:
 
 
 def _records() -> Iterator[Row]:
-    a_slice = {"kind": "slice", "birth": 1, "packets": [b"a"], "mask": b"m"}
-    snapshot = {"kind": "snapshot", "frame": 0, "first": 0, "packets": [b"a"]}
+    a_slice = {"kind": "slice", "birth": 1, "packets": [b"a"], "skip_map": b"m"}
+    keyframe = {"kind": "keyframe", "frame": 0, "first": 0, "packets": [b"a"]}
     start = {"kind": "start", "from": 0, "num_frames": 1, "manifest": b""}
 
     def row(name: str, value: object, verdict: str = CORRUPT) -> Row:
         body: bytes = msgpack.packb(value)
         return _row("record", name, struct.pack("<I", len(body)) + body, verdict)
 
-    for value in (start, a_slice, snapshot, {"kind": "end", "num_frames": 9}):
+    for value in (start, a_slice, keyframe, {"kind": "end", "num_frames": 9}):
         yield row(f"{value['kind']}", value, TAKEN)
         for key in value:
             yield row(
                 f"{value['kind']} without {key}", {k: v for k, v in value.items() if k != key}
             )
     yield row("error", {"kind": "error", "message": "gone"}, TAKEN)
-    yield row("a key that no reader knows", snapshot | {"colour": b"red"}, TAKEN)
-    above = {key: value for key, value in a_slice.items() if key != "mask"} | {"first": 2}
+    yield row("a key that no reader knows", keyframe | {"colour": b"red"}, TAKEN)
+    above = {key: value for key, value in a_slice.items() if key != "skip_map"} | {"first": 2}
     yield row("a slice of layer 2", above, TAKEN)
-    yield row("a slice of layer 2 with a mask, which is ignored", above | {"mask": b"m"}, TAKEN)
-    yield row("a slice of a mask alone", a_slice | {"packets": []}, TAKEN)
+    yield row(
+        "a slice of layer 2 with a skip map, which is ignored", above | {"skip_map": b"m"}, TAKEN
+    )
+    yield row("a slice of a skip map alone", a_slice | {"packets": []}, TAKEN)
     wrong: tuple[tuple[str, object], ...] = (
         ("no map", None), ("an array", []), ("an empty map", {}), ("a number for a key", {1: 2}),
         ("another kind", {"kind": "other"}), ("a kind that is a number", {"kind": 7}),
@@ -263,23 +265,23 @@ def _records() -> Iterator[Row]:
         ("a birth that is a float", a_slice | {"birth": 1.0}),
         ("first that is a float", above | {"first": 1.0}),
         ("17 packets", a_slice | {"packets": [b""] * 17}),
-        ("a mask that is a text", a_slice | {"mask": "text"}),
-        ("a mask in an array", a_slice | {"mask": [b""]}),
+        ("a skip map that is a text", a_slice | {"skip_map": "text"}),
+        ("a skip map in an array", a_slice | {"skip_map": [b""]}),
         ("first -1", above | {"first": -1}), ("first 16", above | {"first": 16}),
         ("layers 15 and 16", above | {"first": 15, "packets": [b""] * 2}),
         ("a slice of layer 2 without packets", above | {"packets": []}),
-        ("a snapshot without packets", snapshot | {"packets": []}),
-        ("a snapshot with a number for a packet", snapshot | {"packets": [0]}),
-        ("a snapshot of layer 16", snapshot | {"first": 16}),
-        ("a snapshot of layers 15 and 16", snapshot | {"first": 15, "packets": [b""] * 2}),
-        ("first false", snapshot | {"first": False}),
-        ("frame -1", snapshot | {"frame": -1}), ("frame 2^31", snapshot | {"frame": 1 << 31}),
+        ("a keyframe without packets", keyframe | {"packets": []}),
+        ("a keyframe with a number for a packet", keyframe | {"packets": [0]}),
+        ("a keyframe of layer 16", keyframe | {"first": 16}),
+        ("a keyframe of layers 15 and 16", keyframe | {"first": 15, "packets": [b""] * 2}),
+        ("first false", keyframe | {"first": False}),
+        ("frame -1", keyframe | {"frame": -1}), ("frame 2^31", keyframe | {"frame": 1 << 31}),
         ("num_frames 2^31", {"kind": "end", "num_frames": 1 << 31}),
         ("a message of bytes", {"kind": "error", "message": b"bytes"}),
         ("a message of 65537 bytes", {"kind": "error", "message": "x" * 65_537}),
         ("an ext type", {"kind": "end", "num_frames": msgpack.ExtType(4, b"x")}),
-        ("an unknown key with a map", snapshot | {"more": {}}),
-        ("9 keys", snapshot | {f"key {n}": b"" for n in range(5)}),
+        ("an unknown key with a map", keyframe | {"more": {}}),
+        ("9 keys", keyframe | {f"key {n}": b"" for n in range(5)}),
     )  # fmt: skip
     for name, broken in wrong:
         yield row(name, broken)

@@ -9,17 +9,17 @@ from tests.goldens.decoder import (
     CHANGE,
     ENDED,
     KEPT,
-    MASK,
     NEW,
     PREDICTED,
+    SKIP_MAP,
     Hole,
     Shape,
     Slot,
     Statuses,
     decode_change,
     decode_head,
-    decode_mask,
-    decode_snapshot,
+    decode_keyframe,
+    decode_skip_map,
     predict,
 )
 
@@ -29,7 +29,7 @@ class AppliedSlice:
     """A slice as it was applied, kept so that a late packet can still be used."""
 
     birth: int
-    mask: bytes | None
+    skip_map: bytes | None
     changes: dict[int, bytes]  # by layer
     before: dict[int, list[Slot]]  # by layer
     statuses: Statuses | None = field(default=None)  # None: it counts as missing
@@ -46,9 +46,9 @@ class Reader:
         self.applied: dict[int, AppliedSlice] = {}
 
     def load(self, chunk: bytes) -> None:
-        """Loads a snapshot, which replaces any state of the layer."""
+        """Loads a keyframe, which replaces any state of the layer."""
         try:
-            head, lanes = decode_snapshot(chunk, self.shape)
+            head, lanes = decode_keyframe(chunk, self.shape)
             assert head.birth >= 0
             assert head.birth % self.shape.segment_frames == 0
         except AssertionError:
@@ -60,15 +60,15 @@ class Reader:
             birth = head.birth - self.shape.swin_size + 1 + i
             self.lanes[birth % self.shape.swin_size][head.layer] = lane
             later = birth + self.shape.swin_size
-            if later in self.applied:  # the snapshot is late
+            if later in self.applied:  # the keyframe is late
                 self.applied[later].before[head.layer] = lane
                 self.apply_again(later)
 
-    def apply(self, birth: int, mask: bytes | None, changes: dict[int, bytes]) -> None:
-        """Applies one slice: its mask, and the received changes, by layer. An empty one means that
-        nothing changes."""
+    def apply(self, birth: int, skip_map: bytes | None, changes: dict[int, bytes]) -> None:
+        """Applies one slice: its skip map, and the received changes, by layer. An empty one means
+        that nothing changes."""
         lane = self.lanes[birth % self.shape.swin_size]
-        self.applied[birth] = AppliedSlice(birth, mask, dict(changes), dict(enumerate(lane)))
+        self.applied[birth] = AppliedSlice(birth, skip_map, dict(changes), dict(enumerate(lane)))
         self.apply_again(birth)
 
     def late(self, birth: int, layer: int, chunk: bytes) -> None:
@@ -83,29 +83,29 @@ class Reader:
         for slice_ in slices:
             slice_.statuses = self.statuses(slice_)
         for layer in range(len(self.shape.slots)):
-            since_snapshot = [slice_ for slice_ in slices if layer in slice_.before]
-            if since_snapshot:
-                slots = since_snapshot[0].before[layer]
-                for slice_ in since_snapshot:
+            since_keyframe = [slice_ for slice_ in slices if layer in slice_.before]
+            if since_keyframe:
+                slots = since_keyframe[0].before[layer]
+                for slice_ in since_keyframe:
                     slice_.before[layer] = slots
                     slots = self.after(slice_, layer)
                 self.lanes[birth % swin_size][layer] = slots
 
     def statuses(self, slice_: AppliedSlice) -> Statuses | None:
-        """The statuses of the mask; None if it is missing or unreadable."""
-        if slice_.mask is None:
+        """The statuses of the skip map; None if it is missing or unreadable."""
+        if slice_.skip_map is None:
             return None
         first = slice_.birth - slice_.birth % self.shape.segment_frames
         try:
-            before = list(self.masks_before(slice_.birth, first))
-            if not slice_.mask:
+            before = list(self.skip_maps_before(slice_.birth, first))
+            if not slice_.skip_map:
                 return [[KEPT] * count for count in self.shape.slots]
-            assert decode_head(slice_.mask, MASK, self.shape).birth == slice_.birth
-            return decode_mask(slice_.mask[12:], self.shape.slots, before)
+            assert decode_head(slice_.skip_map, SKIP_MAP, self.shape).birth == slice_.birth
+            return decode_skip_map(slice_.skip_map[12:], self.shape.slots, before)
         except AssertionError:
             return None
 
-    def masks_before(self, birth: int, first: int) -> Iterator[Statuses]:
+    def skip_maps_before(self, birth: int, first: int) -> Iterator[Statuses]:
         for earlier in (birth - self.shape.swin_size, birth - 2 * self.shape.swin_size):
             if earlier > first:
                 assert earlier in self.applied

@@ -21,10 +21,10 @@ from tests.support.slots.arrivals import (
     Arrivals,
     Change,
     Event,
+    Keyframe,
     Look,
-    Mask,
     Show,
-    Snapshot,
+    SkipMap,
     arrivals_of,
 )
 from tests.support.slots.folder import slots_manifest
@@ -93,14 +93,14 @@ def _order_rows(folder: Path, case: Case, number: int) -> list[dict[str, Any]]:
 
 def _event_row(event: Event, chunks: Chunks, hashes: Iterator[str]) -> list[object]:
     match event:
-        case Mask(birth):
-            return ["mask", birth]
+        case SkipMap(birth):
+            return ["skip_map", birth]
         case Change(birth, layer, chunk):
             is_altered = chunk != chunks.changes[birth][layer]
             return ["change", birth, layer, *([chunk.hex()] if is_altered else [])]
-        case Snapshot(frame, layer, chunk):
-            is_altered = chunk != chunks.snapshots[frame][layer]
-            return ["snapshot", frame, layer, *([chunk.hex()] if is_altered else [])]
+        case Keyframe(frame, layer, chunk):
+            is_altered = chunk != chunks.keyframes[frame][layer]
+            return ["keyframe", frame, layer, *([chunk.hex()] if is_altered else [])]
         case Show(frame):
             return ["show", frame]
         case Look():
@@ -118,14 +118,14 @@ def read_order(row: dict[str, Any]) -> tuple[Arrivals, list[str]]:
     events: list[Event] = []
     for kind, *rest in row["events"]:
         match kind, rest:
-            case "mask", [birth]:
-                events.append(Mask(birth, chunks["masks", birth]))
+            case "skip_map", [birth]:
+                events.append(SkipMap(birth, chunks["skipmaps", birth]))
             case "change", [birth, layer, *other]:
                 chunk = bytes.fromhex(other[0]) if other else chunks[f"{layer}", birth]
                 events.append(Change(birth, layer, chunk))
-            case "snapshot", [frame, layer, *other]:
-                chunk = bytes.fromhex(other[0]) if other else chunks[f"snapshot-{layer}", frame]
-                events.append(Snapshot(frame, layer, chunk))
+            case "keyframe", [frame, layer, *other]:
+                chunk = bytes.fromhex(other[0]) if other else chunks[f"keyframe-{layer}", frame]
+                events.append(Keyframe(frame, layer, chunk))
             case "show", [frame]:
                 events.append(Show(frame))
             case "compare", [sha256]:

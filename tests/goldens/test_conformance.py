@@ -48,12 +48,12 @@ def test_the_writer_makes_the_chunks_of_the_streams(case: Case) -> None:
     stream = StreamFolder(FOLDER / stream_name(case))
     for segment, record in enumerate(stream.index):
         births = range(record.first_frame, record.first_frame + record.num_frames)
-        assert stream.chunks(segment, "masks") == {b: made.masks[b] for b in births}
+        assert stream.chunks(segment, "skipmaps") == {b: made.skip_maps[b] for b in births}
         for layer in range(len(case.slots)):
             changes = {b: made.changes[b][layer] for b in births}
             assert stream.chunks(segment, f"{layer}") == changes
-            snapshot = {births[0]: made.snapshots[births[0]][layer]}
-            assert stream.chunks(segment, f"snapshot-{layer}") == snapshot
+            keyframe = {births[0]: made.keyframes[births[0]][layer]}
+            assert stream.chunks(segment, f"keyframe-{layer}") == keyframe
 
 
 @pytest.mark.parametrize("row", STREAMS, ids=names(STREAMS))

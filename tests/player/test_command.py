@@ -53,7 +53,7 @@ def test_a_folder_into_a_video_with_a_report(library: Path, tmp_path: Path) -> N
     assert totals["link_bytes"] is None
     assert (totals["plays"], totals["undrawn_frames"], told["interrupted"]) == (1, 0, False)
     assert [one["birth"] for one in told["arrivals"]] == [None, *range(1, 13)]
-    assert told["arrivals"][0]["snapshot_frame"] == 0
+    assert told["arrivals"][0]["keyframe_frame"] == 0
     assert sum(one["bytes"] for one in told["arrivals"]) == totals["bytes"]
     assert told["rates"] == []  # no network is involved
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.mp4", "report.json"]

@@ -44,7 +44,7 @@ async def test_every_file_is_served_as_it_lies_on_disk(root: Path) -> None:
                 immutable = "immutable" in found.headers["Cache-Control"]
                 assert immutable == name.startswith("segments")
                 seen.add((name.partition("/")[0], name.rpartition("/")[2]))
-        parts = {"masks", *"0123", *(f"snapshot-{n}" for n in range(4))}
+        parts = {"skipmaps", *"0123", *(f"keyframe-{n}" for n in range(4))}
         objects = {("segments", part) for part in parts}
         assert seen == objects | {(name, name) for name in ("index.bin", "manifest.json")}
         # Each part is one label, and there are no others.
@@ -53,8 +53,8 @@ async def test_every_file_is_served_as_it_lies_on_disk(root: Path) -> None:
 
 
 NO_OBJECTS = (
-    "3/0 0/4 0/+1 %D9%A1/0 99999999999999999999/0 3/masks 0/mask 0/masks0 0/Masks 0/snapshot "
-    "0/snapshot-4 0/snapshot-00 0/snapshot- 0/snapshot-999999999 0/snapshot-%D9%A1"
+    "3/0 0/4 0/+1 %D9%A1/0 99999999999999999999/0 3/skipmaps 0/skipmap 0/skipmaps0 0/Skipmaps "
+    "0/keyframe 0/keyframe-4 0/keyframe-00 0/keyframe- 0/keyframe-999999999 0/keyframe-%D9%A1"
 )
 NOWHERE = [
     "/nope",
@@ -63,7 +63,7 @@ NOWHERE = [
     "/v1/streams/nobody/manifest.json",
     "/v1/streams/" + "a" * 3000 + "/manifest.json",
     *(f"/web/{name}" for name in ("", "nothing.js", "tsconfig.json", "a" * 3000)),
-    *(f"/v1/streams/walk{rest}" for rest in ("", "/", "/nope", "/segments/masks/0")),
+    *(f"/v1/streams/walk{rest}" for rest in ("", "/", "/nope", "/segments/skipmaps/0")),
     *(f"/v1/streams/walk/segments/{place}" for place in NO_OBJECTS.split()),
 ]
 

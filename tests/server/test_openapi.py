@@ -43,7 +43,7 @@ EXAMPLES = [25, pytest.param(300, marks=pytest.mark.deep)]
 NOTHING_TO_GET_WRONG = {"GET /", "GET /healthz", "GET /readyz", "GET /metrics", "GET /v1/streams"}
 LIKELY: dict[str, list[object]] = {
     "segment": [0, 2, 3],
-    "layer": ["0", "2", "9", "masks"],
+    "layer": ["0", "2", "9", "skipmaps"],
     "asset": ["watch.html", "nothing.js"],
     "picture": ["poster.png", "other.jpg"],
 }

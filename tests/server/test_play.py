@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from codec.stream import StreamReader
-from codec.stream.manifest import MASKS, Part, snapshot_part
+from codec.stream.manifest import SKIP_MAPS, Part, keyframe_part
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
+    KeyframeRecord,
     Record,
     SliceRecord,
-    SnapshotRecord,
     StartRecord,
 )
 from tests.support.server.running_server import (
@@ -52,15 +52,15 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def packets_on_disk(path: Path) -> dict[tuple[int, Part], bytes]:
-    """The packets of each birth and part, and those of the snapshots."""
+    """The packets of each birth and part, and those of the keyframes."""
     reader = StreamReader(path)
     layers = range(reader.manifest.num_layers)
     found: dict[tuple[int, Part], bytes] = {}
     for record in reader.records:
         first = record.first_frame
-        for part in (MASKS, *layers, *map(snapshot_part, layers)):
+        for part in (SKIP_MAPS, *layers, *map(keyframe_part, layers)):
             held = reader.read_object(record.segment, part)
-            last = first if part in map(snapshot_part, layers) else first + record.num_frames - 1
+            last = first if part in map(keyframe_part, layers) else first + record.num_frames - 1
             found |= {(birth, part): held.packet(birth) for birth in range(first, last + 1)}
     return found
 
@@ -68,12 +68,12 @@ def packets_on_disk(path: Path) -> dict[tuple[int, Part], bytes]:
 def packets_of(records: Iterable[Record]) -> Iterator[tuple[tuple[int, Part], bytes]]:
     """All received packets, each with its birth and part."""
     for one in records:
-        if isinstance(one, SnapshotRecord):
+        if isinstance(one, KeyframeRecord):
             for layer, packet in enumerate(one.packets, one.first_layer):
-                yield (one.frame, snapshot_part(layer)), packet
+                yield (one.frame, keyframe_part(layer)), packet
         elif isinstance(one, SliceRecord):
-            if one.mask is not None:
-                yield (one.birth, MASKS), one.mask
+            if one.skip_map is not None:
+                yield (one.birth, SKIP_MAPS), one.skip_map
             for layer, packet in enumerate(one.packets, one.first_layer):
                 yield (one.birth, layer), packet
 
@@ -117,31 +117,31 @@ async def test_a_play_is_the_folder_slice_by_slice(
         assert len(dict(came)) == len(came)  # no packet arrives twice
         assert dict(came).items() <= disk.items()
         if layers is not None:
-            parts = (MASKS, *range(layers))
-            assert dict(came).keys() == {(frame, snapshot_part(n)) for n in range(layers)} | {
+            parts = (SKIP_MAPS, *range(layers))
+            assert dict(came).keys() == {(frame, keyframe_part(n)) for n in range(layers)} | {
                 (birth, part) for birth in range(frame + 1, until) for part in parts
             }
         metrics = server.state.metrics
-        for part in (MASKS, 0, 1, snapshot_part(0), snapshot_part(3)):
+        for part in (SKIP_MAPS, 0, 1, keyframe_part(0), keyframe_part(3)):
             sent = [len(packet) for (_, of), packet in came if of == part]
             assert metrics.packets.value(str(part)) == len(sent)
             assert metrics.layer_bytes.value("play", str(part)) == sum(sent)
         assert metrics.plays.value("complete") == 1
 
 
-async def test_long_snapshots_come_in_several_records(
+async def test_long_keyframes_come_in_several_records(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk = packets_on_disk(root / "slots")
-    packets = tuple(disk[5, snapshot_part(n)] for n in range(3))
-    monkeypatch.setattr("server.answers.play.SNAPSHOTS_BYTES", len(packets[0]) + 1)
+    packets = tuple(disk[5, keyframe_part(n)] for n in range(3))
+    monkeypatch.setattr("server.answers.play.KEYFRAMES_BYTES", len(packets[0]) + 1)
 
     async with served(root) as (_, client):
         records = await play(client, "slots", "?from=5&until=6")
-        assert records[1] == SnapshotRecord(5, 0, packets[:1])  # layer 0 is first
+        assert records[1] == KeyframeRecord(5, 0, packets[:1])  # layer 0 is first
         records = await play(client, "slots", "?from=5&until=6&layers=3")
-        assert records[1] == SnapshotRecord(5, 0, packets[:2])
-        assert records[2] == SnapshotRecord(5, 2, packets[2:])
+        assert records[1] == KeyframeRecord(5, 0, packets[:2])
+        assert records[2] == KeyframeRecord(5, 2, packets[2:])
 
 
 async def test_a_client_that_leaves_is_not_an_error(
@@ -192,7 +192,7 @@ async def test_a_client_that_leaves_a_silent_live_stream_frees_its_place(tmp_pat
         await eventually(lambda: not len(server.state.plays))
 
 
-@pytest.mark.parametrize(("part", "end"), [("masks", 5), ("1", 5), ("snapshot-0", 15)])
+@pytest.mark.parametrize(("part", "end"), [("skipmaps", 5), ("1", 5), ("keyframe-0", 15)])
 async def test_a_damaged_object_ends_the_play_with_a_reason(
     tmp_path: Path, part: str, end: int, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -27,7 +27,7 @@ def train_here(*words: object, observers: Sequence[Observer] = ()) -> TrainConfi
 
 
 def contents(stream: Path) -> dict[str, bytes]:
-    """The files of a stream without those only for people: snapshots, and the log, which contains
+    """The files of a stream without those only for people: keyframes, and the log, which contains
     times."""
     names = [str(path.relative_to(stream)) for path in stream.rglob("*") if path.is_file()]
     people = (LOG_NAME, SNAPSHOT_FOLDER)

@@ -28,7 +28,7 @@ from codec.splats import Splats
 from codec.stream.segment import encode_packet
 from codec.stream.wholeslice import given_rank, whole_update
 from player.render.cpu import render_splats
-from trainer.capture.capture import Mask
+from trainer.capture.capture import SkipMap
 from trainer.capture.lens import Lens, straightened
 from trainer.fit.config import FitConfig
 from trainer.fit.leasedslots import LeasedSlots
@@ -62,17 +62,17 @@ class _Noise:
             )
         shape = self.num_frames, side_px, side_px, 3
         pictures = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
-        mask = np.ones((side_px, side_px), np.uint8)
+        skip_map = np.ones((side_px, side_px), np.uint8)
         # Like those of a FrameCache: numba compiles anew for arrays that may be written to.
         pictures.setflags(write=False)
-        mask.setflags(write=False)
-        self._shots = [Shot(picture, mask) for picture in pictures]
+        skip_map.setflags(write=False)
+        self._shots = [Shot(picture, skip_map) for picture in pictures]
 
     def shot(self, camera: int, frame: int) -> Shot:
         return self._shots[frame]
 
-    def mask(self, camera: int, frame: int) -> Mask | None:
-        return self._shots[frame].mask
+    def skip_map(self, camera: int, frame: int) -> SkipMap | None:
+        return self._shots[frame].skip_map
 
 
 OURS = ("trainer", "player", "codec")
@@ -149,13 +149,13 @@ def _train_with_slots(config: FitConfig, pictures: _Noise, initial: Splats) -> N
         for update in window.updates:
             encoded = encoder.append(update)
             if update.birth == 0:
-                for layer, snapshot in enumerate(encoder.snapshots()):
-                    decoder.load(snapshot.data, layer, 0)
+                for layer, keyframe in enumerate(encoder.keyframes()):
+                    decoder.load(keyframe.data, layer, 0)
             elif encoded is not None:
                 for change in encoded.changes:
                     encode_packet(change)
                 changes = [change.data for change in encoded.changes]
-                decoder.apply(update.birth, encoded.mask.data, changes)
+                decoder.apply(update.birth, encoded.skip_map.data, changes)
     decoder.whole(update.birth)
 
 

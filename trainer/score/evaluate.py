@@ -89,16 +89,16 @@ class LayerScore:
     """100 times the mean change between frames of pixels that the capture keeps still."""
     bytes_per_frame: float
     """Everything that a player of these layers from frame 0 on fetches, over the frames: manifest,
-    index, masks, changes, and the snapshots of frame 0."""
-    snapshot_bytes_per_frame: float
-    """Snapshots of these layers at later frames, over the frames: stored for players that join
+    index, skip maps, changes, and the keyframes of frame 0."""
+    keyframe_bytes_per_frame: float
+    """Keyframes of these layers at later frames, over the frames: stored for players that join
     there, and not fetched by one from frame 0 on."""
     bits_per_second: float
     """`bytes_per_frame` as a bitrate."""
     bytes_per_gaussian: float
     """Bytes of the objects in `bytes_per_frame` over the Gaussians that they bring: those of frame
-    0, and the changed and new ones of every slice. What is kept costs a little of the mask, and is
-    not counted."""
+    0, and the changed and new ones of every slice. What is kept costs a little of the skip map, and
+    is not counted."""
     per_frame_psnr_db: list[float]
     """Mean over the cameras."""
     per_camera_psnr_db: dict[str, float]
@@ -236,7 +236,7 @@ def _layer_score(
         ssim=_overall(scores.ssim),
         flicker=scores.flicker.value if every == 1 else None,
         bytes_per_frame=num_bytes,
-        snapshot_bytes_per_frame=fetched.join_bytes / reader.num_frames,
+        keyframe_bytes_per_frame=fetched.join_bytes / reader.num_frames,
         bits_per_second=8 * num_bytes * reader.manifest.fps,
         bytes_per_gaussian=fetched.object_bytes / max(fetched.gaussians, 1),
         per_frame_psnr_db=[fmean(frame) for frame in scores.psnr_db],

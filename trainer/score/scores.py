@@ -232,7 +232,7 @@ class Traffic:
     """Gaussians in those objects: those of frame 0, and all that a later slice sends,
     whether new or changed."""
     join_bytes: int
-    """Size of the snapshots that a player fetches only if it joins later, or takes up a layer
+    """Size of the keyframes that a player fetches only if it joins later, or takes up a layer
     again."""
 
 
@@ -244,6 +244,6 @@ def traffic(reader: StreamReader) -> list[Traffic]:
     found = []
     for n in layers:
         played = sum(sum(record.object_bytes[:n]) + record.side_bytes[0] for record in records)
-        snapshots = [sum(record.side_bytes[1 : n + 1]) for record in records]
-        found.append(Traffic(played + sum(snapshots[:1]), int(brought[n - 1]), sum(snapshots[1:])))
+        keyframes = [sum(record.side_bytes[1 : n + 1]) for record in records]
+        found.append(Traffic(played + sum(keyframes[:1]), int(brought[n - 1]), sum(keyframes[1:])))
     return found

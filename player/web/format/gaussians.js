@@ -170,7 +170,7 @@ function putColour(sh, at, y, co, cg) {
  * @property {number} opacityLevels 2 .. 256
  */
 
-/** The parameters that are needed to read masks, changes and snapshots. */
+/** The parameters that are needed to read skip maps, changes and keyframes. */
 export class SlotLayout {
   /**
    * @param {number} swinSize number of lanes, and of frames that a lease lasts @param {number} segmentFrames
@@ -204,8 +204,8 @@ export class SlotLayout {
     return Math.floor(birth / this.segmentFrames) * this.segmentFrames;
   }
 
-  /** Maximum size of a mask. */
-  get maxMaskBytes() {
+  /** Maximum size of a skip map. */
+  get maxSkipMapBytes() {
     return 16 + 4 * this.numSlots;
   }
 
@@ -214,8 +214,8 @@ export class SlotLayout {
     return 32 + this.slots[layer] * this.#maxSlotBytes;
   }
 
-  /** Maximum size of a snapshot of a layer. @param {number} layer */
-  maxSnapshotBytes(layer) {
+  /** Maximum size of a keyframe of a layer. @param {number} layer */
+  maxKeyframeBytes(layer) {
     const count = this.swinSize * this.slots[layer];
     return 32 + Math.ceil(count / 8) + count * this.#maxSlotBytes;
   }

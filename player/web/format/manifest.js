@@ -101,16 +101,16 @@ const { fround } = Math;
  * @typedef {number} Part
  */
 
-/** The masks. @param {{ numLayers: number }} manifest @returns {Part} */
-export const masksOf = ({ numLayers }) => numLayers;
+/** The skip maps. @param {{ numLayers: number }} manifest @returns {Part} */
+export const skipMapsOf = ({ numLayers }) => numLayers;
 
-/** The snapshot of a layer. @param {{ numLayers: number }} manifest @param {number} layer @returns {Part} */
-export const snapshotOf = ({ numLayers }, layer) => numLayers + 1 + layer;
+/** The keyframe of a layer. @param {{ numLayers: number }} manifest @param {number} layer @returns {Part} */
+export const keyframeOf = ({ numLayers }, layer) => numLayers + 1 + layer;
 
 /** @param {{ numLayers: number }} manifest @param {Part} part */
-export const isSnapshot = ({ numLayers }, part) => part > numLayers;
+export const isKeyframe = ({ numLayers }, part) => part > numLayers;
 
-/** The layer of a part; 0 for the masks. @param {{ numLayers: number }} manifest @param {Part} part */
+/** The layer of a part; 0 for the skip maps. @param {{ numLayers: number }} manifest @param {Part} part */
 export const layerOf = ({ numLayers }, part) =>
   part < numLayers ? part : Math.max(0, part - numLayers - 1);
 
@@ -210,7 +210,7 @@ function parsed(bytes) {
 /** @param {number} numLayers */
 function partsOf(numLayers) {
   const layers = Array.from({ length: numLayers }, (_, layer) => String(layer));
-  return [...layers, "masks", ...layers.map((layer) => `snapshot-${layer}`)];
+  return [...layers, "skipmaps", ...layers.map((layer) => `keyframe-${layer}`)];
 }
 
 /**

@@ -2,7 +2,7 @@
 
 import { MAX_CHUNK_BYTES, MAX_EXPANSION } from "../constants.js";
 import { corrupt } from "./bytes.js";
-import { isSnapshot, layerOf, masksOf } from "./manifest.js";
+import { isKeyframe, layerOf, skipMapsOf } from "./manifest.js";
 import { decodeFrame, readFrameHead } from "./zstd.js";
 
 /**
@@ -10,9 +10,9 @@ import { decodeFrame, readFrameHead } from "./zstd.js";
  * @param {import("./manifest.js").Manifest} manifest @param {import("./manifest.js").Part} part
  */
 export function limitBytes({ layout }, part) {
-  if (part === masksOf(layout)) return layout.maxMaskBytes;
+  if (part === skipMapsOf(layout)) return layout.maxSkipMapBytes;
   const layer = layerOf(layout, part);
-  return isSnapshot(layout, part) ? layout.maxSnapshotBytes(layer) : layout.maxChangeBytes(layer);
+  return isKeyframe(layout, part) ? layout.maxKeyframeBytes(layer) : layout.maxChangeBytes(layer);
 }
 
 /**

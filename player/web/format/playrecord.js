@@ -116,7 +116,7 @@ function decodeRecord(body) {
       };
     case "slice":
       return slice(map);
-    case "snapshot": {
+    case "keyframe": {
       const packets = packetsOf(map, 1);
       return { kind, frame: count(map, "frame"), firstLayer: firstLayer(map, packets), packets };
     }
@@ -134,8 +134,8 @@ function decodeRecord(body) {
 
 /** @param {Map<string, unknown>} map @returns {import("../constants.js").SliceRecord} */
 function slice(map) {
-  const found = map.get("mask");
-  const mask = found instanceof Uint8Array ? found : null;
+  const found = map.get("skip_map");
+  const skipMap = found instanceof Uint8Array ? found : null;
   const packets = packetsOf(map, 0);
   const birth = map.get("birth");
   if (
@@ -146,8 +146,8 @@ function slice(map) {
     throw corrupt("play: a slice has no valid birth");
   }
   const first = map.has("first") ? firstLayer(map, packets) : 0;
-  if (first === 0 && mask === null)
-    throw corrupt(`play: the slice born at ${birth} has no valid mask`);
+  if (first === 0 && skipMap === null)
+    throw corrupt(`play: the slice born at ${birth} has no valid skip map`);
   if (first > 0 && packets.length === 0)
     throw corrupt(`play: a record has no part of the slice born at ${birth}`);
   return {
@@ -155,7 +155,7 @@ function slice(map) {
     birth: /** @type {number} */ (birth),
     firstLayer: first,
     packets,
-    mask: first > 0 ? null : mask,
+    skipMap: first > 0 ? null : skipMap,
   };
 }
 

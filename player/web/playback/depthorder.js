@@ -122,7 +122,7 @@ export class DepthOrder {
 }
 
 /** An entry has its layer and move above the 24 bits of its slot; a stream has at most 2^24 slots. */
-const SLOT_MASK = 0xffffff;
+const SLOT_SKIP_MAP = 0xffffff;
 
 /**
  * Words for the renderer's textures; see renderer/resident.js.
@@ -218,7 +218,7 @@ class Newest {
     const { isTaken, room, wordsEach, slotWord } = this;
     for (let i = Math.floor(words.length / wordsEach) - 1; i >= 0; i--) {
       const from = i * wordsEach;
-      const slot = words[from + slotWord] & SLOT_MASK;
+      const slot = words[from + slotWord] & SLOT_SKIP_MAP;
       if (isTaken[slot]) continue;
       isTaken[slot] = 1;
       const to = this.count * wordsEach;

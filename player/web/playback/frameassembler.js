@@ -12,11 +12,11 @@ export class FrameAssembler {
     this.layout = manifest.layout;
     this.decoder = new SlotDecoder(this.layout);
     /** @type {Map<number, Uint8Array>} by birth */
-    this.masks = new Map();
+    this.skipMaps = new Map();
     /** @type {Map<number, (Uint8Array | null)[]>} by birth; one chunk per layer */
     this.changes = new Map();
     /** @type {Map<number, (Uint8Array | null)[]>} by first frame of a segment; one chunk per layer */
-    this.snapshots = new Map();
+    this.keyframes = new Map();
     /** Number of chunks that were refused and so are missing in their layers. */
     this.refused = 0;
     /** @type {(birth: number, layer: number, why: unknown) => void} called for each of them */
@@ -43,8 +43,8 @@ export class FrameAssembler {
   }
 
   /** @param {number} birth @param {Uint8Array} chunk empty if all slots are kept */
-  addMask(birth, chunk) {
-    if (this.frame === null || birth > this.frame) this.masks.set(birth, chunk);
+  addSkipMap(birth, chunk) {
+    if (this.frame === null || birth > this.frame) this.skipMaps.set(birth, chunk);
   }
 
   /** @param {number} birth @param {number} layer @param {Uint8Array} chunk empty if nothing changes */
@@ -54,16 +54,16 @@ export class FrameAssembler {
   }
 
   /** @param {number} frame @param {number} layer @param {Uint8Array} chunk */
-  addSnapshot(frame, layer, chunk) {
-    if (this.frame === null || frame > this.frame) this.#row(this.snapshots, frame)[layer] = chunk;
+  addKeyframe(frame, layer, chunk) {
+    if (this.frame === null || frame > this.frame) this.#row(this.keyframes, frame)[layer] = chunk;
     else if (frame === this.layout.segmentStart(this.frame)) {
       this.#tryLate(frame, layer, () => this.decoder.load(chunk, layer, frame));
     }
   }
 
-  /** Whether the mask and layer 0's change of a slice have arrived. @param {number} birth */
+  /** Whether the skip map and layer 0's change of a slice have arrived. @param {number} birth */
   hasSlice(birth) {
-    return this.masks.has(birth) && Boolean(this.changes.get(birth)?.[0]);
+    return this.skipMaps.has(birth) && Boolean(this.changes.get(birth)?.[0]);
   }
 
   /**
@@ -75,19 +75,19 @@ export class FrameAssembler {
   }
 
   /**
-   * Whether a segment whose first slice is missing can be joined by its snapshot. As long as the first
+   * Whether a segment whose first slice is missing can be joined by its keyframe. As long as the first
    * slice may still arrive, it is better to wait for it, because it continues the current Gaussians.
    * @param {number} frame @param {number} numFrames
    */
   #canRejoin(frame, numFrames) {
-    if (!this.snapshots.get(frame)?.[0]) return false;
+    if (!this.keyframes.get(frame)?.[0]) return false;
     return frame + 1 >= numFrames || this.hasSlice(frame + 1);
   }
 
   /** Whether `join` is possible for `frame`: layer 0 has all it needs. @param {number} frame */
   has(frame) {
     const first = this.layout.segmentStart(frame);
-    if (!this.snapshots.get(first)?.[0]) return false;
+    if (!this.keyframes.get(first)?.[0]) return false;
     for (let birth = first + 1; birth <= frame; birth++) if (!this.hasSlice(birth)) return false;
     return true;
   }
@@ -99,7 +99,7 @@ export class FrameAssembler {
   join(frame) {
     const first = this.layout.segmentStart(frame);
     this.decoder = new SlotDecoder(this.layout);
-    this.masks.delete(first);
+    this.skipMaps.delete(first);
     this.changes.delete(first);
     this.#load(first);
     for (let birth = first + 1; birth <= frame; birth++) this.#apply(birth, birth === frame);
@@ -114,11 +114,11 @@ export class FrameAssembler {
 
   /**
    * Advances by one frame, and returns its changes, or all of it after a rejoin. Throws a FormatError if
-   * the frame's mask is refused.
+   * the frame's skip map is refused.
    * @param {number} frame
    */
   advance(frame) {
-    if (!this.hasSlice(frame) && this.snapshots.get(frame)?.[0])
+    if (!this.hasSlice(frame) && this.keyframes.get(frame)?.[0])
       return { isJoin: true, updates: this.join(frame) };
     const slice = this.#apply(frame, true);
     if (frame === this.layout.segmentStart(frame)) this.#load(frame);
@@ -127,33 +127,33 @@ export class FrameAssembler {
 
   /** @param {number} birth @param {boolean} shows whether the frame shows */
   #apply(birth, shows) {
-    const mask = this.masks.get(birth) ?? null;
+    const skipMap = this.skipMaps.get(birth) ?? null;
     const changes = this.#row(this.changes, birth);
-    this.masks.delete(birth);
+    this.skipMaps.delete(birth);
     this.changes.delete(birth);
     try {
-      return this.decoder.apply(birth, mask, changes, shows);
+      return this.decoder.apply(birth, skipMap, changes, shows);
     } catch (error) {
       if (!(error instanceof FormatError)) throw error;
     }
     // A change that is refused counts as missing (FORMAT.md, section 7).
     const taken = changes.map((change, layer) => {
       const takes = () =>
-        this.decoder.takes(birth, mask, layer, /** @type {Uint8Array} */ (change));
+        this.decoder.takes(birth, skipMap, layer, /** @type {Uint8Array} */ (change));
       return change !== null && this.#try(birth, layer, takes) ? change : null;
     });
-    return this.decoder.apply(birth, mask, taken, shows);
+    return this.decoder.apply(birth, skipMap, taken, shows);
   }
 
-  /** Loads the snapshots of `frame` for layers that lack something. @param {number} frame */
+  /** Loads the keyframes of `frame` for layers that lack something. @param {number} frame */
   #load(frame) {
-    const chunks = this.snapshots.get(frame) ?? [];
+    const chunks = this.keyframes.get(frame) ?? [];
     for (const [layer, chunk] of chunks.entries()) {
       if (chunk === null || (this.frame !== null && !this.#lacksAnything(layer))) continue;
       if (layer === 0 && this.frame === null) this.decoder.load(chunk, layer, frame);
       else this.#try(frame, layer, () => this.decoder.load(chunk, layer, frame));
     }
-    for (const known of this.snapshots.keys()) if (known <= frame) this.snapshots.delete(known);
+    for (const known of this.keyframes.keys()) if (known <= frame) this.keyframes.delete(known);
   }
 
   /** Notes that a chunk is damaged. @param {number} birth @param {number} layer @param {unknown} why */

@@ -55,7 +55,7 @@ export class PlayController {
     this.timer = undefined;
     /** @type {PlaySession | null} the next round of a loop, begun ahead */
     this.nextRound = null;
-    /** @type {import("./snapshotpreview.js").SnapshotPreview | null} */
+    /** @type {import("./keyframepreview.js").KeyframePreview | null} */
     this.scrubber = null;
     const { manifest, numFrames } = stream;
     this.round = this.#newRound(frame ?? (manifest.live ? edgeFrame(manifest, numFrames) : 0));
@@ -92,9 +92,9 @@ export class PlayController {
   }
 
   async #loadScrubber() {
-    const { SnapshotPreview } = await import("./snapshotpreview.js");
+    const { KeyframePreview } = await import("./keyframepreview.js");
     const stopFetching = () => this.round.source.close();
-    return new SnapshotPreview(this.stream, (shown) => this.show(shown), stopFetching);
+    return new KeyframePreview(this.stream, (shown) => this.show(shown), stopFetching);
   }
 
   /** Whether pictures near the thumb show, instead of the play. */

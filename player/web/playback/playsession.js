@@ -1,5 +1,5 @@
 import { FormatError } from "../format/bytes.js";
-import { isSnapshot, layerOf, masksOf, snapshotOf } from "../format/manifest.js";
+import { isKeyframe, layerOf, skipMapsOf, keyframeOf } from "../format/manifest.js";
 import { limitBytes, packetContent } from "../format/packet.js";
 import { FrameAssembler } from "./frameassembler.js";
 import { Playback } from "./playback.js";
@@ -26,7 +26,7 @@ export class ChunkFeed {
     this.play = play;
     this.manifest = manifest;
     this.numLayers = numLayers;
-    /** First frame of the segment that is joined by its snapshots. */
+    /** First frame of the segment that is joined by its keyframes. */
     this.startFrame = cache.segmentOf(firstFrame) * manifest.segmentFrames;
     /** End of the range of frames whose packets are passed on. */
     this.endFrame = this.startFrame;
@@ -71,9 +71,9 @@ export class ChunkFeed {
   /** Passes on the cached packets of a frame. @param {number} birth @param {number} firstLayer */
   #lookUp(birth, firstLayer) {
     const { manifest } = this;
-    if (firstLayer === 0) this.#pass(birth, masksOf(manifest));
+    if (firstLayer === 0) this.#pass(birth, skipMapsOf(manifest));
     for (let layer = firstLayer; layer < this.numLayers; layer++) {
-      if (birth % manifest.segmentFrames === 0) this.#pass(birth, snapshotOf(manifest, layer));
+      if (birth % manifest.segmentFrames === 0) this.#pass(birth, keyframeOf(manifest, layer));
       this.#pass(birth, layer);
     }
   }
@@ -82,16 +82,16 @@ export class ChunkFeed {
   #pass(birth, part, packet = this.cache.packet(birth, part)) {
     const { manifest, play, startFrame } = this;
     const layer = layerOf(manifest, part);
-    // The first frame of the segment that is joined needs its snapshots only.
-    if (packet === null || (birth === startFrame && !isSnapshot(manifest, part))) return;
+    // The first frame of the segment that is joined needs its keyframes only.
+    if (packet === null || (birth === startFrame && !isKeyframe(manifest, part))) return;
     if (layer >= this.numLayers) return;
     try {
       const chunk = packetContent(packet, limitBytes(manifest, part));
-      if (part === masksOf(manifest)) play.addMask(birth, chunk);
-      else if (isSnapshot(manifest, part)) play.addSnapshot(birth, layer, chunk);
+      if (part === skipMapsOf(manifest)) play.addSkipMap(birth, chunk);
+      else if (isKeyframe(manifest, part)) play.addKeyframe(birth, layer, chunk);
       else play.addChange(birth, layer, chunk);
     } catch (error) {
-      // A packet that is damaged is missing in its layer; masks count as layer 0.
+      // A packet that is damaged is missing in its layer; skip maps count as layer 0.
       if (layer > 0 && error instanceof FormatError) play.lose(birth, layer, error);
       else this.failure ??= error;
     }

@@ -1,6 +1,6 @@
 import { MAX_MANIFEST_BYTES } from "../constants.js";
 import { corrupt } from "../format/bytes.js";
-import { checkGaussians, objectPath, readManifest, snapshotOf } from "../format/manifest.js";
+import { checkGaussians, objectPath, readManifest, keyframeOf } from "../format/manifest.js";
 import { readObject } from "../format/objects.js";
 import { fileUrl } from "./addresses.js";
 import { SourceError } from "./fetcher.js";
@@ -75,13 +75,13 @@ export class HostedStream {
   }
 
   /**
-   * Fetches the snapshot of a layer into the cache. Rejects with a SourceError or a FormatError, or if
+   * Fetches the keyframe of a layer into the cache. Rejects with a SourceError or a FormatError, or if
    * `signal` aborts.
    * @param {number} segment @param {number} layer @param {AbortSignal} signal
    */
-  async fetchSnapshot(segment, layer, signal) {
+  async fetchKeyframe(segment, layer, signal) {
     const record = this.records[segment];
-    const part = snapshotOf(this.manifest, layer);
+    const part = keyframeOf(this.manifest, layer);
     const packets = await this.object(record, part, () => {}, signal);
     this.cache.addObject(record, part, packets);
   }

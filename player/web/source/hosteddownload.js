@@ -196,7 +196,7 @@ export class HostedDownload {
   }
 
   /**
-   * Goes on without a layer of a segment; the next one begins with its snapshot.
+   * Goes on without a layer of a segment; the next one begins with its keyframe.
    * @param {number} segment @param {number} layer @param {unknown} why
    */
   lose(segment, layer, why) {
@@ -207,7 +207,7 @@ export class HostedDownload {
 
   /**
    * Goes on without a layer of a segment that was over when an object of it came: the layer begins again
-   * with the first snapshot that can be here in time.
+   * with the first keyframe that can be here in time.
    * @param {number} segment @param {number} layer
    */
   #miss(segment, layer) {

@@ -1,4 +1,4 @@
-import { masksOf, snapshotOf } from "../format/manifest.js";
+import { skipMapsOf, keyframeOf } from "../format/manifest.js";
 
 /** @typedef {import("../format/manifest.js").Part} Part */
 
@@ -101,13 +101,13 @@ export class LayerRule {
 
   /**
    * The missing parts of a segment's next layer. A layer that the previous segment lacks begins with its
-   * snapshot.
+   * keyframe.
    * @param {number} segment
    */
   parts(segment) {
     const layer = this.#level(segment);
-    const parts = layer === 0 ? [masksOf(this.manifest), layer] : [layer];
-    if (!this.#follows(segment)) parts.unshift(snapshotOf(this.manifest, layer));
+    const parts = layer === 0 ? [skipMapsOf(this.manifest), layer] : [layer];
+    if (!this.#follows(segment)) parts.unshift(keyframeOf(this.manifest, layer));
     return parts.filter((part) => !this.isHere(this.records[segment], part));
   }
 
@@ -125,7 +125,7 @@ export class LayerRule {
    */
   lose(segment, layer) {
     this.lost.add(`${segment}/${layer}`);
-    const part = snapshotOf(this.manifest, layer);
+    const part = keyframeOf(this.manifest, layer);
     const isLate = this.#level(segment + 1) > layer;
     return isLate && !this.isHere(this.records[segment + 1], part) ? part : null;
   }
@@ -165,7 +165,7 @@ export class LayerRule {
    */
   #needBps(segment, numLayers) {
     const layers = Array.from({ length: numLayers }, (_, layer) => layer);
-    const bits = 8 * this.bytes(segment, [masksOf(this.manifest), ...layers]);
+    const bits = 8 * this.bytes(segment, [skipMapsOf(this.manifest), ...layers]);
     return (bits * this.manifest.fps) / this.records[segment].numFrames;
   }
 

@@ -15,7 +15,7 @@ import {
   ZIP_LOCAL_MAGIC,
 } from "../constants.js";
 import { ByteReader, corrupt, FormatError, isMagic, unsupported } from "../format/bytes.js";
-import { checkGaussians, masksOf, readManifest, snapshotOf } from "../format/manifest.js";
+import { checkGaussians, skipMapsOf, readManifest, keyframeOf } from "../format/manifest.js";
 import { readIndex } from "../format/objects.js";
 import { Fetcher, REPLACED, SourceError } from "./fetcher.js";
 import { fetchRange } from "./files.js";
@@ -113,8 +113,8 @@ class PackedLayout {
     const layers = Array.from({ length: manifest.numLayers }, (_, layer) => layer);
     /** In the order of a segment: the parts that a player of n layers needs are adjacent. */
     this.parts = [
-      ...layers.map((layer) => snapshotOf(manifest, layer)).reverse(),
-      masksOf(manifest),
+      ...layers.map((layer) => keyframeOf(manifest, layer)).reverse(),
+      skipMapsOf(manifest),
       ...layers,
     ];
     const sources = names(manifest.sound, "name", MAX_SOURCES);

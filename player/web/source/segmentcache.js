@@ -1,4 +1,4 @@
-import { isSnapshot, masksOf, snapshotOf } from "../format/manifest.js";
+import { isKeyframe, skipMapsOf, keyframeOf } from "../format/manifest.js";
 
 /** Limit of the cache unless a page sets another one. */
 const DEFAULT_BUFFER_BYTES = 64e6;
@@ -14,7 +14,7 @@ const EMPTY = new Uint8Array(0);
 /** @typedef {import("../format/manifest.js").Part} Part */
 
 /**
- * The received packets of one part of a segment, by frame from its first one on; a snapshot has one packet.
+ * The received packets of one part of a segment, by frame from its first one on; a keyframe has one packet.
  * @typedef {(Uint8Array | null)[]} Row
  */
 
@@ -71,7 +71,7 @@ export class SegmentCache {
 
   /**
    * Adds a packet, unless it is here.
-   * @param {number} birth any frame of the segment for a snapshot @param {Part} part
+   * @param {number} birth any frame of the segment for a keyframe @param {Part} part
    * @param {Uint8Array} packet
    */
   add(birth, part, packet) {
@@ -93,33 +93,33 @@ export class SegmentCache {
    * @param {Map<number, Uint8Array>} packets by birth
    */
   addObject({ firstFrame, numFrames }, part, packets) {
-    const isOne = isSnapshot(this, part);
+    const isOne = isKeyframe(this, part);
     for (let birth = firstFrame; birth < firstFrame + (isOne ? 1 : numFrames); birth++) {
       const packet = packets.get(birth) ?? (isOne ? null : EMPTY);
       if (packet !== null) this.add(birth, part, packet);
     }
   }
 
-  /** @param {number} birth any frame of the segment for a snapshot @param {Part} part */
+  /** @param {number} birth any frame of the segment for a keyframe @param {Part} part */
   packet(birth, part) {
     const row = birth < 0 ? null : this.#row(this.segmentOf(birth), part);
     return row?.[birth % row.length] ?? null;
   }
 
   /** @param {number} segment @param {number} layer */
-  snapshot(segment, layer) {
-    return this.#row(segment, snapshotOf(this, layer))?.[0] ?? null;
+  keyframe(segment, layer) {
+    return this.#row(segment, keyframeOf(this, layer))?.[0] ?? null;
   }
 
-  /** Whether the mask and layer 0 of a slice are cached. @param {number} birth */
+  /** Whether the skip map and layer 0 of a slice are cached. @param {number} birth */
   hasSlice(birth) {
-    return this.packet(birth, masksOf(this)) !== null && this.packet(birth, 0) !== null;
+    return this.packet(birth, skipMapsOf(this)) !== null && this.packet(birth, 0) !== null;
   }
 
   /** Whether layer 0 of a frame is cached, assuming that the previous frame is. @param {number} frame */
   hasFrame(frame) {
     const isFirst = frame % this.segmentFrames === 0;
-    return this.hasSlice(frame) || (isFirst && this.snapshot(this.segmentOf(frame), 0) !== null);
+    return this.hasSlice(frame) || (isFirst && this.keyframe(this.segmentOf(frame), 0) !== null);
   }
 
   /**
@@ -128,19 +128,19 @@ export class SegmentCache {
    */
   hasObject(segment, part, numFrames) {
     const row = this.#row(segment, part);
-    return row !== null && isWhole(row, 0, isSnapshot(this, part) ? 1 : numFrames);
+    return row !== null && isWhole(row, 0, isKeyframe(this, part) ? 1 : numFrames);
   }
 
   /**
    * Whether a segment can continue the previous one with all of these layers; its first frame comes from
-   * changes or from snapshots.
+   * changes or from keyframes.
    * @param {number} segment @param {number} numFrames of the segment @param {number} numLayers
    */
   isComplete(segment, numFrames, numLayers) {
     if (!this.hasAllChanges(segment, numFrames, numLayers)) return false;
     const first = segment * this.segmentFrames;
-    const missing = this.missingSnapshots(segment, numLayers);
-    const parts = missing.length > 0 ? [masksOf(this), ...missing] : [];
+    const missing = this.missingKeyframes(segment, numLayers);
+    const parts = missing.length > 0 ? [skipMapsOf(this), ...missing] : [];
     return parts.every((part) => this.packet(first, part) !== null);
   }
 
@@ -150,14 +150,14 @@ export class SegmentCache {
    */
   hasAllChanges(segment, numFrames, numLayers) {
     const held = this.segments.get(segment);
-    if (held === undefined || !isWhole(held.rows[masksOf(this)], 1, numFrames)) return false;
+    if (held === undefined || !isWhole(held.rows[skipMapsOf(this)], 1, numFrames)) return false;
     return held.rows.slice(0, numLayers).every((row) => isWhole(row, 1, numFrames));
   }
 
-  /** The layers whose snapshot is missing. @param {number} segment @param {number} numLayers */
-  missingSnapshots(segment, numLayers) {
+  /** The layers whose keyframe is missing. @param {number} segment @param {number} numLayers */
+  missingKeyframes(segment, numLayers) {
     const layers = Array.from({ length: numLayers }, (_, layer) => layer);
-    return layers.filter((layer) => this.snapshot(segment, layer) === null);
+    return layers.filter((layer) => this.keyframe(segment, layer) === null);
   }
 
   /** The first missing frame from `frame` on. @param {number} frame @param {number} numFrames */
@@ -187,15 +187,15 @@ export class SegmentCache {
   }
 
   /**
-   * Bits per second that masks and layer 0 of the segment of a frame take; 0 if none of it is cached.
+   * Bits per second that skip maps and layer 0 of the segment of a frame take; 0 if none of it is cached.
    * @param {number} frame
    */
   baseBps(frame) {
     const segment = this.segmentOf(frame);
     const base = this.#row(segment, 0) ?? [];
-    const masks = this.#row(segment, masksOf(this)) ?? [];
+    const skipMaps = this.#row(segment, skipMapsOf(this)) ?? [];
     const numFrames = base.filter((packet) => packet !== null).length;
-    const numBytes = [...masks, ...base].reduce((sum, packet) => sum + (packet?.length ?? 0), 0);
+    const numBytes = [...skipMaps, ...base].reduce((sum, packet) => sum + (packet?.length ?? 0), 0);
     return numFrames && (8 * numBytes * this.fps) / numFrames;
   }
 
@@ -223,7 +223,7 @@ export class SegmentCache {
     let held = this.segments.get(segment);
     if (held === undefined) {
       const row = (/** @type {unknown} */ _, /** @type {Part} */ part) =>
-        new Array(isSnapshot(this, part) ? 1 : this.segmentFrames).fill(null);
+        new Array(isKeyframe(this, part) ? 1 : this.segmentFrames).fill(null);
       held = { numBytes: 0, rows: Array.from({ length: 2 * this.numLayers + 1 }, row) };
       this.segments.set(segment, held);
     }

@@ -1,4 +1,4 @@
-import { checkGaussians, readManifest, snapshotOf } from "../format/manifest.js";
+import { checkGaussians, readManifest, keyframeOf } from "../format/manifest.js";
 import { corrupt } from "../format/bytes.js";
 import { limitBytes } from "../format/packet.js";
 import { FIRST_PLAY } from "./addresses.js";
@@ -80,20 +80,20 @@ export class ServedStream {
   }
 
   /**
-   * Fetches the snapshot of a layer into the cache. Rejects with a SourceError or a FormatError, or if
+   * Fetches the keyframe of a layer into the cache. Rejects with a SourceError or a FormatError, or if
    * `signal` aborts.
    * @param {number} segment @param {number} layer @param {AbortSignal} signal
    */
-  async fetchSnapshot(segment, layer, signal) {
+  async fetchKeyframe(segment, layer, signal) {
     const { base, manifest } = this;
-    const part = snapshotOf(manifest, layer);
+    const part = keyframeOf(manifest, layer);
     const most = objectBytes(limitBytes(manifest, part));
     const url = `${base}segments/${segment}/${manifest.parts[part]}`;
     const bytes = await this.fetcher.get(url, most, undefined, { signal });
     const { readObject } = await import("../format/objects.js");
     const frame = segment * manifest.segmentFrames;
     const packet = readObject(bytes).get(frame);
-    if (packet === undefined) throw corrupt(`${url} has no snapshot of frame ${frame}`);
+    if (packet === undefined) throw corrupt(`${url} has no keyframe of frame ${frame}`);
     this.cache.add(frame, part, packet);
   }
 

@@ -1,5 +1,5 @@
 import { corrupt } from "../format/bytes.js";
-import { masksOf, snapshotOf } from "../format/manifest.js";
+import { skipMapsOf, keyframeOf } from "../format/manifest.js";
 import { SILENT } from "./fetcher.js";
 import { GoneError, openPlay, ServerRetry } from "./playresponse.js";
 import { AHEAD_S } from "./segmentcache.js";
@@ -15,7 +15,7 @@ const REPORT_S = 1;
  * @typedef {object} Gap
  * @property {number} fromFrame the first frame to request from the server
  * @property {number | undefined} untilFrame the first frame after the gap that is cached
- * @property {number[]} snapshots layers, if only their snapshots are missing in the segment
+ * @property {number[]} keyframes layers, if only their keyframes are missing in the segment
  */
 
 /**
@@ -142,12 +142,12 @@ export class ServedDownload {
     if (frame < firstFrame || frame >= endBirth) return false;
     const segment = cache.segmentOf(frame);
     const isHere = cache.hasAllChanges(segment, stream.framesIn(segment), mostLayers);
-    const missing = how === "step" ? [] : cache.missingSnapshots(segment, mostLayers);
+    const missing = how === "step" ? [] : cache.missingKeyframes(segment, mostLayers);
     if (!isHere) return false;
     for (let next = segment + 1; next < cache.segmentOf(endBirth); next++) {
       if (!cache.isComplete(next, stream.framesIn(next), mostLayers)) return false;
     }
-    this.#fetchSnapshots(segment, missing).catch((error) => this.#fail(error));
+    this.#fetchKeyframes(segment, missing).catch((error) => this.#fail(error));
     return true;
   }
 
@@ -163,8 +163,8 @@ export class ServedDownload {
         await this.#position();
         continue;
       }
-      if (gap.snapshots.length > 0) {
-        await this.#fetchSnapshots(this.#segmentOf(gap.fromFrame), gap.snapshots);
+      if (gap.keyframes.length > 0) {
+        await this.#fetchKeyframes(this.#segmentOf(gap.fromFrame), gap.keyframes);
         continue;
       }
       const { endBirth } = this;
@@ -199,24 +199,24 @@ export class ServedDownload {
     for (;;) {
       if (this.endBirth >= numFrames) {
         if (!manifest.live) return null;
-        return { fromFrame: numFrames - 1, untilFrame: undefined, snapshots: [] };
+        return { fromFrame: numFrames - 1, untilFrame: undefined, keyframes: [] };
       }
       const segment = this.#segmentOf(this.endBirth);
       const start = segment * manifest.segmentFrames;
       const size = stream.framesIn(segment);
       const isJoin = this.#isJoin(segment);
-      const snapshots = this.#missingSnapshots(segment);
+      const keyframes = this.#missingKeyframes(segment);
       const isHere = this.#hasChanges(segment);
-      if (isHere && snapshots.length === 0) {
+      if (isHere && keyframes.length === 0) {
         this.endBirth = start + size;
         continue;
       }
-      // A play that begins with a segment gets a snapshot; it needs no first slice, and is sent none.
+      // A play that begins with a segment gets a keyframe; it needs no first slice, and is sent none.
       const first = isJoin ? firstFrame : start;
-      const hasBase = !isJoin || cache.snapshot(segment, 0) !== null;
+      const hasBase = !isJoin || cache.keyframe(segment, 0) !== null;
       const end = hasBase ? cache.endOf(isJoin ? start : first, start + size) : first;
       const fromFrame = end < start + size ? Math.max(first, end - 1) : first;
-      return { fromFrame, untilFrame: this.#endOfGap(segment), snapshots: isHere ? snapshots : [] };
+      return { fromFrame, untilFrame: this.#endOfGap(segment), keyframes: isHere ? keyframes : [] };
     }
   }
 
@@ -254,12 +254,12 @@ export class ServedDownload {
     return this.stream.cache.segmentOf(frame);
   }
 
-  /** Fetches the snapshots of some layers, layer 0 first. @param {number} segment @param {number[]} layers */
-  async #fetchSnapshots(segment, layers) {
+  /** Fetches the keyframes of some layers, layer 0 first. @param {number} segment @param {number[]} layers */
+  async #fetchKeyframes(segment, layers) {
     const { stream, abort } = this;
     for (const layer of layers) {
       try {
-        await stream.fetchSnapshot(segment, layer, abort.signal);
+        await stream.fetchKeyframe(segment, layer, abort.signal);
       } catch (error) {
         if (this.isClosed) return;
         throw error;
@@ -316,25 +316,26 @@ export class ServedDownload {
     }
   }
 
-  /** @param {import("../constants.js").SliceRecord | import("../constants.js").SnapshotRecord} record */
+  /** @param {import("../constants.js").SliceRecord | import("../constants.js").KeyframeRecord} record */
   #cacheRecord(record) {
     const { manifest, cache } = this.stream;
-    const isSnapshot = record.kind === "snapshot";
-    const birth = isSnapshot ? record.frame : record.birth;
+    const isKeyframe = record.kind === "keyframe";
+    const birth = isKeyframe ? record.frame : record.birth;
     // A record far ahead of layer 0 is useless, and would stay in the cache.
     if (birth < 0 || birth > this.endBirth + manifest.segmentFrames) {
       throw corrupt(`play: the slice born at ${birth} arrived, but birth ${this.endBirth} is next`);
     }
-    if (!isSnapshot && record.mask !== null) cache.add(birth, masksOf(manifest), record.mask);
+    if (!isKeyframe && record.skipMap !== null)
+      cache.add(birth, skipMapsOf(manifest), record.skipMap);
     for (const [n, packet] of record.packets.entries()) {
       const layer = record.firstLayer + n;
       if (layer >= manifest.numLayers)
         throw corrupt(
           `play: a packet of layer ${layer}, but the stream has ${manifest.numLayers} layers`,
         );
-      cache.add(birth, isSnapshot ? snapshotOf(manifest, layer) : layer, packet);
+      cache.add(birth, isKeyframe ? keyframeOf(manifest, layer) : layer, packet);
     }
-    if (isSnapshot || record.firstLayer > 0) return;
+    if (isKeyframe || record.firstLayer > 0) return;
     this.endBirth = Math.max(this.endBirth, birth + 1);
     this.stream.grow(this.endBirth, manifest.live);
   }
@@ -352,7 +353,7 @@ export class ServedDownload {
   get #isRefining() {
     if (!this.paused) return false;
     const segment = this.#segmentOf(this.nextFrame);
-    return !this.#hasChanges(segment) || this.#missingSnapshots(segment).length > 0;
+    return !this.#hasChanges(segment) || this.#missingKeyframes(segment).length > 0;
   }
 
   /** Whether all changes of a segment that this play needs are cached. @param {number} segment */
@@ -364,10 +365,10 @@ export class ServedDownload {
       : stream.cache.isComplete(segment, size, mostLayers);
   }
 
-  /** Layers whose snapshots this play needs but lacks. @param {number} segment */
-  #missingSnapshots(segment) {
+  /** Layers whose keyframes this play needs but lacks. @param {number} segment */
+  #missingKeyframes(segment) {
     const { cache } = this.stream;
-    return this.#isJoin(segment) ? cache.missingSnapshots(segment, this.mostLayers) : [];
+    return this.#isJoin(segment) ? cache.missingKeyframes(segment, this.mostLayers) : [];
   }
 
   /** Whether this play begins in a segment. @param {number} segment */

@@ -39,8 +39,8 @@ import { isPacked, servedBase } from "./addresses.js";
  * @property {number} numFrames current number of frames
  * @property {import("./segmentcache.js").SegmentCache} cache the received packets
  * @property {(request: PlayRequest) => SourcePlay} play
- * @property {(segment: number, layer: number, signal: AbortSignal) => Promise<unknown>} fetchSnapshot
- *   fetches a snapshot into the cache
+ * @property {(segment: number, layer: number, signal: AbortSignal) => Promise<unknown>} fetchKeyframe
+ *   fetches a keyframe into the cache
  * @property {(error: unknown) => Promise<unknown>} explain the error to report for an error of a play
  * @property {(onGrown: () => void) => Promise<void>} follow calls `onGrown` when there are more frames,
  *   or when the stream has ended; rejects if the source fails

@@ -13,16 +13,16 @@ import { answering, filesOf, manifestOf, settled } from "./support.mjs";
 
 const NUM_SEGMENTS = 30;
 const LAYER_BYTES = [300_000, 100_000, 100_000];
-const SNAPSHOT_BYTES = [150_000, 60_000, 60_000];
-const MASKS_BYTES = 10_000;
-const NEED_BPS = 8 * (500_000 + MASKS_BYTES);
+const KEYFRAME_BYTES = [150_000, 60_000, 60_000];
+const SKIP_MAPS_BYTES = 10_000;
+const NEED_BPS = 8 * (500_000 + SKIP_MAPS_BYTES);
 const MANIFEST = manifestOf();
 const RECORDS = Array.from({ length: NUM_SEGMENTS }, (_, segment) => ({
   segment,
   firstFrame: 30 * segment,
   numFrames: 30,
   psnrDb: [],
-  objectBytes: [...LAYER_BYTES, MASKS_BYTES, ...SNAPSHOT_BYTES],
+  objectBytes: [...LAYER_BYTES, SKIP_MAPS_BYTES, ...KEYFRAME_BYTES],
   objectSha256: [],
 }));
 
@@ -50,15 +50,15 @@ function chosen(states, { first = 0, most = 3, isHere } = {}) {
 const ofPart = (asked, part) => asked.filter((name) => name.split("/")[1] === part);
 const range = (end, part) => Array.from({ length: end }, (_, n) => `${n}/${part}`);
 
-test("a fast link brings every layer once, and snapshots at the start alone", () => {
+test("a fast link brings every layer once, and keyframes at the start alone", () => {
   const asked = chosen(RECORDS.map(({ firstFrame }) => at(firstFrame))).flat();
-  const wanted = ["0", "1", "2", "masks"].flatMap((part) => range(NUM_SEGMENTS, part));
-  const snapshots = [0, 1, 2].map((layer) => `0/snapshot-${layer}`);
-  assert.deepEqual(asked.sort(), [...wanted, ...snapshots].sort());
+  const wanted = ["0", "1", "2", "skipmaps"].flatMap((part) => range(NUM_SEGMENTS, part));
+  const keyframes = [0, 1, 2].map((layer) => `0/keyframe-${layer}`);
+  assert.deepEqual(asked.sort(), [...wanted, ...keyframes].sort());
 });
 
 test("nine seconds of layer 0 come first, then other layers, and fifteen seconds at most", () => {
-  const base = 8 * (LAYER_BYTES[0] + MASKS_BYTES);
+  const base = 8 * (LAYER_BYTES[0] + SKIP_MAPS_BYTES);
   // A play that begins over a link that carries far more is content with three.
   const cases = [
     [9, at(0, { rateBps: 2.2 * base })],
@@ -73,7 +73,7 @@ test("nine seconds of layer 0 come first, then other layers, and fifteen seconds
     const current = state.nextFrame / 30;
     assert.deepEqual(
       asked.slice(0, 3),
-      ["snapshot-0", "masks", "0"].map((part) => `${current}/${part}`),
+      ["keyframe-0", "skipmaps", "0"].map((part) => `${current}/${part}`),
     );
     const layers = asked.filter((name) => /\/\d$/.test(name));
     const wanted = Array.from({ length: seconds }, (_, n) => `${current + n}/0`);
@@ -85,28 +85,31 @@ test("nine seconds of layer 0 come first, then other layers, and fifteen seconds
 
 test("the next round of a loop is asked for before it begins", () => {
   const [asked] = chosen([at(-60)]);
-  assert.deepEqual(asked.slice(0, 3), ["0/snapshot-0", "0/masks", "0/0"]);
+  assert.deepEqual(asked.slice(0, 3), ["0/keyframe-0", "0/skipmaps", "0/0"]);
   assert.deepEqual(ofPart(asked, "0"), range(13, "0"), "two seconds less, which pass until then");
 });
 
 test("a link that carries layer 0 alone brings no other", () => {
-  const [asked] = chosen([at(0, { rateBps: 8.5 * (LAYER_BYTES[0] + MASKS_BYTES) })]);
-  assert.deepEqual(asked.sort(), ["0/snapshot-0", ...range(15, "0"), ...range(15, "masks")].sort());
+  const [asked] = chosen([at(0, { rateBps: 8.5 * (LAYER_BYTES[0] + SKIP_MAPS_BYTES) })]);
+  assert.deepEqual(
+    asked.sort(),
+    ["0/keyframe-0", ...range(15, "0"), ...range(15, "skipmaps")].sort(),
+  );
 });
 
-test("a layer that comes back begins with its snapshot", () => {
+test("a layer that comes back begins with its keyframe", () => {
   const [fast, slow, again] = chosen([at(0), at(300, { queuedBytes: 1e10 }), at(480)]);
   assert.ok(fast.includes("14/1"));
   assert.deepEqual(ofPart(slow, "1"), []);
-  assert.equal(again[again.indexOf("16/1") - 1], "16/snapshot-1");
-  const snapshots = again.filter((name) => name.includes("snapshot"));
-  assert.deepEqual(snapshots, ["16/snapshot-1", "16/snapshot-2"]);
+  assert.equal(again[again.indexOf("16/1") - 1], "16/keyframe-1");
+  const keyframes = again.filter((name) => name.includes("keyframe"));
+  assert.deepEqual(keyframes, ["16/keyframe-1", "16/keyframe-2"]);
 });
 
 test("what would come more than half a segment late is not asked for, but in a pause", () => {
   const rateBps = 1.5 * NEED_BPS;
   for (const queuedBytes of [0, 2_000_000]) {
-    const plannedS = (8 * (queuedBytes + LAYER_BYTES[1] + SNAPSHOT_BYTES[1])) / (0.9 * rateBps);
+    const plannedS = (8 * (queuedBytes + LAYER_BYTES[1] + KEYFRAME_BYTES[1])) / (0.9 * rateBps);
     const [asked] = chosen([at(0, { rateBps, queuedBytes })]);
     const first = Math.min(...ofPart(asked, "1").map((name) => parseInt(name, 10)));
     assert.equal(first, Math.max(0, Math.ceil(plannedS - 0.5)));
@@ -115,7 +118,7 @@ test("what would come more than half a segment late is not asked for, but in a p
   const [playing] = chosen([at(25, slow)], { first: 25 });
   const [still] = chosen([at(25, { ...slow, paused: true })], { first: 25 });
   assert.ok(!playing.includes("0/2"));
-  const first = ["snapshot-0", "masks", "0", "snapshot-1", "1", "snapshot-2", "2"];
+  const first = ["keyframe-0", "skipmaps", "0", "keyframe-1", "1", "keyframe-2", "2"];
   assert.deepEqual(
     still.slice(0, 7),
     first.map((part) => `0/${part}`),
@@ -132,10 +135,10 @@ test("at double speed no more layers than the link carries then, and never more 
 });
 
 test("what has come is not asked for again, at no cost to the link", () => {
-  const isHere = ({ segment }, part) => segment === 1 && MANIFEST.parts[part] !== "masks";
-  const rateBps = 8.5 * (LAYER_BYTES[0] + MASKS_BYTES);
+  const isHere = ({ segment }, part) => segment === 1 && MANIFEST.parts[part] !== "skipmaps";
+  const rateBps = 8.5 * (LAYER_BYTES[0] + SKIP_MAPS_BYTES);
   const [asked] = chosen([at(0, { rateBps })], { isHere });
-  assert.equal(String(asked.filter((name) => name.startsWith("1/"))), "1/masks");
+  assert.equal(String(asked.filter((name) => name.startsWith("1/"))), "1/skipmaps");
 });
 
 test("the rate follows the link", () => {
@@ -181,9 +184,9 @@ for (const rateBps of [1e6, 1e9]) {
     await settled();
     play.step();
     assert.equal(play.isDone, true);
-    const layers = STREAM.parts.filter((part) => !part.startsWith("snapshot-"));
+    const layers = STREAM.parts.filter((part) => !part.startsWith("keyframe-"));
     const wanted = INDEX.flatMap(({ segment }) => layers.map((part) => `${segment}/${part}`));
-    const first = STREAM.parts.filter((part) => part.startsWith("snapshot-"));
+    const first = STREAM.parts.filter((part) => part.startsWith("keyframe-"));
     assert.deepEqual(asked.sort(), [...wanted, ...first.map((part) => `0/${part}`)].sort());
   });
 }

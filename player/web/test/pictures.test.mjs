@@ -3,10 +3,10 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { MOVES } from "../constants.js";
-import { readManifest, snapshotOf } from "../format/manifest.js";
+import { readManifest, keyframeOf } from "../format/manifest.js";
 import { readIndex, readObject } from "../format/objects.js";
 import { DepthOrder, NEVER, PendingUpdates } from "../playback/depthorder.js";
-import { SnapshotPreview } from "../playback/snapshotpreview.js";
+import { KeyframePreview } from "../playback/keyframepreview.js";
 import { floatWords, latticeWords, roomFor } from "../playback/words.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { filesOf, law, settled } from "./support.mjs";
@@ -21,21 +21,21 @@ function scrubbing() {
   const cache = new SegmentCache(MANIFEST);
   const asked = [];
   const shown = [];
-  const fetchSnapshot = (segment, layer, signal) => {
+  const fetchKeyframe = (segment, layer, signal) => {
     assert.equal(layer, 0);
     return new Promise((resolve, reject) => {
       const answer = () => {
-        const packets = readObject(FILES[`segments/${segment}/snapshot-0`]);
-        cache.addObject(RECORDS[segment], snapshotOf(MANIFEST, 0), packets);
+        const packets = readObject(FILES[`segments/${segment}/keyframe-0`]);
+        cache.addObject(RECORDS[segment], keyframeOf(MANIFEST, 0), packets);
         resolve(true);
       };
       asked.push({ segment, signal, answer, refuse: () => reject(new Error("gone")) });
     });
   };
   const numFrames = RECORDS.length * segmentFrames;
-  const stream = { manifest: MANIFEST, cache, numFrames, fetchSnapshot };
+  const stream = { manifest: MANIFEST, cache, numFrames, fetchKeyframe };
   const calls = { fetches: 0 };
-  const scrubber = new SnapshotPreview(
+  const scrubber = new KeyframePreview(
     stream,
     ({ frame, isJoin, updates }) => {
       assert.ok(isJoin && updates.length > 0);

@@ -17,7 +17,7 @@ function made({ end = Infinity, fps = FPS, numFrames = 100, first = 0, notBefore
     has: (frame) => frame < play.end,
     canAdvance: (frame, most) => {
       assert.equal(most, playback.numFrames);
-      return frame !== first && frame < play.end; // the first one comes as a snapshot
+      return frame !== first && frame < play.end; // the first one comes as a keyframe
     },
     join: (frame) => [`join ${frame}`],
     again: (frame) => [`again ${frame}`],

@@ -4,7 +4,7 @@ import { test } from "node:test";
 import { SegmentCache } from "../source/segmentcache.js";
 
 /** The parts of a stream of two layers, after the changes of these. */
-const [MASKS, ...SNAPSHOTS] = [2, 3, 4];
+const [SKIP_MAPS, ...KEYFRAMES] = [2, 3, 4];
 const NUM_FRAMES = 160;
 const PACKET_BYTES = 872;
 /** Bytes of a segment of `addWhole`, with 128 bytes more for each packet. */
@@ -22,10 +22,10 @@ function made(limitSegments = 100) {
 function addWhole(cache, ...segments) {
   for (const segment of segments) {
     for (let birth = 4 * segment; birth < 4 * segment + 4; birth++) {
-      cache.add(birth, MASKS, packet(PACKET_BYTES));
+      cache.add(birth, SKIP_MAPS, packet(PACKET_BYTES));
       cache.add(birth, 0, packet(PACKET_BYTES));
     }
-    cache.add(4 * segment, SNAPSHOTS[0], packet(PACKET_BYTES));
+    cache.add(4 * segment, KEYFRAMES[0], packet(PACKET_BYTES));
   }
 }
 
@@ -43,32 +43,32 @@ test("a page that sets no limit keeps 64 MB", () => {
   assert.equal(short.playhead, 0);
 });
 
-test("a frame is there with its mask and layer 0, the first of a segment also as a snapshot", () => {
+test("a frame is there with its skip map and layer 0, the first of a segment also as a keyframe", () => {
   const cache = made();
   const ranges = () => rangesOf(cache, NUM_FRAMES);
   const has = (birth) => said(cache.hasSlice(birth), cache.hasFrame(birth));
   cache.add(5, 0, packet());
   assert.equal(ranges(), "");
   assert.equal(has(5), "no no");
-  cache.add(5, MASKS, packet(0));
+  cache.add(5, SKIP_MAPS, packet(0));
   assert.equal(has(5), "yes yes");
   assert.equal(ranges(), "5,6");
   cache.add(6, 1, packet());
-  cache.add(6, MASKS, packet(0));
+  cache.add(6, SKIP_MAPS, packet(0));
   assert.equal(ranges(), "5,6", "layer 1 alone is no frame");
-  cache.add(4, SNAPSHOTS[0], packet());
+  cache.add(4, KEYFRAMES[0], packet());
   assert.equal(has(4), "no yes");
-  cache.add(8, SNAPSHOTS[1], packet());
+  cache.add(8, KEYFRAMES[1], packet());
   assert.equal(ranges(), "4,6");
   assert.deepEqual(
-    [cache.hasFrame(8), cache.hasFrame(-1), cache.packet(-1, MASKS)],
+    [cache.hasFrame(8), cache.hasFrame(-1), cache.packet(-1, SKIP_MAPS)],
     [false, false, null],
   );
   addWhole(cache, 0);
   assert.equal(ranges(), "0,6");
-  assert.equal(cache.packet(0, MASKS)?.length, PACKET_BYTES);
-  cache.add(-4, MASKS, packet());
-  assert.equal(cache.packet(-4, MASKS), null, "no frame is before the first one");
+  assert.equal(cache.packet(0, SKIP_MAPS)?.length, PACKET_BYTES);
+  cache.add(-4, SKIP_MAPS, packet());
+  assert.equal(cache.packet(-4, SKIP_MAPS), null, "no frame is before the first one");
 });
 
 test("ranges are in order, join across segments and end with the stream", () => {
@@ -85,28 +85,28 @@ test("a packet is kept once, and reaches the listeners", () => {
   const heard = [];
   cache.listeners.add((...what) => heard.push(what));
   const [one, other] = [packet(100), packet(900)];
-  cache.add(5, MASKS, one);
-  cache.add(5, MASKS, other);
+  cache.add(5, SKIP_MAPS, one);
+  cache.add(5, SKIP_MAPS, other);
   cache.add(6, 1, one);
-  cache.add(8, SNAPSHOTS[1], other);
-  cache.add(8, SNAPSHOTS[1], one);
+  cache.add(8, KEYFRAMES[1], other);
+  cache.add(8, KEYFRAMES[1], one);
   assert.deepEqual(heard, [
-    [5, MASKS, one],
+    [5, SKIP_MAPS, one],
     [6, 1, one],
-    [8, SNAPSHOTS[1], other],
+    [8, KEYFRAMES[1], other],
   ]);
   assert.equal(cache.numBytes, 3 * 128 + 100 + 100 + 900);
   assert.equal(cache.segments.get(1)?.numBytes, 2 * 128 + 200);
-  assert.equal(cache.packet(5, MASKS), one);
+  assert.equal(cache.packet(5, SKIP_MAPS), one);
   assert.deepEqual(
-    [cache.packet(4, MASKS), cache.packet(6, MASKS), cache.packet(40, MASKS)],
+    [cache.packet(4, SKIP_MAPS), cache.packet(6, SKIP_MAPS), cache.packet(40, SKIP_MAPS)],
     [null, null, null],
   );
   assert.equal(cache.packet(6, 1), one);
   const missing = [cache.packet(6, 0), cache.packet(7, 1), cache.packet(41, 1)];
   assert.deepEqual(missing, [null, null, null]);
-  assert.equal(cache.snapshot(2, 1), other);
-  const others = [cache.snapshot(2, 0), cache.snapshot(1, 1), cache.snapshot(9, 1)];
+  assert.equal(cache.keyframe(2, 1), other);
+  const others = [cache.keyframe(2, 0), cache.keyframe(1, 1), cache.keyframe(9, 1)];
   assert.deepEqual(others, [null, null, null]);
 });
 
@@ -115,74 +115,74 @@ test("an object brings all packets of a part; a frame without one is unchanged",
   const record = { firstFrame: 4, numFrames: 3 };
   const [one, other] = [packet(1), packet(2)];
   const packets = new Map([[4, one]]).set(6, other).set(7, other);
-  cache.addObject(record, MASKS, packets);
+  cache.addObject(record, SKIP_MAPS, packets);
   cache.addObject(record, 1, packets);
   const wanted = [null, one, packet(0), other, null];
-  for (const of of [(birth) => cache.packet(birth, MASKS), (birth) => cache.packet(birth, 1)])
+  for (const of of [(birth) => cache.packet(birth, SKIP_MAPS), (birth) => cache.packet(birth, 1)])
     assert.deepEqual([3, 4, 5, 6, 7].map(of), wanted);
   assert.equal(cache.packet(4, 0), null);
-  cache.addObject(record, SNAPSHOTS[0], new Map([[5, one]]));
-  assert.equal(cache.snapshot(1, 0), null, "of another frame");
-  cache.addObject(record, SNAPSHOTS[1], packets);
-  assert.deepEqual([cache.snapshot(1, 0), cache.snapshot(1, 1)], [null, one]);
+  cache.addObject(record, KEYFRAMES[0], new Map([[5, one]]));
+  assert.equal(cache.keyframe(1, 0), null, "of another frame");
+  cache.addObject(record, KEYFRAMES[1], packets);
+  assert.deepEqual([cache.keyframe(1, 0), cache.keyframe(1, 1)], [null, one]);
 });
 
 test("which objects are whole", () => {
   const cache = made();
   const has = (part) => cache.hasObject(1, part, 3);
-  assert.equal(has(MASKS), false, "nothing of the segment");
-  for (const birth of [4, 5]) cache.add(birth, MASKS, packet());
-  assert.equal(has(MASKS), false);
-  assert.equal(cache.hasObject(1, MASKS, 2), true);
-  cache.add(6, MASKS, packet());
-  assert.equal(has(MASKS), true);
+  assert.equal(has(SKIP_MAPS), false, "nothing of the segment");
+  for (const birth of [4, 5]) cache.add(birth, SKIP_MAPS, packet());
+  assert.equal(has(SKIP_MAPS), false);
+  assert.equal(cache.hasObject(1, SKIP_MAPS, 2), true);
+  cache.add(6, SKIP_MAPS, packet());
+  assert.equal(has(SKIP_MAPS), true);
   for (const birth of [6, 5]) cache.add(birth, 1, packet());
   assert.equal(has(1), false, "without the first frame");
   cache.add(4, 1, packet());
   assert.deepEqual([has(1), has(0)], [true, false]);
-  cache.add(4, SNAPSHOTS[1], packet());
-  assert.deepEqual([has(SNAPSHOTS[1]), has(SNAPSHOTS[0])], [true, false]);
-  assert.deepEqual([cache.missingSnapshots(1, 2), cache.missingSnapshots(1, 1)], [[0], [0]]);
-  assert.deepEqual(cache.missingSnapshots(2, 2), [0, 1]);
+  cache.add(4, KEYFRAMES[1], packet());
+  assert.deepEqual([has(KEYFRAMES[1]), has(KEYFRAMES[0])], [true, false]);
+  assert.deepEqual([cache.missingKeyframes(1, 2), cache.missingKeyframes(1, 1)], [[0], [0]]);
+  assert.deepEqual(cache.missingKeyframes(2, 2), [0, 1]);
 });
 
-test("a segment continues the one before with all slices but the first, which snapshots replace", () => {
+test("a segment continues the one before with all slices but the first, which keyframes replace", () => {
   const cache = made();
   // With one layer, and with both.
   const complete = () => said(...[1, 2].map((layers) => cache.isComplete(1, 3, layers)));
   const changes = () => said(...[1, 2].map((layers) => cache.hasAllChanges(1, 3, layers)));
   assert.deepEqual([complete(), changes()], ["no no", "no no"]);
   for (const birth of [5, 6]) cache.add(birth, 0, packet());
-  cache.add(6, MASKS, packet());
-  assert.equal(changes(), "no no", "a mask is missing");
-  cache.add(5, MASKS, packet());
+  cache.add(6, SKIP_MAPS, packet());
+  assert.equal(changes(), "no no", "a skip map is missing");
+  cache.add(5, SKIP_MAPS, packet());
   assert.deepEqual([complete(), changes()], ["no no", "yes no"]);
-  cache.add(4, SNAPSHOTS[0], packet());
+  cache.add(4, KEYFRAMES[0], packet());
   assert.equal(complete(), "yes no");
   cache.add(6, 1, packet());
   assert.equal(changes(), "yes no");
   cache.add(5, 1, packet());
   assert.deepEqual([complete(), changes()], ["yes no", "yes yes"]);
-  cache.add(4, MASKS, packet());
-  assert.equal(complete(), "yes no", "neither snapshot nor change of layer 1");
+  cache.add(4, SKIP_MAPS, packet());
+  assert.equal(complete(), "yes no", "neither keyframe nor change of layer 1");
   cache.add(4, 1, packet());
   assert.equal(complete(), "yes yes");
   const masked = made();
   masked.add(4, 0, packet());
   for (const birth of [5, 6]) {
-    masked.add(birth, MASKS, packet());
+    masked.add(birth, SKIP_MAPS, packet());
     masked.add(birth, 0, packet());
   }
-  assert.equal(masked.isComplete(1, 3, 1), false, "a change without its mask");
+  assert.equal(masked.isComplete(1, 3, 1), false, "a change without its skip map");
   const upper = made();
   for (const birth of [5, 6]) {
-    upper.add(birth, MASKS, packet());
+    upper.add(birth, SKIP_MAPS, packet());
     upper.add(birth, 1, packet());
   }
   assert.equal(upper.hasAllChanges(1, 3, 2), false, "layer 1 without layer 0");
   const bare = made();
-  bare.add(4, SNAPSHOTS[0], packet());
-  assert.equal(bare.isComplete(1, 3, 1), false, "a snapshot alone");
+  bare.add(4, KEYFRAMES[0], packet());
+  assert.equal(bare.isComplete(1, 3, 1), false, "a keyframe alone");
 });
 
 test("the least recently used segment goes, but never what plays within twenty seconds", () => {
@@ -209,7 +209,7 @@ test("the least recently used segment goes, but never what plays within twenty s
 test("as many segments go as a packet needs", () => {
   const cache = made(3);
   addWhole(cache, 30, 31, 32);
-  cache.add(0, MASKS, packet(SEGMENT_BYTES));
+  cache.add(0, SKIP_MAPS, packet(SEGMENT_BYTES));
   assert.equal(kept(cache), "0 32");
 });
 
@@ -254,6 +254,6 @@ test("a segment that shows, or comes next, is always asked for", () => {
   assert.equal(asked(7, 8), "yes yes");
   cache.limitBytes = 2 * SEGMENT_BYTES + 1;
   assert.equal(asked(9, 6), "yes yes");
-  cache.add(4 * 9, MASKS, packet());
+  cache.add(4 * 9, SKIP_MAPS, packet());
   assert.equal(asked(9), "yes", "what it has itself does not count");
 });

@@ -108,7 +108,7 @@ function played({ fps = 30, numFrames, lastsS, seed = 1, live = false, happen = 
   const cache = {
     ...{ setPlayhead: nothing, segmentOf: () => 0, listeners: new Set(), ranges: () => [] },
     packet: () => null,
-    ...{ endOf: () => 0, snapshot: () => null, hasRoomFor: () => true, baseBps: () => 0 },
+    ...{ endOf: () => 0, keyframe: () => null, hasRoomFor: () => true, baseBps: () => 0 },
   };
   const source = () => ({
     ...{ step: () => 1, reportPosition: nothing, moveTo: () => false, close: nothing },

@@ -9,7 +9,7 @@ import { follow, GrowingIndex } from "../source/live.js";
 import { edgeFrame, followPeriodS, isBehind } from "../source/liveedge.js";
 import { openPlay } from "../source/playresponse.js";
 import { FormatError } from "../format/bytes.js";
-import { masksOf } from "../format/manifest.js";
+import { skipMapsOf } from "../format/manifest.js";
 import { PackedStream } from "../source/packed.js";
 import { ServedStream } from "../source/served.js";
 import { openSource } from "../source/source.js";
@@ -468,26 +468,27 @@ test("a play that has all it needs wakes its player once, however often it hears
   play.close();
 });
 
-test("a seek into what came without snapshots fetches those of all layers", async (context) => {
+test("a seek into what came without keyframes fetches those of all layers", async (context) => {
   const numFrames = 3 * manifestOf({}).segmentFrames;
   const start = { manifest: manifestBytes({}), numFrames };
   const stream = new ServedStream(BASE, new Fetcher(), { response: { token: "t" }, start });
   const { cache, manifest } = stream;
   for (let birth = 0; birth < numFrames; birth++) {
-    for (let part = 0; part <= masksOf(manifest); part++) cache.add(birth, part, Uint8Array.of(1));
+    for (let part = 0; part <= skipMapsOf(manifest); part++)
+      cache.add(birth, part, Uint8Array.of(1));
   }
   const { numLayers } = manifest;
   const play = stream.play({ firstFrame: 0, mostLayers: numLayers, nowS: () => 0 });
   context.after(() => play.close());
   play.endBirth = numFrames;
   const asked = [];
-  const object = filesOf("one-lane")["segments/0/snapshot-0"];
+  const object = filesOf("one-lane")["segments/0/keyframe-0"];
   answering(context, (url) => asked.push(url.slice(BASE.length)) && new Response(object));
   assert.equal(play.moveTo(0, "seek"), true);
-  while (cache.missingSnapshots(0, numLayers).length > 0) await settled();
+  while (cache.missingKeyframes(0, numLayers).length > 0) await settled();
   const layers = Array.from({ length: numLayers }, (_, layer) => layer);
   assert.deepEqual(
     asked,
-    layers.map((layer) => `segments/0/snapshot-${layer}`),
+    layers.map((layer) => `segments/0/keyframe-${layer}`),
   );
 });

@@ -74,15 +74,15 @@ export async function watched({
   rateBps,
   rttS,
   layerBytes,
-  masksBytes,
-  snapshotBytes,
+  skipMapsBytes,
+  keyframeBytes,
   forS = 20,
   isSlow = false,
   connections = CONNECTIONS,
 }) {
   const segmentFrames = 10;
   const manifest = manifestOf({ segment_frames: segmentFrames, slots: layerBytes.map(() => 5) });
-  const objectBytes = [...layerBytes, masksBytes, ...snapshotBytes];
+  const objectBytes = [...layerBytes, skipMapsBytes, ...keyframeBytes];
   const records = Array.from({ length: 90 }, (_, segment) => {
     const firstFrame = segment * segmentFrames;
     return { segment, firstFrame, numFrames: segmentFrames, objectBytes };
@@ -112,7 +112,7 @@ export async function watched({
   });
   const chunks = {
     isLate: false,
-    has: (frame) => cache.snapshot(0, 0) !== null && frame === 0,
+    has: (frame) => cache.keyframe(0, 0) !== null && frame === 0,
     canAdvance: (frame) => cache.hasSlice(frame),
     join: () => [],
     advance: () => ({ isJoin: false, updates: [] }),
@@ -121,7 +121,7 @@ export async function watched({
   playback.setPlaying(true);
   const hasLayer = (segment, layer) =>
     cache.hasObject(segment, `${layer}`, segmentFrames) &&
-    (cache.snapshot(segment, layer) !== null ||
+    (cache.keyframe(segment, layer) !== null ||
       (segment > 0 && come.get(`${segment - 1}/${layer}`)));
   const layersAt = (frame) => {
     const segment = Math.floor(frame / segmentFrames);
@@ -141,7 +141,7 @@ export async function watched({
           come.set(`${s}/${l}`, true);
     playback.heldFrame = cache.endOf(playback.nextFrame, 900);
     playback.waitS = play.waitS;
-    playback.isLinkThin = (play.rateBps ?? Infinity) < 24 * (layerBytes[0] + masksBytes);
+    playback.isLinkThin = (play.rateBps ?? Infinity) < 24 * (layerBytes[0] + skipMapsBytes);
     const one = playback.tick(link.nowS);
     if (one !== null) {
       shown.push({ atS: link.nowS, frame: one.frame, layers: layersAt(one.frame) });
@@ -156,6 +156,6 @@ export async function watched({
 /** Bytes of a third of a second: needs 1.4, 1.9, 2.5 and 3.3 Mbit/s with 1, 2, 3 and 4 layers. */
 export const LONG = {
   layerBytes: [49_000, 20_400, 25_400, 34_000],
-  masksBytes: 9_000,
-  snapshotBytes: [60_000, 25_000, 28_000, 40_000],
+  skipMapsBytes: 9_000,
+  keyframeBytes: [60_000, 25_000, 28_000, 40_000],
 };

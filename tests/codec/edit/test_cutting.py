@@ -13,7 +13,7 @@ from codec.errors import CorruptError, InvalidError
 from codec.files import write_atomic
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
-from codec.stream.manifest import MASKS, Manifest
+from codec.stream.manifest import SKIP_MAPS, Manifest
 from codec.stream.views import view_from_text
 from codec.tools.audit import verify_stream
 from tests.support.commands import run, run_ok
@@ -71,8 +71,8 @@ def test_segments_that_move_keep_their_chunks_but_for_the_frame_number(tmp_path:
         for part in before.manifest.parts:
             old, new = before.read_object(segment + 1, part), after.read_object(segment, part)
             moved = {entry.birth - SEGMENT_FRAMES for entry in old.entries}
-            if part == MASKS or type(part) is int:
-                moved -= {0}  # the content of that slice is in the snapshots
+            if part == SKIP_MAPS or type(part) is int:
+                moved -= {0}  # the content of that slice is in the keyframes
             assert {entry.birth for entry in new.entries} == moved
             for birth in moved:
                 was, now = old.content(birth + SEGMENT_FRAMES), new.content(birth)
@@ -83,11 +83,11 @@ def test_segments_that_move_keep_their_chunks_but_for_the_frame_number(tmp_path:
 
 def test_a_wrong_object_is_named_and_nothing_is_left(tmp_path: Path) -> None:
     source = write_slot_stream(tmp_path / "s", 14)
-    path = source / "segments" / "2" / "snapshot-1"
+    path = source / "segments" / "2" / "keyframe-1"
     data = path.read_bytes()
     path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
     for frames in (FrameRange(0, 14), FrameRange(4, 14)):
-        refused(CorruptError, "segments/2/snapshot-1", trim_stream, source, tmp_path / "t", frames)
+        refused(CorruptError, "segments/2/keyframe-1", trim_stream, source, tmp_path / "t", frames)
     assert [entry.name for entry in tmp_path.iterdir()] == ["s"]
 
 

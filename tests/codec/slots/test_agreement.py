@@ -21,7 +21,7 @@ from tests.support.slots.plain import (
     layout_of,
     make_shape,
     spelled_out,
-    try_snapshot,
+    try_keyframe,
 )
 from tests.support.slots.updates import patternless_updates
 
@@ -54,39 +54,39 @@ def chunks_of(shape: Shape, seed: int, wild: bool = False, calm: int = 1) -> Chu
 @settings(max_examples=25)
 def test_both_bound_a_chunk_alike(shape: Shape) -> None:
     layout = layout_of(shape)
-    assert layout.max_mask_bytes == largest_content("masks", shape)
+    assert layout.max_skip_map_bytes == largest_content("skipmaps", shape)
     for layer in range(layout.num_layers):
         assert layout.max_change_bytes(layer) == largest_content(f"{layer}", shape)
-        assert layout.max_snapshot_bytes(layer) == largest_content(f"snapshot-{layer}", shape)
+        assert layout.max_keyframe_bytes(layer) == largest_content(f"keyframe-{layer}", shape)
 
 
 @given(streams(), st.data())
 @settings(max_examples=25)
 def test_a_join_at_any_segment(stream: tuple[Shape, Chunks], data: st.DataObject) -> None:
     shape, chunks = stream
-    first = data.draw(st.sampled_from(sorted(chunks.snapshots)))
+    first = data.draw(st.sampled_from(sorted(chunks.keyframes)))
     layers = data.draw(st.integers(1, len(shape.slots)))
     both = BothReaders(shape, layers)
-    for snapshot in chunks.snapshots[first][:layers]:
-        both.load(snapshot)
+    for keyframe in chunks.keyframes[first][:layers]:
+        both.load(keyframe)
     both.check()
     for birth in range(first + 1, NUM_FRAMES):
-        both.apply(birth, chunks.masks[birth], chunks.changes[birth][:layers])
+        both.apply(birth, chunks.skip_maps[birth], chunks.changes[birth][:layers])
 
 
 @given(streams(), seeds)
 @settings(max_examples=30)
 def test_who_lacks_something_holds_the_same(stream: tuple[Shape, Chunks], seed: int) -> None:
-    """Packets that arrive late or never; masks that never arrive; snapshots of some layers, some of
-    them late."""
+    """Packets that arrive late or never; skip maps that never arrive; keyframes of some layers,
+    some of them late."""
     (shape, chunks), rng = stream, np.random.default_rng(seed)
-    missing_mask, missing_change = rng.choice([0, 0, 0.2]), rng.choice([0.1, 0.4, 0.6])
+    missing_skip_map, missing_change = rng.choice([0, 0, 0.2]), rng.choice([0.1, 0.4, 0.6])
     both = BothReaders(shape)
     waiting: list[tuple[int, int]] = []
     absent = {layer for layer in range(1, len(shape.slots)) if rng.random() < 0.3}
-    for layer, snapshot in enumerate(chunks.snapshots[0]):
+    for layer, keyframe in enumerate(chunks.keyframes[0]):
         if layer not in absent:
-            both.load(snapshot)
+            both.load(keyframe)
     both.check()
     for birth in range(1, NUM_FRAMES):
         changes: list[bytes | None] = []
@@ -95,14 +95,16 @@ def test_who_lacks_something_holds_the_same(stream: tuple[Shape, Chunks], seed: 
             changes.append(None if lacks else change)
             if lacks:
                 waiting.append((birth, layer))
-        both.apply(birth, None if rng.random() < missing_mask else chunks.masks[birth], changes)
-        for snapshot in chunks.snapshots.get(birth, []):
+        both.apply(
+            birth, None if rng.random() < missing_skip_map else chunks.skip_maps[birth], changes
+        )
+        for keyframe in chunks.keyframes.get(birth, []):
             if rng.random() < 0.4:
-                both.load(snapshot)
+                both.load(keyframe)
         both.check()
         for layer in [layer for layer in absent if rng.random() < 0.3]:
             absent.remove(layer)
-            both.load(chunks.snapshots[birth - birth % shape.segment_frames][layer])
+            both.load(chunks.keyframes[birth - birth % shape.segment_frames][layer])
             both.check()
         rng.shuffle(waiting)
         for late_birth, layer in waiting[: rng.integers(0, len(waiting) + 1)]:
@@ -117,14 +119,14 @@ def test_a_reader_that_takes_wrong_changes_late(stream: tuple[Shape, Chunks], se
     (shape, chunks), rng = stream, np.random.default_rng(seed)
     both = BothReaders(shape)
     waiting: list[tuple[int, int]] = []
-    for snapshot in chunks.snapshots[0]:
-        both.load(snapshot)
+    for keyframe in chunks.keyframes[0]:
+        both.load(keyframe)
     for birth in range(1, NUM_FRAMES):
         changes: list[bytes | None] = [*chunks.changes[birth]]
         for lacking in np.flatnonzero(rng.random(len(changes)) < 0.3).tolist():
             changes[lacking] = None
             waiting.append((birth, lacking))
-        both.apply_what_fits(birth, chunks.masks[birth], changes)
+        both.apply_what_fits(birth, chunks.skip_maps[birth], changes)
         rng.shuffle(waiting)
         for late_birth, layer in waiting[: rng.integers(0, 3)]:
             change = chunks.changes[late_birth][layer]
@@ -169,32 +171,32 @@ def mutants(data: bytes, rng: np.random.Generator, count: int) -> Iterator[bytes
 def test_both_refuse_the_same_slices(stream: tuple[Shape, Chunks], seed: int, count: int) -> None:
     (shape, chunks), rng = stream, np.random.default_rng(seed)
     both = BothReaders(shape)
-    for snapshot in chunks.snapshots[0]:
+    for keyframe in chunks.keyframes[0]:
         if rng.random() < 0.7 or both.decoder.frame is None:
-            both.load(snapshot)
+            both.load(keyframe)
     for birth in range(1, NUM_FRAMES):
-        mask, changes = chunks.masks[birth], chunks.changes[birth]
-        assert both.try_slice(birth, mask, changes)
-        for wrong in mutants(mask, rng, count):
-            if both.try_mask(birth, wrong):
+        skip_map, changes = chunks.skip_maps[birth], chunks.changes[birth]
+        assert both.try_slice(birth, skip_map, changes)
+        for wrong in mutants(skip_map, rng, count):
+            if both.try_skip_map(birth, wrong):
                 both.try_slice(birth, wrong, [None] * len(changes))
                 both.try_slice(birth, wrong, changes)
         for layer, change in enumerate(changes):
             for wrong in mutants(change, rng, count):
-                both.try_slice(birth, mask, [*changes[:layer], wrong, *changes[layer + 1 :]])
+                both.try_slice(birth, skip_map, [*changes[:layer], wrong, *changes[layer + 1 :]])
         here = [None if rng.random() < 0.1 else change for change in changes]
-        both.apply(birth, mask, here)
+        both.apply(birth, skip_map, here)
 
 
 @given(streams(), seeds)
 @settings(max_examples=10)
-def test_both_refuse_the_same_snapshots(stream: tuple[Shape, Chunks], seed: int) -> None:
+def test_both_refuse_the_same_keyframes(stream: tuple[Shape, Chunks], seed: int) -> None:
     (shape, chunks), rng = stream, np.random.default_rng(seed)
-    for snapshots in chunks.snapshots.values():
-        for snapshot in snapshots:
-            assert try_snapshot(shape, snapshot)
-            for wrong in mutants(snapshot, rng, 20):
-                try_snapshot(shape, wrong)
+    for keyframes in chunks.keyframes.values():
+        for keyframe in keyframes:
+            assert try_keyframe(shape, keyframe)
+            for wrong in mutants(keyframe, rng, 20):
+                try_keyframe(shape, wrong)
 
 
 def test_mutants_are_taken_and_refused() -> None:
@@ -202,15 +204,15 @@ def test_mutants_are_taken_and_refused() -> None:
     shape, rng = make_shape(), np.random.default_rng(0)
     chunks = chunks_of(shape, 3)
     both = BothReaders(shape)
-    for snapshot in chunks.snapshots[0]:
-        both.load(snapshot)
-    masks = [both.try_mask(1, wrong) for wrong in mutants(chunks.masks[1], rng, 300)]
+    for keyframe in chunks.keyframes[0]:
+        both.load(keyframe)
+    skip_maps = [both.try_skip_map(1, wrong) for wrong in mutants(chunks.skip_maps[1], rng, 300)]
     slices = [
-        both.try_slice(1, chunks.masks[1], [wrong, None])
+        both.try_slice(1, chunks.skip_maps[1], [wrong, None])
         for wrong in mutants(chunks.changes[1][0], rng, 300)
     ]
-    snapshots = [try_snapshot(shape, wrong) for wrong in mutants(chunks.snapshots[0][0], rng, 300)]
-    for taken in (masks, slices, snapshots):
+    keyframes = [try_keyframe(shape, wrong) for wrong in mutants(chunks.keyframes[0][0], rng, 300)]
+    for taken in (skip_maps, slices, keyframes):
         assert 20 < sum(taken) < 280
 
 
@@ -220,13 +222,13 @@ def test_counts_and_escapes_that_both_refuse() -> None:
     for seed in range(6):
         chunks = spelled_out(shape, chunks_of(shape, seed))
         both = BothReaders(shape)
-        both.load(chunks.snapshots[0][0])
+        both.load(chunks.keyframes[0][0])
         for birth in (1, 2):
-            mask, change = chunks.masks[birth], chunks.changes[birth][0]
+            skip_map, change = chunks.skip_maps[birth], chunks.changes[birth][0]
             counts = struct.unpack_from("<5I", change, 12)
             for at, count in enumerate(counts):
                 for other in (count + 1, max(count - 1, 0), 0, 1 << 31, (1 << 32) - 1):
                     wrong = [*counts[:at], other, *counts[at + 1 :]]
                     data = change[:12] + struct.pack("<5I", *wrong) + change[32:]
-                    assert both.try_slice(birth, mask, [data]) == (other == count)
-            both.apply(birth, mask, [change])
+                    assert both.try_slice(birth, skip_map, [data]) == (other == count)
+            both.apply(birth, skip_map, [change])

@@ -1,4 +1,4 @@
-"""Masks, changes and snapshots: the farthest ways fit, and breaches of a rule are refused."""
+"""Skip maps, changes and keyframes: the farthest ways fit, and breaches of a rule are refused."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from codec.lattice.lattice import POSITION_LIMIT, Lattice, States
 from codec.slots.change import Change, Newcomers, decode_change, encode_change
 from codec.slots.decoder import SlotDecoder
 from codec.slots.encoder import SlotEncoder
-from codec.slots.mask import MaskHistory, decode_mask, encode_mask
+from codec.slots.skipmap import SkipMapHistory, decode_skip_map, encode_skip_map
 from codec.slots.slotlayout import (
     MAX_SLOT_CHUNK_BYTES,
     NEW,
@@ -109,7 +109,7 @@ def test_what_is_refused() -> None:
         refused(UnsupportedError, "", decode, data[:place] + bytes([value]) + data[place + 1 :])
     for place, message in ((5, "layer 1"), (8, "birth")):
         refused(CorruptError, message, decode, data[:place] + b"\1" + data[place + 1 :])
-    refused(CorruptError, "the mask declares 7", decode_change, layout, 0, 7, data, 7, 5)
+    refused(CorruptError, "the skip map declares 7", decode_change, layout, 0, 7, data, 7, 5)
 
 
 def test_a_sum_outside_the_lattice_is_refused() -> None:
@@ -130,12 +130,12 @@ def test_a_sum_outside_the_lattice_is_refused() -> None:
     refused(CorruptError, "leaves the lattice", change.predict, bright, np.ones(1, np.bool_))
 
 
-def test_any_bytes_give_a_snapshot_or_an_error() -> None:
+def test_any_bytes_give_a_keyframe_or_an_error() -> None:
     layout = small_layout(3, (6, 5))
     encoder = SlotEncoder(layout)
     for update in patternless_updates(layout, 5, 3):
         encoder.append(update)
-    data = encoder.snapshots()[1].data
+    data = encoder.keyframes()[1].data
 
     def load(wrong: bytes) -> None:
         decoder = SlotDecoder(layout)
@@ -147,7 +147,7 @@ def test_any_bytes_give_a_snapshot_or_an_error() -> None:
         decoder.window(decoder.frame or 0)
 
     assert survives(load, data)
-    assert len(data) <= layout.max_snapshot_bytes(1)
+    assert len(data) <= layout.max_keyframe_bytes(1)
     assert not any(survives(load, wrong) for wrong in truncations(data))
     assert any(survives(load, wrong) for wrong in flips(data))
     for wrong, message in (
@@ -155,7 +155,7 @@ def test_any_bytes_give_a_snapshot_or_an_error() -> None:
         (data[:8] + b"\3" + data[9:], "frame 3 is not the first"),
         (data[:8] + b"\xfc\xff\xff\xff" + data[12:], "frame -4"),
         (data[:13] + bytes([data[13] | 0x80]) + data[14:], "after the last flag"),
-        (data[:12] + bytes([data[12] ^ 1]) + data[13:], "new, the mask declares"),
+        (data[:12] + bytes([data[12] ^ 1]) + data[13:], "new, the skip map declares"),
     ):
         refused(CorruptError, message, load, wrong)
 
@@ -163,7 +163,7 @@ def test_any_bytes_give_a_snapshot_or_an_error() -> None:
 def test_what_an_encoder_refuses_leaves_it_as_it_was() -> None:
     layout = small_layout(1, (3,), segment_frames=2)
     encoder = SlotEncoder(layout)
-    refused(InvalidError, "not the first of a segment", encoder.snapshots)
+    refused(InvalidError, "not the first of a segment", encoder.keyframes)
     good = Update(
         0,
         np.array([NEW, NEW, 0], np.uint8),
@@ -238,48 +238,50 @@ def test_only_a_new_gaussian_starts_late() -> None:
 def test_layouts_that_the_format_does_not_allow(change: dict[str, object], message: str) -> None:
     refused(InvalidError, message, replace, SlotLayout(2, (4,), 0, (LATTICE,), 8), **change)
     layout = SlotLayout(16, (1 << 19, 1 << 19), 3, (LATTICE,) * 2, 256)
-    assert layout.max_change_bytes(0) < layout.max_snapshot_bytes(1) == MAX_SLOT_CHUNK_BYTES
-    assert layout.max_mask_bytes == 16 + (4 << 20)
+    assert layout.max_change_bytes(0) < layout.max_keyframe_bytes(1) == MAX_SLOT_CHUNK_BYTES
+    assert layout.max_skip_map_bytes == 16 + (4 << 20)
     assert SlotLayout(1, (1,), 0, (Lattice(1, 1, 1, 1, 2),), 1).max_change_bytes(0) == 12 + 20 + 83
 
 
 @pytest.mark.parametrize("status", range(4))
-def test_the_longest_and_the_dullest_masks_fit(status: int) -> None:
+def test_the_longest_and_the_dullest_skip_maps_fit(status: int) -> None:
     layout = small_layout(slots=(3000,))
     history = np.zeros(3000, np.uint8)
     dull = np.full(3000, status, np.uint8)
-    assert len(encode_mask(layout, 0, dull, history).data) < 60
+    assert len(encode_skip_map(layout, 0, dull, history).data) < 60
     # Equal statuses for long enough to be predicted, then different ones repeatedly.
     worst = np.resize(np.repeat(np.array([status, 3 - status], np.uint8), (120, 3)), 3000)
-    chunk = encode_mask(layout, 0, worst, history)
-    assert len(chunk.data) <= layout.max_mask_bytes
-    assert (decode_mask(layout, 0, chunk.data, history) == worst).all()
+    chunk = encode_skip_map(layout, 0, worst, history)
+    assert len(chunk.data) <= layout.max_skip_map_bytes
+    assert (decode_skip_map(layout, 0, chunk.data, history) == worst).all()
 
 
-def test_what_a_mask_refuses() -> None:
+def test_what_a_skip_map_refuses() -> None:
     layout = small_layout(slots=(40, 20))
     history = np.zeros(60, np.uint8)
     statuses = (np.arange(60) % 4).astype(np.uint8)
-    data = encode_mask(layout, 9, statuses, history).data
+    data = encode_skip_map(layout, 9, statuses, history).data
     for wrong, message in (
         (data + b"\0", "are read"),
         (data[:-1], "are read"),
         (b"SWGC" + data[4:], "starts with"),
-        (data[:4] + b"\1" + data[5:], "a change where a mask belongs"),
+        (data[:4] + b"\1" + data[5:], "a change where a skip map belongs"),
         (data[:5] + b"\1" + data[6:], "layer 1 where 0 belongs"),
         (data[:12] + b"\xff" * 4 + data[16:], "not below its range"),
         (data[:11], "too few"),
     ):
-        refused(CorruptError, message, decode_mask, layout, 9, wrong, history)
-    refused(CorruptError, "birth 9 where birth 10 belongs", decode_mask, layout, 10, data, history)
+        refused(CorruptError, message, decode_skip_map, layout, 9, wrong, history)
+    refused(
+        CorruptError, "birth 9 where birth 10 belongs", decode_skip_map, layout, 10, data, history
+    )
     for place, value in ((4, 4), (6, 1), (6, 128), (7, 1)):
         wrong = data[:place] + bytes([value]) + data[place + 1 :]
-        refused(UnsupportedError, "", decode_mask, layout, 9, wrong, history)
+        refused(UnsupportedError, "", decode_skip_map, layout, 9, wrong, history)
 
 
 def test_history_is_of_the_lane_and_begins_anew_with_a_segment() -> None:
     layout = small_layout(swin_size=2, slots=(4,), segment_frames=6)
-    history = MaskHistory(layout)
+    history = SkipMapHistory(layout)
     history.note(6, np.array([1, 1, 1, 1], np.uint8))  # the segment's first frame
     assert history.of(8).tolist() == [0, 0, 0, 0]
     history.note(7, np.array([3, 3, 3, 3], np.uint8))  # the other lane

@@ -106,15 +106,15 @@ def test_a_decoder_reports_what_its_slots_were(layout: SlotLayout, num_layers: i
     for update in patternless_updates(layout, 40, seed=4):
         encoded = encoder.append(update)
         if update.birth == 0:
-            for layer, snapshot in enumerate(encoder.snapshots()[:num_layers]):
-                decoder.load(snapshot.data, layer)
-                plain.load(snapshot.data, layer)
+            for layer, keyframe in enumerate(encoder.keyframes()[:num_layers]):
+                decoder.load(keyframe.data, layer)
+                plain.load(keyframe.data, layer)
         if encoded is None or update.birth <= 0:
             continue
         before = decoder.whole(update.birth - layout.swin_size)
         changes = [change.data for change in encoded.changes][:num_layers]
-        made = decoder.apply(update.birth, encoded.mask.data, changes, with_motion=True)
-        same = plain.apply(update.birth, encoded.mask.data, changes)
+        made = decoder.apply(update.birth, encoded.skip_map.data, changes, with_motion=True)
+        same = plain.apply(update.birth, encoded.skip_map.data, changes)
         assert same.motion is None
         assert same_splats(made.splats, same.splats)
         assert made.motion is not None
@@ -134,7 +134,7 @@ def test_a_decoder_reports_what_its_slots_were(layout: SlotLayout, num_layers: i
         # Earlier Gaussians that do not go on leave, unless they are kept.
         changes = update.statuses[:width] != KEPT
         changes[on] = False
-        # Gaussians from a snapshot are handed out with the lane's next slice, and never fade.
+        # Gaussians from a keyframe are handed out with the lane's next slice, and never fade.
         was_handed_out = update.birth > layout.swin_size
         gone = np.flatnonzero(held & changes & was_handed_out)
         assert same_splats(motion.leaving, before.splats.take(gone))

@@ -72,7 +72,7 @@ def test_a_store_gets_the_bytes_of_a_folder_in_a_request_for_each_object(
     write(tmp_path / "s", UPDATES)
     write(url, UPDATES)
     segments = [
-        [*(f"segments/{segment}/{part}" for part in ("0", "masks", "snapshot-0")), "index.bin"]
+        [*(f"segments/{segment}/{part}" for part in ("0", "skipmaps", "keyframe-0")), "index.bin"]
         for segment in range(5)
     ]
     inner = [key for segment in segments for key in segment]

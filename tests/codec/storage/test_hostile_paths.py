@@ -64,7 +64,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 def test_nobody_follows_the_manifest_out_of_its_folder(astray: Path) -> None:
     for read in READERS.values():
-        refused(CodecError, r"segments/0/(0|snapshot-0) is missing", read, astray)
+        refused(CodecError, r"segments/0/(0|keyframe-0) is missing", read, astray)
     path = astray.parent / "written"
     before = sorted(astray.parent.iterdir())
     hostile = StreamReader(astray).manifest

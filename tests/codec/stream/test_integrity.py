@@ -19,7 +19,7 @@ from codec.stream.integrity import (
     object_table,
     read_index,
 )
-from codec.stream.manifest import MASKS, Part, snapshot_part
+from codec.stream.manifest import SKIP_MAPS, Part, keyframe_part
 from codec.stream.segment import (
     CHECKSUM,
     HEAD,
@@ -45,7 +45,7 @@ NUM_PARTS = len(MANIFEST.parts)
 
 CHUNKS = {birth: new_chunk(birth, 12) for birth in range(9)}
 OBJECT = object_of([CHUNKS[birth] for birth in BIRTHS])
-SNAPSHOT = object_of([CHUNKS[4]])
+KEYFRAME = object_of([CHUNKS[4]])
 
 
 def forged_record(record: SegmentRecord) -> bytes:
@@ -158,7 +158,7 @@ def test_size_and_hash_are_those_of_the_index(data: bytes, message: str, at: int
     assert error.at == at
 
 
-@pytest.mark.parametrize("part", [0, 1, MASKS])
+@pytest.mark.parametrize("part", [0, 1, SKIP_MAPS])
 def test_the_births_are_some_of_the_segment(part: Part) -> None:
     for births in ([], [4], [7], [4, 6], list(BIRTHS)):
         data = object_of([CHUNKS[birth] for birth in births])
@@ -173,16 +173,16 @@ def test_the_births_are_some_of_the_segment(part: Part) -> None:
 
 
 @pytest.mark.parametrize(("births", "at"), [([], 16), ([5], 20), ([4, 5], 16)])
-def test_a_snapshot_is_that_of_the_first_frame(births: list[int], at: int) -> None:
-    part = snapshot_part(1)
-    assert len(object_table(SNAPSHOT, MANIFEST, record_with(SNAPSHOT), part)) == 1
+def test_a_keyframe_is_that_of_the_first_frame(births: list[int], at: int) -> None:
+    part = keyframe_part(1)
+    assert len(object_table(KEYFRAME, MANIFEST, record_with(KEYFRAME), part)) == 1
     data = object_of([CHUNKS[birth] for birth in births])
     with pytest.raises(CorruptError, match=r"its births are not 4\.\.4") as caught:
         object_table(data, MANIFEST, record_with(data), part)
     assert caught.value.at == at
 
 
-@pytest.mark.parametrize("part", [0, MASKS])
+@pytest.mark.parametrize("part", [0, SKIP_MAPS])
 def test_the_table_ends_where_the_object_does(part: Part) -> None:
     """An index with a larger object would hide the data behind the table's end."""
     data = OBJECT + b"hidden"
@@ -215,7 +215,7 @@ def test_a_checked_object_gives_packets_and_chunks_by_birth() -> None:
     assert (str(nowhere), nowhere.at) == ("there: what is wrong (birth 6)", None)
 
 
-@pytest.mark.parametrize("part", [0, MASKS, snapshot_part(0)])
+@pytest.mark.parametrize("part", [0, SKIP_MAPS, keyframe_part(0)])
 def test_a_packet_holds_no_more_than_its_slots_fill(part: Part) -> None:
     """The place of the error is that of the packet, because nothing smaller is known."""
     most = MANIFEST.max_content_bytes(part)
@@ -266,13 +266,13 @@ def test_the_record_is_pinned() -> None:
     data = pack_record(RECORDS[2])
     assert struct.unpack_from("<IIII", data) == (2, 60, 7, 0)
     assert struct.unpack_from("<Q32sf", data, 16 + 44) == (2001, bytes([2, 1] * 16), 31.25)
-    masks = 16 + 44 * 3
-    assert struct.unpack_from("<Q32s", data, masks) == (1000, bytes([2, 9, 0, 9] * 8))
-    assert struct.unpack_from("<Q32s", data, masks + 3 * 40) == (1003, bytes([2, 9, 3, 9] * 8))
-    assert struct.unpack_from("<I", data, masks + 4 * 40) == (zlib.crc32(data[:-4]),)
+    skip_maps = 16 + 44 * 3
+    assert struct.unpack_from("<Q32s", data, skip_maps) == (1000, bytes([2, 9, 0, 9] * 8))
+    assert struct.unpack_from("<Q32s", data, skip_maps + 3 * 40) == (1003, bytes([2, 9, 3, 9] * 8))
+    assert struct.unpack_from("<I", data, skip_maps + 4 * 40) == (zlib.crc32(data[:-4]),)
 
 
-def test_only_the_snapshots_of_the_first_segment_are_played() -> None:
+def test_only_the_keyframes_of_the_first_segment_are_played() -> None:
     assert RECORDS[1].part_bytes == (1000, 1001, 1002, 500, 501, 502, 503)
     assert RECORDS[1].played_bytes == 1000 + 1001 + 1002 + 500
     assert RECORDS[0].played_bytes == sum(RECORDS[0].part_bytes)

@@ -84,7 +84,7 @@ def test_what_follows_from_it() -> None:
     assert MANIFEST.slot_layout == SlotLayout(5, (50, 50, 100), 1, (LATTICE,) * 3, 30)
     assert MANIFEST.object_path(12, 2) == "segments/12/2"
     assert [MANIFEST.segment_of(birth) for birth in (-4, 0, 29, 30, 61)] == [0, 0, 0, 1, 2]
-    assert MANIFEST.object_path(12, "snapshot-2") == "segments/12/snapshot-2"
+    assert MANIFEST.object_path(12, "keyframe-2") == "segments/12/keyframe-2"
     assert MANIFEST.births(0, 30) == range(30)
     assert MANIFEST.births(2, 7) == range(60, 67)
 

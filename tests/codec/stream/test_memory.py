@@ -29,9 +29,9 @@ from codec.coders.zstd import decompress
 from codec.interop.formats import decode_any
 from codec.lattice.lattice import Lattice
 from codec.slots.change import COUNTS, decode_change
-from codec.slots.mask import MaskHistory, decode_mask
+from codec.slots.skipmap import SkipMapHistory, decode_skip_map
 from codec.slots.slotlayout import SLOT_HEADER, Kind, SlotLayout, Update
-from codec.slots.state import decode_snapshot
+from codec.slots.state import decode_keyframe
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import LENGTH, MAX_RECORD_BYTES, RecordParser
@@ -81,19 +81,19 @@ def read_change(packet: bytes) -> None:
     decode_change(DEGREE_3, 0, 5, content, 0, SLOTS)
 
 
-def full_snapshot() -> bytes:
-    """A snapshot of SLOTS Gaussians at the origin."""
+def full_keyframe() -> bytes:
+    """A keyframe of SLOTS Gaussians at the origin."""
     body = b"\xff" * (SLOTS // 8) + COUNTS.pack(0, SLOTS, 0, 0, 0) + bytes(13 * SLOTS)
-    return compress(head(Kind.SNAPSHOT, 4) + body)
+    return compress(head(Kind.KEYFRAME, 4) + body)
 
 
-def read_snapshot(packet: bytes) -> None:
-    decode_snapshot(LANES, decompress(packet, LANES.max_snapshot_bytes(0)))
+def read_keyframe(packet: bytes) -> None:
+    decode_keyframe(LANES, decompress(packet, LANES.max_keyframe_bytes(0)))
 
 
-def read_mask(packet: bytes) -> None:
-    data = decompress(packet, LAYOUT.max_mask_bytes)
-    decode_mask(LAYOUT, 5, data, MaskHistory(LAYOUT).of(5))
+def read_skip_map(packet: bytes) -> None:
+    data = decompress(packet, LAYOUT.max_skip_map_bytes)
+    decode_skip_map(LAYOUT, 5, data, SkipMapHistory(LAYOUT).of(5))
 
 
 def in_a_stream(read: Callable[[Path, bytes], object]) -> Callable[[bytes], object]:
@@ -155,8 +155,8 @@ def lying_table() -> bytes:
     return data + b"".join(struct.pack("<iII", n, end + n * 65000, 65000) for n in range(count))
 
 
-def snapshot_record() -> bytes:
-    value = {"kind": "snapshot", "frame": 0, "first": 0, "packets": [bytes(4_000_000)] * 16}
+def keyframe_record() -> bytes:
+    value = {"kind": "keyframe", "frame": 0, "first": 0, "packets": [bytes(4_000_000)] * 16}
     body: bytes = msgpack.packb(value)
     return LENGTH.pack(len(body)) + body
 
@@ -181,12 +181,12 @@ CASES: dict[str, Case] = {
         SLOTS * (58 + 4 + 236) + SLOTS * (12 + 55 + 2 * 236),
         "value",
     ),
-    "snapshot": (full_snapshot, read_snapshot, SLOTS * (13 + 3 * STATE_BYTES), "value"),
-    "mask": (
-        lambda: compress(head(Kind.MASK, 5) + bytes(4 * SLOTS)),
-        read_mask,
+    "keyframe": (full_keyframe, read_keyframe, SLOTS * (13 + 3 * STATE_BYTES), "value"),
+    "skip_map": (
+        lambda: compress(head(Kind.SKIP_MAP, 5) + bytes(4 * SLOTS)),
+        read_skip_map,
         SLOTS * (4 + 2),
-        "CorruptError: mask: a body of 1048576 bytes, of which",
+        "CorruptError: skip map: a body of 1048576 bytes, of which",
     ),
     "beyond its slots": (
         lambda: compress(head(Kind.CHANGE, 1) + bytes(100 << 20)),
@@ -213,7 +213,7 @@ CASES: dict[str, Case] = {
         "a name of 60000 characters, at most 2000",
     ),
     # As received, and as decoded.
-    "record": (snapshot_record, RecordParser().feed, 2 * MAX_RECORD_BYTES, "value"),
+    "record": (keyframe_record, RecordParser().feed, 2 * MAX_RECORD_BYTES, "value"),
     "splat": (lambda: bytes(32 << 21), read_splat, FLOAT_BYTES << 21, "value"),
     "spz": (spz_4, decode_any, 0, "SPZ: an array: decompression error: did not decompress full"),
     "spz, gzip": (

@@ -71,9 +71,9 @@ def test_zip_programs_find_the_files(tmp_path: Path, size_bytes: int, num_segmen
 def test_what_a_player_needs_lies_side_by_side() -> None:
     parts = packed_parts(3)
     for layers in (1, 2, 3):
-        changes = ["masks", *range(layers)]
-        snapshots = [f"snapshot-{layer}" for layer in range(layers)]
-        for wanted in (changes, changes + snapshots):
+        changes = ["skipmaps", *range(layers)]
+        keyframes = [f"keyframe-{layer}" for layer in range(layers)]
+        for wanted in (changes, changes + keyframes):
             places = sorted(parts.index(part) for part in wanted)
             assert places == list(range(places[0], places[0] + len(wanted)))
 

@@ -16,10 +16,10 @@ from codec.stream.playrecord import (
     MAX_TEXT_BYTES,
     EndRecord,
     ErrorRecord,
+    KeyframeRecord,
     Record,
     RecordParser,
     SliceRecord,
-    SnapshotRecord,
     StartRecord,
     decode_record,
     encode_record,
@@ -39,8 +39,8 @@ records: st.SearchStrategy[Record] = st.one_of(
     st.builds(StartRecord, frames, frames, st.binary(max_size=50)),
     st.builds(SliceRecord, births, some(0), packets),
     st.builds(SliceRecord, births, some(1, 12), st.none(), st.integers(1, 4)),
-    st.builds(SnapshotRecord, frames, st.integers(0, 4), some(1, 12)),
-    st.builds(SnapshotRecord, frames, st.just(15), some(1, 1)),
+    st.builds(KeyframeRecord, frames, st.integers(0, 4), some(1, 12)),
+    st.builds(KeyframeRecord, frames, st.just(15), some(1, 1)),
     st.builds(EndRecord, frames),
     st.builds(ErrorRecord, st.text(max_size=100)),
 )
@@ -68,10 +68,10 @@ def test_the_bytes_are_pinned() -> None:
     body = b"\x84\xa4kind\xa5slice\xa5birth\xff\xa7packets\x91\xc4\x02ab\xa5first\x02"
     assert encode_record(record) == struct.pack("<I", len(body)) + body
     record = SliceRecord(3, (), b"m")
-    body = b"\x84\xa4kind\xa5slice\xa5birth\x03\xa7packets\x90\xa4mask\xc4\x01m"
+    body = b"\x84\xa4kind\xa5slice\xa5birth\x03\xa7packets\x90\xa8skip_map\xc4\x01m"
     assert encode_record(record) == struct.pack("<I", len(body)) + body
-    snapshot = msgpack.unpackb(encode_record(SnapshotRecord(30, 2, (b"a", b"b")))[4:])
-    assert snapshot == {"kind": "snapshot", "frame": 30, "first": 2, "packets": [b"a", b"b"]}
+    keyframe = msgpack.unpackb(encode_record(KeyframeRecord(30, 2, (b"a", b"b")))[4:])
+    assert keyframe == {"kind": "keyframe", "frame": 30, "first": 2, "packets": [b"a", b"b"]}
     start = msgpack.unpackb(encode_record(StartRecord(1, 2, b"m"))[4:])
     assert start == {"kind": "start", "from": 1, "num_frames": 2, "manifest": b"m"}
 
@@ -79,8 +79,8 @@ def test_the_bytes_are_pinned() -> None:
 def test_truncations_wait_and_flips_never_crash() -> None:
     for record in (
         SliceRecord(5, (b"change-1", b"change-2"), None, 1),
-        SliceRecord(5, (b"change-0",), b"mask"),
-        SnapshotRecord(30, 1, (b"snapshot-1",)),
+        SliceRecord(5, (b"change-0",), b"skip_map"),
+        KeyframeRecord(30, 1, (b"keyframe-1",)),
     ):
         data = encode_record(record)
         parser = RecordParser()
@@ -93,16 +93,16 @@ def test_truncations_wait_and_flips_never_crash() -> None:
             survives(parse, altered)
 
 
-def test_only_a_slice_that_begins_with_layer_0_has_a_mask() -> None:
+def test_only_a_slice_that_begins_with_layer_0_has_a_skip_map() -> None:
     value: dict[str, Any] = {"kind": "slice", "birth": 1, "packets": [b"a"]}
-    with pytest.raises(CorruptError, match="'slice' record without a valid 'mask'"):
+    with pytest.raises(CorruptError, match="'slice' record without a valid 'skip_map'"):
         decode_record(msgpack.packb(value))
     for masked in ({"first": 0}, {}):
-        found = decode_record(msgpack.packb(value | masked | {"mask": b"m"}))
+        found = decode_record(msgpack.packb(value | masked | {"skip_map": b"m"}))
         assert found == SliceRecord(1, (b"a",), b"m")
     # In records of the upper layers this is an unknown key.
     for ignored in (b"m", "text", 7, None):
-        found = decode_record(msgpack.packb(value | {"first": 2, "mask": ignored}))
+        found = decode_record(msgpack.packb(value | {"first": 2, "skip_map": ignored}))
         assert found == SliceRecord(1, (b"a",), None, 2)
 
 
@@ -110,17 +110,17 @@ def test_only_a_slice_that_begins_with_layer_0_has_a_mask() -> None:
     "record",
     [
         SliceRecord(1, (b"",)),
-        SliceRecord(1, (b"",), b"mask", 1),
+        SliceRecord(1, (b"",), b"skip_map", 1),
         SliceRecord(1, (), None, 1),
-        SliceRecord(1, (b"",), b"mask", -1),
-        SliceRecord(1, (b"",) * 17, b"mask"),
-        SnapshotRecord(0, 0, ()),
-        SnapshotRecord(0, 0, (b"",) * 17),
-        SnapshotRecord(0, 16, (b"",)),
-        SnapshotRecord(0, 15, (b"",) * 2),
-        SnapshotRecord(0, -1, (b"",)),
-        SnapshotRecord(-1, 0, (b"",)),
-        SliceRecord(1 << 31, (b"",), b"mask"),
+        SliceRecord(1, (b"",), b"skip_map", -1),
+        SliceRecord(1, (b"",) * 17, b"skip_map"),
+        KeyframeRecord(0, 0, ()),
+        KeyframeRecord(0, 0, (b"",) * 17),
+        KeyframeRecord(0, 16, (b"",)),
+        KeyframeRecord(0, 15, (b"",) * 2),
+        KeyframeRecord(0, -1, (b"",)),
+        KeyframeRecord(-1, 0, (b"",)),
+        SliceRecord(1 << 31, (b"",), b"skip_map"),
         EndRecord(1 << 31),
         StartRecord(-1, 0, b""),
     ],

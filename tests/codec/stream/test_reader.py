@@ -42,12 +42,12 @@ def played(updates: Sequence[Update], layout: SlotLayout, layers: int) -> dict[i
     for update in updates:
         encoded = encoder.append(update)
         if update.birth == 0:
-            for chunk in encoder.snapshots()[:layers]:
+            for chunk in encoder.keyframes()[:layers]:
                 decoder.load(chunk.data)
             slices |= {b: decoder.whole(b) for b in window_births(0, layout.swin_size)}
         elif encoded is not None:
             changes = [change.data for change in encoded.changes[:layers]]
-            decoder.apply(update.birth, encoded.mask.data, changes)
+            decoder.apply(update.birth, encoded.skip_map.data, changes)
             slices[update.birth] = decoder.whole(update.birth)
     return slices
 
@@ -124,12 +124,12 @@ def test_slices_that_were_sent_whole_show_at_any_frame(tmp_path: Path) -> None:
 def test_a_reader_of_one_layer_needs_no_other(stream: Path) -> None:
     for path in stream.glob("segments/*/1"):
         path.write_bytes(b"lost")
-    for path in stream.glob("segments/*/snapshot-1"):
+    for path in stream.glob("segments/*/keyframe-1"):
         path.unlink()
     reader = StreamReader(stream)
     assert len(reader.window(9, 1)) == 3
     assert len(list(reader.slices(-2, 1))) == 12
-    refused(CodecError, "snapshot-1 is missing", reader.window, 9, 2)
+    refused(CodecError, "keyframe-1 is missing", reader.window, 9, 2)
 
 
 def test_memory_of_reader_and_writer_is_bounded(tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ def test_arguments_out_of_range(finished: Path) -> None:
         lambda: next(reader.slices(-3, 1)),
         lambda: reader.read_object(3, 0),
         lambda: reader.read_object(0, 2),
-        lambda: reader.read_object(0, "snapshot-2"),
+        lambda: reader.read_object(0, "keyframe-2"),
     ]
     for call in wrong:
         refused(InvalidError, "", call)

@@ -104,7 +104,7 @@ def test_others_are_within_half_a_step_of_their_layer_or_escape(case: Case) -> N
 def size_bytes(update: Update, layout: SlotLayout) -> int:
     encoder = SlotEncoder(layout)
     encoder.append(replace(update, birth=0))
-    return sum(len(chunk.data) for chunk in encoder.snapshots())
+    return sum(len(chunk.data) for chunk in encoder.keyframes())
 
 
 def test_neighbours_follow_each_other_which_takes_fewer_bytes() -> None:

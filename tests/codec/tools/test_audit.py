@@ -15,11 +15,11 @@ import pytest
 
 import codec
 from codec.errors import CodecError, CorruptError, InvalidError
-from codec.slots.mask import encode_mask
+from codec.slots.skipmap import encode_skip_map
 from codec.slots.slotlayout import ENDED, KEPT
 from codec.storage.openstorage import open_storage
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.manifest import MASKS, Part, is_snapshot, snapshot_part
+from codec.stream.manifest import SKIP_MAPS, Part, is_keyframe, keyframe_part
 from codec.stream.segment import encode_packet, read_object_table
 from codec.tools.audit import verify_stream
 from tests.support.drawn import same_splats
@@ -68,7 +68,7 @@ def fields(data: bytes) -> list[int]:
     return [0, 4, 8, 12, 13, 14, 16, *table, *(entry.offset for entry in entries), len(data)]
 
 
-@pytest.mark.parametrize("name", ["segments/1/0", "segments/1/masks", "segments/0/snapshot-1"])
+@pytest.mark.parametrize("name", ["segments/1/0", "segments/1/skipmaps", "segments/0/keyframe-1"])
 def test_an_altered_byte_is_found_in_its_field_or_packet(stream: Path, name: str) -> None:
     path = stream / name
     data = path.read_bytes()
@@ -152,29 +152,31 @@ def test_a_wrong_chunk_with_a_right_hash(stream: Path) -> None:
     assert "change: layer 0 where layer 1 belongs (chunk of birth 5, " in str(error)
 
 
-def test_the_slice_born_at_0_is_in_the_snapshots_alone(stream: Path) -> None:
-    """Only a checker reads a mask of birth 0 that has other statuses than kept."""
+def test_the_slice_born_at_0_is_in_the_keyframes_alone(stream: Path) -> None:
+    """Only a checker reads a skip map of birth 0 that has other statuses than kept."""
     layout = StreamReader(stream).manifest.slot_layout
     history = np.zeros(layout.num_slots, np.uint8)
     kept, ended = (
-        encode_packet(encode_mask(layout, 0, np.full(layout.num_slots, status, np.uint8), history))
+        encode_packet(
+            encode_skip_map(layout, 0, np.full(layout.num_slots, status, np.uint8), history)
+        )
         for status in (KEPT, ENDED)
     )
-    masks = packets_of(stream, 0, MASKS)
-    put_packets(stream, 0, MASKS, [(0, kept), *masks])
+    skip_maps = packets_of(stream, 0, SKIP_MAPS)
+    put_packets(stream, 0, SKIP_MAPS, [(0, kept), *skip_maps])
     assert verify_stream(stream).num_frames == NUM_FRAMES
-    put_packets(stream, 0, MASKS, [(0, ended), *masks])
-    error = found(stream, "segments/0/masks")
+    put_packets(stream, 0, SKIP_MAPS, [(0, ended), *skip_maps])
+    error = found(stream, "segments/0/skipmaps")
     assert "the slice born at 0 does not keep all slots" in str(error)
 
 
-@pytest.mark.parametrize("part", [MASKS, 0, snapshot_part(0)])
+@pytest.mark.parametrize("part", [SKIP_MAPS, 0, keyframe_part(0)])
 def test_a_packet_that_was_altered_is_named_once(updates: Path, part: Part) -> None:
     (birth, packet), *others = packets_of(updates, 0, part)
     put_packets(updates, 0, part, [(birth, packet[:-1] + bytes([packet[-1] ^ 1])), *others])
     error = refused(CorruptError, "checksum", verify_stream, updates)
     assert str(error).count("segments") == 1
-    if is_snapshot(part):
+    if is_keyframe(part):
         error = refused(CorruptError, "checksum", lambda: StreamReader(updates).window(0, 1))
         assert str(error).count("segments") == 1
 
@@ -183,10 +185,10 @@ def test_what_a_faulty_writer_would_do_is_named(updates: Path, tmp_path: Path) -
     other = tmp_path / "other"
     write_slots(other, 10, seed=1)
     cases: list[tuple[int, Part, str]] = [
-        (1, MASKS, "mask|change"),
+        (1, SKIP_MAPS, "skip map|change"),
         (1, 1, "change"),
-        (1, snapshot_part(0), "is not what the slices before it left"),
-        (0, snapshot_part(1), "change|snapshot"),
+        (1, keyframe_part(0), "is not what the slices before it left"),
+        (0, keyframe_part(1), "change|keyframe"),
     ]
     for segment, part, message in cases:
         good = packets_of(updates, segment, part)
@@ -194,7 +196,7 @@ def test_what_a_faulty_writer_would_do_is_named(updates: Path, tmp_path: Path) -
         assert "segments" in str(refused(CorruptError, message, verify_stream, updates))
         put_packets(updates, segment, part, good)
     verify_stream(updates)
-    masks, layer = packets_of(updates, 0, MASKS), packets_of(updates, 0, 0)
+    skip_maps, layer = packets_of(updates, 0, SKIP_MAPS), packets_of(updates, 0, 0)
     assert [birth for birth, _ in layer] == [1, 2, 3]
     put_packets(updates, 0, 0, [(1, layer[1][1]), *layer[1:]])
 
@@ -204,11 +206,11 @@ def test_what_a_faulty_writer_would_do_is_named(updates: Path, tmp_path: Path) -
     told = refused_window("birth 2 where birth 1 belongs")
     assert told.startswith(str(updates / "segments" / "0" / "0"))
     put_packets(updates, 0, 0, layer)
-    put_packets(updates, 0, MASKS, [*masks, (4, masks[-1][1])])
+    put_packets(updates, 0, SKIP_MAPS, [*skip_maps, (4, skip_maps[-1][1])])
     refused_window(r"birth 4 is not one of 0\.\.3")
-    put_packets(updates, 0, MASKS, masks)
+    put_packets(updates, 0, SKIP_MAPS, skip_maps)
     put_packets(updates, 0, 1, packets_of(updates, 0, 1)[1:])
-    refused_window(r"segments/0/1: .*it is missing, but the mask declares")
+    refused_window(r"segments/0/1: .*it is missing, but the skip map declares")
 
 
 FRAMES = 7

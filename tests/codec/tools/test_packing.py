@@ -115,7 +115,7 @@ def test_every_byte_is_checked(stream: Path, tmp_path: Path) -> None:
     packed = tmp_path / "one.swings"
     pack_stream(stream, packed)
     whole = packed.read_bytes()
-    begin = whole.index(b"segments/2/snapshot-1") - 30
+    begin = whole.index(b"segments/2/keyframe-1") - 30
     places = [*range(0, 64, 3), *range(begin, begin + 60, 4), *range(64, len(whole), 4999)]
     places += range(len(whole) - 100, len(whole), 7)
     for at in places:
@@ -186,9 +186,12 @@ def test_an_entropy_coder_is_told_the_same_edges_as_at_first(layout: SlotLayout)
         encoded = encoder.append(update)
         if encoded is None:
             continue
-        chunks = [(Kind.MASK, encoded.mask), *((Kind.CHANGE, one) for one in encoded.changes)]
+        chunks = [
+            (Kind.SKIP_MAP, encoded.skip_map),
+            *((Kind.CHANGE, one) for one in encoded.changes),
+        ]
         if update.birth % layout.segment_frames == 0:
-            chunks += [(Kind.SNAPSHOT, chunk) for chunk in encoder.snapshots()]
+            chunks += [(Kind.KEYFRAME, chunk) for chunk in encoder.keyframes()]
         for kind, chunk in chunks:
             if chunk.data:  # without changes there is no packet
                 again = encoded_elsewhere(layout, kind, chunk.data)
@@ -248,10 +251,10 @@ def test_only_a_poster_in_the_folder_comes_along(poster: str, tmp_path: Path) ->
 
 def test_a_wrong_chunk_is_named_and_nothing_is_left(tmp_path: Path) -> None:
     write_tiny(tmp_path / "a", 6)
-    path = tmp_path / "a" / "segments" / "1" / "snapshot-1"
+    path = tmp_path / "a" / "segments" / "1" / "keyframe-1"
     data = path.read_bytes()
     path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
-    refused(CorruptError, "segments/1/snapshot-1", export_static, tmp_path / "a", tmp_path / "b")
+    refused(CorruptError, "segments/1/keyframe-1", export_static, tmp_path / "a", tmp_path / "b")
     assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
 
 

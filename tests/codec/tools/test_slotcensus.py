@@ -67,16 +67,16 @@ def test_bytes_are_those_of_the_files(stream: Path) -> None:
     assert told.slots is not None
     everything = size_of(stream, "**/*.*") + size_of(stream, "segments/*/*")
     assert told.size_bytes == everything
-    joins = size_of(stream, "segments/[12]/snapshot-*")
+    joins = size_of(stream, "segments/[12]/keyframe-*")
     assert told.played_bytes == everything - joins
-    assert sum(told.slots.join_snapshot_bytes) == joins
-    assert told.slots.mask_bytes == size_of(stream, "segments/*/masks")
+    assert sum(told.slots.join_keyframe_bytes) == joins
+    assert told.slots.skip_map_bytes == size_of(stream, "segments/*/skipmaps")
     for layer in range(2):
         assert told.slots.change_bytes[layer] == size_of(stream, f"segments/*/{layer}")
-        first = size_of(stream, f"segments/0/snapshot-{layer}")
-        assert told.slots.first_snapshot_bytes[layer] == first
-    lower = size_of(stream, "segments/*/masks") + size_of(stream, "segments/*/0")
-    assert told.layers[0].size_bytes == lower + size_of(stream, "segments/0/snapshot-0")
+        first = size_of(stream, f"segments/0/keyframe-{layer}")
+        assert told.slots.first_keyframe_bytes[layer] == first
+    lower = size_of(stream, "segments/*/skipmaps") + size_of(stream, "segments/*/0")
+    assert told.layers[0].size_bytes == lower + size_of(stream, "segments/0/keyframe-0")
     overhead = size_of(stream, "*.*")
     assert told.layers[1].size_bytes == told.played_bytes - overhead
     brought = count_slots(StreamReader(stream)).brought.sum()
@@ -92,7 +92,7 @@ def test_a_stream_of_one_frame_and_one_without_any(tmp_path: Path) -> None:
     said = f"{count} in frame 0, in 4 slots with leases of 1 frame\nbounds       x -"
     assert said in describe(told)
     assert told.slots is not None
-    assert (told.slots.kept, told.slots.join_snapshot_bytes) == ((0.0,), (0,))
+    assert (told.slots.kept, told.slots.join_keyframe_bytes) == ((0.0,), (0,))
     draw_stream(tmp_path / "one", tmp_path / "one.png")
     StreamWriter.create(tmp_path / "none", slots_manifest(LAYOUT)).abort()
     told = summarise(tmp_path / "none")
@@ -100,7 +100,7 @@ def test_a_stream_of_one_frame_and_one_without_any(tmp_path: Path) -> None:
     assert "live, may still grow" in describe(told)
 
 
-@pytest.mark.parametrize("name", ["1/masks", "0/snapshot-1"])
+@pytest.mark.parametrize("name", ["1/skipmaps", "0/keyframe-1"])
 def test_what_is_altered_is_named(name: str, tmp_path: Path) -> None:
     write_slots(tmp_path / "s", NUM_FRAMES, LAYOUT)
     path = tmp_path / "s" / "segments" / name
@@ -111,7 +111,7 @@ def test_what_is_altered_is_named(name: str, tmp_path: Path) -> None:
 def test_what_is_drawn(stream: Path, updates: list[Update], tmp_path: Path) -> None:
     reader = StreamReader(stream)
     bands = played_bands(reader)
-    names = ["masks", "layer 0", "layer 1", "snapshots of frame 0"]
+    names = ["skipmaps", "layer 0", "layer 1", "keyframes of frame 0"]
     assert [band.label for band in bands] == names
     seconds = [4 / 25, 4 / 25, 2 / 25]
     total = np.sum([band.values for band in bands], axis=0)

@@ -34,7 +34,7 @@ CAMERA = small_manifest().camera()
 
 
 def packets_of_frames(count: int) -> list[Packets]:
-    """Layer 0 of frames 0 to count-1: a snapshot for the first, slices for the others."""
+    """Layer 0 of frames 0 to count-1: a keyframe for the first, slices for the others."""
     with tempfile.TemporaryDirectory() as folder:
         path = write_stream(Path(folder) / "s", count, 4, 0)
         return list(DirectorySource(path, FrameRange(), 1).packets())

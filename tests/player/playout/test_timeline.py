@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from codec.errors import InvalidError
 from codec.stream.manifest import Part
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
-from player.source.source import Packets, SlicePackets, SnapshotPackets
+from player.source.source import KeyframePackets, Packets, SlicePackets
 from server.abr.playout import PlayoutConfig
 from tests.support.hosted_streams import small_manifest
 
@@ -31,14 +31,14 @@ def packets(birth: int, first: int = 0, end: int = 1, size: int = 100) -> SliceP
     return SlicePackets(birth, first, each, None, blame)  # type: ignore[arg-type]
 
 
-def snapshots(frame: int, first: int = 0, end: int = 1) -> SnapshotPackets:
-    return SnapshotPackets(frame, first, packets(0, first, end).packets, blame)  # type: ignore[arg-type]
+def keyframes(frame: int, first: int = 0, end: int = 1) -> KeyframePackets:
+    return KeyframePackets(frame, first, packets(0, first, end).packets, blame)  # type: ignore[arg-type]
 
 
 def sent(first: int, segment_frames: int) -> Iterator[Packets]:
-    """Layer 0 of a play from frame `first` on: the snapshot of its segment, then slices."""
+    """Layer 0 of a play from frame `first` on: the keyframe of its segment, then slices."""
     start = first - first % segment_frames
-    yield snapshots(start)
+    yield keyframes(start)
     for birth in itertools.count(start + 1):
         yield packets(birth)
 
@@ -116,7 +116,7 @@ def test_the_queue_is_bounded_and_never_stuck(
 
 def test_a_full_queue_refuses_and_counts_bytes() -> None:
     playout = playout_of(1, 30, queue=QueueConfig(max_bytes=200))
-    playout.push(snapshots(0), 0.0)
+    playout.push(keyframes(0), 0.0)
     playout.push(packets(1), 0.0)
     assert playout.totals.most_bytes_waiting == 200
     assert not playout.has_room
@@ -139,7 +139,7 @@ def test_what_the_next_frame_needs_fits_whatever_the_bounds() -> None:
 
 def test_frames_come_only_when_they_are_due() -> None:
     playout = playout_of(2, 10, 1)
-    playout.push(snapshots(0, 0, 3), 1.0)
+    playout.push(keyframes(0, 0, 3), 1.0)
     assert playout.next_shown_s is None
     playout.push(packets(1, 0, 3), 2.0)
     playout.push(packets(2), 2.0)
@@ -163,18 +163,18 @@ def test_frames_come_only_when_they_are_due() -> None:
 
 def test_a_play_waits_for_the_layers_that_it_needs_and_for_more_while_more_comes() -> None:
     playout = playout_of(1, 10, needed=2)
-    playout.push(snapshots(0), 1.0)
+    playout.push(keyframes(0), 1.0)
     assert playout.next_shown_s is None
-    playout.push(snapshots(0, 1, 2), 1.5)
+    playout.push(keyframes(0, 1, 2), 1.5)
     assert playout.next_shown_s == 1.5
     config = PlayoutConfig(start_lead_s=0.3)
     short = playout_of(1, 10, config=config)
-    short.push(snapshots(0), 1.0)
+    short.push(keyframes(0), 1.0)
     assert short.next_shown_s is None
     short.finish(1.4)
     assert short.next_shown_s == 1.4
     known = playout_of(1, 10, until_frame=1, config=config)
-    known.push(snapshots(0), 1.0)
+    known.push(keyframes(0), 1.0)
     assert known.next_shown_s == 1.0
 
 
@@ -220,11 +220,11 @@ def test_concealed_or_not_every_frame_comes_once_and_its_slices_with_it(
 
 def test_a_layer_shows_while_its_chain_is_whole_and_again_once_it_is_mended() -> None:
     playout = playout_of(5, 10, 5)
-    playout.push(snapshots(5, 0, 2), 0.0)
+    playout.push(keyframes(5, 0, 2), 0.0)
     for birth in range(6, 13):
         playout.push(packets(birth, 0, 1 if birth in (8, 9) else 2), 0.0)
     playout.push(packets(8, 1, 2), 0.45)  # frame 10 is due at 0.5
-    playout.push(snapshots(10, 1, 2), 0.55)  # frame 11 is due at 0.6
+    playout.push(keyframes(10, 1, 2), 0.55)  # frame 11 is due at 0.6
     layers, late = [], []
     while due := playout.pop_due():
         layers.append(due.record.layers)

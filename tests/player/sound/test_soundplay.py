@@ -111,7 +111,7 @@ def write_noisy_stream(folder: Path) -> float:
     samples = np.random.default_rng(1).normal(0, 3000, (frames * SAMPLE_RATE // 10, 1))
     write_wav(folder / "noise.wav", samples.astype(np.int16))
     add_sound(stream, folder / "noise.wav", SoundSource("main", 1), 48000)
-    names = ("0", "masks", "audio-main")
+    names = ("0", "skipmaps", "audio-main")
     needed = [path for name in names for path in (stream / "segments").glob(f"*/{name}")]
     return 8 * sum(path.stat().st_size for path in needed) * fps / frames
 

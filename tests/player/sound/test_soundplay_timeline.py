@@ -20,7 +20,7 @@ from player.playout.clock import Clock, DeviceTime
 from player.playout.timeline import Playout
 from player.sound.feed import DecodedSound, segment_span
 from player.sound.soundplayer import SoundPlayer
-from player.source.source import Packets, SlicePackets, SnapshotPackets
+from player.source.source import KeyframePackets, Packets, SlicePackets
 from server.abr.playout import PlayoutConfig
 from tests.support.hosted_streams import small_manifest
 from tests.support.sounding import BURST
@@ -129,10 +129,10 @@ class World:
             self.begin(0, self.plays[0].end_s or 0.0)
 
     def packets(self, birth: int, is_first: bool) -> Iterator[Packets]:
-        """What comes for `birth`; first of all the snapshot of its segment."""
+        """What comes for `birth`; first of all the keyframe of its segment."""
         begin = birth - birth % 30 if is_first else birth
         if is_first:
-            yield SnapshotPackets(begin, 0, (b"x",), lambda error, part: error)
+            yield KeyframePackets(begin, 0, (b"x",), lambda error, part: error)
             begin += 1
         for one in range(begin, birth + 1):
             yield SlicePackets(one, 0, (b"x",), None, lambda error, part: error)

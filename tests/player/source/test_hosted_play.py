@@ -19,7 +19,7 @@ from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from codec.splats import Splats
 from codec.stream import StreamReader
-from codec.stream.manifest import MASKS, Part, layer_of, snapshot_part
+from codec.stream.manifest import SKIP_MAPS, Part, keyframe_part, layer_of
 from player.playout.assembler import Assembler
 from player.playout.timeline import FrameRecord, Playout
 from player.run.playback import WINDOW_PLAYOUT
@@ -228,7 +228,7 @@ def test_a_play_with_a_known_rate_asks_for_layer_0_of_its_frame_and_no_more_yet(
     while isinstance(decision := play.next(0.0), Ask):
         asked.append(decision)
     # Layer 0 of a segment is two objects; more requests at once would share the link badly.
-    assert [(ask.segment, ask.part) for ask in asked] == [(3, "snapshot-0"), (3, MASKS), (3, 0)]
+    assert [(ask.segment, ask.part) for ask in asked] == [(3, "keyframe-0"), (3, SKIP_MAPS), (3, 0)]
 
 
 HOLES: list[dict[str, Any]] = json.loads(Path(__file__).with_name("holes.json").read_text())
@@ -292,10 +292,10 @@ def test_a_damaged_packet_above_layer_0_counts_as_missing_in_an_adaptive_play() 
 @st.composite
 def hauls(draw: st.DrawFn) -> tuple[int, Part, list[range], int]:
     """An object of a stream, runs of births to request, and bytes that arrive together."""
-    parts: list[Part] = [0, 1, 2, MASKS, snapshot_part(1)]
+    parts: list[Part] = [0, 1, 2, SKIP_MAPS, keyframe_part(1)]
     segment, part = draw(st.integers(0, 5)), draw(st.sampled_from(parts))
     first = segment * 20
-    end = first + 1 if str(part).startswith("snapshot") else (segment + 1) * 20
+    end = first + 1 if str(part).startswith("keyframe") else (segment + 1) * 20
     edges = draw(st.lists(st.tuples(st.integers(first, end - 1), st.integers(1, 20)), min_size=1))
     runs = [range(begin, min(end, begin + count)) for begin, count in edges]
     return segment, part, runs, draw(st.integers(1, 5000))

@@ -14,7 +14,7 @@ from codec.framerange import FrameRange
 from codec.slice import window_births
 from codec.slots.slotlayout import SlotLayout, Update
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.manifest import MASKS, snapshot_part
+from codec.stream.manifest import SKIP_MAPS, keyframe_part
 from codec.tools.audit import count_slots, summarise_slots, verify_stream
 from player.network.fetch import RetryConfig
 from player.source.opener import SourceConfig, opened
@@ -41,17 +41,17 @@ def check_play(reader: StreamReader, got: list[Assembled], frames: FrameRange, l
 
 def packet_bytes(reader: StreamReader, first: int, end: int, layers: int) -> int:
     """Bytes of the slices born after the first frame of the segment of `first` and before `end`,
-    and of the snapshots that they follow."""
+    and of the keyframes that they follow."""
     manifest = reader.manifest
     segment = manifest.segment_of(first)
     start = segment * manifest.segment_frames
-    snapshots = [reader.read_object(segment, snapshot_part(n)).packet(start) for n in range(layers)]
+    keyframes = [reader.read_object(segment, keyframe_part(n)).packet(start) for n in range(layers)]
     slices = [
         reader.read_object(manifest.segment_of(birth), part).packet(birth)
         for birth in range(start + 1, end)
-        for part in (MASKS, *range(layers))
+        for part in (SKIP_MAPS, *range(layers))
     ]
-    return sum(map(len, snapshots + slices))
+    return sum(map(len, keyframes + slices))
 
 
 layouts = st.builds(
@@ -132,7 +132,7 @@ def test_the_first_frame_carries_what_came_before_it(library: Path) -> None:
     told = [one.wire_bytes for one in read_all(str(library / "one"), FrameRange(8, 11), 2)]
     takes = [packet_bytes(reader, 8, frame, 2) for frame in (9, 10, 11)]
     assert told == [takes[0], takes[1] - takes[0], takes[2] - takes[1]]
-    # At a segment's first frame there is only the snapshot.
+    # At a segment's first frame there is only the keyframe.
     told = [one.wire_bytes for one in read_all(str(library / "one"), FrameRange(5, 6), 2)]
     assert told == [packet_bytes(reader, 5, 6, 2)]
 

@@ -75,7 +75,7 @@ def check_all(root: Path, name: str, config: SourceConfig = PATIENT, adaptive: b
 def size_of(root: Path) -> int:
     """Bytes of the files that a play from frame 0 on reads."""
     files = [path for path in (root / "s").rglob("*") if path.is_file()]
-    read = [f for f in files if f.parent.name == "0" or not f.name.startswith("snapshot")]
+    read = [f for f in files if f.parent.name == "0" or not f.name.startswith("keyframe")]
     return sum(path.stat().st_size for path in read)
 
 
@@ -102,7 +102,7 @@ def test_a_host_without_ranges_starts_again(
     assert check_all(root, f"{host.url}/s") == size_of(root)
     # Such a host never delivers a complete body if every body breaks off.
     host.cut_bytes = 4_000
-    with pytest.raises(BrokenError, match=r"segments/0/snapshot-0: .* \(tried for"):
+    with pytest.raises(BrokenError, match=r"segments/0/keyframe-0: .* \(tried for"):
         check_all(root, f"{host.url}/s", QUICK)
     host.cut_bytes, pauses_s = None, list[float]()
     monkeypatch.setattr(Fetcher, "pause", lambda _, seconds: pauses_s.append(seconds))
@@ -165,7 +165,7 @@ def test_a_host_that_lacks_a_file_is_passed_over(root: Path, tmp_path: Path) -> 
     with range_host(tmp_path) as poor, range_host(root) as rich:
         check_all(root, f"{poor.url}/s,{rich.url}/s")
         assert rich.objects()[0].startswith("/s/segments/3/")
-        with pytest.raises(FetchError, match="segments/3/masks: HTTP 404"):
+        with pytest.raises(FetchError, match="segments/3/skipmaps: HTTP 404"):
             check_all(root, f"{poor.url}/s")
 
 

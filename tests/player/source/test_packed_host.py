@@ -42,11 +42,11 @@ def host(made: Path) -> Iterator[RangeHost]:
 
 
 def births_of(source: Source, reader: StreamReader) -> set[int]:
-    """The births whose masks and layer 0 have come; each packet is the one in the folder."""
+    """The births whose skip maps and layer 0 have come; each packet is the one in the folder."""
     here = set()
     for one in source.packets():
         check_packets(reader, one)
-        if isinstance(one, SlicePackets) and one.mask is not None:
+        if isinstance(one, SlicePackets) and one.skip_map is not None:
             here.add(one.birth)
     return here
 
@@ -139,7 +139,7 @@ def test_a_script_reads_it(made: Path, host: RangeHost) -> None:
     url = f"{host.url}/s.swings"
     with closing(WebStorage(url)) as storage:
         assert storage.last_name == "s.swings"
-        for path in ("manifest.json", "index.bin", "segments/3/masks"):
+        for path in ("manifest.json", "index.bin", "segments/3/skipmaps"):
             assert storage.read(path, 1 << 20) == (made / "s" / path).read_bytes()
         with pytest.raises(CorruptError, match=r"s\.swings/segments/99/0 is missing; of course$"):
             storage.read("segments/99/0", 10, if_missing="of course")

@@ -18,13 +18,13 @@ from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
 from codec.slice import Slice
 from codec.stream import StreamReader
-from codec.stream.playrecord import SliceRecord, SnapshotRecord
+from codec.stream.playrecord import KeyframeRecord, SliceRecord
 from player.playout.assembler import Assembler
 from player.playout.timeline import PlayedMedia
 from player.source.served import PlayReceiver
 from player.source.source import Packets
 from server.abr.holding import Holding
-from tests.support.delivery.playrecords import slice_record, snapshot_record
+from tests.support.delivery.playrecords import keyframe_record, slice_record
 from tests.support.drawn import same_splats
 from tests.support.hostile import flips
 from tests.support.slots.slot_streams import Shown, gaussians, write_slot_stream
@@ -41,7 +41,7 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> StreamReader:
     return StreamReader(path)
 
 
-Sent = SliceRecord | SnapshotRecord
+Sent = SliceRecord | KeyframeRecord
 
 
 def response(reader: StreamReader, frame: int, rng: np.random.Generator) -> Iterator[Sent]:
@@ -52,15 +52,15 @@ def response(reader: StreamReader, frame: int, rng: np.random.Generator) -> Iter
     leaves_out, delays = rng.choice([0.0, 0.2, 0.6]), rng.choice([0, 2, 9])
     waiting: list[tuple[int, Sent]] = []
     together = int(rng.integers(1, LAYERS + 1))
-    yield snapshot_record(reader, start, 0, together)
+    yield keyframe_record(reader, start, 0, together)
     for layer in range(together, LAYERS):
         if rng.random() >= leaves_out:
             late = first + int(rng.integers(delays + 1))
-            waiting.append((late, snapshot_record(reader, start, layer, layer + 1)))
+            waiting.append((late, keyframe_record(reader, start, layer, layer + 1)))
     for birth in range(first, NUM_FRAMES):
         if birth % SEGMENT_FRAMES == 0 and rng.random() < 0.5:
             layer = int(rng.integers(LAYERS))
-            record = snapshot_record(reader, birth, layer, LAYERS)
+            record = keyframe_record(reader, birth, layer, LAYERS)
             waiting.append((birth + int(rng.integers(-2, delays + 1)), record))
         together = int(rng.integers(1, LAYERS + 1))
         for layer in range(together, LAYERS):
@@ -145,7 +145,7 @@ def of_use(receiver: PlayReceiver, *records: Sent) -> list[Packets]:
 def assemble(reader: StreamReader, *records: Sent) -> list[int]:
     """Births of the slices that frames 6 and 7 use, from records after a valid start."""
     receiver = PlayReceiver("S", reader.manifest, LAYERS, FrameRange(6))
-    start = snapshot_record(reader, 5, 0, 1), slice_record(reader, 6, 0, 1)
+    start = keyframe_record(reader, 5, 0, 1), slice_record(reader, 6, 0, 1)
     assembler = Assembler(reader.manifest, LAYERS, 6)
     made = assembler.assemble(6, of_use(receiver, *start))
     made += assembler.assemble(7, of_use(receiver, *records))
@@ -155,29 +155,29 @@ def assemble(reader: StreamReader, *records: Sent) -> list[int]:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda r: SliceRecord(7, (b"",)), "born at 7 has no mask"),
+        (lambda r: SliceRecord(7, (b"",)), "born at 7 has no skip map"),
         (lambda r: SliceRecord(7, (), b""), "born at 7 has no layers"),
         (lambda r: slice_record(r, 8, 0, 1), "born at 8 arrived before the slice born at 7"),
         (lambda r: slice_record(r, 7, 0, 3), "a slice has layer 2; this play has 2 layers"),
         (lambda r: slice_record(r, 7, 2, 3), "a slice has layer 2; this play has 2 layers"),
-        (lambda r: snapshot_record(r, 10, 1, 3), "a snapshot has layer 2; this play has 2 layers"),
-        (lambda r: SnapshotRecord(6, 0, (b"",)), "frame 6 arrived, which does not begin a segment"),
+        (lambda r: keyframe_record(r, 10, 1, 3), "a keyframe has layer 2; this play has 2 layers"),
+        (lambda r: KeyframeRecord(6, 0, (b"",)), "frame 6 arrived, which does not begin a segment"),
     ],
 )
 def test_what_breaks_a_rule_is_named(
     reader: StreamReader, make: Callable[[StreamReader], Sent], message: str
 ) -> None:
     receiver = PlayReceiver("S", reader.manifest, 2, FrameRange(6))
-    # A play begins with the snapshot of its segment.
-    first = "layer 0 of the snapshot of frame 5"
+    # A play begins with the keyframe of its segment.
+    first = "layer 0 of the keyframe of frame 5"
     for record, refusal in (
-        (slice_record(reader, 6, 0, 1), "the slice born at 6 arrived before a snapshot"),
-        (snapshot_record(reader, 10, 0, 1), "begins with layer 0 of the snapshot of frame 10, not"),
-        (snapshot_record(reader, 5, 1, 2), f"layer 1 of the snapshot of frame 5, not with {first}"),
+        (slice_record(reader, 6, 0, 1), "the slice born at 6 arrived before a keyframe"),
+        (keyframe_record(reader, 10, 0, 1), "begins with layer 0 of the keyframe of frame 10, not"),
+        (keyframe_record(reader, 5, 1, 2), f"layer 1 of the keyframe of frame 5, not with {first}"),
     ):
         with pytest.raises(CorruptError, match=refusal):
             receiver.ingest(record)
-    of_use(receiver, snapshot_record(reader, 5, 0, 1), slice_record(reader, 6, 0, 1))
+    of_use(receiver, keyframe_record(reader, 5, 0, 1), slice_record(reader, 6, 0, 1))
     with pytest.raises(CorruptError, match=f"^S: .*{message}") as caught:
         receiver.ingest(make(reader))
     assert "\n" not in str(caught.value)
@@ -187,29 +187,29 @@ def test_what_breaks_a_rule_is_named(
 
 def test_what_is_wrong_inside_is_named_when_it_is_due(reader: StreamReader) -> None:
     good, other = slice_record(reader, 7, 0, 1), slice_record(reader, 8, 0, 1)
-    snapshot, late = snapshot_record(reader, 5, 1, 2), snapshot_record(reader, 10, 1, 2)
-    mask, layer = "the mask of the slice born at 7", "layer 0 of the slice born at 7"
-    of = "of the snapshot of frame 5"
+    keyframe, late = keyframe_record(reader, 5, 1, 2), keyframe_record(reader, 10, 1, 2)
+    skip_map, layer = "the skip map of the slice born at 7", "layer 0 of the slice born at 7"
+    of = "of the keyframe of frame 5"
     for wrong, message in (
-        (SliceRecord(7, (b"",), b"zz"), f"{mask}: packet"),
-        (SliceRecord(7, (b"zz",), good.mask), f"{layer}: packet"),
-        (SliceRecord(7, (b"",), other.mask), f"{mask}: byte 8: mask: birth 8"),
-        (SliceRecord(7, other.packets, good.mask), f"{layer}: byte 8: change: birth 8"),
-        (SnapshotRecord(5, 1, (b"zz",)), f"layer 1 {of}: packet"),
-        (SnapshotRecord(5, 2, snapshot.packets), f"layer 2 {of}: byte 5: snapshot: of layer 1"),
-        (SnapshotRecord(5, 1, late.packets), f"layer 1 {of}: byte 8: snapshot: of frame 10"),
+        (SliceRecord(7, (b"",), b"zz"), f"{skip_map}: packet"),
+        (SliceRecord(7, (b"zz",), good.skip_map), f"{layer}: packet"),
+        (SliceRecord(7, (b"",), other.skip_map), f"{skip_map}: byte 8: skip map: birth 8"),
+        (SliceRecord(7, other.packets, good.skip_map), f"{layer}: byte 8: change: birth 8"),
+        (KeyframeRecord(5, 1, (b"zz",)), f"layer 1 {of}: packet"),
+        (KeyframeRecord(5, 2, keyframe.packets), f"layer 2 {of}: byte 5: keyframe: of layer 1"),
+        (KeyframeRecord(5, 1, late.packets), f"layer 1 {of}: byte 8: keyframe: of frame 10"),
     ):
-        records = [wrong, good] if isinstance(wrong, SnapshotRecord) else [wrong]
+        records = [wrong, good] if isinstance(wrong, KeyframeRecord) else [wrong]
         with pytest.raises(CorruptError, match=f"^S: .*{message}"):
             assemble(reader, *records)
 
 
 def test_any_bytes_give_slices_or_a_codec_error(reader: StreamReader) -> None:
     good = slice_record(reader, 7, 0, 1)
-    assert good.mask is not None
+    assert good.skip_map is not None
     wrong: list[Sent] = [
-        *(SliceRecord(7, good.packets, mask) for mask in flips(good.mask)),
-        *(SliceRecord(7, (packet,), good.mask) for packet in flips(good.packets[0])),
+        *(SliceRecord(7, good.packets, skip_map) for skip_map in flips(good.skip_map)),
+        *(SliceRecord(7, (packet,), good.skip_map) for packet in flips(good.packets[0])),
     ]
     refused = 0
     for record in wrong:

@@ -69,11 +69,11 @@ def start(num_frames: int = 5, manifest: Manifest = MANIFEST) -> StartRecord:
     return StartRecord(0, num_frames, manifest.to_json())
 
 
-SNAPSHOT, SLICES = records_from_0(8)
-ALL: list[Record] = [SNAPSHOT, *SLICES[:4]]
+KEYFRAME, SLICES = records_from_0(8)
+ALL: list[Record] = [KEYFRAME, *SLICES[:4]]
 """Frames 0 to 4, a segment."""
 CUT = answer(start(), *ALL[:2])
-MISPLACED = SliceRecord(1, SLICES[1].packets, SLICES[0].mask)
+MISPLACED = SliceRecord(1, SLICES[1].packets, SLICES[0].skip_map)
 """A slice with the layers of the next slice."""
 
 
@@ -116,7 +116,7 @@ def test_a_response_cut_anywhere_is_taken_up_again() -> None:
 def test_a_new_connection_asks_for_what_is_missing_only() -> None:
     resumed = answer(StartRecord(3, 5, MANIFEST.to_json()), *ALL, EndRecord(5))
     live = MANIFEST.with_live(True)
-    later = answer(StartRecord(4, 5, live.to_json()), SNAPSHOT, *SLICES, EndRecord(8))
+    later = answer(StartRecord(4, 5, live.to_json()), KEYFRAME, *SLICES, EndRecord(8))
     stopping = answer(start(), *ALL[:4], ErrorRecord("the server is stopping"))
     unavailable = b"HTTP/1.1 503 Busy\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
     for answers, end, again in (
@@ -141,12 +141,12 @@ def test_a_new_connection_asks_for_what_is_missing_only() -> None:
         ([answer(StartRecord(0, 3, b"{}"))], CorruptError, "S: manifest"),
         ([answer(StartRecord(0, 3, b'{"version"; 1}'))], CorruptError, "^S: byte 10: "),
         (
-            [answer(start(), SNAPSHOT, MISPLACED, *ALL[2:])],
+            [answer(start(), KEYFRAME, MISPLACED, *ALL[2:])],
             CorruptError,
             "^S: layer 0 of the slice born at 1: byte 8: ",
         ),
         ([answer(start(), start())], CorruptError, "second start"),
-        ([answer(start(), *ALL[1:])], CorruptError, "born at 1 arrived before a snapshot"),
+        ([answer(start(), *ALL[1:])], CorruptError, "born at 1 arrived before a keyframe"),
         ([answer(start(), *ALL[:3], EndRecord(5))], CorruptError, "ended before frame 3"),
         ([CUT, answer(start(5, small_manifest(4)))], CorruptError, "replaced by another"),
         ([CUT] * 30, BrokenError, r"early \(tried for \S+ s, \d+ times\)"),

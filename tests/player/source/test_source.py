@@ -85,7 +85,7 @@ def test_what_is_not_there(
 
 def test_a_damaged_object_is_named(library: Path, tmp_path: Path) -> None:
     with static_host(tmp_path) as host:
-        for part in ("0", "masks", "snapshot-0"):
+        for part in ("0", "skipmaps", "keyframe-0"):
             for damage in ("altered", "short", "missing"):
                 shutil.copytree(library / "one", tmp_path / "s", dirs_exist_ok=True)
                 path = tmp_path / "s" / "segments" / "1" / part

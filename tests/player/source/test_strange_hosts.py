@@ -25,7 +25,7 @@ from codec.errors import CorruptError, SwingsError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
-from codec.stream.playrecord import LENGTH, Record, SliceRecord, SnapshotRecord, encode_record
+from codec.stream.playrecord import LENGTH, KeyframeRecord, Record, SliceRecord, encode_record
 from codec.stream.segment import pack_record
 from player.network.fetch import FetchConfig, Fetcher, FetchError, Response
 from player.network.target import BrokenError, joined
@@ -36,10 +36,10 @@ from tests.player.network.webhosts import HOLD, script
 from tests.player.source.test_served import (
     ALL,
     HEAD,
+    KEYFRAME,
     MANIFEST,
     QUICK,
     SLICES,
-    SNAPSHOT,
     answer,
     open_play,
     start,
@@ -285,9 +285,12 @@ HUGE = claiming(64 << 20)
 @pytest.mark.parametrize(
     ("records", "place"),
     [
-        ([SnapshotRecord(0, 0, (HUGE,))], "layer 0 of the snapshot of frame 0"),
-        ([SNAPSHOT, SliceRecord(1, (HUGE,), SLICES[0].mask)], "layer 0 of the slice born at 1"),
-        ([SNAPSHOT, SliceRecord(1, SLICES[0].packets, HUGE)], "the mask of the slice born at 1"),
+        ([KeyframeRecord(0, 0, (HUGE,))], "layer 0 of the keyframe of frame 0"),
+        ([KEYFRAME, SliceRecord(1, (HUGE,), SLICES[0].skip_map)], "layer 0 of the slice born at 1"),
+        (
+            [KEYFRAME, SliceRecord(1, SLICES[0].packets, HUGE)],
+            "the skip map of the slice born at 1",
+        ),
     ],
 )
 def test_a_packet_that_claims_more_than_its_part_can_hold_is_not_inflated(
@@ -303,21 +306,21 @@ def test_a_packet_that_claims_more_than_its_part_can_hold_is_not_inflated(
 
 
 def receiver_of(manifest: Manifest = MANIFEST, frames: FrameRange | None = None) -> PlayReceiver:
-    """A receiver with the snapshot of frame 0."""
+    """A receiver with the keyframe of frame 0."""
     receiver = PlayReceiver("S", manifest, 3, frames or FrameRange())
-    assert receiver.ingest(SNAPSHOT) is not None
+    assert receiver.ingest(KEYFRAME) is not None
     return receiver
 
 
 def test_what_comes_again_counts_once_and_is_not_held() -> None:
     receiver, whole = receiver_of(), SLICES[0]
-    first = SliceRecord(1, whole.packets[:1], whole.mask)
+    first = SliceRecord(1, whole.packets[:1], whole.skip_map)
     assert receiver.ingest(first) is not None
     with within_bytes(100_000):
         for _ in range(1000):
             assert receiver.ingest(first) is None
-            assert receiver.ingest(SNAPSHOT) is None
-    both = receiver.ingest(SliceRecord(1, whole.packets[:2], whole.mask))
+            assert receiver.ingest(KEYFRAME) is None
+    both = receiver.ingest(SliceRecord(1, whole.packets[:2], whole.skip_map))
     assert both is not None
     assert both.first_layer == 1
     assert both.packets == whole.packets[1:2]

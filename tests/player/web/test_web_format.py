@@ -26,10 +26,10 @@ from codec.stream.pictures import picture_path
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
+    KeyframeRecord,
     Record,
     RecordParser,
     SliceRecord,
-    SnapshotRecord,
     StartRecord,
     encode_record,
 )
@@ -173,10 +173,10 @@ def record_as_json(record: SegmentRecord) -> dict[str, object]:
 RECORDS: list[Record] = [
     StartRecord(7, 150, MANIFEST.to_json()),
     SliceRecord(-3, (b"one", b"two"), b"statuses"),
-    SliceRecord(70_000, (b"", b"x" * 300), b"mask"),
+    SliceRecord(70_000, (b"", b"x" * 300), b"skip_map"),
     SliceRecord(5, (), b""),
     SliceRecord(5, (b"y" * 70_000,), None, 3),
-    SnapshotRecord(128, 1, (b"s",)),
+    KeyframeRecord(128, 1, (b"s",)),
     EndRecord(1 << 30),
     ErrorRecord("käputt " + "x" * 600),
 ]

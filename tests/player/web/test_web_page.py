@@ -92,10 +92,10 @@ def test_without_the_code_of_its_controls_a_player_plays(
     [
         ("manifest.json", "flipped"),
         ("index.bin", "random"),
-        ("segments/0/masks", "flipped"),
+        ("segments/0/skipmaps", "flipped"),
         ("segments/0/0", "random"),
         ("segments/0/1", "flipped"),
-        ("segments/0/snapshot-0", "cut"),
+        ("segments/0/keyframe-0", "cut"),
     ],
 )
 def test_a_file_that_was_altered(page: Page, site: Site, name: str, kind: str) -> None:

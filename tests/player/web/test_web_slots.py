@@ -34,12 +34,12 @@ def test_a_stream_of_the_conformance_suite(browser: BrowserCode, row: dict[str, 
         slots, layers = BrowserSlots(browser, layout, num_layers), range(num_layers)
         first = segment * layout.segment_frames
         for layer in layers:
-            assert slots.load(stream.chunks(segment, f"snapshot-{layer}")[first])
+            assert slots.load(stream.chunks(segment, f"keyframe-{layer}")[first])
         for frame in range(first, stream.num_frames):
             at = frame // layout.segment_frames
             if frame > first:
                 changes = [stream.chunks(at, f"{layer}")[frame] for layer in layers]
-                slots.apply(frame, stream.chunks(at, "masks")[frame], changes)
+                slots.apply(frame, stream.chunks(at, "skipmaps")[frame], changes)
             assert row["state_sha256"][frame][num_layers - 1] == state_sha256(slots.held())
         shown = StreamReader(stream.folder).active_splats(frame, num_layers)
         assert bytes.fromhex(browser.ask("ply")) == encode_ply(shown)
@@ -54,8 +54,8 @@ def test_an_order_of_the_conformance_suite(browser: BrowserCode, row: dict[str, 
 
 @pytest.mark.parametrize("seed", range(24))
 def test_who_lacks_something_holds_the_same(browser: BrowserCode, seed: int) -> None:
-    """Packets that arrive late or never; masks that never arrive; snapshots of some layers, some of
-    them late; altered bytes."""
+    """Packets that arrive late or never; skip maps that never arrive; keyframes of some layers,
+    some of them late; altered bytes."""
     rng, random_bytes = np.random.default_rng(seed), random.Random(seed)
     slots_of_layers = ((1,), (9,), (6, 5), (1, 4, 3))[seed % 4]
     layout = small_layout(1 + seed % 3, slots_of_layers, seed % 2, (1, 3, 5, 9)[seed // 6])
@@ -63,29 +63,29 @@ def test_who_lacks_something_holds_the_same(browser: BrowserCode, seed: int) -> 
     ours = SlotDecoder(layout)
     theirs = BrowserSlots(browser, layout)
     absent = {layer for layer in range(1, len(slots_of_layers)) if rng.random() < 0.3}
-    for layer, snapshot in enumerate(chunks.snapshots[0]):
+    for layer, keyframe in enumerate(chunks.keyframes[0]):
         if layer not in absent:
-            assert theirs.load(snapshot) == ours.load(snapshot)
+            assert theirs.load(keyframe) == ours.load(keyframe)
     waiting: list[tuple[int, int]] = []
     for birth in range(1, NUM_FRAMES):
-        mask = None if rng.random() < 0.1 else chunks.masks[birth]
+        skip_map = None if rng.random() < 0.1 else chunks.skip_maps[birth]
         changes: list[bytes | None] = []
         for layer, change in enumerate(chunks.changes[birth]):
             lacks = layer in absent or rng.random() < 0.25
             changes.append(None if lacks else change)
             if lacks:
                 waiting.append((birth, layer))
-        offers = [(mask, changes), (None, changes)]
-        if mask is not None:
+        offers = [(skip_map, changes), (None, changes)]
+        if skip_map is not None:
             torn = [change and altered(change, random_bytes) for change in changes]
-            offers.insert(0, (altered(mask, random_bytes), torn))
+            offers.insert(0, (altered(skip_map, random_bytes), torn))
         # An altered chunk may fit, and then the correct one may not fit any more.
         assert any(both_apply(ours, theirs, birth, *offer) for offer in offers)
         assert theirs.held() == held(ours)
         for layer in [layer for layer in absent if rng.random() < 0.3]:
             absent.remove(layer)
-            snapshot = chunks.snapshots[birth - birth % layout.segment_frames][layer]
-            assert theirs.load(snapshot) == ours.load(snapshot)
+            keyframe = chunks.keyframes[birth - birth % layout.segment_frames][layer]
+            assert theirs.load(keyframe) == ours.load(keyframe)
             assert theirs.held() == held(ours)
         rng.shuffle(waiting)
         for late_birth, layer in waiting[: rng.integers(0, len(waiting) + 1)]:
@@ -107,29 +107,29 @@ def both_apply(
     ours: SlotDecoder,
     theirs: BrowserSlots,
     birth: int,
-    mask: bytes | None,
+    skip_map: bytes | None,
     changes: list[bytes | None],
 ) -> bool:
     """Whether the slice fits; both must agree."""
     try:
-        rows = ours.apply(birth, mask, changes).rows
+        rows = ours.apply(birth, skip_map, changes).rows
     except CodecError:
         with pytest.raises(CodecError):
-            theirs.apply(birth, mask, changes)
+            theirs.apply(birth, skip_map, changes)
         return False
     assert rows is not None
-    assert theirs.apply(birth, mask, changes) == rows.tolist()
+    assert theirs.apply(birth, skip_map, changes) == rows.tolist()
     return True
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_an_altered_snapshot(browser: BrowserCode, seed: int) -> None:
+def test_an_altered_keyframe(browser: BrowserCode, seed: int) -> None:
     rng = random.Random(seed)
     layout = small_layout(1 + seed % 3, (7, 4), seed % 2, 4)
     chunks = encoded_chunks(layout, patternless_updates(layout, 5, seed, True))
     num_taken = 0
     for _ in range(60):
-        data = altered(chunks.snapshots[0][rng.randrange(2)], rng)
+        data = altered(chunks.keyframes[0][rng.randrange(2)], rng)
         ours, theirs = SlotDecoder(layout), BrowserSlots(browser, layout)
         try:
             ours.load(data)

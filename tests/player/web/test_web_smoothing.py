@@ -28,14 +28,14 @@ def test_which_go_on(browser: BrowserCode, kind: str) -> None:
     make = moving_updates if kind == "moving" else patternless_updates
     chunks = encoded_chunks(layout, list(make(layout, NUM_FRAMES)))
     ours, theirs = SlotDecoder(layout), BrowserSlots(browser, layout)
-    for snapshot in chunks.snapshots[0]:
-        ours.load(snapshot)
-        theirs.load(snapshot)
+    for keyframe in chunks.keyframes[0]:
+        ours.load(keyframe)
+        theirs.load(keyframe)
     seen = set()
     for birth in range(1, NUM_FRAMES):
-        mask, changes = chunks.masks[birth], chunks.changes[birth]
-        slice = ours.apply(birth, mask, changes, with_motion=True)
-        rows = theirs.apply(birth, mask, changes)
+        skip_map, changes = chunks.skip_maps[birth], chunks.changes[birth]
+        slice = ours.apply(birth, skip_map, changes, with_motion=True)
+        rows = theirs.apply(birth, skip_map, changes)
         motion = slice.motion
         assert motion is not None
         expected = dict.fromkeys(rows, 0)

@@ -194,7 +194,7 @@ def test_a_link_that_carries_layer_0_carries_the_sound(page: Page, tmp_path: Pat
         size_bytes = sum((segment / part).stat().st_size for segment in segments for part in parts)
         return 8 * size_bytes * FPS / frames
 
-    link_bps = 1.4 * need_bps("0", "masks", source.part)
+    link_bps = 1.4 * need_bps("0", "skipmaps", source.part)
     assert link_bps < need_bps("0", "1"), "no second layer"
     with static_host(tmp_path, objects_bps=link_bps) as url:
         opened(page, url, "static&loop=0")

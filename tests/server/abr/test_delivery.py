@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from server.abr.clientstatus import ClientStatus
-from server.abr.decisioncontext import FixedLayers, SendSlices, SendSnapshots
+from server.abr.decisioncontext import FixedLayers, SendKeyframes, SendSlices
 from server.abr.holding import Holding
 from server.abr.link import Link, LinkStep
 from server.abr.media import SegmentSizes
@@ -75,8 +75,8 @@ def test_the_picture_goes_with_the_link(rate: float, least_db: float) -> None:
 def random_media(layers: int, seed: int) -> MadeMedia:
     each = tuple(2e3 * (1 + (seed >> 3 * n) % 8) for n in range(layers))
     psnr_db = tuple(25.0 + 4 * n / layers for n in range(layers))
-    snapshots = tuple(20 * size for size in each)
-    segments = (SegmentSizes(each, psnr_db, snapshots, (0.2,) * layers),)
+    keyframes = tuple(20 * size for size in each)
+    segments = (SegmentSizes(each, psnr_db, keyframes, (0.2,) * layers),)
     return MadeMedia(segments, 240, segment_frames=20)
 
 
@@ -97,11 +97,11 @@ def test_each_packet_comes_once_where_it_is_of_use_and_the_play_ends(
     holding, came = Holding(media, first), set()
     for arrival in result.arrivals:
         what = arrival.what
-        if isinstance(what, SendSnapshots):
+        if isinstance(what, SendKeyframes):
             for layer in range(what.first_layer, what.end_layer):
-                assert ("snapshot", what.frame, layer) not in came
-                came.add(("snapshot", what.frame, layer))
-            holding.add_snapshots(what.frame, what.first_layer, what.end_layer)
+                assert ("keyframe", what.frame, layer) not in came
+                came.add(("keyframe", what.frame, layer))
+            holding.add_keyframes(what.frame, what.first_layer, what.end_layer)
             continue
         assert isinstance(what, SendSlices)
         for birth in what.births:
@@ -180,7 +180,7 @@ def test_the_simulator_is_the_same_every_time() -> None:
 def test_a_still_picture_gets_all_layers(
     frame: int, steps_before: int, until_frame: int | None
 ) -> None:
-    """This holds for any place in its segment, also if the next segment's snapshot costs less than
+    """This holds for any place in its segment, also if the next segment's keyframe costs less than
     its own with the later changes."""
     media, now_s = MadeMedia((sizes_of((3e3, 3e3, 1.5e3), (28, 1, 0.5)),)), 0.0
     session = PlaySession(media, Sweep(), CONFIG, now_s, frame, until_frame)
@@ -190,7 +190,7 @@ def test_a_still_picture_gets_all_layers(
         if n >= steps_before:
             session.on_status(now_s, ClientStatus(frame, paused=True))
         decision = session.decide(now_s)
-        if isinstance(decision, SendSlices | SendSnapshots):
+        if isinstance(decision, SendSlices | SendKeyframes):
             session.sent(decision, send_bytes(media, decision), now_s)
         now_s += 0.005
         session.acknowledge(now_s, session.sent_bytes)

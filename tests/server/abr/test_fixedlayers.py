@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server.abr.decisioncontext import FixedLayers, Send, SendSlices, SendSnapshots
+from server.abr.decisioncontext import FixedLayers, Send, SendKeyframes, SendSlices
 from server.abr.link import Link, LinkStep
 from server.abr.session import PlaySession, SessionConfig
 from server.study.simulator import simulate
@@ -18,9 +18,9 @@ FAST = Link([LinkStep(1.0, 50e6, 0.02)])
 @given(st.integers(1, 5), st.integers(0, 99))
 def test_a_fixed_number_of_layers_stays(num_layers: int, first_frame: int) -> None:
     result = simulate(MEDIA, FixedLayers(num_layers), FAST, first_frame=first_frame)
-    snapshots, *slices = [arrival.what for arrival in result.arrivals]
+    keyframes, *slices = [arrival.what for arrival in result.arrivals]
     first, layers = first_frame - first_frame % 30, min(3, num_layers)
-    assert snapshots == SendSnapshots(first, 0, layers)
+    assert keyframes == SendKeyframes(first, 0, layers)
     births = list[int]()
     for send in slices:
         assert isinstance(send, SendSlices)
@@ -45,12 +45,12 @@ def test_layers_that_the_server_takes_come_back_at_a_segment() -> None:
         session.sent(decision, 100.0, 0.0)
         session.acknowledge(0.0, session.sent_bytes)
         sent.append(decision)
-    assert [s for s in sent if isinstance(s, SendSnapshots)] == [
-        SendSnapshots(0, 0, 3),
-        SendSnapshots(60, 2, 3),
+    assert [s for s in sent if isinstance(s, SendKeyframes)] == [
+        SendKeyframes(0, 0, 3),
+        SendKeyframes(60, 2, 3),
     ]
     layers = {b: s.end_layer for s in sent if isinstance(s, SendSlices) for b in s.births}
     changes = [birth for birth in layers if layers[birth] != layers.get(birth - 1)]
     assert [(birth, layers[birth]) for birth in changes] == [(1, 3), (10, 2), (61, 3)]
-    # The slice of the frame is sent before the snapshot.
-    assert sent[sent.index(SendSnapshots(60, 2, 3)) - 1].births.stop == 61  # type: ignore[union-attr]
+    # The slice of the frame is sent before the keyframe.
+    assert sent[sent.index(SendKeyframes(60, 2, 3)) - 1].births.stop == 61  # type: ignore[union-attr]

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server.abr.decisioncontext import DecisionContext, Send, SendSlices, SendSnapshots
+from server.abr.decisioncontext import DecisionContext, Send, SendKeyframes, SendSlices
 from server.abr.holding import Holding
 from server.abr.link import Link, LinkStep
 from server.abr.media import SegmentSizes, rising
@@ -17,15 +17,15 @@ BIRTHS = range(1, 12)
 PACKETS = [(birth, layer) for birth in BIRTHS for layer in range(4)]
 
 
-def behind_snapshots() -> Holding:
+def behind_keyframes() -> Holding:
     holding = Holding(basketball_media(12), 0)
-    holding.add_snapshots(0, 0, 4)
+    holding.add_keyframes(0, 0, 4)
     return holding
 
 
 @given(st.permutations(PACKETS))
 def test_what_came_in_order_is_here_and_whole(packets: list[tuple[int, int]]) -> None:
-    holding, ends = behind_snapshots(), [1] * 4
+    holding, ends = behind_keyframes(), [1] * 4
     for birth, layer in packets:
         holding.add(birth, layer, layer + 1)
         ends[layer] += birth == ends[layer]
@@ -38,7 +38,7 @@ def test_what_came_in_order_is_here_and_whole(packets: list[tuple[int, int]]) ->
 def test_more_packets_never_make_a_worse_picture(
     packets: list[tuple[int, int]], count: int, frame: int
 ) -> None:
-    holding = behind_snapshots()
+    holding = behind_keyframes()
     for birth in BIRTHS:
         holding.add(birth, 0, 1)
     before_db = holding.psnr_db(frame)
@@ -52,7 +52,7 @@ def test_more_packets_never_make_a_worse_picture(
 
 def test_a_layer_that_stops_wears_away() -> None:
     holding = Holding(basketball_media(90), 30)
-    holding.add_snapshots(30, 0, 2)
+    holding.add_keyframes(30, 0, 2)
     for birth in range(31, 60):
         holding.add(birth, 0, 2 if birth < 40 else 1)
     assert holding.end_frame == 60
@@ -66,17 +66,17 @@ def test_a_layer_that_stops_wears_away() -> None:
         holding.add(birth, 1, 2)
     assert holding.fresh(1, 44) == 1
     assert holding.end_birth(1) == 45
-    # And a snapshot starts over.
-    holding.add_snapshots(60, 1, 2)
+    # And a keyframe starts over.
+    holding.add_keyframes(60, 1, 2)
     assert holding.fresh(1, 60) == 1
     assert holding.fresh(1, 59) == pytest.approx(0.85**15)
 
 
 def test_a_chain_that_grows_into_the_next_is_one() -> None:
     holding = Holding(basketball_media(90), 0)
-    holding.add_snapshots(0, 0, 1)
-    holding.add_snapshots(30, 0, 1)
-    assert holding.end_frame == 1  # the snapshot of 30 fills no gap
+    holding.add_keyframes(0, 0, 1)
+    holding.add_keyframes(30, 0, 1)
+    assert holding.end_frame == 1  # the keyframe of 30 fills no gap
     for birth in range(1, 31):
         holding.add(birth, 0, 1)
     assert holding.fresh(0, 30) == holding.fresh(0, 15) == 1
@@ -88,9 +88,9 @@ def test_a_chain_that_grows_into_the_next_is_one() -> None:
 
 def test_all_layers_that_are_needed_make_a_frame() -> None:
     holding = Holding(basketball_media(90), 0, needed=3)
-    holding.add_snapshots(0, 0, 2)
+    holding.add_keyframes(0, 0, 2)
     assert holding.end_frame == 0
-    holding.add_snapshots(0, 2, 4)
+    holding.add_keyframes(0, 2, 4)
     assert holding.end_frame == 1
 
 
@@ -111,10 +111,10 @@ def stills() -> MadeMedia:
 
 def test_a_forgotten_chain_is_no_gap() -> None:
     holding = Holding(stills(), 0)
-    holding.add_snapshots(0, 0, 1)
+    holding.add_keyframes(0, 0, 1)
     for birth in range(1, 10):
         holding.add(birth, 0, 1)
-    holding.add_snapshots(10, 0, 1)
+    holding.add_keyframes(10, 0, 1)
     holding.forget(10)
     assert holding.end_frame == 11
     holding.add(11, 0, 1)
@@ -122,12 +122,12 @@ def test_a_forgotten_chain_is_no_gap() -> None:
 
 
 class Once:
-    """Sends the first snapshot, and then all changes at once."""
+    """Sends the first keyframe, and then all changes at once."""
 
     mends = False
 
     def __init__(self) -> None:
-        self._left: list[Send] = [SendSlices(range(1, 40), 0, 1), SendSnapshots(0, 0, 1)]
+        self._left: list[Send] = [SendSlices(range(1, 40), 0, 1), SendKeyframes(0, 0, 1)]
 
     def choose(self, context: DecisionContext) -> Send | None:
         return self._left.pop() if self._left else None

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from server.abr.clientstatus import ClientStatus
-from server.abr.decisioncontext import DecisionContext, Policy, Send, SendSlices, SendSnapshots
+from server.abr.decisioncontext import DecisionContext, Policy, Send, SendKeyframes, SendSlices
 from server.abr.holding import Holding
 from server.abr.playout import PlayoutClock, PlayoutConfig
 from server.abr.session import Finished, PlaySession, SessionConfig, WaitUntil
@@ -126,7 +126,7 @@ def test_whatever_is_told_each_packet_goes_once_and_within_the_lead(
     media = basketball_media(9000)
     session = PlaySession(media, ForwardPolicy(Sweep()), CONFIG, 0.0)
     came = Holding(media, 0)
-    underway: list[tuple[float, SendSlices | SendSnapshots]] = []
+    underway: list[tuple[float, SendSlices | SendKeyframes]] = []
     seen: set[tuple[int, int]] = set()
     now_s = 0.0
     for step_s, share, status in events:
@@ -139,7 +139,7 @@ def test_whatever_is_told_each_packet_goes_once_and_within_the_lead(
         shown = session.clock.next_frame(now_s)
         assert shown <= session.clock.end_frame <= came.end_frame
         decision = session.decide(now_s)
-        while isinstance(decision, SendSlices | SendSnapshots):
+        while isinstance(decision, SendSlices | SendKeyframes):
             if isinstance(decision, SendSlices):
                 assert max(decision.births) < shown + LEAD
                 for birth in decision.births:
@@ -160,7 +160,7 @@ def run_until(session: PlaySession, from_s: float, until_s: float) -> list[float
     while True:
         session.acknowledge(now_s, session.sent_bytes)
         decision = session.decide(now_s)
-        if isinstance(decision, SendSlices | SendSnapshots):
+        if isinstance(decision, SendSlices | SendKeyframes):
             session.sent(decision, 1000.0, now_s)
             if bursts_s[-1:] != [now_s]:
                 bursts_s.append(now_s)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from codec.errors import InvalidError
-from server.abr.decisioncontext import FixedLayers, Send, SendSlices, SendSnapshots
+from server.abr.decisioncontext import FixedLayers, Send, SendKeyframes, SendSlices
 from server.abr.link import Link, LinkStep
 from server.abr.playout import PlayoutConfig
 from server.abr.session import (
@@ -27,14 +27,14 @@ CONFIG = SessionConfig()
 RATE_BPS = 50e6
 
 
-def run(session: PlaySession, now_s: float) -> tuple[list[SendSlices | SendSnapshots], Decision]:
+def run(session: PlaySession, now_s: float) -> tuple[list[SendSlices | SendKeyframes], Decision]:
     """Sends everything that the session decides at `now_s`, over an instant link; returns it, and
     the decision that ended it."""
-    sent: list[SendSlices | SendSnapshots] = []
+    sent: list[SendSlices | SendKeyframes] = []
     while True:
         session.acknowledge(now_s, session.sent_bytes)
         decision = session.decide(now_s)
-        if not isinstance(decision, SendSlices | SendSnapshots):
+        if not isinstance(decision, SendSlices | SendKeyframes):
             return sent, decision
         session.sent(decision, 1000.0, now_s)
         sent.append(decision)
@@ -65,8 +65,8 @@ def test_a_part_of_a_stream(layers: int | None) -> None:
     births = [birth for send in sent if isinstance(send, SendSlices) for birth in send.births]
     assert max(births) == 39
     assert min(births) == 31
-    snapshots = [send for send in sent if isinstance(send, SendSnapshots)]
-    assert all(send.frame == 30 for send in snapshots)
+    keyframes = [send for send in sent if isinstance(send, SendKeyframes)]
+    assert all(send.frame == 30 for send in keyframes)
     most = max(send.end_layer for send in sent)
     assert most == (layers or 4)
 

@@ -33,12 +33,12 @@ async def test_heads_without_an_end_and_bodies_that_nobody_reads_take_little(
     tmp_path: Path,
 ) -> None:
     path = write_stream(tmp_path / "big", 1, slice_size=14_000, layers=(1.0,))
-    size_bytes = (path / "segments/0/snapshot-0").stat().st_size
+    size_bytes = (path / "segments/0/keyframe-0").stat().st_size
     assert size_bytes > 4 << 20  # it fits into no buffer of a socket
-    head = b"GET /v1/streams/big/segments/0/snapshot-0 HTTP/1.1\r\nHost: h\r\n\r\n"
+    head = b"GET /v1/streams/big/segments/0/keyframe-0 HTTP/1.1\r\nHost: h\r\n\r\n"
     async with served(tmp_path) as (server, client):
         hits = server.state.metrics.cache_hits
-        await (await client.get("/v1/streams/big/segments/0/snapshot-0")).read()
+        await (await client.get("/v1/streams/big/segments/0/keyframe-0")).read()
         with ExitStack() as stack, within_bytes(24 << 20):
             for number in range(NUM_CLIENTS):
                 connect(stack, server.port, number, head if number % 2 else head[:-3])

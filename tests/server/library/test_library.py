@@ -300,11 +300,11 @@ def test_sizes_are_means_over_the_segment(tmp_path: Path) -> None:
     reader = StreamReader(root)
     for birth, segment, count in ((0, 0, 5), (4, 0, 5), (5, 1, 5), (11, 2, 2)):
         record, means = reader.records[segment], stream.sizes(birth)
-        masks_bytes, *snapshot_bytes = record.side_bytes
+        skip_maps_bytes, *keyframe_bytes = record.side_bytes
         first, *others = record.object_bytes
-        totals = [first + masks_bytes, *others]
+        totals = [first + skip_maps_bytes, *others]
         assert means.layer_bytes == pytest.approx([size / count for size in totals])
-        assert means.snapshot_bytes == tuple(snapshot_bytes)
+        assert means.keyframe_bytes == tuple(keyframe_bytes)
         assert list(means.psnr_db) == sorted(means.psnr_db)
         assert means is stream.sizes(birth)
 

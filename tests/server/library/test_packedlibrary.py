@@ -121,7 +121,7 @@ def test_a_file_that_is_replaced_is_another_stream(stream: Path, tmp_path: Path)
     unpack_stream(tmp_path / "aside.swings", packed.parent / "s")
     look(library)
     assert library.streams["s"].num_frames == 21
-    assert library.streams["s"].read_object(2, "masks").data
+    assert library.streams["s"].read_object(2, "skipmaps").data
     packed.parent.joinpath("s").rename(tmp_path / "gone")
     look(library)
     assert (library.streams, library.broken) == ({}, {})
@@ -133,6 +133,6 @@ def test_packed_streams_of_an_object_store(stream: Path, s3: S3Server, tmp_path:
     for root in (f"s3://{BUCKET}/place", f"s3://{BUCKET}/place/s.swings"):
         library = Library(root, 1.0)
         assert list(library.streams) == ["s"], library.broken
-        for part in (0, "masks", "snapshot-1"):
+        for part in (0, "skipmaps", "keyframe-1"):
             read = library.streams["s"].read_object(2, part).data
             assert read == (stream / "segments" / "2" / str(part)).read_bytes()

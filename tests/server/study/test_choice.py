@@ -15,8 +15,8 @@ from server.abr.decisioncontext import (
     FixedLayers,
     Policy,
     Send,
+    SendKeyframes,
     SendSlices,
-    SendSnapshots,
 )
 from server.abr.link import Link, LinkStep
 from server.abr.media import SegmentSizes
@@ -34,8 +34,8 @@ def segment_sizes(draw: st.DrawFn, num_layers: int) -> SegmentSizes:
     base = draw(st.floats(2e3, 2e4))
     layers = (base, *(base * draw(st.floats(0.35, 1.5)) for _ in range(num_layers - 1)))
     gains = (25.0, *(draw(st.floats(0.3, 3.0)) for _ in range(num_layers - 1)))
-    snapshots = tuple(size * draw(st.floats(2.0, 8.0)) for size in layers)
-    return sizes_of(layers, gains, snapshots)
+    keyframes = tuple(size * draw(st.floats(2.0, 8.0)) for size in layers)
+    return sizes_of(layers, gains, keyframes)
 
 
 @st.composite
@@ -72,7 +72,7 @@ class Checked:
         if isinstance(send, SendSlices):
             self._check_slices(context, send)
         elif send is not None:
-            self._check_snapshots(context, send)
+            self._check_keyframes(context, send)
         return send
 
     def _check_slices(self, context: DecisionContext, send: SendSlices) -> None:
@@ -85,7 +85,7 @@ class Checked:
         for layer in range(send.first_layer, send.end_layer):
             assert holding.end_birth(layer) == births.start
 
-    def _check_snapshots(self, context: DecisionContext, send: SendSnapshots) -> None:
+    def _check_keyframes(self, context: DecisionContext, send: SendKeyframes) -> None:
         holding, frame = context.holding, send.frame
         assert 0 <= frame < context.end_birth
         assert frame % context.media.segment_frames == 0
@@ -258,23 +258,23 @@ def test_a_rule_is_asked_group_by_group_and_gets_its_will(
         assert 1 <= len(situation.coming) <= rule.horizon
 
 
-def test_a_layer_rises_by_its_snapshot_at_a_segment_and_falls_anywhere() -> None:
+def test_a_layer_rises_by_its_keyframe_at_a_segment_and_falls_anywhere() -> None:
     # Groups of 15 frames: segments begin at 0, 30, 60.
     media = MadeMedia(MEDIA.segments, num_frames=90, segment_frames=30)
     result = simulate(media, InOrder(Whims([1, 3, 2, 1, 3, 2])), FAST)
     sent = [a.what for a in result.arrivals]
-    snapshots = [(n, s) for n, s in enumerate(sent) if isinstance(s, SendSnapshots)]
-    assert [s for _, s in snapshots] == [
-        SendSnapshots(0, 0, 1),
-        SendSnapshots(30, 1, 2),  # three were wanted at 15, but a rise is not possible there
-        SendSnapshots(60, 1, 3),
+    keyframes = [(n, s) for n, s in enumerate(sent) if isinstance(s, SendKeyframes)]
+    assert [s for _, s in keyframes] == [
+        SendKeyframes(0, 0, 1),
+        SendKeyframes(30, 1, 2),  # three were wanted at 15, but a rise is not possible there
+        SendKeyframes(60, 1, 3),
     ]
     layers = {b: s.end_layer for s in sent if isinstance(s, SendSlices) for b in s.births}
     runs = [(b, layers[b]) for b in layers if layers[b] != layers.get(b - 1)]
     assert runs == [(1, 1), (31, 2), (45, 1), (61, 3), (75, 2)]
-    # The slice of the frame is sent before the snapshots.
-    for n, snapshot in snapshots[1:]:
-        assert sent[n - 1] == SendSlices(range(snapshot.frame, snapshot.frame + 1), 0, 1)
+    # The slice of the frame is sent before the keyframes.
+    for n, keyframe in keyframes[1:]:
+        assert sent[n - 1] == SendSlices(range(keyframe.frame, keyframe.frame + 1), 0, 1)
 
 
 def test_a_rule_sees_what_comes() -> None:
@@ -285,7 +285,7 @@ def test_a_rule_sees_what_comes() -> None:
     # The first group only covers the way to frame 20.
     assert [g.media_s * 30 for g in first.coming] == pytest.approx([0, 10, 15])
     assert [g.can_rise for g in first.coming] == [True, False, True]
-    assert first.group.snapshot_bytes == (60e3, 80e3, 110e3)
+    assert first.group.keyframe_bytes == (60e3, 80e3, 110e3)
     assert first.group.slice_bytes == pytest.approx((120e3, 150e3, 195e3))
     assert first.group.psnr_db == pytest.approx((25, 26, 27))
     assert first.group.cost_bytes(2, 0) == pytest.approx(230e3)

@@ -31,7 +31,7 @@ MAX_LEAD_S = 6.0
 def group(
     layer_bytes: tuple[float, ...] = (10e3, 5e3, 5e3),
     gains_db: tuple[float, ...] = (25.0, 2.0, 1.0),
-    snapshot_bytes: tuple[float, ...] = (),
+    keyframe_bytes: tuple[float, ...] = (),
     can_rise: bool = True,
     media_s: float = 0.5,
 ) -> Group:
@@ -39,7 +39,7 @@ def group(
         media_s,
         tuple(accumulate(layer_bytes)),
         tuple(accumulate(gains_db)),
-        tuple(accumulate(snapshot_bytes)) or (0.0,) * len(layer_bytes),
+        tuple(accumulate(keyframe_bytes)) or (0.0,) * len(layer_bytes),
         can_rise,
     )
 
@@ -63,8 +63,8 @@ def later(before: Situation, passed_s: float, rate_bps: float) -> Situation:
 def groups(draw: st.DrawFn, num_layers: int) -> Group:
     sizes = tuple(draw(st.floats(1e3, 1e5)) for _ in range(num_layers))
     gains = (25.0, *(draw(st.floats(0.0, 4.0)) for _ in range(num_layers - 1)))
-    snapshots = tuple(draw(st.floats(1e3, 3e5)) for _ in range(num_layers))
-    return group(sizes, gains, snapshots, draw(st.booleans()))
+    keyframes = tuple(draw(st.floats(1e3, 3e5)) for _ in range(num_layers))
+    return group(sizes, gains, keyframes, draw(st.booleans()))
 
 
 @st.composite
@@ -89,20 +89,20 @@ def test_what_it_chooses_fits_and_one_more_would_not(now: Situation) -> None:
 
 
 def test_to_rise_is_paid_over_some_time() -> None:
-    slots = group(snapshot_bytes=(50e3, 20e3, 20e3))
+    slots = group(keyframe_bytes=(50e3, 20e3, 20e3))
 
     def chosen(safe_bps: float, held: int) -> int:
         return ThroughputRule().choose_layers(situation((slots,), safe_bps / SAFETY, held=held))
 
-    # 240 kbit/s for two layers, and 160 kbit within 4 s for the snapshot.
+    # 240 kbit/s for two layers, and 160 kbit within 4 s for the keyframe.
     assert chosen(279e3, held=1) == 1
     assert chosen(281e3, held=1) == 2
     assert chosen(241e3, held=2) == 2
 
 
 def test_between_two_layers_there_are_no_turns() -> None:
-    snapshots = (50e3, 20e3, 20e3)
-    slots = group(snapshot_bytes=snapshots, media_s=1 / 30)
+    keyframes = (50e3, 20e3, 20e3)
+    slots = group(keyframe_bytes=keyframes, media_s=1 / 30)
     middle = group(can_rise=False, media_s=1 / 30)
     rule = TailDropRule()
     for safe_bps, layers in ((2.3e6, 1), (3.5e6, 1), (3.7e6, 2), (4.9e6, 3)):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from codec.framerange import FrameRange
 from codec.slice import Slice
 from codec.stream import StreamReader
-from codec.stream.manifest import MASKS, Part, snapshot_part
+from codec.stream.manifest import SKIP_MAPS, Part, keyframe_part
 from player.playout.assembler import Assembler
 from player.playout.timeline import PlayedMedia
 from player.source.opener import opened
@@ -65,11 +65,11 @@ def check_packets(reader: StreamReader, one: Packets) -> None:
     birth, is_slice = one.first_frame, isinstance(one, SlicePackets)
     segment = reader.manifest.segment_of(birth)
     for layer, packet in enumerate(one.packets, one.first_layer):
-        part: Part = layer if is_slice else snapshot_part(layer)
+        part: Part = layer if is_slice else keyframe_part(layer)
         assert packet == reader.read_object(segment, part).packet(birth)
     if isinstance(one, SlicePackets):
-        mask = None if one.first_layer else reader.read_object(segment, MASKS).packet(birth)
-        assert one.mask == mask
+        skip_map = None if one.first_layer else reader.read_object(segment, SKIP_MAPS).packet(birth)
+        assert one.skip_map == skip_map
 
 
 def read_all(

@@ -11,14 +11,14 @@ from server.abr.media import SegmentSizes
 def sizes_of(
     layer_bytes: tuple[float, ...],
     gains_db: tuple[float, ...],
-    snapshot_bytes: tuple[float, ...] | None = None,
+    keyframe_bytes: tuple[float, ...] | None = None,
 ) -> SegmentSizes:
-    """Sizes with these gains; a slice changes a tenth of each layer. By default a snapshot is as
+    """Sizes with these gains; a slice changes a tenth of each layer. By default a keyframe is as
     large as five slices."""
-    if snapshot_bytes is None:
-        snapshot_bytes = tuple(5 * size for size in layer_bytes)
+    if keyframe_bytes is None:
+        keyframe_bytes = tuple(5 * size for size in layer_bytes)
     shares = (0.1,) * len(layer_bytes)
-    return SegmentSizes(layer_bytes, tuple(accumulate(gains_db)), snapshot_bytes, shares)
+    return SegmentSizes(layer_bytes, tuple(accumulate(gains_db)), keyframe_bytes, shares)
 
 
 @dataclass
@@ -39,13 +39,13 @@ class MadeMedia:
         return self.segments[birth // self.segment_frames % len(self.segments)]
 
     def need_bps(self, num_layers: int) -> float:
-        """Maximum rate of this many layers, without snapshots."""
+        """Maximum rate of this many layers, without keyframes."""
         return 8 * self.fps * max(s.slice_bytes[num_layers - 1] for s in self.segments)
 
     def most_bps(self, num_layers: int) -> float:
-        """Maximum rate of this many layers, with all snapshots."""
-        snapshot_bytes = max(sum(s.snapshot_bytes[:num_layers]) for s in self.segments)
-        return self.need_bps(num_layers) + 8 * self.fps * snapshot_bytes / self.segment_frames
+        """Maximum rate of this many layers, with all keyframes."""
+        keyframe_bytes = max(sum(s.keyframe_bytes[:num_layers]) for s in self.segments)
+        return self.need_bps(num_layers) + 8 * self.fps * keyframe_bytes / self.segment_frames
 
 
 def basketball_media(num_frames: int = 900) -> MadeMedia:

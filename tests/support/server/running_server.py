@@ -17,7 +17,7 @@ from yarl import URL
 from codec.slice import Slice
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
-from codec.stream.playrecord import Record, RecordParser, SliceRecord, SnapshotRecord
+from codec.stream.playrecord import KeyframeRecord, Record, RecordParser, SliceRecord
 from server.library import Library
 from server.listener import bind
 from server.operate.log import EventLog, LogRequests, LogStyle
@@ -167,8 +167,8 @@ def slices_of(records: Iterable[Record]) -> list[SliceRecord]:
 
 
 def births_with_layer_0(records: Iterable[Record]) -> list[int]:
-    """Births in the order in which their layer 0 arrived, by a slice or by a snapshot."""
-    firsts = (r for r in records if isinstance(r, SliceRecord | SnapshotRecord))
+    """Births in the order in which their layer 0 arrived, by a slice or by a keyframe."""
+    firsts = (r for r in records if isinstance(r, SliceRecord | KeyframeRecord))
     return [
         one.birth if isinstance(one, SliceRecord) else one.frame
         for one in firsts

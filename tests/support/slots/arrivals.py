@@ -1,9 +1,8 @@
 """Orders in which the objects and packets of a play arrive, some never, and the resulting slots.
 
 A case is a list of events. An item arrives at any time before its segment has been shown, or never.
-Only items that a frame needs to be shown are always in time: its mask, its change of layer 0, and,
-in the segment where the play joins, the snapshot of layer 0.
-"""
+Only items that a frame needs to be shown are always in time: its skip map, its change of layer 0,
+and, in the segment where the play joins, the keyframe of layer 0."""
 
 from __future__ import annotations
 
@@ -15,10 +14,10 @@ import numpy as np
 from codec.coders.zstd import compress
 from codec.errors import CodecError
 from codec.slots.slotlayout import SlotLayout
-from codec.slots.state import decode_snapshot
+from codec.slots.state import decode_keyframe
 from codec.stream.manifest import Part
 from player.playout.assembler import Assembler
-from player.source.source import Packets, SlicePackets, SnapshotPackets
+from player.source.source import KeyframePackets, Packets, SlicePackets
 from tests.goldens.decoder import Shape
 from tests.goldens.reader import Reader
 from tests.support.slots.hostile_slots import altered
@@ -30,7 +29,7 @@ NUM_FRAMES = 14
 
 
 @dataclass(frozen=True)
-class Mask:
+class SkipMap:
     birth: int
     chunk: bytes
 
@@ -43,7 +42,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Snapshot:
+class Keyframe:
     frame: int
     layer: int
     chunk: bytes
@@ -61,7 +60,7 @@ class Look:
     """The end of a segment, after its last arrival: the slots are compared."""
 
 
-Item = Mask | Change | Snapshot
+Item = SkipMap | Change | Keyframe
 Event = Item | Show | Look
 
 
@@ -93,16 +92,16 @@ class Arrivals:
     def _in_order(self, arrived: list[Item], frame: int) -> Held:
         reader, shape = Reader(self.shape), self.shape
         first = self.join_frame - self.join_frame % shape.segment_frames
-        masks = {item.birth: item.chunk for item in arrived if isinstance(item, Mask)}
+        skip_maps = {item.birth: item.chunk for item in arrived if isinstance(item, SkipMap)}
         changes = [item for item in arrived if isinstance(item, Change)]
-        snapshots = [item for item in arrived if isinstance(item, Snapshot)]
+        keyframes = [item for item in arrived if isinstance(item, Keyframe)]
         for birth in range(first, frame + 1):
             if birth > first:
                 mine = {item.layer: item.chunk for item in changes if item.birth == birth}
-                reader.apply(birth, masks[birth], mine)
-            for snapshot in snapshots:
-                if snapshot.frame == birth:
-                    reader.load(snapshot.chunk)
+                reader.apply(birth, skip_maps[birth], mine)
+            for keyframe in keyframes:
+                if keyframe.frame == birth:
+                    reader.load(keyframe.chunk)
         return plainly_held(reader, frame, len(shape.slots))
 
 
@@ -117,7 +116,7 @@ def arrivals_of(shape: Shape, chunks: Chunks, seed: int, altered_share: float = 
     """A case in which each item of `chunks` is lost or arrives at a random time. A share of the
     items that no frame needs arrives with altered bytes."""
     rng, random_bytes = np.random.default_rng(seed), random.Random(seed)
-    num_frames = len(chunks.masks)
+    num_frames = len(chunks.skip_maps)
     join = int(rng.integers(0, num_frames))
     lost = float(rng.choice([0.0, 0.1, 0.4]))
     timed: list[tuple[float, Event]] = []
@@ -132,18 +131,18 @@ def arrivals_of(shape: Shape, chunks: Chunks, seed: int, altered_share: float = 
                 if rng.random() < altered_share:
                     other = replace(item, chunk=altered(item.chunk, random_bytes))
                     # A readable one contradicts a complete layer, so that a reader may skip it.
-                    if first <= join or not _is_snapshot(shape, other):
+                    if first <= join or not _is_keyframe(shape, other):
                         item = other
                 timed.append((float(rng.uniform(first - 2, end - 0.5)), item))
     return Arrivals(shape, join, [event for _, event in sorted(timed, key=lambda one: one[0])])
 
 
-def _is_snapshot(shape: Shape, item: Item) -> bool:
-    """Whether `item` is a readable snapshot."""
-    if not isinstance(item, Snapshot):
+def _is_keyframe(shape: Shape, item: Item) -> bool:
+    """Whether `item` is a readable keyframe."""
+    if not isinstance(item, Keyframe):
         return False
     try:
-        decode_snapshot(layout_of(shape), item.chunk)
+        decode_keyframe(layout_of(shape), item.chunk)
     except CodecError:
         return False
     return True
@@ -154,10 +153,10 @@ def _items(
 ) -> list[tuple[Item, float | None]]:
     """All items of a segment, each with the frame that cannot be shown without it, if any."""
     items: list[tuple[Item, float | None]] = []
-    for layer, chunk in enumerate(chunks.snapshots[first]):
-        items.append((Snapshot(first, layer, chunk), first if is_joined and not layer else None))
+    for layer, chunk in enumerate(chunks.keyframes[first]):
+        items.append((Keyframe(first, layer, chunk), first if is_joined and not layer else None))
     for birth in range(first + 1 if is_joined else first, end):
-        items.append((Mask(birth, chunks.masks[birth]), birth))
+        items.append((SkipMap(birth, chunks.skip_maps[birth]), birth))
         for layer, chunk in enumerate(chunks.changes[birth]):
             items.append((Change(birth, layer, chunk), None if layer else birth))
     return items
@@ -169,9 +168,9 @@ def _blame(error: CodecError, part: Part) -> CodecError:
 
 def _packets_of(item: Item) -> Packets:
     packet = compress(item.chunk) if item.chunk else b""
-    if isinstance(item, Snapshot):
-        return SnapshotPackets(item.frame, item.layer, (packet,), _blame)
-    if isinstance(item, Mask):
+    if isinstance(item, Keyframe):
+        return KeyframePackets(item.frame, item.layer, (packet,), _blame)
+    if isinstance(item, SkipMap):
         return SlicePackets(item.birth, 0, (), packet, _blame)
     return SlicePackets(item.birth, item.layer, (packet,), None, _blame)
 
@@ -183,7 +182,7 @@ def played(arrivals: Arrivals) -> list[Held]:
     waiting: list[Packets] = []
     found, frame = [], -1
     for event in arrivals.events:
-        if isinstance(event, Mask | Change | Snapshot):
+        if isinstance(event, SkipMap | Change | Keyframe):
             waiting.append(_packets_of(event))
             continue
         if isinstance(event, Show):

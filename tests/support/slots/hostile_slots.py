@@ -1,5 +1,5 @@
-"""Hostile masks, changes and snapshots for a decoder that continues with those it accepts. Every
-run is the same."""
+"""Hostile skip maps, changes and keyframes for a decoder that continues with those it accepts.
+Every run is the same."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def hostile_slots(count: int) -> int:
             encoded = encoder.append(update)
             if encoded is None:
                 continue
-            snapshots = encoder.snapshots() if update.birth % 4 == 0 else ()
+            keyframes = encoder.keyframes() if update.birth % 4 == 0 else ()
             if update.birth:
                 taken += _applied(decoder, encoded, missed, rng)
                 tried += 1
-            for chunk in snapshots:
+            for chunk in keyframes:
                 try:
                     decoder.load(altered(chunk.data, rng), frame=update.birth)
                     taken += 1
@@ -74,13 +74,13 @@ def _applied(
     """Whether the decoder accepted an altered slice; else applies the correct one, or nothing."""
     birth, changes = encoded.birth, [change.data for change in encoded.changes]
     which, wrong = rng.randrange(3), list(changes)
-    mask = encoded.mask.data
+    skip_map = encoded.skip_map.data
     if which < 2:
         wrong[which] = altered(changes[which], rng)
     else:
-        mask = altered(mask, rng)
+        skip_map = altered(skip_map, rng)
     try:
-        decoder.apply(birth, mask, wrong)
+        decoder.apply(birth, skip_map, wrong)
         return True
     except CodecError:
         pass
@@ -88,7 +88,7 @@ def _applied(
     missed.append((birth, layer, changes[layer]))
     partly = [None if n == layer else change for n, change in enumerate(changes)]
     try:
-        decoder.apply(birth, encoded.mask.data, partly)
+        decoder.apply(birth, encoded.skip_map.data, partly)
     except CodecError:  # it accepted an altered chunk before
         decoder.apply(birth, None, [])
     return False

@@ -20,9 +20,9 @@ NUM_GAUSSIANS = LANES * SLOTS
 _LAYOUT = SlotLayout(LANES, (SLOTS,), 0, (Lattice(0.01, 0.125, 1 / 60, 0.056, 41),), 1)
 
 
-def _snapshot() -> bytes:
+def _keyframe() -> bytes:
     """All Gaussians at the origin, all bytes 0: 220 MB of content as a packet."""
-    head = SLOT_HEADER.pack(b"SWG1", Kind.SNAPSHOT, 0, 0, 0, 0) + b"\xff" * (NUM_GAUSSIANS // 8)
+    head = SLOT_HEADER.pack(b"SWG1", Kind.KEYFRAME, 0, 0, 0, 0) + b"\xff" * (NUM_GAUSSIANS // 8)
     head += COUNTS.pack(0, NUM_GAUSSIANS, 0, 0, 0)
     planes, piece = 13 * NUM_GAUSSIANS, bytes(1 << 20)
     coder = zstandard.ZstdCompressor(level=1, write_checksum=True)
@@ -34,11 +34,11 @@ def _snapshot() -> bytes:
 
 
 def write_many(stream: Path) -> None:
-    """Writes the stream: one frame, one layer, one snapshot of NUM_GAUSSIANS."""
-    objects = [join_packets([(0, packet)]) for packet in (b"", b"", _snapshot())]
+    """Writes the stream: one frame, one layer, one keyframe of NUM_GAUSSIANS."""
+    objects = [join_packets([(0, packet)]) for packet in (b"", b"", _keyframe())]
     folder = stream / "segments" / "0"
     folder.mkdir(parents=True)
-    for name, data in zip(("0", "masks", "snapshot-0"), objects, strict=True):
+    for name, data in zip(("0", "skipmaps", "keyframe-0"), objects, strict=True):
         (folder / name).write_bytes(data)
     sizes = tuple(map(len, objects))
     hashes = tuple(hashlib.sha256(data).digest() for data in objects)

@@ -17,7 +17,7 @@ from codec.lattice.lattice import Lattice
 from codec.slice import HIDDEN, Slice
 from codec.slots.decoder import SlotDecoder
 from codec.slots.encoder import SlotEncoder
-from codec.slots.mask import decode_mask
+from codec.slots.skipmap import decode_skip_map
 from codec.slots.slotlayout import SlotLayout, Update
 from codec.slots.state import EMPTY, ON_LATTICE, UNKNOWN
 from codec.splats import Splats
@@ -49,14 +49,14 @@ def layout_of(shape: plain.Shape) -> SlotLayout:
 class Chunks:
     """The chunks of a stream; those of the layers are in a list for each birth from 0 on."""
 
-    masks: list[bytes]
+    skip_maps: list[bytes]
     changes: list[list[bytes]]
-    snapshots: dict[int, list[bytes]]
-    """Snapshots of the layers, by the first frame of each segment."""
+    keyframes: dict[int, list[bytes]]
+    """Keyframes of the layers, by the first frame of each segment."""
 
     def slice(self, birth: int) -> tuple[bytes, list[bytes]]:
-        """The mask and the changes of a birth."""
-        return self.masks[birth], self.changes[birth]
+        """The skip map and the changes of a birth."""
+        return self.skip_maps[birth], self.changes[birth]
 
 
 def encoded_chunks(layout: SlotLayout, updates: Sequence[Update]) -> Chunks:
@@ -66,29 +66,29 @@ def encoded_chunks(layout: SlotLayout, updates: Sequence[Update]) -> Chunks:
         slice_ = encoder.append(update)
         if slice_ is None:
             continue
-        made.masks.append(slice_.mask.data)
+        made.skip_maps.append(slice_.skip_map.data)
         made.changes.append([change.data for change in slice_.changes])
         if update.birth % layout.segment_frames == 0:
-            made.snapshots[update.birth] = [chunk.data for chunk in encoder.snapshots()]
+            made.keyframes[update.birth] = [chunk.data for chunk in encoder.keyframes()]
     return made
 
 
 def spelled_out(shape: plain.Shape, chunks: Chunks) -> Chunks:
     """`chunks` with the packets of slices and layers without changes, which a writer may omit."""
-    reader, masks = Reader(shape), []
-    for birth, mask in enumerate(chunks.masks):
+    reader, skip_maps = Reader(shape), []
+    for birth, skip_map in enumerate(chunks.skip_maps):
         # Zeros code statuses of KEPT alone, if there are as many as the decoder reads.
-        head = _head(plain.MASK, birth)
-        tries = (AppliedSlice(birth, mask or head + bytes(n), {}, {}) for n in count(4))
+        head = _head(plain.SKIP_MAP, birth)
+        tries = (AppliedSlice(birth, skip_map or head + bytes(n), {}, {}) for n in count(4))
         slice_ = next(one for one in tries if reader.statuses(one) is not None)
         slice_.statuses = reader.statuses(slice_)
         reader.applied[birth] = slice_
-        masks.append(slice_.mask or b"")
+        skip_maps.append(slice_.skip_map or b"")
     changes = [
         [data or _head(plain.CHANGE, birth, layer) + bytes(20) for layer, data in enumerate(row)]
         for birth, row in enumerate(chunks.changes)
     ]
-    return Chunks(masks, changes, chunks.snapshots)
+    return Chunks(skip_maps, changes, chunks.keyframes)
 
 
 def _head(kind: int, birth: int, layer: int = 0) -> bytes:
@@ -172,19 +172,19 @@ class BothReaders:
         assert frame is not None
         assert held(self.decoder) == plainly_held(self.reader, frame, num_layers)
 
-    def load(self, snapshot: bytes) -> None:
-        self.decoder.load(snapshot)
-        self.reader.load(snapshot)
+    def load(self, keyframe: bytes) -> None:
+        self.decoder.load(keyframe)
+        self.reader.load(keyframe)
 
-    def apply(self, birth: int, mask: bytes | None, changes: Sequence[bytes | None]) -> None:
+    def apply(self, birth: int, skip_map: bytes | None, changes: Sequence[bytes | None]) -> None:
         if not self.shown:
             frame = self.decoder.frame
             assert frame is not None
             self.shown = {one.birth % self.swin_size: one for one in self.decoder.hand_out(frame)}
-        change = self.decoder.apply(birth, mask, changes)
-        self._apply_plainly(birth, mask, changes)
+        change = self.decoder.apply(birth, skip_map, changes)
+        self._apply_plainly(birth, skip_map, changes)
         self.check()
-        # It updates its lane, including snapshots and changes that came late.
+        # It updates its lane, including keyframes and changes that came late.
         lane, whole = birth % self.swin_size, self.decoder.whole(birth)
         found = self.shown[lane] = onto(change, self.shown[lane])
         assert same_splats(found.splats, whole.splats)
@@ -194,21 +194,21 @@ class BothReaders:
     def swin_size(self) -> int:
         return self.decoder.layout.swin_size
 
-    def apply_what_fits(self, birth: int, mask: bytes, changes: Sequence[bytes | None]) -> None:
+    def apply_what_fits(self, birth: int, skip_map: bytes, changes: Sequence[bytes | None]) -> None:
         """Applies a slice without the changes that break a rule."""
         fits = [
-            data is None or self._fits_plainly(birth, mask, [None] * layer + [data])
+            data is None or self._fits_plainly(birth, skip_map, [None] * layer + [data])
             for layer, data in enumerate(changes)
         ]
         assert self.decoder.history.is_readable(birth)
         try:
-            copy.deepcopy(self.decoder).apply(birth, mask, changes)
+            copy.deepcopy(self.decoder).apply(birth, skip_map, changes)
         except CodecError:
             assert not all(fits)
         else:
             assert all(fits)
         pairs = zip(changes, fits, strict=True)
-        self.apply(birth, mask, [data if fit else None for data, fit in pairs])
+        self.apply(birth, skip_map, [data if fit else None for data, fit in pairs])
 
     def late(self, birth: int, layer: int, change: bytes) -> bool:
         """Whether `change` was accepted, or is no longer needed."""
@@ -223,12 +223,12 @@ class BothReaders:
             del self.reader.applied[birth].changes[layer]
         return taken
 
-    def try_mask(self, birth: int, mask: bytes) -> bool:
-        """Whether both accept `mask` as the next; they must agree."""
+    def try_skip_map(self, birth: int, skip_map: bytes) -> bool:
+        """Whether both accept `skip map` as the next; they must agree."""
         decoder = self.decoder
-        wanted = self.reader.statuses(AppliedSlice(birth, mask, {}, {}))
+        wanted = self.reader.statuses(AppliedSlice(birth, skip_map, {}, {}))
         try:
-            statuses = decode_mask(decoder.layout, birth, mask, decoder.history.of(birth))
+            statuses = decode_skip_map(decoder.layout, birth, skip_map, decoder.history.of(birth))
         except CodecError:
             assert wanted is None
             return False
@@ -236,32 +236,32 @@ class BothReaders:
         assert statuses.tolist() == list(chain(*wanted))
         return True
 
-    def try_slice(self, birth: int, mask: bytes, changes: Sequence[bytes | None]) -> bool:
+    def try_slice(self, birth: int, skip_map: bytes, changes: Sequence[bytes | None]) -> bool:
         """Whether both accept the slice as the next; their states must then be equal. Both are left
         unchanged."""
         other = copy.copy(self)
         other.decoder, other.reader = copy.deepcopy((self.decoder, self.reader))
-        fits = other._fits_plainly(birth, mask, changes)
+        fits = other._fits_plainly(birth, skip_map, changes)
         try:
-            other.decoder.apply(birth, mask, changes)
+            other.decoder.apply(birth, skip_map, changes)
         except CodecError:
             assert not fits
             return False
         assert fits
-        other._apply_plainly(birth, mask, changes)
+        other._apply_plainly(birth, skip_map, changes)
         other.check()
         return True
 
     def _apply_plainly(
-        self, birth: int, mask: bytes | None, changes: Sequence[bytes | None]
+        self, birth: int, skip_map: bytes | None, changes: Sequence[bytes | None]
     ) -> None:
         here = {layer: data for layer, data in enumerate(changes) if data is not None}
-        self.reader.apply(birth, mask, here)
+        self.reader.apply(birth, skip_map, here)
 
-    def _fits_plainly(self, birth: int, mask: bytes, changes: Sequence[bytes | None]) -> bool:
+    def _fits_plainly(self, birth: int, skip_map: bytes, changes: Sequence[bytes | None]) -> bool:
         lane = self.reader.lanes[birth % self.reader.shape.swin_size]
         here = {layer: data for layer, data in enumerate(changes) if data is not None}
-        slice_ = AppliedSlice(birth, mask, here, dict(enumerate(lane)))
+        slice_ = AppliedSlice(birth, skip_map, here, dict(enumerate(lane)))
         slice_.statuses = self.reader.statuses(slice_)
         if slice_.statuses is None:
             return False
@@ -273,14 +273,14 @@ class BothReaders:
         return True
 
 
-def try_snapshot(shape: plain.Shape, snapshot: bytes) -> bool:
-    """Whether readers of both kinds accept `snapshot` as their first; their states must then be
+def try_keyframe(shape: plain.Shape, keyframe: bytes) -> bool:
+    """Whether readers of both kinds accept `keyframe` as their first; their states must then be
     equal."""
     both = BothReaders(shape)
-    both.reader.load(snapshot)
+    both.reader.load(keyframe)
     known = any(slot is not plain.Hole.UNKNOWN for s in both.reader.lanes for r in s for slot in r)
     try:
-        both.decoder.load(snapshot)
+        both.decoder.load(keyframe)
     except CodecError:
         assert not known
         return False

@@ -9,7 +9,7 @@ from dataclasses import fields
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.slots.slotlayout import SlotLayout
-from tests.support.slots.arrivals import Arrivals, Change, Event, Look, Mask, Show, Snapshot
+from tests.support.slots.arrivals import Arrivals, Change, Event, Keyframe, Look, Show, SkipMap
 from tests.support.slots.plain import Held
 from tests.support.web.nodeprocess import Json, NodeProcess, running_script
 
@@ -88,16 +88,18 @@ class BrowserSlots:
             numLayers=num_layers,
         )
 
-    def load(self, snapshot: bytes) -> bool:
-        used: bool = self._browser.ask("load", bytes=snapshot.hex())
+    def load(self, keyframe: bytes) -> bool:
+        used: bool = self._browser.ask("load", bytes=keyframe.hex())
         return used
 
-    def apply(self, birth: int, mask: bytes | None, changes: Sequence[bytes | None]) -> list[int]:
+    def apply(
+        self, birth: int, skip_map: bytes | None, changes: Sequence[bytes | None]
+    ) -> list[int]:
         """The rows of the lane that changed, counted over all layers."""
         found = self._browser.ask(
             "apply",
             birth=birth,
-            mask=None if mask is None else mask.hex(),
+            skip_map=None if skip_map is None else skip_map.hex(),
             changes=[None if change is None else change.hex() for change in changes],
         )
         layers = zip(found["moves"], found["rows"], strict=False)
@@ -131,12 +133,12 @@ def _held(lanes: Json) -> Held:
 
 def _event(event: Event, join_frame: int) -> list[object]:
     match event:
-        case Mask(birth, chunk):
-            return ["mask", birth, None, chunk.hex()]
+        case SkipMap(birth, chunk):
+            return ["skip_map", birth, None, chunk.hex()]
         case Change(birth, layer, chunk):
             return ["change", birth, layer, chunk.hex()]
-        case Snapshot(frame, layer, chunk):
-            return ["snapshot", frame, layer, chunk.hex()]
+        case Keyframe(frame, layer, chunk):
+            return ["keyframe", frame, layer, chunk.hex()]
         case Show(frame):
             return ["join" if frame == join_frame else "show", frame]
         case Look():

@@ -64,11 +64,11 @@ class Player:
     def ingest(self, update: Update) -> None:
         encoded = self.encoder.append(update)
         if update.birth == 0:
-            for layer, snapshot in enumerate(self.encoder.snapshots()):
-                self.decoder.load(snapshot.data, layer, 0)
+            for layer, keyframe in enumerate(self.encoder.keyframes()):
+                self.decoder.load(keyframe.data, layer, 0)
         elif encoded is not None:
             changes = [change.data for change in encoded.changes]
-            self.decoder.apply(update.birth, encoded.mask.data, changes)
+            self.decoder.apply(update.birth, encoded.skip_map.data, changes)
 
     def shown(self, frame: int) -> Splats:
         return active_splats(self.decoder.window(frame), frame, self.encoder.layout.swin_size)

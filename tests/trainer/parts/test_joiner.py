@@ -102,7 +102,7 @@ def test_a_run_goes_on_with_the_sound_that_it_began_with(whole: Path, tmp_path: 
 
 
 def record(segment: int, psnr_db: float, size: int) -> SegmentRecord:
-    """A record whose masks and snapshot have no bytes."""
+    """A record whose skip maps and keyframe have no bytes."""
     hashes = (bytes(32),) * 2
     return SegmentRecord(segment, 10 * segment, 10, (size,), hashes[:1], (psnr_db,), (0, 0), hashes)
 

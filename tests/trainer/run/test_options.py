@@ -88,16 +88,16 @@ def test_a_run_logs_every_frame_and_draws_snapshots(capture: Path, tmp_path: Pat
     assert all(r["iterations_per_s"] > 0 for r in records)
     assert records[-1]["left_s"] == 0 < records[0]["left_s"]
     assert records[-1]["psnr_db"] > 5
-    # Bytes of the complete segments, without snapshots except those of frame 0.
+    # Bytes of the complete segments, without keyframes except those of frame 0.
     for frame in (1, 3):
         played = sum(
             file.stat().st_size
             for segment in range(frame // 2 + 1)
             for file in (stream / "segments" / str(segment)).iterdir()
-            if segment == 0 or not file.name.startswith("snapshot")
+            if segment == 0 or not file.name.startswith("keyframe")
         )
         assert records[frame]["bytes_per_frame"] == round(played / (frame + 1))
-    assert any((stream / "segments" / "1").glob("snapshot-*"))
+    assert any((stream / "segments" / "1").glob("keyframe-*"))
     assert sorted(p.name for p in (stream / "snapshots").iterdir()) == [
         f"{frame:06d}.png" for frame in (0, 2, 4)
     ]

@@ -106,7 +106,7 @@ def test_a_contact_sheet_shows_cameras_of_any_size_whole(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("swin_size", [1, 3])
-def test_who_plays_from_frame_0_fetches_no_later_snapshot(swin_size: int, tmp_path: Path) -> None:
+def test_who_plays_from_frame_0_fetches_no_later_keyframe(swin_size: int, tmp_path: Path) -> None:
     capture, stream, frames = tmp_path / "capture", tmp_path / "stream", 7
     write_dynamic3dgs(capture, num_cameras=3, num_frames=frames)
     layout = small_layout(swin_size, (9, 6, 4), 0, 3)  # the last segment is short
@@ -123,15 +123,15 @@ def test_who_plays_from_frame_0_fetches_no_later_snapshot(swin_size: int, tmp_pa
     assert len(found) == 3
     for score in found:
         layers = range(score.layers)
-        played = [f"segments/{n}/{part}" for n in range(3) for part in (*layers, "masks")]
-        joins = [[f"segments/{n}/snapshot-{layer}" for layer in layers] for n in range(3)]
+        played = [f"segments/{n}/{part}" for n in range(3) for part in (*layers, "skipmaps")]
+        joins = [[f"segments/{n}/keyframe-{layer}" for layer in layers] for n in range(3)]
         objects = size_of(*played, *joins[0])
         overhead = size_of("manifest.json", "index.bin")
         assert score.bytes_per_frame * frames == pytest.approx(objects + overhead)
         later = size_of(*joins[1], *joins[2])
-        assert score.snapshot_bytes_per_frame * frames == pytest.approx(later)
+        assert score.keyframe_bytes_per_frame * frames == pytest.approx(later)
         assert score.bits_per_second == pytest.approx(8 * 25 * score.bytes_per_frame)
-        # Before frame 0 nothing is predicted, and the snapshots contain the state of frame 0.
+        # Before frame 0 nothing is predicted, and the keyframes contain the state of frame 0.
         rows = slice(layout.row_edges[score.layers])
         sent = sum(int((update.statuses[rows] >= PREDICTED).sum()) for update in updates)
         assert score.bytes_per_gaussian == pytest.approx(objects / sent)

@@ -1,5 +1,5 @@
 /**
- * The new data of a slice, a change, and all slots at a segment's first frame, a snapshot (FORMAT.md,
+ * The new data of a slice, a change, and all slots at a segment's first frame, a keyframe (FORMAT.md,
  * sections 10 and 11).
  */
 
@@ -14,7 +14,7 @@ import {
 } from "../../constants.js";
 import { BitReader, ByteReader, corrupt } from "../bytes.js";
 import { checkGaussians, readGaussians } from "../gaussians.js";
-import { CHANGE, expectChunk, readSlotHead, SNAPSHOT } from "./mask.js";
+import { CHANGE, expectChunk, readSlotHead, KEYFRAME } from "./skipmap.js";
 import { Slots } from "./slots.js";
 
 /**
@@ -31,14 +31,14 @@ import { Slots } from "./slots.js";
 /**
  * Decodes a change. Throws a FormatError.
  * @param {import("../gaussians.js").SlotLayout} layout @param {number} layer @param {number} birth
- * @param {Uint8Array} bytes empty if nothing changes @param {number} numPredicted as counted in the mask
- * @param {number} numNew as counted in the mask @returns {Change}
+ * @param {Uint8Array} bytes empty if nothing changes @param {number} numPredicted as counted in the skip map
+ * @param {number} numNew as counted in the skip map @returns {Change}
  */
 export function decodeChange(layout, layer, birth, bytes, numPredicted, numNew) {
   if (bytes.length === 0) {
     if (numPredicted || numNew) {
       throw corrupt(
-        `change: it is missing, but the mask says ${numPredicted} predicted and ${numNew} new`,
+        `change: it is missing, but the skip map says ${numPredicted} predicted and ${numNew} new`,
       );
     }
     const nothing = new ByteReader(new Uint8Array(COUNTS_BYTES), "change");
@@ -180,27 +180,27 @@ function readAttributes(planes, count, numAttributes, levels, what) {
 }
 
 /**
- * @typedef {object} Snapshot
+ * @typedef {object} Keyframe
  * @property {number} frame @property {number} layer
  * @property {Slots[]} lanes the lanes of births frame - swinSize + 1 .. frame
  */
 
 /**
- * Decodes a snapshot, of any layer and segment. Throws a FormatError.
- * @param {import("../gaussians.js").SlotLayout} layout @param {Uint8Array} bytes @returns {Snapshot}
+ * Decodes a keyframe, of any layer and segment. Throws a FormatError.
+ * @param {import("../gaussians.js").SlotLayout} layout @param {Uint8Array} bytes @returns {Keyframe}
  */
-export function decodeSnapshot(layout, bytes) {
-  const { layer, birth: frame, hasStarts, body } = readSlotHead(bytes, SNAPSHOT);
+export function decodeKeyframe(layout, bytes) {
+  const { layer, birth: frame, hasStarts, body } = readSlotHead(bytes, KEYFRAME);
   if (layer >= layout.numLayers)
-    throw corrupt(`snapshot: layer ${layer}, but the stream has ${layout.numLayers} layers`);
+    throw corrupt(`keyframe: layer ${layer}, but the stream has ${layout.numLayers} layers`);
   if (frame < 0 || frame !== layout.segmentStart(frame)) {
-    throw corrupt(`snapshot: frame ${frame} is not the first frame of a segment`);
+    throw corrupt(`keyframe: frame ${frame} is not the first frame of a segment`);
   }
   const count = layout.slots[layer];
   const numFlags = layout.swinSize * count;
   const flags = body.take(Math.ceil(numFlags / 8));
   if (numFlags % 8 !== 0 && flags[flags.length - 1] >> numFlags % 8 !== 0) {
-    throw corrupt("snapshot: a bit is set after the last flag");
+    throw corrupt("keyframe: a bit is set after the last flag");
   }
   const statuses = new Uint8Array(numFlags);
   let numNew = 0;

@@ -1,9 +1,9 @@
-/** Decodes masks, changes and snapshots to the state of the slots (FORMAT.md, section 7). */
+/** Decodes skip maps, changes and keyframes to the state of the slots (FORMAT.md, section 7). */
 
 import { LOG_SHARE, MIN_LOG_BYTES, NEW, PREDICTED, UNKNOWN } from "../../constants.js";
-import { decodeChange, decodeSnapshot } from "./change.js";
+import { decodeChange, decodeKeyframe } from "./change.js";
 import { corrupt, FormatError } from "../bytes.js";
-import { decodeMask, MaskHistory } from "./mask.js";
+import { decodeSkipMap, SkipMapHistory } from "./skipmap.js";
 import { changedRows, movesOf, Slots } from "./slots.js";
 
 /**
@@ -30,7 +30,7 @@ import { changedRows, movesOf, Slots } from "./slots.js";
 /**
  * The state of the slots of layers 0 .. numLayers - 1, from one frame to the next.
  *
- * Load the snapshots of a segment's first frame, then apply the slices born after it one by one. To
+ * Load the keyframes of a segment's first frame, then apply the slices born after it one by one. To
  * seek, make a new decoder. A call that throws leaves the state unchanged. Bytes that are passed in are
  * kept as long as a late packet may need them.
  */
@@ -47,10 +47,10 @@ export class SlotDecoder {
     this.frame = null;
     /** @type {Slots[][]} by lane and layer */
     this.lanes = Array.from({ length: layout.swinSize }, () => this.#unknownLane());
-    this.history = new MaskHistory(layout);
+    this.history = new SkipMapHistory(layout);
     /** @type {Map<string, Log>} by lane and layer, the oldest first */
     this.logs = new Map();
-    /** @type {Map<number, Uint8Array>} statuses of this segment's slices, for late snapshots */
+    /** @type {Map<number, Uint8Array>} statuses of this segment's slices, for late keyframes */
     this.said = new Map();
     /** @type {Map<string, Uint8Array>} by lane and layer, slots altered by late bytes since the last slice */
     this.pending = new Map();
@@ -62,34 +62,34 @@ export class SlotDecoder {
   }
 
   /**
-   * Loads a snapshot, which replaces the state of its layer. It may arrive late.
+   * Loads a keyframe, which replaces the state of its layer. It may arrive late.
    * @param {Uint8Array} bytes @param {number} [layer] the expected one
    * @param {number} [frame] the expected one @returns {boolean} whether it was used
    */
   load(bytes, layer, frame) {
-    const snapshot = decodeSnapshot(this.layout, bytes);
+    const keyframe = decodeKeyframe(this.layout, bytes);
     const wanted =
       frame ?? (this.frame === null ? undefined : this.layout.segmentStart(this.frame));
-    if (wanted !== undefined && snapshot.frame !== wanted) {
-      throw corrupt(`snapshot: of frame ${snapshot.frame} where that of ${wanted} belongs`);
+    if (wanted !== undefined && keyframe.frame !== wanted) {
+      throw corrupt(`keyframe: of frame ${keyframe.frame} where that of ${wanted} belongs`);
     }
-    if (layer !== undefined && snapshot.layer !== layer) {
-      throw corrupt(`snapshot: of layer ${snapshot.layer} where that of ${layer} belongs`);
+    if (layer !== undefined && keyframe.layer !== layer) {
+      throw corrupt(`keyframe: of layer ${keyframe.layer} where that of ${layer} belongs`);
     }
-    if (snapshot.layer >= this.numLayers) return false;
-    if (this.frame === null) this.frame = snapshot.frame;
-    if (snapshot.frame > this.frame)
-      throw new RangeError("the slices have not come to the snapshot");
-    if (snapshot.frame !== this.layout.segmentStart(this.frame)) return false;
+    if (keyframe.layer >= this.numLayers) return false;
+    if (this.frame === null) this.frame = keyframe.frame;
+    if (keyframe.frame > this.frame)
+      throw new RangeError("the slices have not come to the keyframe");
+    if (keyframe.frame !== this.layout.segmentStart(this.frame)) return false;
     const { swinSize } = this.layout;
     let used = false;
-    for (const [i, slots] of snapshot.lanes.entries()) {
-      const birth = snapshot.frame - swinSize + 1 + i;
+    for (const [i, slots] of keyframe.lanes.entries()) {
+      const birth = keyframe.frame - swinSize + 1 + i;
       const since = [];
       for (let b = birth + swinSize; b <= this.frame; b += swinSize) since.push(b);
       const lane = this.layout.lane(birth);
-      if (snapshot.frame === this.frame || this.#canUseLate(lane, snapshot.layer, since)) {
-        this.#beginAnew(lane, snapshot.layer, slots, since);
+      if (keyframe.frame === this.frame || this.#canUseLate(lane, keyframe.layer, since)) {
+        this.#beginAnew(lane, keyframe.layer, slots, since);
         used = true;
       }
     }
@@ -97,8 +97,8 @@ export class SlotDecoder {
   }
 
   /**
-   * Whether a snapshot from before `births` improves a layer of a lane: some slots were already unknown
-   * before `births`, and no mask is missing.
+   * Whether a keyframe from before `births` improves a layer of a lane: some slots were already unknown
+   * before `births`, and no skip map is missing.
    * @param {number} lane @param {number} layer @param {number[]} births
    */
   #canUseLate(lane, layer, births) {
@@ -123,7 +123,7 @@ export class SlotDecoder {
     const since = new Map();
     for (const birth of births) {
       const statuses = this.said.get(birth);
-      if (statuses === undefined) throw new Error(`the mask of ${birth} is not here`);
+      if (statuses === undefined) throw new Error(`the skip map of ${birth} is not here`);
       const change = known?.since.get(birth)?.change ?? null;
       since.set(birth, { statuses: this.#ofLayer(statuses, layer), change });
     }
@@ -135,19 +135,19 @@ export class SlotDecoder {
   /**
    * Applies the slice born at `birth`, which must follow the last one.
    * @param {number} birth
-   * @param {Uint8Array | null} mask null if it is missing: all slots of the lane become unknown
+   * @param {Uint8Array | null} skipMap null if it is missing: all slots of the lane become unknown
    * @param {(Uint8Array | null)[]} changes of layers 0, 1, ...; null for a missing one, which may arrive
    *   late; changes of further layers are not expected
    * @param {boolean} [shows] whether the slice itself shows, and so tells how its slots move
    * @returns {SlotSlice}
    */
-  apply(birth, mask, changes, shows = false) {
+  apply(birth, skipMap, changes, shows = false) {
     if (this.frame === null || birth !== this.frame + 1) {
       throw new RangeError(`the slice born at ${birth} does not follow ${this.frame}`);
     }
-    if (mask === null || !this.history.isReadable(birth)) return this.#loseLane(birth);
+    if (skipMap === null || !this.history.isReadable(birth)) return this.#loseLane(birth);
     const lane = this.layout.lane(birth);
-    const statuses = decodeMask(this.layout, birth, mask, this.history.of(birth));
+    const statuses = decodeSkipMap(this.layout, birth, skipMap, this.history.of(birth));
     const parts = this.lanes[lane].map((_, layer) => this.#ofLayer(statuses, layer));
     const deltas = this.lanes[lane].map((slots, layer) =>
       this.#delta(birth, layer, slots, parts[layer], changes[layer] ?? null),
@@ -169,11 +169,11 @@ export class SlotDecoder {
 
   /**
    * Whether `apply` would accept a change; otherwise throws a FormatError.
-   * @param {number} birth @param {Uint8Array | null} mask @param {number} layer @param {Uint8Array} change
+   * @param {number} birth @param {Uint8Array | null} skipMap @param {number} layer @param {Uint8Array} change
    */
-  takes(birth, mask, layer, change) {
-    if (mask === null || !this.history.isReadable(birth)) return true;
-    const statuses = decodeMask(this.layout, birth, mask, this.history.of(birth));
+  takes(birth, skipMap, layer, change) {
+    if (skipMap === null || !this.history.isReadable(birth)) return true;
+    const statuses = decodeSkipMap(this.layout, birth, skipMap, this.history.of(birth));
     const slots = this.lanes[this.layout.lane(birth)][layer];
     this.#delta(birth, layer, slots, this.#ofLayer(statuses, layer), change);
     return true;
@@ -227,11 +227,11 @@ export class SlotDecoder {
     return this.whole(birth);
   }
 
-  /** @param {number} birth @param {Uint8Array | null} statuses null: the mask is missing */
+  /** @param {number} birth @param {Uint8Array | null} statuses null: the skip map is missing */
   #goOn(birth, statuses) {
     if (birth === this.layout.segmentStart(birth)) {
       this.said.clear();
-      // Snapshots of the previous segment can no longer be used, so only logs that wait for changes remain.
+      // Keyframes of the previous segment can no longer be used, so only logs that wait for changes remain.
       for (const [at, log] of this.logs) if (!isWaiting(log)) this.logs.delete(at);
     } else if (statuses !== null) this.said.set(birth, statuses);
     this.frame = birth;
@@ -255,7 +255,7 @@ export class SlotDecoder {
   }
 
   /**
-   * Logs the data that a late change or snapshot needs, before the slice is applied to `slots`.
+   * Logs the data that a late change or keyframe needs, before the slice is applied to `slots`.
    * @param {number} birth @param {number} layer @param {Slots} slots @param {Uint8Array} statuses
    * @param {Uint8Array | null} change
    */
@@ -344,7 +344,7 @@ export class SlotDecoder {
     return statuses.subarray(this.rowEdges[layer], this.rowEdges[layer + 1]);
   }
 
-  /** Bytes kept only because changes, or the snapshots before them, may arrive late. */
+  /** Bytes kept only because changes, or the keyframes before them, may arrive late. */
   get logBytes() {
     let total = 0;
     for (const { before, since } of this.logs.values()) {

@@ -190,8 +190,8 @@ const ANSWERS = {
   load({ bytes }) {
     return decoder.load(unhex(bytes));
   },
-  apply({ birth, mask, changes }) {
-    const slice = decoder.apply(birth, optional(mask), changes.map(optional), true);
+  apply({ birth, skipMap, changes }) {
+    const slice = decoder.apply(birth, optional(skipMap), changes.map(optional), true);
     const plain = (/** @type {ArrayLike<number>[]} */ layers) => layers.map((of) => Array.from(of));
     return { lane: slice.lane, rows: plain(slice.rows), moves: plain(slice.moves ?? []) };
   },
@@ -205,9 +205,9 @@ const ANSWERS = {
     const play = new FrameAssembler(/** @type {any} */ ({ layout }));
     const found = [];
     for (const [kind, frame, layer, bytes] of events) {
-      if (kind === "mask") play.addMask(frame, unhex(bytes));
+      if (kind === "skip_map") play.addSkipMap(frame, unhex(bytes));
       else if (kind === "change") play.addChange(frame, layer, unhex(bytes));
-      else if (kind === "snapshot") play.addSnapshot(frame, layer, unhex(bytes));
+      else if (kind === "keyframe") play.addKeyframe(frame, layer, unhex(bytes));
       else if (kind === "join") play.join(frame);
       else if (kind === "show") play.advance(frame);
       else if (kind === "state") found.push([play.isLate, play.layers, play.refused]);

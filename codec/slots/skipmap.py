@@ -1,4 +1,4 @@
-"""The mask of a slice: what becomes of each slot of its lane (codec/FORMAT.md, section 9)."""
+"""The skip map of a slice: what becomes of each slot of its lane (codec/FORMAT.md, section 9)."""
 
 from __future__ import annotations
 
@@ -23,36 +23,38 @@ CONTEXTS = 37
 FIRST_OF_B, CONTEXT_OF_C = 32, 36
 
 
-class MaskHistory:
-    """Which slots earlier masks of a segment did not keep: the contexts of the masks to come."""
+class SkipMapHistory:
+    """Which slots earlier skip maps of a segment did not keep: the contexts of the skip maps to
+    come."""
 
     def __init__(self, layout: SlotLayout) -> None:
         self._layout = layout
-        # 2 if not kept by the last mask of the lane, plus 1 if not by the one before that.
+        # 2 if not kept by the last skip map of the lane, plus 1 if not by the one before that.
         self._recent = np.zeros((layout.swin_size, layout.num_slots), np.uint8)
         self._lost = np.zeros(layout.swin_size, np.bool_)
 
     def of(self, birth: int) -> Bytes:
-        """(S,) uint8, 0..3: the `h` of each slot in the mask of `birth`."""
+        """(S,) uint8, 0..3: the `h` of each slot in the skip map of `birth`."""
         if birth == self._layout.segment_start(birth):
             return np.zeros(self._layout.num_slots, np.uint8)
         recent: Bytes = self._recent[self._layout.lane(birth)]
         return recent
 
-    def copy(self) -> MaskHistory:
-        made = MaskHistory(self._layout)
+    def copy(self) -> SkipMapHistory:
+        made = SkipMapHistory(self._layout)
         made._recent[:] = self._recent
         made._lost[:] = self._lost
         return made
 
     def is_readable(self, birth: int) -> bool:
-        """Whether the mask of `birth` can be decoded: no mask that it is read with was lost."""
+        """Whether the skip map of `birth` can be decoded: no skip map that it is read with was
+        lost."""
         first = birth == self._layout.segment_start(birth)
         return first or not self._lost[self._layout.lane(birth)]
 
     def note(self, birth: int, statuses: Bytes | None) -> None:
-        """Takes in the mask of `birth`, None if it is lost; that of a segment's first frame begins
-        anew."""
+        """Takes in the skip map of `birth`, None if it is lost; that of a segment's first frame
+        begins anew."""
         if birth == self._layout.segment_start(birth):
             self._recent.fill(0)
             self._lost.fill(False)
@@ -65,32 +67,36 @@ class MaskHistory:
         lane |= (statuses != KEPT).view(np.uint8) << 1
 
 
-def encode_mask(layout: SlotLayout, birth: int, statuses: Bytes, history: Bytes) -> EncodedChunk:
-    """The mask of (S,) `statuses`, of which `history` is `MaskHistory.of(birth)`; of no bytes if it
-    keeps all."""
+def encode_skip_map(
+    layout: SlotLayout, birth: int, statuses: Bytes, history: Bytes
+) -> EncodedChunk:
+    """The skip map of (S,) `statuses`, of which `history` is `SkipMapHistory.of(birth)`; of no
+    bytes if it keeps all."""
     if not statuses.any():
         return EncodedChunk(birth, b"", (0, 0))
-    out = np.zeros(layout.max_mask_bytes, np.uint8)
+    out = np.zeros(layout.max_skip_map_bytes, np.uint8)
     size = _encode(statuses, history, np.array(layout.row_edges), new_model(CONTEXTS), out)
-    head = SlotHeader(Kind.MASK, 0, birth).pack()
+    head = SlotHeader(Kind.SKIP_MAP, 0, birth).pack()
     data = head + out[:size].tobytes()
     return EncodedChunk(birth, data, (0, len(data)))
 
 
-def decode_mask(layout: SlotLayout, birth: int, data: bytes | memoryview, history: Bytes) -> Bytes:
-    """(S,) the statuses in the mask `data` of `birth`; without data all are kept. Raises a
+def decode_skip_map(
+    layout: SlotLayout, birth: int, data: bytes | memoryview, history: Bytes
+) -> Bytes:
+    """(S,) the statuses in the skip map `data` of `birth`; without data all are kept. Raises a
     CodecError."""
     if not data:
         return np.full(layout.num_slots, KEPT, np.uint8)
-    SlotHeader.read(data, Kind.MASK).expect(birth, 0)
+    SlotHeader.read(data, Kind.SKIP_MAP).expect(birth, 0)
     body = np.frombuffer(data, np.uint8, offset=HEADER_BYTES)
     statuses = np.empty(layout.num_slots, np.uint8)
     read = _decode(body, history, np.array(layout.row_edges), new_model(CONTEXTS), statuses)
     if read < 0:
-        raise CorruptError("mask: its code is not below its range", HEADER_BYTES)
+        raise CorruptError("skip map: its code is not below its range", HEADER_BYTES)
     if read != len(body):
         raise CorruptError(
-            f"mask: a body of {len(body)} bytes, of which {read} are read",
+            f"skip map: a body of {len(body)} bytes, of which {read} are read",
             HEADER_BYTES + min(read, len(body)),
         )
     return statuses

@@ -1,5 +1,5 @@
 /**
- * The head of a chunk, and the mask of a slice: the status of each slot of its lane (FORMAT.md, section 9).
+ * The head of a chunk, and the skip map of a slice: the status of each slot of its lane (FORMAT.md, section 9).
  */
 
 import {
@@ -21,9 +21,9 @@ import {
 } from "../../constants.js";
 import { ByteReader, corrupt, isMagic, unsupported } from "../bytes.js";
 
-const { MASK } = CHUNK_KINDS;
-export const { CHANGE, SNAPSHOT } = CHUNK_KINDS;
-const NAMES = Object.keys(CHUNK_KINDS).map((name) => name.toLowerCase());
+const { SKIP_MAP } = CHUNK_KINDS;
+export const { CHANGE, KEYFRAME } = CHUNK_KINDS;
+const NAMES = Object.keys(CHUNK_KINDS).map((name) => name.toLowerCase().replace("_", " "));
 
 /**
  * @typedef {object} SlotHead
@@ -40,11 +40,11 @@ export function readSlotHead(bytes, kind) {
   const [magic, found, layer, flags, reserved, birth] = body.unpack(CHUNK_HEAD);
   if (!isMagic(magic, CHUNK_MAGIC)) throw corrupt(`${name}: does not begin with ${CHUNK_MAGIC}`);
   if (found >= NAMES.length) throw unsupported(`${name}: a chunk of unknown kind ${found}`);
-  const known = found === MASK ? 0 : HAS_STARTS;
+  const known = found === SKIP_MAP ? 0 : HAS_STARTS;
   if (reserved !== 0 || flags & ~known)
     throw unsupported(`${name}: unsupported flags ${flags} or reserved byte ${reserved}`);
   if (found !== kind) throw corrupt(`${name}: found a ${NAMES[found]} instead`);
-  if (kind === MASK && layer !== 0) throw corrupt(`mask: has layer ${layer}, not 0`);
+  if (kind === SKIP_MAP && layer !== 0) throw corrupt(`skip map: has layer ${layer}, not 0`);
   return { layer, hasStarts: (flags & HAS_STARTS) !== 0, birth, body };
 }
 
@@ -70,14 +70,14 @@ class BitDecoder {
     this.range = WHOLE_RANGE;
     this.code = 0;
     for (let i = 0; i < 4; i++) this.code = this.code * 256 + this.#next();
-    if (this.code === WHOLE_RANGE) throw corrupt("mask: its code is not below its range");
+    if (this.code === WHOLE_RANGE) throw corrupt("skip map: its code is not below its range");
     this.p = new Uint16Array(CONTEXTS).fill(FIRST_PROBABILITY);
     this.c = new Uint8Array(CONTEXTS);
   }
 
   #next() {
     if (this.at >= this.body.length)
-      throw corrupt(`mask: a body of ${this.body.length} bytes is too short`);
+      throw corrupt(`skip map: a body of ${this.body.length} bytes is too short`);
     return this.body[this.at++];
   }
 
@@ -105,15 +105,15 @@ class BitDecoder {
 }
 
 /**
- * Decodes the mask of the slice born at `birth`: the statuses of all layers (numSlots). With an empty mask,
+ * Decodes the skip map of the slice born at `birth`: the statuses of all layers (numSlots). With an empty skip map,
  * all slots are kept. Throws a FormatError.
  * @param {import("../gaussians.js").SlotLayout} layout @param {number} birth @param {Uint8Array} bytes
- * @param {Uint8Array} history (numSlots) from `MaskHistory.of(birth)`
+ * @param {Uint8Array} history (numSlots) from `SkipMapHistory.of(birth)`
  */
-export function decodeMask(layout, birth, bytes, history) {
+export function decodeSkipMap(layout, birth, bytes, history) {
   const statuses = new Uint8Array(layout.numSlots);
   if (bytes.length === 0) return statuses;
-  const head = readSlotHead(bytes, MASK);
+  const head = readSlotHead(bytes, SKIP_MAP);
   expectChunk(head, birth, 0);
   const body = head.body.take(head.body.left);
   const decoder = new BitDecoder(body);
@@ -130,34 +130,35 @@ export function decodeMask(layout, birth, bytes, history) {
       before = ((before << 1) | changed) & 7;
     }
   }
-  if (decoder.at !== body.length) throw corrupt(`mask: ${body.length - decoder.at} bytes too long`);
+  if (decoder.at !== body.length)
+    throw corrupt(`skip map: ${body.length - decoder.at} bytes too long`);
   return statuses;
 }
 
-/** Records which slots earlier masks of a segment did not keep; these are contexts of later masks. */
-export class MaskHistory {
+/** Records which slots earlier skip maps of a segment did not keep; these are contexts of later skip maps. */
+export class SkipMapHistory {
   /** @param {import("../gaussians.js").SlotLayout} layout */
   constructor(layout) {
     this.layout = layout;
-    /** 2 if not kept by the lane's last mask, plus 1 if not kept by the mask before it. */
+    /** 2 if not kept by the lane's last skip map, plus 1 if not kept by the skip map before it. */
     this.recent = Array.from({ length: layout.swinSize }, () => new Uint8Array(layout.numSlots));
-    /** @type {boolean[]} for each lane, whether one of its masks was missing */
+    /** @type {boolean[]} for each lane, whether one of its skip maps was missing */
     this.lost = new Array(layout.swinSize).fill(false);
   }
 
-  /** The `h` of each slot in the mask of `birth`. @param {number} birth */
+  /** The `h` of each slot in the skip map of `birth`. @param {number} birth */
   of(birth) {
     if (birth === this.layout.segmentStart(birth)) return new Uint8Array(this.layout.numSlots);
     return this.recent[this.layout.lane(birth)];
   }
 
-  /** Whether all earlier masks that the mask of `birth` depends on are known. @param {number} birth */
+  /** Whether all earlier skip maps that the skip map of `birth` depends on are known. @param {number} birth */
   isReadable(birth) {
     return birth === this.layout.segmentStart(birth) || !this.lost[this.layout.lane(birth)];
   }
 
   /**
-   * Records the mask of `birth`. The mask of a segment's first frame resets the history.
+   * Records the skip map of `birth`. The skip map of a segment's first frame resets the history.
    * @param {number} birth @param {Uint8Array | null} statuses null if it is missing
    */
   note(birth, statuses) {

@@ -1,12 +1,12 @@
-import { snapshotOf } from "../format/manifest.js";
+import { keyframeOf } from "../format/manifest.js";
 import { limitBytes, packetContent } from "../format/packet.js";
 import { FrameAssembler } from "./frameassembler.js";
 
 /**
- * Shows pictures while the thumb of the track moves: layer 0 of the snapshot nearest to the thumb, from
+ * Shows pictures while the thumb of the track moves: layer 0 of the keyframe nearest to the thumb, from
  * the cache or fetched. It makes one request at a time, always for the newest target.
  */
-export class SnapshotPreview {
+export class KeyframePreview {
   /**
    * @param {import("../source/source.js").SourceStream} stream
    * @param {(shown: import("./playback.js").Shown) => void} show
@@ -43,9 +43,9 @@ export class SnapshotPreview {
     while (!signal.aborted && this.target !== null && this.target !== this.shown) {
       const segment = this.target;
       try {
-        if (this.stream.cache.snapshot(segment, 0) === null) {
+        if (this.stream.cache.keyframe(segment, 0) === null) {
           this.onFetch();
-          await this.stream.fetchSnapshot(segment, 0, signal);
+          await this.stream.fetchKeyframe(segment, 0, signal);
         }
         if (!signal.aborted) this.#showSegment(segment);
       } catch (error) {
@@ -63,12 +63,12 @@ export class SnapshotPreview {
   /** @param {number} segment */
   #showSegment(segment) {
     const { manifest, cache } = this.stream;
-    const packet = cache.snapshot(segment, 0);
+    const packet = cache.keyframe(segment, 0);
     if (packet === null) return;
-    const chunk = packetContent(packet, limitBytes(manifest, snapshotOf(manifest, 0)));
+    const chunk = packetContent(packet, limitBytes(manifest, keyframeOf(manifest, 0)));
     const frame = segment * manifest.segmentFrames;
     const chunks = new FrameAssembler(manifest);
-    chunks.addSnapshot(frame, 0, chunk);
+    chunks.addKeyframe(frame, 0, chunk);
     this.show({ frame, isJoin: true, updates: chunks.join(frame) });
     this.shown = segment;
   }
