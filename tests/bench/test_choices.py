@@ -9,7 +9,7 @@ import pytest
 from bench.leases import examine, recoded
 from codec.slots.slotlayout import PREDICTED
 from codec.stream import StreamReader
-from codec.stream.manifest import MASKS
+from codec.stream.manifest import SKIP_MAPS
 from tests.support.slots.folder import write_slots
 from tests.support.slots.updates import small_layout
 
@@ -28,7 +28,7 @@ def test_what_is_coded_again_is_the_same_but_for_the_prediction(
     there = [
         [
             reader.read_object(reader.manifest.segment_of(birth), part).packet(birth)
-            for part in (MASKS, 0, 1)
+            for part in (SKIP_MAPS, 0, 1)
         ]
         for birth in range(1, FRAMES)
     ]

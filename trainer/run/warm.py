@@ -28,7 +28,7 @@ from codec.splats import Splats
 from codec.stream.segment import encode_packet
 from codec.stream.wholeslice import given_rank, whole_update
 from player.render.cpu import render_splats
-from trainer.capture.capture import SkipMap
+from trainer.capture.capture import Mask
 from trainer.capture.lens import Lens, straightened
 from trainer.fit.config import FitConfig
 from trainer.fit.leasedslots import LeasedSlots
@@ -62,17 +62,17 @@ class _Noise:
             )
         shape = self.num_frames, side_px, side_px, 3
         pictures = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
-        skip_map = np.ones((side_px, side_px), np.uint8)
+        mask = np.ones((side_px, side_px), np.uint8)
         # Like those of a FrameCache: numba compiles anew for arrays that may be written to.
         pictures.setflags(write=False)
-        skip_map.setflags(write=False)
-        self._shots = [Shot(picture, skip_map) for picture in pictures]
+        mask.setflags(write=False)
+        self._shots = [Shot(picture, mask) for picture in pictures]
 
     def shot(self, camera: int, frame: int) -> Shot:
         return self._shots[frame]
 
-    def skip_map(self, camera: int, frame: int) -> SkipMap | None:
-        return self._shots[frame].skip_map
+    def mask(self, camera: int, frame: int) -> Mask | None:
+        return self._shots[frame].mask
 
 
 OURS = ("trainer", "player", "codec")

@@ -16,7 +16,10 @@ const MANIFEST = readManifest(FILES["manifest.json"]);
 const PACKETS = Object.entries(FILES).flatMap(([path, bytes]) => {
   const part = /^segments\/\d+\/(.*)$/.exec(path)?.[1];
   const packets = part === undefined ? [] : [...readObject(bytes).values()];
-  return packets.map((packet) => ({ packet, limit: limitBytes(MANIFEST, part) }));
+  return packets.map((packet) => ({
+    packet,
+    limit: limitBytes(MANIFEST, MANIFEST.parts.indexOf(part)),
+  }));
 });
 
 test("the checksum is XXH64 as its specification has it", () => {

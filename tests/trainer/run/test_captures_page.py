@@ -109,10 +109,10 @@ def test_what_a_script_wrote_is_what_was_filmed(folder: Path, name: str) -> None
         np.testing.assert_allclose(read.w2c, entry.camera.w2c, atol=1e-9)
         np.testing.assert_allclose(read.intrinsics, entry.camera.intrinsics, atol=1e-9)
         assert np.array_equal(picture_of(capture, index), picture_of(footage, index))
-        skip_maps = capture.cameras[index].skip_maps
-        assert (skip_maps is not None) == (name in ("as-pictures", "as-dynerf"))
-        if skip_maps is not None:
-            assert skip_maps.read(1).sum() == 54 * 94
+        masks = capture.cameras[index].masks
+        assert (masks is not None) == (name in ("as-pictures", "as-dynerf"))
+        if masks is not None:
+            assert masks.read(1).sum() == 54 * 94
     if name in ("as-nerfstudio", "as-calibrated", "as-solved"):
         assert capture.points is None
         return
