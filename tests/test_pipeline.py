@@ -182,11 +182,11 @@ def flipped(data: bytes, at: int) -> bytes:
     [
         ("swings-stream", "segments/1/0", lambda data: data[:-9]),
         ("swings-stream", "segments/1/0", lambda data: flipped(data, len(data) // 2)),
-        ("swings-stream", "segments/1/masks", lambda data: flipped(data, len(data) // 2)),
+        ("swings-stream", "segments/1/skipmaps", lambda data: flipped(data, len(data) // 2)),
         ("swings-eval", "segments/1/0", lambda data: flipped(data, len(data) // 2)),
         ("swings-eval", "manifest.json", lambda data: data[:50]),
         ("swings-play", "segments/1/0", None),
-        ("swings-play", "segments/1/masks", lambda data: flipped(data, len(data) // 2)),
+        ("swings-play", "segments/1/skipmaps", lambda data: flipped(data, len(data) // 2)),
         ("swings-play", "index.bin", lambda data: flipped(data, 3)),
     ],
 )

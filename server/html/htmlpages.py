@@ -193,7 +193,7 @@ def security(player: WebPlayer) -> str:
     return (
         f"default-src 'none'; script-src 'self' {hash_source(player.page_script)}; "
         f"worker-src 'self'; connect-src 'self'; img-src 'self' data:; media-src 'self'; "
-        f"style-src {hash_source(_STYLE)}; base-uri 'none'; form-action 'none'; "
+        f"style-src {hash_source(_WATCH_STYLE)}; base-uri 'none'; form-action 'none'; "
         "require-trusted-types-for 'script'; trusted-types swings-worker"
     )
 

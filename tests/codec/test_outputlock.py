@@ -27,8 +27,7 @@ COMMANDS = [
     *("stream audio add S SOUND", "stream audio remove S"),
     *("stream captions add S VTT", "stream captions remove S"),
     *("stream pack S OUT.swings", "stream unpack PACKED.swings OUT"),
-    *("stream export S OUT --static", "stream export S OUT.swings --static"),
-    "stream export S OUT.ply --frames 0:2",
+    *("stream export S OUT --static", "stream export S OUT.ply --frames 0:2"),
     *("train CAPTURE OUT", "train CAPTURE OUT --resume", "train CAPTURE OUT --ray local"),
     "synth OUT",
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -84,22 +83,3 @@ def test_a_host_that_lets_nobody_else_read(page: Page, site: Site) -> None:
         assert message.startswith(f"{streams} answers, but does not let pages of other hosts read")
         assert "Access-Control-Allow-Origin" in message
         page.wait("part('.note:not(.soft)')?.textContent === element.error.message")
-
-
-MEMBER = re.compile(
-    r"(?:/\*\*((?:(?!\*/).)*)\*/\s*)?^  (?:async |get |set )?([a-zA-Z]+)\([^()]*\) \{$", re.M | re.S
-)
-CLASSES = "mediaattributes", "pictureinterface", "mediainterface", "swingsplayer"
-
-
-def test_every_public_member_of_the_element_is_documented() -> None:
-    text = (ROOT / "docs" / "EMBED.md").read_text(encoding="utf-8")
-    documented = set(re.findall(r"\w+", " ".join(re.findall("`([^`]+)`", text))))
-    members = set()
-    for name in CLASSES:
-        source = (ROOT / "player/web/element" / f"{name}.js").read_text(encoding="utf-8")
-        for comment, member in MEMBER.findall(source):
-            if "@protected" not in comment and not member.endswith(("Callback", "constructor")):
-                members.add(member)
-    assert {"play", "currentTime", "flyToCamera", "muted"} <= members
-    assert members - documented == set()

@@ -99,7 +99,7 @@ class BrowserSlots:
         found = self._browser.ask(
             "apply",
             birth=birth,
-            skip_map=None if skip_map is None else skip_map.hex(),
+            skipMap=None if skip_map is None else skip_map.hex(),
             changes=[None if change is None else change.hex() for change in changes],
         )
         layers = zip(found["moves"], found["rows"], strict=False)
