@@ -15,7 +15,6 @@ MAY_USE: dict[str, tuple[str, ...]] = {
         "codec",
         "player.render",
         "player.show.sink",
-        "player.show.sink",
         "player.view.path",
     ),
     "codec": (),
