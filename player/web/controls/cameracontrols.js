@@ -3,7 +3,7 @@
  */
 
 import { prefersStill } from "../element/nodes.js";
-import { depthAt } from "../renderer/splatrenderer.js";
+import { depthAt } from "../renderer/depthquery.js";
 import { CameraMotion } from "../view/cameramotion.js";
 import { pointAt } from "../view/pose.js";
 import { listenToGestures } from "./gestures.js";

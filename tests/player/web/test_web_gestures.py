@@ -191,7 +191,7 @@ def test_a_double_click_with_alt_flies_to_what_shows_there(page: Page, site: Sit
     camera = camera_of(page.value("player.camera"))
     depths_m, alphas = depths_of(site.reader("whole"), camera)
     code = (
-        'const { depthAt } = await import("/web/renderer/splatrenderer.js");'
+        'const { depthAt } = await import("/web/renderer/depthquery.js");'
         "return value.map((at) => depthAt(player.renderer, player.camera, ...at))"
     )
     errors = []
