@@ -59,9 +59,6 @@ export class ContextLostError extends RendererError {
  * @property {() => void} check waits for the program; throws a RendererError if it was refused
  */
 
-/** A constant of KHR_parallel_shader_compile, which TypeScript does not know. */
-const COMPLETION_STATUS_KHR = 0x91b1;
-
 /**
  * Starts compiling a program. This may take the device some time; only `check` waits for it.
  * @param {WebGL2RenderingContext} gl
@@ -101,15 +98,6 @@ export function makeProgram(gl, text, defines = {}) {
     throw new RendererError(`a program is refused: ${[...logs, gl.getProgramInfoLog(program)]}`);
   };
   return { program, at, check };
-}
-
-/**
- * Whether `check` would return without waiting; true if the browser cannot report it.
- * @param {WebGL2RenderingContext} gl @param {Program} made @returns {boolean}
- */
-export function isMade(gl, { program }) {
-  const canSay = gl.getExtension("KHR_parallel_shader_compile") !== null;
-  return !canSay || gl.getProgramParameter(program, COMPLETION_STATUS_KHR);
 }
 
 /** Width of the textures in which Gaussians are uploaded. */
