@@ -92,7 +92,13 @@ const compact = {
     const second = await minify(first.code, {
       module: format === "es",
       ecma: 2020,
-      compress: { passes: 3, keep_fargs: false, unsafe_arrows: true, unsafe_methods: true },
+      compress: {
+        passes: 3,
+        keep_fargs: false,
+        pure_getters: true,
+        unsafe: true,
+        unsafe_methods: true,
+      },
       sourceMap: { content: first.map, asObject: true },
     });
     return { code: second.code ?? "", map: /** @type {any} */ (second.map) };
