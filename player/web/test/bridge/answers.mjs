@@ -26,7 +26,8 @@ import { readCaptionTracks, readCues, textAt } from "../../format/captions.js";
 import { checkSpan, oggOf, readSoundObject } from "../../sound/soundobject.js";
 import { placeAt, readSources } from "../../sound/soundtrack.js";
 import { Timeline } from "../../sound/timeline.js";
-import { Orbit, TURN_RAD_PER_PX } from "../../view/orbit.js";
+import { panBy, TURN_RAD_PER_PX } from "../../view/cameramotion.js";
+import { Orbit } from "../../view/orbit.js";
 import { nearOf } from "../../view/pose.js";
 import { storyboardLayout } from "../../controls/storyboard.js";
 
@@ -271,7 +272,7 @@ const ANSWERS = {
     let orbit = new Orbit(read);
     for (const [what, ...args] of moves) {
       if (what === "turn") orbit.turn(-TURN_RAD_PER_PX * args[0], -TURN_RAD_PER_PX * args[1]);
-      else if (what === "pan") orbit.dragPan(args[0], args[1], args[2]);
+      else if (what === "pan") panBy(orbit, args[0], args[1], args[2]);
       else orbit.scale(0.9 ** args[0]);
     }
     if (again) {
