@@ -98,6 +98,7 @@ const compact = {
         pure_getters: true,
         unsafe: true,
         unsafe_methods: true,
+        hoist_funs: true,
       },
       sourceMap: { content: first.map, asObject: true },
     });
