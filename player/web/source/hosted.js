@@ -3,6 +3,7 @@ import { corrupt } from "../format/bytes.js";
 import { checkGaussians, objectPath, readManifest, keyframeOf } from "../format/manifest.js";
 import { readObject } from "../format/objects.js";
 import { fileUrl } from "./addresses.js";
+import { addObject } from "./cachedobjects.js";
 import { SourceError } from "./fetcher.js";
 import { objectUrl } from "./files.js";
 import { HostedDownload, RateEstimator, RequestWindow, watchCache } from "./hosteddownload.js";
@@ -83,7 +84,7 @@ export class HostedStream {
     const record = this.records[segment];
     const part = keyframeOf(this.manifest, layer);
     const packets = await this.object(record, part, () => {}, signal);
-    this.cache.addObject(record, part, packets);
+    addObject(this.cache, record, part, packets);
   }
 
   /** The error to report for `error`. @param {unknown} error */

@@ -18,6 +18,7 @@ import { opacityLogits, SlotLayout } from "../../format/gaussians.js";
 import { EMPTY, ON_LATTICE, UNKNOWN } from "../../constants.js";
 import { fetchRange } from "../../source/files.js";
 import { Fetcher, SourceError } from "../../source/fetcher.js";
+import { addObject } from "../../source/cachedobjects.js";
 import { SegmentCache } from "../../source/segmentcache.js";
 import { ChunkFeed } from "../../playback/playsession.js";
 import { FrameAssembler } from "../../playback/frameassembler.js";
@@ -102,7 +103,7 @@ async function* played(manifest, files, first, lateness) {
     for (const [when, record, part] of coming) {
       if (when !== frame && !(frame === first && when <= first)) continue;
       const bytes = unhex(files[`segments/${record.segment}/${manifest.parts[part]}`]);
-      cache.addObject(record, part, readObject(bytes));
+      addObject(cache, record, part, readObject(bytes));
     }
     feed.advance(frame + 1, 1);
     if (feed.failure !== null) throw feed.failure;
