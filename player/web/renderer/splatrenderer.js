@@ -1,7 +1,7 @@
 import SCREEN from "../../render/gl/shaders/screen.glsl";
 import SPLAT from "../../render/gl/shaders/splat.glsl";
 import { JACOBIAN_CLAMP } from "../constants.js";
-import { makeProgram, makeTexture, RendererError, SLOT } from "./program.js";
+import { makeFramebuffer, makeProgram, makeTexture, RendererError, SLOT } from "./program.js";
 import { Resident } from "./resident.js";
 
 /** A pixel that is less opaque than this has no depth. */
@@ -37,9 +37,7 @@ class DepthQuery {
     this.splats = splats;
     this.texture = makeTexture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, 1, 1);
-    this.framebuffer = gl.createFramebuffer();
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
+    this.framebuffer = makeFramebuffer(gl, this.texture);
   }
 
   /** Clears and binds the target: a single pixel, at the place of a picture's first pixel. */
@@ -230,9 +228,7 @@ export class SplatRenderer {
     this.#dropPicture();
     const texture = makeTexture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, this.isFine ? gl.RGBA16F : gl.RGBA8, widthPx, heightPx);
-    const framebuffer = gl.createFramebuffer();
-    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+    const framebuffer = makeFramebuffer(gl, texture);
     const status = gl.checkFramebufferStatus(gl.FRAMEBUFFER);
     if (status !== gl.FRAMEBUFFER_COMPLETE && !gl.isContextLost()) {
       throw new RendererError(`this device cannot draw a picture of ${widthPx}x${heightPx} pixels`);
