@@ -23,13 +23,15 @@ const STALE = /#ifdef STALE_ORDER\n(.*?)#endif\n/gs;
 
 /** A type, and the variable or parameter that it declares. */
 const DECLARED = /\b(?:float|u?int|[iu]?vec[234]|mat3) (\w+)\b(?!\()/g;
+/** What the stages of a shader hand on. */
+const HANDED_ON = /\b(?:out|flat in) \w+ (\w+)/g;
 /** Macros are upper case. */
 const LETTERS = [..."abcdefghijklmnopqrstuvwxyz"];
 const SHORT = [...LETTERS, ...LETTERS.map((letter) => `${letter}_`)];
 
 /**
- * Parameters and local variables of a shader get the shortest names that it does not have. What stands outside of
- * functions keeps its name: other texts and the program know it.
+ * Parameters, local variables, and what its stages hand on, get the shortest names that a shader does not have. What
+ * else stands outside of functions keeps its name: other texts and the program know it.
  * @param {string} text compact
  */
 function shortened(text) {
@@ -44,10 +46,11 @@ function shortened(text) {
   const free = SHORT.filter((name) => !words.includes(name));
   /** @type {Map<string, string>} */
   const shorter = new Map();
-  for (const [, name] of text.matchAll(DECLARED)) {
-    if (name.length > 2 && !globals.has(name) && !shorter.has(name))
-      shorter.set(name, free.shift() ?? name);
-  }
+  const handedOn = Array.from(text.matchAll(HANDED_ON), ([, name]) => name);
+  const locals = Array.from(text.matchAll(DECLARED), ([, name]) => name).filter(
+    (name) => name.length > 2 && !globals.has(name),
+  );
+  for (const name of new Set([...handedOn, ...locals])) shorter.set(name, free.shift() ?? name);
   return text.replace(/(?<![.\w])[a-z]\w*/g, (name) => shorter.get(name) ?? name);
 }
 
