@@ -116,7 +116,7 @@ const compact = [
     renderChunk(code, _, { format }) {
       const module = format === "es";
       const mangle = { toplevel: module };
-      const compress = /** @type {const} */ ({ passes: 3, toplevel: module });
+      const compress = { passes: 3, toplevel: module, inline: 0, sequences: false };
       return swc(code, { module, ecma: 2022, compress, mangle, sourceMap: true });
     },
   },
