@@ -5,7 +5,7 @@
  */
 
 export { FormatError } from "./format/bytes.js";
-export { objectPath, readManifest } from "./format/manifest.js";
+export { readManifest } from "./format/manifest.js";
 export { readIndex, readObject } from "./format/objects.js";
 export { packetContent } from "./format/packet.js";
 export { SlotDecoder } from "./format/slots/slotdecoder.js";
@@ -14,4 +14,5 @@ export { Playback } from "./playback/playback.js";
 export { PlaySession } from "./playback/playsession.js";
 export { FrameAssembler } from "./playback/frameassembler.js";
 export { Fetcher, SourceError } from "./source/fetcher.js";
+export { objectPath } from "./source/files.js";
 export { openSource } from "./source/source.js";

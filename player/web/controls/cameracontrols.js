@@ -5,7 +5,8 @@
 import { prefersStill } from "../element/nodes.js";
 import { depthAt } from "../renderer/depthquery.js";
 import { CameraMotion } from "../view/cameramotion.js";
-import { pointAt } from "../view/pose.js";
+import { poseOf } from "../view/pose.js";
+import { add, times } from "../view/vectors.js";
 import { listenToGestures } from "./gestures.js";
 import { liftCameraKey } from "./keys.js";
 
@@ -109,6 +110,18 @@ class Gyroscope extends EventTarget {
     this.isOn = isOn;
     this.dispatchEvent(new Event("change"));
   }
+}
+
+/**
+ * The world point that a pixel shows.
+ * @param {import("../format/manifest.js").Camera} camera @param {number} xPx from the left
+ * @param {number} yPx from the top @param {number} depthM forward from the camera @returns {import("../view/vectors.js").Vector}
+ */
+function pointAt(camera, xPx, yPx, depthM) {
+  const { position, right, down, forward } = poseOf(camera);
+  const asideM = (depthM * (xPx - camera.cxPx)) / camera.fxPx;
+  const belowM = (depthM * (yPx - camera.cyPx)) / camera.fyPx;
+  return [times(right, asideM), times(down, belowM), times(forward, depthM)].reduce(add, position);
 }
 
 /**

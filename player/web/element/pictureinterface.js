@@ -151,51 +151,6 @@ class MediaAttributes extends HTMLElement {
   }
 }
 
-/**
- * The callbacks of `requestVideoFrameCallback`: each one is called once, after the next frame has been
- * drawn. https://wicg.github.io/video-rvfc/
- */
-class FrameCallbacks {
-  /** @type {Map<number, VideoFrameRequestCallback>} */
-  #callbacks = new Map();
-  #lastHandle = 0;
-  #presentedFrames = 0;
-
-  /** @param {VideoFrameRequestCallback} callback @returns {number} a handle for `cancel` */
-  request(callback) {
-    if (typeof callback !== "function") throw new TypeError("the callback is not a function");
-    this.#lastHandle += 1;
-    this.#callbacks.set(this.#lastHandle, callback);
-    return this.#lastHandle;
-  }
-
-  /** @param {number} handle */
-  cancel(handle) {
-    this.#callbacks.delete(handle);
-  }
-
-  /**
-   * Runs the callbacks that were registered before this call, after a frame has been drawn.
-   * @param {number} mediaTime seconds @param {number} width pixels @param {number} height pixels
-   * @param {number} nowMs
-   */
-  run(mediaTime, width, height, nowMs) {
-    this.#presentedFrames += 1;
-    const presentedFrames = this.#presentedFrames;
-    // Pages cannot know when the screen shows a canvas; the best guess is the next refresh.
-    const times = { presentationTime: nowMs, expectedDisplayTime: nowMs, mediaTime };
-    const due = [...this.#callbacks];
-    for (const [handle, callback] of due) {
-      if (!this.#callbacks.delete(handle)) continue;
-      try {
-        callback(nowMs, { ...times, presentedFrames, width, height });
-      } catch (error) {
-        reportError(error);
-      }
-    }
-  }
-}
-
 /** The canvas's picture as a video stream, for recorders and peers, and for picture in picture. */
 export class Capture {
   #canvas;
@@ -243,7 +198,10 @@ export class Capture {
 export class PictureInterface extends MediaAttributes {
   /** @type {WebPlayer | null} while the element is in a page */
   player = null;
-  #frameCallbacks = new FrameCallbacks();
+  /** @type {Map<number, VideoFrameRequestCallback>} by handle */
+  #frameCallbacks = new Map();
+  #lastHandle = 0;
+  #presentedFrames = 0;
   /** @type {Capture | null} */
   #capture = null;
   /** @type {import("../controls/windows.js").PictureInPicture | null} */
@@ -263,16 +221,19 @@ export class PictureInterface extends MediaAttributes {
   }
 
   /**
-   * Calls back once, after the next frame has been drawn.
+   * Calls back once, after the next frame has been drawn. https://wicg.github.io/video-rvfc/
    * @param {VideoFrameRequestCallback} callback @returns {number} a handle for `cancelVideoFrameCallback`
    */
   requestVideoFrameCallback(callback) {
-    return this.#frameCallbacks.request(callback);
+    if (typeof callback !== "function") throw new TypeError("the callback is not a function");
+    this.#lastHandle += 1;
+    this.#frameCallbacks.set(this.#lastHandle, callback);
+    return this.#lastHandle;
   }
 
   /** @param {number} handle */
   cancelVideoFrameCallback(handle) {
-    this.#frameCallbacks.cancel(handle);
+    this.#frameCallbacks.delete(handle);
   }
 
   /**
@@ -326,7 +287,21 @@ export class PictureInterface extends MediaAttributes {
   /** @protected Runs the frame callbacks; a frame is drawn in this task. @param {number} timeS of the frame */
   runFrameCallbacks(timeS) {
     const [width, height] = this.#sizePx;
-    queueMicrotask(() => this.#frameCallbacks.run(timeS, width, height, performance.now()));
+    queueMicrotask(() => {
+      const nowMs = performance.now();
+      this.#presentedFrames += 1;
+      // Pages cannot know when the screen shows a canvas; the best guess is the next refresh.
+      const times = { presentationTime: nowMs, expectedDisplayTime: nowMs, mediaTime: timeS };
+      const frame = { ...times, presentedFrames: this.#presentedFrames, width, height };
+      for (const [handle, callback] of [...this.#frameCallbacks]) {
+        if (!this.#frameCallbacks.delete(handle)) continue;
+        try {
+          callback(nowMs, { ...frame });
+        } catch (error) {
+          reportError(error);
+        }
+      }
+    });
   }
 
   /** @protected Ends all captures of this player. */

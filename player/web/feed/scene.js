@@ -4,7 +4,8 @@
  */
 
 import { ON_LATTICE, SH_C0 } from "../constants.js";
-import { gaussiansOf, numCoefficients } from "../format/gaussians.js";
+import { gaussiansOf } from "../format/dequantise.js";
+import { numCoefficients } from "../format/gaussians.js";
 import { Slots } from "../format/slots/slots.js";
 import { NEVER } from "../playback/depthorder.js";
 import { floatWords, latticeWords } from "../playback/words.js";

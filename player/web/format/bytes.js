@@ -20,38 +20,9 @@ export function unsupported(message) {
   return new FormatError("unsupported", message);
 }
 
-const TABLE = /* @__PURE__ */ Uint32Array.from({ length: 256 }, (_, n) => {
-  let c = n;
-  for (let bit = 0; bit < 8; bit++) c = c & 1 ? (c >>> 1) ^ 0xedb88320 : c >>> 1;
-  return c;
-});
-
-/** The CRC-32 of zlib and PNG. @param {Uint8Array} bytes */
-export function crc32(bytes) {
-  let c = 0xffffffff;
-  for (const byte of bytes) c = TABLE[(c ^ byte) & 255] ^ (c >>> 8);
-  return (c ^ 0xffffffff) >>> 0;
-}
-
 /** Whether bytes are equal to a text of single bytes. @param {Uint8Array} bytes @param {string} magic */
 export function isMagic(bytes, magic) {
   return String.fromCharCode(...bytes) === magic;
-}
-
-/** @type {Map<string, string[]>} */
-const layouts = new Map();
-
-/** The codes of a layout, one for each value; for bytes, their number. @param {string} format */
-function codesOf(format) {
-  let codes = layouts.get(format);
-  if (codes === undefined) {
-    const found = [...format.matchAll(/(\d*)([BHIifQs])/g)];
-    codes = found.flatMap(([, count, code]) =>
-      code === "s" ? [count] : new Array(Number(count || 1)).fill(code),
-    );
-    layouts.set(format, codes);
-  }
-  return codes;
 }
 
 /**
@@ -102,44 +73,27 @@ export class ByteReader {
     return this.view.getUint32(this.at - 4, true);
   }
 
-  i32() {
-    this.take(4);
-    return this.view.getInt32(this.at - 4, true);
-  }
-
-  f32() {
-    this.take(4);
-    return this.view.getFloat32(this.at - 4, true);
-  }
-
   /**
    * @template {string} Format @param {Format} format
    */
   unpack(format) {
-    const values = codesOf(format).map((code) => {
-      switch (code) {
-        case "B":
-          return this.u8();
-        case "H":
-          return this.u16();
-        case "I":
-          return this.u32();
-        case "i":
-          return this.i32();
-        case "f":
-          return this.f32();
-        case "Q":
-          return this.u64();
-        default:
-          return this.take(Number(code));
-      }
-    });
+    const values = [];
+    for (const [, count, code] of format.matchAll(/(\d*)([BHIifQs])/g)) {
+      if (code === "s") values.push(this.take(Number(count)));
+      else for (let n = Number(count || 1); n > 0; n--) values.push(this.#number(code));
+    }
     return /** @type {Unpacked<Format>} */ (values);
   }
 
-  /** A u64 as a number; values above 2^53 are inexact, but exceed every bound of the format anyway. */
-  u64() {
+  /** @param {string} code */
+  #number(code) {
+    if (code === "B") return this.u8();
+    if (code === "H") return this.u16();
     const low = this.u32();
+    if (code === "I") return low;
+    if (code === "i") return low | 0;
+    if (code === "f") return this.view.getFloat32(this.at - 4, true);
+    // Values above 2^53 are inexact, but exceed every bound of the format anyway.
     return this.u32() * 2 ** 32 + low;
   }
 

@@ -189,15 +189,6 @@ export function checkGaussians({ numGs, shDegree }, maxGaussians, name) {
   );
 }
 
-/**
- * The address of a part's object, relative to the manifest.
- * @param {{ objectUrl: string }} manifest @param {number} segment
- * @param {string} name of the part, or of a source of sound
- */
-export function objectPath({ objectUrl }, segment, name) {
-  return objectUrl.replace("{segment}", String(segment)).replace("{layer}", name);
-}
-
 /** @param {Uint8Array} bytes @returns {unknown} */
 function parsed(bytes) {
   try {

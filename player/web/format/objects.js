@@ -15,7 +15,8 @@ import {
   VERSION,
   ZSTD_MAGIC,
 } from "../constants.js";
-import { ByteReader, corrupt, crc32, isMagic, unsupported } from "./bytes.js";
+import { ByteReader, corrupt, isMagic, unsupported } from "./bytes.js";
+import { crc32 } from "./crc32.js";
 
 /**
  * @typedef {object} SegmentRecord

@@ -1,5 +1,6 @@
 import { ESCAPED, ON_LATTICE } from "../constants.js";
-import { gaussiansOf, numCoefficients } from "./gaussians.js";
+import { gaussiansOf } from "./dequantise.js";
+import { numCoefficients } from "./gaussians.js";
 
 /**
  * The Gaussians that show at a decoder's frame, as the PLY of 3D Gaussian Splatting; `swings-stream export`

@@ -1,6 +1,6 @@
 import { COLOUR_COLUMNS, COLOUR_TURN_RAD, SH_C2, SH_C3 } from "../constants.js";
 import COLOURS from "../../render/gl/shaders/colours.glsl";
-import { makeProgram, makeTexture, STAGED_WIDTH_PX } from "./program.js";
+import { makeFramebuffer, makeProgram, makeTexture, STAGED_WIDTH_PX } from "./program.js";
 
 const HARMONICS = {
   ...Object.fromEntries(SH_C2.map((value, n) => [`SH_C2_${n}`, value])),
@@ -25,9 +25,7 @@ export class ColourPass {
     this.heightPx = Math.max(1, Math.ceil(numSlots / COLOUR_COLUMNS));
     this.texture = makeTexture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, COLOUR_COLUMNS, this.heightPx);
-    this.framebuffer = gl.createFramebuffer();
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
+    this.framebuffer = makeFramebuffer(gl, this.texture);
     this.program = makeProgram(gl, COLOURS, { ...defines, ...HARMONICS, STAGED_WIDTH_PX });
     /** Has no attributes: the shader uses only the number of each point. */
     this.points = gl.createVertexArray();

@@ -1,5 +1,5 @@
 /** The depth of the scene at a pixel, for a viewer who flies there. */
-import { makeTexture } from "./program.js";
+import { makeFramebuffer, makeTexture } from "./program.js";
 
 /** A pixel that is less opaque than this has no depth. */
 const LEAST_ALPHA = 0.25;
@@ -34,9 +34,7 @@ export class DepthQuery {
     this.splats = splats;
     this.texture = makeTexture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, 1, 1);
-    this.framebuffer = gl.createFramebuffer();
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
+    this.framebuffer = makeFramebuffer(gl, this.texture);
   }
 
   /** Clears and binds the target: a single pixel, at the place of a picture's first pixel. */

@@ -59,9 +59,6 @@ export class ContextLostError extends RendererError {
  * @property {() => void} check waits for the program; throws a RendererError if it was refused
  */
 
-/** A constant of KHR_parallel_shader_compile, which TypeScript does not know. */
-const COMPLETION_STATUS_KHR = 0x91b1;
-
 /**
  * Starts compiling a program. This may take the device some time; only `check` waits for it.
  * @param {WebGL2RenderingContext} gl
@@ -103,15 +100,6 @@ export function makeProgram(gl, text, defines = {}) {
   return { program, at, check };
 }
 
-/**
- * Whether `check` would return without waiting; true if the browser cannot report it.
- * @param {WebGL2RenderingContext} gl @param {Program} made @returns {boolean}
- */
-export function isMade(gl, { program }) {
-  const canSay = gl.getExtension("KHR_parallel_shader_compile") !== null;
-  return !canSay || gl.getProgramParameter(program, COMPLETION_STATUS_KHR);
-}
-
 /** Width of the textures in which Gaussians are uploaded. */
 export const STAGED_WIDTH_PX = 1024;
 
@@ -119,9 +107,17 @@ export const STAGED_WIDTH_PX = 1024;
 export function makeTexture(gl) {
   const texture = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, texture);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+  for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER])
+    gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
+  for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T])
+    gl.texParameteri(gl.TEXTURE_2D, name, gl.CLAMP_TO_EDGE);
   return texture;
+}
+
+/** A framebuffer that draws into a texture, bound. @param {WebGL2RenderingContext} gl @param {WebGLTexture} texture */
+export function makeFramebuffer(gl, texture) {
+  const framebuffer = gl.createFramebuffer();
+  gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+  gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+  return framebuffer;
 }

@@ -1,5 +1,6 @@
 import {
   ContextLostError,
+  makeFramebuffer,
   makeProgram,
   makeTexture,
   RendererError,
@@ -39,9 +40,7 @@ export class Resident {
     }
     this.texture = makeTexture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, this.widthPx, this.heightPx);
-    this.framebuffer = gl.createFramebuffer();
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
+    this.framebuffer = makeFramebuffer(gl, this.texture);
     this.staged = Array.from({ length: NUM_STAGED }, () => ({ texture: makeTexture(gl), rows: 0 }));
     this.nextStaged = 0;
     /** @type {import("./colourpass.js").ColourPass | null} evaluates the colours of changed Gaussians */

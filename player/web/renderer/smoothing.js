@@ -1,7 +1,19 @@
 import { ENTERS, MOVES } from "../constants.js";
 import { floatWords, latticeWords } from "../playback/words.js";
-import { isMade, makeProgram, makeTexture, STAGED_WIDTH_PX } from "./program.js";
+import { makeProgram, makeTexture, STAGED_WIDTH_PX } from "./program.js";
 import IN_MOTION from "./shaders/moving.glsl";
+
+/** A constant of KHR_parallel_shader_compile, which TypeScript does not know. */
+const COMPLETION_STATUS_KHR = 0x91b1;
+
+/**
+ * Whether `check` would return without waiting; true if the browser cannot report it.
+ * @param {WebGL2RenderingContext} gl @param {import("./program.js").Program} made @returns {boolean}
+ */
+function isMade(gl, { program }) {
+  const canSay = gl.getExtension("KHR_parallel_shader_compile") !== null;
+  return !canSay || gl.getProgramParameter(program, COMPLETION_STATUS_KHR);
+}
 
 /**
  * Draws Gaussians in motion from the previous frame: continuing Gaussians are mixed with their previous

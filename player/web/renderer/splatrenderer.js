@@ -1,7 +1,7 @@
 import SCREEN from "../../render/gl/shaders/screen.glsl";
 import SPLAT from "../../render/gl/shaders/splat.glsl";
 import { JACOBIAN_CLAMP } from "../constants.js";
-import { makeProgram, makeTexture, RendererError, SLOT } from "./program.js";
+import { makeFramebuffer, makeProgram, makeTexture, RendererError, SLOT } from "./program.js";
 import { Resident } from "./resident.js";
 
 /**
@@ -168,9 +168,7 @@ export class SplatRenderer {
     this.#dropPicture();
     const texture = makeTexture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, this.isFine ? gl.RGBA16F : gl.RGBA8, widthPx, heightPx);
-    const framebuffer = gl.createFramebuffer();
-    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+    const framebuffer = makeFramebuffer(gl, texture);
     const status = gl.checkFramebufferStatus(gl.FRAMEBUFFER);
     if (status !== gl.FRAMEBUFFER_COMPLETE && !gl.isContextLost()) {
       throw new RendererError(`this device cannot draw a picture of ${widthPx}x${heightPx} pixels`);

@@ -9,7 +9,8 @@ import {
   SOUND_HEAD,
   SOUND_MAGIC,
 } from "../constants.js";
-import { ByteReader, corrupt, crc32, isMagic } from "../format/bytes.js";
+import { ByteReader, corrupt, isMagic } from "../format/bytes.js";
+import { crc32 } from "../format/crc32.js";
 
 const FIRST = 2;
 const LAST = 4;

@@ -1,8 +1,7 @@
 import { MAX_SOUND_BYTES, SAMPLE_RATE } from "../constants.js";
-import { objectPath } from "../format/manifest.js";
 import { servedBase } from "../source/addresses.js";
 import { Fetcher } from "../source/fetcher.js";
-import { fileBytes, objectUrl } from "../source/files.js";
+import { fileBytes, objectPath, objectUrl } from "../source/files.js";
 import { AudioClock, audioContext, decode, leaveDevice, useDevice } from "./audiodevice.js";
 import { SoundRun } from "./soundrun.js";
 import { FetchPace, heardAt, readSources, SoundTrack } from "./soundtrack.js";

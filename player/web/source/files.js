@@ -73,3 +73,12 @@ export async function fileBytes(fetcher, base, path, files, mostBytes, init) {
     throw new SourceError(`${base}: ${path} has ${size} bytes, at most ${mostBytes}`);
   return (await fetchRange(fetcher, base, files[path], undefined, init)).bytes;
 }
+
+/**
+ * The address of a part's object, relative to the manifest.
+ * @param {{ objectUrl: string }} manifest @param {number} segment
+ * @param {string} name of the part, or of a source of sound
+ */
+export function objectPath({ objectUrl }, segment, name) {
+  return objectUrl.replace("{segment}", String(segment)).replace("{layer}", name);
+}

@@ -1,10 +1,11 @@
 import { MAX_MANIFEST_BYTES } from "../constants.js";
 import { corrupt } from "../format/bytes.js";
-import { checkGaussians, objectPath, readManifest, keyframeOf } from "../format/manifest.js";
+import { checkGaussians, readManifest, keyframeOf } from "../format/manifest.js";
 import { readObject } from "../format/objects.js";
 import { fileUrl } from "./addresses.js";
+import { addObject } from "./cachedobjects.js";
 import { SourceError } from "./fetcher.js";
-import { objectUrl } from "./files.js";
+import { objectPath, objectUrl } from "./files.js";
 import { HostedDownload, RateEstimator, RequestWindow, watchCache } from "./hosteddownload.js";
 import { explained, follow, GrowingIndex } from "./live.js";
 import { followPeriodS } from "./liveedge.js";
@@ -83,7 +84,7 @@ export class HostedStream {
     const record = this.records[segment];
     const part = keyframeOf(this.manifest, layer);
     const packets = await this.object(record, part, () => {}, signal);
-    this.cache.addObject(record, part, packets);
+    addObject(this.cache, record, part, packets);
   }
 
   /** The error to report for `error`. @param {unknown} error */

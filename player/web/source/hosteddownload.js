@@ -1,6 +1,7 @@
 /** The download from a static host, and the measurement of its link. */
 
 import { layerOf } from "../format/manifest.js";
+import { addObject, hasObject } from "./cachedobjects.js";
 import { LayerRule } from "./layerrule.js";
 
 /** Busy seconds after which a measurement counts half. */
@@ -169,7 +170,7 @@ export class HostedDownload {
     const { cache, manifest, records } = this.stream;
     /** @type {import("./layerrule.js").IsHere} */
     const isHere = ({ segment, numFrames }, part) =>
-      cache.hasObject(segment, part, numFrames) || this.coming.has(`${segment}/${part}`);
+      hasObject(cache, segment, part, numFrames) || this.coming.has(`${segment}/${part}`);
     return new LayerRule(manifest, records, firstFrame, this.mostLayers, isHere);
   }
 
@@ -296,7 +297,7 @@ export class HostedDownload {
     };
     try {
       const packets = await this.stream.object(record, part, count, abort.signal);
-      cache.addObject(record, part, packets);
+      addObject(cache, record, part, packets);
       const isLate = this.nextFrame >= record.firstFrame + record.numFrames;
       if (isLate && layer > 0 && rule === this.rule) this.#miss(record.segment, layer);
     } catch (error) {

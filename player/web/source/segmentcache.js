@@ -9,8 +9,6 @@ const PACKET_OVERHEAD_BYTES = 128;
 /** Segments that begin to show within this many seconds are not evicted. */
 export const AHEAD_S = 20;
 
-const EMPTY = new Uint8Array(0);
-
 /** @typedef {import("../format/manifest.js").Part} Part */
 
 /**
@@ -87,19 +85,6 @@ export class SegmentCache {
     while (this.numBytes > this.limitBytes && this.#evictOne(this.segmentOf(birth)));
   }
 
-  /**
-   * Adds the packets of an object; a frame without a packet counts as unchanged.
-   * @param {import("../format/objects.js").SegmentRecord} record @param {Part} part
-   * @param {Map<number, Uint8Array>} packets by birth
-   */
-  addObject({ firstFrame, numFrames }, part, packets) {
-    const isOne = isKeyframe(this, part);
-    for (let birth = firstFrame; birth < firstFrame + (isOne ? 1 : numFrames); birth++) {
-      const packet = packets.get(birth) ?? (isOne ? null : EMPTY);
-      if (packet !== null) this.add(birth, part, packet);
-    }
-  }
-
   /** @param {number} birth any frame of the segment for a keyframe @param {Part} part */
   packet(birth, part) {
     const row = birth < 0 ? null : this.#row(this.segmentOf(birth), part);
@@ -120,15 +105,6 @@ export class SegmentCache {
   hasFrame(frame) {
     const isFirst = frame % this.segmentFrames === 0;
     return this.hasSlice(frame) || (isFirst && this.keyframe(this.segmentOf(frame), 0) !== null);
-  }
-
-  /**
-   * Whether all packets of an object are cached.
-   * @param {number} segment @param {Part} part @param {number} numFrames of the segment
-   */
-  hasObject(segment, part, numFrames) {
-    const row = this.#row(segment, part);
-    return row !== null && isWhole(row, 0, isKeyframe(this, part) ? 1 : numFrames);
   }
 
   /**
@@ -261,7 +237,7 @@ export class SegmentCache {
 }
 
 /** @param {Row} row @param {number} first @param {number} end */
-function isWhole(row, first, end) {
+export function isWhole(row, first, end) {
   for (let at = first; at < end; at++) if (row[at] === null) return false;
   return true;
 }

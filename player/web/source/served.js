@@ -1,6 +1,4 @@
-import { checkGaussians, readManifest, keyframeOf } from "../format/manifest.js";
-import { corrupt } from "../format/bytes.js";
-import { limitBytes } from "../format/packet.js";
+import { checkGaussians, readManifest } from "../format/manifest.js";
 import { FIRST_PLAY } from "./addresses.js";
 import { REPLACED, SourceError } from "./fetcher.js";
 import { openPlay, ServerRetry } from "./playresponse.js";
@@ -9,8 +7,6 @@ import { ServedDownload } from "./serveddownload.js";
 
 /** Seconds until a stream without frames is requested again. */
 const RETRY_S = 1;
-/** Most bytes of an object, for those of its chunk: a table, and blocks that do not shrink. @param {number} size */
-const objectBytes = (size) => Math.ceil(1.01 * size) + 1024;
 
 /** @typedef {import("./playresponse.js").PlayResponse} PlayResponse */
 
@@ -85,16 +81,8 @@ export class ServedStream {
    * @param {number} segment @param {number} layer @param {AbortSignal} signal
    */
   async fetchKeyframe(segment, layer, signal) {
-    const { base, manifest } = this;
-    const part = keyframeOf(manifest, layer);
-    const most = objectBytes(limitBytes(manifest, part));
-    const url = `${base}segments/${segment}/${manifest.parts[part]}`;
-    const bytes = await this.fetcher.get(url, most, undefined, { signal });
-    const { readObject } = await import("../format/objects.js");
-    const frame = segment * manifest.segmentFrames;
-    const packet = readObject(bytes).get(frame);
-    if (packet === undefined) throw corrupt(`${url} has no keyframe of frame ${frame}`);
-    this.cache.add(frame, part, packet);
+    const { fetchKeyframe } = await import("./servedkeyframe.js");
+    return fetchKeyframe(this, segment, layer, signal);
   }
 
   /** Throws a SourceError if a play is of another stream. @param {Uint8Array} manifest of its start */

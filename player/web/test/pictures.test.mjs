@@ -8,6 +8,7 @@ import { readIndex, readObject } from "../format/objects.js";
 import { DepthOrder, NEVER, PendingUpdates } from "../playback/depthorder.js";
 import { KeyframePreview } from "../playback/keyframepreview.js";
 import { floatWords, latticeWords, roomFor } from "../playback/words.js";
+import { addObject } from "../source/cachedobjects.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { filesOf, law, settled } from "./support.mjs";
 
@@ -26,7 +27,7 @@ function scrubbing() {
     return new Promise((resolve, reject) => {
       const answer = () => {
         const packets = readObject(FILES[`segments/${segment}/keyframe-0`]);
-        cache.addObject(RECORDS[segment], keyframeOf(MANIFEST, 0), packets);
+        addObject(cache, RECORDS[segment], keyframeOf(MANIFEST, 0), packets);
         resolve(true);
       };
       asked.push({ segment, signal, answer, refuse: () => reject(new Error("gone")) });

@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
+import { addObject, hasObject } from "../source/cachedobjects.js";
 import { SegmentCache } from "../source/segmentcache.js";
 
 /** The parts of a stream of two layers, after the changes of these. */
@@ -115,25 +116,25 @@ test("an object brings all packets of a part; a frame without one is unchanged",
   const record = { firstFrame: 4, numFrames: 3 };
   const [one, other] = [packet(1), packet(2)];
   const packets = new Map([[4, one]]).set(6, other).set(7, other);
-  cache.addObject(record, SKIP_MAPS, packets);
-  cache.addObject(record, 1, packets);
+  addObject(cache, record, SKIP_MAPS, packets);
+  addObject(cache, record, 1, packets);
   const wanted = [null, one, packet(0), other, null];
   for (const of of [(birth) => cache.packet(birth, SKIP_MAPS), (birth) => cache.packet(birth, 1)])
     assert.deepEqual([3, 4, 5, 6, 7].map(of), wanted);
   assert.equal(cache.packet(4, 0), null);
-  cache.addObject(record, KEYFRAMES[0], new Map([[5, one]]));
+  addObject(cache, record, KEYFRAMES[0], new Map([[5, one]]));
   assert.equal(cache.keyframe(1, 0), null, "of another frame");
-  cache.addObject(record, KEYFRAMES[1], packets);
+  addObject(cache, record, KEYFRAMES[1], packets);
   assert.deepEqual([cache.keyframe(1, 0), cache.keyframe(1, 1)], [null, one]);
 });
 
 test("which objects are whole", () => {
   const cache = made();
-  const has = (part) => cache.hasObject(1, part, 3);
+  const has = (part) => hasObject(cache, 1, part, 3);
   assert.equal(has(SKIP_MAPS), false, "nothing of the segment");
   for (const birth of [4, 5]) cache.add(birth, SKIP_MAPS, packet());
   assert.equal(has(SKIP_MAPS), false);
-  assert.equal(cache.hasObject(1, SKIP_MAPS, 2), true);
+  assert.equal(hasObject(cache, 1, SKIP_MAPS, 2), true);
   cache.add(6, SKIP_MAPS, packet());
   assert.equal(has(SKIP_MAPS), true);
   for (const birth of [6, 5]) cache.add(birth, 1, packet());

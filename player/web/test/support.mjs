@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { readdirSync, readFileSync } from "node:fs";
 import { test } from "node:test";
 import { fileURLToPath } from "node:url";
-import { crc32 } from "../format/bytes.js";
+import { crc32 } from "../format/crc32.js";
 import { readManifest } from "../format/manifest.js";
 import { recordBytes } from "../format/objects.js";
 import { cross, subtract, unit } from "../view/vectors.js";

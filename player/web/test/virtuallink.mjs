@@ -1,6 +1,7 @@
 /** A player of a static host over a link of a given rate and round trip, in time that does not pass. */
 import { Playback } from "../playback/playback.js";
 import { HostedDownload, RateEstimator, RequestWindow } from "../source/hosteddownload.js";
+import { hasObject } from "../source/cachedobjects.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { manifestOf, settled } from "./support.mjs";
 
@@ -120,7 +121,7 @@ export async function watched({
   const playback = new Playback(chunks, 30, 900, 0);
   playback.setPlaying(true);
   const hasLayer = (segment, layer) =>
-    cache.hasObject(segment, `${layer}`, segmentFrames) &&
+    hasObject(cache, segment, `${layer}`, segmentFrames) &&
     (cache.keyframe(segment, layer) !== null ||
       (segment > 0 && come.get(`${segment - 1}/${layer}`)));
   const layersAt = (frame) => {

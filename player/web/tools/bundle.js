@@ -6,9 +6,10 @@
 import { existsSync, mkdirSync, readdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { fileURLToPath } from "node:url";
 
+import { minify as swc } from "@swc/core";
 import { transform } from "esbuild";
 import { rollup } from "rollup";
-import { minify } from "terser";
+import { minify as terser } from "terser";
 
 import * as constants from "../constants.js";
 import { texts } from "./textmodules.js";
@@ -77,27 +78,49 @@ const inlined = {
   },
 };
 
-/** esbuild and then terser make 3 % less than either. @type {import("rollup").Plugin} */
-const compact = {
-  name: "compact",
-  async renderChunk(code, { fileName }, { format }) {
-    const first = await transform(code, {
-      sourcefile: fileName,
-      minify: true,
-      target: "es2022",
-      charset: "utf8",
-      legalComments: "none",
-      sourcemap: "external",
-    });
-    const second = await minify(first.code, {
-      module: format === "es",
-      ecma: 2020,
-      compress: { passes: 3, keep_fargs: false, unsafe_arrows: true, unsafe_methods: true },
-      sourceMap: { content: first.map, asObject: true },
-    });
-    return { code: second.code ?? "", map: /** @type {any} */ (second.map) };
+/** esbuild, terser and SWC one after another make 4 % less than any of them. @type {import("rollup").Plugin[]} */
+const compact = [
+  {
+    name: "esbuild",
+    async renderChunk(code) {
+      const options = /** @type {const} */ ({
+        minify: true,
+        charset: "utf8",
+        sourcemap: "external",
+      });
+      return transform(code, { ...options, target: "es2022", legalComments: "none" });
+    },
   },
-};
+  {
+    name: "terser",
+    async renderChunk(code, _, { format }) {
+      const { code: made = "", map } = await terser(code, {
+        module: format === "es",
+        ecma: 2020,
+        mangle: false,
+        compress: {
+          passes: 3,
+          keep_fargs: false,
+          pure_getters: true,
+          unsafe: true,
+          unsafe_methods: true,
+          hoist_funs: true,
+        },
+        sourceMap: { asObject: true },
+      });
+      return { code: made, map: /** @type {any} */ (map) };
+    },
+  },
+  {
+    name: "swc",
+    renderChunk(code, _, { format }) {
+      const module = format === "es";
+      const mangle = { toplevel: module };
+      const compress = { passes: 3, toplevel: module, inline: 0, sequences: false };
+      return swc(code, { module, ecma: 2022, compress, mangle, sourceMap: true });
+    },
+  },
+];
 
 /** Scripts that have a module which other later scripts need as well; they come before those. */
 const HOMES = { controls: "controls/controls.js", hosted: "source/hosted.js" };
@@ -123,7 +146,7 @@ function placing(main, inner) {
   };
 }
 
-const plugins = [texts(), flat, inlined, compact];
+const plugins = [texts(), flat, inlined, ...compact];
 
 /** @param {Record<string, string>} entry */
 async function scripts(entry) {

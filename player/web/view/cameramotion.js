@@ -1,8 +1,31 @@
 import { boundsOf, excessOf } from "./bounds.js";
 import { between, eased, FLIGHT_S } from "./flight.js";
-import { Orbit, TURN_RAD_PER_PX } from "./orbit.js";
+import { Orbit } from "./orbit.js";
 import { poseOf } from "./pose.js";
 import { add, cross, dot, length, subtract, times, unit } from "./vectors.js";
+
+export const TURN_RAD_PER_PX = 0.005;
+
+/** Moves the camera and the point it turns around. @param {Orbit} orbit @param {number[]} byM */
+function shift(orbit, byM) {
+  orbit.base = { ...orbit.base, position: add(orbit.base.position, byM) };
+  orbit.centre = add(orbit.centre, byM);
+}
+
+/** @param {Orbit} orbit @param {number} rightPx @param {number} downPx @param {number} focalPx */
+export function panBy(orbit, rightPx, downPx, focalPx) {
+  orbit.pan = [orbit.pan[0] + rightPx / focalPx, orbit.pan[1] + downPx / focalPx];
+}
+
+/** Distance to the centre in metres, without the pan. @param {Orbit} orbit */
+export function distanceOf({ base, centre, zoom }) {
+  return length(subtract(base.position, centre)) * zoom;
+}
+
+/** Whether the camera has not moved since `rebase`. @param {Orbit} orbit */
+function isAtBase({ turnRad, tiltRad, zoom, pan }) {
+  return turnRad === 0 && tiltRad === 0 && zoom === 1 && pan[0] === 0 && pan[1] === 0;
+}
 
 /** Time before a pointer's release in which its motion counts. */
 const WINDOW_MS = 80;
@@ -127,7 +150,7 @@ export class CameraMotion {
   /** The amount by which the camera exceeds the scene's bounds. */
   get excess() {
     const { orbit, bounds } = this;
-    return excessOf(bounds, orbit.pose, this.#isFlying ? null : orbit.distanceM);
+    return excessOf(bounds, orbit.pose, this.#isFlying ? null : distanceOf(orbit));
   }
 
   /** Stops the camera at the start of a drag. */
@@ -175,14 +198,14 @@ export class CameraMotion {
   #pan(right, down) {
     this.#flight = null;
     const { orbit, excess } = this;
-    const distanceM = this.#isFlying ? this.bounds.scaleM : orbit.distanceM;
+    const distanceM = this.#isFlying ? this.bounds.scaleM : distanceOf(orbit);
     if (distanceM <= 0) return;
     const { right: rightAxis, down: downAxis } = orbit.pose;
     const by = times(add(times(rightAxis, -right), times(downAxis, -down)), distanceM);
     const outM = dot(by, excess.offM) > 0 ? length(excess.offM) : 0;
     const share = resisted(1, outM / distanceM);
-    if (this.#isFlying) orbit.shift(times(by, share));
-    else orbit.dragPan(right * share, down * share, 1);
+    if (this.#isFlying) shift(orbit, times(by, share));
+    else panBy(orbit, right * share, down * share, 1);
   }
 
   /** Multiplies the distance to the centre by `factor`. @param {number} factor */
@@ -191,7 +214,7 @@ export class CameraMotion {
     this.#flight = null;
     const { orbit, excess } = this;
     if (this.#isFlying) {
-      orbit.shift(times(orbit.pose.forward, -Math.log(factor) * this.bounds.scaleM));
+      shift(orbit, times(orbit.pose.forward, -Math.log(factor) * this.bounds.scaleM));
     } else orbit.scale(Math.exp(resisted(Math.log(factor), excess.logDistance)));
   }
 
@@ -314,7 +337,7 @@ export class CameraMotion {
     const flight = this.#flight;
     if (flight === null) return false;
     const { orbit } = this;
-    if (orbit.base !== flight.base || !orbit.isAtBase) {
+    if (orbit.base !== flight.base || !isAtBase(orbit)) {
       this.#flight = null; // something else has moved the camera
       return false;
     }
@@ -355,7 +378,7 @@ export class CameraMotion {
     this.#velocity = add(times(last, stay), times(wanted, 1 - stay));
     const isSlow = length(this.#velocity) < LEAST_SPEED * bounds.scaleM;
     if (isSlow && this.#pushes.size === 0) this.#velocity = [0, 0, 0];
-    orbit.shift(times(add(last, this.#velocity), stepS / 2));
+    shift(orbit, times(add(last, this.#velocity), stepS / 2));
     return true;
   }
 
@@ -383,13 +406,14 @@ export class CameraMotion {
   /** @param {Vector} byM */
   #bringBack(byM) {
     const { orbit } = this;
-    const { distanceM, pose } = orbit;
+    const { pose } = orbit;
+    const distanceM = distanceOf(orbit);
     if (this.#isFlying || orbit.centre !== orbit.home.centre || distanceM <= 0) {
-      if (length(byM) > 0) orbit.shift(byM);
+      if (length(byM) > 0) shift(orbit, byM);
       return;
     }
     // A pan, so that the camera still turns around the scene's centre.
-    orbit.dragPan(-dot(byM, pose.right), -dot(byM, pose.down), distanceM);
+    panBy(orbit, -dot(byM, pose.right), -dot(byM, pose.down), distanceM);
   }
 
   /** @param {import("./bounds.js").Excess} excess @param {number} factor */

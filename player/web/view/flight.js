@@ -1,6 +1,6 @@
 /** Motion that nobody steers: flights between poses, and the turntable. */
 
-import { add, axesOf, length, quaternionOf, slerp, subtract, times } from "./vectors.js";
+import { add, axesOf, length, normalised, quaternionOf, subtract, times } from "./vectors.js";
 
 /** @typedef {import("./vectors.js").Vector} Vector */
 /** @typedef {import("./pose.js").Pose} Pose */
@@ -37,6 +37,27 @@ export function between(from, to, share) {
   }
   const away = [axes.right, axes.down, axes.forward].map((axis, i) => times(axis, seen[i]));
   return { pose: { position: subtract(centre, away.reduce(add)), ...axes }, centre };
+}
+
+/** Quaternions with a larger cosine between them are interpolated linearly. */
+const NEARLY_ONE = 0.9999;
+
+/**
+ * The rotation at a share of the way between two rotations, at constant speed along the shorter way.
+ * @param {number[]} from unit quaternion @param {number[]} to unit quaternion @param {number} share 0 to 1
+ * @returns {number[]}
+ */
+function slerp(from, to, share) {
+  const along = from.reduce((sum, q, i) => sum + q * to[i], 0);
+  const near = to.map((q) => (along < 0 ? -q : q));
+  const cosine = Math.min(1, Math.abs(along));
+  let [a, b] = [1 - share, share];
+  if (cosine < NEARLY_ONE) {
+    const angleRad = Math.acos(cosine);
+    a = Math.sin(a * angleRad) / Math.sin(angleRad);
+    b = Math.sin(b * angleRad) / Math.sin(angleRad);
+  }
+  return normalised(from.map((q, i) => a * q + b * near[i]));
 }
 
 /** The centre in camera coordinates: right, down and forward. @param {Place} place */

@@ -117,7 +117,6 @@ export function shareAt(camera, point) {
  * @property {number[] | null} [focus] metres
  */
 
-export const TURN_RAD_PER_PX = 0.005;
 const LEAST_ZOOM = 0.02;
 const MOST_ZOOM = 50;
 /** Links may come from anywhere; larger numbers would leave floats no digits for the scene. */
@@ -165,31 +164,15 @@ export class Orbit {
     this.pan = [0, 0];
   }
 
-  /** Moves the camera and the point it turns around. @param {Vector} byM */
-  shift(byM) {
-    this.base = { ...this.base, position: add(this.base.position, byM) };
-    this.centre = add(this.centre, byM);
-  }
-
   /** @param {number} leftRad @param {number} upRad */
   turn(leftRad, upRad) {
     this.turnRad += leftRad;
     this.tiltRad = Math.min(Math.max(this.tiltRad + upRad, -Math.PI / 2), Math.PI / 2);
   }
 
-  /** @param {number} rightPx @param {number} downPx @param {number} focalPx */
-  dragPan(rightPx, downPx, focalPx) {
-    this.pan = [this.pan[0] + rightPx / focalPx, this.pan[1] + downPx / focalPx];
-  }
-
   /** Multiplies the distance to the centre by `factor`. @param {number} factor */
   scale(factor) {
     this.zoom = Math.min(Math.max(this.zoom * factor, LEAST_ZOOM), MOST_ZOOM);
-  }
-
-  /** Distance to the centre in metres, without the pan. */
-  get distanceM() {
-    return length(subtract(this.base.position, this.centre)) * this.zoom;
   }
 
   /** @returns {import("./pose.js").Pose} */
@@ -210,12 +193,6 @@ export class Orbit {
   camera(start, widthPx, heightPx) {
     const lens = framed(start, this.focus, widthPx, heightPx);
     return { ...lens, w2c: worldToCamera(this.pose) };
-  }
-
-  /** Whether the camera has not moved since `rebase`. */
-  get isAtBase() {
-    const isTurned = this.turnRad !== 0 || this.tiltRad !== 0;
-    return !isTurned && this.zoom === 1 && this.pan[0] === 0 && this.pan[1] === 0;
   }
 
   /**

@@ -1,4 +1,4 @@
-import { add, cross, dot, length, subtract, times, unit } from "./vectors.js";
+import { cross, dot, length, subtract, times, unit } from "./vectors.js";
 
 /** See codec/rig.py. */
 const LEAST_TURN = 0.01;
@@ -81,18 +81,6 @@ export function rigUp(poses) {
  */
 export function inCamera(w2c, point) {
   return [0, 4, 8].map((at) => dot(w2c.slice(at, at + 3), point) + w2c[at + 3]);
-}
-
-/**
- * The world point that a pixel shows.
- * @param {import("../format/manifest.js").Camera} camera @param {number} xPx from the left
- * @param {number} yPx from the top @param {number} depthM forward from the camera @returns {Vector}
- */
-export function pointAt(camera, xPx, yPx, depthM) {
-  const { position, right, down, forward } = poseOf(camera);
-  const asideM = (depthM * (xPx - camera.cxPx)) / camera.fxPx;
-  const belowM = (depthM * (yPx - camera.cyPx)) / camera.fyPx;
-  return [times(right, asideM), times(down, belowM), times(forward, depthM)].reduce(add, position);
 }
 
 /**

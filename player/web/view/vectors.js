@@ -47,9 +47,6 @@ export function turned(a, axis, angleRad) {
 
 /** @typedef {import("./pose.js").Pose} Pose */
 
-/** Quaternions with a larger cosine between them are interpolated linearly. */
-const NEARLY_ONE = 0.9999;
-
 /**
  * The rotation from the world's axes to those of a pose.
  * @param {Pose} pose @returns {number[]} unit quaternion, w x y z
@@ -85,24 +82,6 @@ export function axesOf([w, x, y, z]) {
   const rough = [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)];
   const forward = unit(cross(right, rough));
   return { right, down: cross(forward, right), forward };
-}
-
-/**
- * The rotation at a share of the way between two rotations, at constant speed along the shorter way.
- * @param {number[]} from unit quaternion @param {number[]} to unit quaternion @param {number} share 0 to 1
- * @returns {number[]}
- */
-export function slerp(from, to, share) {
-  const along = from.reduce((sum, q, i) => sum + q * to[i], 0);
-  const near = to.map((q) => (along < 0 ? -q : q));
-  const cosine = Math.min(1, Math.abs(along));
-  let [a, b] = [1 - share, share];
-  if (cosine < NEARLY_ONE) {
-    const angleRad = Math.acos(cosine);
-    a = Math.sin(a * angleRad) / Math.sin(angleRad);
-    b = Math.sin(b * angleRad) / Math.sin(angleRad);
-  }
-  return normalised(from.map((q, i) => a * q + b * near[i]));
 }
 
 /** @param {number[]} quaternion */

@@ -13,10 +13,12 @@ import { readIndex, readObject } from "../../format/objects.js";
 import { packetContent } from "../../format/packet.js";
 import { RecordParser } from "../../format/playrecord.js";
 import { SlotDecoder } from "../../format/slots/slotdecoder.js";
-import { gaussiansOf, opacityLogits, SlotLayout } from "../../format/gaussians.js";
+import { gaussiansOf } from "../../format/dequantise.js";
+import { opacityLogits, SlotLayout } from "../../format/gaussians.js";
 import { EMPTY, ON_LATTICE, UNKNOWN } from "../../constants.js";
 import { fetchRange } from "../../source/files.js";
 import { Fetcher, SourceError } from "../../source/fetcher.js";
+import { addObject } from "../../source/cachedobjects.js";
 import { SegmentCache } from "../../source/segmentcache.js";
 import { ChunkFeed } from "../../playback/playsession.js";
 import { FrameAssembler } from "../../playback/frameassembler.js";
@@ -25,7 +27,8 @@ import { readCaptionTracks, readCues, textAt } from "../../format/captions.js";
 import { checkSpan, oggOf, readSoundObject } from "../../sound/soundobject.js";
 import { placeAt, readSources } from "../../sound/soundtrack.js";
 import { Timeline } from "../../sound/timeline.js";
-import { Orbit, TURN_RAD_PER_PX } from "../../view/orbit.js";
+import { panBy, TURN_RAD_PER_PX } from "../../view/cameramotion.js";
+import { Orbit } from "../../view/orbit.js";
 import { nearOf } from "../../view/pose.js";
 import { storyboardLayout } from "../../controls/storyboard.js";
 
@@ -100,7 +103,7 @@ async function* played(manifest, files, first, lateness) {
     for (const [when, record, part] of coming) {
       if (when !== frame && !(frame === first && when <= first)) continue;
       const bytes = unhex(files[`segments/${record.segment}/${manifest.parts[part]}`]);
-      cache.addObject(record, part, readObject(bytes));
+      addObject(cache, record, part, readObject(bytes));
     }
     feed.advance(frame + 1, 1);
     if (feed.failure !== null) throw feed.failure;
@@ -270,7 +273,7 @@ const ANSWERS = {
     let orbit = new Orbit(read);
     for (const [what, ...args] of moves) {
       if (what === "turn") orbit.turn(-TURN_RAD_PER_PX * args[0], -TURN_RAD_PER_PX * args[1]);
-      else if (what === "pan") orbit.dragPan(args[0], args[1], args[2]);
+      else if (what === "pan") panBy(orbit, args[0], args[1], args[2]);
       else orbit.scale(0.9 ** args[0]);
     }
     if (again) {
