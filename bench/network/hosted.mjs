@@ -60,7 +60,10 @@ const unhex = (text) => Uint8Array.from(Buffer.from(text, "hex"));
 async function play({ manifest, index, steps }) {
   const link = new Link(steps);
   const files = { "manifest.json": unhex(manifest), "index.bin": unhex(index) };
-  const fetcher = { onTrouble() {}, get: async (url) => files[url.split("/").at(-1)] };
+  const fetcher = {
+    onTrouble() {},
+    get: async (url) => files[url.split("/").at(-1)],
+  };
   const stream = await HostedStream.open("https://host/", /** @type {any} */ (fetcher));
   let nowS = 0;
   /** What is on its way, piece by piece. */
@@ -89,7 +92,8 @@ async function play({ manifest, index, steps }) {
   const { fps, segmentFrames, numLayers: mostLayers } = stream.manifest;
   const hasPart = (/** @type {number} */ frame, /** @type {string} */ part) =>
     here.has(`${Math.floor(frame / segmentFrames)}/${part}`);
-  const hasSlice = (/** @type {number} */ frame) => hasPart(frame, "0") && hasPart(frame, "skipmaps");
+  const hasSlice = (/** @type {number} */ frame) =>
+    hasPart(frame, "0") && hasPart(frame, "skipmaps");
   const shown = {
     canAdvance: hasSlice,
     has: (/** @type {number} */ frame) => hasPart(frame, "keyframe-0"),
