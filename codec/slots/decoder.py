@@ -184,14 +184,15 @@ class SlotDecoder:
         """Goes on by the slice born at `birth`, which follows the last one.
 
         changes: of layers 0, 1, ...; None for one that is missing, which may come `late`. Layers
-        behind the last are not expected. skip map: None if it is missing. All slots of the lane are
-        unknown then, and the changes are of no use. Later skip maps of the lane in this segment are
-        not read, and count as missing, too, unless it was that of the segment's first frame.
+        behind the last are not expected.
+        skip_map: None if it is missing. All slots of the lane are unknown then, and the changes are
+        of no use. Later skip maps of the lane in this segment are not read, and count as missing,
+        too, unless it was that of the segment's first frame.
         blamed: makes of an error the one that is raised, given the layer of the change at fault, or
-        None if it is the skip map. with_motion: whether the slice says where its Gaussians come
-        from, and which ones leave. Gives the slots that changed since the lane's slice before, by
-        late changes and keyframes, too, as a slice with rows: row r is slot r of the lane, counted
-        over all layers."""
+        None if it is the skip map.
+        with_motion: whether the slice says where its Gaussians come from, and which ones leave.
+        Gives the slots that changed since the lane's slice before, by late changes and keyframes,
+        too, as a slice with rows: row r is slot r of the lane, counted over all layers."""
         if self.frame is None or birth != self.frame + 1:
             last = "nothing" if self.frame is None else f"the slice born at {self.frame}"
             raise InvalidError(f"the slice born at {birth} does not follow {last}")
