@@ -1,4 +1,4 @@
-"""What layers cost: each number of layers of a stream beside a stream of one layer with as many
+"""The price of layers: each number of layers of a stream beside a stream of one layer with as many
 bytes, which was trained to be shown whole.
 
 Usage: scripts/bench ladder CAPTURE --out docs/ladder.png
@@ -69,7 +69,7 @@ class LadderConfig(TrialsConfig):
     with layers is the preset's."""
 
     def base(self) -> FitConfig:
-        """What all streams have in common."""
+        """The settings that all streams share."""
         return replace(
             PRESETS["fine"](self.capture, Path("stream")).fit,
             num_gs=self.num_gs,

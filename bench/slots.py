@@ -101,7 +101,7 @@ def run(config: SlotsConfig) -> None:
         "skip map": f"{skip_map_bytes:.0f} bytes, "
         f"{8 * skip_map_bytes / config.num_slots:.2f} bits a slot",
         "changes": f"{change_bytes:.0f} bytes, {change_bytes / coded:.2f} a predicted or new one",
-        "snapshots": f"{a_slot:.2f} bytes a slot",
+        "keyframes": f"{a_slot:.2f} bytes a slot",
     }
     for name, value in facts.items():
         table.add_row(name, value)

@@ -1,4 +1,4 @@
-"""What every reader of foreign files checks, and the small numbers that several of them share.
+"""Checks of every reader of foreign files, and the small numbers that several of them share.
 
 Limits of foreign files: bounds that hold before anything is allocated.
 

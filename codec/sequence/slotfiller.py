@@ -136,7 +136,7 @@ class ErrorBound:
         log_scale = max(self.of("size") / HOLD, spread_of(size_m, lowest, highest) / SIZES)
         base = 0.0
         if highest > LARGEST * log_scale or lowest < -(LARGEST + 1) * log_scale:
-            # What is large must fit; what is too thin is flat.
+            # A large Gaussian must fit; one that is too thin is flat.
             base = (np.ceil(highest / log_scale) - LARGEST) * log_scale
         levels = 1 + int(np.ceil(HOLD / self.of("opacity") - 1e-9))
         return Lattice(

@@ -337,7 +337,7 @@ def finish_chunk(
 def _chunk_edges(first_bytes: int, body_edges: Iterable[int]) -> list[int]:
     """The edges of a chunk with `first_bytes` between its header and its body."""
     begin = HEADER_BYTES + first_bytes
-    # What stands before the first plane is one part, or two if there is something first.
+    # The bytes before the first plane are one part, or two if there is something first.
     inner = {begin + edge for edge in body_edges} - {begin}
     return sorted({0, *({begin} if first_bytes else ()), *inner})
 

@@ -219,7 +219,7 @@ class SlotDecoder:
         return slice if held is None else held.with_motion(slice)
 
     def _held(self, lane: int, parts: list[Bytes]) -> HeldSlots:
-        """What players were handed out last for the slots of `lane` that change; parts: their
+        """The Gaussians that players got last for the slots of `lane` that change; parts: their
         statuses, layer after layer."""
         rows, here, others = [], [], []
         for layer, slots in enumerate(self.lanes[lane]):

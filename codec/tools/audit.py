@@ -38,7 +38,7 @@ from codec.tracks.streamtracks import verify_captions
 
 @dataclass(frozen=True, slots=True)
 class SlotCensus:
-    """Longs of a stream of F frames and L layers."""
+    """Counts of a stream of F frames and L layers."""
 
     statuses: Longs
     """(F, L, 4) how many slots the slice born at each frame says KEPT, ENDED, PREDICTED, NEW of."""

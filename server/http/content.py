@@ -178,7 +178,7 @@ def accepted_codings(accepted: str) -> frozenset[str]:
 
 
 STREAM_TURN_BYTES: Final = 64 * 1024
-"""Bytes of one response that are written before the other connections have their turn."""
+"""As TURN_BYTES, for a body that is made while it is sent, whose bytes cost work."""
 
 
 class StreamedResponse:

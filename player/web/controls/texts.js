@@ -9,8 +9,8 @@
 
 /** @type {Record<string, () => Promise<{ default: Table }>>} */
 const TABLES = {
-  de: () => import("../element/texts/de.js"),
-  fr: () => import("../element/texts/fr.js"),
+  de: () => import("./texts/de.js"),
+  fr: () => import("./texts/fr.js"),
 };
 
 /**

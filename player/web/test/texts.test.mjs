@@ -36,11 +36,11 @@ function textsOfCode() {
 }
 
 const placesIn = (text) => [...text.matchAll(/\{\w+\}/g)].map(([place]) => place).sort();
-const LANGUAGES = readdirSync(new URL("element/texts/", WEB)).map((name) => name.split(".")[0]);
+const LANGUAGES = readdirSync(new URL("controls/texts/", WEB)).map((name) => name.split(".")[0]);
 
 for (const language of LANGUAGES) {
   test(`the table ${language} has all texts, none that is unused, and none in English`, async () => {
-    const { default: table } = await import(`../element/texts/${language}.js`);
+    const { default: table } = await import(`../controls/texts/${language}.js`);
     assert.deepEqual(Object.keys(table).sort(), textsOfCode());
     for (const [text, translated] of Object.entries(table)) {
       assert.ok(translated.trim() !== "", text);
