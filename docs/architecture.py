@@ -240,13 +240,20 @@ def page(old: str) -> str:
 
 
 def opening(file: Path) -> str:
-    """The first paragraph of what a file opens with: a docstring, or a comment of JavaScript."""
+    """What a file is for: the first paragraph of its docstring or, in JavaScript, of the comment
+    that it opens with, or else of that of its first exported class or function."""
     words = file.read_text(encoding="utf-8")
     if file.suffix == ".py":
         said = ast.get_docstring(ast.parse(words)) or ""
     else:
-        found = re.match(r"\s*/\*\*?(.*?)\*/", words, re.DOTALL)
-        said = re.sub(r"(?m)^\s*\* ?", "", found[1]).strip() if found else ""
+        said = ""
+        for found in re.finditer(r"/\*\*((?:[^*]|\*(?!/))*)\*/\n(.*)", words):
+            is_head = found.start() == 0 and not found[2].startswith("const ")
+            if is_head or re.match("export (?!const)", found[2]):
+                said = re.sub(r"(?m)^\s*\* ?", "", found[1]).strip()
+                said = re.split(r"(?:^|\s)@\w", said)[0]
+            if said:
+                break
     return " ".join(said.split("\n\n")[0].split())
 
 

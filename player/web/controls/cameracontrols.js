@@ -150,7 +150,7 @@ function focusAt(player, xPx, yPx) {
   player.moved();
 }
 
-/** All controls of the camera except key presses (view/camerakeys.js): its motion, gestures, gyroscope, key releases. */
+/** All controls of the camera except key presses (keys.js): its motion, gestures, gyroscope, key releases. */
 export class CameraControls {
   /**
    * @param {HTMLElement} host @param {HTMLCanvasElement} surface

@@ -1,3 +1,8 @@
+/**
+ * The commands of a player with their keys, for the bar, the menu and the list of keys; and the settings
+ * that have a list of values.
+ */
+
 import { isPacked } from "../source/addresses.js";
 import { RATES } from "./keys.js";
 

@@ -1,3 +1,5 @@
+/** Gestures of fingers, mouse and wheel that move the camera. */
+
 const TAP_MS = 250;
 const TAP_PX = 12;
 const PAUSE_MS = 300;

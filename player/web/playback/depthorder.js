@@ -9,7 +9,7 @@ export const NEVER = 2 ** 31 - 1;
 const DIGIT_BITS = 11;
 const NUM_VALUES = 1 << DIGIT_BITS;
 
-/** Computes which Gaussians show in a frame, farthest first (player/render/order.py, sort.py). */
+/** Computes which Gaussians show in a frame, farthest first (player/render/order.py). */
 export class DepthOrder {
   /** @param {number} numSlots @param {number} numSpare places after the slots, for Gaussians that fade out */
   constructor(numSlots, numSpare = 0) {

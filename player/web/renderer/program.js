@@ -1,3 +1,5 @@
+/** Programs, textures and framebuffers of WebGL2, with the recipe's constants in front of a shader's text. */
+
 import {
   ALPHA_MAX,
   ALPHA_MIN,

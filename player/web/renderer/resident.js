@@ -13,7 +13,7 @@ import { floatWords, latticeWords } from "../playback/words.js";
 /** Staging textures in rotation, so that none is written while an earlier upload may still be read. */
 const NUM_STAGED = 3;
 
-/** Texels of a drawn Gaussian, as in pack.py. @param {number} shDegree */
+/** Texels of a drawn Gaussian, as in player/render/upload.py. @param {number} shDegree */
 function texelsPerGaussian(shDegree) {
   return Math.ceil((15 + 3 * ((shDegree + 1) ** 2 - 1)) / 4);
 }

@@ -1,3 +1,5 @@
+/** What the URL of a stream refers to, a swings server, a folder or a packed stream, and the URLs made of it. */
+
 import { PACKED_SUFFIX } from "../constants.js";
 
 /** The path of a stream on a swings server. */

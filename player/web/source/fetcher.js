@@ -1,3 +1,5 @@
+/** Fetches files, with retries while the network or the server is unreachable; and the errors of fetching. */
+
 import { fileUrl } from "./addresses.js";
 import { fetchOnce } from "./early.js";
 

@@ -1,3 +1,5 @@
+/** The response of a swings server to `play`, and when to ask again after it broke or was refused. */
+
 import { corrupt } from "../format/bytes.js";
 import { RecordParser } from "../format/playrecord.js";
 import { playUrl } from "./addresses.js";

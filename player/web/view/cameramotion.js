@@ -1,3 +1,5 @@
+/** The camera's motion, from gestures and times to a pose. */
+
 import { boundsOf, excessOf } from "./bounds.js";
 import { between, eased, FLIGHT_S } from "./flight.js";
 import { Orbit } from "./orbit.js";

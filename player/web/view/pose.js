@@ -1,3 +1,5 @@
+/** Poses of cameras: their axes, matrices and lens, the up direction of a rig, and the near plane of a view. */
+
 import { cross, dot, length, subtract, times, unit } from "./vectors.js";
 
 /** See codec/rig.py. */
