@@ -25,7 +25,7 @@ from codec.console import run_command
 from codec.errors import InvalidError
 from codec.foreign.sog import codebook, codes_of, palette
 from codec.interop.formats import SplatFormat, write_splats
-from codec.lattice.quantise import from_luma, to_luma
+from codec.lattice.forms import from_luma, to_luma
 from codec.sequence.importing import ImportOptions, cameras_around, facing_camera, import_stream
 from codec.sequence.slotfiller import ErrorBound
 from codec.splats import Splats

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from codec.arrays import Bytes, Floats
 from codec.errors import InvalidError
-from codec.lattice.quantise import opacity_logits
+from codec.lattice.forms import opacity_logits
 from codec.splats import Splats
 
 MIDDLE = 128

@@ -1,6 +1,7 @@
-"""A pinhole camera: what a capture has, a manifest carries and a renderer takes.
+"""A pinhole camera, which a capture has, a manifest carries and a renderer takes; rotations and
+poses.
 
-Rotations and camera poses: quaternions are wxyz, poses OpenCV world-to-camera matrices.
+Quaternions are wxyz, poses OpenCV world-to-camera matrices.
 """
 
 from __future__ import annotations

@@ -1,6 +1,5 @@
-"""The Gaussians that a lane gets once per frame: all of them, or only those that change.
-
-Where Gaussians are between two frames.
+"""The Gaussians that a lane gets once per frame, all of them or only those that change; and where
+Gaussians are between two frames.
 """
 
 from __future__ import annotations

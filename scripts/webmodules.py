@@ -16,7 +16,7 @@ from typing import Any
 
 from codec import camera, slice, splats
 from codec.coders import zstd
-from codec.lattice import lattice, quantise
+from codec.lattice import forms, lattice
 from codec.slots import change, decoder, rangecoder, skipmap, slotlayout, state
 from codec.stream import (
     captions,
@@ -50,7 +50,7 @@ CONSTANTS: dict[ModuleType, str] = {
     "CHUNK_MAGIC=SLOT_MAGIC CHUNK_HEAD=SLOT_HEADER CHUNK_KINDS=Kind "
     "HAS_STARTS=FLAG_SLOT_OFFSETS KEPT ENDED PREDICTED NEW",
     lattice: "POSITION_LIMIT MIN_STEP MAX_STEP MAX_BASE",
-    quantise: "MAX_OPACITY_LEVELS MAX_LOGIT",
+    forms: "MAX_OPACITY_LEVELS MAX_LOGIT",
     change: "CHANGE_COUNTS=COUNTS LONG MAX_GAP_BITS=MAX_LENGTH",
     skipmap: "CONTEXTS FIRST_OF_B CONTEXT_OF_C",
     rangecoder: "WHOLE_RANGE=WHOLE LEAST_RANGE=LEAST FIRST_PROBABILITY MOST_COUNTED",

@@ -1,9 +1,8 @@
-"""Where the blocks of a packet end, each of which has a Huffman table of its own.
+"""Where the blocks of a packet end, each of which has a Huffman table of its own, and how much time
+a coder takes to find out.
 
 A chunk is a row of planes with different statistics, so an encoder ends a block where a new table
 pays; a decoder need not know.
-
-How much time a coder takes to make a packet small. Decoders need not know.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Edits in time: `trim` keeps a part of the frames, `join` puts streams one after another.
+"""Edits in time, with sound: `trim` keeps a part of the frames, `join` puts streams of the same
+layout one after another.
 
-Trim: a part of the frames, with its sound. Segments that lie whole in it are copied.
-
-Join: streams of the same layout one after another, with their sound.
+Segments that lie whole in the part are copied.
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
-"""Edits that remove Gaussians: `Crop` by place, `Floaters` by how few cameras see them.
-
-Crop: only the Gaussians whose centres lie in a region stay, frame by frame.
-
-Floaters: Gaussians that few cameras ever see at a time are removed, over their whole life.
+"""Edits that remove Gaussians: `Crop` those outside a region, frame by frame; `Floaters` those that
+few cameras ever see at a time, over their whole life.
 """
 
 from __future__ import annotations

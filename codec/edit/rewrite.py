@@ -1,21 +1,11 @@
-"""A stream with an edit applied to every frame, and what all edits have in common.
+"""A stream with an edit applied to every frame, from places and options to the finished stream.
 
-Slices of a source as slices of the edited stream, coded again; what comes out as it was keeps
-its packet.
+Rule: what comes out as it was keeps its packet; only the frame numbers in it may change, of which
+the first block of a packet is coded again. Segments that keep their place are copied whole.
 
-The steps of an edit that rounds, chosen so that the edited stream is not larger than its source.
-
-Gaussians along the axes that are turned take more bits. Slightly larger steps save them, but not
-always: an oblique turn of a model with few harmonics gives it many. Then the steps stay as they
-were, and the stream grows.
-
-Every edit of all frames by one call: from places and options to the finished stream.
-
-Segments of a stream as segments of another one, chunk by chunk as they are.
-
-A chunk and an object's table say the frame that they belong to. Where a segment keeps its place all
-of it is copied; where it moves, these frame numbers alone are others: the first block of a packet,
-which holds them, is coded again, and the blocks behind it are copied.
+An edit that rounds chooses its steps so that the stream does not grow: Gaussians along the axes
+that are turned take more bits, and slightly larger steps save them. Where they do not, as for an
+oblique turn of a model with few harmonics, the steps stay as they were, and the stream grows.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Transform: the scene is scaled, turned and moved, with its cameras and bounds.
+"""Transform: the scene is scaled, turned and moved, with its cameras and bounds; and the regions of
+space of a crop.
 
 Scaling alters only the lattice, moving adds the same integers to all positions, and a turn that
 maps axes to axes permutes integers. Only other turns round each number anew.
-
-Regions of space by which Gaussians are kept or removed.
 """
 
 from __future__ import annotations

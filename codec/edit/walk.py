@@ -1,20 +1,13 @@
-"""The slices of a stream in turn, decoded and as they lie in its files.
-
-The interface of an edit: its effect on the Gaussians of each slot. `rewrite` applies it.
+"""The interface of an edit, and the slices of its source in turn, decoded and as they lie in its
+files.
 
 Rule: an edit says what a slot holds afterwards. Whether that is kept, predicted or new follows from
 what the edited stream held there before, so an edit cannot make a stream that does not hold
 together.
 
-The order of a source's Gaussians in the slots of the edited stream.
-
-A position is coded as the difference to that of the new Gaussian before it, so a writer orders the
-slots for the axes of the world. Turned axes call for another order. Which slot of its layer a new
-Gaussian gets is free, and nobody sees it.
-
-The update that makes a lane of the edited stream hold what an edit wants there.
-
-View: what a stream opens with, and its title. No Gaussian changes.
+Turned axes call for another order of the slots, because a position is coded as the difference to
+that of the new Gaussian before it. Which slot of its layer a new Gaussian gets is free, and nobody
+sees it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
-"""Checks of every reader of foreign files, and the small numbers that several of them share.
-
-Limits of foreign files: bounds that hold before anything is allocated.
-
-Values that several formats keep in one byte or one word.
+"""Checks of every reader of foreign files, made before anything is allocated, and the values that
+several formats keep in one byte or one word.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ import numpy.typing as npt
 from codec.arrays import Bytes, Doubles, Floats, Longs
 from codec.errors import CorruptError, UnsupportedError
 from codec.kernel import kernel
-from codec.lattice.quantise import interleave
+from codec.lattice.forms import interleave
 from codec.splats import MAX_SH_DEGREE, Splats, sh_count
 
 from .bounds import (

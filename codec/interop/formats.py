@@ -1,8 +1,5 @@
-"""The formats of Gaussians that are read and written, by the name and the first bytes of a file.
-
-Files that hold a whole sequence, and single frames of them.
-
-Frames of a stream as files that other programs read.
+"""The formats of Gaussians that are read and written, by the name and the first bytes of a file:
+single frames, whole sequences, and the frames of a stream.
 """
 
 from __future__ import annotations

@@ -1,15 +1,11 @@
-"""How finely Gaussians are quantised, and the exact arithmetic back to floats.
+"""How large the steps of a lattice are, and the forms in which Gaussians cost least on it: colours
+as luma, one of 24 equal forms of rotation and scales, positions along the Morton curve.
 
-Rule: what makes floats of integers does the operations that FORMAT.md states, in its order and
-precision, so that any decoder gives the same bits. What a quantiser chooses is free.
+A Gaussian stays the same when its axes are permuted together with its scales (6 ways) or turned by
+180 degrees (4 ways). The canonical form has falling scales and the largest quaternion component in
+w: no permutation, no index of the largest component, 4.6 bits less a Gaussian.
 
-Rotation and scales of a Gaussian, brought to the one of 24 equal forms that costs least to code.
-
-A Gaussian stays the same when its axes are permuted together with its scales (6 ways) or turned
-by 180 degrees (4 ways). The canonical form has falling scales and the largest quaternion component
-in w: no permutation, no index of the largest component, 4.6 bits less a Gaussian.
-
-Integer positions along the Morton curve, which keeps neighbours in space together.
+Rule: the way back to floats does the operations that FORMAT.md states, in its order and precision.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Gaussians as integers on the lattice of a stream (codec/FORMAT.md, section 8).
+"""Gaussians to integers on the lattice of a stream (`quantise`) and back (codec/FORMAT.md, section
+8); and as bytes with every float32 as it was given.
 
 Rule: what makes floats of integers does the operations that FORMAT.md states, in its order and
 precision, so that any decoder gives the same bits. What a quantiser chooses is free.
-
-Gaussians as bytes with every float32 as it was given, attribute by attribute.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from codec.errors import CorruptError, InvalidError
 from codec.kernel import kernel
 from codec.splats import SH_C0, Splats, array_shapes, sh_count
 
-from .quantise import (
+from .forms import (
     BASE_COLOUR,
     BASE_LOG_SCALE,
     BASE_ROTATION,

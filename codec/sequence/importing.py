@@ -1,9 +1,8 @@
-"""A stream made of files of Gaussians: one still model, or a numbered sequence.
+"""A stream made of files of Gaussians, one still model or a numbered sequence, and how it looks
+beside these files.
 
 A slice sends only what changes from file to file. A still model is a stream of one frame; nothing
 in it ever expires, so a player may hold or repeat it for as long as it likes.
-
-How a stream that is being made looks beside the files that it is made of.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ from codec.files import making_folder
 from codec.foreign.notes import Notes, notes, one_import
 from codec.framerange import FRAMES, FrameRange
 from codec.interop.formats import ContainedFrame
+from codec.lattice.forms import layer_coarseness
 from codec.lattice.lattice import Lattice
-from codec.lattice.quantise import layer_coarseness
 from codec.slice import Slice
 from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_SLOTS, MAX_SLOTS
 from codec.splats import MAX_SH_DEGREE, Splats

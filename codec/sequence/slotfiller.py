@@ -1,13 +1,12 @@
-"""Files of Gaussians as slots that last: what stays the same from file to file is sent once.
-
-Every file is one frame, and the stream has one lane (swin_size 1), so that any Gaussian may change
-in any frame: with more lanes a change would wait for its lane's turn, and the frames until then
-would be wrong. Slots that nothing happens to cost next to nothing.
+"""Files of Gaussians as slots that last: what stays the same from file to file is sent once, and
+errors have bounds.
 
 Rule: what a slot holds is known as a player decodes it, and every number is held against the file,
 never against what was sent before; so errors do not add up.
 
-How far a stream may be from the files that it is made of, and how far it was.
+Every file is one frame, and the stream has one lane (swin_size 1), so that any Gaussian may change
+in any frame: with more lanes a change would wait for its lane's turn, and the frames until then
+would be wrong. Slots that nothing happens to cost next to nothing.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ import numpy as np
 from codec.arrays import Bytes, Doubles, Flags, Floats, Longs
 from codec.errors import InvalidError
 from codec.kernel import kernel
+from codec.lattice.forms import MAX_OPACITY_LEVELS, interleave
 from codec.lattice.lattice import (
     COLOURS,
     LARGEST,
@@ -29,7 +29,6 @@ from codec.lattice.lattice import (
     lattice_values,
     round_values,
 )
-from codec.lattice.quantise import MAX_OPACITY_LEVELS, interleave
 from codec.slots.slotlayout import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.slots.state import ESCAPED, Slots, empty_arrays, holds
 from codec.splats import MAX_SH_DEGREE, Splats, sh_count

@@ -1,7 +1,5 @@
-"""The survey of all files, made before the first one is written: they are read twice.
-
-The frames of a sequence: files, one for each frame, in order of number, or what a container
-holds.
+"""The frames of a sequence, files in order of number or what a container holds; and the survey of
+all of them, made before the first one is written: they are read twice.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from codec.interop.formats import (
     is_model_folder,
     read_splats,
 )
-from codec.lattice.quantise import POSITION_PER_SIZE, position_step_m, to_luma
+from codec.lattice.forms import POSITION_PER_SIZE, position_step_m, to_luma
 from codec.slots.slotlayout import MAX_SLOTS
 from codec.splats import Splats
 

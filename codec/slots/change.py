@@ -1,12 +1,8 @@
-"""Changes: what a slice brings to one layer, and their byte planes.
-
-A change: what a slice brings to one layer (codec/FORMAT.md, section 10).
+"""Changes: what a slice brings to one layer, as byte planes (codec/FORMAT.md, section 10).
+Predicted Gaussians are differences to what their slots held, new ones follow one another.
 
 Rule: nothing is allocated before the counts in the bytes are those that the skip map says, and no
 state is touched: a `Change` is what the bytes say, and `Slots` says what becomes of it.
-
-The Gaussians of a change as byte planes: predicted ones as differences to what they were, new
-ones one after another (codec/FORMAT.md, sections 10.1 and 10.2).
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Skip maps, changes and keyframes to Gaussians (codec/FORMAT.md, section 7).
+"""Skip maps, changes and keyframes to Gaussians (codec/FORMAT.md, section 7), in any order of
+arrival: while something of a layer of a lane is missing, a log keeps what came after it.
 
 Rule: any bytes give a value or a CodecError that leaves everything as it was; memory goes by the
 layout.
-
-The log that a decoder keeps of a layer of a lane while something of it is missing.
 """
 
 from __future__ import annotations

@@ -1,6 +1,5 @@
-"""Updates of slots to the chunks of a stream: skip maps, changes, keyframes.
-
-The motion of all slots of a stream between two of its frames, however far apart.
+"""Updates of slots to the chunks of a stream: skip maps, changes, keyframes; and the motion of all
+slots between two frames, however far apart.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""The slots of a stream: how many, on which lattice, and how large their chunks can be.
-
-The head of a chunk (codec/FORMAT.md, section 9).
-
-The update that a trainer hands over for one slice: what becomes of each slot of a lane.
+"""The slots of a stream: how many, on which lattice, and how large their chunks can be. The head of
+a chunk (codec/FORMAT.md, section 9), and the update that a trainer hands over for a slice: what
+becomes of each slot of a lane.
 """
 
 from __future__ import annotations

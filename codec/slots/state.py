@@ -1,14 +1,9 @@
-"""What slots hold, in a reader or a writer, and a layer of them at the first frame of a segment.
-
-The state of slots in a reader or a writer, and its changes by a slice (codec/FORMAT.md,
-section 7).
+"""What slots hold, in a reader or a writer, before a slice changes them and after it
+(codec/FORMAT.md, section 7); and a keyframe, all slots of a layer at a segment's first frame
+(section 11).
 
 Rule: what a change would make is found out first, as a `Delta`; so bytes that break a rule leave
 everything as it was.
-
-The slots of a lane just before a slice changes them, from which the slice's motion comes.
-
-A keyframe: all slots of one layer at a segment's first frame (codec/FORMAT.md, section 11).
 """
 
 from __future__ import annotations
@@ -21,8 +16,8 @@ import numpy as np
 from codec.arrays import Bytes, Flags, Floats, Ints, Longs
 from codec.coders.coder import EncodedChunk
 from codec.errors import CodecError, CorruptError, InvalidError
+from codec.lattice.forms import opacity_logits
 from codec.lattice.lattice import Lattice, States, dequantise_into
-from codec.lattice.quantise import opacity_logits
 from codec.slice import HIDDEN, Motion, Slice, window_births
 from codec.splats import Splats, array_shapes
 

@@ -1,10 +1,7 @@
-"""Streams in a folder of this machine.
+"""Streams in a folder of this machine, read and written.
 
-Rule: what is opened lies below the folder when all links are followed, and is a regular file.
-
-A stream that is written to a folder of this machine.
-
-Rule: a file is whole on disk (temporary name, fsync, rename) before the log names it (fsync).
+Rule: what is opened lies below the folder when all links are followed, and is a regular file. A
+file is whole on disk (temporary name, fsync, rename) before the log names it (fsync).
 """
 
 from __future__ import annotations

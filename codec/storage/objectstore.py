@@ -1,12 +1,8 @@
-"""Streams in an object store, such as S3 (extra `s3`).
+"""Streams in an object store, such as S3 (extra `s3`), and its errors in one line that says what to
+do.
 
+Rule: names and passwords in URLs are for the host alone, never for messages, logs or reports.
 Credentials, region and endpoint come from the environment, as obstore reads them.
-
-Names and passwords in URLs: they are for the host alone, never for messages, logs or reports.
-
-The environment variables that name the endpoint and the credentials of an object store.
-
-Errors of an object store, described in one line that says what to do.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""From what the user typed to a storage.
-
-How a command line says a folder or a URL.
-"""
+"""From what the user typed, a folder or a URL, to a storage."""
 
 from __future__ import annotations
 

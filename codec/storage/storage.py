@@ -1,11 +1,9 @@
-"""The storage that a reader of a stream needs, and what a server needs to find streams.
+"""The storage that a reader of a stream needs, that a server needs to find streams, and that one
+writer needs to write one.
 
 Rule: a path is relative, with '/' between its parts. Only regular files below the place are read,
-and never more bytes than the caller has room for.
-
-The storage that one writer needs to write a stream.
-
-Rule: whatever a killed writer leaves, the log names only files that are there, whole.
+and never more bytes than the caller has room for. Whatever a killed writer leaves, the log names
+only files that are there, whole.
 """
 
 from __future__ import annotations

@@ -1,17 +1,10 @@
-"""One file for a whole stream: where each of its files lies in it.
+"""One file for a whole stream, a ZIP file whose entries are stored as they are: where each file
+lies in it, and the records around them.
 
-Rule: pure. Nothing is looked up: sizes from the file's head and from the index give every place,
-so no two files can overlap, and a reader needs nothing but the first bytes.
-
-The records of a ZIP file whose entries are stored as they are, without compression.
-
-Rule: pure, and determined: a name, a size, a checksum and a place give one sequence of bytes, in
-which every ZIP program finds the entry. ZIP64 appears only where a number does not fit.
-
-What the index of a packed stream does not know: the sizes of its captions and its sound.
-
-Rule: pure. The length of the table follows from manifest and index; the head of the file repeats
-it, because a reader needs it first.
+Rule: pure. Nothing is looked up: sizes from the file's head and from the index give every place, so
+no two files can overlap, and a reader needs nothing but the first bytes. A table has the sizes that
+the index does not know, of captions and sound. Equal streams have equal bytes; ZIP64 appears only
+where a number does not fit.
 """
 
 from __future__ import annotations

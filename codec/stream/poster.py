@@ -1,7 +1,6 @@
-"""The poster: a still picture of a stream, for people who have not opened it yet.
-
-The storyboard: small pictures of a finished stream in one file, which a player shows while a
-viewer searches for a moment.
+"""The poster, a still picture of a stream for people who have not opened it yet; and the
+storyboard, small pictures of a finished stream in one file, which a player shows while a viewer
+searches for a moment.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Reads a stream where it lies: any slice, any window, any number of layers; memory stays bounded.
+"""Reads a stream where it lies: any slice, any window, the slots that show at any frame, any number
+of layers; memory stays bounded.
 
 Rule: every file is checked against the index before it is decoded, and an error names the file.
-
-The slots that show at any frame of a stream: decoders that go on, or begin at a keyframe.
 """
 
 from __future__ import annotations

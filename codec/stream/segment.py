@@ -1,14 +1,9 @@
-"""The bytes of a segment's objects, and the record of the index that describes them.
+"""The bytes of a segment: its objects, each a table and the packets of one layer's chunks, and its
+record in index.bin, which holds their sizes, hashes and PSNR.
 
-index.bin: one fixed-size record for each finished segment, only ever appended to.
-
-Rule: record n describes segment n, so any reader can fetch it by byte range.
-
-An object: the chunks of one (segment, layer), each in a packet of its own.
-
-Layout: a table of chunks, which is a skippable zstd frame, then one packet for each chunk. The
-whole is one valid zstd stream. Nothing is decompressed before the packet has said how much
-it holds.
+Rule: record n has a fixed size and describes segment n, so any reader can fetch it by byte range.
+The table of an object is a skippable zstd frame, so that the whole is one valid zstd stream.
+Nothing is decompressed before the packet has said how much it holds.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""A stream as one file, piece by piece: for a disk, or for a client that downloads it.
+"""A stream as one file, and back; packed piece by piece, for a disk or for a client that downloads
+it.
 
-Rule: little is held at a time, and no byte is given that was not checked: what has changed since
-the beginning ends the packing with an error.
-
-A stream as one file, and back: what is in it stays as it is, byte for byte.
+Rule: what is in it stays as it is, byte for byte. Little is held at a time, and no byte is given
+that was not checked: what has changed since the beginning ends the packing with an error.
 """
 
 from __future__ import annotations

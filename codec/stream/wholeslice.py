@@ -1,6 +1,5 @@
-"""A slice sent whole, as SwinGS does (paper, section 5): every slot of its lane is new.
-
-A slice cut into layers by importance.
+"""A slice cut into layers by importance, and sent whole, as SwinGS does (paper, section 5): every
+slot of its lane is new.
 
 Rule: layers 0..n are always usable together, for any n; a layer alone is of no use.
 """
@@ -16,8 +15,8 @@ import numpy as np
 from codec.arrays import Flags, Floats, Longs
 from codec.errors import InvalidError
 from codec.kernel import kernel
+from codec.lattice.forms import BITS_PER_AXIS, interleave
 from codec.lattice.lattice import POSITION_LIMIT, States, quantise
-from codec.lattice.quantise import BITS_PER_AXIS, interleave
 from codec.slice import HIDDEN, Slice
 from codec.slots.slotlayout import ENDED, NEW, SlotLayout, Update
 from codec.splats import Splats

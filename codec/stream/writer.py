@@ -1,13 +1,10 @@
-"""Writes a stream to a folder or an object store: a reader always sees a valid, shorter stream.
+"""Writes a stream to a folder or an object store: a reader always sees a valid, shorter stream. A
+caller's `quality` scores each frame; the index holds the mean over a segment.
 
 Rule: an object is whole and in its place before the index record that names it is appended (see
-codec/storage/folder and growingstore). Killing the writer at any instant loses at most the
-segment being written.
-
-The segment that a writer has not written yet: slices as packets, and how good they look.
-
-Rule: a draft never changes. Taking in a slice gives another one, so whatever fails on the way
-leaves the writer as it was.
+codec/storage/folder and growingstore). Killing the writer at any instant loses at most the segment
+being written. That segment is a draft, which never changes: taking in a slice gives another one, so
+whatever fails on the way leaves the writer as it was.
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
-"""Contents and integrity of a stream: `swings-stream info` and `verify`.
-
-Statuses of the slots in the slices of a stream, counted, and their bytes.
-
-Whether the objects of a stream hold together, byte for byte.
+"""Contents and integrity of a stream, `swings-stream info` and `verify`: its sizes, the statuses of
+its slots, and whether its objects hold together, byte for byte.
 """
 
 from __future__ import annotations

@@ -1,9 +1,5 @@
-"""Sound and captions added to a finished stream, or removed from it.
-
-Sound and captions beside a stream's segments: which stream may get some, what goes along with a
-copy; adding, removing, reading and checking captions.
-
-The sound of a finished stream in a folder: adding, removing, extracting and checking it.
+"""Sound and captions of a finished stream: adding, removing, reading, checking them, and copying
+them along with an edit.
 """
 
 from __future__ import annotations

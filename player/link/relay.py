@@ -1,5 +1,8 @@
 """A slow link to a server: a TCP relay that passes bytes as a Link says.
 
+The user writes a link as a rate, `8M` (bits per second; k, M, G), a rate and a latency, `8M,20ms`,
+or the name of a trace, a file that server/abr/traces.py can read.
+
 Rule: a byte stays in the server's own send queue until it has passed the link and its latency is
 over. So the relay takes it from the kernel only then, and lets the kernel hold as little as it can:
 what the server sees unacknowledged is what a real link would leave so. The link is one; all
@@ -8,11 +11,8 @@ connections share it.
 Not modelled: loss and reordering, a limit to the queue before the link (that is the server's own),
 and the way up, which takes no time. Bytes that follow the last ones so soon that the queue may not
 have been empty (LULL_S) come as early as if they had been sent right behind them: a server that
-keeps less in its queue than passes within the latency sees a shorter latency, not a slower link.
-So do the first bytes of a connection while others keep the link at work.
-
-A link as the user writes it: a rate, `8M` (bits per second; k, M, G), a rate and a latency,
-`8M,20ms`, or the name of a trace, a file that server/abr/traces.py can read.
+keeps less in its queue than passes within the latency sees a shorter latency, not a slower link. So
+do the first bytes of a connection while others keep the link at work.
 """
 
 from __future__ import annotations

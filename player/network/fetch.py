@@ -1,9 +1,8 @@
-"""HTTP for one thread that may block: an event loop that runs only while a caller waits.
+"""HTTP for one thread that may block: an event loop that runs only while a caller waits; and how
+soon, and for how long, a broken connection is tried again.
 
 Rule: whatever goes wrong on the network leaves here as one of the errors below. Nothing is read
 ahead of its reader, so a player that is busy holds the server back.
-
-How long and how soon a connection that broke is tried again. Pure.
 """
 
 from __future__ import annotations

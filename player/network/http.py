@@ -1,17 +1,10 @@
-"""HTTP/1.1 over httpcore for threads: connections, proxies, idle time.
+"""HTTP/1.1 over httpcore, directly or through a proxy, on a loop that runs only while a caller
+waits.
 
-HTTP by httpcore, directly or through a proxy, on a loop that runs only while a caller waits.
-
-httpcore is imported at the first request, because playing from a folder needs no network.
-
-The proxy for a host, from HTTP_PROXY, HTTPS_PROXY, ALL_PROXY and NO_PROXY in the environment.
-
-Rule: the standard library reads the variables, so that they mean what they mean to other programs.
-
-When an answer brings too little for too long. Pure.
-
-Rule: only what is of use extends the time. Bytes whose use is not known yet, as of half a packet,
-extend it by what a very slow link would take for them.
+Rule: an answer that brings nothing of use for too long ends. Bytes whose use is not known yet, as
+of half a packet, extend its time by what a very slow link would take for them. The standard library
+reads HTTP_PROXY, HTTPS_PROXY, ALL_PROXY and NO_PROXY, so that they mean what they mean to other
+programs; httpcore is imported at the first request, because playing from a folder needs no network.
 """
 
 from __future__ import annotations

@@ -1,19 +1,11 @@
-"""The clock that stamps arrivals and frames: seconds of media since the player started.
+"""The clocks of a playback: seconds of media since the player started, the sound device's time, and
+the moments of a film of another rate.
 
-Rule: nothing else in the playout reads the time; all decisions get `now_s` as an argument.
-
-The time that a window plays by: that of the sound device, if there is one.
-
-Rule: pure, but for `time_s`, which asks the world's clock. A device takes its samples in blocks, at
-moments that scatter, by a crystal of its own. Their count says how fast its time passes; this
-follows it slowly, so that pictures are as even as without sound.
-
-The switch and the rates that decide whether pictures between two frames are drawn.
-
-The pictures of a film whose rate differs from the stream's, and the moment that each shows.
-
-Rule: pure, and exact: picture n shows the stream n / rate seconds after its first frame, by
-fractions, however long the film.
+Rule: nothing else in the playout reads the time; all decisions get `now_s` as an argument. A device
+takes its samples in blocks, at moments that scatter, by a crystal of its own. Their count says how
+fast its time passes; `DeviceTime` follows it slowly, so that pictures are as even as without sound.
+Picture n of a film shows the stream n / rate seconds after its first frame, by fractions, however
+long the film.
 """
 
 from __future__ import annotations

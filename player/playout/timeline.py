@@ -1,11 +1,9 @@
-"""When each frame is shown, and with which packets: the time line and its bounded queue.
+"""When each frame is shown, and with which packets of a bounded queue; and where a playback goes on
+after seeking, stepping, looping and the end.
 
 Rule: pure. Packets and their arrival times come in, frames and the times at which they show come
-out; nothing here reads a clock, waits, decodes or draws.
-
-Where a playback goes on: what seeking, stepping, looping and the end of the stream lead to.
-
-Rule: pure. It knows frames, not times: pause and rate belong to the clock.
+out; nothing here reads a clock, waits, decodes or draws. `Transport` knows frames, not times: pause
+and rate belong to the clock.
 """
 
 from __future__ import annotations

@@ -1,13 +1,11 @@
-"""Blending front to back: what one Gaussian does to one row of a tile's pixels.
+"""Which Gaussians touch which tile, front to back, and what each does to the pixels of a tile's
+row.
 
 Rule: the picture, its gradient and the contribution differ only in what they keep of a pixel. What
 a Gaussian does to it stands here once. The compiler copies these functions into each of the three
 loops, which stay vector code: a function for a whole row would have to pass the weights through
-memory, and the contribution would take a quarter longer.
-
-Sorting by depth: a stable radix sort, so equal depths have the same order on every machine.
-
-Which Gaussians touch which tile, front to back.
+memory, and the contribution would take a quarter longer. The sort by depth is stable, so equal
+depths have the same order on every machine.
 """
 
 from __future__ import annotations

@@ -1,10 +1,6 @@
-"""The CPU renderer: the oracle of recipe v1 and the fast path where there is no GPU.
-
-The Gaussians of the current window in fixed arrays: swin_size lanes of slices.
-
-How long a renderer takes for each step of a picture.
-
-How far away what a camera sees is, drawn by the CPU renderer with distances as colours.
+"""The CPU renderer: the oracle of recipe v1 and the fast path where there is no GPU. It keeps the
+Gaussians of the current window in fixed arrays, swin_size lanes of slices, and draws depth with
+distances as colours.
 """
 
 from __future__ import annotations

@@ -1,15 +1,13 @@
-"""From 3D Gaussians and a camera to 2D Gaussians on the pixel grid (EWA splatting, recipe v1).
-
-Rendering recipe v1: the constants that every back end shares.
+"""From 3D Gaussians and a camera to 2D Gaussians on the pixel grid (EWA splatting), and the
+constants of rendering recipe v1, which every back end shares.
 
 Classic 3D Gaussian splatting: project with the Jacobian of the pinhole camera, blur by
 `LOW_PASS_PX2`, blend front to back with alpha = min(ALPHA_MAX, opacity * exp(-q)), q half the
 squared Mahalanobis distance in pixels. Pixel (i, j) has its centre at (i + 0.5, j + 0.5); the
 background is black.
 
-Colours from spherical harmonics of degree 2 and 3, evaluated again only where the view turned.
-
-The colours of degree 0 and 1 cost less than it costs to keep them: `project_kernel` has them.
+Colours of degree 2 and 3 are evaluated again only where the view turned. Those of degree 0 and 1
+cost less than it costs to keep them: `project_kernel` has them.
 """
 
 from __future__ import annotations

@@ -1,20 +1,10 @@
-"""What an update changes in the memory of a renderer: rows, lanes, rectangles, moves.
-
-The check that a slice fits its lane, the place of slice_size Gaussians.
-
-The kind of motion of each Gaussian that a slice changes, for renderers that mix on the GPU.
-
-Gaussians as the texels that the shaders read: four words of 32 bits to a texel.
+"""What an update changes in the memory of a renderer, and its way from the thread that brings
+slices to the one that draws: rows, lanes, rectangles of texels, moves.
 
 Rule: whatever does not depend on the camera is computed here once for a slice, not for each frame.
-
-The changes of a slice to the resident texture, as few rectangles of texels.
-
-Rule: a write costs about as much as some tens of Gaussians, so neighbours are written together with
-the unchanged ones between them; that is why the texels of all lanes are kept here, too.
-
-Slices on their way from the thread that brings them to the thread that draws, and the motion
-that they bring.
+A Gaussian is a row of texels, four words of 32 bits each. A write costs about as much as some tens
+of Gaussians, so neighbours are written together with the unchanged ones between them; that is why
+the texels of all lanes are kept here, too.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
-"""The record of a playback for its report.
+"""The record of a playback, of frames, arrivals and sound, and its summary: for people, and as a
+JSON file for tools.
 
 Rule: times come in as arguments. Memory is bounded: of frames, arrivals and moments the newest
 MAX_ROWS are kept, of each kind, and what goes is counted.
-
-Counters of the sound, for the report of a playback.
-
-How a playback went: a summary for people, and a JSON file for tools.
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
-"""The pictures of `--plot`: a play over time, and the stages of a frame.
-
-A playback over time as a picture: network, layers and buffer, with what stood still marked.
-
-A profile of stages as a picture: what each frame's time went into.
+"""The pictures of `--plot`: network, layers and buffer over a play, with what stood still marked,
+and what each frame's time went into.
 """
 
 from __future__ import annotations

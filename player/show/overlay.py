@@ -1,8 +1,7 @@
-"""The overlay of the picture: lines of text, and the seek bar. Pure.
+"""The overlay of the picture, lines of text and the seek bar, and what draws it onto a window by
+OpenGL.
 
 Rule: an overlay is an array of pixels, (H, W, 4) uint8, RGBA, row 0 on top, straight alpha.
-
-Draws overlays onto a window by OpenGL, over whatever is there.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""Pictures into files: which there can be, and a single one. filesinks.py writes many.
-
-Pictures into files: an .mp4 or a folder of PNGs.
+"""Pictures into files: a single PNG, a folder of them, or an .mp4.
 
 Rule: a file under its final name is whole. What is being written has a temporary name.
 """

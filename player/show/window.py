@@ -1,10 +1,5 @@
-"""The interactive window; controls.py says what its keys and the mouse do.
-
-How well a window keeps up, as its overlay says it. Pure: times come in as arguments.
-
-Which overlays a window shows, and where; each is drawn anew only when it changes.
-
-The window before the stream's first picture: its poster, as large as fits.
+"""The interactive window: first the poster, as large as fits, then the pictures, the overlays over
+them, and how well it keeps up. controls.py says what its keys and the mouse do.
 """
 
 from __future__ import annotations

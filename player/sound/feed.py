@@ -1,19 +1,10 @@
-"""Sound ahead of the picture: fetched by segment, decoded, mixed for the camera.
+"""Sound ahead of the picture: a thread fetches and decodes it by segment, and each source is mixed
+for a listener at the camera (`gains_of`): panned, and softer with the distance.
 
-The thread that fetches and decodes sound ahead of the playback.
-
-Sources to stereo, as a listener at the camera hears them.
-
-Rule: pure. A source at a place is as in WebAudio's PannerNode with its defaults: panned with equal
-power, and beyond 1 m as much softer as it is farther. The others are heard as they are.
-
-Objects of sound to samples: those of one source, a segment at a time.
-
-Rule: pure. Bytes come in, samples go out.
-
-The samples of a stream's sources by segment, and their mix from any sample on.
-
-Rule: pure; `SegmentLoader` alone asks for bytes. One thread may put segments while another mixes.
+Rule: pure but for the thread of `SoundFeed`; `SegmentLoader` alone asks for bytes, and one thread
+may put segments while another mixes. A source at a place is as in WebAudio's PannerNode with its
+defaults: panned with equal power, and beyond 1 m as much softer as it is farther. The others are
+heard as they are.
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
-"""The samples for the sound device, block by block, from where the playback is.
-
-Rule: pure but for its clock; the device and the thread that fetches are elsewhere.
-
-The sound device of this machine, by miniaudio. The only file that knows it.
+"""The samples for the sound device of this machine, block by block, from where the playback is; and
+the device, by miniaudio, which no other file knows.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""The sound of a capture: of each frame that is drawn, for the camera that draws it.
+"""The sound of a `--capture`, of each frame that is drawn for the camera that draws it, spliced to
+one stream of samples without clicks.
 
-Samples from wherever the playback is to one stream of samples, without clicks.
-
-Rule: pure. At normal speed the samples pass unchanged. At other rates pieces overlap where they are
-alike, so that the pitch is kept (WSOLA: Verhelst and Roelands, 1993). A jump is cross-faded.
+Rule: `Splicer` is pure. At normal speed the samples pass unchanged. At other rates pieces overlap
+where they are alike, so that the pitch is kept (WSOLA: Verhelst and Roelands, 1993). A jump is
+cross-faded.
 """
 
 from __future__ import annotations

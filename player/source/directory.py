@@ -1,8 +1,8 @@
-"""A stream's folder as a source.
+"""A stream's folder as a source; and packets from whole objects, segment by segment, which a folder
+and a static host have in common.
 
-Packets from whole objects, segment by segment: what a folder and a static host have in common.
-
-Rule: no I/O; the caller asks which parts of which segment are wanted, and fetches them.
+Rule: `SegmentReader` does no I/O; the caller asks which parts of which segment are wanted, and
+fetches them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
-"""A stream on any static host: manifest, index and objects fetched one by one, or as parts of the
-one file of a packed stream.
-
-The index of a stream on a static host, which may still grow.
+"""A stream on any static host: manifest, objects and an index that may still grow, fetched one by
+one, or as parts of the one file of a packed stream.
 """
 
 from __future__ import annotations

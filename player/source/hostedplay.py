@@ -1,11 +1,9 @@
-"""Requests and packets of an adaptive play from a static host: the server's part, done here.
+"""Requests and packets of an adaptive play from a static host: the server's part, done here; and an
+object that comes in pieces.
 
 Rule: no network and no clock. Times and bytes come in; runs of bytes to ask for, and packets, go
 out. A request is made before the one before it has been answered: the link has no time to rest.
-
-One object that comes in pieces: which of its bytes to ask for, and the packets in what has come.
-
-Rule: no I/O. What was asked for comes, or the play ends: nothing is asked for twice.
+What was asked for comes, or the play ends: nothing is asked for twice.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
-"""One stream, opened again and again: at other frames, in other layers.
+"""The place of the stream that the user named, on this machine, served or hosted; a preview of it;
+and the stream, opened again and again at other frames, in other layers.
 
 Rule: what was learnt once is not asked for again: where the stream is, its manifest, the
 connections to its host, and what the server knows of the link.
-
-The place of the stream that the user named: on this machine, served, or hosted.
-
-A preview of a stream: its manifest and its poster, before anything of it is played.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""A stream that a swings server plays: one response, in the layers and the order it chooses.
+"""A stream that a swings server plays: one response, in the layers and the order it chooses, whose
+records become packets.
 
-Rule: layer 0 of the slices comes without a gap, whatever happens to the connections.
-
-The records of a /play response to packets: what stays the same when a connection breaks.
-
-Rule: no I/O. Layer 0 of the slices comes without a gap; a new connection may repeat some.
+Rule: layer 0 of the slices comes without a gap, whatever happens to the connections; a new one may
+repeat some.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Camera paths: which camera looks at the scene in which frame.
 
-A path is written as `default`, `camera:NAME`, `orbit`, `orbit:DEGREES` or the name of a JSON file
-of key frames (keyframes.py).
-
-A camera path from a JSON file: a list of key frames, interpolated.
+A path is written as `default`, `camera:NAME`, `orbit`, `orbit:DEGREES` or the name of a JSON file;
+a place in a stream as a frame, `30`, or a time, `2.5s`. The file is a list of key frames,
+interpolated:
 
     [{"frame": 0, "position": [0, 1, -3], "look_at": [0, 1, 0], "fov_deg": 50},
      {"frame": 90, "w2c": [16 numbers, row by row]}]
@@ -18,8 +17,6 @@ A camera path of nerfstudio is read, too, one pose a frame:
 
 Its poses lead from camera to world, in OpenGL's axes: x right, y up, z backwards. They must be in
 the coordinates of the stream: nerfstudio moves and scales a scene unless it is told not to.
-
-A place in a stream as a user writes it: a frame, `30`, or a time, `2.5s`.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ export const MIN_STEP = 1e-6;
 export const MAX_STEP = 1000000;
 export const MAX_BASE = 1000;
 
-// codec.lattice.quantise
+// codec.lattice.forms
 export const MAX_OPACITY_LEVELS = 256;
 export const MAX_LOGIT = 16;
 

@@ -1,6 +1,5 @@
-"""Helpers of all handlers: the stream that a URL names, and room for a play.
-
-The query string of a /play: what a client wants of a stream.
+"""Helpers of all handlers: the stream that a URL names, room for a play, and the query string of a
+/play.
 
 Rule: every text gives a query or a 400 in one line that says what is allowed.
 """

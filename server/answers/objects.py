@@ -1,6 +1,5 @@
-"""A stream's files over HTTP, under the same relative paths as on disk.
-
-A stream as one file, which `swings-stream pack` would write; packed while it is sent.
+"""A stream's files over HTTP, under the same relative paths as on disk; and the stream as one file,
+which `swings-stream pack` would write, packed while it is sent.
 """
 
 from __future__ import annotations

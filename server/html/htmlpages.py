@@ -1,11 +1,8 @@
-"""The pages of the server: gallery and watch page, from templates of jinja2.
+"""The pages of the server, from templates of jinja2: the front page with a card for each stream,
+the page of one stream around its player, and messages.
 
-The pages that the server writes itself: their templates, and the content security policies that
-name what such a page has inline by its hash.
-
-The front page: a picture of each stream, which leads to where it plays.
-
-The page of one stream: the player, and around it what a page to be shared has.
+Rule: a page's content security policy names what it has inline by its hash. A card shows the
+stream's poster, see codec/stream/poster.py.
 """
 
 from __future__ import annotations

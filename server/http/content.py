@@ -1,8 +1,7 @@
-"""The content of a URL, and the part of it that a request asks for (RFC 9110, sections 13 and 14).
+"""The content of a URL, and the part of it that a request asks for (RFC 9110, sections 13 and 14);
+and responses whose body is made while it is sent, such as plays.
 
 Rule: a strong tag is a hash of the content, so equal tags mean equal bytes on every server.
-
-Responses whose body is made while it is sent, such as plays.
 """
 
 from __future__ import annotations

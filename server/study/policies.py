@@ -1,10 +1,9 @@
 """The policies that ours is compared with, as rules: of the throughput of this moment, BOLA and
 RobustMPC, and the paper's own.
 
-Rules: a policy that says how many layers the next group of slices gets.
-
-Rule: a `Rule` sees one `Situation` and its own state, nothing else. So the published policies can
-be written as their papers put them: a chunk comes, which of its sizes is it to be?
+Rule: a `Rule` sees one `Situation` and its own state, nothing else, and says how many layers the
+next group of slices gets. So the published policies can be written as their papers put them: a
+chunk comes, which of its sizes is it to be?
 
 `InOrder` sends by it: slices in order of birth, each complete at once. This is how video is
 delivered by chunks: what was sent is never mended, and nothing is sent out of its turn. More layers

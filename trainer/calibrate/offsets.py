@@ -1,11 +1,8 @@
-"""When each camera began: by a file, sound or timecode, or else by where things move.
+"""When each camera began: by a file, by sound or timecode, or else by what moves.
 
-By how much takes lag behind each other, from how alike each two of them are at each lag.
-
-What takes have in common that tells when each began: sound, timecode, movement.
-
-When each take began, by geometry: at the right lags, what moves in one picture lies on the
-epipolar lines of what moves in the others. Steps of a walk repeat themselves; places do not.
+The lags of all takes are those at which each two of them are most alike. Where something moves is
+compared by geometry: at the right lags, it lies on the epipolar lines of what moves in the other
+pictures. Steps of a walk repeat themselves; places do not.
 """
 
 from __future__ import annotations

@@ -1,12 +1,11 @@
-"""A capture of videos and the calibration of another program.
+"""swings-capture import: a capture of the nerfstudio layout, from videos and the calibration of
+another program.
 
-swings-capture import: a calibration and its videos as a capture of the nerfstudio layout.
+A calibration is one of these:
 
-The calibrated cameras of a rig, as other programs write them down.
-
-.toml, .json     OpenCV's parameters, a table for each camera, as caliscope, Pose2Sim (also of
-                 Qualisys and Vicon) and anipose have them
-a folder         a sparse model of COLMAP, with an image for each camera
+    .toml, .json     OpenCV's parameters, a table for each camera, as caliscope, Pose2Sim (also of
+                     Qualisys and Vicon) and anipose have them
+    a folder         a sparse model of COLMAP, with an image for each camera
 """
 
 from __future__ import annotations

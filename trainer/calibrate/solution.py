@@ -1,8 +1,9 @@
-"""What the process of mapping.py found, and whether unseen moments bear it out.
+"""The rigs that the process of mapping.py found, whether unseen moments bear them out, and their
+world.
 
-Two rigs of the same cameras, brought together: which similarity, and by how much they differ.
-
-The world of a rig: which way is up, where the origin is, and the unit.
+Two rigs of the same cameras are compared after the similarity that brings most cameras of one onto
+the other. The world of a rig has z up, its origin in the middle of what all cameras see, and a unit
+in metres where one is known.
 """
 
 from __future__ import annotations

@@ -1,6 +1,5 @@
-"""A calibrated rig as a capture of the nerfstudio layout, beside its videos or pictures.
-
-What a person reads about a calibrated rig.
+"""A calibrated rig as a capture of the nerfstudio layout beside its videos or pictures, and the
+report on it.
 """
 
 from __future__ import annotations

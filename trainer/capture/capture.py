@@ -1,12 +1,8 @@
-"""The form that every capture is brought into: cameras, a frame count, pictures on demand.
+"""The form that every capture is brought into: cameras, a frame count, pictures on demand; which
+cameras are opened, and which held out.
 
 Rule: opening a capture decodes no picture but the first of a video, yet proves that each camera has
 each frame, so that a training run does not die of a missing file in its third hour.
-
-Cameras by their names: which to open, and how a line names several.
-
-Which cameras of a capture are kept out of training: those that a file names, or one between the
-others.
 """
 
 from __future__ import annotations

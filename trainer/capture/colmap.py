@@ -11,7 +11,7 @@
                            mask of <frame>/<image name> is masks/<frame>/<image name>.png, or has
                            .png in place of the picture's suffix. Without a mask every pixel of a
                            camera counts
-    held_out.txt           optional, see held_out.py
+    held_out.txt           optional, see capture.py
     fps.txt                optional, see picturefiles.py
 
 picturefiles.py says how frames are numbered. Pictures of cameras that the model does not have are

@@ -5,9 +5,9 @@
     ims/<camera>/<frame>.jpg
     init_pt_cld.npz                   optional initial points, see points.py
     fps.txt                           optional, see picturefiles.py; the layout itself has no rate
-    masks/                            optional, see maskfolders.py
+    masks/                            optional, see masks.py
 
-    held_out.txt                      optional, see held_out.py; where it is missing, the cameras of
+    held_out.txt                      optional, see capture.py; where it is missing, the cameras of
                                       test_meta.json are held out
 
 The layout could describe moving cameras; this project cannot use them, so they are refused rather

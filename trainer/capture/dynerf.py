@@ -2,9 +2,9 @@
 
     camNN.mp4          a video per camera, in order of file name; also .MP4
     poses_bounds.npy   (V, 17) float64, one row per video, see `decode_pose`
-    held_out.txt       optional, see held_out.py
+    held_out.txt       optional, see capture.py
     points.npz         optional initial points in the poses' world, see points.py
-    masks/             optional, see maskfolders.py
+    masks/             optional, see masks.py
 
 All videos have the same number of frames; the frame rate is that of their containers. They may be
 smaller than the poses declare, all by one factor, as in the usual copy of that data set. The unit

@@ -5,10 +5,10 @@
     and the pictures, the first of these that exists:
     images/<camera>/<frame>.jpg   see picturefiles.py
     videos/<camera>.mp4           also .mov, .mkv, .webm and .avi
-    held_out.txt           optional, see held_out.py
+    held_out.txt           optional, see capture.py
     points.npz             optional initial points, see points.py
     fps.txt                optional, for pictures, see picturefiles.py
-    masks/                 optional, see maskfolders.py
+    masks/                 optional, see masks.py
 
 A camera has the size of its first picture. Pictures of lenses that bend are straightened as they
 are read.

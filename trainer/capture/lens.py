@@ -1,10 +1,8 @@
-"""Lens distortion taken out of pictures as they are read.
+"""Lenses by OpenCV's parameters, and their distortion taken out of pictures as they are read.
 
 The straight picture has the size and the intrinsics of the bent one. Where the lens saw less than
 the pinhole would (pincushion distortion), the nearest pixel of the edge stands in; such pixels do
 not count, and neither do those that the terms of the lens fold over (`unseen_pixels`).
-
-Cameras by OpenCV's parameters, as calibrations write them down.
 """
 
 from __future__ import annotations

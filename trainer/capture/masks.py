@@ -2,11 +2,9 @@
 of mask files.
 
 A mask file has the size of its picture as it is on disk, before straightening. A grey of 128 or
-more counts as white.
+more counts as white. Captures of any layout may have masks in a folder for each camera:
 
-Masks beside a capture of any layout: a folder of numbered pictures for each camera.
-
-    masks/<camera>/<number>.png     what masks.py says, one for each frame or one for all
+    masks/<camera>/<number>.png     one for each frame, or one for all
 
 The numbers may start anywhere but must not have a gap; the first is frame 0 of the capture.
 """

@@ -6,7 +6,7 @@
                            z backwards). Blender's angle of view, camera_angle_x in radians, stands
                            in for fl_x, the size of the pictures for w and h, their middle for cx
                            and cy
-    held_out.txt           optional, see held_out.py; where it is missing, `test_filenames` in
+    held_out.txt           optional, see capture.py; where it is missing, `test_filenames` in
                            transforms.json may tell the held-out cameras instead
     points.npz             optional initial points, see points.py; without it those of ply_file_path
 
@@ -21,7 +21,7 @@ An entry's file_path has one of these forms, the same for all entries:
 
 An entry's mask_path, optional, is the mask of its picture (see masks.py), or of all frames of the
 camera that the entry stands for. A camera has one in each of its entries or in none. If no entry
-has one, the folder masks/ may have them, see maskfolders.py.
+has one, the folder masks/ may have them, see masks.py.
 
 An entry of a video may have `start_s`: its time, in seconds after its first frame, at which the
 capture begins. Videos then need neither one length nor one rate: each frame of the capture is the

@@ -1,7 +1,7 @@
-"""Which frames of the videos of a capture show the same moments: frame n of each of them, or the
-nearest ones in time where it is known when each video begins.
+"""The pictures of all cameras in step: a video of each, or a picture of each frame and camera.
 
-The pictures of all cameras: a video of each, or a picture of each frame and camera.
+Frame n of a capture is frame n of every video or, where it is known when each video begins, the
+nearest one in time.
 """
 
 from __future__ import annotations

@@ -1,10 +1,7 @@
-"""The transforms.json of the Nerfstudio layout: poses and lenses, and the files they belong to.
+"""The transforms.json of the Nerfstudio layout: its entries, and the cameras that they stand for,
+each with its files.
 
-nerfstudio.py describes the layout.
-
-The cameras that the entries of a transforms.json stand for, each with its files.
-
-nerfstudio.py describes the forms of an entry.
+nerfstudio.py describes the layout and the forms of an entry.
 """
 
 from __future__ import annotations

@@ -1,6 +1,5 @@
-"""The settings of the sliding-window training.
-
-The work of each iteration of a window, and its falling learning rates.
+"""The settings of the sliding-window training, and the plan by which they train a window: its
+iterations, and their falling learning rates.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from codec.arrays import Bytes, Doubles, Flags, Floats, Ints, Longs
 from codec.errors import InvalidError
+from codec.lattice.forms import interleave
 from codec.lattice.lattice import States, dequantise, quantise
-from codec.lattice.quantise import interleave
 from codec.slots.slotlayout import ENDED, KEPT, NEW, PREDICTED, SlotLayout, Update
 from codec.splats import Splats
 

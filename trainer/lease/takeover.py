@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from codec.arrays import Bytes, Flags, Floats, Ints, Longs
 from codec.errors import InvalidError
+from codec.lattice.forms import interleave
 from codec.lattice.lattice import States
-from codec.lattice.quantise import interleave
 from codec.slots.slotlayout import KEPT, NEW, Update
 from codec.splats import ARRAY_NAMES, Splats
 

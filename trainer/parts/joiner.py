@@ -1,8 +1,5 @@
-"""Puts the pieces of a stream together: their index, in order, as far as it goes.
-
-Progress line and log while parts are trained and joined.
-
-Pictures of the stream as far as it goes, to look at while parts are trained.
+"""Puts the pieces of a stream together, in order, as far as its index goes; shows the progress of
+all workers, and pictures of what has joined.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""`swings-train --ray`: a run in parts on a Ray cluster, from the driver's side.
+"""`swings-train --ray`: a run in parts on a Ray cluster, from the driver's side, and the function
+that Ray runs for each task.
 
-Ray decides where each task is done, and has it done again where its worker died.
-
-A Ray cluster, as a client of it sees it.
-
-A task on the cluster: what Ray runs, each time in a worker process of its own.
+Ray decides where a task is done, and has it done again where its worker died: each time in a worker
+process of its own.
 """
 
 from __future__ import annotations

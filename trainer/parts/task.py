@@ -1,9 +1,4 @@
-"""A worker's task: the run, and the piece of it to train.
-
-Where a capture is cut.
-
-Which task is given away next.
-"""
+"""Where a capture is cut into parts, what a worker's task is, and which task is given away next."""
 
 from __future__ import annotations
 

@@ -1,10 +1,8 @@
-"""A worker's task: it trains a piece of a stream from the results of others, and leaves what those
-need.
+"""A worker's task: it trains a piece of a stream from the results of others, and leaves in storage,
+as bytes, the state that those after it need.
 
 Rule: everything that is left is put whole, and a task that is done again, from its last checkpoint
 or from its beginning, leaves the same bytes. So a worker may die at any moment.
-
-The state that one worker leaves in storage for the next, as bytes.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
-"""The pictures that training asks for, at its scale: read when first needed or ahead of it, kept
-within a bound; and their masks.
+"""The pictures and masks that training asks for, at its scale: read when first needed or ahead of
+it, kept within a bound.
 
 State: the kept pictures and masks in order of use, one source per camera, and the thread that reads
-ahead. When full, the least recently used goes; to ask for it again reads it again.
-
-One thread that does small jobs ahead of time; a bounded number of them may wait.
-
-The pictures of a capture, as training draws them.
+ahead, for which a bounded number of jobs may wait. When full, the least recently used goes; to ask
+for it again reads it again.
 """
 
 from __future__ import annotations

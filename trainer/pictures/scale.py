@@ -1,9 +1,7 @@
-"""Smaller pictures and their masks.
+"""Smaller pictures with their masks; a `Shot` is one camera's picture of one frame.
 
 A pixel of a smaller picture is the mean of the area that it covers, and counts only when all of
 that area counts.
-
-One camera's picture of one frame, and which of its pixels count.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Doubts whether a capture trains well, from how it was opened, its rig and its pictures.
 
-How much of a held-out picture the training cameras look at.
-
-What no training camera sees stays black or becomes fog, and a score of such a picture says little
-about the stream.
+One of them is coverage: what no training camera sees stays black or becomes fog, and a score of
+such a picture says little about the stream.
 """
 
 from __future__ import annotations

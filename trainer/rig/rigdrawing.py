@@ -1,6 +1,6 @@
 """Cameras and points of a capture as a picture, from above and from the side, in its own axes.
 
-Fonts for the names of cameras: matplotlib's own has no Chinese, Japanese or Korean letters.
+Names of cameras need fonts of their own: matplotlib's has no Chinese, Japanese or Korean letters.
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
-"""The settings of a training run; its `--help` is made of them.
-
-A training run's settings as JSON, so that a resumed run needs no options.
-
-Presets: named defaults of swings-train, which every option still overrides.
+"""The settings of a training run, of which its `--help` is made; presets, whose defaults every
+option overrides; and the settings as JSON, so that a resumed run needs no options.
 """
 
 from __future__ import annotations

@@ -1,6 +1,5 @@
-"""A training run from end to end: a capture in, a stream out.
-
-The end of a run: what was made of it, and one that is resumed after its end.
+"""A training run from end to end: a capture in, a stream out, and what is printed at its end, or of
+a run that is resumed after it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
-"""Progress line and log while a stream is trained.
-
-How far a training run is.
-
-The record of a training run: one JSON object per line and, if wanted, TensorBoard scalars.
+"""How far a training run is: a progress line, and a log of one JSON object per line and, if wanted,
+TensorBoard scalars.
 """
 
 from __future__ import annotations

@@ -1,15 +1,10 @@
-"""The outputs of a run beside its log and its checkpoint: streams and snapshots.
+"""The outputs of a run beside its log and its checkpoint: streams, their order, sound and poster,
+and snapshots.
 
-Slices in the order of what their Gaussians contribute to the training views.
-
-Contributions are summed over the views and over the frames in which a Gaussian shows: what is
-small, thin or hidden ranks low however opaque it is. A writer keeps the order with its rank
-`given`.
-
-The sound of a trained stream: a file's, or that of the capture's videos, aligned to its frames.
-
-Rule: it is encoded before training begins, so that a bad file ends the run at once; each segment
-gets its packets when it is written.
+Slices sent whole are ordered by contribution, summed over the views and over the frames in which a
+Gaussian shows: what is small, thin or hidden ranks low however opaque it is. The sound, a file's or
+that of the capture's videos, is encoded before training begins, so that a bad file ends the run at
+once.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ import numpy as np
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.interop.formats import read_splats
+from codec.lattice.forms import layer_coarseness
 from codec.lattice.lattice import Lattice
-from codec.lattice.quantise import layer_coarseness
 from codec.rig import central_camera
 from codec.sequence.survey import FPS_NAME
 from codec.splats import Splats

@@ -83,7 +83,7 @@ class LayerScore:
     layers: int
     psnr_db: float
     fitted_psnr_db: float
-    """With each picture's colours fitted to its camera's: see colourfit.py."""
+    """With each picture's colours fitted to its camera's: see scores.py."""
     ssim: float
     flicker: float | None
     """100 times the mean change between frames of pixels that the capture keeps still."""

@@ -1,17 +1,10 @@
-"""Scores of a stream from some cameras, frame by frame.
-
-A picture in the colours of the camera that it is compared with.
+"""Scores of a stream from some cameras, frame by frame, for each number of layers; and the bytes
+that a player fetches for them.
 
 The cameras of a rig differ in exposure and white balance, and those of a camera that training never
-saw are not known: a stream in the rig's mean colours loses decibels there that no viewer misses. So
-a picture is also scored with a gain and a bias for each channel, fitted to what the camera saw.
-
-How much better a stream looks from the cameras that trained it than from those held out.
-
-What explains single cameras and not the scene shows as a gap between the two; more iterations widen
-it.
-
-The traffic of a player that begins at frame 0 or later: bytes, and Gaussians.
+saw are not known. So a picture is also scored with a gain and a bias for each channel, fitted to
+what the camera saw. What explains single cameras and not the scene shows as a gap between the
+training cameras and those held out; more iterations widen it.
 """
 
 from __future__ import annotations
@@ -109,7 +102,7 @@ class Scores:
     def __init__(self) -> None:
         self.psnr_db: list[list[float]] = []
         self.fitted_psnr_db: list[list[float]] = []
-        """In the cameras' colours, see colourfit.py."""
+        """In the cameras' colours, see `colour_fitted`."""
         self.ssim: list[list[float]] = []
         self.moving_psnr_db: list[list[float | None]] = []
         """Over the pixels that move; None where too few do."""
@@ -161,7 +154,7 @@ class SideScore:
 
     psnr_db: float | None
     fitted_psnr_db: float | None
-    """With each picture's colours fitted to its camera's: see colourfit.py."""
+    """With each picture's colours fitted to its camera's: see `colour_fitted`."""
     moving_psnr_db: float | None
     """Over the pixels that move since the frame before."""
     fitted_moving_psnr_db: float | None

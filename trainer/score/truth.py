@@ -1,8 +1,5 @@
-"""A stream beside what the held-out cameras of its capture saw.
-
-How a picture of Gaussians scores against what a camera saw.
-
-Which pixels of a capture move, and what a stream is worth on them alone.
+"""How a picture of Gaussians scores against what a held-out camera saw, over all pixels and over
+those that move.
 
 In most captures almost all pixels stand still, so that a stream may score well and still blur all
 that anyone looks at.

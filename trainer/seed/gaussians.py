@@ -1,6 +1,5 @@
-"""The first Gaussians: a capture's own points, and seeds as deep as stereo finds them.
-
-How near to its cameras the nearest things of a scene stand.
+"""The first Gaussians: a capture's own points, and seeds as deep as stereo finds them; and how near
+the nearest of them stand to the cameras.
 """
 
 from __future__ import annotations

@@ -1,15 +1,10 @@
-"""The backward pass on the CPU: from the picture's gradient to the Gaussians' parameters.
-
-Gradients of the blended picture with respect to the projected Gaussians.
+"""The backward pass on the CPU: from the picture's gradient to the Gaussians' parameters, through
+blending, projection and harmonics.
 
 The forward pass is repeated front to back, so nothing per pixel has to be kept from it. With d the
 gradient of the loss for a pixel's colour, what lies behind a Gaussian enters through one number per
 pixel, the remaining sum of weight * (colour . d), which starts at picture . d and shrinks on the
 way.
-
-Gradients of the projection: from 2D Gaussians back to the parameters of the 3D Gaussians.
-
-Gradients of the colours from spherical harmonics of degree 2 and 3.
 """
 
 from __future__ import annotations

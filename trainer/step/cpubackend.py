@@ -1,6 +1,5 @@
-"""The numba rasteriser, and the resident that it computes: its arrays are the host's.
-
-Training pictures as the loss wants them: planar floats, whole or at half the size.
+"""The numba rasteriser and the resident that it computes, whose arrays are the host's; and pictures
+as the loss wants them: planar floats, whole or at half the size.
 """
 
 from __future__ import annotations

@@ -1,15 +1,11 @@
-"""Adam over the rows that a picture touches, and the noise of stochastic gradient Langevin
-dynamics.
+"""Adam over the rows that a picture touches, the noise of stochastic gradient Langevin dynamics,
+and the bound of scales in genesis.
 
 Every row counts its own steps: rows of different ages are optimised together (paper, section
-4.5.1), and a row whose Gaussian was relocated starts afresh.
-
-The bound of the scales of genesis: a share of a Gaussian's distance from the cameras.
-
-Coherent motion: for a while, Gaussians that lie close together move as one.
-
-What moves in a scene moves in pieces much larger than a Gaussian. The gradient of one shows only
-how its own pixels would look better; that of a whole cell shows where the piece went.
+4.5.1), and a row whose Gaussian was relocated starts afresh. For a while, Gaussians that lie close
+together move as one: what moves in a scene moves in pieces much larger than a Gaussian, whose
+gradient shows only how its own pixels would look better; that of a whole cell shows where the piece
+went.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """`swings-synth`: a procedural capture, so that everything here can be tried without anyone's data.
 
-A figure walks and waves in a room beside a bouncing ball (motion.py, scene.py); the player's
+A figure walks and waves in a room beside a bouncing ball (scene.py); the player's
 renderer draws their surfaces as small discs (surfels.py). The capture has the DyNeRF layout of
 capture/dynerf.py, ground truth for every camera, and coloured points on the surfaces of frame 0, as
 a structure-from-motion tool would give them.

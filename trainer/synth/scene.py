@@ -1,10 +1,8 @@
-"""The room of the synthetic scene, its furniture, the cameras, and what moves in it.
+"""The synthetic scene: a room and its furniture, the cameras, a figure that walks in a circle and
+waves, and a ball that bounces.
 
-The world's y points down and the floor is y = 0, so a height of h metres is y = -h.
-
-Movement in the synthetic scene: a figure walks in a circle and waves, and a ball bounces.
-
-Everything is a function of the time, so any number of frames at any rate shows the same motion.
+Everything is a function of the time, so any number of frames at any rate shows the same motion. The
+world's y points down and the floor is y = 0, so a height of h metres is y = -h.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Surfaces of the synthetic scene as flat Gaussians: where they lie, their light, how they look.
+"""Surfaces of the synthetic scene as flat Gaussians: where they lie, their light, and their
+procedural patterns.
 
-Colours of the synthetic scene: procedural patterns, a function of the place on a surface alone.
-
-All colours are linear RGB reflectances 0..1. Nothing here looks at the viewer, so the scene is
-Lambertian: what a capture of it needs to be explained by Gaussians without view-dependent colour.
+Rule: nothing here looks at the viewer, so the scene is Lambertian: what a capture of it needs to be
+explained by Gaussians without view-dependent colour. All colours are linear RGB reflectances 0..1.
 Surfaces are painted at u, v metres from their upper left corner, solids at places seen from their
 middle.
 """

@@ -1,10 +1,7 @@
-"""OpenGL for whoever draws: a context, shader programs, an offscreen picture.
+"""OpenGL for whoever draws: a context of the version asked for, shader programs, an offscreen
+picture, and calls that let other threads run.
 
-OpenGL contexts: which version is asked for, and calls that let other threads run.
-
-Shaders: their text with the recipe's constants in front, and the camera in their uniforms.
-
-The picture that is drawn into, and how it gets out.
+A shader's text gets the recipe's constants in front; the camera is in its uniforms.
 """
 
 from __future__ import annotations

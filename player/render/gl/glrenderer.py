@@ -1,9 +1,8 @@
-"""Drawing with OpenGL: the window stays on the GPU, and a frame uploads what its slice changes.
+"""Drawing with OpenGL: the window stays on the GPU, and a frame uploads what its slice changes; and
+the choice of a renderer.
 
 Rule: one thread makes a GlRenderer, draws with it and closes it; only `put` and `forget_waiting`
 may come from others, and they make no GL call.
-
-The choice of a renderer.
 """
 
 from __future__ import annotations

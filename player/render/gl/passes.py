@@ -1,12 +1,10 @@
-"""The compute and colour passes of OpenGL before Gaussians are drawn.
+"""What OpenGL computes before Gaussians are drawn: colours from harmonics of degree 2 and 3, once
+for a place of the camera, and a sort by depth.
 
-Colours from harmonics of degree 2 and 3, evaluated on the GPU once for a place of the camera.
-
-A stable radix sort on the GPU: equal depths keep their order, so pictures do not flicker.
-
-Each pass orders by one digit. A group counts the digits in its block of keys; prefix sums over all
-groups say where each group puts the keys of each digit; a thread puts those of its own run of keys
-there one after another. Nothing depends on which thread is first.
+Rule: the sort is stable, so equal depths keep their order and pictures do not flicker. Each pass
+orders by one digit. A group counts the digits in its block of keys; prefix sums over all groups say
+where each group puts the keys of each digit; a thread puts those of its own run of keys there one
+after another. Nothing depends on which thread is first.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
-"""The interface of both ways of drawing: Gaussians that stay on the GPU, ordered and drawn.
+"""Gaussians that stay on the GPU, ordered and drawn, in two ways behind one interface.
 
-Slices as the buffer of OpenGL 4.3 takes them: the Gaussians that change, and no other.
-
-OpenGL 3.3: the changes of the newest slice, interpolated on the GPU between two frames.
-
-OpenGL 3.3: the window stays in one texture, and the CPU orders it.
-
-OpenGL 4.3: the window stays in one buffer, and compute shaders order it.
+OpenGL 3.3 keeps the window in a texture, which the CPU orders, and mixes the newest changes between
+two frames on the GPU. OpenGL 4.3 keeps it in a buffer, which compute shaders order; a slice uploads
+the Gaussians that it changes, and no other.
 """
 
 from __future__ import annotations

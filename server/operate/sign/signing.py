@@ -1,11 +1,10 @@
-"""URLs that carry their own permission: /t/{expiry}.{kid}.{signature}/v1/streams/NAME/...
+"""URLs that carry their own permission, /t/{expiry}.{kid}.{signature}/v1/streams/NAME/..., and the
+file of the keys that sign: one `kid:secret` a line, the secret in hex, the newest first.
 
-The signature stands in the path, so that relative URLs keep it, and caches need no query string.
-It covers the key's name, the expiry and one stream, or `*` for all and for the list of them.
+The signature stands in the path, so that relative URLs keep it, and caches need no query string. It
+covers the key's name, the expiry and one stream, or `*` for all and for the list of them.
 
-Rule: no clock and no files. Whatever path comes in, a verifier gives a grant or a reason.
-
-The file of signing keys: one `kid:secret` a line, the secret in hex, the newest first.
+Rule: a verifier has no clock and no files. Whatever path comes in, it gives a grant or a reason.
 """
 
 from __future__ import annotations

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from codec.lattice.lattice import MAX_HOLD, MIN_STEP, POSITION_LIMIT, dequantise, quantise
-from codec.lattice.quantise import (
+from codec.lattice.forms import (
     MAX_COARSENESS,
     MAX_LOGIT,
     MIN_COARSENESS,
@@ -22,6 +21,7 @@ from codec.lattice.quantise import (
     position_step_m,
     to_luma,
 )
+from codec.lattice.lattice import MAX_HOLD, MIN_STEP, POSITION_LIMIT, dequantise, quantise
 from codec.splats import SH_C0, Splats
 from tests.support.hostile import refused
 from tests.support.slots.rotating import figure, turned

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from codec.arrays import Doubles
 from codec.errors import InvalidError
+from codec.lattice.forms import canonical, to_luma
 from codec.lattice.lattice import Lattice, dequantise
-from codec.lattice.quantise import canonical, to_luma
 from codec.slice import HIDDEN, Slice
 from codec.slots.encoder import SlotEncoder
 from codec.slots.slotlayout import ENDED, NEW, SlotLayout, Update

@@ -18,7 +18,7 @@ import zstandard
 
 from codec.coders.zstd import decompress
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
-from codec.lattice.quantise import opacity_logits
+from codec.lattice.forms import opacity_logits
 from codec.stream.captions import captions_of, check_captions, parse_webvtt
 from codec.stream.integrity import read_index
 from codec.stream.manifest import Manifest

@@ -1,16 +1,12 @@
-"""The two rasterisers of torch: gsplat on an NVIDIA GPU, and tensor operations on any device.
-
-The rasteriser of gsplat, on an NVIDIA GPU.
+"""The two rasterisers of torch: gsplat on an NVIDIA GPU, and plain tensor operations on any device.
 
 gsplat cuts alpha at 0.999 where recipe v1 cuts at 0.99, and beside the picture its clamp of the
 Jacobian follows the principal point; everything else of the recipe is the same. It reads one number
 a step back to the host: how many pairs of tile and Gaussian there are.
 
-A rasteriser in plain torch: no kernel of ours, so it runs wherever torch does.
-
-Its pictures and gradients are the CPU rasteriser's but for rounding. A step takes about 1 kB for a
-pixel, most of it in the loss, 0.5 kB for a Gaussian, 0.1 kB for a pair of Gaussian and tile, and
-`batch_bytes`.
+Plain torch has no kernel of ours; its pictures and gradients are the CPU rasteriser's but for
+rounding. A step takes about 1 kB for a pixel, most of it in the loss, 0.5 kB for a Gaussian, 0.1 kB
+for a pair of Gaussian and tile, and `batch_bytes`.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
-"""Steps on a device of torch, around a rasteriser that is given.
+"""A training on a device of torch, around a rasteriser that is given; and how much memory it takes,
+before it begins.
 
-How much memory of a device a training takes, before it begins.
-
-A training on a device of torch: Gaussians, histories, colours and pictures stay there.
-
-A step sends its numbers and nothing else, once the pictures of a window are there; its loss is
-received with those of the steps before it.
+Rule: Gaussians, histories, colours and pictures stay on the device. Once the pictures of a window
+are there, a step sends its numbers and nothing else; its loss is received with those of the steps
+before it.
 """
 
 from __future__ import annotations

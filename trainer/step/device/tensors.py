@@ -1,14 +1,8 @@
-"""What lies on a device during a training: rows, cameras, pictures, colours.
+"""What lies on a device during a training: rows of parameters, cameras, pictures, colours.
 
-The only place where arrays cross between host memory and a device of torch; it counts bytes.
-
-Parameters as one tensor, a row for each Gaussian: a step gathers and writes rows once.
-
-A camera on a device, sent once for a training.
-
-The captured pictures on a device: sent as bytes when first asked for, kept within a bound.
-
-Per-camera colour in tensors; see trainer.step.colour.
+Rule: arrays cross between host memory and a device of torch here and nowhere else; the bytes are
+counted. A camera is sent once, a picture as bytes when first asked for, and kept within a bound.
+Parameters are one tensor, a row for each Gaussian, so that a step gathers and writes rows once.
 """
 
 from __future__ import annotations

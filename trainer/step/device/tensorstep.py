@@ -1,10 +1,7 @@
-"""One step in tensors: loss, regularisers, Adam, noise.
+"""One step in tensors: colours, loss, regularisers, Adam, noise and the bound of scales;
+trainer.step.optimiser has the latter for arrays.
 
-Colours, loss and regularisers of a step in tensors.
-
-Adam, noise and the bound of scales in tensors; trainer.step.optimiser has them for arrays.
-
-Parameters and gradients are rows (T, D), see `packedrows`. Nothing here waits for the device.
+Rule: nothing here waits for the device. Parameters and gradients are rows (T, D), see `packedrows`.
 """
 
 from __future__ import annotations

@@ -1,18 +1,12 @@
-"""The rasteriser in tensor operations, from top to bottom: project, sort into tiles, blend.
+"""The rasteriser in plain tensor operations, from top to bottom: project, sort into tiles, blend;
+memory stays bounded.
 
-From 3D Gaussians to 2D Gaussians on the pixel grid (recipe v1), in plain torch.
-
-player.render.project in tensors: gradients come from autograd.
-
-Which Gaussians touch which tile, front to back: player.render.blend in tensor operations.
-
-Blending front to back and its gradients in plain torch, with bounded memory.
-
-The lists of all tiles are gone through together, a slab of `SLAB` entries at a time, so that a GPU
-has thousands of pixels to work on at once; a tile whose pixels have all ended leaves. A slab is cut
-into batches of tiles. The backward pass goes the same way, front to back, and computes each batch
-anew, so nothing per pair and pixel outlives its batch. The mathematics is that of
-trainer.step.backward.
+It does what player.render.project and blend do; gradients of the projection come from autograd. The
+lists of all tiles are gone through together, a slab of `SLAB` entries at a time, so that a GPU has
+thousands of pixels to work on at once; a tile whose pixels have all ended leaves. A slab is cut
+into batches of tiles. The backward pass goes the same way, front to back, by the mathematics of
+trainer.step.backward, and computes each batch anew, so nothing per pair and pixel outlives its
+batch.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 
 #ifdef VERTEX_STAGE
 
-// TEXELS texels for each Gaussian (pack.py says what is where).
+// TEXELS texels for each Gaussian (upload.py says what is where).
 #ifdef RESIDENT_BUFFER
 layout(std430, binding = 0) readonly buffer Gaussians { uvec4 gaussians[]; };
 #else

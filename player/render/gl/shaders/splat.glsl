@@ -1,10 +1,10 @@
 // Rendering recipe v1: one Gaussian as one oriented quad, for OpenGL and for WebGL2. Both stages stand
-// here; programs.py and program.js put the version, the recipe's constants and VERTEX_STAGE or
+// here; context.py and program.js put the version, the recipe's constants and VERTEX_STAGE or
 // FRAGMENT_STAGE in front.
 
 #ifdef VERTEX_STAGE
 
-// TEXELS texels for each Gaussian (pack.py says what is where).
+// TEXELS texels for each Gaussian (upload.py says what is where).
 #ifdef RESIDENT_BUFFER
 layout(std430, binding = 0) readonly buffer Gaussians { uvec4 gaussians[]; };
 #else
