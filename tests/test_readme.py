@@ -119,7 +119,7 @@ ELSEWHERE = {
     "player/source/test_packed_host.py": [
         "swings-play https://streams.example.com/my-stream.swings"
     ],
-    "codec/test_fuzz.py": ["python -m fuzz", "python -m fuzz FOUND fuzz/corpus"],
+    "codec/test_fuzz.py": ["python -m fuzz"],
     "trainer/calibrate/test_calibrate.py": ["swings-capture calibrate my-videos my-capture"],
     "test_demo.py": ["scripts/demo", "scripts/demo --no-serve"],
     "bench/test_cuda.py": ["scripts/bench cuda"],
