@@ -33,7 +33,7 @@ def write_poster(stream: Target, draw: Draw) -> None:
 
     It shows what the default camera sees of the frame with which players start, decoded with all
     layers: frame 0, or the newest of a live stream. It is whole or absent, and replaces the one
-    before.
+    before: a training writes it with its first segment, and again when the stream is finished.
     """
     reader = StreamReader(stream, max_gaussians=None)
     manifest = reader.manifest

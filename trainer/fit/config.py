@@ -1,5 +1,5 @@
-"""The settings of the sliding-window training, and the plan by which they train a window: its
-iterations, and their falling learning rates.
+"""The settings of the sliding-window training, among them the weights of the loss, and the plan by
+which they train a window: its iterations, and their falling learning rates.
 """
 
 from __future__ import annotations
