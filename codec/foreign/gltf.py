@@ -16,10 +16,9 @@ was a logarithm: a value below 0, which is not allowed now, gives such a file aw
 KHR_gaussian_splatting_compression_spz and .._spz_2 (drafts) put an SPZ file in the place of the
 attributes; they are read, not written.
 
-The numbers of a glTF file: buffers, views of them, accessors (glTF 2.0, section 3.6).
-
-A .glb is a header, a chunk of JSON and a chunk of bytes, which is the first buffer. A .gltf is the
-JSON by itself; its buffers are data URIs, or files beside it.
+Numbers lie in buffers, views of them and accessors (glTF 2.0, section 3.6). A .glb is a header, a
+chunk of JSON and a chunk of bytes, which is the first buffer. A .gltf is the JSON by itself; its
+buffers are data URIs, or files beside it.
 """
 
 from __future__ import annotations

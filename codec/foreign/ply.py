@@ -1,4 +1,4 @@
-"""The PLY of 3D Gaussian Splatting, in and out; without loss.
+"""The PLY of 3D Gaussian Splatting, in and out, without loss; in, also compressed (SuperSplat).
 
 Layout: `element vertex N`, all properties float32, in the order of the reference implementation
 (graphdeco-inria/gaussian-splatting, `save_ply`):
@@ -13,15 +13,13 @@ is the world of a swings stream. A reader goes by name: any order and any other 
 Also read: 2D Gaussians, which have no scale_2; colours as bytes red, green, blue in the place of
 f_dc; filter_3D (Mip-Splatting), the standard deviation of a smoothing that the sizes lack.
 
-The text header of a PLY file: which elements follow, and how their rows are laid out.
+The text header says which elements follow, and how their rows are laid out. Source: "The PLY
+Polygon File Format" (G. Turk, 1994). Every writer of Gaussians gives rows of numbers in
+`binary_little_endian`, and these are read here. A caller that also takes text or meshes reads their
+rows itself, as trainer/capture/points.py does.
 
-Source: "The PLY Polygon File Format" (G. Turk, 1994). Every writer of Gaussians gives rows of
-numbers in `binary_little_endian`, and these are read here. A caller that also takes text or meshes
-reads their rows itself, as trainer/capture/points.py does.
-
-The compressed PLY of SuperSplat, in: 16 bytes a Gaussian and bounds for each 256 of them.
-
-Layout (playcanvas/engine, `gsplat-compressed-data.js`), a PLY file with the elements
+The compressed PLY has 16 bytes a Gaussian, and bounds for each 256 of them. Layout
+(playcanvas/engine, `gsplat-compressed-data.js`), a PLY file with the elements
 
     chunk    ceil(N / 256) rows: float min_x .. max_z, min_scale_x .. max_scale_z (of ln s) and, in
              newer files, min_r .. max_b; without these colours lie in 0..1

@@ -15,10 +15,8 @@ The specification (developer.playcanvas.com) says that y points up, and that the
 out x; the programs that write and read these files keep the frame of the PLY, RDF, and w first. So
 do these functions.
 
-Codebooks: few values, or few rows of values, that stand for many. The same input always gives
-the same book.
-
-A few files in one: ZIP archives (PKWARE's APPNOTE), stored or deflated, of bounded size.
+A codebook has few values, or few rows of values, that stand for many; the same input always gives
+the same book. A ZIP archive (PKWARE's APPNOTE) is stored or deflated, and of bounded size.
 """
 
 from __future__ import annotations

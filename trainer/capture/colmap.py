@@ -19,10 +19,8 @@ left out, and named. Pinhole models are taken as they are; pictures of SIMPLE_RA
 OPENCV cameras are straightened as they are read; other models are refused. COLMAP's unit is taken
 as a metre, and its points are the initial points.
 
-COLMAP's sparse models: the three files in which it writes cameras, images and points.
-
-Each file is binary (.bin, little endian) or text (.txt); the binary one is read if there are both.
-What it says of matches (2D points, tracks) is passed over.
+Each of a model's three files is binary (.bin, little endian) or text (.txt); the binary one is read
+if there are both. What they say of matches (2D points, tracks) is passed over.
 """
 
 from __future__ import annotations
