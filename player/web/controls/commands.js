@@ -28,9 +28,9 @@ export function choicesOf(element, t) {
       isThere: () => element.numLayers !== 1,
       values: () => [
         { value: 0, label: t("Auto") },
-        ...Array.from({ length: element.numLayers }, (_, n) => element.numLayers - n).map(
-          (value) => ({ value, label: layerText(value) }),
-        ),
+        ...[...Array(element.numLayers).keys()]
+          .map((n) => ({ value: n + 1, label: layerText(n + 1) }))
+          .reverse(),
       ],
       now: () => element.layers,
       choose: (layers) => (element.layers = layers),

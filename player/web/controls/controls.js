@@ -170,17 +170,17 @@ export class Controls {
     player.addEventListener("headset", () => bar.showToggles(), { signal });
     this.camera.gyroscope.addEventListener("change", () => bar.showToggles(), { signal });
     for (const type of ["ratechange", "layerschange"]) on(type, () => bar.showChoices());
-    on("pointerdown", (event) => {
+    on("pointerdown", (/** @type {PointerEvent} */ event) => {
       frame.classList.remove("tabbed");
       const path = event.composedPath();
       const { menu } = this.panels;
       if (!path.includes(menu.root) && !path.includes(menu.opener)) menu.close(false);
     });
     // The focus ring shows after Tab, but not after any other key.
-    on("keyup", ({ key }) => {
+    on("keyup", (/** @type {KeyboardEvent} */ { key }) => {
       if (key === "Tab") frame.classList.add("tabbed");
     });
-    on("gesturehint", ({ detail }) => hints.say(detail));
+    on("gesturehint", (/** @type {CustomEvent<string>} */ { detail }) => hints.say(detail));
   }
 
   /** Called when a stream is open. */

@@ -62,6 +62,9 @@ export class Scrubber {
   #storyboard = null;
   /** The frame that the preview shows. */
   #previewed = 0;
+  hoverTime = node("span", { class: "hover-time" });
+  preview = node("div", { class: "preview", "aria-hidden": "true", hidden: true }, this.hoverTime);
+  time = node("span", { class: "time" }, "0:00 / 0:00");
 
   /**
    * @param {import("../element/webplayer.js").WebPlayer} player @param {import("./texts.js").Translate} t
@@ -70,12 +73,6 @@ export class Scrubber {
   constructor(player, t, signal) {
     this.player = player;
     this.t = t;
-    this.hoverTime = node("span", { class: "hover-time" });
-    this.preview = node(
-      "div",
-      { class: "preview", "aria-hidden": "true", hidden: true },
-      this.hoverTime,
-    );
     const attributes = {
       class: "scrub slider",
       type: "range",
@@ -86,7 +83,6 @@ export class Scrubber {
     };
     this.input = node("input", { ...attributes, "aria-label": t("Seek") });
     this.root = node("div", { class: "scrubber" }, this.preview, this.input);
-    this.time = node("span", { class: "time" }, "0:00 / 0:00");
     this.input.addEventListener("input", () => this.#scrub());
     this.input.addEventListener("change", () => {
       cancelAnimationFrame(this.#request);
@@ -223,6 +219,7 @@ function stoppedAfterS({ fps, segmentFrames }) {
  */
 export class LiveBadge {
   #timer = 0;
+  hasStopped = false;
 
   /**
    * @param {import("../element/webplayer.js").WebPlayer} player
@@ -239,7 +236,6 @@ export class LiveBadge {
     };
     this.root = node("button", attributes, node("span", {}, t("LIVE")));
     this.player = player;
-    this.hasStopped = false;
     this.onStopped = onStopped;
     const watch = () => {
       clearTimeout(this.#timer);

@@ -17,6 +17,10 @@ const ICONS = {
 
 /** Mute and volume in the bar, and a button over the picture if the browser requires a user gesture. */
 class SoundControls {
+  isBlocked = false;
+  unblock = () => {};
+  mute = node("button", { class: "mute" });
+
   /**
    * @param {import("../element/mediainterface.js").MediaInterface} element
    * @param {import("./texts.js").Translate} t
@@ -24,9 +28,6 @@ class SoundControls {
   constructor(element, t) {
     this.element = element;
     this.t = t;
-    this.isBlocked = false;
-    this.unblock = () => {};
-    this.mute = node("button", { class: "mute" });
     this.mute.addEventListener("click", () => this.toggle());
     const range = { type: "range", min: "0", max: "1", step: "0.05", "aria-label": t("Volume") };
     this.volume = node("input", { class: "volume slider", ...range });

@@ -177,7 +177,7 @@ export class Readiness {
   #raise(ready, playing) {
     const before = this.ready;
     this.ready = ready;
-    const events = [];
+    const events = /** @type {string[]} */ ([]);
     if (before >= READY.FUTURE && ready < READY.FUTURE && playing) {
       events.push("timeupdate", "waiting");
     }

@@ -33,6 +33,36 @@ export class SceneView extends EventTarget {
   /** @type {import("../renderer/smoothing.js").Smoothing | null} null until a stream plays */
   smoothing = null;
   #isLoading = false;
+  loop = new FrameLoop((nowMs) => this.#drawOnCanvas(nowMs));
+  /** @type {Orbit | null} the camera's position and direction; null until a stream is open */
+  orbit = null;
+  /** @type {import("../view/cameramotion.js").CameraMotion | null} null until `steer`, or until a stream is open */
+  motion = null;
+  /** @type {typeof import("../renderer/colourpass.js").ColourPass | null} null until a stream needs it */
+  ColourPass = null;
+  /** @type {MakeMotion | null} */
+  makeMotion = null;
+  /** @type {OpenManifest | null} of the open stream */
+  manifest = null;
+  /** @type {Sorter | null} */
+  sorter = null;
+  /** @type {SortedFrame | null} received since the last picture, and not uploaded yet */
+  sorted = null;
+  /** @type {Timings} */
+  timings = { sortMs: 0, uploadMs: 0, drawMs: 0, framesPerS: 0 };
+  /** The frame that the renderer holds; -1 before the first. */
+  shownFrame = -1;
+  /** Number of seeks that had been made when the worker showed that frame. */
+  lastSeeks = 0;
+  /** @type {typeof import("../stereo/eyes.js").eyesAt | null} two pictures in place of one, if set */
+  eyesAt = null;
+  /** @type {Headset | null} set while a headset shows the scene in place of the canvas */
+  headset = null;
+  isDisposed = false;
+  /** Whether the renderer lacks Gaussians, so that only a whole frame can be drawn. */
+  isEmpty = true;
+  needsDrawing = false;
+  drawnMs = 0;
 
   /**
    * @param {HTMLCanvasElement} canvas
@@ -43,37 +73,7 @@ export class SceneView extends EventTarget {
     this.session = session;
     this.canvas = canvas;
     this.painter = new Painter(canvas);
-    this.loop = new FrameLoop((nowMs) => this.#drawOnCanvas(nowMs));
     this.size = new CanvasSize(canvas, () => this.redraw());
-    /** @type {Orbit | null} the camera's position and direction; null until a stream is open */
-    this.orbit = null;
-    /** @type {import("../view/cameramotion.js").CameraMotion | null} null until `steer`, or until a stream is open */
-    this.motion = null;
-    /** @type {typeof import("../renderer/colourpass.js").ColourPass | null} null until a stream needs it */
-    this.ColourPass = null;
-    /** @type {MakeMotion | null} */
-    this.makeMotion = null;
-    /** @type {OpenManifest | null} of the open stream */
-    this.manifest = null;
-    /** @type {Sorter | null} */
-    this.sorter = null;
-    /** @type {SortedFrame | null} received since the last picture, and not uploaded yet */
-    this.sorted = null;
-    /** @type {Timings} */
-    this.timings = { sortMs: 0, uploadMs: 0, drawMs: 0, framesPerS: 0 };
-    /** The frame that the renderer holds; -1 before the first. */
-    this.shownFrame = -1;
-    /** Number of seeks that had been made when the worker showed that frame. */
-    this.lastSeeks = 0;
-    /** @type {typeof import("../stereo/eyes.js").eyesAt | null} two pictures in place of one, if set */
-    this.eyesAt = null;
-    /** @type {Headset | null} set while a headset shows the scene in place of the canvas */
-    this.headset = null;
-    this.isDisposed = false;
-    /** Whether the renderer lacks Gaussians, so that only a whole frame can be drawn. */
-    this.isEmpty = true;
-    this.needsDrawing = false;
-    this.drawnMs = 0;
     this.painter.addEventListener("lost", () => this.notify("lost"));
     this.painter.addEventListener("gone", () => this.notify("gone"));
     this.painter.addEventListener("restored", () => {

@@ -72,7 +72,7 @@ export class WebPlayer extends StreamSession {
     const on = (/** @type {string} */ type, /** @type {(event: any) => void} */ action) =>
       view.addEventListener(type, action);
     on("drawing", () => sight.noteFrame());
-    on("frame", ({ detail }) => this.#onFrame(detail));
+    on("frame", (/** @type {CustomEvent<boolean>} */ { detail }) => this.#onFrame(detail));
     on("select", () => this.dispatch("select"));
     on("headset", () => {
       sight.headset = view.headset;

@@ -167,7 +167,7 @@ export class Scene {
   /** Returns the changes since the last call. @returns {SceneChange} */
   take() {
     const frame = this.frame ?? -1;
-    const changed = [];
+    const changed = /** @type {number[]} */ ([]);
     for (let slot = 0; slot < this.starts.length; slot++) {
       const shows = this.starts[slot] <= frame ? 1 : 0;
       if (shows !== this.wasShown[slot] || (shows && this.isNew[slot])) changed.push(slot);

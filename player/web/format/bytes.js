@@ -36,11 +36,12 @@ export function isMagic(bytes, magic) {
 
 /** Reads little-endian numbers one after another. Throws a FormatError at the end of the bytes. */
 export class ByteReader {
+  at = 0;
+
   /** @param {Uint8Array} bytes @param {string} what named in errors */
   constructor(bytes, what) {
     this.bytes = bytes;
     this.what = what;
-    this.at = 0;
     this.view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   }
 
@@ -77,7 +78,7 @@ export class ByteReader {
    * @template {string} Format @param {Format} format
    */
   unpack(format) {
-    const values = [];
+    const values = /** @type {(number | bigint | Uint8Array)[]} */ ([]);
     for (const [, count, code] of format.matchAll(/(\d*)([BHIifQs])/g)) {
       if (code === "s") values.push(this.take(Number(count)));
       else for (let n = Number(count || 1); n > 0; n--) values.push(this.#number(code));
@@ -130,6 +131,8 @@ export class ByteReader {
 
 /** Reads a string of bits, the lowest bit of each byte first (FORMAT.md, section 1). */
 export class BitReader {
+  at = 0;
+
   /**
    * @param {Uint8Array} bytes
    * @param {number} numBits number of used bits; `bytes` must have exactly that size, padded with zero bits
@@ -143,7 +146,6 @@ export class BitReader {
       throw corrupt(`${what}: a bit is set after the last low bit`);
     }
     this.bytes = bytes;
-    this.at = 0;
   }
 
   /** The next bits as a number, lowest first. @param {number} width 0 .. 30 */

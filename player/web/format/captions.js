@@ -23,7 +23,7 @@ const MOST_KNOWN = 4096;
 export function readCues(file) {
   const lines = file.replace(/^\ufeff/, "").split(/\r\n|\r|\n/);
   if (!/^WEBVTT(?:[ \t].*)?$/.test(lines[0])) return null;
-  const cues = [];
+  const cues = /** @type {Cue[]} */ ([]);
   for (let at = 1; at < lines.length; ) {
     const found = TIMING.exec(lines[at++]);
     if (found === null) continue;

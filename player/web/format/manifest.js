@@ -39,8 +39,6 @@ import { boolean, field, integer, list, number, text } from "./json.js";
  * @param {unknown} value @returns {Camera}
  */
 function readCamera(value) {
-  const w2c = field(value, "w2c");
-  if (!Array.isArray(w2c) || w2c.length !== 16) throw corrupt("camera: w2c is not 16 numbers");
   const camera = {
     name: text(field(value, "name"), "camera name"),
     widthPx: integer(field(value, "width_px"), 1, MAX_IMAGE_PX, "width_px"),
@@ -49,7 +47,7 @@ function readCamera(value) {
     fyPx: number(field(value, "fy_px"), "fy_px"),
     cxPx: number(field(value, "cx_px"), "cx_px"),
     cyPx: number(field(value, "cy_px"), "cy_px"),
-    w2c: w2c.map((entry) => number(entry, "w2c")),
+    w2c: list(field(value, "w2c"), 16, 16, "w2c").map((entry) => number(entry, "w2c")),
   };
   if (camera.fxPx <= 0 || camera.fyPx <= 0) {
     throw corrupt(`camera ${camera.name}: a focal length is not positive`);
@@ -200,8 +198,8 @@ function parsed(bytes) {
 
 /** @param {number} numLayers */
 function partsOf(numLayers) {
-  const layers = Array.from({ length: numLayers }, (_, layer) => String(layer));
-  return [...layers, "skipmaps", ...layers.map((layer) => `keyframe-${layer}`)];
+  const layers = [...Array(numLayers).keys()];
+  return [...layers.map(String), "skipmaps", ...layers.map((layer) => `keyframe-${layer}`)];
 }
 
 /**

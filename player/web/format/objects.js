@@ -39,7 +39,7 @@ export function recordBytes(manifest) {
  */
 export function readIndex(bytes, manifest, firstSegment = 0) {
   const size = recordBytes(manifest);
-  const rows = [];
+  const rows = /** @type {Uint8Array[]} */ ([]);
   for (let at = 0; at + size <= bytes.length; at += size) rows.push(bytes.subarray(at, at + size));
   if (rows.length > 0 && rows[rows.length - 1].every((byte) => byte === 0)) rows.pop();
   return rows.map((row, n) => {
@@ -59,9 +59,9 @@ function readRecord(row, segment, manifest) {
   const what = `index: the record of segment ${segment}`;
   const reader = new ByteReader(row, what);
   const [found, firstFrame, numFrames, reserved] = reader.unpack(INDEX_HEAD);
-  const psnrDb = [];
-  const objectBytes = [];
-  const objectSha256 = [];
+  const psnrDb = /** @type {number[]} */ ([]);
+  const objectBytes = /** @type {number[]} */ ([]);
+  const objectSha256 = /** @type {Uint8Array[]} */ ([]);
   for (let part = 0; part < manifest.parts.length; part++) {
     const isLayer = part < manifest.numLayers;
     const [size, sha256, psnr = NaN] = /** @type {[number, Uint8Array, number?]} */ (

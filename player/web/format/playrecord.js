@@ -83,7 +83,7 @@ function string(reader, size) {
 /** @param {import("./bytes.js").ByteReader} reader @param {number} size */
 function array(reader, size) {
   if (size > MAX_ITEMS) throw corrupt(`play: a list of ${size} items is too long`);
-  const items = [];
+  const items = /** @type {Uint8Array[]} */ ([]);
   for (let i = 0; i < size; i++) {
     // The type is checked before the item is read, because nested lists could have any depth.
     const type = reader.u8();
@@ -194,13 +194,11 @@ function firstLayer(map, packets) {
 
 /** Parses a response's bytes, in pieces of any size, into records. Buffers at most one partial record. */
 export class RecordParser {
-  constructor() {
-    /** @type {Uint8Array[]} */
-    this.pieces = [];
-    this.pendingBytes = 0;
-    /** @type {number | null} bytes of the record that comes, once they are known */
-    this.length = null;
-  }
+  /** @type {Uint8Array[]} */
+  pieces = [];
+  pendingBytes = 0;
+  /** @type {number | null} bytes of the record that comes, once they are known */
+  length = null;
 
   /**
    * The records that `data` completes, in order. After an exception, the parser must not be used further.
@@ -209,7 +207,7 @@ export class RecordParser {
   feed(data) {
     this.pieces.push(data);
     this.pendingBytes += data.length;
-    const records = [];
+    const records = /** @type {PlayRecord[]} */ ([]);
     while (this.pendingBytes >= (this.length ?? 4)) {
       if (this.length === null) {
         const [a, b, c, d] = this.#take(4);

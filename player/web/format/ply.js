@@ -32,7 +32,7 @@ export function framePly(decoder) {
 /** @param {number} count @param {number} numRest coefficients of a colour, without the first */
 function header(count, numRest) {
   const numbered = (/** @type {string} */ stem, /** @type {number} */ n) =>
-    Array.from({ length: n }, (_, i) => `${stem}_${i}`);
+    [...Array(n).keys()].map((i) => `${stem}_${i}`);
   const names = ["x", "y", "z", "nx", "ny", "nz", ...numbered("f_dc", 3)];
   names.push(...numbered("f_rest", 3 * numRest), "opacity");
   names.push(...numbered("scale", 3), ...numbered("rot", 4));

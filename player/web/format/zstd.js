@@ -297,7 +297,7 @@ function readWeights(end) {
   check(at >= first);
   let state = states[bits(view, at + log, log)];
   let other = states[bits(view, at, log)];
-  const weights = [];
+  const weights = /** @type {number[]} */ ([]);
   for (;;) {
     weights.push(state & 255);
     check(weights.length < 255);

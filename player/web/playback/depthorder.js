@@ -11,18 +11,19 @@ const NUM_VALUES = 1 << DIGIT_BITS;
 
 /** Computes which Gaussians show in a frame, farthest first (player/render/order.py, sort.py). */
 export class DepthOrder {
+  /** Number of Gaussians that fade out. */
+  numLeft = 0;
+  counts = new Uint32Array(3 * NUM_VALUES);
+
   /** @param {number} numSlots @param {number} numSpare places after the slots, for Gaussians that fade out */
   constructor(numSlots, numSpare = 0) {
     this.numSlots = numSlots;
-    /** Number of Gaussians that fade out. */
-    this.numLeft = 0;
     const total = numSlots + numSpare;
     this.means = new Float32Array(3 * total);
     this.starts = new Int32Array(total).fill(NEVER);
     this.depths = new Float32Array(total);
     this.keys = [new Uint32Array(this.depths.buffer), new Uint32Array(total)];
     this.slots = [new Uint32Array(total), new Uint32Array(total)];
-    this.counts = new Uint32Array(3 * NUM_VALUES);
   }
 
   /**
@@ -137,14 +138,15 @@ const SLOT_SKIP_MAP = 0xffffff;
  * once there are more entries than slots, only the newest entry of each slot is kept.
  */
 export class PendingUpdates {
+  /** @type {Words[]} */
+  updates = [];
+  numEntries = 0;
+
   /** @param {number} numSlots @param {number} shDegree */
   constructor(numSlots, shDegree) {
     this.numSlots = numSlots;
     this.latticeWords = latticeWords(shDegree);
     this.floatWords = floatWords(shDegree);
-    /** @type {Words[]} */
-    this.updates = [];
-    this.numEntries = 0;
   }
 
   /**
@@ -200,6 +202,8 @@ export class PendingUpdates {
 
 /** Collects one entry per slot, the first that is added; entries are added newest first. */
 class Newest {
+  count = 0;
+
   /**
    * @param {Uint8Array} isTaken whether each slot has its entry; is written
    * @param {number} most maximum number of entries @param {number} wordsEach
@@ -210,7 +214,6 @@ class Newest {
     this.room = new Uint32Array(most * wordsEach);
     this.wordsEach = wordsEach;
     this.slotWord = slotWord;
-    this.count = 0;
   }
 
   /** Adds entries, the last one first. @param {Uint32Array} words */

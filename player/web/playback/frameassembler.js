@@ -7,22 +7,23 @@ import { packSlots } from "./packing.js";
  * Chunks may arrive in any order, and are used even if their frame has already shown.
  */
 export class FrameAssembler {
+  /** @type {Map<number, Uint8Array>} by birth */
+  skipMaps = new Map();
+  /** @type {Map<number, (Uint8Array | null)[]>} by birth; one chunk per layer */
+  changes = new Map();
+  /** @type {Map<number, (Uint8Array | null)[]>} by first frame of a segment; one chunk per layer */
+  keyframes = new Map();
+  /** Number of chunks that were refused and so are missing in their layers. */
+  refused = 0;
+  /** @type {(birth: number, layer: number, why: unknown) => void} called for each of them */
+  onLost = () => {};
+  /** Whether a late chunk has changed the current frame since the whole frame was last returned. */
+  isLate = false;
+
   /** @param {import("../format/manifest.js").Manifest} manifest */
   constructor(manifest) {
     this.layout = manifest.layout;
     this.decoder = new SlotDecoder(this.layout);
-    /** @type {Map<number, Uint8Array>} by birth */
-    this.skipMaps = new Map();
-    /** @type {Map<number, (Uint8Array | null)[]>} by birth; one chunk per layer */
-    this.changes = new Map();
-    /** @type {Map<number, (Uint8Array | null)[]>} by first frame of a segment; one chunk per layer */
-    this.keyframes = new Map();
-    /** Number of chunks that were refused and so are missing in their layers. */
-    this.refused = 0;
-    /** @type {(birth: number, layer: number, why: unknown) => void} called for each of them */
-    this.onLost = () => {};
-    /** Whether a late chunk has changed the current frame since the whole frame was last returned. */
-    this.isLate = false;
   }
 
   /** The last decoded frame; null before the first. */

@@ -83,6 +83,14 @@ export function packSlots(decoder, slice, frame) {
 }
 
 class Packer {
+  /** @type {number[]} */
+  leaving = [];
+  /** Transition of the Gaussian that is added next. */
+  move = 0;
+  at = 0;
+  atLattice = 0;
+  atFloats = 0;
+
   /**
    * @param {number} shDegree @param {number} frame @param {number} count @param {number} numLattice
    * @param {number} numFloats
@@ -101,15 +109,8 @@ class Packer {
       moves: new Uint8Array(count),
       leaving: new Uint32Array(),
     };
-    /** @type {number[]} */
-    this.leaving = [];
-    /** Transition of the Gaussian that is added next. */
-    this.move = 0;
     this.latticeBytes = new Uint8Array(this.update.lattice.buffer);
     this.floatValues = new Float32Array(this.update.floats.buffer);
-    this.at = 0;
-    this.atLattice = 0;
-    this.atFloats = 0;
   }
 
   /** @param {number} slot */

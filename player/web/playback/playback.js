@@ -36,6 +36,31 @@ const LATE_FOR_SOUND_S = 1;
  * pass the time.
  */
 export class Playback {
+  /** Whether more frames may follow. */
+  live = false;
+  isJoined = false;
+  playing = false;
+  rate = 1;
+  /** @type {number | null} when nextFrame is due; null while playback does not run */
+  dueS = null;
+  /** Whether playback waits for missing data. */
+  waiting = true;
+  stalls = 0;
+  leadS = LEAD_S;
+  /** When playback went on after the last stall. */
+  resumedS = -Infinity;
+  /**
+   * The first frame that has not arrived; endFrame goes not as far ahead. Set by a caller that knows it:
+   * otherwise no lead is longer than the first one.
+   */
+  heldFrame = Infinity;
+  /** Seconds from a request to its first byte, 0 where others decide what is sent. Set by the caller. */
+  waitS = 0;
+  /** Whether the link carries less than layer 0. Set by the caller. */
+  isLinkThin = false;
+  refinedS = -Infinity;
+  lateS = LATE_S;
+
   /**
    * @param {import("./frameassembler.js").FrameAssembler} play @param {number} fps @param {number} numFrames
    * @param {number} firstFrame @param {number} [notBeforeS] when firstFrame is due
@@ -46,34 +71,10 @@ export class Playback {
     this.fps = fps;
     /** Number of frames so far. */
     this.numFrames = numFrames;
-    /** Whether more frames may follow. */
-    this.live = false;
     /** The frame that shows next. */
     this.nextFrame = firstFrame;
     /** The first frame that is missing. */
     this.endFrame = firstFrame;
-    this.isJoined = false;
-    this.playing = false;
-    this.rate = 1;
-    /** @type {number | null} when nextFrame is due; null while playback does not run */
-    this.dueS = null;
-    /** Whether playback waits for missing data. */
-    this.waiting = true;
-    this.stalls = 0;
-    this.leadS = LEAD_S;
-    /** When playback went on after the last stall. */
-    this.resumedS = -Infinity;
-    /**
-     * The first frame that has not arrived; endFrame goes not as far ahead. Set by a caller that knows it:
-     * otherwise no lead is longer than the first one.
-     */
-    this.heldFrame = Infinity;
-    /** Seconds from a request to its first byte, 0 where others decide what is sent. Set by the caller. */
-    this.waitS = 0;
-    /** Whether the link carries less than layer 0. Set by the caller. */
-    this.isLinkThin = false;
-    this.refinedS = -Infinity;
-    this.lateS = LATE_S;
   }
 
   /** The frame that shows; before the first one, the frame that will show first. */

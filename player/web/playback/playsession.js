@@ -15,6 +15,17 @@ const LEAST_AHEAD_FRAMES = 16;
  * those that show soon, and late ones for frames that have already shown.
  */
 export class ChunkFeed {
+  /** @type {unknown} */
+  failure = null;
+  /** Called after a packet that has arrived was passed on, or after a failure. */
+  onData = () => {};
+  /** @type {import("../source/segmentcache.js").PacketListener} */
+  listener = (birth, part, packet) => {
+    if (birth < this.startFrame || birth >= this.endFrame) return;
+    this.#pass(birth, part, packet);
+    this.onData();
+  };
+
   /**
    * @param {import("../source/segmentcache.js").SegmentCache} cache
    * @param {import("./frameassembler.js").FrameAssembler} play
@@ -30,16 +41,6 @@ export class ChunkFeed {
     this.startFrame = cache.segmentOf(firstFrame) * manifest.segmentFrames;
     /** End of the range of frames whose packets are passed on. */
     this.endFrame = this.startFrame;
-    /** @type {unknown} */
-    this.failure = null;
-    /** Called after a packet that has arrived was passed on, or after a failure. */
-    this.onData = () => {};
-    /** @type {import("../source/segmentcache.js").PacketListener} */
-    this.listener = (birth, part, packet) => {
-      if (birth < this.startFrame || birth >= this.endFrame) return;
-      this.#pass(birth, part, packet);
-      this.onData();
-    };
     cache.listeners.add(this.listener);
     // The first picture need not wait for what comes after it.
     this.#lookUpTo(firstFrame + 1);

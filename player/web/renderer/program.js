@@ -37,18 +37,15 @@ export const SLOT = 0;
 
 /** WebGL2 is not available, or cannot hold the stream. */
 export class RendererError extends Error {
-  /** @param {string} message */
-  constructor(message) {
-    super(message);
-    this.name = "RendererError";
-  }
+  name = "RendererError";
 }
 
 /** The context was lost before everything was made; try again once it is restored. */
 export class ContextLostError extends RendererError {
+  name = "ContextLostError";
+
   constructor() {
     super("The graphics device was lost");
-    this.name = "ContextLostError";
   }
 }
 

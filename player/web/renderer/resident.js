@@ -23,6 +23,13 @@ function texelsPerGaussian(shDegree) {
  * received, and a GPU pass expands them.
  */
 export class Resident {
+  nextStaged = 0;
+  /** @type {import("./colourpass.js").ColourPass | null} evaluates the colours of changed Gaussians */
+  colours = null;
+  /** @type {import("./smoothing.js").Inbetween | null} saves Gaussians that are about to change */
+  inbetween = null;
+  uploadedBytes = 0;
+
   /** @param {WebGL2RenderingContext} gl @param {number} numSlots @param {number} shDegree */
   constructor(gl, numSlots, shDegree) {
     this.gl = gl;
@@ -31,7 +38,7 @@ export class Resident {
     this.columns = Math.floor(2048 / this.texels);
     this.widthPx = this.columns * this.texels;
     this.heightPx = Math.max(1, Math.ceil(numSlots / this.columns));
-    const limitPx = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+    const limitPx = Number(gl.getParameter(gl.MAX_TEXTURE_SIZE));
     if (gl.isContextLost()) throw new ContextLostError(); // the limit would be null
     if (Math.max(this.heightPx, this.widthPx) > limitPx) {
       throw new RendererError(
@@ -42,12 +49,6 @@ export class Resident {
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, this.widthPx, this.heightPx);
     this.framebuffer = makeFramebuffer(gl, this.texture);
     this.staged = Array.from({ length: NUM_STAGED }, () => ({ texture: makeTexture(gl), rows: 0 }));
-    this.nextStaged = 0;
-    /** @type {import("./colourpass.js").ColourPass | null} evaluates the colours of changed Gaussians */
-    this.colours = null;
-    /** @type {import("./smoothing.js").Inbetween | null} saves Gaussians that are about to change */
-    this.inbetween = null;
-    this.uploadedBytes = 0;
     /** Has no attributes: the shaders use only the number of each point. */
     this.points = gl.createVertexArray();
     const defines = {

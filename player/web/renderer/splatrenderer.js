@@ -15,6 +15,15 @@ import { Resident } from "./resident.js";
 
 /** Draws a stream in recipe v1 with WebGL2. */
 export class SplatRenderer {
+  /** @type {import("./smoothing.js").Inbetween | null} draws between two frames */
+  inbetween = null;
+  numDrawn = 0;
+  orderBytes = 0;
+  /** @type {{ widthPx: number, heightPx: number, texture: WebGLTexture, framebuffer: WebGLFramebuffer } | null} */
+  picture = null;
+  /** @type {import("./depthquery.js").DepthQuery | null} made by its first use */
+  depths = null;
+
   /** @param {WebGL2RenderingContext} gl @param {Shape} shape */
   constructor(gl, shape) {
     this.gl = gl;
@@ -28,22 +37,14 @@ export class SplatRenderer {
     this.colours = shape.ColourPass && new shape.ColourPass(gl, shape, defines);
     this.resident.colours = this.colours;
     this.splats = this.makeSplats();
-    /** @type {import("./smoothing.js").Inbetween | null} draws between two frames */
-    this.inbetween = null;
     this.screen = makeProgram(gl, SCREEN);
     this.order = gl.createBuffer();
-    this.numDrawn = 0;
     this.quads = gl.createVertexArray();
     gl.bindVertexArray(this.quads);
     gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
     gl.enableVertexAttribArray(SLOT);
     gl.vertexAttribDivisor(SLOT, 1);
     this.nothing = gl.createVertexArray();
-    this.orderBytes = 0;
-    /** @type {{ widthPx: number, heightPx: number, texture: WebGLTexture, framebuffer: WebGLFramebuffer } | null} */
-    this.picture = null;
-    /** @type {import("./depthquery.js").DepthQuery | null} made by its first use */
-    this.depths = null;
     this.resident.start(shape.lattices);
     for (const { check } of [this.splats, this.screen]) check();
     this.colours?.program.check();

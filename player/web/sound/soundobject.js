@@ -17,7 +17,7 @@ const LAST = 4;
 /** Limit for one page: it can list 255 lengths, of which the last one must be below 255. */
 const MOST_PACKET_BYTES = 254 * 255;
 
-const TABLE = Uint32Array.from({ length: 256 }, (_, n) => {
+const TABLE = new Uint32Array(256).map((_, n) => {
   let c = n << 24;
   for (let bit = 0; bit < 8; bit++) c = c < 0 ? (c << 1) ^ 0x04c11db7 : c << 1;
   return c;
@@ -61,8 +61,8 @@ function write(bytes, letters) {
  */
 function page(packet, number, position, flags) {
   if (packet.length > MOST_PACKET_BYTES) throw corrupt(`sound: a packet of ${packet.length} bytes`);
-  const lengths = new Array(Math.floor(packet.length / 255)).fill(255);
-  lengths.push(packet.length % 255);
+  const whole = new Uint8Array(Math.floor(packet.length / 255)).fill(255);
+  const lengths = [...whole, packet.length % 255];
   const begin = 27 + lengths.length;
   const bytes = new Uint8Array(begin + packet.length);
   const view = new DataView(bytes.buffer);

@@ -63,11 +63,7 @@ export const REPLACED = "This video was replaced";
 
 /** A stream cannot be fetched; the message gives the remedy. */
 export class SourceError extends Error {
-  /** @param {string} message */
-  constructor(message) {
-    super(message);
-    this.name = "SourceError";
-  }
+  name = "SourceError";
 }
 
 /** A failure that may be over at the next try. */
@@ -96,6 +92,12 @@ export function discard({ body }) {
 
 /** Fetches files, with retries while the network or the server is unreachable. */
 export class Fetcher {
+  receivedBytes = 0;
+  /** Whether the last thing that `get` has said is a problem. */
+  hasTrouble = false;
+  gate = new Gate();
+  heardMs = -Infinity;
+
   /**
    * @param {object} [options]
    * @param {number} [options.giveUpS] seconds without new bytes after which it gives up
@@ -113,11 +115,6 @@ export class Fetcher {
     this.access = access;
     this.onTrouble = onTrouble;
     this.onAwaited = onAwaited;
-    this.receivedBytes = 0;
-    /** Whether the last thing that `get` has said is a problem. */
-    this.hasTrouble = false;
-    this.gate = new Gate();
-    this.heardMs = -Infinity;
   }
 
   /**
@@ -165,8 +162,8 @@ export class Fetcher {
     const { credentials, transformRequest } = this.access;
     const request = { credentials, ...init };
     if (!transformRequest) return [url, request];
-    const module = await import("./transform.js"); // whole, as the page has it
-    return module.transformed(transformRequest, url, request).catch((error) => {
+    const code = await import("./transform.js"); // whole, as the page has it
+    return code.transformed(transformRequest, url, request).catch((/** @type {Error} */ error) => {
       request.signal?.throwIfAborted();
       throw new SourceError(error.message);
     });

@@ -13,6 +13,13 @@ import { SegmentCache } from "./segmentcache.js";
 
 /** A stream of files on any static host. It fetches whole objects, see LayerRule. */
 export class HostedStream {
+  estimator = new RateEstimator();
+  /** Whether the last play is paused. */
+  isPaused = false;
+  window = new RequestWindow();
+  /** @type {Map<string, unknown>} errors of objects of layers above 0, by segment and part */
+  absent = new Map();
+
   /**
    * @param {string} base URL of the folder, with a trailing slash
    * @param {import("./fetcher.js").Fetcher} fetcher
@@ -27,13 +34,7 @@ export class HostedStream {
     this.manifest = manifest;
     this.cache = new SegmentCache(manifest, bufferBytes);
     this.index = new GrowingIndex(fileUrl("index.bin", base), fetcher, manifest);
-    this.estimator = new RateEstimator();
     watchCache((numBytes) => this.estimator.remove(numBytes));
-    /** Whether the last play is paused. */
-    this.isPaused = false;
-    this.window = new RequestWindow();
-    /** @type {Map<string, unknown>} errors of objects of layers above 0, by segment and part */
-    this.absent = new Map();
   }
 
   /**

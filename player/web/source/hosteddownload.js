@@ -22,14 +22,12 @@ const WEIGHT = 1 / 4;
 
 /** Estimates a connection's throughput: bytes over busy time, with exponentially decaying weights. */
 export class RateEstimator {
-  constructor() {
-    /** @type {number | null} bits per second; null until enough data has arrived */
-    this.rateBps = null;
-    this.bytes = 0;
-    this.busyS = 0;
-    /** Whether enough bytes of the connection have arrived. */
-    this.isKnown = false;
-  }
+  /** @type {number | null} bits per second; null until enough data has arrived */
+  rateBps = null;
+  bytes = 0;
+  busyS = 0;
+  /** Whether enough bytes of the connection have arrived. */
+  isKnown = false;
 
   /**
    * Adds the bytes that arrived during `busyS` seconds with data in flight.
@@ -111,27 +109,28 @@ const STEP_S = 0.1;
 
 /** One play of a hosted stream: fetches what the rule chooses into the stream's cache. */
 export class HostedDownload {
+  /** @type {Map<string, Coming>} by segment and part */
+  coming = new Map();
+  paused = false;
+  rate = 1;
+  /** Seconds of the last measured time in which the link was busy. */
+  busyS = 0;
+  /** @type {unknown} */
+  failure = null;
+  isClosed = false;
+  /** Whether nothing more will be requested. */
+  isDone = false;
+  /** @type {() => void} called when data has arrived or a request has failed */
+  onData = () => {};
+
   /** @param {import("./hosted.js").HostedStream} stream @param {import("./source.js").PlayRequest} wish */
   constructor(stream, { firstFrame, mostLayers, nowS }) {
     this.stream = stream;
     this.nowS = nowS;
     this.mostLayers = mostLayers;
-    /** @type {Map<string, Coming>} by segment and part */
-    this.coming = new Map();
     this.rule = this.#ruleFrom(firstFrame);
     this.nextFrame = firstFrame;
-    this.paused = false;
-    this.rate = 1;
     this.measuredS = nowS();
-    /** Seconds of the last measured time in which the link was busy. */
-    this.busyS = 0;
-    /** @type {unknown} */
-    this.failure = null;
-    this.isClosed = false;
-    /** Whether nothing more will be requested. */
-    this.isDone = false;
-    /** @type {() => void} called when data has arrived or a request has failed */
-    this.onData = () => {};
   }
 
   /** Estimated throughput of the link, bits per second; null while unknown. */

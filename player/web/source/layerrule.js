@@ -164,7 +164,7 @@ export class LayerRule {
    * @param {number} segment @param {number} numLayers
    */
   #needBps(segment, numLayers) {
-    const layers = Array.from({ length: numLayers }, (_, layer) => layer);
+    const layers = [...Array(numLayers).keys()];
     const bits = 8 * this.bytes(segment, [skipMapsOf(this.manifest), ...layers]);
     return (bits * this.manifest.fps) / this.records[segment].numFrames;
   }

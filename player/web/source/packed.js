@@ -110,7 +110,7 @@ class PackedLayout {
   constructor(head, manifest, records, tracks) {
     this.manifest = manifest;
     this.records = records;
-    const layers = Array.from({ length: manifest.numLayers }, (_, layer) => layer);
+    const layers = [...Array(manifest.numLayers).keys()];
     /** In the order of a segment: the parts that a player of n layers needs are adjacent. */
     this.parts = [
       ...layers.map((layer) => keyframeOf(manifest, layer)).reverse(),

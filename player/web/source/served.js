@@ -12,6 +12,10 @@ const RETRY_S = 1;
 
 /** A stream of a swings server, which itself chooses what to send when. */
 export class ServedStream {
+  /** @type {number | null} the server's last reported estimate of the link's throughput */
+  rateBps = null;
+  onGrown = () => {};
+
   /**
    * @param {string} base @param {import("./fetcher.js").Fetcher} fetcher
    * @param {import("./playresponse.js").OpenedPlay} first
@@ -28,9 +32,6 @@ export class ServedStream {
     this.first = first.response;
     /** @type {string | null} token of the last play, by which the server finds what it knows of the link */
     this.lastToken = first.response.token;
-    /** @type {number | null} the server's last reported estimate of the link's throughput */
-    this.rateBps = null;
-    this.onGrown = () => {};
   }
 
   /**

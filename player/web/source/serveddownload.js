@@ -23,6 +23,25 @@ const REPORT_S = 1;
  * hold them, and again if the connection breaks.
  */
 export class ServedDownload {
+  paused = false;
+  reportedS = -Infinity;
+  /** Whether the answer to a report is awaited. */
+  isReporting = false;
+  reportTimer = 0;
+  /** @type {number | null} the server's estimate of the link's throughput */
+  rateBps = null;
+  /** @type {unknown} */
+  failure = null;
+  isClosed = false;
+  /** Whether nothing more will be requested. */
+  isDone = false;
+  /** @type {() => void} called when data has arrived or a request has failed */
+  onData = () => {};
+  abort = new AbortController();
+  /** @type {PlayResponse | null} */
+  response = null;
+  moveOn = () => {};
+
   /** @param {ServedStream} stream @param {import("./source.js").PlayRequest} request */
   constructor(stream, { firstFrame, mostLayers, nowS }) {
     this.stream = stream;
@@ -32,24 +51,6 @@ export class ServedDownload {
     /** End of the range of frames that were found in the cache, or were sent. */
     this.endBirth = firstFrame;
     this.nextFrame = firstFrame;
-    this.paused = false;
-    this.reportedS = -Infinity;
-    /** Whether the answer to a report is awaited. */
-    this.isReporting = false;
-    this.reportTimer = 0;
-    /** @type {number | null} the server's estimate of the link's throughput */
-    this.rateBps = null;
-    /** @type {unknown} */
-    this.failure = null;
-    this.isClosed = false;
-    /** Whether nothing more will be requested. */
-    this.isDone = false;
-    /** @type {() => void} called when data has arrived or a request has failed */
-    this.onData = () => {};
-    this.abort = new AbortController();
-    /** @type {PlayResponse | null} */
-    this.response = null;
-    this.moveOn = () => {};
     this.patience = new ServerRetry(stream.fetcher, stream.base);
     // Deferred, so that the caller can report the position first.
     Promise.resolve()

@@ -41,6 +41,7 @@ async function changeOf(transformRequest, url) {
  * @param {MessagePort} port @param {TransformRequest} transformRequest
  */
 export function answer(port, transformRequest) {
+  /** @param {MessageEvent<{ url: string, reply: MessagePort }>} question */
   port.onmessage = async ({ data: { url, reply } }) => {
     try {
       reply.postMessage({ change: await changeOf(transformRequest, url) });
@@ -56,9 +57,9 @@ export function answer(port, transformRequest) {
 async function ask(port, url, aborted) {
   const { port1, port2 } = new MessageChannel();
   try {
+    /** @type {Promise<{ change?: Change, why?: string }>} */
     const answered = new Promise((resolve) => (port1.onmessage = ({ data }) => resolve(data)));
     port.postMessage({ url, reply: port2 }, [port2]);
-    /** @type {{ change?: Change, why?: string }} */
     const { change, why } = await Promise.race([answered, aborted]);
     if (change === undefined) throw new Error(why);
     return change;

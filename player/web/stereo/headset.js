@@ -93,11 +93,7 @@ const MODE = "immersive-vr";
 
 /** A headset cannot be used; the message says what the user can do. */
 export class HeadsetError extends Error {
-  /** @param {string} message */
-  constructor(message) {
-    super(message);
-    this.name = "HeadsetError";
-  }
+  name = "HeadsetError";
 }
 
 /**
@@ -174,6 +170,10 @@ export class Headset extends EventTarget {
       );
     }
   }
+  /** @type {Placement | null} null: the next pose of the head makes it */
+  placement = null;
+  /** @type {import("./eyes.js").Viewpoint | null} */
+  last = null;
 
   /** @param {XRSession} session @param {XRWebGLLayer} layer @param {XRReferenceSpace} space */
   constructor(session, layer, space) {
@@ -181,10 +181,6 @@ export class Headset extends EventTarget {
     this.session = session;
     this.layer = layer;
     this.space = space;
-    /** @type {Placement | null} null: the next pose of the head makes it */
-    this.placement = null;
-    /** @type {import("./eyes.js").Viewpoint | null} */
-    this.last = null;
     space.addEventListener("reset", () => this.replace());
     session.addEventListener("select", () => this.dispatchEvent(new Event("select")));
     session.addEventListener("end", () => this.dispatchEvent(new Event("ended")));
@@ -221,8 +217,8 @@ export class Headset extends EventTarget {
     const head = frame.getViewerPose(this.space);
     if (!head) return this.last;
     this.placement ??= new Placement(poseOfTransform(head.transform.matrix), start, up);
-    const poses = [];
-    const views = [];
+    const poses = /** @type {Pose[]} */ ([]);
+    const views = /** @type {import("./eyes.js").EyeView[]} */ ([]);
     for (const view of head.views) {
       const port = this.layer.getViewport(view);
       // A device with one eye may report an empty part for the other.

@@ -214,7 +214,7 @@ export function decodeKeyframe(layout, bytes) {
   // All lanes are decoded as if they were one, and then separated.
   const all = new Slots(numFlags, layout.numAttributes, EMPTY);
   all.advance(all.delta(statuses, change, layout.lattices[layer].opacityLevels));
-  const lanes = Array.from({ length: layout.swinSize }, (_, lane) => part(all, lane, count));
+  const lanes = [...Array(layout.swinSize).keys()].map((lane) => part(all, lane, count));
   for (const [row, values] of all.escapes) {
     lanes[Math.floor(row / count)].escapes.set(row % count, values);
   }

@@ -63,16 +63,17 @@ export function expectChunk(head, birth, layer) {
 
 /** An adaptive binary arithmetic decoder. */
 class BitDecoder {
+  at = 0;
+  range = WHOLE_RANGE;
+  code = 0;
+  p = new Uint16Array(CONTEXTS).fill(FIRST_PROBABILITY);
+  c = new Uint8Array(CONTEXTS);
+
   /** @param {Uint8Array} body */
   constructor(body) {
     this.body = body;
-    this.at = 0;
-    this.range = WHOLE_RANGE;
-    this.code = 0;
     for (let i = 0; i < 4; i++) this.code = this.code * 256 + this.#next();
     if (this.code === WHOLE_RANGE) throw corrupt("skip map: its code is not below its range");
-    this.p = new Uint16Array(CONTEXTS).fill(FIRST_PROBABILITY);
-    this.c = new Uint8Array(CONTEXTS);
   }
 
   #next() {

@@ -35,25 +35,26 @@ import { changedRows, movesOf, Slots } from "./slots.js";
  * kept as long as a late packet may need them.
  */
 export class SlotDecoder {
+  /** First slot of each layer within a lane. */
+  rowEdges = [0];
+  /** @type {number | null} birth of the last applied slice */
+  frame = null;
+  /** @type {Map<string, Log>} by lane and layer, the oldest first */
+  logs = new Map();
+  /** @type {Map<number, Uint8Array>} statuses of this segment's slices, for late keyframes */
+  said = new Map();
+  /** @type {Map<string, Uint8Array>} by lane and layer, slots altered by late bytes since the last slice */
+  pending = new Map();
+
   /** @param {import("../gaussians.js").SlotLayout} layout @param {number} [numLayers] */
   constructor(layout, numLayers = layout.numLayers) {
     this.layout = layout;
     this.numLayers = numLayers;
-    /** First slot of each layer within a lane. */
-    this.rowEdges = [0];
     for (const count of layout.slots)
       this.rowEdges.push(this.rowEdges[this.rowEdges.length - 1] + count);
-    /** @type {number | null} birth of the last applied slice */
-    this.frame = null;
     /** @type {Slots[][]} by lane and layer */
     this.lanes = Array.from({ length: layout.swinSize }, () => this.#unknownLane());
     this.history = new SkipMapHistory(layout);
-    /** @type {Map<string, Log>} by lane and layer, the oldest first */
-    this.logs = new Map();
-    /** @type {Map<number, Uint8Array>} statuses of this segment's slices, for late keyframes */
-    this.said = new Map();
-    /** @type {Map<string, Uint8Array>} by lane and layer, slots altered by late bytes since the last slice */
-    this.pending = new Map();
   }
 
   #unknownLane() {
@@ -85,7 +86,7 @@ export class SlotDecoder {
     let used = false;
     for (const [i, slots] of keyframe.lanes.entries()) {
       const birth = keyframe.frame - swinSize + 1 + i;
-      const since = [];
+      const since = /** @type {number[]} */ ([]);
       for (let b = birth + swinSize; b <= this.frame; b += swinSize) since.push(b);
       const lane = this.layout.lane(birth);
       if (keyframe.frame === this.frame || this.#canUseLate(lane, keyframe.layer, since)) {
@@ -213,7 +214,7 @@ export class SlotDecoder {
     this.pending.clear();
     const { swinSize } = this.layout;
     const frame = this.frame ?? 0;
-    return Array.from({ length: swinSize }, (_, i) => this.whole(frame - swinSize + 1 + i));
+    return [...Array(swinSize).keys()].map((i) => this.whole(frame - swinSize + 1 + i));
   }
 
   /** @param {number} birth @returns {SlotSlice} */

@@ -105,7 +105,7 @@ export class Slots {
       positions: new Int32Array(3 * rows.length),
       attributes: new Uint8Array(this.numAttributes * rows.length),
       starts: new Uint8Array(rows.length).fill(HIDDEN),
-      escapes: new Map(),
+      escapes: /** @type {Map<number, Float32Array>} */ (new Map()),
     };
     let numPredicted = 0;
     let numNew = 0;
