@@ -47,8 +47,8 @@ export class Bar {
     this.playButton = button("play", t("Play"), "K", actions.togglePlaying);
     this.fullButton = button("full", t("Full screen"), "F", actions.toggleFullScreen);
     this.menuButton = menuButton(t("More"), (at) => actions.openMenu(this.menuButton, at));
-    this.choices = choices;
-    this.commands = commands;
+    /** @type {Choice[]} */ this.choices = choices;
+    /** @type {Command[]} */ this.commands = commands;
     /** @type {Map<string, HTMLButtonElement>} */
     this.buttons = new Map();
     for (const { name, label, icon: iconName, key, isInBar, run } of commands) {
@@ -66,8 +66,8 @@ export class Bar {
     }
     const { headset, ...others } = Object.fromEntries(this.buttons);
     headset.hidden = true;
-    this.headset = headset;
-    this.time = scrubber.time;
+    /** @type {HTMLButtonElement} */ this.headset = headset;
+    /** @type {HTMLSpanElement} */ this.time = scrubber.time;
     this.row = node(
       "div",
       { class: "row" },
@@ -212,10 +212,10 @@ export class BarVisibility {
    */
   constructor(frame, canvas, plays, isInUse, changed) {
     this.changed = changed;
-    this.frame = frame;
-    this.canvas = canvas;
-    this.plays = plays;
-    this.isInUse = isInUse;
+    /** @type {HTMLElement} */ this.frame = frame;
+    /** @type {HTMLElement} */ this.canvas = canvas;
+    /** @type {() => boolean} */ this.plays = plays;
+    /** @type {() => boolean} */ this.isInUse = isInUse;
   }
 
   /**

@@ -14,6 +14,8 @@ const RAD_PER_DEG = Math.PI / 180;
 /** Below this horizontal part, the phone points almost straight up or down and has no heading. */
 const LEAST_LEVEL = 0.2;
 
+/** @typedef {{ requestPermission?: () => Promise<string> }} Asking only iOS does */
+
 /**
  * The direction in which the back of a device points.
  * @typedef {object} DeviceTurn
@@ -69,7 +71,7 @@ class Gyroscope extends EventTarget {
       this.end();
       return false;
     }
-    const events = /** @type {any} */ (globalThis).DeviceOrientationEvent;
+    const events = /** @type {Asking | undefined} */ (globalThis.DeviceOrientationEvent);
     if (events === undefined) return false;
     try {
       const answer = (await events.requestPermission?.()) ?? "granted";

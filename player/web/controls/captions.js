@@ -21,7 +21,7 @@ class TextTracks {
    * @param {AbortSignal} signal ends the listening
    */
   constructor(holder, choose, need, signal) {
-    this.holder = holder;
+    /** @type {HTMLVideoElement} */ this.holder = holder;
     const changed = () => {
       const modes = this.#elements.map(({ track }) => track.mode);
       const other = modes.findIndex((mode, at) => mode === "showing" && at !== this.#shown);

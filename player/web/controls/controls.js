@@ -101,8 +101,8 @@ export class Controls {
     hints.translate(t);
     this.element = element;
     this.player = player;
-    this.frame = frame;
-    this.signal = signal;
+    /** @type {HTMLElement} */ this.frame = frame;
+    /** @type {AbortSignal} */ this.signal = signal;
     addStyle(frame, STYLE);
     this.failure = new Failure(() => element.retry(), t);
     this.sharing = new Sharing(element, (message, forMs) => hints.say(message, forMs));

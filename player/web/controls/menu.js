@@ -53,11 +53,11 @@ export class Menu {
     this.bar = bar;
     /** The button that has opened the menu, to which the focus returns. @type {HTMLElement} */
     this.opener = bar.menuButton;
-    this.choices = choices;
-    this.commands = commands;
-    this.changed = changed;
+    /** @type {Choice[]} */ this.choices = choices;
+    /** @type {Command[]} */ this.commands = commands;
+    /** @type {() => void} */ this.changed = changed;
     const attributes = { class: "menu", role: "menu", "aria-label": t("More"), hidden: true };
-    this.root = node("div", attributes);
+    /** @type {HTMLDivElement} */ this.root = node("div", attributes);
     this.root.addEventListener("keydown", (event) => this.#pressed(event));
   }
 

@@ -29,7 +29,7 @@ class KeyList {
     close.addEventListener("click", () => this.root.close());
     const attributes = { class: "keylist", "aria-labelledby": "keys" };
     const header = node("header", {}, node("h2", { id: "keys" }, t("Keys")), close);
-    this.root = node("dialog", attributes, header, this.list);
+    /** @type {HTMLDialogElement} */ this.root = node("dialog", attributes, header, this.list);
     this.root.addEventListener("keydown", (event) => {
       event.stopPropagation(); // the dialog has its own keys
       if (event.key === "?") this.root.close();

@@ -2,7 +2,7 @@
 
 import { MAX_STORYBOARD_TILES, STORYBOARD_COLUMNS, STORYBOARD_PER_S } from "../constants.js";
 import { node, prefersStill } from "../element/nodes.js";
-import { pictureUrl } from "../source/pictures.js";
+import { pictureUrl } from "../source/addresses.js";
 
 /**
  * @typedef {object} StoryboardLayout

@@ -5,7 +5,7 @@
 
 import { addStyle, drawn, node } from "../element/nodes.js";
 import { SoundPlay } from "../sound/soundplay.js";
-import { pictureUrl } from "../source/pictures.js";
+import { pictureUrl } from "../source/addresses.js";
 import { CaptionsControls } from "./captions.js";
 import STYLE from "./tracks.css";
 
@@ -202,9 +202,9 @@ export class Tracks {
     this.element = element;
     this.player = player;
     this.hints = hints;
-    this.signal = signal;
+    /** @type {AbortSignal} */ this.signal = signal;
     const controls = new SoundControls(element, t);
-    this.controls = controls;
+    /** @type {SoundControls} */ this.controls = controls;
     controls.unblock = () => this.sound?.unblock();
     const say = (/** @type {string} */ message) => this.#say(message);
     this.captions = new CaptionsControls(player, textHolder, say, t, signal);

@@ -1,3 +1,4 @@
+import { startWorker } from "../playback/playerworkers.js";
 import { Painter } from "../renderer/painter.js";
 import { Orbit } from "../view/orbit.js";
 import { nearOf } from "../view/pose.js";
@@ -8,7 +9,6 @@ const IDLE_MS = 100;
 
 /** @typedef {import("../playback/messages.js").OpenManifest} OpenManifest */
 /** @typedef {import("../playback/messages.js").SortedFrame} SortedFrame */
-/** @typedef {import("../playback/playerworkers.js").Sorter} Sorter */
 /** @typedef {import("../stereo/headset.js").Headset} Headset */
 /** @typedef {(scene: import("../view/orbit.js").OrbitScene, orbit: Orbit) => import("../view/cameramotion.js").CameraMotion} MakeMotion */
 
@@ -19,6 +19,53 @@ const IDLE_MS = 100;
  * @property {number} drawMs time to issue the draw calls; the device draws later
  * @property {number} framesPerS
  */
+
+/** The worker that takes the frames for a picture: it sorts. */
+export class Sorter {
+  /** @type {"none" | "waiting" | "due"} its request; "due": it is answered at once */
+  #request = "none";
+  /** Number of the last request; answers to earlier requests may still arrive. */
+  #lastRequest = 0;
+  /** Whether Gaussians were in motion at the last request. */
+  #isMoving = false;
+  /** @type {number[]} (4, 4) world to camera of the last request */
+  requestedW2c = [];
+  worker = startWorker(new URL("../playback/sortworker.js", import.meta.url));
+
+  /** @param {(sorted: SortedFrame) => void} onSorted */
+  constructor(onSorted) {
+    this.worker.onmessage = (/** @type {MessageEvent<SortedFrame>} */ { data }) => {
+      if (data.request === this.#lastRequest) this.#request = "none";
+      onSorted(data);
+    };
+  }
+
+  /** Whether the last order is up to date with the camera, and no frame has arrived since. */
+  get isSettled() {
+    return this.#request === "waiting";
+  }
+
+  /**
+   * Makes sure that the sorter has a request. It answers when it has a new frame, or at once if the camera
+   * has moved; at most one request of the second kind is pending.
+   * @param {number[]} w2c (4, 4) world to camera @param {number} nearM
+   * @param {boolean} isMoving whether Gaussians are in motion; the order is then that of half the way, and
+   *   includes Gaussians that fade out
+   */
+  requestOrder(w2c, nearM, isMoving) {
+    const isMoved =
+      isMoving !== this.#isMoving || w2c.some((entry, i) => entry !== this.requestedW2c[i]);
+    if (this.#request === "due" || (this.#request === "waiting" && !isMoved)) return;
+    this.#lastRequest += 1;
+    const view = { w2c, nearM, isMoving, request: this.#lastRequest };
+    /** @type {import("../playback/messages.js").ToSorter} */
+    const message = { view, isMoved };
+    this.worker.postMessage(message);
+    this.#request = isMoved ? "due" : "waiting";
+    this.requestedW2c = w2c;
+    this.#isMoving = isMoving;
+  }
+}
 
 /**
  * The scene on a canvas, or on a headset: requests draw orders from the sorter, and draws when the
@@ -71,7 +118,7 @@ export class SceneView extends EventTarget {
   constructor(canvas, session) {
     super();
     this.session = session;
-    this.canvas = canvas;
+    /** @type {HTMLCanvasElement} */ this.canvas = canvas;
     this.painter = new Painter(canvas);
     this.size = new CanvasSize(canvas, () => this.redraw());
     this.painter.addEventListener("lost", () => this.notify("lost"));

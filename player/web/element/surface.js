@@ -18,9 +18,9 @@ export class CanvasSize {
 
   /** @param {HTMLCanvasElement} canvas @param {() => void} onChange */
   constructor(canvas, onChange) {
-    this.onChange = onChange;
-    this.cssWidthPx = canvas.clientWidth;
-    this.cssHeightPx = canvas.clientHeight;
+    /** @type {() => void} */ this.onChange = onChange;
+    /** @type {number} */ this.cssWidthPx = canvas.clientWidth;
+    /** @type {number} */ this.cssHeightPx = canvas.clientHeight;
     // Safari does not report device pixels.
     const hasDevicePixels = "devicePixelContentBoxSize" in ResizeObserverEntry.prototype;
     this.observer.observe(canvas, hasDevicePixels ? { box: "device-pixel-content-box" } : {});
@@ -132,10 +132,10 @@ export class Sight {
    * @param {() => void} onChange called when isSeen has changed
    */
   constructor(element, loop, onChange) {
-    this.loop = loop;
-    this.onChange = onChange;
+    /** @type {FrameLoop} */ this.loop = loop;
+    /** @type {() => void} */ this.onChange = onChange;
     this.#isIntersecting = isPlainlyInView(element);
-    this.isSeen = this.#isIntersecting && !document.hidden;
+    /** @type {boolean} */ this.isSeen = this.#isIntersecting && !document.hidden;
     this.observer.observe(element);
     const { signal } = this.#listening;
     document.addEventListener("visibilitychange", () => this.update(), { signal });

@@ -1,5 +1,5 @@
 import { PLAYER_VERSION } from "../constants.js";
-import { pictureUrl } from "../source/pictures.js";
+import { pictureUrl } from "../source/addresses.js";
 import { shareAt } from "../view/orbit.js";
 import { MediaInterface } from "./mediainterface.js";
 import { addStyle, hasGyroscope, node, prefersStill } from "./nodes.js";

@@ -1,8 +1,7 @@
-import { Sorter } from "../playback/playerworkers.js";
 import { RendererError } from "../renderer/program.js";
 import { folderUrl } from "../source/addresses.js";
 import { isBehind } from "../source/liveedge.js";
-import { SceneView } from "./sceneview.js";
+import { SceneView, Sorter } from "./sceneview.js";
 import { StreamSession } from "./streamsession.js";
 import { Sight } from "./surface.js";
 
@@ -60,7 +59,7 @@ export class WebPlayer extends StreamSession {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     super();
-    this.canvas = canvas;
+    /** @type {HTMLCanvasElement} */ this.canvas = canvas;
     this.view = new SceneView(canvas, this);
     this.sight = new Sight(canvas, this.view.loop, () => this.#followSight());
     this.addEventListener("state", () => this.sight.check());

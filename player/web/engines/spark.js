@@ -31,7 +31,7 @@ export class SwingsMesh extends Object3D {
   /** @param {import("./scenevideo.js").SceneVideoOptions} options */
   constructor(options) {
     super();
-    /** Playback control, see SceneVideo. */
+    /** Playback control, see SceneVideo. @type {SceneVideo} */
     this.video = new SceneVideo(options);
     /** @type {SplatMesh | null} null until the stream is open */
     this.splatMesh = null;

@@ -5,7 +5,7 @@ export class FormatError extends Error {
   /** @param {"corrupt" | "unsupported"} kind @param {string} message */
   constructor(kind, message) {
     super(message);
-    this.name = "FormatError";
+    /** @type {string} */ this.name = "FormatError";
     this.kind = kind;
   }
 }
@@ -40,8 +40,8 @@ export class ByteReader {
 
   /** @param {Uint8Array} bytes @param {string} what named in errors */
   constructor(bytes, what) {
-    this.bytes = bytes;
-    this.what = what;
+    /** @type {Uint8Array} */ this.bytes = bytes;
+    /** @type {string} */ this.what = what;
     this.view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   }
 
@@ -145,7 +145,7 @@ export class BitReader {
     if (numBits % 8 !== 0 && bytes[bytes.length - 1] >> numBits % 8 !== 0) {
       throw corrupt(`${what}: a bit is set after the last low bit`);
     }
-    this.bytes = bytes;
+    /** @type {Uint8Array} */ this.bytes = bytes;
   }
 
   /** The next bits as a number, lowest first. @param {number} width 0 .. 30 */

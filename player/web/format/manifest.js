@@ -112,6 +112,16 @@ export const isKeyframe = ({ numLayers }, part) => part > numLayers;
 export const layerOf = ({ numLayers }, part) =>
   part < numLayers ? part : Math.max(0, part - numLayers - 1);
 
+/**
+ * Maximum size of the chunk in a packet of a part.
+ * @param {Manifest} manifest @param {Part} part
+ */
+export function limitBytes({ layout }, part) {
+  if (part === skipMapsOf(layout)) return layout.maxSkipMapBytes;
+  const layer = layerOf(layout, part);
+  return isKeyframe(layout, part) ? layout.maxKeyframeBytes(layer) : layout.maxChangeBytes(layer);
+}
+
 /** Reads the manifest in `bytes`. Throws a FormatError. @param {Uint8Array} bytes @returns {Manifest} */
 export function readManifest(bytes) {
   if (bytes.length > MAX_MANIFEST_BYTES)
@@ -166,8 +176,8 @@ export function readManifest(bytes) {
     title: text(field(value, "title"), "title"),
     captureFrame: integer(field(value, "capture_frame"), 0, 2 ** 31 - 1, "capture_frame"),
     layout,
-    sound: /** @type {any} */ (value).sound,
-    captions: /** @type {any} */ (value).captions,
+    sound: /** @type {Record<string, unknown>} */ (value).sound,
+    captions: /** @type {Record<string, unknown>} */ (value).captions,
     parts: partsOf(numLayers),
   };
 }

@@ -1,7 +1,6 @@
 /** The order in which Gaussians are drawn, and the changes that wait for it. */
 
 import { MOVES } from "../constants.js";
-import { floatWords, latticeWords, roomFor } from "./words.js";
 
 /** Start value of a Gaussian that no frame shows. */
 export const NEVER = 2 ** 31 - 1;
@@ -17,11 +16,11 @@ export class DepthOrder {
 
   /** @param {number} numSlots @param {number} numSpare places after the slots, for Gaussians that fade out */
   constructor(numSlots, numSpare = 0) {
-    this.numSlots = numSlots;
+    /** @type {number} */ this.numSlots = numSlots;
     const total = numSlots + numSpare;
-    this.means = new Float32Array(3 * total);
-    this.starts = new Int32Array(total).fill(NEVER);
-    this.depths = new Float32Array(total);
+    /** @type {Float32Array} */ this.means = new Float32Array(3 * total);
+    /** @type {Int32Array} */ this.starts = new Int32Array(total).fill(NEVER);
+    /** @type {Float32Array} */ this.depths = new Float32Array(total);
     this.keys = [new Uint32Array(this.depths.buffer), new Uint32Array(total)];
     this.slots = [new Uint32Array(total), new Uint32Array(total)];
   }
@@ -122,11 +121,27 @@ export class DepthOrder {
   }
 }
 
+/** Words, of 32 bits, of an uploaded Gaussian on the lattice. @param {number} shDegree */
+export function latticeWords(shDegree) {
+  const numBytes = 4 + 3 * (shDegree + 1) ** 2; // the log scales lie with the position
+  return 4 + Math.ceil(numBytes / 4);
+}
+
+/** Words of an uploaded Gaussian of floats. @param {number} shDegree */
+export function floatWords(shDegree) {
+  return 12 + 3 * (shDegree + 1) ** 2;
+}
+
+/** Room for `count` Gaussians, in whole texels. @param {number} count @param {number} wordsEach */
+export function roomFor(count, wordsEach) {
+  return new Uint32Array(4 * Math.ceil((count * wordsEach) / 4));
+}
+
 /** An entry has its layer and move above the 24 bits of its slot; a stream has at most 2^24 slots. */
 const SLOT_SKIP_MAP = 0xffffff;
 
 /**
- * Words for the renderer's textures; see renderer/resident.js.
+ * Words for the renderer's textures; see renderer/splatrenderer.js.
  * @typedef {object} Words
  * @property {number} frame from which it shows; -1: it shows at once, without motion
  * @property {Uint32Array} lattice @property {Uint32Array} floats
@@ -144,9 +159,9 @@ export class PendingUpdates {
 
   /** @param {number} numSlots @param {number} shDegree */
   constructor(numSlots, shDegree) {
-    this.numSlots = numSlots;
-    this.latticeWords = latticeWords(shDegree);
-    this.floatWords = floatWords(shDegree);
+    /** @type {number} */ this.numSlots = numSlots;
+    /** @type {number} */ this.latticeWords = latticeWords(shDegree);
+    /** @type {number} */ this.floatWords = floatWords(shDegree);
   }
 
   /**
@@ -210,10 +225,10 @@ class Newest {
    * @param {number} slotWord the word of an entry that has its slot
    */
   constructor(isTaken, most, wordsEach, slotWord) {
-    this.isTaken = isTaken;
-    this.room = new Uint32Array(most * wordsEach);
-    this.wordsEach = wordsEach;
-    this.slotWord = slotWord;
+    /** @type {Uint8Array} */ this.isTaken = isTaken;
+    /** @type {Uint32Array} */ this.room = new Uint32Array(most * wordsEach);
+    /** @type {number} */ this.wordsEach = wordsEach;
+    /** @type {number} */ this.slotWord = slotWord;
   }
 
   /** Adds entries, the last one first. @param {Uint32Array} words */

@@ -1,5 +1,5 @@
-import { keyframeOf } from "../format/manifest.js";
-import { limitBytes, packetContent } from "../format/packet.js";
+import { keyframeOf, limitBytes } from "../format/manifest.js";
+import { packetContent } from "../format/zstd.js";
 import { FrameAssembler } from "./frameassembler.js";
 
 /**
@@ -24,7 +24,7 @@ export class KeyframePreview {
   constructor(stream, show, onFetch) {
     this.stream = stream;
     this.show = show;
-    this.onFetch = onFetch;
+    /** @type {() => void} */ this.onFetch = onFetch;
   }
 
   /** Shows a picture near `frame` as soon as possible. @param {number} frame */

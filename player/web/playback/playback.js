@@ -28,7 +28,7 @@ const LATE_FOR_SOUND_S = 1;
  * @typedef {object} Shown
  * @property {number} frame
  * @property {boolean} isJoin whether the updates are complete, so that earlier Gaussians must be dropped
- * @property {import("./packing.js").SplatUpdate[]} updates
+ * @property {import("./frameassembler.js").SplatUpdate[]} updates
  */
 
 /**
@@ -66,14 +66,14 @@ export class Playback {
    * @param {number} firstFrame @param {number} [notBeforeS] when firstFrame is due
    */
   constructor(play, fps, numFrames, firstFrame, notBeforeS = -Infinity) {
-    this.notBeforeS = notBeforeS;
+    /** @type {number} */ this.notBeforeS = notBeforeS;
     this.play = play;
-    this.fps = fps;
-    /** Number of frames so far. */
+    /** @type {number} */ this.fps = fps;
+    /** Number of frames so far. @type {number} */
     this.numFrames = numFrames;
-    /** The frame that shows next. */
+    /** The frame that shows next. @type {number} */
     this.nextFrame = firstFrame;
-    /** The first frame that is missing. */
+    /** The first frame that is missing. @type {number} */
     this.endFrame = firstFrame;
   }
 

@@ -1,5 +1,5 @@
 import { edgeFrame } from "../source/liveedge.js";
-import { buffersOf } from "./packing.js";
+import { buffersOf } from "./frameassembler.js";
 import { PlaySession } from "./playsession.js";
 
 const STATE_PERIOD_S = 0.1;
@@ -50,14 +50,14 @@ export class PlayController {
    * @param {Outlet} outlet @param {import("./messages.js").Start} [start]
    */
   constructor(stream, fetcher, outlet, { frame, seeks, rate, loop, mostLayers } = {}) {
-    this.stream = stream;
+    /** @type {SourceStream} */ this.stream = stream;
     this.fetcher = fetcher;
-    this.outlet = outlet;
-    this.loop = loop ?? false;
-    /** Number of the page's last known seek. */
+    /** @type {Outlet} */ this.outlet = outlet;
+    /** @type {boolean} */ this.loop = loop ?? false;
+    /** Number of the page's last known seek. @type {number} */
     this.seeks = seeks ?? 0;
-    this.rate = rate ?? 1;
-    this.mostLayers = mostLayers ?? stream.manifest.numLayers;
+    /** @type {number} */ this.rate = rate ?? 1;
+    /** @type {number} */ this.mostLayers = mostLayers ?? stream.manifest.numLayers;
     const { manifest, numFrames } = stream;
     this.round = this.#newRound(frame ?? (manifest.live ? edgeFrame(manifest, numFrames) : 0));
     this.wake();

@@ -1,6 +1,6 @@
 import { FormatError } from "../format/bytes.js";
-import { isKeyframe, layerOf, skipMapsOf, keyframeOf } from "../format/manifest.js";
-import { limitBytes, packetContent } from "../format/packet.js";
+import { isKeyframe, keyframeOf, layerOf, limitBytes, skipMapsOf } from "../format/manifest.js";
+import { packetContent } from "../format/zstd.js";
 import { FrameAssembler } from "./frameassembler.js";
 import { Playback } from "./playback.js";
 
@@ -34,12 +34,12 @@ export class ChunkFeed {
    */
   constructor(cache, play, manifest, firstFrame, numLayers) {
     this.cache = cache;
-    this.play = play;
+    /** @type {FrameAssembler} */ this.play = play;
     this.manifest = manifest;
-    this.numLayers = numLayers;
-    /** First frame of the segment that is joined by its keyframes. */
+    /** @type {number} */ this.numLayers = numLayers;
+    /** First frame of the segment that is joined by its keyframes. @type {number} */
     this.startFrame = cache.segmentOf(firstFrame) * manifest.segmentFrames;
-    /** End of the range of frames whose packets are passed on. */
+    /** End of the range of frames whose packets are passed on. @type {number} */
     this.endFrame = this.startFrame;
     cache.listeners.add(this.listener);
     // The first picture need not wait for what comes after it.

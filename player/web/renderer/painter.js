@@ -133,11 +133,11 @@ export class Painter extends EventTarget {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     super();
-    this.canvas = canvas;
+    /** @type {HTMLCanvasElement} */ this.canvas = canvas;
     const target = canvas.getContext("2d", { alpha: false });
     if (target === null) throw new TypeError("the canvas has a context of another kind");
-    this.target = target;
-    this.listening = this.#listen();
+    /** @type {CanvasRenderingContext2D} */ this.target = target;
+    /** @type {AbortController} */ this.listening = this.#listen();
   }
 
   #listen() {

@@ -10,7 +10,7 @@ import {
   SOUND_MAGIC,
 } from "../constants.js";
 import { ByteReader, corrupt, isMagic } from "../format/bytes.js";
-import { crc32 } from "../format/crc32.js";
+import { crc32 } from "../format/objects.js";
 
 const FIRST = 2;
 const LAST = 4;

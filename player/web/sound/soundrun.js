@@ -142,10 +142,10 @@ export class SoundRun {
    * @param {number} zeroS when sample 0 is or was due, by the context's clock @param {number} rate
    */
   constructor(context, timeline, outputs, zeroS, rate) {
-    this.context = context;
+    /** @type {BaseAudioContext} */ this.context = context;
     this.timeline = timeline;
-    this.rate = rate;
-    this.zero = Math.round(zeroS * SAMPLE_RATE);
+    /** @type {number} */ this.rate = rate;
+    /** @type {number} */ this.zero = Math.round(zeroS * SAMPLE_RATE);
     this.#steppedS = context.currentTime;
     const next = this.#sampleAt(context.currentTime + SOON_S);
     this.#voices = outputs.map(([track, output]) => {

@@ -18,8 +18,8 @@ export class Timeline {
 
   /** @param {number} fps @param {number} segmentFrames */
   constructor(fps, segmentFrames) {
-    this.fps = fps;
-    this.segmentFrames = segmentFrames;
+    /** @type {number} */ this.fps = fps;
+    /** @type {number} */ this.segmentFrames = segmentFrames;
   }
 
   /**

@@ -110,7 +110,7 @@ export class Fetcher {
    *   request; in a worker, the port to the page's function
    */
   constructor({ giveUpS = 60, onTrouble = () => {}, onAwaited = () => {}, ...access } = {}) {
-    this.giveUpS = giveUpS;
+    /** @type {number} */ this.giveUpS = giveUpS;
     /** How the page wants requests to be sent. */
     this.access = access;
     this.onTrouble = onTrouble;

@@ -1,8 +1,36 @@
-/** The download from a static host, and the measurement of its link. */
+/** The download of whole objects from a static host into the cache, and the measurement of its link. */
 
-import { layerOf } from "../format/manifest.js";
-import { addObject, hasObject } from "./cachedobjects.js";
+import { isKeyframe, layerOf } from "../format/manifest.js";
 import { LayerRule } from "./layerrule.js";
+import { isWhole } from "./segmentcache.js";
+
+/** @typedef {import("../format/manifest.js").Part} Part */
+/** @typedef {import("./segmentcache.js").SegmentCache} SegmentCache */
+
+const EMPTY = new Uint8Array(0);
+
+/**
+ * Adds the packets of an object; a frame without a packet counts as unchanged.
+ * @param {SegmentCache} cache
+ * @param {Pick<import("../format/objects.js").SegmentRecord, "firstFrame" | "numFrames">} record @param {Part} part
+ * @param {Map<number, Uint8Array>} packets by birth
+ */
+export function addObject(cache, { firstFrame, numFrames }, part, packets) {
+  const isOne = isKeyframe(cache, part);
+  for (let birth = firstFrame; birth < firstFrame + (isOne ? 1 : numFrames); birth++) {
+    const packet = packets.get(birth) ?? (isOne ? null : EMPTY);
+    if (packet !== null) cache.add(birth, part, packet);
+  }
+}
+
+/**
+ * Whether all packets of an object are cached.
+ * @param {SegmentCache} cache @param {number} segment @param {Part} part @param {number} numFrames of the segment
+ */
+export function hasObject(cache, segment, part, numFrames) {
+  const row = cache.segments.get(segment)?.rows[part];
+  return row !== undefined && isWhole(row, 0, isKeyframe(cache, part) ? 1 : numFrames);
+}
 
 /** Busy seconds after which a measurement counts half. */
 const HALF_LIFE_S = 0.4;
@@ -126,11 +154,11 @@ export class HostedDownload {
   /** @param {import("./hosted.js").HostedStream} stream @param {import("./source.js").PlayRequest} wish */
   constructor(stream, { firstFrame, mostLayers, nowS }) {
     this.stream = stream;
-    this.nowS = nowS;
-    this.mostLayers = mostLayers;
-    this.rule = this.#ruleFrom(firstFrame);
-    this.nextFrame = firstFrame;
-    this.measuredS = nowS();
+    /** @type {() => number} */ this.nowS = nowS;
+    /** @type {number} */ this.mostLayers = mostLayers;
+    /** @type {LayerRule} */ this.rule = this.#ruleFrom(firstFrame);
+    /** @type {number} */ this.nextFrame = firstFrame;
+    /** @type {number} */ this.measuredS = nowS();
   }
 
   /** Estimated throughput of the link, bits per second; null while unknown. */

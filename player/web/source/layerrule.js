@@ -48,11 +48,11 @@ export class LayerRule {
    * @param {number} firstFrame @param {number} mostLayers @param {IsHere} [isHere]
    */
   constructor(manifest, records, firstFrame, mostLayers, isHere = () => false) {
-    this.isHere = isHere;
+    /** @type {IsHere} */ this.isHere = isHere;
     this.manifest = manifest;
     this.records = records;
-    this.mostLayers = mostLayers;
-    this.first = this.#segmentOf(firstFrame);
+    /** @type {number} */ this.mostLayers = mostLayers;
+    /** @type {number} */ this.first = this.#segmentOf(firstFrame);
     /** @type {Map<number, number>} by segment, the number of its layers that were requested */
     this.levels = new Map();
     /** @type {Set<string>} layers that segments lack, although they were requested: segment and layer */

@@ -20,8 +20,8 @@ export class GoneError extends Error {
    */
   constructor(message, afterS = 0, cause) {
     super(message, { cause });
-    this.name = "GoneError";
-    this.afterS = afterS;
+    /** @type {string} */ this.name = "GoneError";
+    /** @type {number} */ this.afterS = afterS;
   }
 }
 
@@ -60,10 +60,10 @@ export class PlayResponse {
   constructor(response, abort) {
     const { body } = response;
     if (body === null) throw new GoneError(GONE);
-    this.token = response.headers.get("Swings-Play");
-    /** Time after which the server wants the next status report; 0: it does not say. */
+    /** @type {string | null} */ this.token = response.headers.get("Swings-Play");
+    /** Time after which the server wants the next status report; 0: it does not say. @type {number} */
     this.reportMs = Number(response.headers.get("Swings-Report-Ms"));
-    this.abort = abort;
+    /** @type {AbortController} */ this.abort = abort;
     this.reader = body.getReader();
   }
 
@@ -170,7 +170,7 @@ export class ServerRetry {
    */
   constructor(fetcher, base) {
     this.fetcher = fetcher;
-    this.base = base;
+    /** @type {string} */ this.base = base;
   }
 
   /** To be called after a success: the trouble is over. */

@@ -42,11 +42,11 @@ export class SegmentCache {
 
   /** @param {import("../format/manifest.js").Manifest} manifest @param {number} limitBytes */
   constructor({ segmentFrames, numLayers, fps }, limitBytes = DEFAULT_BUFFER_BYTES) {
-    this.segmentFrames = segmentFrames;
-    this.numLayers = numLayers;
-    this.fps = fps;
-    this.limitBytes = limitBytes;
-    this.aheadSegments = Math.ceil((AHEAD_S * fps) / segmentFrames);
+    /** @type {number} */ this.segmentFrames = segmentFrames;
+    /** @type {number} */ this.numLayers = numLayers;
+    /** @type {number} */ this.fps = fps;
+    /** @type {number} */ this.limitBytes = limitBytes;
+    /** @type {number} */ this.aheadSegments = Math.ceil((AHEAD_S * fps) / segmentFrames);
   }
 
   /**

@@ -22,11 +22,11 @@ export class ServedStream {
    * @param {number} [bufferBytes] limit for the received data that is kept
    */
   constructor(base, fetcher, first, bufferBytes) {
-    this.base = base;
+    /** @type {string} */ this.base = base;
     this.fetcher = fetcher;
     this.manifest = readManifest(first.start.manifest);
-    this.description = describe(first.start.manifest);
-    this.numFrames = first.start.numFrames;
+    /** @type {string} */ this.description = describe(first.start.manifest);
+    /** @type {number} */ this.numFrames = first.start.numFrames;
     this.cache = new SegmentCache(this.manifest, bufferBytes);
     /** @type {PlayResponse | null} the first response, for a play that begins at the same frame */
     this.first = first.response;

@@ -44,18 +44,18 @@ export class ServedDownload {
 
   /** @param {ServedStream} stream @param {import("./source.js").PlayRequest} request */
   constructor(stream, { firstFrame, mostLayers, nowS }) {
-    this.stream = stream;
-    this.mostLayers = mostLayers;
-    this.nowS = nowS;
-    this.firstFrame = firstFrame;
-    /** End of the range of frames that were found in the cache, or were sent. */
+    /** @type {ServedStream} */ this.stream = stream;
+    /** @type {number} */ this.mostLayers = mostLayers;
+    /** @type {() => number} */ this.nowS = nowS;
+    /** @type {number} */ this.firstFrame = firstFrame;
+    /** End of the range of frames that were found in the cache, or were sent. @type {number} */
     this.endBirth = firstFrame;
-    this.nextFrame = firstFrame;
+    /** @type {number} */ this.nextFrame = firstFrame;
     this.patience = new ServerRetry(stream.fetcher, stream.base);
     // Deferred, so that the caller can report the position first.
     Promise.resolve()
       .then(() => this.#run())
-      .catch((error) => this.#fail(error));
+      .catch((/** @type {unknown} */ error) => this.#fail(error));
   }
 
   /** @param {unknown} error */

@@ -55,10 +55,10 @@ export class Placement {
    * @param {Vector} up of the scene, unit
    */
   constructor(head, start, up) {
-    this.from = upright(head, XR_UP);
-    this.to = upright(start, up);
-    this.head = head.position;
-    this.start = start.position;
+    /** @type {Vector[]} */ this.from = upright(head, XR_UP);
+    /** @type {Vector[]} */ this.to = upright(start, up);
+    /** @type {Vector} */ this.head = head.position;
+    /** @type {Vector} */ this.start = start.position;
   }
 
   /** Converts a direction from the headset's space to the world. @param {Vector} a */
@@ -178,9 +178,9 @@ export class Headset extends EventTarget {
   /** @param {XRSession} session @param {XRWebGLLayer} layer @param {XRReferenceSpace} space */
   constructor(session, layer, space) {
     super();
-    this.session = session;
-    this.layer = layer;
-    this.space = space;
+    /** @type {XRSession} */ this.session = session;
+    /** @type {XRWebGLLayer} */ this.layer = layer;
+    /** @type {XRReferenceSpace} */ this.space = space;
     space.addEventListener("reset", () => this.replace());
     session.addEventListener("select", () => this.dispatchEvent(new Event("select")));
     session.addEventListener("end", () => this.dispatchEvent(new Event("ended")));

@@ -141,9 +141,9 @@ export class Orbit {
     /** The pose and centre that a reset returns to. */
     this.home = { pose: poseOf(defaultCamera), centre: sceneCentre(poses, bounds) };
     this.base = this.home.pose;
-    this.centre = this.home.centre;
-    this.up = rigUp(poses);
-    /** The point that a picture too narrow for the whole view shows. */
+    /** @type {Vector} */ this.centre = this.home.centre;
+    /** @type {Vector} */ this.up = rigUp(poses);
+    /** The point that a picture too narrow for the whole view shows. @type {number[]} */
     this.focus = focus ?? this.home.centre;
   }
 

@@ -1,9 +1,8 @@
 /** Decodes skip maps, changes and keyframes to the state of the slots (FORMAT.md, section 7). */
 
 import { LOG_SHARE, MIN_LOG_BYTES, NEW, PREDICTED, UNKNOWN } from "../../constants.js";
-import { decodeChange, decodeKeyframe } from "./change.js";
+import { decodeChange, decodeKeyframe, decodeSkipMap, SkipMapHistory } from "./chunks.js";
 import { corrupt, FormatError } from "../bytes.js";
-import { decodeSkipMap, SkipMapHistory } from "./skipmap.js";
 import { changedRows, movesOf, Slots } from "./slots.js";
 
 /**
@@ -49,7 +48,7 @@ export class SlotDecoder {
   /** @param {import("../gaussians.js").SlotLayout} layout @param {number} [numLayers] */
   constructor(layout, numLayers = layout.numLayers) {
     this.layout = layout;
-    this.numLayers = numLayers;
+    /** @type {number} */ this.numLayers = numLayers;
     for (const count of layout.slots)
       this.rowEdges.push(this.rowEdges[this.rowEdges.length - 1] + count);
     /** @type {Slots[][]} by lane and layer */
