@@ -1,6 +1,4 @@
-/**
- * The panels over the picture: the menu, the statistics, the list of keys, and why a stream cannot be played.
- */
+/** The panels over the picture: the menu, the statistics, the list of keys, and why a stream cannot be played. */
 
 import { node } from "../element/nodes.js";
 import { scenePointAt } from "./cameracontrols.js";

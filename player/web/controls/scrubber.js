@@ -7,10 +7,7 @@ import { Storyboard } from "./storyboard.js";
 /** A clip shorter than this shows tenths of seconds, because whole seconds hardly move. */
 const SHORT_S = 10;
 
-/**
- * A duration as text: 1:07, 1:00:07, or 0:07.3 with tenths.
- * @param {number} seconds @param {boolean} [hasTenths]
- */
+/** A duration as text: 1:07, 1:00:07, or 0:07.3 with tenths. @param {number} seconds @param {boolean} [hasTenths] */
 export function timeText(seconds, hasTenths = false) {
   // Rounding may put a frame's time just below its tenth.
   const tenths = Math.max(0, Math.floor(seconds * 10 + 1e-6));

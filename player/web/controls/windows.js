@@ -5,9 +5,7 @@
  * the page instead.
  */
 export class FullScreen {
-  /**
-   * @param {HTMLElement} element @param {() => void} changed @param {AbortSignal} signal ends the listening
-   */
+  /** @param {HTMLElement} element @param {() => void} changed @param {AbortSignal} signal ends the listening */
   constructor(element, changed, signal) {
     /** @type {HTMLElement} */ this.element = element;
     /** @type {() => void} */ this.changed = changed;

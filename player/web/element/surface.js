@@ -127,10 +127,7 @@ export class Sight {
     this.update();
   });
 
-  /**
-   * @param {Element} element @param {FrameLoop} loop
-   * @param {() => void} onChange called when isSeen has changed
-   */
+  /** @param {Element} element @param {FrameLoop} loop @param {() => void} onChange called when isSeen has changed */
   constructor(element, loop, onChange) {
     /** @type {FrameLoop} */ this.loop = loop;
     /** @type {() => void} */ this.onChange = onChange;

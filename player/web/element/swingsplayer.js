@@ -8,10 +8,7 @@ import { NETWORK } from "./readiness.js";
 import STYLE from "./style.css";
 import { WebPlayer } from "./webplayer.js";
 
-/**
- * A part of the player that is loaded by `import()`.
- * @template Part
- */
+/** A part of the player that is loaded by `import()`. @template Part */
 class LazyPart {
   /** @type {Part | null} null until it is loaded */
   part = null;

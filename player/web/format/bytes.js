@@ -74,9 +74,7 @@ export class ByteReader {
     return this.view.getUint32(this.at - 4, true);
   }
 
-  /**
-   * @template {string} Format @param {Format} format
-   */
+  /** @template {string} Format @param {Format} format */
   unpack(format) {
     const values = /** @type {(number | bigint | Uint8Array)[]} */ ([]);
     for (const [, count, code] of format.matchAll(/(\d*)([BHIifQs])/g)) {

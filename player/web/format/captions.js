@@ -81,10 +81,7 @@ export function textAt(cues, timeS) {
  * @property {string} file beside the manifest
  */
 
-/**
- * The caption tracks in a manifest. Throws a FormatError.
- * @param {unknown} value @returns {CaptionTrack[]}
- */
+/** The caption tracks in a manifest. Throws a FormatError. @param {unknown} value @returns {CaptionTrack[]} */
 export function readCaptionTracks(value) {
   const tracks = list(value, 0, MAX_CAPTIONS, "captions").map((one) => {
     const language = text(field(one, "language"), "language");

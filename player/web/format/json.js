@@ -49,9 +49,7 @@ export function boolean(value, what) {
   return value;
 }
 
-/**
- * @param {unknown} value @param {number} least @param {number} most @param {string} what @returns {unknown[]}
- */
+/** @param {unknown} value @param {number} least @param {number} most @param {string} what @returns {unknown[]} */
 export function list(value, least, most, what) {
   if (!Array.isArray(value) || value.length < least || value.length > most) {
     throw corrupt(`manifest: ${what} is not a list of ${least} .. ${most} items`);

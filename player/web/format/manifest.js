@@ -34,10 +34,7 @@ import { boolean, field, integer, list, number, text } from "./json.js";
  * @property {number[]} w2c (4, 4) world to camera, row by row, metres
  */
 
-/**
- * A camera of a manifest (FORMAT.md, section 4). Throws a FormatError.
- * @param {unknown} value @returns {Camera}
- */
+/** A camera of a manifest (FORMAT.md, section 4). Throws a FormatError. @param {unknown} value @returns {Camera} */
 function readCamera(value) {
   const camera = {
     name: text(field(value, "name"), "camera name"),
@@ -94,10 +91,7 @@ const { fround } = Math;
  * @property {string[]} parts names of the objects of each segment, in the order of the index
  */
 
-/**
- * A part of a segment, by its number in `Manifest.parts`: the changes of layer n are n.
- * @typedef {number} Part
- */
+/** A part of a segment, by its number in `Manifest.parts`: the changes of layer n are n. @typedef {number} Part */
 
 /** The skip maps. @param {{ numLayers: number }} manifest @returns {Part} */
 export const skipMapsOf = ({ numLayers }) => numLayers;
@@ -112,10 +106,7 @@ export const isKeyframe = ({ numLayers }, part) => part > numLayers;
 export const layerOf = ({ numLayers }, part) =>
   part < numLayers ? part : Math.max(0, part - numLayers - 1);
 
-/**
- * Maximum size of the chunk in a packet of a part.
- * @param {Manifest} manifest @param {Part} part
- */
+/** Maximum size of the chunk in a packet of a part. @param {Manifest} manifest @param {Part} part */
 export function limitBytes({ layout }, part) {
   if (part === skipMapsOf(layout)) return layout.maxSkipMapBytes;
   const layer = layerOf(layout, part);

@@ -72,10 +72,7 @@ export class FrameAssembler {
     return this.skipMaps.has(birth) && Boolean(this.changes.get(birth)?.[0]);
   }
 
-  /**
-   * Whether `advance` is possible for `frame`.
-   * @param {number} frame @param {number} numFrames of the stream
-   */
+  /** Whether `advance` is possible for `frame`. @param {number} frame @param {number} numFrames of the stream */
   canAdvance(frame, numFrames) {
     return this.hasSlice(frame) || this.#canRejoin(frame, numFrames);
   }
@@ -98,10 +95,7 @@ export class FrameAssembler {
     return true;
   }
 
-  /**
-   * Begins with `frame`, and returns all of it. Throws a FormatError if layer 0 is refused.
-   * @param {number} frame
-   */
+  /** Begins with `frame`, and returns all of it. Throws a FormatError if layer 0 is refused. @param {number} frame */
   join(frame) {
     const first = this.layout.segmentStart(frame);
     this.decoder = new SlotDecoder(this.layout);

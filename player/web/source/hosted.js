@@ -158,10 +158,7 @@ async function fetchManifest(base, fetcher) {
 
 /** The index of a stream that may grow. */
 export class GrowingIndex {
-  /**
-   * @param {string} url @param {Fetcher} fetcher
-   * @param {import("../format/manifest.js").Manifest} manifest
-   */
+  /** @param {string} url @param {Fetcher} fetcher @param {import("../format/manifest.js").Manifest} manifest */
   constructor(url, fetcher, manifest) {
     /** @type {string} */ this.url = url;
     /** @type {Fetcher} */ this.fetcher = fetcher;

@@ -14,10 +14,7 @@ import {
 
 /** The server is unreachable or overloaded; it may be back soon. */
 export class GoneError extends Error {
-  /**
-   * @param {string} message @param {number} afterS minimum seconds before the next try
-   * @param {unknown} [cause]
-   */
+  /** @param {string} message @param {number} afterS minimum seconds before the next try @param {unknown} [cause] */
   constructor(message, afterS = 0, cause) {
     super(message, { cause });
     /** @type {string} */ this.name = "GoneError";

@@ -144,10 +144,7 @@ export class SegmentCache {
     return end;
   }
 
-  /**
-   * The cached frames, as [first, end) pairs in order.
-   * @param {number} numFrames @returns {[number, number][]}
-   */
+  /** The cached frames, as [first, end) pairs in order. @param {number} numFrames @returns {[number, number][]} */
   ranges(numFrames) {
     /** @type {[number, number][]} */
     const found = [];

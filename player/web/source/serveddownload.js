@@ -132,10 +132,7 @@ export class ServedDownload {
     this.#reportReceived();
   }
 
-  /**
-   * Continues from another frame, see SourcePlay.
-   * @param {number} frame @param {import("./source.js").Move} how
-   */
+  /** Continues from another frame, see SourcePlay. @param {number} frame @param {import("./source.js").Move} how */
   moveTo(frame, how) {
     const { stream, mostLayers, firstFrame, endBirth } = this;
     const { cache } = stream;

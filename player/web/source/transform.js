@@ -36,10 +36,7 @@ async function changeOf(transformRequest, url) {
   }
 }
 
-/**
- * Answers what a worker asks through `port`.
- * @param {MessagePort} port @param {TransformRequest} transformRequest
- */
+/** Answers what a worker asks through `port`. @param {MessagePort} port @param {TransformRequest} transformRequest */
 export function answer(port, transformRequest) {
   /** @param {MessageEvent<{ url: string, reply: MessagePort }>} question */
   port.onmessage = async ({ data: { url, reply } }) => {
@@ -51,9 +48,7 @@ export function answer(port, transformRequest) {
   };
 }
 
-/**
- * @param {MessagePort} port @param {string} url @param {Promise<never>} aborted @returns {Promise<Change>}
- */
+/** @param {MessagePort} port @param {string} url @param {Promise<never>} aborted @returns {Promise<Change>} */
 async function ask(port, url, aborted) {
   const { port1, port2 } = new MessageChannel();
   try {

@@ -137,10 +137,7 @@ function drawIn(headset, view, nowMs, frame) {
  * Events: `select` (the trigger was pulled), `visibility` (this.isHidden), `ended`.
  */
 export class Headset extends EventTarget {
-  /**
-   * Begins a session. Needs a recent user gesture. Throws a HeadsetError.
-   * @param {WebGL2RenderingContext} gl
-   */
+  /** Begins a session. Needs a recent user gesture. Throws a HeadsetError. @param {WebGL2RenderingContext} gl */
   static async begin(gl) {
     const { xr } = navigator;
     if (xr === undefined) {

@@ -1,7 +1,4 @@
-/**
- * The first view, which turns around a point: the middle of the scene, the lens for a picture's shape, and
- * drags.
- */
+/** The first view, which turns around a point: the middle of the scene, the lens for a picture's shape, and drags. */
 
 import { fitted, inCamera, poseOf, rigUp, worldToCamera } from "./pose.js";
 import {

@@ -282,10 +282,7 @@ export class SlotDecoder {
     this.logs.set(at, { before: this.#replayed(layer, before, earlier, null), since: later });
   }
 
-  /**
-   * Drops the log of a layer of a lane if no late data can alter it.
-   * @param {number} lane @param {number} layer
-   */
+  /** Drops the log of a layer of a lane if no late data can alter it. @param {number} lane @param {number} layer */
   #dropIfComplete(lane, layer) {
     const log = this.logs.get(key(lane, layer));
     if (log === undefined || isWaiting(log)) return;
