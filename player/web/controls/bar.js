@@ -116,8 +116,7 @@ export class Bar {
   }
 
   /**
-   * @param {boolean} isPlaying
-   * @param {boolean} isLargeShown whether the large button over the picture does the same
+   * @param {boolean} isPlaying @param {boolean} isLargeShown whether the large button over the picture does the same
    */
   showPlaying(isPlaying, isLargeShown) {
     const { playButton, t } = this;
@@ -219,8 +218,7 @@ export class BarVisibility {
   }
 
   /**
-   * @param {HTMLElement} element @param {() => void} toggleFullScreen
-   * @param {AbortSignal} signal ends the listening
+   * @param {HTMLElement} element @param {() => void} toggleFullScreen @param {AbortSignal} signal ends the listening
    */
   listen(element, toggleFullScreen, signal) {
     const { canvas } = this;

@@ -62,8 +62,7 @@ export function choicesOf(element, t) {
 /**
  * The commands of a player, in the order of the bar and of the menu.
  * @param {import("../element/swingsplayer.js").SwingsPlayerElement} element
- * @param {import("./stereocontrols.js").StereoControls} stereo
- * @param {import("./sharing.js").Sharing} sharing
+ * @param {import("./stereocontrols.js").StereoControls} stereo @param {import("./sharing.js").Sharing} sharing
  * @param {() => import("./panels.js").Panels} panels which are made of the commands @returns {Command[]}
  */
 export function commandsOf(element, stereo, sharing, panels) {

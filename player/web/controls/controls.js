@@ -1,7 +1,6 @@
 /**
- * The controls of a player: everything that a viewer can press, and the panel for failures. This code is
- * loaded after the first requests of a stream, and its bundle is a separate file, so that it does not delay
- * the first picture.
+ * The controls of a player: everything that a viewer can press, and the panel for failures. This code is loaded after
+ * the first requests of a stream, and its bundle is a separate file, so that it does not delay the first picture.
  */
 
 import { addStyle, prefersStill } from "../element/nodes.js";
@@ -241,8 +240,7 @@ export class Controls {
 
   /**
    * Runs the action of a key that was pressed.
-   * @param {KeyboardEvent} event
-   * @param {EventTarget} target the innermost one, which an event does not tell later
+   * @param {KeyboardEvent} event @param {EventTarget} target the innermost one, which an event does not tell later
    */
   press(event, target) {
     if (event.key === "Escape") this.fullScreen.leave();

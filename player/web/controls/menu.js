@@ -45,8 +45,7 @@ const ICONS = {
 export class Menu {
   /**
    * @param {import("./bar.js").Bar} bar @param {Choice[]} choices @param {Command[]} commands
-   * @param {import("./texts.js").Translate} t
-   * @param {() => void} changed called when the menu was opened or closed
+   * @param {import("./texts.js").Translate} t @param {() => void} changed called when the menu was opened or closed
    */
   constructor(bar, choices, commands, t, changed) {
     this.t = t;
@@ -153,8 +152,7 @@ export class Menu {
   }
 
   /**
-   * @param {Record<string, string | null>} attributes @param {(Node | string)[]} children
-   * @param {() => void} action
+   * @param {Record<string, string | null>} attributes @param {(Node | string)[]} children @param {() => void} action
    */
   #entry(attributes, children, action) {
     const entry = node("button", { ...attributes, tabindex: "-1" }, ...children);

@@ -126,8 +126,7 @@ export class Panels {
   /**
    * @param {import("../element/webplayer.js").WebPlayer} player @param {HTMLElement} place
    * @param {object} parts @param {import("./bar.js").Bar} parts.bar
-   * @param {import("./menu.js").Choice[]} parts.choices
-   * @param {import("./commands.js").Command[]} parts.commands
+   * @param {import("./menu.js").Choice[]} parts.choices @param {import("./commands.js").Command[]} parts.commands
    * @param {import("./keys.js").KeyAction[]} parts.actions @param {import("./texts.js").Translate} t
    * @param {() => void} changed called when the menu was opened or closed
    */

@@ -22,8 +22,7 @@ class SoundControls {
   mute = node("button", { class: "mute" });
 
   /**
-   * @param {import("../element/mediainterface.js").MediaInterface} element
-   * @param {import("./texts.js").Translate} t
+   * @param {import("../element/mediainterface.js").MediaInterface} element @param {import("./texts.js").Translate} t
    */
   constructor(element, t) {
     this.element = element;

@@ -234,8 +234,7 @@ export class PictureInterface extends MediaAttributes {
   }
 
   /**
-   * Captures the canvas, without the controls. Throws an InvalidStateError while the element is not in a
-   * page.
+   * Captures the canvas, without the controls. Throws an InvalidStateError while the element is not in a page.
    * @param {number} [fps] maximum number of pictures per second; by default every drawn picture
    * @returns {MediaStream} with one video track; stop it when it is no longer needed
    */

@@ -1,8 +1,7 @@
 /** What a media element says about its data: ranges of time, `networkState` and `readyState`. */
 
 /**
- * Ranges of time in seconds, ascending and disjoint, like `TimeRanges` of HTML, which a script cannot
- * construct.
+ * Ranges of time in seconds, ascending and disjoint, like `TimeRanges` of HTML, which a script cannot construct.
  * @implements {TimeRanges}
  */
 export class SecondRanges {

@@ -12,8 +12,7 @@ const MOST_WAITING = 4;
 const waiting = new Set();
 
 /**
- * Lets a player that is out of view keep its resources, and parks the longest unseen player if there
- * are too many.
+ * Lets a player that is out of view keep its resources, and parks the longest unseen player if there are too many.
  * @param {{ park: () => void }} player
  */
 function keepWaiting(player) {
@@ -105,8 +104,7 @@ export class WebPlayer extends StreamSession {
    * @param {boolean} [options.otherHosts] whether the manifest may refer to hosts other than its own
    * @param {RequestCredentials} [options.credentials] whether requests carry cookies, see `fetch`
    * @param {import("../source/transform.js").TransformRequest} [options.transformRequest] changes each request
-   * @param {number | null} [options.bufferMb] limit for the received data that is kept; null for the
-   *   default, 64
+   * @param {number | null} [options.bufferMb] limit for the received data that is kept; null for the default, 64
    * @param {boolean} [options.isHeld] whether to fetch no frame until the stream plays or seeks
    */
   open(

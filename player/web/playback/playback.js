@@ -32,8 +32,7 @@ const LATE_FOR_SOUND_S = 1;
  */
 
 /**
- * Decides which frame shows when: play, pause, seek, loop, rate and stalls. It reads no clock: callers
- * pass the time.
+ * Decides which frame shows when: play, pause, seek, loop, rate and stalls. It reads no clock: callers pass the time.
  */
 export class Playback {
   /** Whether more frames may follow. */

@@ -186,8 +186,7 @@ export class Painter extends EventTarget {
   }
 
   /**
-   * Draws the renderer's Gaussians; the canvas gets the size of the picture. Does nothing while the
-   * context is lost.
+   * Draws the renderer's Gaussians; the canvas gets the size of the picture. Does nothing while the context is lost.
    * @param {import("../stereo/eyes.js").Viewpoint} viewpoint @param {number} widthPx of the canvas
    * @param {number} heightPx
    */

@@ -58,8 +58,7 @@ export class ContextLostError extends RendererError {
 
 /**
  * Starts compiling a program. This may take the device some time; only `check` waits for it.
- * @param {WebGL2RenderingContext} gl
- * @param {string} text both stages, in GLSL ES 3.00 without the version line
+ * @param {WebGL2RenderingContext} gl @param {string} text both stages, in GLSL ES 3.00 without the version line
  * @param {Record<string, number>} defines @returns {Program}
  */
 export function makeProgram(gl, text, defines = {}) {

@@ -99,8 +99,7 @@ export class Fetcher {
   heardMs = -Infinity;
 
   /**
-   * @param {object} [options]
-   * @param {number} [options.giveUpS] seconds without new bytes after which it gives up
+   * @param {object} [options] @param {number} [options.giveUpS] seconds without new bytes after which it gives up
    * @param {(message: string | null) => void} [options.onTrouble] called with a description of the
    *   problem, and with null when it is over
    * @param {(picture: string | null) => void} [options.onAwaited] called again and again while a stream

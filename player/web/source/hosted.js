@@ -26,8 +26,7 @@ export class HostedStream {
 
   /**
    * @param {string} base URL of the folder, with a trailing slash
-   * @param {Fetcher} fetcher
-   * @param {import("../format/manifest.js").Manifest} manifest
+   * @param {Fetcher} fetcher @param {import("../format/manifest.js").Manifest} manifest
    * @param {boolean} otherHosts whether objects may be on other hosts than the manifest
    * @param {number} [bufferBytes] limit for the received data that is kept
    */
@@ -42,10 +41,9 @@ export class HostedStream {
   }
 
   /**
-   * Reads manifest and index; waits for the first frames of a live stream. Rejects with a SourceError
-   * or a FormatError.
-   * @param {string} base @param {Fetcher} fetcher
-   * @param {number | null} maxGaussians see `checkGaussians`
+   * Reads manifest and index; waits for the first frames of a live stream. Rejects with a SourceError or a
+   * FormatError.
+   * @param {string} base @param {Fetcher} fetcher @param {number | null} maxGaussians see `checkGaussians`
    * @param {boolean} otherHosts whether objects may be on other hosts than the manifest
    * @param {number} [bufferBytes] limit for the received data that is kept
    */
@@ -231,8 +229,7 @@ const PAUSED_PERIOD_S = 2.5;
 
 /**
  * Follows a live stream until it has ended. Rejects with the host's error if that lasts.
- * @param {HostedStream} stream
- * @param {() => void} onGrown called when the stream has more frames, or has ended
+ * @param {HostedStream} stream @param {() => void} onGrown called when the stream has more frames, or has ended
  */
 export async function follow(stream, onGrown) {
   let goodMs = performance.now();

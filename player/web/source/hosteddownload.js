@@ -295,8 +295,7 @@ export class HostedDownload {
   }
 
   /**
-   * @param {import("../format/objects.js").SegmentRecord} record
-   * @param {import("../format/manifest.js").Part} part
+   * @param {import("../format/objects.js").SegmentRecord} record @param {import("../format/manifest.js").Part} part
    */
   async #fetch(record, part) {
     const name = `${record.segment}/${part}`;

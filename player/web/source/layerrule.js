@@ -37,9 +37,8 @@ const PLAN = {
  */
 
 /**
- * Decides which objects of a static host are fetched, and in which order: layer 0 some seconds ahead,
- * then further layers of the segments ahead, one after another, as far as the link delivers them in
- * time, then more of layer 0.
+ * Decides which objects of a static host are fetched, and in which order: layer 0 some seconds ahead, then further
+ * layers of the segments ahead, one after another, as far as the link delivers them in time, then more of layer 0.
  */
 export class LayerRule {
   /**
@@ -100,8 +99,7 @@ export class LayerRule {
   }
 
   /**
-   * The missing parts of a segment's next layer. A layer that the previous segment lacks begins with its
-   * keyframe.
+   * The missing parts of a segment's next layer. A layer that the previous segment lacks begins with its keyframe.
    * @param {number} segment
    */
   parts(segment) {

@@ -103,8 +103,7 @@ function names(value, key, most) {
 class PackedLayout {
   /**
    * @param {PackedHead} head @param {import("../format/manifest.js").Manifest} manifest
-   * @param {import("../format/objects.js").SegmentRecord[]} records
-   * @param {Uint8Array} tracks the table of sizes
+   * @param {import("../format/objects.js").SegmentRecord[]} records @param {Uint8Array} tracks the table of sizes
    */
   constructor(head, manifest, records, tracks) {
     this.manifest = manifest;
@@ -185,8 +184,7 @@ export class PackedStream extends HostedStream {
   }
 
   /**
-   * Reads the beginning of the file, with one or two requests. Rejects with a SourceError or a
-   * FormatError.
+   * Reads the beginning of the file, with one or two requests. Rejects with a SourceError or a FormatError.
    * @override
    * @param {string} url @param {import("./fetcher.js").Fetcher} fetcher
    * @param {number | null} maxGaussians see `checkGaussians`

@@ -219,8 +219,7 @@ export class ServedDownload {
   }
 
   /**
-   * The next frame after a segment that need not be sent, because it is cached, or too far ahead for a
-   * still picture.
+   * The next frame after a segment that need not be sent, because it is cached, or too far ahead for a still picture.
    * @param {number} segment
    */
   #endOfGap(segment) {

@@ -71,10 +71,9 @@ const SHARE_ABOVE = 1 / 4;
 /**
  * The lens that shows a camera's view in a picture of another size.
  *
- * A picture narrower than the camera's shows a part of the view, centred on `focus` as far as the view
- * allows. Its scale is the geometric mean of showing the whole view and filling the picture with the
- * view, but the picture is at most MOST_HEIGHTS times as high as the view. A wider picture shows the
- * whole view, and more on both sides.
+ * A picture narrower than the camera's shows a part of the view, centred on `focus` as far as the view allows. Its
+ * scale is the geometric mean of showing the whole view and filling the picture with the view, but the picture is at
+ * most MOST_HEIGHTS times as high as the view. A wider picture shows the whole view, and more on both sides.
  * @param {Camera} camera @param {import("./vectors.js").Vector} focus metres @param {number} widthPx
  * @param {number} heightPx @returns {Camera} with the pose of `camera`
  */
