@@ -230,16 +230,14 @@ export class BarVisibility {
       const isOnPicture = event.composedPath()[0] === canvas;
       if (event.pointerType !== "touch" || !isOnPicture) this.wake();
     };
-    for (const type of /** @type {const} */ (["pointermove", "pointerdown"])) {
+    for (const type of /** @type {const} */ (["pointermove", "pointerdown"]))
       element.addEventListener(type, onPointer, { signal });
-    }
     const leave = (/** @type {PointerEvent} */ event) => {
       if (event.pointerType === "mouse") this.#rest();
     };
     element.addEventListener("pointerleave", leave, { signal });
-    for (const type of ["keydown", "focusin", "play", "pause", "ended"]) {
+    for (const type of ["keydown", "focusin", "play", "pause", "ended"])
       element.addEventListener(type, () => this.wake(), { signal });
-    }
     const tap = () => {
       if (lastPointer === "touch") this.toggle();
     };

@@ -217,9 +217,8 @@ export class Controls {
     const turntable = new Turntable(player.motion);
     const ending = new AbortController();
     const signal = AbortSignal.any([this.signal, ending.signal]);
-    for (const type of ["pointerdown", "wheel", "keydown", "emptied"]) {
+    for (const type of ["pointerdown", "wheel", "keydown", "emptied"])
       element.addEventListener(type, () => ending.abort(), { signal });
-    }
     const step = (/** @type {number} */ nowMs) => {
       if (signal.aborted) return;
       requestAnimationFrame(step);

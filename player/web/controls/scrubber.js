@@ -243,9 +243,8 @@ export class LiveBadge {
       this.#timer = setTimeout(() => this.#setStopped(true), waitMs);
     };
     for (const type of ["opened", "grown"]) player.addEventListener(type, watch, { signal });
-    for (const type of ["opened", "state", "grown"]) {
+    for (const type of ["opened", "state", "grown"])
       player.addEventListener(type, () => this.#show(), { signal });
-    }
     signal.addEventListener("abort", () => clearTimeout(this.#timer));
     watch(); // the stream may be open already
     this.#show();

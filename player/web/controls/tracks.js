@@ -120,9 +120,8 @@ export class RemoteControl {
     if (!navigator.mediaSession || !isHeard || !player.manifest?.sound) return;
     if (owner !== this) {
       owner = this;
-      for (const action of ACTIONS) {
+      for (const action of ACTIONS)
         navigator.mediaSession.setActionHandler(action, (details) => this.#act(action, details));
-      }
       this.#describe();
     }
     this.#update();

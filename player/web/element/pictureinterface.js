@@ -120,9 +120,8 @@ class MediaAttributes extends HTMLElement {
 
   set volume(value) {
     if (!Number.isFinite(value)) throw new TypeError(`volume: ${value} is not a number`);
-    if (value < 0 || value > 1) {
+    if (value < 0 || value > 1)
       throw new DOMException(`volume: ${value} is not in the range 0 to 1`, "IndexSizeError");
-    }
     if (value === this.#volume) return;
     this.#volume = value;
     this.queueEvent("volumechange");
@@ -249,9 +248,8 @@ export class PictureInterface extends MediaAttributes {
    * @returns {Promise<PictureInPictureWindow>} rejects like the method of HTMLVideoElement
    */
   async requestPictureInPicture() {
-    if (this.videoWidth === 0) {
+    if (this.videoWidth === 0)
       throw new DOMException("the stream is not open yet", "InvalidStateError");
-    }
     const capture = this.#capturing();
     const { PictureInPicture } = await import("../controls/windows.js");
     this.#window ??= new PictureInPicture(capture, this);
@@ -275,9 +273,8 @@ export class PictureInterface extends MediaAttributes {
     const before = this.#sizePx;
     this.#sizePx = player?.manifest ? player.pictureSizePx : [0, 0];
     const [width, height] = this.#sizePx;
-    if (player?.manifest && (width !== before[0] || height !== before[1])) {
+    if (player?.manifest && (width !== before[0] || height !== before[1]))
       this.queueEvent("resize");
-    }
   }
 
   /** @protected Runs the frame callbacks; a frame is drawn in this task. @param {number} timeS of the frame */
@@ -317,9 +314,7 @@ export class PictureInterface extends MediaAttributes {
 
   #capturing() {
     const { player } = this;
-    if (player === null) {
-      throw new DOMException("the element is in no page", "InvalidStateError");
-    }
+    if (player === null) throw new DOMException("the element is in no page", "InvalidStateError");
     this.#capture ??= new Capture(player.canvas);
     return this.#capture;
   }

@@ -177,9 +177,8 @@ export class Readiness {
     const before = this.ready;
     this.ready = ready;
     const events = /** @type {string[]} */ ([]);
-    if (before >= READY.FUTURE && ready < READY.FUTURE && playing) {
+    if (before >= READY.FUTURE && ready < READY.FUTURE && playing)
       events.push("timeupdate", "waiting");
-    }
     if (ready >= READY.CURRENT && !this.#hasLoaded) {
       this.#hasLoaded = true;
       events.push("loadeddata");

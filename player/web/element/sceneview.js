@@ -196,9 +196,8 @@ export class SceneView extends EventTarget {
   /** Lets viewers move the camera, of this stream and of later ones. @param {MakeMotion} make */
   steer(make) {
     this.makeMotion = make;
-    if (this.manifest !== null && this.orbit !== null) {
+    if (this.manifest !== null && this.orbit !== null)
       this.motion = make(this.manifest, this.orbit);
-    }
   }
 
   /** The current camera, with the size of the canvas, or of half the canvas side by side. */

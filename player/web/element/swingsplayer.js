@@ -378,9 +378,8 @@ export class SwingsPlayerElement extends MediaInterface {
 
   /** Flies to a camera of the rig. @param {number} index into `cameras` */
   flyToCamera(index) {
-    if (!Number.isInteger(index)) {
+    if (!Number.isInteger(index))
       throw new RangeError(`flyToCamera: ${index} is not the index of a camera`);
-    }
     this.#steer((motion) => motion.flyToCamera(index));
   }
 

@@ -80,9 +80,8 @@ export class WebPlayer extends StreamSession {
     on("lost", () => {
       this.#updateMayPlay();
       this.dispatch("contextlost");
-      if (this.workers !== null) {
+      if (this.workers !== null)
         this.dispatch("trouble", "The graphics device was lost; waiting for it");
-      }
     });
     on("restored", () => {
       this.resend();
@@ -175,9 +174,8 @@ export class WebPlayer extends StreamSession {
     if (this.source === null || this.#hasFailed) return;
     if (isSeen && this.workers === null) this.#start();
     else if (isSeen && this.live && this.wantsPlaying && this.#wasAtEdge) this.seekEdge();
-    if (!isSeen && this.manifest !== null) {
+    if (!isSeen && this.manifest !== null)
       this.#wasAtEdge = this.live && !isBehind(this.manifest, this.numFrames, this.state.frame);
-    }
     this.#updateMayPlay();
     if (!isSeen && this.workers !== null) keepWaiting(this);
   }

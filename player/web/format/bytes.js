@@ -137,12 +137,10 @@ export class BitReader {
    * @param {string} what named in errors
    */
   constructor(bytes, numBits, what) {
-    if (bytes.length !== Math.ceil(numBits / 8)) {
+    if (bytes.length !== Math.ceil(numBits / 8))
       throw corrupt(`${what}: ${bytes.length} bytes of low bits for ${numBits} bits`);
-    }
-    if (numBits % 8 !== 0 && bytes[bytes.length - 1] >> numBits % 8 !== 0) {
+    if (numBits % 8 !== 0 && bytes[bytes.length - 1] >> numBits % 8 !== 0)
       throw corrupt(`${what}: a bit is set after the last low bit`);
-    }
     /** @type {Uint8Array} */ this.bytes = bytes;
   }
 

@@ -62,9 +62,8 @@ export function checkGaussians(gaussians, what) {
   }
   const { quats } = gaussians;
   for (let i = 0; i < quats.length; i += 4) {
-    if (quats[i] === 0 && quats[i + 1] === 0 && quats[i + 2] === 0 && quats[i + 3] === 0) {
+    if (quats[i] === 0 && quats[i + 1] === 0 && quats[i + 2] === 0 && quats[i + 3] === 0)
       throw corrupt(`${what}: the quaternion of Gaussian ${i / 4} is zero`);
-    }
   }
 }
 

@@ -46,12 +46,10 @@ function readCamera(value) {
     cyPx: number(field(value, "cy_px"), "cy_px"),
     w2c: list(field(value, "w2c"), 16, 16, "w2c").map((entry) => number(entry, "w2c")),
   };
-  if (camera.fxPx <= 0 || camera.fyPx <= 0) {
+  if (camera.fxPx <= 0 || camera.fyPx <= 0)
     throw corrupt(`camera ${camera.name}: a focal length is not positive`);
-  }
-  if (!isPose(camera.w2c)) {
+  if (!isPose(camera.w2c))
     throw corrupt(`camera ${camera.name}: the pose is not a rotation and a translation`);
-  }
   return camera;
 }
 
@@ -124,9 +122,8 @@ export function readManifest(bytes) {
     throw unsupported(`manifest: version ${version}, not ${VERSION}; the stream must be made anew`);
   const swinSize = integer(field(value, "swin_size"), 1, MAX_SWIN_SIZE, "swin_size");
   const numGs = integer(field(value, "num_gs"), 1, MAX_NUM_GS, "num_gs");
-  if (numGs % swinSize !== 0 || numGs / swinSize > MAX_SLOTS) {
+  if (numGs % swinSize !== 0 || numGs / swinSize > MAX_SLOTS)
     throw corrupt(`manifest: num_gs ${numGs} does not fit swin_size ${swinSize}`);
-  }
   const segmentFrames = integer(
     field(value, "segment_frames"),
     1,
@@ -137,9 +134,8 @@ export function readManifest(bytes) {
   const layout = readLayout(value, swinSize, segmentFrames, shDegree, numGs);
   const { numLayers } = layout;
   const cameras = list(field(value, "cameras"), 1, MAX_CAMERAS, "cameras").map(readCamera);
-  if (new Set(cameras.map((camera) => camera.name)).size !== cameras.length) {
+  if (new Set(cameras.map((camera) => camera.name)).size !== cameras.length)
     throw corrupt("manifest: two cameras have the same name");
-  }
   const name = text(field(value, "default_camera"), "default_camera");
   const defaultCamera = cameras.find((camera) => camera.name === name);
   if (defaultCamera === undefined)
@@ -271,9 +267,8 @@ function readBounds(value) {
   const corners = list(field(value, "bounds"), 2, 2, "bounds").map((corner) =>
     readPoint(corner, "a corner of bounds"),
   );
-  if (corners[0].some((lower, axis) => lower > corners[1][axis])) {
+  if (corners[0].some((lower, axis) => lower > corners[1][axis]))
     throw corrupt("manifest: the lower corner of the bounds is above the upper one");
-  }
   return corners;
 }
 
@@ -283,9 +278,8 @@ function readPicture(value, what) {
   const path = text(value, what);
   const numBytes = new TextEncoder().encode(path).length;
   // eslint-disable-next-line no-control-regex -- these are what it looks for
-  if (numBytes > MAX_POSTER_BYTES || /[\u0000-\u001f\u007f]/.test(path)) {
+  if (numBytes > MAX_POSTER_BYTES || /[\u0000-\u001f\u007f]/.test(path))
     throw corrupt(`manifest: ${what} is too long or contains a control character`);
-  }
   // A path that leads out of the stream's folder is ignored: `//` would begin another host.
   const leadsOut = path.split("/").some((part) => part === "" || part === "..");
   return leadsOut || !/[^/]\.(jpe?g|png|webp)$/i.test(path) ? null : path;
@@ -301,8 +295,7 @@ function readStoryboard(value) {
 function readObjectUrl(value) {
   const url = text(field(value, "object_url"), "object_url");
   const names = (url.match(/\{.*?\}/g) ?? []).sort();
-  if (names.length !== 2 || names[0] !== "{layer}" || names[1] !== "{segment}") {
+  if (names.length !== 2 || names[0] !== "{layer}" || names[1] !== "{segment}")
     throw corrupt("manifest: object_url does not contain {segment} and {layer} once each");
-  }
   return url;
 }

@@ -56,9 +56,8 @@ export function readIndex(bytes, manifest, firstSegment = 0) {
   if (rows.length > 0 && rows[rows.length - 1].every((byte) => byte === 0)) rows.pop();
   return rows.map((row, n) => {
     const record = readRecord(row, firstSegment + n, manifest);
-    if (n < rows.length - 1 && record.numFrames !== manifest.segmentFrames) {
+    if (n < rows.length - 1 && record.numFrames !== manifest.segmentFrames)
       throw corrupt(`index: segment ${record.segment} is short, but not the last`);
-    }
     return record;
   });
 }
@@ -87,9 +86,8 @@ function readRecord(row, segment, manifest) {
   const [checksum] = reader.unpack(INDEX_CHECKSUM);
   if (checksum !== crc32(covered)) throw corrupt(`${what} has a wrong checksum`);
   const { segmentFrames } = manifest;
-  if (found !== segment || firstFrame !== segment * segmentFrames || reserved !== 0) {
+  if (found !== segment || firstFrame !== segment * segmentFrames || reserved !== 0)
     throw corrupt(`${what} describes ${found}, from frame ${firstFrame} on`);
-  }
   if (numFrames < 1 || numFrames > segmentFrames) throw corrupt(`${what} has ${numFrames} frames`);
   if (psnrDb.some((psnr) => Math.abs(psnr) === Infinity))
     throw corrupt(`${what} has an infinite PSNR`);
@@ -107,17 +105,14 @@ export function readObject(bytes) {
     throw corrupt(`object: ${bytes.length} bytes, but at most ${MAX_OBJECT_BYTES} are allowed`);
   const reader = new ByteReader(bytes, "object");
   const [skippable, following, magic, version, coder, reserved, count] = reader.unpack(OBJECT_HEAD);
-  if (skippable !== SKIPPABLE_MAGIC || !isMagic(magic, TABLE_MAGIC)) {
+  if (skippable !== SKIPPABLE_MAGIC || !isMagic(magic, TABLE_MAGIC))
     throw corrupt("object: does not start with a table of chunks");
-  }
   if (version !== VERSION) throw unsupported(`object: version ${version}, not ${VERSION}`);
   if (coder !== CODER) throw unsupported(`object: unknown coder ${coder}`);
-  if (count > MAX_CHUNKS || reserved !== 0) {
+  if (count > MAX_CHUNKS || reserved !== 0)
     throw corrupt(`object: ${count} chunks or the reserved value ${reserved} is not valid`);
-  }
-  if (following !== HEAD_BYTES + ENTRY_BYTES * count) {
+  if (following !== HEAD_BYTES + ENTRY_BYTES * count)
     throw corrupt(`object: a table of ${following} bytes for ${count} chunks`);
-  }
   const table = new ByteReader(reader.take(ENTRY_BYTES * count), "object");
   /** @type {Map<number, Uint8Array>} */
   const packets = new Map();

@@ -27,9 +27,8 @@ export function readMap(reader) {
   const map = new Map();
   for (let i = 0; i < size; i++) {
     const key = readValue(reader);
-    if (typeof key !== "string" && !(key instanceof Uint8Array)) {
+    if (typeof key !== "string" && !(key instanceof Uint8Array))
       throw corrupt("play: a key is neither text nor bytes");
-    }
     const value = readValue(reader);
     if (typeof key === "string") map.set(key, value);
   }
@@ -162,9 +161,8 @@ function slice(map) {
 /** @param {Map<string, unknown>} map @param {string} key */
 function count(map, key) {
   const found = map.get(key);
-  if (typeof found !== "number" || !Number.isInteger(found) || found < 0 || found >= INT32_END) {
+  if (typeof found !== "number" || !Number.isInteger(found) || found < 0 || found >= INT32_END)
     throw corrupt(`play: ${key} is not a count`);
-  }
   return found;
 }
 
@@ -177,18 +175,16 @@ function checkedBytes(found, key) {
 /** @param {Map<string, unknown>} map @param {number} least */
 function packetsOf(map, least) {
   const found = map.get(PACKETS_KEY);
-  if (!Array.isArray(found) || found.length < least || found.length > MAX_LAYERS) {
+  if (!Array.isArray(found) || found.length < least || found.length > MAX_LAYERS)
     throw corrupt("play: a record has no valid list of packets");
-  }
   return found.map((packet) => checkedBytes(packet, "a packet"));
 }
 
 /** @param {Map<string, unknown>} map @param {Uint8Array[]} packets */
 function firstLayer(map, packets) {
   const first = count(map, "first");
-  if (first + packets.length > MAX_LAYERS) {
+  if (first + packets.length > MAX_LAYERS)
     throw corrupt(`play: ${packets.length} packets starting at layer ${first} are too many`);
-  }
   return first;
 }
 

@@ -50,9 +50,8 @@ function rowsOf({ means, logScales, quats, logitOpacities, sh }, numRest) {
     rows.set(means.subarray(3 * i, 3 * i + 3), at);
     rows.set(sh.subarray(dc, dc + 3), at + 6);
     // Channel after channel in the file.
-    for (let n = 0; n < 3 * numRest; n++) {
+    for (let n = 0; n < 3 * numRest; n++)
       rows[at + 9 + n] = sh[dc + 3 * (1 + (n % numRest)) + Math.floor(n / numRest)];
-    }
     rows[at + width - 8] = logitOpacities[i];
     rows.set(logScales.subarray(3 * i, 3 * i + 3), at + width - 7);
     rows.set(quats.subarray(4 * i, 4 * i + 4), at + width - 4);

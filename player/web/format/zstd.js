@@ -168,9 +168,8 @@ function block() {
   }
   const modes = takeByte();
   check((modes & 3) === 0);
-  for (const [n, kind] of KINDS.entries()) {
+  for (const [n, kind] of KINDS.entries())
     tables[n] = tableOf(kind, (modes >> (6 - 2 * n)) & 3, tables[n]);
-  }
   sequences(count, literals, limit);
 }
 

@@ -242,9 +242,8 @@ export class Playback {
     this.endFrame = this.nextFrame;
     this.#reach();
     const isOnTime = nowS - this.notBeforeS < LATE_S;
-    if (this.playing && isOnTime && this.#hasLead()) {
+    if (this.playing && isOnTime && this.#hasLead())
       this.dueS = this.notBeforeS + 1 / (this.fps * this.rate);
-    }
     return { frame, isJoin: true, updates };
   }
 

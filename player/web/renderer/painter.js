@@ -48,9 +48,8 @@ class SharedContext extends EventTarget {
       alpha: false,
       depth: false,
     }));
-    if (gl === null) {
+    if (gl === null)
       throw new RendererError("This browser has no WebGL2; use a current one or another device");
-    }
     return gl;
   }
 

@@ -146,13 +146,11 @@ class Resident {
       );
     }
     const whole = Math.floor(words.length / rowWords);
-    if (whole > 0) {
+    if (whole > 0)
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, STAGED_WIDTH_PX, whole, format, type, words);
-    }
     const rest = words.subarray(whole * rowWords);
-    if (rest.length > 0) {
+    if (rest.length > 0)
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, whole, rest.length / 4, 1, format, type, rest);
-    }
     this.uploadedBytes += words.byteLength;
     return staged.texture;
   }
@@ -334,9 +332,8 @@ export class SplatRenderer {
     gl.texStorage2D(gl.TEXTURE_2D, 1, this.isFine ? gl.RGBA16F : gl.RGBA8, widthPx, heightPx);
     const framebuffer = makeFramebuffer(gl, texture);
     const status = gl.checkFramebufferStatus(gl.FRAMEBUFFER);
-    if (status !== gl.FRAMEBUFFER_COMPLETE && !gl.isContextLost()) {
+    if (status !== gl.FRAMEBUFFER_COMPLETE && !gl.isContextLost())
       throw new RendererError(`this device cannot draw a picture of ${widthPx}x${heightPx} pixels`);
-    }
     this.picture = { widthPx, heightPx, texture, framebuffer };
     return this.picture;
   }

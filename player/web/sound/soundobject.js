@@ -37,9 +37,8 @@ export function oggOf(packets, ends, channels) {
   const tags = new Uint8Array(16);
   write(tags, "OpusTags");
   const pages = [page(head, 0, 0, FIRST), page(tags, 1, 0, 0)];
-  for (const [n, packet] of packets.entries()) {
+  for (const [n, packet] of packets.entries())
     pages.push(page(packet, n + 2, ends[n], n === packets.length - 1 ? LAST : 0));
-  }
   const file = new Uint8Array(pages.reduce((sum, { length }) => sum + length, 0));
   let at = 0;
   for (const one of pages) {

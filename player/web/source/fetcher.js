@@ -239,9 +239,8 @@ export class Fetcher {
           refused = await this.findRefusal(url);
           if (refused) continue; // once more, since the network may be back
         }
-        if (performance.now() - goodMs > 1000 * this.giveUpS) {
+        if (performance.now() - goodMs > 1000 * this.giveUpS)
           throw new SourceError(`${url} cannot be reached; check the network and try again`);
-        }
         const why = error instanceof SilentError ? SILENT : GONE;
         this.hasTrouble = true;
         this.onTrouble(`${why}; trying again`);

@@ -181,9 +181,8 @@ export class GrowingIndex {
     const isRange = known > 0 && bytes.length >= 4 && firstSegment(bytes) === known;
     const first = isRange ? known : 0;
     const found = readIndex(bytes, manifest, first);
-    if (known >= 0 && !isSame(found[known - first], records[known])) {
+    if (known >= 0 && !isSame(found[known - first], records[known]))
       throw new SourceError(REPLACED);
-    }
     const fresh = found.slice(known + 1 - first);
     records.push(...fresh);
     return fresh;

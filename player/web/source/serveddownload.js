@@ -271,9 +271,8 @@ export class ServedDownload {
     const { first, base, lastToken, rateBps } = stream;
     stream.first = null;
     const layers = mostLayers < stream.manifest.numLayers ? mostLayers : null;
-    if (first !== null && fromFrame === 0 && layers === null && untilFrame === undefined) {
+    if (first !== null && fromFrame === 0 && layers === null && untilFrame === undefined)
       return first;
-    }
     first?.close();
     const paused = this.paused && fromFrame === this.nextFrame;
     // Without this, the server would count the cached frames as missing, and send a whole lead after them.
@@ -319,9 +318,8 @@ export class ServedDownload {
     const isKeyframe = record.kind === "keyframe";
     const birth = isKeyframe ? record.frame : record.birth;
     // A record far ahead of layer 0 is useless, and would stay in the cache.
-    if (birth < 0 || birth > this.endBirth + manifest.segmentFrames) {
+    if (birth < 0 || birth > this.endBirth + manifest.segmentFrames)
       throw corrupt(`play: the slice born at ${birth} arrived, but birth ${this.endBirth} is next`);
-    }
     if (!isKeyframe && record.skipMap !== null)
       cache.add(birth, skipMapsOf(manifest), record.skipMap);
     for (const [n, packet] of record.packets.entries()) {

@@ -182,9 +182,8 @@ export class SkipMapHistory {
       return;
     }
     const recent = this.recent[lane];
-    for (let i = 0; i < recent.length; i++) {
+    for (let i = 0; i < recent.length; i++)
       recent[i] = (recent[i] >> 1) | (statuses[i] === KEPT ? 0 : 2);
-    }
   }
 }
 
@@ -233,9 +232,8 @@ function readChange(layout, layer, body, numPredicted, numNew, hasStarts) {
       `${what}: ${predicted} predicted and ${added} new, expected ${numPredicted} and ${numNew}`,
     );
   }
-  if (numLong > 3 * predicted || numEscapes > added) {
+  if (numLong > 3 * predicted || numEscapes > added)
     throw corrupt(`${what}: ${numLong} long residuals and ${numEscapes} escapes are too many`);
-  }
   const { numAttributes, k } = layout;
   const numPlanes = 3 + numAttributes;
   const expected =
@@ -245,9 +243,8 @@ function readChange(layout, layer, body, numPredicted, numNew, hasStarts) {
     lowBitBytes +
     4 * (1 + 11 + 3 * k) * numEscapes +
     (hasStarts ? added : 0);
-  if (body.left !== expected) {
+  if (body.left !== expected)
     throw corrupt(`${what}: ${body.left} bytes follow the counts, but the counts say ${expected}`);
-  }
   const places = body.take(3 * predicted);
   const turns = body.take(numAttributes * predicted);
   const moves = readMoves(places, body.i32s(numLong), what);
@@ -258,16 +255,14 @@ function readChange(layout, layer, body, numPredicted, numNew, hasStarts) {
   const attributes = readAttributes(planes, added, numAttributes, levels, what);
   const escapes = body.u32s(numEscapes);
   for (let i = 0; i < numEscapes; i++) {
-    if (escapes[i] >= added || (i > 0 && escapes[i] <= escapes[i - 1])) {
+    if (escapes[i] >= added || (i > 0 && escapes[i] <= escapes[i - 1]))
       throw corrupt(`${what}: its escapes do not increase, or are not below ${added}`);
-    }
   }
   const floats = readGaussians(body, numEscapes, k);
   checkGaussians(floats, what);
   const startOffsets = hasStarts ? body.take(added).slice() : new Uint8Array(added);
-  if (startOffsets.some((offset) => offset >= layout.swinSize)) {
+  if (startOffsets.some((offset) => offset >= layout.swinSize))
     throw corrupt(`${what}: a start offset is not below ${layout.swinSize}`);
-  }
   return {
     moves,
     turns: readTurns(turns, predicted, numAttributes),
@@ -295,9 +290,8 @@ function readMoves(planes, long, what) {
       moves[3 * i + axis] = z === LONG ? long[used++] : unzigzag(z);
     }
   }
-  if (used !== long.length) {
+  if (used !== long.length)
     throw corrupt(`${what}: ${used} residuals are long, but its count says ${long.length}`);
-  }
   return moves;
 }
 
@@ -364,15 +358,13 @@ export function decodeKeyframe(layout, bytes) {
   const { layer, birth: frame, hasStarts, body } = readSlotHead(bytes, KEYFRAME);
   if (layer >= layout.numLayers)
     throw corrupt(`keyframe: layer ${layer}, but the stream has ${layout.numLayers} layers`);
-  if (frame < 0 || frame !== layout.segmentStart(frame)) {
+  if (frame < 0 || frame !== layout.segmentStart(frame))
     throw corrupt(`keyframe: frame ${frame} is not the first frame of a segment`);
-  }
   const count = layout.slots[layer];
   const numFlags = layout.swinSize * count;
   const flags = body.take(Math.ceil(numFlags / 8));
-  if (numFlags % 8 !== 0 && flags[flags.length - 1] >> numFlags % 8 !== 0) {
+  if (numFlags % 8 !== 0 && flags[flags.length - 1] >> numFlags % 8 !== 0)
     throw corrupt("keyframe: a bit is set after the last flag");
-  }
   const statuses = new Uint8Array(numFlags);
   let numNew = 0;
   for (let i = 0; i < numFlags; i++) {
@@ -386,9 +378,8 @@ export function decodeKeyframe(layout, bytes) {
   const all = new Slots(numFlags, layout.numAttributes, EMPTY);
   all.advance(all.delta(statuses, change, layout.lattices[layer].opacityLevels));
   const lanes = [...Array(layout.swinSize).keys()].map((lane) => part(all, lane, count));
-  for (const [row, values] of all.escapes) {
+  for (const [row, values] of all.escapes)
     lanes[Math.floor(row / count)].escapes.set(row % count, values);
-  }
   return { frame, layer, lanes };
 }
 

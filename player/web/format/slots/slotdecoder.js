@@ -70,12 +70,10 @@ export class SlotDecoder {
     const keyframe = decodeKeyframe(this.layout, bytes);
     const wanted =
       frame ?? (this.frame === null ? undefined : this.layout.segmentStart(this.frame));
-    if (wanted !== undefined && keyframe.frame !== wanted) {
+    if (wanted !== undefined && keyframe.frame !== wanted)
       throw corrupt(`keyframe: of frame ${keyframe.frame} where that of ${wanted} belongs`);
-    }
-    if (layer !== undefined && keyframe.layer !== layer) {
+    if (layer !== undefined && keyframe.layer !== layer)
       throw corrupt(`keyframe: of layer ${keyframe.layer} where that of ${layer} belongs`);
-    }
     if (keyframe.layer >= this.numLayers) return false;
     if (this.frame === null) this.frame = keyframe.frame;
     if (keyframe.frame > this.frame)
@@ -142,9 +140,8 @@ export class SlotDecoder {
    * @returns {SlotSlice}
    */
   apply(birth, skipMap, changes, shows = false) {
-    if (this.frame === null || birth !== this.frame + 1) {
+    if (this.frame === null || birth !== this.frame + 1)
       throw new RangeError(`the slice born at ${birth} does not follow ${this.frame}`);
-    }
     if (skipMap === null || !this.history.isReadable(birth)) return this.#loseLane(birth);
     const lane = this.layout.lane(birth);
     const statuses = decodeSkipMap(this.layout, birth, skipMap, this.history.of(birth));
@@ -346,9 +343,8 @@ export class SlotDecoder {
     let total = 0;
     for (const { before, since } of this.logs.values()) {
       total += before?.numBytes ?? 0;
-      for (const { statuses, change } of since.values()) {
+      for (const { statuses, change } of since.values())
         total += statuses.length + (change?.length ?? 0);
-      }
     }
     return total;
   }

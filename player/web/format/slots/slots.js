@@ -160,9 +160,8 @@ export class Slots {
         this.attributes[width * row + i] + change.turns[width * from + i];
     }
     const opacity = made.attributes[width * (d + 1) - 1];
-    if (opacity >= opacityLevels) {
+    if (opacity >= opacityLevels)
       throw corrupt(`change: slot ${row} has opacity ${opacity} of ${opacityLevels} levels`);
-    }
   }
 
   /** Applies a slice; Gaussians that are kept have started by now. @param {Delta} delta */
