@@ -47,8 +47,8 @@ export class Bar {
     this.playButton = button("play", t("Play"), "K", actions.togglePlaying);
     this.fullButton = button("full", t("Full screen"), "F", actions.toggleFullScreen);
     this.menuButton = menuButton(t("More"), (at) => actions.openMenu(this.menuButton, at));
-    this.choices = choices;
-    this.commands = commands;
+    /** @type {Choice[]} */ this.choices = choices;
+    /** @type {Command[]} */ this.commands = commands;
     /** @type {Map<string, HTMLButtonElement>} */
     this.buttons = new Map();
     for (const { name, label, icon: iconName, key, isInBar, run } of commands) {
@@ -66,8 +66,8 @@ export class Bar {
     }
     const { headset, ...others } = Object.fromEntries(this.buttons);
     headset.hidden = true;
-    this.headset = headset;
-    this.time = scrubber.time;
+    /** @type {HTMLButtonElement} */ this.headset = headset;
+    /** @type {HTMLSpanElement} */ this.time = scrubber.time;
     this.row = node(
       "div",
       { class: "row" },
@@ -116,8 +116,7 @@ export class Bar {
   }
 
   /**
-   * @param {boolean} isPlaying
-   * @param {boolean} isLargeShown whether the large button over the picture does the same
+   * @param {boolean} isPlaying @param {boolean} isLargeShown whether the large button over the picture does the same
    */
   showPlaying(isPlaying, isLargeShown) {
     const { playButton, t } = this;
@@ -212,15 +211,14 @@ export class BarVisibility {
    */
   constructor(frame, canvas, plays, isInUse, changed) {
     this.changed = changed;
-    this.frame = frame;
-    this.canvas = canvas;
-    this.plays = plays;
-    this.isInUse = isInUse;
+    /** @type {HTMLElement} */ this.frame = frame;
+    /** @type {HTMLElement} */ this.canvas = canvas;
+    /** @type {() => boolean} */ this.plays = plays;
+    /** @type {() => boolean} */ this.isInUse = isInUse;
   }
 
   /**
-   * @param {HTMLElement} element @param {() => void} toggleFullScreen
-   * @param {AbortSignal} signal ends the listening
+   * @param {HTMLElement} element @param {() => void} toggleFullScreen @param {AbortSignal} signal ends the listening
    */
   listen(element, toggleFullScreen, signal) {
     const { canvas } = this;
@@ -232,16 +230,14 @@ export class BarVisibility {
       const isOnPicture = event.composedPath()[0] === canvas;
       if (event.pointerType !== "touch" || !isOnPicture) this.wake();
     };
-    for (const type of /** @type {const} */ (["pointermove", "pointerdown"])) {
+    for (const type of /** @type {const} */ (["pointermove", "pointerdown"]))
       element.addEventListener(type, onPointer, { signal });
-    }
     const leave = (/** @type {PointerEvent} */ event) => {
       if (event.pointerType === "mouse") this.#rest();
     };
     element.addEventListener("pointerleave", leave, { signal });
-    for (const type of ["keydown", "focusin", "play", "pause", "ended"]) {
+    for (const type of ["keydown", "focusin", "play", "pause", "ended"])
       element.addEventListener(type, () => this.wake(), { signal });
-    }
     const tap = () => {
       if (lastPointer === "touch") this.toggle();
     };

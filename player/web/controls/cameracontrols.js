@@ -1,6 +1,4 @@
-/**
- * What a viewer moves the camera with, among it the phone itself; places of the canvas, and what shows there.
- */
+/** What a viewer moves the camera with, among it the phone itself; places of the canvas, and what shows there. */
 
 import { prefersStill } from "../element/nodes.js";
 import { depthAt } from "../renderer/depthquery.js";
@@ -13,6 +11,8 @@ import { liftCameraKey } from "./keys.js";
 const RAD_PER_DEG = Math.PI / 180;
 /** Below this horizontal part, the phone points almost straight up or down and has no heading. */
 const LEAST_LEVEL = 0.2;
+
+/** @typedef {{ requestPermission?: () => Promise<string> }} Asking only iOS does */
 
 /**
  * The direction in which the back of a device points.
@@ -69,7 +69,7 @@ class Gyroscope extends EventTarget {
       this.end();
       return false;
     }
-    const events = /** @type {any} */ (globalThis).DeviceOrientationEvent;
+    const events = /** @type {Asking | undefined} */ (globalThis.DeviceOrientationEvent);
     if (events === undefined) return false;
     try {
       const answer = (await events.requestPermission?.()) ?? "granted";

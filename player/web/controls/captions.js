@@ -21,7 +21,7 @@ class TextTracks {
    * @param {AbortSignal} signal ends the listening
    */
   constructor(holder, choose, need, signal) {
-    this.holder = holder;
+    /** @type {HTMLVideoElement} */ this.holder = holder;
     const changed = () => {
       const modes = this.#elements.map(({ track }) => track.mode);
       const other = modes.findIndex((mode, at) => mode === "showing" && at !== this.#shown);
@@ -78,6 +78,8 @@ export class CaptionsControls {
   #choices = 0;
   /** @type {Map<number, Promise<import("../format/captions.js").Cue[]>>} by track: what was fetched */
   #fetched = new Map();
+  button = node("button", { class: "cc", "aria-pressed": "false", hidden: true }, drawn(ICON));
+  text = node("div", { class: "captions", part: "captions" });
 
   /**
    * @param {import("../element/webplayer.js").WebPlayer} player
@@ -89,13 +91,7 @@ export class CaptionsControls {
     this.player = player;
     this.t = t;
     this.say = say;
-    this.button = node(
-      "button",
-      { class: "cc", "aria-pressed": "false", hidden: true },
-      drawn(ICON),
-    );
     this.button.addEventListener("click", () => this.next());
-    this.text = node("div", { class: "captions", part: "captions" });
     player.addEventListener("shown", () => this.#show(), { signal });
     const need = (/** @type {number} */ at) =>
       this.#cuesOf(at).catch((error) => console.warn("swings: a script gets no captions:", error));

@@ -33,9 +33,9 @@ export function choicesOf(element, t) {
       isThere: () => element.numLayers !== 1,
       values: () => [
         { value: 0, label: t("Auto") },
-        ...Array.from({ length: element.numLayers }, (_, n) => element.numLayers - n).map(
-          (value) => ({ value, label: layerText(value) }),
-        ),
+        ...[...Array(element.numLayers).keys()]
+          .map((n) => ({ value: n + 1, label: layerText(n + 1) }))
+          .reverse(),
       ],
       now: () => element.layers,
       choose: (layers) => (element.layers = layers),
@@ -67,8 +67,7 @@ export function choicesOf(element, t) {
 /**
  * The commands of a player, in the order of the bar and of the menu.
  * @param {import("../element/swingsplayer.js").SwingsPlayerElement} element
- * @param {import("./stereocontrols.js").StereoControls} stereo
- * @param {import("./sharing.js").Sharing} sharing
+ * @param {import("./stereocontrols.js").StereoControls} stereo @param {import("./sharing.js").Sharing} sharing
  * @param {() => import("./panels.js").Panels} panels which are made of the commands @returns {Command[]}
  */
 export function commandsOf(element, stereo, sharing, panels) {

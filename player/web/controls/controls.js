@@ -1,7 +1,6 @@
 /**
- * The controls of a player: everything that a viewer can press, and the panel for failures. This code is
- * loaded after the first requests of a stream, and its bundle is a separate file, so that it does not delay
- * the first picture.
+ * The controls of a player: everything that a viewer can press, and the panel for failures. This code is loaded after
+ * the first requests of a stream, and its bundle is a separate file, so that it does not delay the first picture.
  */
 
 import { addStyle, prefersStill } from "../element/nodes.js";
@@ -101,8 +100,8 @@ export class Controls {
     hints.translate(t);
     this.element = element;
     this.player = player;
-    this.frame = frame;
-    this.signal = signal;
+    /** @type {HTMLElement} */ this.frame = frame;
+    /** @type {AbortSignal} */ this.signal = signal;
     addStyle(frame, STYLE);
     this.failure = new Failure(() => element.retry(), t);
     this.sharing = new Sharing(element, (message, forMs) => hints.say(message, forMs));
@@ -170,17 +169,17 @@ export class Controls {
     player.addEventListener("headset", () => bar.showToggles(), { signal });
     this.camera.gyroscope.addEventListener("change", () => bar.showToggles(), { signal });
     for (const type of ["ratechange", "layerschange"]) on(type, () => bar.showChoices());
-    on("pointerdown", (event) => {
+    on("pointerdown", (/** @type {PointerEvent} */ event) => {
       frame.classList.remove("tabbed");
       const path = event.composedPath();
       const { menu } = this.panels;
       if (!path.includes(menu.root) && !path.includes(menu.opener)) menu.close(false);
     });
     // The focus ring shows after Tab, but not after any other key.
-    on("keyup", ({ key }) => {
+    on("keyup", (/** @type {KeyboardEvent} */ { key }) => {
       if (key === "Tab") frame.classList.add("tabbed");
     });
-    on("gesturehint", ({ detail }) => hints.say(detail));
+    on("gesturehint", (/** @type {CustomEvent<string>} */ { detail }) => hints.say(detail));
   }
 
   /** Called when a stream is open. */
@@ -218,9 +217,8 @@ export class Controls {
     const turntable = new Turntable(player.motion);
     const ending = new AbortController();
     const signal = AbortSignal.any([this.signal, ending.signal]);
-    for (const type of ["pointerdown", "wheel", "keydown", "emptied"]) {
+    for (const type of ["pointerdown", "wheel", "keydown", "emptied"])
       element.addEventListener(type, () => ending.abort(), { signal });
-    }
     const step = (/** @type {number} */ nowMs) => {
       if (signal.aborted) return;
       requestAnimationFrame(step);
@@ -241,8 +239,7 @@ export class Controls {
 
   /**
    * Runs the action of a key that was pressed.
-   * @param {KeyboardEvent} event
-   * @param {EventTarget} target the innermost one, which an event does not tell later
+   * @param {KeyboardEvent} event @param {EventTarget} target the innermost one, which an event does not tell later
    */
   press(event, target) {
     if (event.key === "Escape") this.fullScreen.leave();

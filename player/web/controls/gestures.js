@@ -129,9 +129,8 @@ export function listenToGestures(surface, player, focus, t, signal) {
     const from = spreadOf([...pointers.values()]);
     pointers.set(event.pointerId, { ...before, x: event.clientX, y: event.clientY });
     if (isTouch && !hasAll && pointers.size === 1) {
-      if (Math.abs(event.clientX - before.firstX) > LOOKS_PX) {
+      if (Math.abs(event.clientX - before.firstX) > LOOKS_PX)
         hint(t("Use two fingers to look around"), event.timeStamp);
-      }
       return;
     }
     const to = spreadOf([...pointers.values()]);
@@ -152,9 +151,8 @@ export function listenToGestures(surface, player, focus, t, signal) {
       // The remaining fingers start a new drag, because their centre is elsewhere.
       else player.motion?.grab();
       player.moved();
-      if (type === "pointerup" && event.pointerType === "touch" && taps.up(event)) {
+      if (type === "pointerup" && event.pointerType === "touch" && taps.up(event))
         focusAt(event.clientX, event.clientY);
-      }
     });
   }
   // Two-finger gestures belong to the player even where one finger scrolls the page.

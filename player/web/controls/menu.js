@@ -45,19 +45,18 @@ const ICONS = {
 export class Menu {
   /**
    * @param {import("./bar.js").Bar} bar @param {Choice[]} choices @param {Command[]} commands
-   * @param {import("./texts.js").Translate} t
-   * @param {() => void} changed called when the menu was opened or closed
+   * @param {import("./texts.js").Translate} t @param {() => void} changed called when the menu was opened or closed
    */
   constructor(bar, choices, commands, t, changed) {
     this.t = t;
     this.bar = bar;
     /** The button that has opened the menu, to which the focus returns. @type {HTMLElement} */
     this.opener = bar.menuButton;
-    this.choices = choices;
-    this.commands = commands;
-    this.changed = changed;
+    /** @type {Choice[]} */ this.choices = choices;
+    /** @type {Command[]} */ this.commands = commands;
+    /** @type {() => void} */ this.changed = changed;
     const attributes = { class: "menu", role: "menu", "aria-label": t("More"), hidden: true };
-    this.root = node("div", attributes);
+    /** @type {HTMLDivElement} */ this.root = node("div", attributes);
     this.root.addEventListener("keydown", (event) => this.#pressed(event));
   }
 
@@ -153,8 +152,7 @@ export class Menu {
   }
 
   /**
-   * @param {Record<string, string | null>} attributes @param {(Node | string)[]} children
-   * @param {() => void} action
+   * @param {Record<string, string | null>} attributes @param {(Node | string)[]} children @param {() => void} action
    */
   #entry(attributes, children, action) {
     const entry = node("button", { ...attributes, tabindex: "-1" }, ...children);

@@ -1,6 +1,4 @@
-/**
- * The panels over the picture: the menu, the statistics, the list of keys, and why a stream cannot be played.
- */
+/** The panels over the picture: the menu, the statistics, the list of keys, and why a stream cannot be played. */
 
 import { node } from "../element/nodes.js";
 import { scenePointAt } from "./cameracontrols.js";
@@ -16,6 +14,8 @@ const ARROWS = {
 
 /** The dialog that lists the keys. */
 class KeyList {
+  list = node("dl");
+
   /**
    * @param {import("./keys.js").KeyAction[]} actions read whenever the list opens
    * @param {import("./texts.js").Translate} t
@@ -23,12 +23,11 @@ class KeyList {
   constructor(actions, t) {
     this.actions = actions;
     this.t = t;
-    this.list = node("dl");
     const close = node("button", { class: "close" }, t("Close"));
     close.addEventListener("click", () => this.root.close());
     const attributes = { class: "keylist", "aria-labelledby": "keys" };
     const header = node("header", {}, node("h2", { id: "keys" }, t("Keys")), close);
-    this.root = node("dialog", attributes, header, this.list);
+    /** @type {HTMLDialogElement} */ this.root = node("dialog", attributes, header, this.list);
     this.root.addEventListener("keydown", (event) => {
       event.stopPropagation(); // the dialog has its own keys
       if (event.key === "?") this.root.close();
@@ -69,11 +68,11 @@ class Statistics {
   #timer = 0;
   /** Where the pointer is over the picture, CSS pixels. @type {[number, number] | null} */
   #pointer = null;
+  root = node("pre", { class: "stats", hidden: true });
 
   /** @param {import("../element/webplayer.js").WebPlayer} player */
   constructor(player) {
     this.player = player;
-    this.root = node("pre", { class: "stats", hidden: true });
     player.canvas.addEventListener("pointermove", ({ offsetX, offsetY }) => {
       this.#pointer = [offsetX, offsetY];
     });
@@ -127,8 +126,7 @@ export class Panels {
   /**
    * @param {import("../element/webplayer.js").WebPlayer} player @param {HTMLElement} place
    * @param {object} parts @param {import("./bar.js").Bar} parts.bar
-   * @param {import("./menu.js").Choice[]} parts.choices
-   * @param {import("./commands.js").Command[]} parts.commands
+   * @param {import("./menu.js").Choice[]} parts.choices @param {import("./commands.js").Command[]} parts.commands
    * @param {import("./keys.js").KeyAction[]} parts.actions @param {import("./texts.js").Translate} t
    * @param {() => void} changed called when the menu was opened or closed
    */
@@ -177,14 +175,14 @@ export function sentenceOf(message) {
 export class Failure {
   /** Whether another try would not help: a browser without WebGL2 will not have it then. */
   isFinal = false;
+  sentence = node("p", { class: "sentence" });
+  details = node("p", { class: "note" });
 
   /** @param {() => void} retry @param {import("./texts.js").Translate} t */
   constructor(retry, t) {
     this.t = t;
-    this.sentence = node("p", { class: "sentence" });
     this.retryButton = node("button", { class: "retry" }, t("Try again"));
     this.retryButton.addEventListener("click", retry);
-    this.details = node("p", { class: "note" });
     this.fold = node("details", {}, node("summary", {}, t("Details")), this.details);
     const parts = [this.sentence, this.retryButton, this.fold];
     this.root = node("div", { class: "failure", role: "alert", hidden: true }, ...parts);

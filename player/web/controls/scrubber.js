@@ -7,10 +7,7 @@ import { Storyboard } from "./storyboard.js";
 /** A clip shorter than this shows tenths of seconds, because whole seconds hardly move. */
 const SHORT_S = 10;
 
-/**
- * A duration as text: 1:07, 1:00:07, or 0:07.3 with tenths.
- * @param {number} seconds @param {boolean} [hasTenths]
- */
+/** A duration as text: 1:07, 1:00:07, or 0:07.3 with tenths. @param {number} seconds @param {boolean} [hasTenths] */
 export function timeText(seconds, hasTenths = false) {
   // Rounding may put a frame's time just below its tenth.
   const tenths = Math.max(0, Math.floor(seconds * 10 + 1e-6));
@@ -62,6 +59,9 @@ export class Scrubber {
   #storyboard = null;
   /** The frame that the preview shows. */
   #previewed = 0;
+  hoverTime = node("span", { class: "hover-time" });
+  preview = node("div", { class: "preview", "aria-hidden": "true", hidden: true }, this.hoverTime);
+  time = node("span", { class: "time" }, "0:00 / 0:00");
 
   /**
    * @param {import("../element/webplayer.js").WebPlayer} player @param {import("./texts.js").Translate} t
@@ -70,12 +70,6 @@ export class Scrubber {
   constructor(player, t, signal) {
     this.player = player;
     this.t = t;
-    this.hoverTime = node("span", { class: "hover-time" });
-    this.preview = node(
-      "div",
-      { class: "preview", "aria-hidden": "true", hidden: true },
-      this.hoverTime,
-    );
     const attributes = {
       class: "scrub slider",
       type: "range",
@@ -86,7 +80,6 @@ export class Scrubber {
     };
     this.input = node("input", { ...attributes, "aria-label": t("Seek") });
     this.root = node("div", { class: "scrubber" }, this.preview, this.input);
-    this.time = node("span", { class: "time" }, "0:00 / 0:00");
     this.input.addEventListener("input", () => this.#scrub());
     this.input.addEventListener("change", () => {
       cancelAnimationFrame(this.#request);
@@ -223,6 +216,7 @@ function stoppedAfterS({ fps, segmentFrames }) {
  */
 export class LiveBadge {
   #timer = 0;
+  hasStopped = false;
 
   /**
    * @param {import("../element/webplayer.js").WebPlayer} player
@@ -239,7 +233,6 @@ export class LiveBadge {
     };
     this.root = node("button", attributes, node("span", {}, t("LIVE")));
     this.player = player;
-    this.hasStopped = false;
     this.onStopped = onStopped;
     const watch = () => {
       clearTimeout(this.#timer);
@@ -250,9 +243,8 @@ export class LiveBadge {
       this.#timer = setTimeout(() => this.#setStopped(true), waitMs);
     };
     for (const type of ["opened", "grown"]) player.addEventListener(type, watch, { signal });
-    for (const type of ["opened", "state", "grown"]) {
+    for (const type of ["opened", "state", "grown"])
       player.addEventListener(type, () => this.#show(), { signal });
-    }
     signal.addEventListener("abort", () => clearTimeout(this.#timer));
     watch(); // the stream may be open already
     this.#show();

@@ -67,19 +67,19 @@ export class Sharing {
   }
 
   /** Saves the picture that shows, as the viewer sees it, without the controls. */
-  async savePicture() {
+  savePicture() {
     const { player } = this.element;
     if (!player?.manifest || player.shownFrame < 0) return;
     const { shownFrame } = player;
-    const file = await new Promise((done) => player.canvas.toBlob(done, "image/png"));
-    this.#save(file, shownFrame, "png");
+    player.canvas.toBlob((file) => this.#save(file, shownFrame, "png"), "image/png");
   }
 
   /** Saves the Gaussians of the frame that shows, as the worker has them. */
   saveFrame() {
     const { player } = this.element;
     if (!player?.manifest || player.shownFrame < 0) return;
-    const came = (/** @type {any} */ { detail }) => this.#save(detail?.file, detail?.frame, "ply");
+    const came = (/** @type {CustomEventInit<{ file: Blob, frame: number }>} */ { detail }) =>
+      this.#save(detail?.file, detail?.frame ?? 0, "ply");
     player.addEventListener("ply", came, { once: true });
     player.requestPly();
   }

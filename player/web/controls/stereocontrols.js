@@ -34,7 +34,7 @@ export class StereoControls {
       report(this.isThere);
       if (!this.isThere) return;
       // A session has to begin within the click that requests it, so the code is loaded in advance.
-      await import("../stereo/headset.js").catch((error) =>
+      await import("../stereo/headset.js").catch((/** @type {unknown} */ error) =>
         console.warn("swings: the code for headsets could not be loaded:", error),
       );
     };

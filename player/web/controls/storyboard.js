@@ -2,7 +2,7 @@
 
 import { MAX_STORYBOARD_TILES, STORYBOARD_COLUMNS, STORYBOARD_PER_S } from "../constants.js";
 import { node, prefersStill } from "../element/nodes.js";
-import { pictureUrl } from "../source/pictures.js";
+import { pictureUrl } from "../source/addresses.js";
 
 /**
  * @typedef {object} StoryboardLayout
@@ -34,13 +34,14 @@ function tileOf({ stepFrames, numTiles }, frame) {
 
 /** The preview picture of a frame, from the stream's storyboard; hidden for streams without one. */
 export class Storyboard {
+  root = node("div", { class: "tile", hidden: true });
+  image = new Image();
+  frame = 0;
+  /** @type {StoryboardLayout | null} */
+  layout = null;
+
   constructor() {
-    this.root = node("div", { class: "tile", hidden: true });
-    this.image = new Image();
     this.image.addEventListener("load", () => this.#show());
-    this.frame = 0;
-    /** @type {StoryboardLayout | null} */
-    this.layout = null;
   }
 
   /** Forgets the storyboard, because the stream was changed or closed. */
@@ -96,11 +97,11 @@ export class SlideShow {
   #storyboard = new Storyboard();
   #timer = 0;
   #frame = 0;
+  root = node("div", { class: "slides", "aria-hidden": "true" }, this.#storyboard.root);
 
   /** @param {import("../element/webplayer.js").WebPlayer} player one whose stream has a storyboard */
   constructor(player) {
     this.player = player;
-    this.root = node("div", { class: "slides", "aria-hidden": "true" }, this.#storyboard.root);
     this.#show();
     if (!prefersStill()) this.#timer = setInterval(() => this.#next(), SLIDE_MS);
   }

@@ -26,7 +26,7 @@ function languageOf(element) {
 /** @param {Table} table @returns {Translate} */
 function translating(table) {
   return (text, values = {}) =>
-    (table[text] ?? text).replace(/\{(\w+)\}/g, (_, name) => values[name]);
+    (table[text] ?? text).replace(/\{(\w+)\}/g, (_, /** @type {string} */ name) => values[name]);
 }
 
 /**

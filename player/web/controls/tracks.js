@@ -5,7 +5,7 @@
 
 import { addStyle, drawn, node } from "../element/nodes.js";
 import { SoundPlay } from "../sound/soundplay.js";
-import { pictureUrl } from "../source/pictures.js";
+import { pictureUrl } from "../source/addresses.js";
 import { CaptionsControls } from "./captions.js";
 import STYLE from "./tracks.css";
 
@@ -17,16 +17,16 @@ const ICONS = {
 
 /** Mute and volume in the bar, and a button over the picture if the browser requires a user gesture. */
 class SoundControls {
+  isBlocked = false;
+  unblock = () => {};
+  mute = node("button", { class: "mute" });
+
   /**
-   * @param {import("../element/mediainterface.js").MediaInterface} element
-   * @param {import("./texts.js").Translate} t
+   * @param {import("../element/mediainterface.js").MediaInterface} element @param {import("./texts.js").Translate} t
    */
   constructor(element, t) {
     this.element = element;
     this.t = t;
-    this.isBlocked = false;
-    this.unblock = () => {};
-    this.mute = node("button", { class: "mute" });
     this.mute.addEventListener("click", () => this.toggle());
     const range = { type: "range", min: "0", max: "1", step: "0.05", "aria-label": t("Volume") };
     this.volume = node("input", { class: "volume slider", ...range });
@@ -120,9 +120,8 @@ export class RemoteControl {
     if (!navigator.mediaSession || !isHeard || !player.manifest?.sound) return;
     if (owner !== this) {
       owner = this;
-      for (const action of ACTIONS) {
+      for (const action of ACTIONS)
         navigator.mediaSession.setActionHandler(action, (details) => this.#act(action, details));
-      }
       this.#describe();
     }
     this.#update();
@@ -201,9 +200,9 @@ export class Tracks {
     this.element = element;
     this.player = player;
     this.hints = hints;
-    this.signal = signal;
+    /** @type {AbortSignal} */ this.signal = signal;
     const controls = new SoundControls(element, t);
-    this.controls = controls;
+    /** @type {SoundControls} */ this.controls = controls;
     controls.unblock = () => this.sound?.unblock();
     const say = (/** @type {string} */ message) => this.#say(message);
     this.captions = new CaptionsControls(player, textHolder, say, t, signal);

@@ -5,12 +5,10 @@
  * the page instead.
  */
 export class FullScreen {
-  /**
-   * @param {HTMLElement} element @param {() => void} changed @param {AbortSignal} signal ends the listening
-   */
+  /** @param {HTMLElement} element @param {() => void} changed @param {AbortSignal} signal ends the listening */
   constructor(element, changed, signal) {
-    this.element = element;
-    this.changed = changed;
+    /** @type {HTMLElement} */ this.element = element;
+    /** @type {() => void} */ this.changed = changed;
     element.addEventListener("fullscreenchange", changed, { signal });
   }
 

@@ -146,9 +146,8 @@ export class MediaInterface extends PictureInterface {
   }
 
   set layers(most) {
-    if (!(Number.isInteger(most) && most >= 0)) {
+    if (!(Number.isInteger(most) && most >= 0))
       throw new RangeError(`layers: ${most} is not a whole number of 0 or more`);
-    }
     this.#layers = most;
     this.#setLayers();
     this.queueEvent("layerschange");
@@ -435,7 +434,6 @@ export class MediaInterface extends PictureInterface {
 
 /** @param {string} name @param {number} rate */
 function checkRate(name, rate) {
-  if (!(rate > 0 && rate < Infinity)) {
+  if (!(rate > 0 && rate < Infinity))
     throw new RangeError(`${name}: ${rate} is not a positive number`);
-  }
 }

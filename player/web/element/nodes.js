@@ -3,11 +3,10 @@
 const SVG = "http://www.w3.org/2000/svg";
 
 /**
- * Makes an element. The player builds its DOM with such calls because a page's Trusted Types policy may
- * forbid `innerHTML`.
+ * Makes an element. The player builds its DOM with such calls because a page's Trusted Types policy may forbid
+ * `innerHTML`.
  * @template {keyof HTMLElementTagNameMap} T @param {T} tag
- * @param {Record<string, string | boolean | null>} [attributes] true sets an empty attribute; false and
- *   null set none
+ * @param {Record<string, string | boolean | null>} [attributes] true sets an empty attribute; false and null set none
  * @param {(Node | string)[]} children @returns {HTMLElementTagNameMap[T]}
  */
 export function node(tag, attributes = {}, ...children) {

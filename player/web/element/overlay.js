@@ -16,10 +16,12 @@ export class Overlay {
   condition = "empty";
   /** @type {import("../controls/texts.js").Translate} */
   #t = String;
+  poster = node("img", { class: "poster", alt: "", hidden: true });
+  label = node("span", { class: "label" }, "Loading");
+  large = node("button", { class: "large", hidden: true });
 
   /** @param {() => void} play */
   constructor(play) {
-    this.poster = node("img", { class: "poster", alt: "", hidden: true });
     // The poster that a stream names may be missing.
     this.poster.addEventListener("error", () => (this.poster.hidden = true));
     this.poster.addEventListener("load", () => {
@@ -27,10 +29,8 @@ export class Overlay {
       style.setProperty("--aspect", `${naturalWidth / naturalHeight}`);
     });
     const ring = node("span", { class: "ring" });
-    this.label = node("span", { class: "label" }, "Loading");
     const parts = [ring, this.label];
     this.spinner = node("div", { class: "spinner", role: "status", hidden: true }, ...parts);
-    this.large = node("button", { class: "large", hidden: true });
     this.large.addEventListener("click", play);
     this.parts = [this.poster, this.spinner, this.large];
   }
@@ -91,10 +91,7 @@ export class Hints {
   #conditions = new Map();
   /** @type {import("../controls/texts.js").Translate} */
   #t = String;
-
-  constructor() {
-    this.root = node("div", { class: "note soft", role: "status" });
-  }
+  root = node("div", { class: "note soft", role: "status" });
 
   /** @param {import("../controls/texts.js").Translate} t */
   translate(t) {

@@ -1,7 +1,4 @@
-/**
- * What a media element has beside its clock: attributes, callbacks for frames, and where else its pictures
- * go.
- */
+/** What a media element has beside its clock: attributes, callbacks for frames, and where else its pictures go. */
 
 /** @typedef {import("../source/transform.js").TransformRequest} TransformRequest */
 
@@ -123,9 +120,8 @@ class MediaAttributes extends HTMLElement {
 
   set volume(value) {
     if (!Number.isFinite(value)) throw new TypeError(`volume: ${value} is not a number`);
-    if (value < 0 || value > 1) {
+    if (value < 0 || value > 1)
       throw new DOMException(`volume: ${value} is not in the range 0 to 1`, "IndexSizeError");
-    }
     if (value === this.#volume) return;
     this.#volume = value;
     this.queueEvent("volumechange");
@@ -237,8 +233,7 @@ export class PictureInterface extends MediaAttributes {
   }
 
   /**
-   * Captures the canvas, without the controls. Throws an InvalidStateError while the element is not in a
-   * page.
+   * Captures the canvas, without the controls. Throws an InvalidStateError while the element is not in a page.
    * @param {number} [fps] maximum number of pictures per second; by default every drawn picture
    * @returns {MediaStream} with one video track; stop it when it is no longer needed
    */
@@ -253,9 +248,8 @@ export class PictureInterface extends MediaAttributes {
    * @returns {Promise<PictureInPictureWindow>} rejects like the method of HTMLVideoElement
    */
   async requestPictureInPicture() {
-    if (this.videoWidth === 0) {
+    if (this.videoWidth === 0)
       throw new DOMException("the stream is not open yet", "InvalidStateError");
-    }
     const capture = this.#capturing();
     const { PictureInPicture } = await import("../controls/windows.js");
     this.#window ??= new PictureInPicture(capture, this);
@@ -279,9 +273,8 @@ export class PictureInterface extends MediaAttributes {
     const before = this.#sizePx;
     this.#sizePx = player?.manifest ? player.pictureSizePx : [0, 0];
     const [width, height] = this.#sizePx;
-    if (player?.manifest && (width !== before[0] || height !== before[1])) {
+    if (player?.manifest && (width !== before[0] || height !== before[1]))
       this.queueEvent("resize");
-    }
   }
 
   /** @protected Runs the frame callbacks; a frame is drawn in this task. @param {number} timeS of the frame */
@@ -321,9 +314,7 @@ export class PictureInterface extends MediaAttributes {
 
   #capturing() {
     const { player } = this;
-    if (player === null) {
-      throw new DOMException("the element is in no page", "InvalidStateError");
-    }
+    if (player === null) throw new DOMException("the element is in no page", "InvalidStateError");
     this.#capture ??= new Capture(player.canvas);
     return this.#capture;
   }

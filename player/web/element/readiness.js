@@ -1,8 +1,7 @@
 /** What a media element says about its data: ranges of time, `networkState` and `readyState`. */
 
 /**
- * Ranges of time in seconds, ascending and disjoint, like `TimeRanges` of HTML, which a script cannot
- * construct.
+ * Ranges of time in seconds, ascending and disjoint, like `TimeRanges` of HTML, which a script cannot construct.
  * @implements {TimeRanges}
  */
 export class SecondRanges {
@@ -177,10 +176,9 @@ export class Readiness {
   #raise(ready, playing) {
     const before = this.ready;
     this.ready = ready;
-    const events = [];
-    if (before >= READY.FUTURE && ready < READY.FUTURE && playing) {
+    const events = /** @type {string[]} */ ([]);
+    if (before >= READY.FUTURE && ready < READY.FUTURE && playing)
       events.push("timeupdate", "waiting");
-    }
     if (ready >= READY.CURRENT && !this.#hasLoaded) {
       this.#hasLoaded = true;
       events.push("loadeddata");

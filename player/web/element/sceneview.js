@@ -1,3 +1,4 @@
+import { startWorker } from "../playback/playerworkers.js";
 import { Painter } from "../renderer/painter.js";
 import { Orbit } from "../view/orbit.js";
 import { nearOf } from "../view/pose.js";
@@ -8,7 +9,6 @@ const IDLE_MS = 100;
 
 /** @typedef {import("../playback/messages.js").OpenManifest} OpenManifest */
 /** @typedef {import("../playback/messages.js").SortedFrame} SortedFrame */
-/** @typedef {import("../playback/playerworkers.js").Sorter} Sorter */
 /** @typedef {import("../stereo/headset.js").Headset} Headset */
 /** @typedef {(scene: import("../view/orbit.js").OrbitScene, orbit: Orbit) => import("../view/cameramotion.js").CameraMotion} MakeMotion */
 
@@ -19,6 +19,53 @@ const IDLE_MS = 100;
  * @property {number} drawMs time to issue the draw calls; the device draws later
  * @property {number} framesPerS
  */
+
+/** The worker that takes the frames for a picture: it sorts. */
+export class Sorter {
+  /** @type {"none" | "waiting" | "due"} its request; "due": it is answered at once */
+  #request = "none";
+  /** Number of the last request; answers to earlier requests may still arrive. */
+  #lastRequest = 0;
+  /** Whether Gaussians were in motion at the last request. */
+  #isMoving = false;
+  /** @type {number[]} (4, 4) world to camera of the last request */
+  requestedW2c = [];
+  worker = startWorker(new URL("../playback/sortworker.js", import.meta.url));
+
+  /** @param {(sorted: SortedFrame) => void} onSorted */
+  constructor(onSorted) {
+    this.worker.onmessage = (/** @type {MessageEvent<SortedFrame>} */ { data }) => {
+      if (data.request === this.#lastRequest) this.#request = "none";
+      onSorted(data);
+    };
+  }
+
+  /** Whether the last order is up to date with the camera, and no frame has arrived since. */
+  get isSettled() {
+    return this.#request === "waiting";
+  }
+
+  /**
+   * Makes sure that the sorter has a request. It answers when it has a new frame, or at once if the camera
+   * has moved; at most one request of the second kind is pending.
+   * @param {number[]} w2c (4, 4) world to camera @param {number} nearM
+   * @param {boolean} isMoving whether Gaussians are in motion; the order is then that of half the way, and
+   *   includes Gaussians that fade out
+   */
+  requestOrder(w2c, nearM, isMoving) {
+    const isMoved =
+      isMoving !== this.#isMoving || w2c.some((entry, i) => entry !== this.requestedW2c[i]);
+    if (this.#request === "due" || (this.#request === "waiting" && !isMoved)) return;
+    this.#lastRequest += 1;
+    const view = { w2c, nearM, isMoving, request: this.#lastRequest };
+    /** @type {import("../playback/messages.js").ToSorter} */
+    const message = { view, isMoved };
+    this.worker.postMessage(message);
+    this.#request = isMoved ? "due" : "waiting";
+    this.requestedW2c = w2c;
+    this.#isMoving = isMoving;
+  }
+}
 
 /**
  * The scene on a canvas, or on a headset: requests draw orders from the sorter, and draws when the
@@ -33,6 +80,36 @@ export class SceneView extends EventTarget {
   /** @type {import("../renderer/smoothing.js").Smoothing | null} null until a stream plays */
   smoothing = null;
   #isLoading = false;
+  loop = new FrameLoop((nowMs) => this.#drawOnCanvas(nowMs));
+  /** @type {Orbit | null} the camera's position and direction; null until a stream is open */
+  orbit = null;
+  /** @type {import("../view/cameramotion.js").CameraMotion | null} null until `steer`, or until a stream is open */
+  motion = null;
+  /** @type {typeof import("../renderer/colourpass.js").ColourPass | null} null until a stream needs it */
+  ColourPass = null;
+  /** @type {MakeMotion | null} */
+  makeMotion = null;
+  /** @type {OpenManifest | null} of the open stream */
+  manifest = null;
+  /** @type {Sorter | null} */
+  sorter = null;
+  /** @type {SortedFrame | null} received since the last picture, and not uploaded yet */
+  sorted = null;
+  /** @type {Timings} */
+  timings = { sortMs: 0, uploadMs: 0, drawMs: 0, framesPerS: 0 };
+  /** The frame that the renderer holds; -1 before the first. */
+  shownFrame = -1;
+  /** Number of seeks that had been made when the worker showed that frame. */
+  lastSeeks = 0;
+  /** @type {typeof import("../stereo/eyes.js").eyesAt | null} two pictures in place of one, if set */
+  eyesAt = null;
+  /** @type {Headset | null} set while a headset shows the scene in place of the canvas */
+  headset = null;
+  isDisposed = false;
+  /** Whether the renderer lacks Gaussians, so that only a whole frame can be drawn. */
+  isEmpty = true;
+  needsDrawing = false;
+  drawnMs = 0;
 
   /**
    * @param {HTMLCanvasElement} canvas
@@ -41,39 +118,9 @@ export class SceneView extends EventTarget {
   constructor(canvas, session) {
     super();
     this.session = session;
-    this.canvas = canvas;
+    /** @type {HTMLCanvasElement} */ this.canvas = canvas;
     this.painter = new Painter(canvas);
-    this.loop = new FrameLoop((nowMs) => this.#drawOnCanvas(nowMs));
     this.size = new CanvasSize(canvas, () => this.redraw());
-    /** @type {Orbit | null} the camera's position and direction; null until a stream is open */
-    this.orbit = null;
-    /** @type {import("../view/cameramotion.js").CameraMotion | null} null until `steer`, or until a stream is open */
-    this.motion = null;
-    /** @type {typeof import("../renderer/colourpass.js").ColourPass | null} null until a stream needs it */
-    this.ColourPass = null;
-    /** @type {MakeMotion | null} */
-    this.makeMotion = null;
-    /** @type {OpenManifest | null} of the open stream */
-    this.manifest = null;
-    /** @type {Sorter | null} */
-    this.sorter = null;
-    /** @type {SortedFrame | null} received since the last picture, and not uploaded yet */
-    this.sorted = null;
-    /** @type {Timings} */
-    this.timings = { sortMs: 0, uploadMs: 0, drawMs: 0, framesPerS: 0 };
-    /** The frame that the renderer holds; -1 before the first. */
-    this.shownFrame = -1;
-    /** Number of seeks that had been made when the worker showed that frame. */
-    this.lastSeeks = 0;
-    /** @type {typeof import("../stereo/eyes.js").eyesAt | null} two pictures in place of one, if set */
-    this.eyesAt = null;
-    /** @type {Headset | null} set while a headset shows the scene in place of the canvas */
-    this.headset = null;
-    this.isDisposed = false;
-    /** Whether the renderer lacks Gaussians, so that only a whole frame can be drawn. */
-    this.isEmpty = true;
-    this.needsDrawing = false;
-    this.drawnMs = 0;
     this.painter.addEventListener("lost", () => this.notify("lost"));
     this.painter.addEventListener("gone", () => this.notify("gone"));
     this.painter.addEventListener("restored", () => {
@@ -149,9 +196,8 @@ export class SceneView extends EventTarget {
   /** Lets viewers move the camera, of this stream and of later ones. @param {MakeMotion} make */
   steer(make) {
     this.makeMotion = make;
-    if (this.manifest !== null && this.orbit !== null) {
+    if (this.manifest !== null && this.orbit !== null)
       this.motion = make(this.manifest, this.orbit);
-    }
   }
 
   /** The current camera, with the size of the canvas, or of half the canvas side by side. */

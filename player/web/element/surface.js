@@ -6,21 +6,21 @@ const MOST_PIXEL_RATIO = 2;
 /** Size of a canvas in device pixels: follows its layout, the browser's zoom, and the screen. */
 export class CanvasSize {
   #listening = new AbortController();
+  /** @type {ResizeObserverSize | null} in device pixels, where the browser knows them */
+  devicePx = null;
+  observer = new ResizeObserver(([entry]) => {
+    const { contentRect, devicePixelContentBoxSize } = entry;
+    this.cssWidthPx = contentRect.width;
+    this.cssHeightPx = contentRect.height;
+    this.devicePx = devicePixelContentBoxSize?.[0] ?? null;
+    this.onChange();
+  });
 
   /** @param {HTMLCanvasElement} canvas @param {() => void} onChange */
   constructor(canvas, onChange) {
-    this.onChange = onChange;
-    this.cssWidthPx = canvas.clientWidth;
-    this.cssHeightPx = canvas.clientHeight;
-    /** @type {ResizeObserverSize | null} in device pixels, where the browser knows them */
-    this.devicePx = null;
-    this.observer = new ResizeObserver(([entry]) => {
-      const { contentRect, devicePixelContentBoxSize } = entry;
-      this.cssWidthPx = contentRect.width;
-      this.cssHeightPx = contentRect.height;
-      this.devicePx = devicePixelContentBoxSize?.[0] ?? null;
-      this.onChange();
-    });
+    /** @type {() => void} */ this.onChange = onChange;
+    /** @type {number} */ this.cssWidthPx = canvas.clientWidth;
+    /** @type {number} */ this.cssHeightPx = canvas.clientHeight;
     // Safari does not report device pixels.
     const hasDevicePixels = "devicePixelContentBoxSize" in ResizeObserverEntry.prototype;
     this.observer.observe(canvas, hasDevicePixels ? { box: "device-pixel-content-box" } : {});
@@ -120,22 +120,19 @@ export class Sight {
   #isStarved = false;
   #numHolds = 0;
   #listening = new AbortController();
+  /** @type {import("../stereo/headset.js").Headset | null} one that shows the scene in place of the page */
+  headset = null;
+  observer = new IntersectionObserver((entries) => {
+    this.#isIntersecting = entries[entries.length - 1].isIntersecting;
+    this.update();
+  });
 
-  /**
-   * @param {Element} element @param {FrameLoop} loop
-   * @param {() => void} onChange called when isSeen has changed
-   */
+  /** @param {Element} element @param {FrameLoop} loop @param {() => void} onChange called when isSeen has changed */
   constructor(element, loop, onChange) {
-    this.loop = loop;
-    this.onChange = onChange;
+    /** @type {FrameLoop} */ this.loop = loop;
+    /** @type {() => void} */ this.onChange = onChange;
     this.#isIntersecting = isPlainlyInView(element);
-    this.isSeen = this.#isIntersecting && !document.hidden;
-    /** @type {import("../stereo/headset.js").Headset | null} one that shows the scene in place of the page */
-    this.headset = null;
-    this.observer = new IntersectionObserver((entries) => {
-      this.#isIntersecting = entries[entries.length - 1].isIntersecting;
-      this.update();
-    });
+    /** @type {boolean} */ this.isSeen = this.#isIntersecting && !document.hidden;
     this.observer.observe(element);
     const { signal } = this.#listening;
     document.addEventListener("visibilitychange", () => this.update(), { signal });

@@ -1,5 +1,5 @@
 import { PLAYER_VERSION } from "../constants.js";
-import { pictureUrl } from "../source/pictures.js";
+import { pictureUrl } from "../source/addresses.js";
 import { shareAt } from "../view/orbit.js";
 import { MediaInterface } from "./mediainterface.js";
 import { addStyle, hasGyroscope, node, prefersStill } from "./nodes.js";
@@ -8,10 +8,7 @@ import { NETWORK } from "./readiness.js";
 import STYLE from "./style.css";
 import { WebPlayer } from "./webplayer.js";
 
-/**
- * A part of the player that is loaded by `import()`.
- * @template Part
- */
+/** A part of the player that is loaded by `import()`. @template Part */
 class LazyPart {
   /** @type {Part | null} null until it is loaded */
   part = null;
@@ -381,9 +378,8 @@ export class SwingsPlayerElement extends MediaInterface {
 
   /** Flies to a camera of the rig. @param {number} index into `cameras` */
   flyToCamera(index) {
-    if (!Number.isInteger(index)) {
+    if (!Number.isInteger(index))
       throw new RangeError(`flyToCamera: ${index} is not the index of a camera`);
-    }
     this.#steer((motion) => motion.flyToCamera(index));
   }
 

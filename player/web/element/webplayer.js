@@ -1,8 +1,7 @@
-import { Sorter } from "../playback/playerworkers.js";
 import { RendererError } from "../renderer/program.js";
 import { folderUrl } from "../source/addresses.js";
 import { isBehind } from "../source/liveedge.js";
-import { SceneView } from "./sceneview.js";
+import { SceneView, Sorter } from "./sceneview.js";
 import { StreamSession } from "./streamsession.js";
 import { Sight } from "./surface.js";
 
@@ -13,8 +12,7 @@ const MOST_WAITING = 4;
 const waiting = new Set();
 
 /**
- * Lets a player that is out of view keep its resources, and parks the longest unseen player if there
- * are too many.
+ * Lets a player that is out of view keep its resources, and parks the longest unseen player if there are too many.
  * @param {{ park: () => void }} player
  */
 function keepWaiting(player) {
@@ -60,7 +58,7 @@ export class WebPlayer extends StreamSession {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     super();
-    this.canvas = canvas;
+    /** @type {HTMLCanvasElement} */ this.canvas = canvas;
     this.view = new SceneView(canvas, this);
     this.sight = new Sight(canvas, this.view.loop, () => this.#followSight());
     this.addEventListener("state", () => this.sight.check());
@@ -72,7 +70,7 @@ export class WebPlayer extends StreamSession {
     const on = (/** @type {string} */ type, /** @type {(event: any) => void} */ action) =>
       view.addEventListener(type, action);
     on("drawing", () => sight.noteFrame());
-    on("frame", ({ detail }) => this.#onFrame(detail));
+    on("frame", (/** @type {CustomEvent<boolean>} */ { detail }) => this.#onFrame(detail));
     on("select", () => this.dispatch("select"));
     on("headset", () => {
       sight.headset = view.headset;
@@ -82,9 +80,8 @@ export class WebPlayer extends StreamSession {
     on("lost", () => {
       this.#updateMayPlay();
       this.dispatch("contextlost");
-      if (this.workers !== null) {
+      if (this.workers !== null)
         this.dispatch("trouble", "The graphics device was lost; waiting for it");
-      }
     });
     on("restored", () => {
       this.resend();
@@ -106,8 +103,7 @@ export class WebPlayer extends StreamSession {
    * @param {boolean} [options.otherHosts] whether the manifest may refer to hosts other than its own
    * @param {RequestCredentials} [options.credentials] whether requests carry cookies, see `fetch`
    * @param {import("../source/transform.js").TransformRequest} [options.transformRequest] changes each request
-   * @param {number | null} [options.bufferMb] limit for the received data that is kept; null for the
-   *   default, 64
+   * @param {number | null} [options.bufferMb] limit for the received data that is kept; null for the default, 64
    * @param {boolean} [options.isHeld] whether to fetch no frame until the stream plays or seeks
    */
   open(
@@ -178,9 +174,8 @@ export class WebPlayer extends StreamSession {
     if (this.source === null || this.#hasFailed) return;
     if (isSeen && this.workers === null) this.#start();
     else if (isSeen && this.live && this.wantsPlaying && this.#wasAtEdge) this.seekEdge();
-    if (!isSeen && this.manifest !== null) {
+    if (!isSeen && this.manifest !== null)
       this.#wasAtEdge = this.live && !isBehind(this.manifest, this.numFrames, this.state.frame);
-    }
     this.#updateMayPlay();
     if (!isSeen && this.workers !== null) keepWaiting(this);
   }

@@ -100,9 +100,8 @@ export class SceneVideo extends EventTarget {
   }
 
   set playbackRate(rate) {
-    if (!(rate > 0 && rate < Infinity)) {
+    if (!(rate > 0 && rate < Infinity))
       throw new RangeError(`playbackRate: ${rate} is not a positive number`);
-    }
     this.#rate = rate;
     this.#feed.setRate(rate);
   }

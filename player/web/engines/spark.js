@@ -31,7 +31,7 @@ export class SwingsMesh extends Object3D {
   /** @param {import("./scenevideo.js").SceneVideoOptions} options */
   constructor(options) {
     super();
-    /** Playback control, see SceneVideo. */
+    /** Playback control, see SceneVideo. @type {SceneVideo} */
     this.video = new SceneVideo(options);
     /** @type {SplatMesh | null} null until the stream is open */
     this.splatMesh = null;
@@ -58,10 +58,7 @@ export class SwingsMesh extends Object3D {
     this.video.pause();
   }
 
-  /**
-   * A camera at the pose of the stream's default camera.
-   * @param {number} aspect width by height of the picture
-   */
+  /** A camera at the pose of the stream's default camera. @param {number} aspect width by height of the picture */
   async defaultCamera(aspect) {
     const { position, axes, fovDeg, nearM } = await this.video.defaultCamera();
     const camera = new PerspectiveCamera(fovDeg, aspect, nearM, 1000);

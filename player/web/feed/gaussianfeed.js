@@ -55,7 +55,7 @@ export class GaussianFeed extends StreamSession {
     this.opened = new Promise((resolve, reject) => {
       this.addEventListener("opened", () => resolve(/** @type {FeedStream} */ (this.stream)));
       this.addEventListener("failed", (event) =>
-        reject(new Error(/** @type {CustomEvent} */ (event).detail)),
+        reject(new Error(/** @type {CustomEvent<string>} */ (event).detail)),
       );
     });
     // A page that does not await the promise gets the event `failed`.

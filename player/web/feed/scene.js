@@ -7,8 +7,7 @@ import { ON_LATTICE, SH_C0 } from "../constants.js";
 import { gaussiansOf } from "../format/dequantise.js";
 import { numCoefficients } from "../format/gaussians.js";
 import { Slots } from "../format/slots/slots.js";
-import { NEVER } from "../playback/depthorder.js";
-import { floatWords, latticeWords } from "../playback/words.js";
+import { floatWords, latticeWords, NEVER } from "../playback/depthorder.js";
 
 /**
  * Gaussians and the slots that they are put into.
@@ -138,13 +137,13 @@ export class Scene {
    * @param {import("../format/gaussians.js").Lattice[]} lattices of each layer
    */
   constructor(numSlots, shDegree, lattices) {
-    this.shDegree = shDegree;
+    /** @type {number} */ this.shDegree = shDegree;
     this.lattices = lattices;
-    this.held = emptyScene(numSlots, shDegree);
-    this.starts = new Int32Array(numSlots).fill(NEVER);
-    /** Whether each slot's Gaussian has changed since the last `take`. */
+    /** @type {SceneGaussians} */ this.held = emptyScene(numSlots, shDegree);
+    /** @type {Int32Array} */ this.starts = new Int32Array(numSlots).fill(NEVER);
+    /** Whether each slot's Gaussian has changed since the last `take`. @type {Uint8Array} */
     this.isNew = new Uint8Array(numSlots);
-    /** Whether each slot showed a Gaussian at the last `take`. */
+    /** Whether each slot showed a Gaussian at the last `take`. @type {Uint8Array} */
     this.wasShown = new Uint8Array(numSlots);
     /** @type {number | null} */
     this.frame = null;
@@ -167,7 +166,7 @@ export class Scene {
   /** Returns the changes since the last call. @returns {SceneChange} */
   take() {
     const frame = this.frame ?? -1;
-    const changed = [];
+    const changed = /** @type {number[]} */ ([]);
     for (let slot = 0; slot < this.starts.length; slot++) {
       const shows = this.starts[slot] <= frame ? 1 : 0;
       if (shows !== this.wasShown[slot] || (shows && this.isNew[slot])) changed.push(slot);

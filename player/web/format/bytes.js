@@ -5,7 +5,7 @@ export class FormatError extends Error {
   /** @param {"corrupt" | "unsupported"} kind @param {string} message */
   constructor(kind, message) {
     super(message);
-    this.name = "FormatError";
+    /** @type {string} */ this.name = "FormatError";
     this.kind = kind;
   }
 }
@@ -36,11 +36,12 @@ export function isMagic(bytes, magic) {
 
 /** Reads little-endian numbers one after another. Throws a FormatError at the end of the bytes. */
 export class ByteReader {
+  at = 0;
+
   /** @param {Uint8Array} bytes @param {string} what named in errors */
   constructor(bytes, what) {
-    this.bytes = bytes;
-    this.what = what;
-    this.at = 0;
+    /** @type {Uint8Array} */ this.bytes = bytes;
+    /** @type {string} */ this.what = what;
     this.view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   }
 
@@ -73,11 +74,9 @@ export class ByteReader {
     return this.view.getUint32(this.at - 4, true);
   }
 
-  /**
-   * @template {string} Format @param {Format} format
-   */
+  /** @template {string} Format @param {Format} format */
   unpack(format) {
-    const values = [];
+    const values = /** @type {(number | bigint | Uint8Array)[]} */ ([]);
     for (const [, count, code] of format.matchAll(/(\d*)([BHIifQs])/g)) {
       if (code === "s") values.push(this.take(Number(count)));
       else for (let n = Number(count || 1); n > 0; n--) values.push(this.#number(code));
@@ -130,20 +129,19 @@ export class ByteReader {
 
 /** Reads a string of bits, the lowest bit of each byte first (FORMAT.md, section 1). */
 export class BitReader {
+  at = 0;
+
   /**
    * @param {Uint8Array} bytes
    * @param {number} numBits number of used bits; `bytes` must have exactly that size, padded with zero bits
    * @param {string} what named in errors
    */
   constructor(bytes, numBits, what) {
-    if (bytes.length !== Math.ceil(numBits / 8)) {
+    if (bytes.length !== Math.ceil(numBits / 8))
       throw corrupt(`${what}: ${bytes.length} bytes of low bits for ${numBits} bits`);
-    }
-    if (numBits % 8 !== 0 && bytes[bytes.length - 1] >> numBits % 8 !== 0) {
+    if (numBits % 8 !== 0 && bytes[bytes.length - 1] >> numBits % 8 !== 0)
       throw corrupt(`${what}: a bit is set after the last low bit`);
-    }
-    this.bytes = bytes;
-    this.at = 0;
+    /** @type {Uint8Array} */ this.bytes = bytes;
   }
 
   /** The next bits as a number, lowest first. @param {number} width 0 .. 30 */

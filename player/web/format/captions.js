@@ -23,7 +23,7 @@ const MOST_KNOWN = 4096;
 export function readCues(file) {
   const lines = file.replace(/^\ufeff/, "").split(/\r\n|\r|\n/);
   if (!/^WEBVTT(?:[ \t].*)?$/.test(lines[0])) return null;
-  const cues = [];
+  const cues = /** @type {Cue[]} */ ([]);
   for (let at = 1; at < lines.length; ) {
     const found = TIMING.exec(lines[at++]);
     if (found === null) continue;
@@ -81,10 +81,7 @@ export function textAt(cues, timeS) {
  * @property {string} file beside the manifest
  */
 
-/**
- * The caption tracks in a manifest. Throws a FormatError.
- * @param {unknown} value @returns {CaptionTrack[]}
- */
+/** The caption tracks in a manifest. Throws a FormatError. @param {unknown} value @returns {CaptionTrack[]} */
 export function readCaptionTracks(value) {
   const tracks = list(value, 0, MAX_CAPTIONS, "captions").map((one) => {
     const language = text(field(one, "language"), "language");

@@ -62,9 +62,8 @@ export function checkGaussians(gaussians, what) {
   }
   const { quats } = gaussians;
   for (let i = 0; i < quats.length; i += 4) {
-    if (quats[i] === 0 && quats[i + 1] === 0 && quats[i + 2] === 0 && quats[i + 3] === 0) {
+    if (quats[i] === 0 && quats[i + 1] === 0 && quats[i + 2] === 0 && quats[i + 3] === 0)
       throw corrupt(`${what}: the quaternion of Gaussian ${i / 4} is zero`);
-    }
   }
 }
 
@@ -85,15 +84,15 @@ export class SlotLayout {
    * @param {Lattice[]} lattices of each layer
    */
   constructor(swinSize, segmentFrames, shDegree, slots, lattices) {
-    this.swinSize = swinSize;
-    this.segmentFrames = segmentFrames;
-    this.shDegree = shDegree;
-    this.slots = slots;
-    this.lattices = lattices;
-    this.k = numCoefficients(shDegree);
-    /** Bytes of a Gaussian's attributes: scales, rotation, y, u, v, opacity. */
+    /** @type {number} */ this.swinSize = swinSize;
+    /** @type {number} */ this.segmentFrames = segmentFrames;
+    /** @type {number} */ this.shDegree = shDegree;
+    /** @type {number[]} */ this.slots = slots;
+    /** @type {Lattice[]} */ this.lattices = lattices;
+    /** @type {number} */ this.k = numCoefficients(shDegree);
+    /** Bytes of a Gaussian's attributes: scales, rotation, y, u, v, opacity. @type {number} */
     this.numAttributes = 7 + 3 * this.k;
-    /** Number of slots of a lane, all layers together. */
+    /** Number of slots of a lane, all layers together. @type {number} */
     this.numSlots = slots.reduce((sum, count) => sum + count, 0);
   }
 

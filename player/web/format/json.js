@@ -5,9 +5,8 @@ import { corrupt } from "./bytes.js";
 
 /** The value of a required key. @param {unknown} value @param {string} key @returns {unknown} */
 export function field(value, key) {
-  if (typeof value !== "object" || value === null || Array.isArray(value)) {
+  if (typeof value !== "object" || value === null || Array.isArray(value))
     throw corrupt(`manifest: ${key} is not in a JSON object`);
-  }
   if (!Object.hasOwn(value, key)) throw corrupt(`manifest: ${key} is missing`);
   return /** @type {Record<string, unknown>} */ (value)[key];
 }
@@ -24,17 +23,15 @@ export function number(value, what) {
  * @param {unknown} value @param {number} least @param {number} most @param {string} what
  */
 export function integer(value, least, most, what) {
-  if (typeof value !== "number" || !Number.isInteger(value) || value < least || value > most) {
+  if (typeof value !== "number" || !Number.isInteger(value) || value < least || value > most)
     throw corrupt(`manifest: ${what} is not an integer from ${least} to ${most}`);
-  }
   return value;
 }
 
 /** @param {unknown} value @param {string} what */
 export function text(value, what) {
-  if (typeof value !== "string" || [...value].length > MAX_TEXT_CHARS || !isUnicode(value)) {
+  if (typeof value !== "string" || [...value].length > MAX_TEXT_CHARS || !isUnicode(value))
     throw corrupt(`manifest: ${what} is not a text of at most ${MAX_TEXT_CHARS} characters`);
-  }
   return value;
 }
 
@@ -49,12 +46,9 @@ export function boolean(value, what) {
   return value;
 }
 
-/**
- * @param {unknown} value @param {number} least @param {number} most @param {string} what @returns {unknown[]}
- */
+/** @param {unknown} value @param {number} least @param {number} most @param {string} what @returns {unknown[]} */
 export function list(value, least, most, what) {
-  if (!Array.isArray(value) || value.length < least || value.length > most) {
+  if (!Array.isArray(value) || value.length < least || value.length > most)
     throw corrupt(`manifest: ${what} is not a list of ${least} .. ${most} items`);
-  }
   return value;
 }

@@ -34,13 +34,8 @@ import { boolean, field, integer, list, number, text } from "./json.js";
  * @property {number[]} w2c (4, 4) world to camera, row by row, metres
  */
 
-/**
- * A camera of a manifest (FORMAT.md, section 4). Throws a FormatError.
- * @param {unknown} value @returns {Camera}
- */
+/** A camera of a manifest (FORMAT.md, section 4). Throws a FormatError. @param {unknown} value @returns {Camera} */
 function readCamera(value) {
-  const w2c = field(value, "w2c");
-  if (!Array.isArray(w2c) || w2c.length !== 16) throw corrupt("camera: w2c is not 16 numbers");
   const camera = {
     name: text(field(value, "name"), "camera name"),
     widthPx: integer(field(value, "width_px"), 1, MAX_IMAGE_PX, "width_px"),
@@ -49,14 +44,12 @@ function readCamera(value) {
     fyPx: number(field(value, "fy_px"), "fy_px"),
     cxPx: number(field(value, "cx_px"), "cx_px"),
     cyPx: number(field(value, "cy_px"), "cy_px"),
-    w2c: w2c.map((entry) => number(entry, "w2c")),
+    w2c: list(field(value, "w2c"), 16, 16, "w2c").map((entry) => number(entry, "w2c")),
   };
-  if (camera.fxPx <= 0 || camera.fyPx <= 0) {
+  if (camera.fxPx <= 0 || camera.fyPx <= 0)
     throw corrupt(`camera ${camera.name}: a focal length is not positive`);
-  }
-  if (!isPose(camera.w2c)) {
+  if (!isPose(camera.w2c))
     throw corrupt(`camera ${camera.name}: the pose is not a rotation and a translation`);
-  }
   return camera;
 }
 
@@ -96,10 +89,7 @@ const { fround } = Math;
  * @property {string[]} parts names of the objects of each segment, in the order of the index
  */
 
-/**
- * A part of a segment, by its number in `Manifest.parts`: the changes of layer n are n.
- * @typedef {number} Part
- */
+/** A part of a segment, by its number in `Manifest.parts`: the changes of layer n are n. @typedef {number} Part */
 
 /** The skip maps. @param {{ numLayers: number }} manifest @returns {Part} */
 export const skipMapsOf = ({ numLayers }) => numLayers;
@@ -114,6 +104,13 @@ export const isKeyframe = ({ numLayers }, part) => part > numLayers;
 export const layerOf = ({ numLayers }, part) =>
   part < numLayers ? part : Math.max(0, part - numLayers - 1);
 
+/** Maximum size of the chunk in a packet of a part. @param {Manifest} manifest @param {Part} part */
+export function limitBytes({ layout }, part) {
+  if (part === skipMapsOf(layout)) return layout.maxSkipMapBytes;
+  const layer = layerOf(layout, part);
+  return isKeyframe(layout, part) ? layout.maxKeyframeBytes(layer) : layout.maxChangeBytes(layer);
+}
+
 /** Reads the manifest in `bytes`. Throws a FormatError. @param {Uint8Array} bytes @returns {Manifest} */
 export function readManifest(bytes) {
   if (bytes.length > MAX_MANIFEST_BYTES)
@@ -125,9 +122,8 @@ export function readManifest(bytes) {
     throw unsupported(`manifest: version ${version}, not ${VERSION}; the stream must be made anew`);
   const swinSize = integer(field(value, "swin_size"), 1, MAX_SWIN_SIZE, "swin_size");
   const numGs = integer(field(value, "num_gs"), 1, MAX_NUM_GS, "num_gs");
-  if (numGs % swinSize !== 0 || numGs / swinSize > MAX_SLOTS) {
+  if (numGs % swinSize !== 0 || numGs / swinSize > MAX_SLOTS)
     throw corrupt(`manifest: num_gs ${numGs} does not fit swin_size ${swinSize}`);
-  }
   const segmentFrames = integer(
     field(value, "segment_frames"),
     1,
@@ -138,9 +134,8 @@ export function readManifest(bytes) {
   const layout = readLayout(value, swinSize, segmentFrames, shDegree, numGs);
   const { numLayers } = layout;
   const cameras = list(field(value, "cameras"), 1, MAX_CAMERAS, "cameras").map(readCamera);
-  if (new Set(cameras.map((camera) => camera.name)).size !== cameras.length) {
+  if (new Set(cameras.map((camera) => camera.name)).size !== cameras.length)
     throw corrupt("manifest: two cameras have the same name");
-  }
   const name = text(field(value, "default_camera"), "default_camera");
   const defaultCamera = cameras.find((camera) => camera.name === name);
   if (defaultCamera === undefined)
@@ -168,8 +163,8 @@ export function readManifest(bytes) {
     title: text(field(value, "title"), "title"),
     captureFrame: integer(field(value, "capture_frame"), 0, 2 ** 31 - 1, "capture_frame"),
     layout,
-    sound: /** @type {any} */ (value).sound,
-    captions: /** @type {any} */ (value).captions,
+    sound: /** @type {Record<string, unknown>} */ (value).sound,
+    captions: /** @type {Record<string, unknown>} */ (value).captions,
     parts: partsOf(numLayers),
   };
 }
@@ -200,8 +195,8 @@ function parsed(bytes) {
 
 /** @param {number} numLayers */
 function partsOf(numLayers) {
-  const layers = Array.from({ length: numLayers }, (_, layer) => String(layer));
-  return [...layers, "skipmaps", ...layers.map((layer) => `keyframe-${layer}`)];
+  const layers = [...Array(numLayers).keys()];
+  return [...layers.map(String), "skipmaps", ...layers.map((layer) => `keyframe-${layer}`)];
 }
 
 /**
@@ -272,9 +267,8 @@ function readBounds(value) {
   const corners = list(field(value, "bounds"), 2, 2, "bounds").map((corner) =>
     readPoint(corner, "a corner of bounds"),
   );
-  if (corners[0].some((lower, axis) => lower > corners[1][axis])) {
+  if (corners[0].some((lower, axis) => lower > corners[1][axis]))
     throw corrupt("manifest: the lower corner of the bounds is above the upper one");
-  }
   return corners;
 }
 
@@ -284,9 +278,8 @@ function readPicture(value, what) {
   const path = text(value, what);
   const numBytes = new TextEncoder().encode(path).length;
   // eslint-disable-next-line no-control-regex -- these are what it looks for
-  if (numBytes > MAX_POSTER_BYTES || /[\u0000-\u001f\u007f]/.test(path)) {
+  if (numBytes > MAX_POSTER_BYTES || /[\u0000-\u001f\u007f]/.test(path))
     throw corrupt(`manifest: ${what} is too long or contains a control character`);
-  }
   // A path that leads out of the stream's folder is ignored: `//` would begin another host.
   const leadsOut = path.split("/").some((part) => part === "" || part === "..");
   return leadsOut || !/[^/]\.(jpe?g|png|webp)$/i.test(path) ? null : path;
@@ -302,8 +295,7 @@ function readStoryboard(value) {
 function readObjectUrl(value) {
   const url = text(field(value, "object_url"), "object_url");
   const names = (url.match(/\{.*?\}/g) ?? []).sort();
-  if (names.length !== 2 || names[0] !== "{layer}" || names[1] !== "{segment}") {
+  if (names.length !== 2 || names[0] !== "{layer}" || names[1] !== "{segment}")
     throw corrupt("manifest: object_url does not contain {segment} and {layer} once each");
-  }
   return url;
 }

@@ -16,7 +16,19 @@ import {
   ZSTD_MAGIC,
 } from "../constants.js";
 import { ByteReader, corrupt, isMagic, unsupported } from "./bytes.js";
-import { crc32 } from "./crc32.js";
+
+const TABLE = new Uint32Array(256).map((_, n) => {
+  let c = n;
+  for (let bit = 0; bit < 8; bit++) c = c & 1 ? (c >>> 1) ^ 0xedb88320 : c >>> 1;
+  return c;
+});
+
+/** The CRC-32 of zlib and PNG. @param {Uint8Array} bytes */
+export function crc32(bytes) {
+  let c = 0xffffffff;
+  for (const byte of bytes) c = TABLE[(c ^ byte) & 255] ^ (c >>> 8);
+  return (c ^ 0xffffffff) >>> 0;
+}
 
 /**
  * @typedef {object} SegmentRecord
@@ -39,14 +51,13 @@ export function recordBytes(manifest) {
  */
 export function readIndex(bytes, manifest, firstSegment = 0) {
   const size = recordBytes(manifest);
-  const rows = [];
+  const rows = /** @type {Uint8Array[]} */ ([]);
   for (let at = 0; at + size <= bytes.length; at += size) rows.push(bytes.subarray(at, at + size));
   if (rows.length > 0 && rows[rows.length - 1].every((byte) => byte === 0)) rows.pop();
   return rows.map((row, n) => {
     const record = readRecord(row, firstSegment + n, manifest);
-    if (n < rows.length - 1 && record.numFrames !== manifest.segmentFrames) {
+    if (n < rows.length - 1 && record.numFrames !== manifest.segmentFrames)
       throw corrupt(`index: segment ${record.segment} is short, but not the last`);
-    }
     return record;
   });
 }
@@ -59,9 +70,9 @@ function readRecord(row, segment, manifest) {
   const what = `index: the record of segment ${segment}`;
   const reader = new ByteReader(row, what);
   const [found, firstFrame, numFrames, reserved] = reader.unpack(INDEX_HEAD);
-  const psnrDb = [];
-  const objectBytes = [];
-  const objectSha256 = [];
+  const psnrDb = /** @type {number[]} */ ([]);
+  const objectBytes = /** @type {number[]} */ ([]);
+  const objectSha256 = /** @type {Uint8Array[]} */ ([]);
   for (let part = 0; part < manifest.parts.length; part++) {
     const isLayer = part < manifest.numLayers;
     const [size, sha256, psnr = NaN] = /** @type {[number, Uint8Array, number?]} */ (
@@ -75,9 +86,8 @@ function readRecord(row, segment, manifest) {
   const [checksum] = reader.unpack(INDEX_CHECKSUM);
   if (checksum !== crc32(covered)) throw corrupt(`${what} has a wrong checksum`);
   const { segmentFrames } = manifest;
-  if (found !== segment || firstFrame !== segment * segmentFrames || reserved !== 0) {
+  if (found !== segment || firstFrame !== segment * segmentFrames || reserved !== 0)
     throw corrupt(`${what} describes ${found}, from frame ${firstFrame} on`);
-  }
   if (numFrames < 1 || numFrames > segmentFrames) throw corrupt(`${what} has ${numFrames} frames`);
   if (psnrDb.some((psnr) => Math.abs(psnr) === Infinity))
     throw corrupt(`${what} has an infinite PSNR`);
@@ -95,17 +105,14 @@ export function readObject(bytes) {
     throw corrupt(`object: ${bytes.length} bytes, but at most ${MAX_OBJECT_BYTES} are allowed`);
   const reader = new ByteReader(bytes, "object");
   const [skippable, following, magic, version, coder, reserved, count] = reader.unpack(OBJECT_HEAD);
-  if (skippable !== SKIPPABLE_MAGIC || !isMagic(magic, TABLE_MAGIC)) {
+  if (skippable !== SKIPPABLE_MAGIC || !isMagic(magic, TABLE_MAGIC))
     throw corrupt("object: does not start with a table of chunks");
-  }
   if (version !== VERSION) throw unsupported(`object: version ${version}, not ${VERSION}`);
   if (coder !== CODER) throw unsupported(`object: unknown coder ${coder}`);
-  if (count > MAX_CHUNKS || reserved !== 0) {
+  if (count > MAX_CHUNKS || reserved !== 0)
     throw corrupt(`object: ${count} chunks or the reserved value ${reserved} is not valid`);
-  }
-  if (following !== HEAD_BYTES + ENTRY_BYTES * count) {
+  if (following !== HEAD_BYTES + ENTRY_BYTES * count)
     throw corrupt(`object: a table of ${following} bytes for ${count} chunks`);
-  }
   const table = new ByteReader(reader.take(ENTRY_BYTES * count), "object");
   /** @type {Map<number, Uint8Array>} */
   const packets = new Map();

@@ -27,9 +27,8 @@ export function readMap(reader) {
   const map = new Map();
   for (let i = 0; i < size; i++) {
     const key = readValue(reader);
-    if (typeof key !== "string" && !(key instanceof Uint8Array)) {
+    if (typeof key !== "string" && !(key instanceof Uint8Array))
       throw corrupt("play: a key is neither text nor bytes");
-    }
     const value = readValue(reader);
     if (typeof key === "string") map.set(key, value);
   }
@@ -83,7 +82,7 @@ function string(reader, size) {
 /** @param {import("./bytes.js").ByteReader} reader @param {number} size */
 function array(reader, size) {
   if (size > MAX_ITEMS) throw corrupt(`play: a list of ${size} items is too long`);
-  const items = [];
+  const items = /** @type {Uint8Array[]} */ ([]);
   for (let i = 0; i < size; i++) {
     // The type is checked before the item is read, because nested lists could have any depth.
     const type = reader.u8();
@@ -162,9 +161,8 @@ function slice(map) {
 /** @param {Map<string, unknown>} map @param {string} key */
 function count(map, key) {
   const found = map.get(key);
-  if (typeof found !== "number" || !Number.isInteger(found) || found < 0 || found >= INT32_END) {
+  if (typeof found !== "number" || !Number.isInteger(found) || found < 0 || found >= INT32_END)
     throw corrupt(`play: ${key} is not a count`);
-  }
   return found;
 }
 
@@ -177,30 +175,26 @@ function checkedBytes(found, key) {
 /** @param {Map<string, unknown>} map @param {number} least */
 function packetsOf(map, least) {
   const found = map.get(PACKETS_KEY);
-  if (!Array.isArray(found) || found.length < least || found.length > MAX_LAYERS) {
+  if (!Array.isArray(found) || found.length < least || found.length > MAX_LAYERS)
     throw corrupt("play: a record has no valid list of packets");
-  }
   return found.map((packet) => checkedBytes(packet, "a packet"));
 }
 
 /** @param {Map<string, unknown>} map @param {Uint8Array[]} packets */
 function firstLayer(map, packets) {
   const first = count(map, "first");
-  if (first + packets.length > MAX_LAYERS) {
+  if (first + packets.length > MAX_LAYERS)
     throw corrupt(`play: ${packets.length} packets starting at layer ${first} are too many`);
-  }
   return first;
 }
 
 /** Parses a response's bytes, in pieces of any size, into records. Buffers at most one partial record. */
 export class RecordParser {
-  constructor() {
-    /** @type {Uint8Array[]} */
-    this.pieces = [];
-    this.pendingBytes = 0;
-    /** @type {number | null} bytes of the record that comes, once they are known */
-    this.length = null;
-  }
+  /** @type {Uint8Array[]} */
+  pieces = [];
+  pendingBytes = 0;
+  /** @type {number | null} bytes of the record that comes, once they are known */
+  length = null;
 
   /**
    * The records that `data` completes, in order. After an exception, the parser must not be used further.
@@ -209,7 +203,7 @@ export class RecordParser {
   feed(data) {
     this.pieces.push(data);
     this.pendingBytes += data.length;
-    const records = [];
+    const records = /** @type {PlayRecord[]} */ ([]);
     while (this.pendingBytes >= (this.length ?? 4)) {
       if (this.length === null) {
         const [a, b, c, d] = this.#take(4);

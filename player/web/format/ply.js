@@ -32,7 +32,7 @@ export function framePly(decoder) {
 /** @param {number} count @param {number} numRest coefficients of a colour, without the first */
 function header(count, numRest) {
   const numbered = (/** @type {string} */ stem, /** @type {number} */ n) =>
-    Array.from({ length: n }, (_, i) => `${stem}_${i}`);
+    [...Array(n).keys()].map((i) => `${stem}_${i}`);
   const names = ["x", "y", "z", "nx", "ny", "nz", ...numbered("f_dc", 3)];
   names.push(...numbered("f_rest", 3 * numRest), "opacity");
   names.push(...numbered("scale", 3), ...numbered("rot", 4));
@@ -50,9 +50,8 @@ function rowsOf({ means, logScales, quats, logitOpacities, sh }, numRest) {
     rows.set(means.subarray(3 * i, 3 * i + 3), at);
     rows.set(sh.subarray(dc, dc + 3), at + 6);
     // Channel after channel in the file.
-    for (let n = 0; n < 3 * numRest; n++) {
+    for (let n = 0; n < 3 * numRest; n++)
       rows[at + 9 + n] = sh[dc + 3 * (1 + (n % numRest)) + Math.floor(n / numRest)];
-    }
     rows[at + width - 8] = logitOpacities[i];
     rows.set(logScales.subarray(3 * i, 3 * i + 3), at + width - 7);
     rows.set(quats.subarray(4 * i, 4 * i + 4), at + width - 4);

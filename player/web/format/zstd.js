@@ -1,10 +1,10 @@
 /**
- * Decodes zstd frames (RFC 8878). A decoder of our own, because a hostile frame must not cost more time than
+ * A packet is one chunk, in a zstd frame (FORMAT.md, section 6; RFC 8878). A decoder of our own, because a hostile frame must not cost more time than
  * its content and its bytes: each copy is checked before it is made, and nothing but the content is
  * allocated.
  */
 
-import { ZSTD_MAGIC } from "../constants.js";
+import { MAX_CHUNK_BYTES, MAX_EXPANSION, ZSTD_MAGIC } from "../constants.js";
 import { corrupt } from "./bytes.js";
 import { xxhash } from "./xxhash.js";
 
@@ -168,9 +168,8 @@ function block() {
   }
   const modes = takeByte();
   check((modes & 3) === 0);
-  for (const [n, kind] of KINDS.entries()) {
+  for (const [n, kind] of KINDS.entries())
     tables[n] = tableOf(kind, (modes >> (6 - 2 * n)) & 3, tables[n]);
-  }
   sequences(count, literals, limit);
 }
 
@@ -297,7 +296,7 @@ function readWeights(end) {
   check(at >= first);
   let state = states[bits(view, at + log, log)];
   let other = states[bits(view, at, log)];
-  const weights = [];
+  const weights = /** @type {number[]} */ ([]);
   for (;;) {
     weights.push(state & 255);
     check(weights.length < 255);
@@ -420,7 +419,7 @@ function sequences(count, literal, limit) {
  * bytes of a block. Throws a FormatError unless there is a checksum, and no dictionary.
  * @param {Uint8Array} frame
  */
-export function readFrameHead(frame) {
+function readFrameHead(frame) {
   const view = new DataView(frame.buffer, frame.byteOffset, frame.length);
   const flags = frame.length > 4 ? frame[4] : 0;
   const isSingle = (flags & 32) !== 0;
@@ -448,11 +447,17 @@ export function readFrameHead(frame) {
 }
 
 /**
- * The content of a zstd frame with this head. Throws a FormatError unless it fills its stated size exactly, has the
- * stated checksum and ends where `packet` does.
- * @param {Uint8Array} packet @param {ReturnType<typeof readFrameHead>} head
+ * The chunk in a packet; an empty packet gives an empty chunk. Memory stays within the limit. Throws a FormatError
+ * unless the content fills its stated size exactly, has the stated checksum and ends where `packet` does.
+ * @param {Uint8Array} packet @param {number} limitBytes
  */
-export function decodeFrame(packet, head) {
+export function packetContent(packet, limitBytes) {
+  if (packet.length === 0) return packet;
+  const head = readFrameHead(packet);
+  if (head.size === 0) throw corrupt("packet: its content is empty");
+  const most = Math.min(limitBytes, MAX_CHUNK_BYTES, MAX_EXPANSION * packet.length);
+  if (head.size > most)
+    throw corrupt(`packet: ${head.size} bytes of content, but at most ${most} are allowed`);
   frame = packet;
   view = new DataView(frame.buffer, frame.byteOffset, frame.length);
   content = new Uint8Array(head.size);

@@ -1,7 +1,6 @@
 /** The order in which Gaussians are drawn, and the changes that wait for it. */
 
 import { MOVES } from "../constants.js";
-import { floatWords, latticeWords, roomFor } from "./words.js";
 
 /** Start value of a Gaussian that no frame shows. */
 export const NEVER = 2 ** 31 - 1;
@@ -11,18 +10,19 @@ const NUM_VALUES = 1 << DIGIT_BITS;
 
 /** Computes which Gaussians show in a frame, farthest first (player/render/order.py). */
 export class DepthOrder {
+  /** Number of Gaussians that fade out. */
+  numLeft = 0;
+  counts = new Uint32Array(3 * NUM_VALUES);
+
   /** @param {number} numSlots @param {number} numSpare places after the slots, for Gaussians that fade out */
   constructor(numSlots, numSpare = 0) {
-    this.numSlots = numSlots;
-    /** Number of Gaussians that fade out. */
-    this.numLeft = 0;
+    /** @type {number} */ this.numSlots = numSlots;
     const total = numSlots + numSpare;
-    this.means = new Float32Array(3 * total);
-    this.starts = new Int32Array(total).fill(NEVER);
-    this.depths = new Float32Array(total);
+    /** @type {Float32Array} */ this.means = new Float32Array(3 * total);
+    /** @type {Int32Array} */ this.starts = new Int32Array(total).fill(NEVER);
+    /** @type {Float32Array} */ this.depths = new Float32Array(total);
     this.keys = [new Uint32Array(this.depths.buffer), new Uint32Array(total)];
     this.slots = [new Uint32Array(total), new Uint32Array(total)];
-    this.counts = new Uint32Array(3 * NUM_VALUES);
   }
 
   /**
@@ -121,11 +121,27 @@ export class DepthOrder {
   }
 }
 
+/** Words, of 32 bits, of an uploaded Gaussian on the lattice. @param {number} shDegree */
+export function latticeWords(shDegree) {
+  const numBytes = 4 + 3 * (shDegree + 1) ** 2; // the log scales lie with the position
+  return 4 + Math.ceil(numBytes / 4);
+}
+
+/** Words of an uploaded Gaussian of floats. @param {number} shDegree */
+export function floatWords(shDegree) {
+  return 12 + 3 * (shDegree + 1) ** 2;
+}
+
+/** Room for `count` Gaussians, in whole texels. @param {number} count @param {number} wordsEach */
+export function roomFor(count, wordsEach) {
+  return new Uint32Array(4 * Math.ceil((count * wordsEach) / 4));
+}
+
 /** An entry has its layer and move above the 24 bits of its slot; a stream has at most 2^24 slots. */
 const SLOT_SKIP_MAP = 0xffffff;
 
 /**
- * Words for the renderer's textures; see renderer/resident.js.
+ * Words for the renderer's textures; see renderer/splatrenderer.js.
  * @typedef {object} Words
  * @property {number} frame from which it shows; -1: it shows at once, without motion
  * @property {Uint32Array} lattice @property {Uint32Array} floats
@@ -137,14 +153,15 @@ const SLOT_SKIP_MAP = 0xffffff;
  * once there are more entries than slots, only the newest entry of each slot is kept.
  */
 export class PendingUpdates {
+  /** @type {Words[]} */
+  updates = [];
+  numEntries = 0;
+
   /** @param {number} numSlots @param {number} shDegree */
   constructor(numSlots, shDegree) {
-    this.numSlots = numSlots;
-    this.latticeWords = latticeWords(shDegree);
-    this.floatWords = floatWords(shDegree);
-    /** @type {Words[]} */
-    this.updates = [];
-    this.numEntries = 0;
+    /** @type {number} */ this.numSlots = numSlots;
+    /** @type {number} */ this.latticeWords = latticeWords(shDegree);
+    /** @type {number} */ this.floatWords = floatWords(shDegree);
   }
 
   /**
@@ -200,17 +217,18 @@ export class PendingUpdates {
 
 /** Collects one entry per slot, the first that is added; entries are added newest first. */
 class Newest {
+  count = 0;
+
   /**
    * @param {Uint8Array} isTaken whether each slot has its entry; is written
    * @param {number} most maximum number of entries @param {number} wordsEach
    * @param {number} slotWord the word of an entry that has its slot
    */
   constructor(isTaken, most, wordsEach, slotWord) {
-    this.isTaken = isTaken;
-    this.room = new Uint32Array(most * wordsEach);
-    this.wordsEach = wordsEach;
-    this.slotWord = slotWord;
-    this.count = 0;
+    /** @type {Uint8Array} */ this.isTaken = isTaken;
+    /** @type {Uint32Array} */ this.room = new Uint32Array(most * wordsEach);
+    /** @type {number} */ this.wordsEach = wordsEach;
+    /** @type {number} */ this.slotWord = slotWord;
   }
 
   /** Adds entries, the last one first. @param {Uint32Array} words */

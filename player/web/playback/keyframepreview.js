@@ -1,5 +1,5 @@
-import { keyframeOf } from "../format/manifest.js";
-import { limitBytes, packetContent } from "../format/packet.js";
+import { keyframeOf, limitBytes } from "../format/manifest.js";
+import { packetContent } from "../format/zstd.js";
 import { FrameAssembler } from "./frameassembler.js";
 
 /**
@@ -7,6 +7,15 @@ import { FrameAssembler } from "./frameassembler.js";
  * the cache or fetched. It makes one request at a time, always for the newest target.
  */
 export class KeyframePreview {
+  /** Whether the user holds the thumb. */
+  isActive = false;
+  /** @type {number | null} segment whose picture is wanted */
+  target = null;
+  /** @type {number | null} segment whose picture shows */
+  shown = null;
+  isRunning = false;
+  abort = new AbortController();
+
   /**
    * @param {import("../source/source.js").SourceStream} stream
    * @param {(shown: import("./playback.js").Shown) => void} show
@@ -15,15 +24,7 @@ export class KeyframePreview {
   constructor(stream, show, onFetch) {
     this.stream = stream;
     this.show = show;
-    this.onFetch = onFetch;
-    /** Whether the user holds the thumb. */
-    this.isActive = false;
-    /** @type {number | null} segment whose picture is wanted */
-    this.target = null;
-    /** @type {number | null} segment whose picture shows */
-    this.shown = null;
-    this.isRunning = false;
-    this.abort = new AbortController();
+    /** @type {() => void} */ this.onFetch = onFetch;
   }
 
   /** Shows a picture near `frame` as soon as possible. @param {number} frame */

@@ -28,52 +28,52 @@ const LATE_FOR_SOUND_S = 1;
  * @typedef {object} Shown
  * @property {number} frame
  * @property {boolean} isJoin whether the updates are complete, so that earlier Gaussians must be dropped
- * @property {import("./packing.js").SplatUpdate[]} updates
+ * @property {import("./frameassembler.js").SplatUpdate[]} updates
  */
 
 /**
- * Decides which frame shows when: play, pause, seek, loop, rate and stalls. It reads no clock: callers
- * pass the time.
+ * Decides which frame shows when: play, pause, seek, loop, rate and stalls. It reads no clock: callers pass the time.
  */
 export class Playback {
+  /** Whether more frames may follow. */
+  live = false;
+  isJoined = false;
+  playing = false;
+  rate = 1;
+  /** @type {number | null} when nextFrame is due; null while playback does not run */
+  dueS = null;
+  /** Whether playback waits for missing data. */
+  waiting = true;
+  stalls = 0;
+  leadS = LEAD_S;
+  /** When playback went on after the last stall. */
+  resumedS = -Infinity;
+  /**
+   * The first frame that has not arrived; endFrame goes not as far ahead. Set by a caller that knows it:
+   * otherwise no lead is longer than the first one.
+   */
+  heldFrame = Infinity;
+  /** Seconds from a request to its first byte, 0 where others decide what is sent. Set by the caller. */
+  waitS = 0;
+  /** Whether the link carries less than layer 0. Set by the caller. */
+  isLinkThin = false;
+  refinedS = -Infinity;
+  lateS = LATE_S;
+
   /**
    * @param {import("./frameassembler.js").FrameAssembler} play @param {number} fps @param {number} numFrames
    * @param {number} firstFrame @param {number} [notBeforeS] when firstFrame is due
    */
   constructor(play, fps, numFrames, firstFrame, notBeforeS = -Infinity) {
-    this.notBeforeS = notBeforeS;
+    /** @type {number} */ this.notBeforeS = notBeforeS;
     this.play = play;
-    this.fps = fps;
-    /** Number of frames so far. */
+    /** @type {number} */ this.fps = fps;
+    /** Number of frames so far. @type {number} */
     this.numFrames = numFrames;
-    /** Whether more frames may follow. */
-    this.live = false;
-    /** The frame that shows next. */
+    /** The frame that shows next. @type {number} */
     this.nextFrame = firstFrame;
-    /** The first frame that is missing. */
+    /** The first frame that is missing. @type {number} */
     this.endFrame = firstFrame;
-    this.isJoined = false;
-    this.playing = false;
-    this.rate = 1;
-    /** @type {number | null} when nextFrame is due; null while playback does not run */
-    this.dueS = null;
-    /** Whether playback waits for missing data. */
-    this.waiting = true;
-    this.stalls = 0;
-    this.leadS = LEAD_S;
-    /** When playback went on after the last stall. */
-    this.resumedS = -Infinity;
-    /**
-     * The first frame that has not arrived; endFrame goes not as far ahead. Set by a caller that knows it:
-     * otherwise no lead is longer than the first one.
-     */
-    this.heldFrame = Infinity;
-    /** Seconds from a request to its first byte, 0 where others decide what is sent. Set by the caller. */
-    this.waitS = 0;
-    /** Whether the link carries less than layer 0. Set by the caller. */
-    this.isLinkThin = false;
-    this.refinedS = -Infinity;
-    this.lateS = LATE_S;
   }
 
   /** The frame that shows; before the first one, the frame that will show first. */
@@ -242,9 +242,8 @@ export class Playback {
     this.endFrame = this.nextFrame;
     this.#reach();
     const isOnTime = nowS - this.notBeforeS < LATE_S;
-    if (this.playing && isOnTime && this.#hasLead()) {
+    if (this.playing && isOnTime && this.#hasLead())
       this.dueS = this.notBeforeS + 1 / (this.fps * this.rate);
-    }
     return { frame, isJoin: true, updates };
   }
 

@@ -1,5 +1,5 @@
 import { edgeFrame } from "../source/liveedge.js";
-import { buffersOf } from "./packing.js";
+import { buffersOf } from "./frameassembler.js";
 import { PlaySession } from "./playsession.js";
 
 const STATE_PERIOD_S = 0.1;
@@ -28,35 +28,36 @@ const mbit = (bps) => Number((bps / 1e6).toPrecision(2));
 
 /** Plays one stream after it was opened: rounds of a loop, seeks, scrubbing, layers. */
 export class PlayController {
+  playing = false;
+  decodeMs = 0;
+  postedS = 0;
+  /** @type {number | null} due time of frame 0, as last reported to the page */
+  zeroS = null;
+  /** Number of the last line that was reported to the page. */
+  line = 0;
+  isClosed = false;
+  /** @type {"unknown" | "said" | "known"} whether the viewer was told that the link is too thin */
+  thinLink = "unknown";
+  /** @type {number | undefined} */
+  timer = undefined;
+  /** @type {PlaySession | null} the next round of a loop, begun ahead */
+  nextRound = null;
+  /** @type {import("./keyframepreview.js").KeyframePreview | null} */
+  scrubber = null;
+
   /**
    * @param {SourceStream} stream @param {import("../source/fetcher.js").Fetcher} fetcher
    * @param {Outlet} outlet @param {import("./messages.js").Start} [start]
    */
   constructor(stream, fetcher, outlet, { frame, seeks, rate, loop, mostLayers } = {}) {
-    this.stream = stream;
+    /** @type {SourceStream} */ this.stream = stream;
     this.fetcher = fetcher;
-    this.outlet = outlet;
-    this.loop = loop ?? false;
-    this.playing = false;
-    /** Number of the page's last known seek. */
+    /** @type {Outlet} */ this.outlet = outlet;
+    /** @type {boolean} */ this.loop = loop ?? false;
+    /** Number of the page's last known seek. @type {number} */
     this.seeks = seeks ?? 0;
-    this.rate = rate ?? 1;
-    this.mostLayers = mostLayers ?? stream.manifest.numLayers;
-    this.decodeMs = 0;
-    this.postedS = 0;
-    /** @type {number | null} due time of frame 0, as last reported to the page */
-    this.zeroS = null;
-    /** Number of the last line that was reported to the page. */
-    this.line = 0;
-    this.isClosed = false;
-    /** @type {"unknown" | "said" | "known"} whether the viewer was told that the link is too thin */
-    this.thinLink = "unknown";
-    /** @type {number | undefined} */
-    this.timer = undefined;
-    /** @type {PlaySession | null} the next round of a loop, begun ahead */
-    this.nextRound = null;
-    /** @type {import("./keyframepreview.js").KeyframePreview | null} */
-    this.scrubber = null;
+    /** @type {number} */ this.rate = rate ?? 1;
+    /** @type {number} */ this.mostLayers = mostLayers ?? stream.manifest.numLayers;
     const { manifest, numFrames } = stream;
     this.round = this.#newRound(frame ?? (manifest.live ? edgeFrame(manifest, numFrames) : 0));
     this.wake();

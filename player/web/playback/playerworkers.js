@@ -1,7 +1,6 @@
 import { firstUrls } from "../source/addresses.js";
 import { offerEarly } from "../source/early.js";
 import { preloadSource } from "./preload.js";
-import { requestPort } from "./requestport.js";
 
 /** Names of the player's workers; a bundler may add a hash. */
 const WORKERS = /\/(play|sort|feed)worker[^/]*\.js$/;
@@ -48,7 +47,6 @@ function startable(module) {
 }
 
 /** @typedef {import("./messages.js").FromPlayer} FromPlayer */
-/** @typedef {import("./messages.js").SortedFrame} SortedFrame */
 /** @typedef {import("./messages.js").ToPlayer} ToPlayer */
 
 /** The two workers of a play: one for network and decoding, and one that takes its frames. */
@@ -63,9 +61,9 @@ export class PlayerWorkers {
    */
   constructor(source, start, sink, onMessage) {
     const { port1, port2 } = new MessageChannel();
-    this.sink = sink;
+    /** @type {Worker} */ this.sink = sink;
     sink.postMessage({ port: port2 }, [port2]);
-    this.player = startWorker(new URL("./playworker.js", import.meta.url));
+    /** @type {Worker} */ this.player = startWorker(new URL("./playworker.js", import.meta.url));
     preloadSource(source.base);
     this.player.onmessage = (/** @type {MessageEvent<FromPlayer>} */ { data }) => onMessage(data);
     const fail = (/** @type {string} */ message) => onMessage({ kind: "failed", message });
@@ -102,49 +100,19 @@ export class PlayerWorkers {
   }
 }
 
-/** The worker that takes the frames for a picture: it sorts. */
-export class Sorter {
-  /** @type {"none" | "waiting" | "due"} its request; "due": it is answered at once */
-  #request = "none";
-  /** Number of the last request; answers to earlier requests may still arrive. */
-  #lastRequest = 0;
-  /** Whether Gaussians were in motion at the last request. */
-  #isMoving = false;
-  /** @type {number[]} (4, 4) world to camera of the last request */
-  requestedW2c = [];
-  worker = startWorker(new URL("./sortworker.js", import.meta.url));
-
-  /** @param {(sorted: SortedFrame) => void} onSorted */
-  constructor(onSorted) {
-    this.worker.onmessage = (/** @type {MessageEvent<SortedFrame>} */ { data }) => {
-      if (data.request === this.#lastRequest) this.#request = "none";
-      onSorted(data);
-    };
-  }
-
-  /** Whether the last order is up to date with the camera, and no frame has arrived since. */
-  get isSettled() {
-    return this.#request === "waiting";
-  }
-
-  /**
-   * Makes sure that the sorter has a request. It answers when it has a new frame, or at once if the camera
-   * has moved; at most one request of the second kind is pending.
-   * @param {number[]} w2c (4, 4) world to camera @param {number} nearM
-   * @param {boolean} isMoving whether Gaussians are in motion; the order is then that of half the way, and
-   *   includes Gaussians that fade out
-   */
-  requestOrder(w2c, nearM, isMoving) {
-    const isMoved =
-      isMoving !== this.#isMoving || w2c.some((entry, i) => entry !== this.requestedW2c[i]);
-    if (this.#request === "due" || (this.#request === "waiting" && !isMoved)) return;
-    this.#lastRequest += 1;
-    const view = { w2c, nearM, isMoving, request: this.#lastRequest };
-    /** @type {import("./messages.js").ToSorter} */
-    const message = { view, isMoved };
-    this.worker.postMessage(message);
-    this.#request = isMoved ? "due" : "waiting";
-    this.requestedW2c = w2c;
-    this.#isMoving = isMoving;
-  }
+/**
+ * A port through which a worker asks the page how to send each of its requests, because a function cannot be posted;
+ * undefined if the page changes none.
+ * @param {import("../source/transform.js").TransformRequest | undefined} transformRequest
+ * @param {(message: string) => void} fail called if the code for it cannot be loaded
+ */
+export function requestPort(transformRequest, fail) {
+  if (!transformRequest) return undefined;
+  const { port1, port2 } = new MessageChannel();
+  import("../source/transform.js").then(
+    (module) => module.answer(port1, transformRequest),
+    (/** @type {unknown} */ error) =>
+      fail(`The code for transformRequest could not be loaded: ${error}`),
+  );
+  return port2;
 }

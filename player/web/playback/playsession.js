@@ -1,6 +1,6 @@
 import { FormatError } from "../format/bytes.js";
-import { isKeyframe, layerOf, skipMapsOf, keyframeOf } from "../format/manifest.js";
-import { limitBytes, packetContent } from "../format/packet.js";
+import { isKeyframe, keyframeOf, layerOf, limitBytes, skipMapsOf } from "../format/manifest.js";
+import { packetContent } from "../format/zstd.js";
 import { FrameAssembler } from "./frameassembler.js";
 import { Playback } from "./playback.js";
 
@@ -15,6 +15,17 @@ const LEAST_AHEAD_FRAMES = 16;
  * those that show soon, and late ones for frames that have already shown.
  */
 export class ChunkFeed {
+  /** @type {unknown} */
+  failure = null;
+  /** Called after a packet that has arrived was passed on, or after a failure. */
+  onData = () => {};
+  /** @type {import("../source/segmentcache.js").PacketListener} */
+  listener = (birth, part, packet) => {
+    if (birth < this.startFrame || birth >= this.endFrame) return;
+    this.#pass(birth, part, packet);
+    this.onData();
+  };
+
   /**
    * @param {import("../source/segmentcache.js").SegmentCache} cache
    * @param {import("./frameassembler.js").FrameAssembler} play
@@ -23,23 +34,13 @@ export class ChunkFeed {
    */
   constructor(cache, play, manifest, firstFrame, numLayers) {
     this.cache = cache;
-    this.play = play;
+    /** @type {FrameAssembler} */ this.play = play;
     this.manifest = manifest;
-    this.numLayers = numLayers;
-    /** First frame of the segment that is joined by its keyframes. */
+    /** @type {number} */ this.numLayers = numLayers;
+    /** First frame of the segment that is joined by its keyframes. @type {number} */
     this.startFrame = cache.segmentOf(firstFrame) * manifest.segmentFrames;
-    /** End of the range of frames whose packets are passed on. */
+    /** End of the range of frames whose packets are passed on. @type {number} */
     this.endFrame = this.startFrame;
-    /** @type {unknown} */
-    this.failure = null;
-    /** Called after a packet that has arrived was passed on, or after a failure. */
-    this.onData = () => {};
-    /** @type {import("../source/segmentcache.js").PacketListener} */
-    this.listener = (birth, part, packet) => {
-      if (birth < this.startFrame || birth >= this.endFrame) return;
-      this.#pass(birth, part, packet);
-      this.onData();
-    };
     cache.listeners.add(this.listener);
     // The first picture need not wait for what comes after it.
     this.#lookUpTo(firstFrame + 1);

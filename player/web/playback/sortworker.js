@@ -20,7 +20,7 @@ const NONE = new Uint32Array();
 let order = null;
 /** @type {ShownFrame | null} */
 let newest = null;
-/** @type {import("./packing.js").SplatUpdate | null} the newest one, while it counts as half way there */
+/** @type {import("./frameassembler.js").SplatUpdate | null} the newest one, while it counts as half way there */
 let moving = null;
 /** @type {PendingUpdates | null} */
 let pending = null;

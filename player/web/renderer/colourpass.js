@@ -19,15 +19,15 @@ export class ColourPass {
    * @param {Record<string, number>} defines those of the splat shader
    */
   constructor(gl, { numSlots, nearM }, defines) {
-    this.gl = gl;
-    this.numSlots = numSlots;
-    this.reachM = COLOUR_TURN_RAD * nearM;
-    this.heightPx = Math.max(1, Math.ceil(numSlots / COLOUR_COLUMNS));
-    this.texture = makeTexture(gl);
+    /** @type {WebGL2RenderingContext} */ this.gl = gl;
+    /** @type {number} */ this.numSlots = numSlots;
+    /** @type {number} */ this.reachM = COLOUR_TURN_RAD * nearM;
+    /** @type {number} */ this.heightPx = Math.max(1, Math.ceil(numSlots / COLOUR_COLUMNS));
+    /** @type {WebGLTexture} */ this.texture = makeTexture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, COLOUR_COLUMNS, this.heightPx);
-    this.framebuffer = makeFramebuffer(gl, this.texture);
+    /** @type {WebGLFramebuffer} */ this.framebuffer = makeFramebuffer(gl, this.texture);
     this.program = makeProgram(gl, COLOURS, { ...defines, ...HARMONICS, STAGED_WIDTH_PX });
-    /** Has no attributes: the shader uses only the number of each point. */
+    /** Has no attributes: the shader uses only the number of each point. @type {WebGLVertexArrayObject} */
     this.points = gl.createVertexArray();
     /** @type {number[] | null} the viewing position of all colours, metres */
     this.seenFrom = null;

@@ -30,11 +30,11 @@ export class DepthQuery {
    */
   constructor(gl, splats) {
     splats.check();
-    this.gl = gl;
+    /** @type {WebGL2RenderingContext} */ this.gl = gl;
     this.splats = splats;
-    this.texture = makeTexture(gl);
+    /** @type {WebGLTexture} */ this.texture = makeTexture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, 1, 1);
-    this.framebuffer = makeFramebuffer(gl, this.texture);
+    /** @type {WebGLFramebuffer} */ this.framebuffer = makeFramebuffer(gl, this.texture);
   }
 
   /** Clears and binds the target: a single pixel, at the place of a picture's first pixel. */

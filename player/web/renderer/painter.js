@@ -27,12 +27,12 @@ class SharedContext extends EventTarget {
   #listening = new AbortController();
   /** @type {WebGL2RenderingContext | null} */
   #gl = null;
+  canvas = document.createElement("canvas");
+  /** Whether the context was lost for good, so that users have to acquire another one. */
+  isGone = false;
 
   constructor() {
     super();
-    this.canvas = document.createElement("canvas");
-    /** Whether the context was lost for good, so that users have to acquire another one. */
-    this.isGone = false;
     const { signal } = this.#listening;
     this.canvas.addEventListener("webglcontextlost", (event) => this.#lose(event), { signal });
     this.canvas.addEventListener("webglcontextrestored", () => this.#restore(), { signal });
@@ -48,9 +48,8 @@ class SharedContext extends EventTarget {
       alpha: false,
       depth: false,
     }));
-    if (gl === null) {
+    if (gl === null)
       throw new RendererError("This browser has no WebGL2; use a current one or another device");
-    }
     return gl;
   }
 
@@ -124,19 +123,20 @@ class SharedContext extends EventTarget {
  * Events: `lost`, `restored` (an empty renderer waits for all Gaussians), `gone`; see SharedContext.
  */
 export class Painter extends EventTarget {
+  context = SharedContext.acquire();
+  /** @type {SplatRenderer | null} null while nothing is open or the context is lost */
+  renderer = null;
+  /** @type {import("./splatrenderer.js").Shape | null} */
+  shape = null;
+
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     super();
-    this.canvas = canvas;
-    this.context = SharedContext.acquire();
+    /** @type {HTMLCanvasElement} */ this.canvas = canvas;
     const target = canvas.getContext("2d", { alpha: false });
     if (target === null) throw new TypeError("the canvas has a context of another kind");
-    this.target = target;
-    /** @type {SplatRenderer | null} null while nothing is open or the context is lost */
-    this.renderer = null;
-    /** @type {import("./splatrenderer.js").Shape | null} */
-    this.shape = null;
-    this.listening = this.#listen();
+    /** @type {CanvasRenderingContext2D} */ this.target = target;
+    /** @type {AbortController} */ this.listening = this.#listen();
   }
 
   #listen() {
@@ -185,8 +185,7 @@ export class Painter extends EventTarget {
   }
 
   /**
-   * Draws the renderer's Gaussians; the canvas gets the size of the picture. Does nothing while the
-   * context is lost.
+   * Draws the renderer's Gaussians; the canvas gets the size of the picture. Does nothing while the context is lost.
    * @param {import("../stereo/eyes.js").Viewpoint} viewpoint @param {number} widthPx of the canvas
    * @param {number} heightPx
    */

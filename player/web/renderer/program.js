@@ -39,18 +39,15 @@ export const SLOT = 0;
 
 /** WebGL2 is not available, or cannot hold the stream. */
 export class RendererError extends Error {
-  /** @param {string} message */
-  constructor(message) {
-    super(message);
-    this.name = "RendererError";
-  }
+  name = "RendererError";
 }
 
 /** The context was lost before everything was made; try again once it is restored. */
 export class ContextLostError extends RendererError {
+  name = "ContextLostError";
+
   constructor() {
     super("The graphics device was lost");
-    this.name = "ContextLostError";
   }
 }
 
@@ -63,8 +60,7 @@ export class ContextLostError extends RendererError {
 
 /**
  * Starts compiling a program. This may take the device some time; only `check` waits for it.
- * @param {WebGL2RenderingContext} gl
- * @param {string} text both stages, in GLSL ES 3.00 without the version line
+ * @param {WebGL2RenderingContext} gl @param {string} text both stages, in GLSL ES 3.00 without the version line
  * @param {Record<string, number>} defines @returns {Program}
  */
 export function makeProgram(gl, text, defines = {}) {

@@ -1,5 +1,5 @@
 import { ENTERS, MOVES } from "../constants.js";
-import { floatWords, latticeWords } from "../playback/words.js";
+import { floatWords, latticeWords } from "../playback/depthorder.js";
 import { makeProgram, makeTexture, STAGED_WIDTH_PX } from "./program.js";
 import IN_MOTION from "./shaders/moving.glsl";
 
@@ -32,6 +32,8 @@ export class Inbetween {
   /** Number of Gaussians whose state was saved for the update. */
   #count = 0;
   #heightPx = 0;
+  /** @type {WebGLTexture | null} */
+  texture = null;
 
   /**
    * @param {import("./splatrenderer.js").SplatRenderer} renderer draws frames as they are until `attach`
@@ -39,15 +41,13 @@ export class Inbetween {
    */
   constructor(renderer, numSlots) {
     const { gl, resident, defines } = renderer;
-    this.gl = gl;
+    /** @type {WebGL2RenderingContext} */ this.gl = gl;
     this.renderer = renderer;
-    this.texels = defines.SH_DEGREE >= 2 ? 4 : resident.texels;
+    /** @type {number} */ this.texels = defines.SH_DEGREE >= 2 ? 4 : resident.texels;
     const more = { SAVED: this.texels, STAGED_WIDTH_PX, NUM_SLOTS: numSlots, ENTERS, MOVES };
     this.program = makeProgram(gl, IN_MOTION, { ...defines, ...more });
     this.splats = renderer.makeSplats({ ...more, MOVING: 1 }, IN_MOTION);
-    this.framebuffer = gl.createFramebuffer();
-    /** @type {WebGLTexture | null} */
-    this.texture = null;
+    /** @type {WebGLFramebuffer} */ this.framebuffer = gl.createFramebuffer();
   }
 
   /** Makes the renderer use it once its programs are ready. Throws a RendererError if one was refused. */
@@ -92,7 +92,7 @@ export class Inbetween {
     const { columns } = this.renderer.resident;
     const heightPx = Math.ceil(count / columns);
     if (heightPx <= this.#heightPx) return true;
-    const limitPx = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+    const limitPx = Number(gl.getParameter(gl.MAX_TEXTURE_SIZE));
     if (heightPx > limitPx) return false;
     this.#heightPx = Math.min(Math.ceil(1.25 * heightPx), limitPx);
     gl.deleteTexture(this.texture);

@@ -16,7 +16,7 @@ export class AudioClock {
 
   /** @param {AudioContext} context */
   constructor(context) {
-    this.context = context;
+    /** @type {AudioContext} */ this.context = context;
   }
 
   /** Reads both clocks, and updates the offset. */

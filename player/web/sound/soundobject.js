@@ -10,14 +10,14 @@ import {
   SOUND_MAGIC,
 } from "../constants.js";
 import { ByteReader, corrupt, isMagic } from "../format/bytes.js";
-import { crc32 } from "../format/crc32.js";
+import { crc32 } from "../format/objects.js";
 
 const FIRST = 2;
 const LAST = 4;
 /** Limit for one page: it can list 255 lengths, of which the last one must be below 255. */
 const MOST_PACKET_BYTES = 254 * 255;
 
-const TABLE = Uint32Array.from({ length: 256 }, (_, n) => {
+const TABLE = new Uint32Array(256).map((_, n) => {
   let c = n << 24;
   for (let bit = 0; bit < 8; bit++) c = c < 0 ? (c << 1) ^ 0x04c11db7 : c << 1;
   return c;
@@ -37,9 +37,8 @@ export function oggOf(packets, ends, channels) {
   const tags = new Uint8Array(16);
   write(tags, "OpusTags");
   const pages = [page(head, 0, 0, FIRST), page(tags, 1, 0, 0)];
-  for (const [n, packet] of packets.entries()) {
+  for (const [n, packet] of packets.entries())
     pages.push(page(packet, n + 2, ends[n], n === packets.length - 1 ? LAST : 0));
-  }
   const file = new Uint8Array(pages.reduce((sum, { length }) => sum + length, 0));
   let at = 0;
   for (const one of pages) {
@@ -61,8 +60,8 @@ function write(bytes, letters) {
  */
 function page(packet, number, position, flags) {
   if (packet.length > MOST_PACKET_BYTES) throw corrupt(`sound: a packet of ${packet.length} bytes`);
-  const lengths = new Array(Math.floor(packet.length / 255)).fill(255);
-  lengths.push(packet.length % 255);
+  const whole = new Uint8Array(Math.floor(packet.length / 255)).fill(255);
+  const lengths = [...whole, packet.length % 255];
   const begin = 27 + lengths.length;
   const bytes = new Uint8Array(begin + packet.length);
   const view = new DataView(bytes.buffer);

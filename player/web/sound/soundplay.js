@@ -72,9 +72,9 @@ export class SoundPlay extends EventTarget {
     const manifest = /** @type {import("../playback/messages.js").OpenManifest} */ (
       player.manifest
     );
-    this.player = player;
+    /** @type {WebPlayer} */ this.player = player;
     this.manifest = manifest;
-    this.loops = loops;
+    /** @type {() => boolean} */ this.loops = loops;
     this.sources = readSources(manifest.sound);
     if (typeof AudioContext === "undefined") throw new Error("this browser has no Web Audio");
     this.timeline = new Timeline(manifest.fps, manifest.segmentFrames);

@@ -8,10 +8,7 @@ const REACH = 480;
 /** Every STRIDE-th sample is compared. */
 const STRIDE = 4;
 
-const RISE = Float32Array.from(
-  { length: HOP },
-  (_, n) => Math.sin((Math.PI * (n + 0.5)) / 2 / HOP) ** 2,
-);
+const RISE = new Float32Array(HOP).map((_, n) => Math.sin((Math.PI * (n + 0.5)) / 2 / HOP) ** 2);
 
 /**
  * The sound stretched to `length` samples. Its beginning and end are those of the original, so that pieces
@@ -96,7 +93,7 @@ function alike(mono, follows, place) {
  * @param {Float32Array} channel @param {number} length
  */
 function resampled(channel, length) {
-  return Float32Array.from({ length }, (_, n) => {
+  return new Float32Array(length).map((_, n) => {
     const at = (n * channel.length) / length;
     const before = channel[Math.floor(at)];
     const after = channel[Math.min(channel.length - 1, Math.floor(at) + 1)];
@@ -145,10 +142,10 @@ export class SoundRun {
    * @param {number} zeroS when sample 0 is or was due, by the context's clock @param {number} rate
    */
   constructor(context, timeline, outputs, zeroS, rate) {
-    this.context = context;
+    /** @type {BaseAudioContext} */ this.context = context;
     this.timeline = timeline;
-    this.rate = rate;
-    this.zero = Math.round(zeroS * SAMPLE_RATE);
+    /** @type {number} */ this.rate = rate;
+    /** @type {number} */ this.zero = Math.round(zeroS * SAMPLE_RATE);
     this.#steppedS = context.currentTime;
     const next = this.#sampleAt(context.currentTime + SOON_S);
     this.#voices = outputs.map(([track, output]) => {

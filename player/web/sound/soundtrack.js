@@ -122,8 +122,8 @@ export class SoundTrack {
    * @param {(error: unknown) => void} refused called with the error of a refused object
    */
   constructor(source, timeline, fetchObject, decode, refused) {
-    this.source = source;
-    this.timeline = timeline;
+    /** @type {SoundSource} */ this.source = source;
+    /** @type {Timeline} */ this.timeline = timeline;
     this.fetchObject = fetchObject;
     this.decode = decode;
     this.refused = refused;

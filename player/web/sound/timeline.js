@@ -18,8 +18,8 @@ export class Timeline {
 
   /** @param {number} fps @param {number} segmentFrames */
   constructor(fps, segmentFrames) {
-    this.fps = fps;
-    this.segmentFrames = segmentFrames;
+    /** @type {number} */ this.fps = fps;
+    /** @type {number} */ this.segmentFrames = segmentFrames;
   }
 
   /**
@@ -74,7 +74,7 @@ export class Timeline {
    * @param {number} sample @param {number} count samples @param {boolean} loops @param {number} most
    */
   piecesFrom(sample, count, loops, most) {
-    const pieces = [];
+    const pieces = /** @type {ReturnType<Timeline["pieceAt"]>[]} */ ([]);
     for (let left = count, at = sample; left > 0 && pieces.length < most; ) {
       if (at >= this.length) {
         if (!loops || this.length === 0) break;

@@ -71,3 +71,16 @@ export function firstUrls(url) {
   if (isPacked(url)) return [];
   return ["manifest.json", "index.bin"].map((name) => fileUrl(name, url));
 }
+
+/**
+ * The URL of a picture that the manifest of an open stream names, the poster or the storyboard; null if there is none.
+ * @param {import("../element/streamsession.js").StreamSession} session
+ * @param {string} path as in the manifest @returns {Promise<string | null>}
+ */
+export async function pictureUrl({ base, files, source }, path) {
+  const url = fileUrl(path.split("/").map(encodeURIComponent).join("/"), base);
+  if (files === null && !source?.transformRequest) return url;
+  const { fetchedPicture } = await import("./packedpicture.js");
+  if (files === null) return fetchedPicture(url, path, source);
+  return Object.hasOwn(files, path) ? fetchedPicture(base, path, source, files[path]) : null;
+}

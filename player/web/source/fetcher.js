@@ -65,11 +65,7 @@ export const REPLACED = "This video was replaced";
 
 /** A stream cannot be fetched; the message gives the remedy. */
 export class SourceError extends Error {
-  /** @param {string} message */
-  constructor(message) {
-    super(message);
-    this.name = "SourceError";
-  }
+  name = "SourceError";
 }
 
 /** A failure that may be over at the next try. */
@@ -98,9 +94,14 @@ export function discard({ body }) {
 
 /** Fetches files, with retries while the network or the server is unreachable. */
 export class Fetcher {
+  receivedBytes = 0;
+  /** Whether the last thing that `get` has said is a problem. */
+  hasTrouble = false;
+  gate = new Gate();
+  heardMs = -Infinity;
+
   /**
-   * @param {object} [options]
-   * @param {number} [options.giveUpS] seconds without new bytes after which it gives up
+   * @param {object} [options] @param {number} [options.giveUpS] seconds without new bytes after which it gives up
    * @param {(message: string | null) => void} [options.onTrouble] called with a description of the
    *   problem, and with null when it is over
    * @param {(picture: string | null) => void} [options.onAwaited] called again and again while a stream
@@ -110,16 +111,11 @@ export class Fetcher {
    *   request; in a worker, the port to the page's function
    */
   constructor({ giveUpS = 60, onTrouble = () => {}, onAwaited = () => {}, ...access } = {}) {
-    this.giveUpS = giveUpS;
+    /** @type {number} */ this.giveUpS = giveUpS;
     /** How the page wants requests to be sent. */
     this.access = access;
     this.onTrouble = onTrouble;
     this.onAwaited = onAwaited;
-    this.receivedBytes = 0;
-    /** Whether the last thing that `get` has said is a problem. */
-    this.hasTrouble = false;
-    this.gate = new Gate();
-    this.heardMs = -Infinity;
   }
 
   /**
@@ -167,8 +163,8 @@ export class Fetcher {
     const { credentials, transformRequest } = this.access;
     const request = { credentials, ...init };
     if (!transformRequest) return [url, request];
-    const module = await import("./transform.js"); // whole, as the page has it
-    return module.transformed(transformRequest, url, request).catch((error) => {
+    const code = await import("./transform.js"); // whole, as the page has it
+    return code.transformed(transformRequest, url, request).catch((/** @type {Error} */ error) => {
       request.signal?.throwIfAborted();
       throw new SourceError(error.message);
     });
@@ -245,9 +241,8 @@ export class Fetcher {
           refused = await this.findRefusal(url);
           if (refused) continue; // once more, since the network may be back
         }
-        if (performance.now() - goodMs > 1000 * this.giveUpS) {
+        if (performance.now() - goodMs > 1000 * this.giveUpS)
           throw new SourceError(`${url} cannot be reached; check the network and try again`);
-        }
         const why = error instanceof SilentError ? SILENT : GONE;
         this.hasTrouble = true;
         this.onTrouble(`${why}; trying again`);

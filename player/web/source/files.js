@@ -59,11 +59,10 @@ export async function fetchRange(fetcher, url, { first, size }, onBytes, init = 
 }
 
 /**
- * The bytes of a file of the stream at `base`, from the manifest's folder or from the packed stream.
- * Rejects with a SourceError.
+ * The bytes of a file of the stream at `base`, from the manifest's folder or from the packed stream. Rejects with a
+ * SourceError.
  * @param {import("./fetcher.js").Fetcher} fetcher @param {string} base @param {string} path
- * @param {import("./source.js").SourceStream["files"]} files @param {number} mostBytes
- * @param {RequestInit} [init]
+ * @param {import("./source.js").SourceStream["files"]} files @param {number} mostBytes @param {RequestInit} [init]
  */
 export async function fileBytes(fetcher, base, path, files, mostBytes, init) {
   if (files === null) return fetcher.get(fileUrl(path, base), mostBytes, undefined, init);

@@ -1,46 +1,49 @@
-import { MAX_MANIFEST_BYTES } from "../constants.js";
-import { corrupt } from "../format/bytes.js";
-import { checkGaussians, readManifest, keyframeOf } from "../format/manifest.js";
-import { readObject } from "../format/objects.js";
+import { MAX_INDEX_BYTES, MAX_MANIFEST_BYTES } from "../constants.js";
+import { corrupt, FormatError } from "../format/bytes.js";
+import { checkGaussians, keyframeOf, readManifest } from "../format/manifest.js";
+import { readIndex, readObject, recordBytes } from "../format/objects.js";
 import { fileUrl } from "./addresses.js";
-import { addObject } from "./cachedobjects.js";
-import { SourceError } from "./fetcher.js";
+import { Fetcher, REPLACED, SourceError } from "./fetcher.js";
 import { objectPath, objectUrl } from "./files.js";
-import { HostedDownload, RateEstimator, RequestWindow, watchCache } from "./hosteddownload.js";
-import { explained, follow, GrowingIndex } from "./live.js";
+import {
+  addObject,
+  HostedDownload,
+  RateEstimator,
+  RequestWindow,
+  watchCache,
+} from "./hosteddownload.js";
 import { followPeriodS } from "./liveedge.js";
 import { SegmentCache } from "./segmentcache.js";
 
 /** A stream of files on any static host. It fetches whole objects, see LayerRule. */
 export class HostedStream {
+  estimator = new RateEstimator();
+  /** Whether the last play is paused. */
+  isPaused = false;
+  window = new RequestWindow();
+  /** @type {Map<string, unknown>} errors of objects of layers above 0, by segment and part */
+  absent = new Map();
+
   /**
    * @param {string} base URL of the folder, with a trailing slash
-   * @param {import("./fetcher.js").Fetcher} fetcher
-   * @param {import("../format/manifest.js").Manifest} manifest
+   * @param {Fetcher} fetcher @param {import("../format/manifest.js").Manifest} manifest
    * @param {boolean} otherHosts whether objects may be on other hosts than the manifest
    * @param {number} [bufferBytes] limit for the received data that is kept
    */
   constructor(base, fetcher, manifest, otherHosts, bufferBytes) {
-    this.base = base;
-    this.otherHosts = otherHosts;
+    /** @type {string} */ this.base = base;
+    /** @type {boolean} */ this.otherHosts = otherHosts;
     this.fetcher = fetcher;
     this.manifest = manifest;
     this.cache = new SegmentCache(manifest, bufferBytes);
     this.index = new GrowingIndex(fileUrl("index.bin", base), fetcher, manifest);
-    this.estimator = new RateEstimator();
     watchCache((numBytes) => this.estimator.remove(numBytes));
-    /** Whether the last play is paused. */
-    this.isPaused = false;
-    this.window = new RequestWindow();
-    /** @type {Map<string, unknown>} errors of objects of layers above 0, by segment and part */
-    this.absent = new Map();
   }
 
   /**
-   * Reads manifest and index; waits for the first frames of a live stream. Rejects with a SourceError
-   * or a FormatError.
-   * @param {string} base @param {import("./fetcher.js").Fetcher} fetcher
-   * @param {number | null} maxGaussians see `checkGaussians`
+   * Reads manifest and index; waits for the first frames of a live stream. Rejects with a SourceError or a
+   * FormatError.
+   * @param {string} base @param {Fetcher} fetcher @param {number | null} maxGaussians see `checkGaussians`
    * @param {boolean} otherHosts whether objects may be on other hosts than the manifest
    * @param {number} [bufferBytes] limit for the received data that is kept
    */
@@ -142,11 +145,107 @@ export class HostedStream {
 
 /**
  * The current manifest. Rejects with a SourceError or a FormatError.
- * @param {string} base @param {import("./fetcher.js").Fetcher} fetcher
+ * @param {string} base @param {Fetcher} fetcher
  */
 async function fetchManifest(base, fetcher) {
   const init = /** @type {RequestInit} */ ({ cache: "no-cache" });
   return readManifest(
     await fetcher.get(fileUrl("manifest.json", base), MAX_MANIFEST_BYTES, undefined, init),
   );
+}
+
+/** The index of a stream that may grow. */
+export class GrowingIndex {
+  /** @param {string} url @param {Fetcher} fetcher @param {import("../format/manifest.js").Manifest} manifest */
+  constructor(url, fetcher, manifest) {
+    /** @type {string} */ this.url = url;
+    /** @type {Fetcher} */ this.fetcher = fetcher;
+    this.manifest = manifest;
+    /** @type {import("../format/objects.js").SegmentRecord[]} records of all known segments */
+    this.records = [];
+  }
+
+  /**
+   * Fetches the records that were appended since the last call, adds them and returns them. Rejects with
+   * a SourceError or a FormatError, and is then unchanged.
+   */
+  async refresh() {
+    const { url, manifest, records } = this;
+    const known = records.length - 1;
+    /** @type {RequestInit} */
+    const init = { cache: "no-store" };
+    // The range starts with the last known record. That record tells a range from a whole file, which
+    // some hosts send anyway, and this stream from another one.
+    if (known > 0) init.headers = { Range: `bytes=${known * recordBytes(manifest)}-` };
+    const bytes = await this.fetcher.get(url, MAX_INDEX_BYTES, undefined, init);
+    const isRange = known > 0 && bytes.length >= 4 && firstSegment(bytes) === known;
+    const first = isRange ? known : 0;
+    const found = readIndex(bytes, manifest, first);
+    if (known >= 0 && !isSame(found[known - first], records[known]))
+      throw new SourceError(REPLACED);
+    const fresh = found.slice(known + 1 - first);
+    records.push(...fresh);
+    return fresh;
+  }
+}
+
+/**
+ * The error to report for `error` of a stream: that it was replaced, if it was.
+ * @param {GrowingIndex} index @param {unknown} error
+ */
+async function explained({ url, fetcher, manifest, records }, error) {
+  // Where there is no network, `error` says so already.
+  const now = new GrowingIndex(url, new Fetcher({ ...fetcher.access, giveUpS: 0 }), manifest);
+  try {
+    await now.refresh();
+  } catch (other) {
+    // A stream of other layers has records of another size.
+    return other instanceof FormatError ? new SourceError(REPLACED) : error;
+  }
+  const last = records.length - 1;
+  return isSame(now.records[last], records[last]) ? error : new SourceError(REPLACED);
+}
+
+/** @param {Uint8Array} bytes */
+function firstSegment(bytes) {
+  return new DataView(bytes.buffer, bytes.byteOffset).getUint32(0, true);
+}
+
+/**
+ * Whether a segment is the one that it was.
+ * @param {import("../format/objects.js").SegmentRecord | undefined} found
+ * @param {import("../format/objects.js").SegmentRecord} known
+ */
+export function isSame(found, known) {
+  const [hash] = found?.objectSha256 ?? [];
+  return hash !== undefined && hash.every((byte, i) => byte === known.objectSha256[0][i]);
+}
+
+/** Errors of a host are tolerated for this time, for example while its files are replaced. */
+const TOLERATED_S = 60;
+/** Seconds between two checks while the stream is paused: its edge stays known closely enough to count as live. */
+const PAUSED_PERIOD_S = 2.5;
+
+/**
+ * Follows a live stream until it has ended. Rejects with the host's error if that lasts.
+ * @param {HostedStream} stream @param {() => void} onGrown called when the stream has more frames, or has ended
+ */
+export async function follow(stream, onGrown) {
+  let goodMs = performance.now();
+  while (stream.manifest.live) {
+    const periodS = followPeriodS(stream.manifest);
+    let waitedS = 0;
+    do {
+      await new Promise((resolve) => setTimeout(resolve, 1000 * periodS));
+      waitedS += periodS;
+    } while (stream.isPaused && waitedS < PAUSED_PERIOD_S);
+    try {
+      const isNew = await stream.refresh();
+      goodMs = performance.now();
+      if (isNew) onGrown();
+    } catch (error) {
+      console.warn(`The stream could not be looked for: ${error}`);
+      if (performance.now() - goodMs > 1000 * TOLERATED_S) throw error;
+    }
+  }
 }

@@ -1,8 +1,36 @@
-/** The download from a static host, and the measurement of its link. */
+/** The download of whole objects from a static host into the cache, and the measurement of its link. */
 
-import { layerOf } from "../format/manifest.js";
-import { addObject, hasObject } from "./cachedobjects.js";
+import { isKeyframe, layerOf } from "../format/manifest.js";
 import { LayerRule } from "./layerrule.js";
+import { isWhole } from "./segmentcache.js";
+
+/** @typedef {import("../format/manifest.js").Part} Part */
+/** @typedef {import("./segmentcache.js").SegmentCache} SegmentCache */
+
+const EMPTY = new Uint8Array(0);
+
+/**
+ * Adds the packets of an object; a frame without a packet counts as unchanged.
+ * @param {SegmentCache} cache
+ * @param {Pick<import("../format/objects.js").SegmentRecord, "firstFrame" | "numFrames">} record @param {Part} part
+ * @param {Map<number, Uint8Array>} packets by birth
+ */
+export function addObject(cache, { firstFrame, numFrames }, part, packets) {
+  const isOne = isKeyframe(cache, part);
+  for (let birth = firstFrame; birth < firstFrame + (isOne ? 1 : numFrames); birth++) {
+    const packet = packets.get(birth) ?? (isOne ? null : EMPTY);
+    if (packet !== null) cache.add(birth, part, packet);
+  }
+}
+
+/**
+ * Whether all packets of an object are cached.
+ * @param {SegmentCache} cache @param {number} segment @param {Part} part @param {number} numFrames of the segment
+ */
+export function hasObject(cache, segment, part, numFrames) {
+  const row = cache.segments.get(segment)?.rows[part];
+  return row !== undefined && isWhole(row, 0, isKeyframe(cache, part) ? 1 : numFrames);
+}
 
 /** Busy seconds after which a measurement counts half. */
 const HALF_LIFE_S = 0.4;
@@ -22,14 +50,12 @@ const WEIGHT = 1 / 4;
 
 /** Estimates a connection's throughput: bytes over busy time, with exponentially decaying weights. */
 export class RateEstimator {
-  constructor() {
-    /** @type {number | null} bits per second; null until enough data has arrived */
-    this.rateBps = null;
-    this.bytes = 0;
-    this.busyS = 0;
-    /** Whether enough bytes of the connection have arrived. */
-    this.isKnown = false;
-  }
+  /** @type {number | null} bits per second; null until enough data has arrived */
+  rateBps = null;
+  bytes = 0;
+  busyS = 0;
+  /** Whether enough bytes of the connection have arrived. */
+  isKnown = false;
 
   /**
    * Adds the bytes that arrived during `busyS` seconds with data in flight.
@@ -111,27 +137,28 @@ const STEP_S = 0.1;
 
 /** One play of a hosted stream: fetches what the rule chooses into the stream's cache. */
 export class HostedDownload {
+  /** @type {Map<string, Coming>} by segment and part */
+  coming = new Map();
+  paused = false;
+  rate = 1;
+  /** Seconds of the last measured time in which the link was busy. */
+  busyS = 0;
+  /** @type {unknown} */
+  failure = null;
+  isClosed = false;
+  /** Whether nothing more will be requested. */
+  isDone = false;
+  /** @type {() => void} called when data has arrived or a request has failed */
+  onData = () => {};
+
   /** @param {import("./hosted.js").HostedStream} stream @param {import("./source.js").PlayRequest} wish */
   constructor(stream, { firstFrame, mostLayers, nowS }) {
     this.stream = stream;
-    this.nowS = nowS;
-    this.mostLayers = mostLayers;
-    /** @type {Map<string, Coming>} by segment and part */
-    this.coming = new Map();
-    this.rule = this.#ruleFrom(firstFrame);
-    this.nextFrame = firstFrame;
-    this.paused = false;
-    this.rate = 1;
-    this.measuredS = nowS();
-    /** Seconds of the last measured time in which the link was busy. */
-    this.busyS = 0;
-    /** @type {unknown} */
-    this.failure = null;
-    this.isClosed = false;
-    /** Whether nothing more will be requested. */
-    this.isDone = false;
-    /** @type {() => void} called when data has arrived or a request has failed */
-    this.onData = () => {};
+    /** @type {() => number} */ this.nowS = nowS;
+    /** @type {number} */ this.mostLayers = mostLayers;
+    /** @type {LayerRule} */ this.rule = this.#ruleFrom(firstFrame);
+    /** @type {number} */ this.nextFrame = firstFrame;
+    /** @type {number} */ this.measuredS = nowS();
   }
 
   /** Estimated throughput of the link, bits per second; null while unknown. */
@@ -268,8 +295,7 @@ export class HostedDownload {
   }
 
   /**
-   * @param {import("../format/objects.js").SegmentRecord} record
-   * @param {import("../format/manifest.js").Part} part
+   * @param {import("../format/objects.js").SegmentRecord} record @param {import("../format/manifest.js").Part} part
    */
   async #fetch(record, part) {
     const name = `${record.segment}/${part}`;

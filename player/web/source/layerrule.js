@@ -37,9 +37,8 @@ const PLAN = {
  */
 
 /**
- * Decides which objects of a static host are fetched, and in which order: layer 0 some seconds ahead,
- * then further layers of the segments ahead, one after another, as far as the link delivers them in
- * time, then more of layer 0.
+ * Decides which objects of a static host are fetched, and in which order: layer 0 some seconds ahead, then further
+ * layers of the segments ahead, one after another, as far as the link delivers them in time, then more of layer 0.
  */
 export class LayerRule {
   /**
@@ -48,11 +47,11 @@ export class LayerRule {
    * @param {number} firstFrame @param {number} mostLayers @param {IsHere} [isHere]
    */
   constructor(manifest, records, firstFrame, mostLayers, isHere = () => false) {
-    this.isHere = isHere;
+    /** @type {IsHere} */ this.isHere = isHere;
     this.manifest = manifest;
     this.records = records;
-    this.mostLayers = mostLayers;
-    this.first = this.#segmentOf(firstFrame);
+    /** @type {number} */ this.mostLayers = mostLayers;
+    /** @type {number} */ this.first = this.#segmentOf(firstFrame);
     /** @type {Map<number, number>} by segment, the number of its layers that were requested */
     this.levels = new Map();
     /** @type {Set<string>} layers that segments lack, although they were requested: segment and layer */
@@ -100,8 +99,7 @@ export class LayerRule {
   }
 
   /**
-   * The missing parts of a segment's next layer. A layer that the previous segment lacks begins with its
-   * keyframe.
+   * The missing parts of a segment's next layer. A layer that the previous segment lacks begins with its keyframe.
    * @param {number} segment
    */
   parts(segment) {
@@ -164,7 +162,7 @@ export class LayerRule {
    * @param {number} segment @param {number} numLayers
    */
   #needBps(segment, numLayers) {
-    const layers = Array.from({ length: numLayers }, (_, layer) => layer);
+    const layers = [...Array(numLayers).keys()];
     const bits = 8 * this.bytes(segment, [skipMapsOf(this.manifest), ...layers]);
     return (bits * this.manifest.fps) / this.records[segment].numFrames;
   }

@@ -19,8 +19,7 @@ import { checkGaussians, skipMapsOf, readManifest, keyframeOf } from "../format/
 import { readIndex } from "../format/objects.js";
 import { Fetcher, REPLACED, SourceError } from "./fetcher.js";
 import { fetchRange } from "./files.js";
-import { HostedStream } from "./hosted.js";
-import { isSame } from "./live.js";
+import { HostedStream, isSame } from "./hosted.js";
 
 const MANIFEST_NAME = "manifest.json";
 const INDEX_NAME = "index.bin";
@@ -104,14 +103,13 @@ function names(value, key, most) {
 class PackedLayout {
   /**
    * @param {PackedHead} head @param {import("../format/manifest.js").Manifest} manifest
-   * @param {import("../format/objects.js").SegmentRecord[]} records
-   * @param {Uint8Array} tracks the table of sizes
+   * @param {import("../format/objects.js").SegmentRecord[]} records @param {Uint8Array} tracks the table of sizes
    */
   constructor(head, manifest, records, tracks) {
     this.manifest = manifest;
     this.records = records;
-    const layers = Array.from({ length: manifest.numLayers }, (_, layer) => layer);
-    /** In the order of a segment: the parts that a player of n layers needs are adjacent. */
+    const layers = [...Array(manifest.numLayers).keys()];
+    /** In the order of a segment: the parts that a player of n layers needs are adjacent. @type {number[]} */
     this.parts = [
       ...layers.map((layer) => keyframeOf(manifest, layer)).reverse(),
       skipMapsOf(manifest),
@@ -139,7 +137,7 @@ class PackedLayout {
     }
     for (const language of names(manifest.captions, "language", MAX_CAPTIONS))
       add(`captions-${language}.vtt`, sizes.u32());
-    /** Start of each segment's parts. */
+    /** Start of each segment's parts. @type {number[]} */
     this.starts = records.map((record) => {
       for (const name of sources) add(pathOf(record, SOUND_PREFIX + name), sizes.u32());
       const start = at;
@@ -147,7 +145,7 @@ class PackedLayout {
       return start;
     });
     sizes.finish();
-    /** End of the objects. */
+    /** End of the objects. @type {number} */
     this.endByte = at;
   }
 
@@ -180,14 +178,13 @@ export class PackedStream extends HostedStream {
    */
   constructor(url, fetcher, layout, fileBytes, bufferBytes) {
     super(url, fetcher, layout.manifest, false, bufferBytes);
-    this.layout = layout;
-    this.fileBytes = fileBytes;
+    /** @type {PackedLayout} */ this.layout = layout;
+    /** @type {number | null} */ this.fileBytes = fileBytes;
     this.index.records = layout.records;
   }
 
   /**
-   * Reads the beginning of the file, with one or two requests. Rejects with a SourceError or a
-   * FormatError.
+   * Reads the beginning of the file, with one or two requests. Rejects with a SourceError or a FormatError.
    * @override
    * @param {string} url @param {import("./fetcher.js").Fetcher} fetcher
    * @param {number | null} maxGaussians see `checkGaussians`

@@ -16,14 +16,11 @@ import {
 
 /** The server is unreachable or overloaded; it may be back soon. */
 export class GoneError extends Error {
-  /**
-   * @param {string} message @param {number} afterS minimum seconds before the next try
-   * @param {unknown} [cause]
-   */
+  /** @param {string} message @param {number} afterS minimum seconds before the next try @param {unknown} [cause] */
   constructor(message, afterS = 0, cause) {
     super(message, { cause });
-    this.name = "GoneError";
-    this.afterS = afterS;
+    /** @type {string} */ this.name = "GoneError";
+    /** @type {number} */ this.afterS = afterS;
   }
 }
 
@@ -49,23 +46,24 @@ const MOST_POINTS = 24;
 
 /** One response of a swings server to `play`, record by record (FORMAT.md, section 12). */
 export class PlayResponse {
+  bodyBytes = 0;
+  /** The bytes of it that are a part of the fetcher's `receivedBytes`. */
+  countedBytes = 0;
+  /** @type {[number, number][]} [ms, bytes of the body] since the last report */
+  points = [];
+  parser = new RecordParser();
+  /** @type {import("../constants.js").PlayRecord[]} parsed, but not returned yet */
+  records = [];
+
   /** @param {Response} response @param {AbortController} abort */
   constructor(response, abort) {
     const { body } = response;
     if (body === null) throw new GoneError(GONE);
-    this.token = response.headers.get("Swings-Play");
-    /** Time after which the server wants the next status report; 0: it does not say. */
+    /** @type {string | null} */ this.token = response.headers.get("Swings-Play");
+    /** Time after which the server wants the next status report; 0: it does not say. @type {number} */
     this.reportMs = Number(response.headers.get("Swings-Report-Ms"));
-    this.bodyBytes = 0;
-    /** The bytes of it that are a part of the fetcher's `receivedBytes`. */
-    this.countedBytes = 0;
-    /** @type {[number, number][]} [ms, bytes of the body] since the last report */
-    this.points = [];
-    this.abort = abort;
+    /** @type {AbortController} */ this.abort = abort;
     this.reader = body.getReader();
-    this.parser = new RecordParser();
-    /** @type {import("../constants.js").PlayRecord[]} parsed, but not returned yet */
-    this.records = [];
   }
 
   /**
@@ -83,12 +81,10 @@ export class PlayResponse {
     const headers = new Headers(lastToken ? { "Swings-Play": lastToken } : {});
     if (rateBps) headers.set("Swings-Rate", String(rateBps));
     if (typeof nextFrame === "number") headers.set("Swings-Frame", String(nextFrame));
-    let response;
-    try {
-      response = await fetcher.fetch(url, { headers, signal: abort.signal, cache: "no-store" });
-    } catch (error) {
+    const request = { headers, signal: abort.signal, cache: /** @type {const} */ ("no-store") };
+    const response = await fetcher.fetch(url, request).catch((/** @type {unknown} */ error) => {
       throw new GoneError(error instanceof SilentError ? SILENT : GONE, 0, error);
-    }
+    });
     if (response.ok) return new PlayResponse(response, abort);
     discard(response);
     if (response.status < 500) throw new SourceError(`${base}: HTTP ${response.status}`);
@@ -102,12 +98,9 @@ export class PlayResponse {
    */
   async next(onBytes = () => {}) {
     while (this.records.length === 0) {
-      let piece;
-      try {
-        piece = await this.reader.read();
-      } catch (error) {
+      const piece = await this.reader.read().catch((/** @type {unknown} */ error) => {
         throw new GoneError(GONE, 0, error);
-      }
+      });
       if (piece.done) return null;
       this.#note(piece.value.length);
       this.records = this.parser.feed(piece.value);
@@ -159,23 +152,24 @@ export async function openPlay(fetcher, base, query, signal) {
 
 /** Repeats requests to an unreachable server: the delays between tries, and when to give up. */
 export class ServerRetry {
+  /** The reason of the last failure. */
+  why = GONE;
+  /** Number of times in a row that the server has reported it. */
+  reports = 0;
+  tries = 0;
+  sinceMs = 0;
+  /** @type {SourceError | null} */
+  refused = null;
+  /** Whether the caller has ended, so that no further try is made. */
+  isOver = false;
+
   /**
    * @param {import("./fetcher.js").Fetcher} fetcher its `giveUpS` and `onTrouble` are used
    * @param {string} base URL of the stream
    */
   constructor(fetcher, base) {
     this.fetcher = fetcher;
-    this.base = base;
-    /** The reason of the last failure. */
-    this.why = GONE;
-    /** Number of times in a row that the server has reported it. */
-    this.reports = 0;
-    this.tries = 0;
-    this.sinceMs = 0;
-    /** @type {SourceError | null} */
-    this.refused = null;
-    /** Whether the caller has ended, so that no further try is made. */
-    this.isOver = false;
+    /** @type {string} */ this.base = base;
   }
 
   /** To be called after a success: the trouble is over. */

@@ -31,21 +31,22 @@ export const AHEAD_S = 20;
  * An empty packet means that nothing changes; a missing packet is null.
  */
 export class SegmentCache {
+  numBytes = 0;
+  /** @type {Map<number, HeldSegment>} the least recently used first */
+  segments = new Map();
+  /** @type {Set<PacketListener>} */
+  listeners = new Set();
+  playhead = 0;
+  /** @type {number | null} number of segments of the stream if it loops; otherwise null */
+  loopSegments = null;
+
   /** @param {import("../format/manifest.js").Manifest} manifest @param {number} limitBytes */
   constructor({ segmentFrames, numLayers, fps }, limitBytes = DEFAULT_BUFFER_BYTES) {
-    this.segmentFrames = segmentFrames;
-    this.numLayers = numLayers;
-    this.fps = fps;
-    this.limitBytes = limitBytes;
-    this.numBytes = 0;
-    /** @type {Map<number, HeldSegment>} the least recently used first */
-    this.segments = new Map();
-    /** @type {Set<PacketListener>} */
-    this.listeners = new Set();
-    this.aheadSegments = Math.ceil((AHEAD_S * fps) / segmentFrames);
-    this.playhead = 0;
-    /** @type {number | null} number of segments of the stream if it loops; otherwise null */
-    this.loopSegments = null;
+    /** @type {number} */ this.segmentFrames = segmentFrames;
+    /** @type {number} */ this.numLayers = numLayers;
+    /** @type {number} */ this.fps = fps;
+    /** @type {number} */ this.limitBytes = limitBytes;
+    /** @type {number} */ this.aheadSegments = Math.ceil((AHEAD_S * fps) / segmentFrames);
   }
 
   /**
@@ -132,7 +133,7 @@ export class SegmentCache {
 
   /** The layers whose keyframe is missing. @param {number} segment @param {number} numLayers */
   missingKeyframes(segment, numLayers) {
-    const layers = Array.from({ length: numLayers }, (_, layer) => layer);
+    const layers = [...Array(numLayers).keys()];
     return layers.filter((layer) => this.keyframe(segment, layer) === null);
   }
 
@@ -143,10 +144,7 @@ export class SegmentCache {
     return end;
   }
 
-  /**
-   * The cached frames, as [first, end) pairs in order.
-   * @param {number} numFrames @returns {[number, number][]}
-   */
+  /** The cached frames, as [first, end) pairs in order. @param {number} numFrames @returns {[number, number][]} */
   ranges(numFrames) {
     /** @type {[number, number][]} */
     const found = [];
@@ -211,7 +209,7 @@ export class SegmentCache {
    * @param {number} newest the segment that was just added to; it is not evicted
    */
   #evictOne(newest) {
-    let victim = null;
+    let victim = -1;
     let farthest = -1;
     const isLoop = this.loopSegments !== null;
     for (const segment of this.segments.keys()) {
@@ -223,7 +221,7 @@ export class SegmentCache {
       farthest = rank;
       victim = segment;
     }
-    if (victim === null) return false;
+    if (victim < 0) return false;
     this.numBytes -= this.segments.get(victim)?.numBytes ?? 0;
     this.segments.delete(victim);
     return true;

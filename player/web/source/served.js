@@ -12,25 +12,26 @@ const RETRY_S = 1;
 
 /** A stream of a swings server, which itself chooses what to send when. */
 export class ServedStream {
+  /** @type {number | null} the server's last reported estimate of the link's throughput */
+  rateBps = null;
+  onGrown = () => {};
+
   /**
    * @param {string} base @param {import("./fetcher.js").Fetcher} fetcher
    * @param {import("./playresponse.js").OpenedPlay} first
    * @param {number} [bufferBytes] limit for the received data that is kept
    */
   constructor(base, fetcher, first, bufferBytes) {
-    this.base = base;
+    /** @type {string} */ this.base = base;
     this.fetcher = fetcher;
     this.manifest = readManifest(first.start.manifest);
-    this.description = describe(first.start.manifest);
-    this.numFrames = first.start.numFrames;
+    /** @type {string} */ this.description = describe(first.start.manifest);
+    /** @type {number} */ this.numFrames = first.start.numFrames;
     this.cache = new SegmentCache(this.manifest, bufferBytes);
     /** @type {PlayResponse | null} the first response, for a play that begins at the same frame */
     this.first = first.response;
     /** @type {string | null} token of the last play, by which the server finds what it knows of the link */
     this.lastToken = first.response.token;
-    /** @type {number | null} the server's last reported estimate of the link's throughput */
-    this.rateBps = null;
-    this.onGrown = () => {};
   }
 
   /**

@@ -23,38 +23,39 @@ const REPORT_S = 1;
  * hold them, and again if the connection breaks.
  */
 export class ServedDownload {
+  paused = false;
+  reportedS = -Infinity;
+  /** Whether the answer to a report is awaited. */
+  isReporting = false;
+  reportTimer = 0;
+  /** @type {number | null} the server's estimate of the link's throughput */
+  rateBps = null;
+  /** @type {unknown} */
+  failure = null;
+  isClosed = false;
+  /** Whether nothing more will be requested. */
+  isDone = false;
+  /** @type {() => void} called when data has arrived or a request has failed */
+  onData = () => {};
+  abort = new AbortController();
+  /** @type {PlayResponse | null} */
+  response = null;
+  moveOn = () => {};
+
   /** @param {ServedStream} stream @param {import("./source.js").PlayRequest} request */
   constructor(stream, { firstFrame, mostLayers, nowS }) {
-    this.stream = stream;
-    this.mostLayers = mostLayers;
-    this.nowS = nowS;
-    this.firstFrame = firstFrame;
-    /** End of the range of frames that were found in the cache, or were sent. */
+    /** @type {ServedStream} */ this.stream = stream;
+    /** @type {number} */ this.mostLayers = mostLayers;
+    /** @type {() => number} */ this.nowS = nowS;
+    /** @type {number} */ this.firstFrame = firstFrame;
+    /** End of the range of frames that were found in the cache, or were sent. @type {number} */
     this.endBirth = firstFrame;
-    this.nextFrame = firstFrame;
-    this.paused = false;
-    this.reportedS = -Infinity;
-    /** Whether the answer to a report is awaited. */
-    this.isReporting = false;
-    this.reportTimer = 0;
-    /** @type {number | null} the server's estimate of the link's throughput */
-    this.rateBps = null;
-    /** @type {unknown} */
-    this.failure = null;
-    this.isClosed = false;
-    /** Whether nothing more will be requested. */
-    this.isDone = false;
-    /** @type {() => void} called when data has arrived or a request has failed */
-    this.onData = () => {};
-    this.abort = new AbortController();
-    /** @type {PlayResponse | null} */
-    this.response = null;
-    this.moveOn = () => {};
+    /** @type {number} */ this.nextFrame = firstFrame;
     this.patience = new ServerRetry(stream.fetcher, stream.base);
     // Deferred, so that the caller can report the position first.
     Promise.resolve()
       .then(() => this.#run())
-      .catch((error) => this.#fail(error));
+      .catch((/** @type {unknown} */ error) => this.#fail(error));
   }
 
   /** @param {unknown} error */
@@ -131,10 +132,7 @@ export class ServedDownload {
     this.#reportReceived();
   }
 
-  /**
-   * Continues from another frame, see SourcePlay.
-   * @param {number} frame @param {import("./source.js").Move} how
-   */
+  /** Continues from another frame, see SourcePlay. @param {number} frame @param {import("./source.js").Move} how */
   moveTo(frame, how) {
     const { stream, mostLayers, firstFrame, endBirth } = this;
     const { cache } = stream;
@@ -221,8 +219,7 @@ export class ServedDownload {
   }
 
   /**
-   * The next frame after a segment that need not be sent, because it is cached, or too far ahead for a
-   * still picture.
+   * The next frame after a segment that need not be sent, because it is cached, or too far ahead for a still picture.
    * @param {number} segment
    */
   #endOfGap(segment) {
@@ -274,9 +271,8 @@ export class ServedDownload {
     const { first, base, lastToken, rateBps } = stream;
     stream.first = null;
     const layers = mostLayers < stream.manifest.numLayers ? mostLayers : null;
-    if (first !== null && fromFrame === 0 && layers === null && untilFrame === undefined) {
+    if (first !== null && fromFrame === 0 && layers === null && untilFrame === undefined)
       return first;
-    }
     first?.close();
     const paused = this.paused && fromFrame === this.nextFrame;
     // Without this, the server would count the cached frames as missing, and send a whole lead after them.
@@ -322,9 +318,8 @@ export class ServedDownload {
     const isKeyframe = record.kind === "keyframe";
     const birth = isKeyframe ? record.frame : record.birth;
     // A record far ahead of layer 0 is useless, and would stay in the cache.
-    if (birth < 0 || birth > this.endBirth + manifest.segmentFrames) {
+    if (birth < 0 || birth > this.endBirth + manifest.segmentFrames)
       throw corrupt(`play: the slice born at ${birth} arrived, but birth ${this.endBirth} is next`);
-    }
     if (!isKeyframe && record.skipMap !== null)
       cache.add(birth, skipMapsOf(manifest), record.skipMap);
     for (const [n, packet] of record.packets.entries()) {

@@ -1,7 +1,6 @@
 import { corrupt } from "../format/bytes.js";
-import { keyframeOf } from "../format/manifest.js";
+import { keyframeOf, limitBytes } from "../format/manifest.js";
 import { readObject } from "../format/objects.js";
-import { limitBytes } from "../format/packet.js";
 
 /** Most bytes of an object, for those of its chunk: a table, and blocks that do not shrink. @param {number} size */
 const objectBytes = (size) => Math.ceil(1.01 * size) + 1024;

@@ -36,11 +36,9 @@ async function changeOf(transformRequest, url) {
   }
 }
 
-/**
- * Answers what a worker asks through `port`.
- * @param {MessagePort} port @param {TransformRequest} transformRequest
- */
+/** Answers what a worker asks through `port`. @param {MessagePort} port @param {TransformRequest} transformRequest */
 export function answer(port, transformRequest) {
+  /** @param {MessageEvent<{ url: string, reply: MessagePort }>} question */
   port.onmessage = async ({ data: { url, reply } }) => {
     try {
       reply.postMessage({ change: await changeOf(transformRequest, url) });
@@ -50,15 +48,13 @@ export function answer(port, transformRequest) {
   };
 }
 
-/**
- * @param {MessagePort} port @param {string} url @param {Promise<never>} aborted @returns {Promise<Change>}
- */
+/** @param {MessagePort} port @param {string} url @param {Promise<never>} aborted @returns {Promise<Change>} */
 async function ask(port, url, aborted) {
   const { port1, port2 } = new MessageChannel();
   try {
+    /** @type {Promise<{ change?: Change, why?: string }>} */
     const answered = new Promise((resolve) => (port1.onmessage = ({ data }) => resolve(data)));
     port.postMessage({ url, reply: port2 }, [port2]);
-    /** @type {{ change?: Change, why?: string }} */
     const { change, why } = await Promise.race([answered, aborted]);
     if (change === undefined) throw new Error(why);
     return change;

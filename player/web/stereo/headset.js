@@ -55,10 +55,10 @@ export class Placement {
    * @param {Vector} up of the scene, unit
    */
   constructor(head, start, up) {
-    this.from = upright(head, XR_UP);
-    this.to = upright(start, up);
-    this.head = head.position;
-    this.start = start.position;
+    /** @type {Vector[]} */ this.from = upright(head, XR_UP);
+    /** @type {Vector[]} */ this.to = upright(start, up);
+    /** @type {Vector} */ this.head = head.position;
+    /** @type {Vector} */ this.start = start.position;
   }
 
   /** Converts a direction from the headset's space to the world. @param {Vector} a */
@@ -93,11 +93,7 @@ const MODE = "immersive-vr";
 
 /** A headset cannot be used; the message says what the user can do. */
 export class HeadsetError extends Error {
-  /** @param {string} message */
-  constructor(message) {
-    super(message);
-    this.name = "HeadsetError";
-  }
+  name = "HeadsetError";
 }
 
 /**
@@ -141,10 +137,7 @@ function drawIn(headset, view, nowMs, frame) {
  * Events: `select` (the trigger was pulled), `visibility` (this.isHidden), `ended`.
  */
 export class Headset extends EventTarget {
-  /**
-   * Begins a session. Needs a recent user gesture. Throws a HeadsetError.
-   * @param {WebGL2RenderingContext} gl
-   */
+  /** Begins a session. Needs a recent user gesture. Throws a HeadsetError. @param {WebGL2RenderingContext} gl */
   static async begin(gl) {
     const { xr } = navigator;
     if (xr === undefined) {
@@ -174,17 +167,17 @@ export class Headset extends EventTarget {
       );
     }
   }
+  /** @type {Placement | null} null: the next pose of the head makes it */
+  placement = null;
+  /** @type {import("./eyes.js").Viewpoint | null} */
+  last = null;
 
   /** @param {XRSession} session @param {XRWebGLLayer} layer @param {XRReferenceSpace} space */
   constructor(session, layer, space) {
     super();
-    this.session = session;
-    this.layer = layer;
-    this.space = space;
-    /** @type {Placement | null} null: the next pose of the head makes it */
-    this.placement = null;
-    /** @type {import("./eyes.js").Viewpoint | null} */
-    this.last = null;
+    /** @type {XRSession} */ this.session = session;
+    /** @type {XRWebGLLayer} */ this.layer = layer;
+    /** @type {XRReferenceSpace} */ this.space = space;
     space.addEventListener("reset", () => this.replace());
     session.addEventListener("select", () => this.dispatchEvent(new Event("select")));
     session.addEventListener("end", () => this.dispatchEvent(new Event("ended")));
@@ -221,8 +214,8 @@ export class Headset extends EventTarget {
     const head = frame.getViewerPose(this.space);
     if (!head) return this.last;
     this.placement ??= new Placement(poseOfTransform(head.transform.matrix), start, up);
-    const poses = [];
-    const views = [];
+    const poses = /** @type {Pose[]} */ ([]);
+    const views = /** @type {import("./eyes.js").EyeView[]} */ ([]);
     for (const view of head.views) {
       const port = this.layer.getViewport(view);
       // A device with one eye may report an empty part for the other.

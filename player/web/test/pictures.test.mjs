@@ -5,10 +5,16 @@ import { test } from "node:test";
 import { MOVES } from "../constants.js";
 import { readManifest, keyframeOf } from "../format/manifest.js";
 import { readIndex, readObject } from "../format/objects.js";
-import { DepthOrder, NEVER, PendingUpdates } from "../playback/depthorder.js";
+import {
+  DepthOrder,
+  floatWords,
+  latticeWords,
+  NEVER,
+  PendingUpdates,
+  roomFor,
+} from "../playback/depthorder.js";
 import { KeyframePreview } from "../playback/keyframepreview.js";
-import { floatWords, latticeWords, roomFor } from "../playback/words.js";
-import { addObject } from "../source/cachedobjects.js";
+import { addObject } from "../source/hosteddownload.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { filesOf, law, settled } from "./support.mjs";
 

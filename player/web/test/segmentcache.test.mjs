@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { addObject, hasObject } from "../source/cachedobjects.js";
+import { addObject, hasObject } from "../source/hosteddownload.js";
 import { SegmentCache } from "../source/segmentcache.js";
 
 /** The parts of a stream of two layers, after the changes of these. */

@@ -5,7 +5,7 @@ import { test } from "node:test";
 import { Fetcher, SourceError } from "../source/fetcher.js";
 import { fileUrl, folderUrl } from "../source/addresses.js";
 import { fetchRange, fileBytes, objectUrl } from "../source/files.js";
-import { follow, GrowingIndex } from "../source/live.js";
+import { follow, GrowingIndex } from "../source/hosted.js";
 import { edgeFrame, followPeriodS, isBehind } from "../source/liveedge.js";
 import { openPlay } from "../source/playresponse.js";
 import { FormatError } from "../format/bytes.js";

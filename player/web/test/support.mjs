@@ -3,9 +3,8 @@ import assert from "node:assert/strict";
 import { readdirSync, readFileSync } from "node:fs";
 import { test } from "node:test";
 import { fileURLToPath } from "node:url";
-import { crc32 } from "../format/crc32.js";
+import { crc32, recordBytes } from "../format/objects.js";
 import { readManifest } from "../format/manifest.js";
-import { recordBytes } from "../format/objects.js";
 import { cross, subtract, unit } from "../view/vectors.js";
 
 /** Random numbers that are the same for the same seed (Mulberry32). */

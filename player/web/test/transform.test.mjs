@@ -1,10 +1,10 @@
 /** A page's function that changes requests, in the page and asked by a worker. */
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { requestPort } from "../playback/requestport.js";
+import { requestPort } from "../playback/playerworkers.js";
 import { Fetcher } from "../source/fetcher.js";
 import { fetchRange, fileBytes } from "../source/files.js";
-import { pictureUrl } from "../source/pictures.js";
+import { pictureUrl } from "../source/addresses.js";
 import { openSource } from "../source/source.js";
 import { transformed } from "../source/transform.js";
 import { answering, filesOf } from "./support.mjs";

@@ -1,7 +1,11 @@
 /** A player of a static host over a link of a given rate and round trip, in time that does not pass. */
 import { Playback } from "../playback/playback.js";
-import { HostedDownload, RateEstimator, RequestWindow } from "../source/hosteddownload.js";
-import { hasObject } from "../source/cachedobjects.js";
+import {
+  hasObject,
+  HostedDownload,
+  RateEstimator,
+  RequestWindow,
+} from "../source/hosteddownload.js";
 import { SegmentCache } from "../source/segmentcache.js";
 import { manifestOf, settled } from "./support.mjs";
 

@@ -2,9 +2,9 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { readManifest } from "../format/manifest.js";
+import { limitBytes, readManifest } from "../format/manifest.js";
 import { readObject } from "../format/objects.js";
-import { limitBytes, packetContent } from "../format/packet.js";
+import { packetContent } from "../format/zstd.js";
 import { xxhash } from "../format/xxhash.js";
 import { filesOf, law } from "./support.mjs";
 

@@ -119,9 +119,9 @@ export class CameraMotion {
    * @param {Orbit} orbit the camera
    */
   constructor(scene, isReduced = () => false, orbit = new Orbit(scene)) {
-    this.orbit = orbit;
+    /** @type {Orbit} */ this.orbit = orbit;
     this.bounds = boundsOf(scene);
-    this.isReduced = isReduced;
+    /** @type {() => boolean} */ this.isReduced = isReduced;
     this.cameras = scene.cameras;
     this.homeIndex = scene.cameras.findIndex(({ name }) => name === scene.defaultCamera.name);
     this.cameraIndex = this.homeIndex;

@@ -32,9 +32,8 @@ export function between(from, to, share) {
   const [start, end] = [from, to].map(seenOf);
   let seen = mixed(start, end, share);
   const [startM, endM, mixedM] = [start, end, seen].map(length);
-  if (startM > 0 && endM > 0 && mixedM > 0.1 * Math.min(startM, endM)) {
+  if (startM > 0 && endM > 0 && mixedM > 0.1 * Math.min(startM, endM))
     seen = times(seen, (startM * (endM / startM) ** share) / mixedM);
-  }
   const away = [axes.right, axes.down, axes.forward].map((axis, i) => times(axis, seen[i]));
   return { pose: { position: subtract(centre, away.reduce(add)), ...axes }, centre };
 }

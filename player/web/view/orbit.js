@@ -1,7 +1,4 @@
-/**
- * The first view, which turns around a point: the middle of the scene, the lens for a picture's shape, and
- * drags.
- */
+/** The first view, which turns around a point: the middle of the scene, the lens for a picture's shape, and drags. */
 
 import { fitted, inCamera, poseOf, rigUp, worldToCamera } from "./pose.js";
 import {
@@ -74,10 +71,9 @@ const SHARE_ABOVE = 1 / 4;
 /**
  * The lens that shows a camera's view in a picture of another size.
  *
- * A picture narrower than the camera's shows a part of the view, centred on `focus` as far as the view
- * allows. Its scale is the geometric mean of showing the whole view and filling the picture with the
- * view, but the picture is at most MOST_HEIGHTS times as high as the view. A wider picture shows the
- * whole view, and more on both sides.
+ * A picture narrower than the camera's shows a part of the view, centred on `focus` as far as the view allows. Its
+ * scale is the geometric mean of showing the whole view and filling the picture with the view, but the picture is at
+ * most MOST_HEIGHTS times as high as the view. A wider picture shows the whole view, and more on both sides.
  * @param {Camera} camera @param {import("./vectors.js").Vector} focus metres @param {number} widthPx
  * @param {number} heightPx @returns {Camera} with the pose of `camera`
  */
@@ -141,9 +137,9 @@ export class Orbit {
     /** The pose and centre that a reset returns to. */
     this.home = { pose: poseOf(defaultCamera), centre: sceneCentre(poses, bounds) };
     this.base = this.home.pose;
-    this.centre = this.home.centre;
-    this.up = rigUp(poses);
-    /** The point that a picture too narrow for the whole view shows. */
+    /** @type {Vector} */ this.centre = this.home.centre;
+    /** @type {Vector} */ this.up = rigUp(poses);
+    /** The point that a picture too narrow for the whole view shows. @type {number[]} */
     this.focus = focus ?? this.home.centre;
   }
 

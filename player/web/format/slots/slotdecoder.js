@@ -1,9 +1,8 @@
 /** Decodes skip maps, changes and keyframes to the state of the slots (FORMAT.md, section 7). */
 
 import { LOG_SHARE, MIN_LOG_BYTES, NEW, PREDICTED, UNKNOWN } from "../../constants.js";
-import { decodeChange, decodeKeyframe } from "./change.js";
+import { decodeChange, decodeKeyframe, decodeSkipMap, SkipMapHistory } from "./chunks.js";
 import { corrupt, FormatError } from "../bytes.js";
-import { decodeSkipMap, SkipMapHistory } from "./skipmap.js";
 import { changedRows, movesOf, Slots } from "./slots.js";
 
 /**
@@ -35,25 +34,26 @@ import { changedRows, movesOf, Slots } from "./slots.js";
  * kept as long as a late packet may need them.
  */
 export class SlotDecoder {
+  /** First slot of each layer within a lane. */
+  rowEdges = [0];
+  /** @type {number | null} birth of the last applied slice */
+  frame = null;
+  /** @type {Map<string, Log>} by lane and layer, the oldest first */
+  logs = new Map();
+  /** @type {Map<number, Uint8Array>} statuses of this segment's slices, for late keyframes */
+  said = new Map();
+  /** @type {Map<string, Uint8Array>} by lane and layer, slots altered by late bytes since the last slice */
+  pending = new Map();
+
   /** @param {import("../gaussians.js").SlotLayout} layout @param {number} [numLayers] */
   constructor(layout, numLayers = layout.numLayers) {
     this.layout = layout;
-    this.numLayers = numLayers;
-    /** First slot of each layer within a lane. */
-    this.rowEdges = [0];
+    /** @type {number} */ this.numLayers = numLayers;
     for (const count of layout.slots)
       this.rowEdges.push(this.rowEdges[this.rowEdges.length - 1] + count);
-    /** @type {number | null} birth of the last applied slice */
-    this.frame = null;
     /** @type {Slots[][]} by lane and layer */
     this.lanes = Array.from({ length: layout.swinSize }, () => this.#unknownLane());
     this.history = new SkipMapHistory(layout);
-    /** @type {Map<string, Log>} by lane and layer, the oldest first */
-    this.logs = new Map();
-    /** @type {Map<number, Uint8Array>} statuses of this segment's slices, for late keyframes */
-    this.said = new Map();
-    /** @type {Map<string, Uint8Array>} by lane and layer, slots altered by late bytes since the last slice */
-    this.pending = new Map();
   }
 
   #unknownLane() {
@@ -70,12 +70,10 @@ export class SlotDecoder {
     const keyframe = decodeKeyframe(this.layout, bytes);
     const wanted =
       frame ?? (this.frame === null ? undefined : this.layout.segmentStart(this.frame));
-    if (wanted !== undefined && keyframe.frame !== wanted) {
+    if (wanted !== undefined && keyframe.frame !== wanted)
       throw corrupt(`keyframe: of frame ${keyframe.frame} where that of ${wanted} belongs`);
-    }
-    if (layer !== undefined && keyframe.layer !== layer) {
+    if (layer !== undefined && keyframe.layer !== layer)
       throw corrupt(`keyframe: of layer ${keyframe.layer} where that of ${layer} belongs`);
-    }
     if (keyframe.layer >= this.numLayers) return false;
     if (this.frame === null) this.frame = keyframe.frame;
     if (keyframe.frame > this.frame)
@@ -85,7 +83,7 @@ export class SlotDecoder {
     let used = false;
     for (const [i, slots] of keyframe.lanes.entries()) {
       const birth = keyframe.frame - swinSize + 1 + i;
-      const since = [];
+      const since = /** @type {number[]} */ ([]);
       for (let b = birth + swinSize; b <= this.frame; b += swinSize) since.push(b);
       const lane = this.layout.lane(birth);
       if (keyframe.frame === this.frame || this.#canUseLate(lane, keyframe.layer, since)) {
@@ -142,9 +140,8 @@ export class SlotDecoder {
    * @returns {SlotSlice}
    */
   apply(birth, skipMap, changes, shows = false) {
-    if (this.frame === null || birth !== this.frame + 1) {
+    if (this.frame === null || birth !== this.frame + 1)
       throw new RangeError(`the slice born at ${birth} does not follow ${this.frame}`);
-    }
     if (skipMap === null || !this.history.isReadable(birth)) return this.#loseLane(birth);
     const lane = this.layout.lane(birth);
     const statuses = decodeSkipMap(this.layout, birth, skipMap, this.history.of(birth));
@@ -213,7 +210,7 @@ export class SlotDecoder {
     this.pending.clear();
     const { swinSize } = this.layout;
     const frame = this.frame ?? 0;
-    return Array.from({ length: swinSize }, (_, i) => this.whole(frame - swinSize + 1 + i));
+    return [...Array(swinSize).keys()].map((i) => this.whole(frame - swinSize + 1 + i));
   }
 
   /** @param {number} birth @returns {SlotSlice} */
@@ -282,10 +279,7 @@ export class SlotDecoder {
     this.logs.set(at, { before: this.#replayed(layer, before, earlier, null), since: later });
   }
 
-  /**
-   * Drops the log of a layer of a lane if no late data can alter it.
-   * @param {number} lane @param {number} layer
-   */
+  /** Drops the log of a layer of a lane if no late data can alter it. @param {number} lane @param {number} layer */
   #dropIfComplete(lane, layer) {
     const log = this.logs.get(key(lane, layer));
     if (log === undefined || isWaiting(log)) return;
@@ -349,9 +343,8 @@ export class SlotDecoder {
     let total = 0;
     for (const { before, since } of this.logs.values()) {
       total += before?.numBytes ?? 0;
-      for (const { statuses, change } of since.values()) {
+      for (const { statuses, change } of since.values())
         total += statuses.length + (change?.length ?? 0);
-      }
     }
     return total;
   }

@@ -56,14 +56,14 @@ function gaussianAt(from, i, k) {
 export class Slots {
   /** @param {number} count @param {number} numAttributes @param {number} condition of all of them */
   constructor(count, numAttributes, condition) {
-    this.count = count;
-    this.numAttributes = numAttributes;
-    this.conditions = new Uint8Array(count).fill(condition);
-    /** (count, 3) in steps of the lattice. */
+    /** @type {number} */ this.count = count;
+    /** @type {number} */ this.numAttributes = numAttributes;
+    /** @type {Uint8Array} */ this.conditions = new Uint8Array(count).fill(condition);
+    /** (count, 3) in steps of the lattice. @type {Int32Array} */
     this.positions = new Int32Array(3 * count);
-    /** (count, A) two's complement, except for the opacity, which comes last and is unsigned. */
+    /** (count, A) two's complement, but the opacity, which comes last, is unsigned. @type {Uint8Array} */
     this.attributes = new Uint8Array(numAttributes * count);
-    /** (count) frames after the birth of the lane's slice. */
+    /** (count) frames after the birth of the lane's slice. @type {Uint8Array} */
     this.starts = new Uint8Array(count).fill(HIDDEN);
     /** @type {Map<number, Float32Array>} by slot */
     this.escapes = new Map();
@@ -94,7 +94,7 @@ export class Slots {
   /**
    * The changes of these slots by a slice. Throws a FormatError if the slice does not fit the slots.
    * @param {Uint8Array} statuses (count)
-   * @param {import("./change.js").Change | null} change null if it is missing @param {number} opacityLevels
+   * @param {import("./chunks.js").Change | null} change null if it is missing @param {number} opacityLevels
    * @returns {Delta}
    */
   delta(statuses, change, opacityLevels) {
@@ -105,7 +105,7 @@ export class Slots {
       positions: new Int32Array(3 * rows.length),
       attributes: new Uint8Array(this.numAttributes * rows.length),
       starts: new Uint8Array(rows.length).fill(HIDDEN),
-      escapes: new Map(),
+      escapes: /** @type {Map<number, Float32Array>} */ (new Map()),
     };
     let numPredicted = 0;
     let numNew = 0;
@@ -136,7 +136,7 @@ export class Slots {
   }
 
   /**
-   * @param {Delta} made @param {number} d @param {import("./change.js").Change} change
+   * @param {Delta} made @param {number} d @param {import("./chunks.js").Change} change
    * @param {number} from index among the predicted slots @param {number} opacityLevels
    */
   #predict(made, d, change, from, opacityLevels) {
@@ -160,9 +160,8 @@ export class Slots {
         this.attributes[width * row + i] + change.turns[width * from + i];
     }
     const opacity = made.attributes[width * (d + 1) - 1];
-    if (opacity >= opacityLevels) {
+    if (opacity >= opacityLevels)
       throw corrupt(`change: slot ${row} has opacity ${opacity} of ${opacityLevels} levels`);
-    }
   }
 
   /** Applies a slice; Gaussians that are kept have started by now. @param {Delta} delta */
