@@ -9,14 +9,7 @@ from codec.coders.coder import EncodedChunk
 from codec.errors import CorruptError
 from codec.kernel import kernel
 
-from .rangecoder import (
-    WHOLE,
-    decode_bit,
-    encode_bit,
-    finish_encoding,
-    new_model,
-    start_decoding,
-)
+from .rangecoder import WHOLE, decode_bit, encode_bit, finish_encoding, new_model, start_decoding
 from .slotlayout import ENDED, HEADER_BYTES, KEPT, NEW, PREDICTED, Kind, SlotHeader, SlotLayout
 
 CONTEXTS = 37

@@ -23,13 +23,7 @@ from codec.slots.slotlayout import MAX_LAYERS as MAX_LAYERS
 from codec.slots.slotlayout import SlotLayout
 
 from .captions import Captions, captions_of, check_captions
-from .manifestjson import (
-    lattice_of,
-    lattice_to_json,
-    number,
-    parse_manifest,
-    typed,
-)
+from .manifestjson import lattice_of, lattice_to_json, number, parse_manifest, typed
 from .sound import SoundSource, check_sources, sources_of
 
 VERSION = 1

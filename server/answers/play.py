@@ -34,13 +34,7 @@ from server.abr.clientstatus import (
 )
 from server.abr.decisioncontext import FixedLayers, SendKeyframes, SendSlices
 from server.abr.receipts import MOST_BEHIND_BYTES, REPORT_S, Receipts
-from server.abr.session import (
-    Finished,
-    PlaySession,
-    WaitForAck,
-    WaitForFrames,
-    WaitUntil,
-)
+from server.abr.session import Finished, PlaySession, WaitForAck, WaitForFrames, WaitUntil
 from server.http.connection import TcpInfo
 from server.http.content import NO_STORE, StreamedResponse
 from server.http.requestlog import FACTS

@@ -13,12 +13,7 @@ from dataclasses import dataclass
 from codec.errors import CodecError, CorruptError, UnreadableError
 from codec.storage.storage import Stamp, Storage
 from codec.stream.integrity import MAX_INDEX_BYTES
-from codec.stream.manifest import (
-    MANIFEST_NAME,
-    MAX_MANIFEST_BYTES,
-    SEGMENTS_NAME,
-    object_name,
-)
+from codec.stream.manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, SEGMENTS_NAME, object_name
 from codec.stream.reader import read_stream_file
 from codec.stream.segment import INDEX_NAME
 

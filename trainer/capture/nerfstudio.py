@@ -52,13 +52,7 @@ from .capture import (
 )
 from .dynerf import POINTS_NAME
 from .masks import folder_masks, mask_source
-from .picturefiles import (
-    IMAGES_NAME,
-    folder_names,
-    natural_order,
-    require_files,
-    safe_path,
-)
+from .picturefiles import IMAGES_NAME, folder_names, natural_order, require_files, safe_path
 from .points import read_ply, read_points
 from .synchrony import filmed, photographed
 from .transforms import (

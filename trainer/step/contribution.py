@@ -8,13 +8,7 @@ import numpy as np
 
 from codec.arrays import Doubles, Floats, Ints
 from codec.kernel import kernel, prange
-from player.render.blend import (
-    blend_pixel,
-    from_centre,
-    rows_hit,
-    tile_corner,
-    unclamped_alpha,
-)
+from player.render.blend import blend_pixel, from_centre, rows_hit, tile_corner, unclamped_alpha
 from player.render.project import CONIC_A, CONIC_B, CONIC_C, OPACITY, Q_MAX, TILE_PX, X, Y
 from trainer.capture.capture import Mask
 

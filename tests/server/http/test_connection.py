@@ -16,14 +16,7 @@ from aiohttp import web
 from server.http.content import Content, StreamedResponse, serve
 from server.operate.workers import SupervisorConfig
 from tests.support.server.certificates import make_certificate
-from tests.support.server.plain_site import (
-    Answers,
-    Handler,
-    connected,
-    in_memory,
-    on_site,
-    text,
-)
+from tests.support.server.plain_site import Answers, Handler, connected, in_memory, on_site, text
 from tests.support.server.running_server import eventually, quick_config
 from tests.support.server.virtualtime import in_virtual_time, now_s, passes
 from tests.support.waiting import BOUND_S
