@@ -137,6 +137,7 @@ class Generations:
         """Where they live; the host's arrays until a resident takes them in."""
         self.num_gs = config.num_gs
         self.lifespans = Lifespans(config.num_gs, config.swin_size)
+        self._has_base = config.base_rounds > 0
         self._adam = Adam(config.num_gs, config.sh_degree, config.optimiser)
         self._selections: dict[tuple[int, int | None], Selection] = {}
         # A strategy that uses one of these two puts its own array here.
@@ -235,25 +236,30 @@ class Generations:
         ones born no earlier, among `slots` (num_gs,). Gives the rows that moved.
 
         A dead one keeps its expiry and takes over its target's start, so it may show later than its
-        slice is due (the paper's "birth" and "start").
+        slice is due (the paper's "birth" and "start"). It takes from its target's opacity, which
+        a layer needs where it is shown without those above: if the first one trains by itself, no
+        target lies in a lower layer.
         """
         lifespans = self.lifespans
         values, moved, changed = self.values, [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         births = np.unique(lifespans.births)
+        layers = self.layers if self._has_base else np.zeros_like(self.layers)
         for birth in births[births <= last_frame]:
             logits = values.logit_opacities[: self.num_gs]
             is_dead = logits <= np.log(dead_opacity / (1 - dead_opacity))
-            born = (lifespans.births == birth) & (lifespans.starts < lifespans.expires) & slots
-            dead = np.flatnonzero(is_dead & born)
+            shows = (lifespans.starts < lifespans.expires) & slots
+            dying = is_dead & shows & (lifespans.births == birth)
             # Slices that no frame of the video shows yet must not attract any.
-            alive = np.flatnonzero(
-                ~is_dead & (lifespans.births >= birth) & (lifespans.starts <= last_frame) & slots
-            )
-            targets = relocate(values, dead, alive, dead_opacity, rng)
-            if len(targets):
-                lifespans.starts[dead] = lifespans.starts[targets]
-                moved.append(dead)
-                changed += [dead, targets]
+            begun = (lifespans.births >= birth) & (lifespans.starts <= last_frame)
+            living = ~is_dead & shows & begun
+            for layer in np.unique(layers[dying]):
+                dead = np.flatnonzero(dying & (layers == layer))
+                alive = np.flatnonzero(living & (layers >= layer))
+                targets = relocate(values, dead, alive, dead_opacity, rng)
+                if len(targets):
+                    lifespans.starts[dead] = lifespans.starts[targets]
+                    moved.append(dead)
+                    changed += [dead, targets]
         rows = np.unique(np.concatenate(changed))
         self._adam.reset(rows)
         self.home.send(rows)

@@ -24,6 +24,7 @@ from trainer.lease.takeover import Crossfade, PlayerState
 from trainer.step.optimiser import cells_of
 
 from .config import WindowPlan
+from .covers import covers_of
 from .observer import Window
 from .renew import Comparison
 from .sceneflow import scene_flow
@@ -32,6 +33,13 @@ from .strategy import Fit, Strategy
 LAYERED_FROM = 0.6
 """Share of genesis after which Gaussians have layers, each trained to look right without those
 above, if it does not settle: otherwise this begins with the first settling round."""
+
+BASE_PREFIX_RATIO = 1 / 3
+"""How often the first k + 1 layers are rendered alone, over the first k, if the first one trains by
+itself: so it stays what it was when the others began."""
+
+LEAST_CHANCE = 1e-12
+"""Of a Gaussian to get a cover, so that there is one where nothing is wrong."""
 
 TOGETHER_SIZES = (0.05, 0.02)
 """Sides of the cells in which Gaussians move together, one after the other, over the scene's
@@ -45,6 +53,9 @@ class LeasedSlots(Strategy):
         """takeover: another training that slots come to follow."""
         super().__init__(fit)
         self.leases, self._takeover = Leases(fit.config.lease, layout), takeover
+        self._base_rounds = fit.config.base_rounds if len(self.leases.slots) > 1 else 0
+        if self._base_rounds:
+            self.leases.layers[:] = 0  # until they are ranked
         fit.generations.layers = self.leases.layers
         if takeover is not None:
             fit.generations.follows = takeover.follows
@@ -67,7 +78,7 @@ class LeasedSlots(Strategy):
         """Renews the Gaussians of a settling round, or chooses what a new slice changes."""
         fit, config = self.fit, self.fit.config
         if plan.settled is not None and not plan.begin:
-            fit.renew_genesis()
+            self._begin_round(plan.settled)
         together: list[Ints] = []
         if plan.brings_new:
             # The window after genesis is the first of all its slices.
@@ -82,6 +93,25 @@ class LeasedSlots(Strategy):
         # picture says more of its camera than of what is still wrong.
         return replace(plan, whole=False, error_share=config.error_share, together=together)
 
+    def _begin_round(self, settled: int) -> None:
+        """Renews the Gaussians of a settling round. If the first layer trains by itself, the others
+        do not show until they begin anew, as covers of it where it is wrong."""
+        fit, layers = self.fit, self.leases.layers
+        lifespans = fit.generations.lifespans
+        if self._base_rounds and settled == 0:
+            self._rank()
+            lifespans.starts[layers > 0] = lifespans.expires[layers > 0]
+        elif self._base_rounds and settled == self._base_rounds:
+            upper, base = np.flatnonzero(layers).astype(np.int32), lifespans.active_rows(0)
+            _, _, errors = fit.compare(base, 0, 0)
+            chances = np.maximum(errors, LEAST_CHANCE)
+            below = fit.rng.choice(base, len(upper), p=chances / chances.sum())
+            fit.generations.place(upper, covers_of(fit.generations.read(below), fit.rng), 0)
+        fit.renew_genesis()
+
+    def _rank(self) -> None:
+        self.leases.rank(self.fit.contributions(self.fit.generations.lifespans.active_rows(0), 0))
+
     def _begin_slice(self, birth: int) -> None:
         """Leases the slots of the slice that is born at `birth`, a frame that no window saw before,
         and takes up those that change. Those show from then on."""
@@ -94,7 +124,7 @@ class LeasedSlots(Strategy):
         seen, contributions, scores = fit.compare(rows, birth, birth - 1)
         slots = rows % generations.num_gs
         mine = (slots >= lane.start) & (slots < lane.stop) & ~generations.follows[slots]
-        active = leases.choose(slots[mine], scores[mine])
+        active = leases.choose(slots[mine], scores[mine], self._base_rounds > 0)
         if fit.config.scene_flow:
             self._follow_flow(seen, slots, active)
         traded = leases.trades(slots[mine], contributions[mine])
@@ -138,13 +168,14 @@ class LeasedSlots(Strategy):
         if iteration < begins:
             return None
         if plan.is_genesis and not plan.settled and iteration == begins:
-            rows = fit.generations.lifespans.active_rows(0)
-            self.leases.rank(fit.contributions(rows, 0))
+            self._rank()
         share = config.settle_prefix_share if plan.is_genesis else config.prefix_share
         if fit.rng.random() >= share:
             return None
-        # All but the last layer alone lack little, and learn with the whole.
-        chances = np.minimum(np.arange(len(self.leases.slots) - 1, 0, -1), 2)
+        if self._base_rounds:
+            chances = BASE_PREFIX_RATIO ** np.arange(len(self.leases.slots) - 1)
+        else:  # all but the last layer alone lack little, and learn with the whole
+            chances = np.minimum(np.arange(len(self.leases.slots) - 1, 0, -1), 2.0)
         return 1 + int(fit.rng.choice(len(chances), p=chances / chances.sum()))
 
     def _layered_from(self, plan: WindowPlan) -> int:
@@ -152,7 +183,9 @@ class LeasedSlots(Strategy):
         iterations, settles = plan.schedule.iterations, self.fit.config.settle_rounds
         if len(self.leases.slots) == 1:
             return iterations
-        if not plan.is_genesis or plan.settled is not None:
+        if plan.settled is not None:
+            return iterations if plan.settled < self._base_rounds else 0
+        if not plan.is_genesis:
             return 0
         return iterations if settles else int(LAYERED_FROM * iterations)
 

@@ -159,9 +159,10 @@ class Leases:
         self.layers[:] = self.layers[order]
         return order
 
-    def choose(self, rows: Ints, scores: Doubles) -> Ints:
+    def choose(self, rows: Ints, scores: Doubles, by_layer: bool = False) -> Ints:
         """The `rows`, slots of one slice, that are to be active. scores: (len(rows),) how
-        much each has to do with what changed."""
+        much each has to do with what changed. by_layer: as large a share of each layer; otherwise
+        the first one, which contributes most, takes half of them."""
         count = len(rows)
         wanted = round(self.config.active_share * count)
         if self.budget is not None:
@@ -169,7 +170,10 @@ class Leases:
         turn = min(round(self.config.refresh_share * count), wanted)
         by_score = np.argsort(-scores, kind="stable")
         chosen = np.zeros(count, np.bool_)
-        chosen[by_score[: wanted - turn]] = True
+        layers = self.layers[rows][by_score] * np.uint8(by_layer)
+        ends = np.cumsum(np.bincount(layers)) * ((wanted - turn) / max(count, 1))
+        for layer, quota in enumerate(np.diff(np.rint(ends).astype(np.int64), prepend=0)):
+            chosen[by_score[layers == layer][:quota]] = True
         chosen &= scores > 0
         # Of what shows, those that have been kept for longest.
         age = np.where(chosen | (scores <= 0), np.iinfo(np.int32).max, self.trained[rows])
