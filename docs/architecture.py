@@ -240,7 +240,7 @@ def page(old: str) -> str:
 
 
 def opening(file: Path) -> str:
-    """What a file is for: the first paragraph of its docstring or, in JavaScript, of the comment
+    """The purpose of a file: the first paragraph of its docstring or, in JavaScript, of the comment
     that it opens with, or else of that of its first exported class or function."""
     words = file.read_text(encoding="utf-8")
     if file.suffix == ".py":

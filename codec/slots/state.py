@@ -1,4 +1,4 @@
-"""What slots hold, in a reader or a writer, before a slice changes them and after it
+"""The states of slots, in a reader or a writer, before a slice changes them and after it
 (codec/FORMAT.md, section 7); and a keyframe, all slots of a layer at a segment's first frame
 (section 11).
 

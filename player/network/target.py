@@ -1,5 +1,5 @@
-"""What a URL asks for and of whom: where a request goes, where a reference leads, whose name and
-password it has; and the errors of asking. Pure.
+"""URLs: where a request goes, where a reference leads, whose name and password it has; and the
+errors of asking. Pure.
 
 Rule: a stream is fetched from the host that the user named, and from no other unless the user
 allows it. A name and password go to their own host, and nothing else keeps them: the URLs that are

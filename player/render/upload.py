@@ -1,5 +1,5 @@
-"""What an update changes in the memory of a renderer, and its way from the thread that brings
-slices to the one that draws: rows, lanes, rectangles of texels, moves.
+"""The way of an update from the thread that brings slices to the one that draws, and the changes
+that it makes in the memory of a renderer: rows, lanes, rectangles of texels, moves.
 
 Rule: whatever does not depend on the camera is computed here once for a slice, not for each frame.
 A Gaussian is a row of texels, four words of 32 bits each. A write costs about as much as some tens

@@ -137,12 +137,13 @@ class Generations:
         """Where they live; the host's arrays until a resident takes them in."""
         self.num_gs = config.num_gs
         self.lifespans = Lifespans(config.num_gs, config.swin_size)
-        self._has_base = config.base_rounds > 0
         self._adam = Adam(config.num_gs, config.sh_degree, config.optimiser)
         self._selections: dict[tuple[int, int | None], Selection] = {}
-        # A strategy that uses one of these two puts its own array here.
+        # A strategy that uses one of these puts its own here.
         self.layers = np.zeros(config.num_gs, np.uint8)
         """The layer of each slot."""
+        self.spares_lower_layers = False
+        """Whether no Gaussian is relocated onto one of a lower layer."""
         self.follows = np.zeros(config.num_gs, np.bool_)
         """The slots that show what another training has in them: steps and relocation leave them as
         they are."""
@@ -237,13 +238,12 @@ class Generations:
 
         A dead one keeps its expiry and takes over its target's start, so it may show later than its
         slice is due (the paper's "birth" and "start"). It takes from its target's opacity, which
-        a layer needs where it is shown without those above: if the first one trains by itself, no
-        target lies in a lower layer.
+        a layer needs where it is shown without those above: see `spares_lower_layers`.
         """
         lifespans = self.lifespans
         values, moved, changed = self.values, [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         births = np.unique(lifespans.births)
-        layers = self.layers if self._has_base else np.zeros_like(self.layers)
+        layers = self.layers if self.spares_lower_layers else np.zeros_like(self.layers)
         for birth in births[births <= last_frame]:
             logits = values.logit_opacities[: self.num_gs]
             is_dead = logits <= np.log(dead_opacity / (1 - dead_opacity))

@@ -1,4 +1,4 @@
-"""What OpenGL computes before Gaussians are drawn: colours from harmonics of degree 2 and 3, once
+"""Passes of OpenGL before Gaussians are drawn: colours from harmonics of degree 2 and 3, once
 for a place of the camera, and a sort by depth.
 
 Rule: the sort is stable, so equal depths keep their order and pictures do not flicker. Each pass

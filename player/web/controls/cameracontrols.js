@@ -1,4 +1,4 @@
-/** What a viewer moves the camera with, among it the phone itself; places of the canvas, and what shows there. */
+/** Ways to move the camera, such as turning the phone; places of the canvas, and what shows there. */
 
 import { prefersStill } from "../element/nodes.js";
 import { depthAt } from "../renderer/depthquery.js";

@@ -1,4 +1,4 @@
-/** What a media element has beside its clock: attributes, callbacks for frames, and where else its pictures go. */
+/** The interface of a media element beside its clock: attributes, callbacks for frames, and where else its pictures go. */
 
 /** @typedef {import("../source/transform.js").TransformRequest} TransformRequest */
 

@@ -1,4 +1,4 @@
-/** What the URL of a stream refers to, a swings server, a folder or a packed stream, and the URLs made of it. */
+/** URLs of streams, on a swings server, in a folder or packed, and the URLs made of them. */
 
 import { PACKED_SUFFIX } from "../constants.js";
 

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from codec.camera import rotation_of
 from codec.splats import Splats
 from trainer.fit.config import Schedule, WindowPlan
-from trainer.fit.covers import COVER_OPACITY, COVER_SCALE, covers_of
-from trainer.fit.leasedslots import LeasedSlots
+from trainer.fit.leasedslots import COVER_OPACITY, COVER_SCALE, LeasedSlots, covers_of
 from trainer.fit.trainer import Trainer
 from trainer.lease.leases import LeaseConfig, Leases
 

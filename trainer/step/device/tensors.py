@@ -1,4 +1,4 @@
-"""What lies on a device during a training: rows of parameters, cameras, pictures, colours.
+"""Tensors of a training on a device: rows of parameters, cameras, pictures, colours.
 
 Rule: arrays cross between host memory and a device of torch here and nowhere else; the bytes are
 counted. A camera is sent once, a picture as bytes when first asked for, and kept within a bound.
