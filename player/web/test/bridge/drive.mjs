@@ -27,6 +27,21 @@ const browser = await launch(/** @type {"chromium"} */ (kind), executablePath);
 /** Runs before all else in a page: the person has been there, so the hint of a first visit is over. */
 const RETURNING =
   'try { localStorage["swings-player-looked"] ??= "1" } catch { /* a page without storage has no hint */ }';
+/**
+ * Runs before all else in the pages of a suite, which draw on the CPU: 15 pictures a second at most
+ * leave it to other tests.
+ */
+const SPARING = `{
+  const { requestAnimationFrame } = window;
+  const waiting = new Map();
+  window.requestAnimationFrame = (action) => {
+    const draw = (now) => waiting.delete(id) && action(now);
+    const id = setTimeout(() => requestAnimationFrame(draw), 66);
+    waiting.set(id);
+    return id;
+  };
+  window.cancelAnimationFrame = (id) => waiting.delete(id);
+}`;
 /** @type {import("playwright-core").Page} */
 let page;
 /** @type {import("playwright-core").Page | import("playwright-core").Frame} the page, or a frame in it */
@@ -57,6 +72,7 @@ const ACTIONS = {
       await ACTIONS.close({});
       const context = await browser.newContext({ viewport, hasTouch: touch, ...options });
       await context.addInitScript(RETURNING);
+      if (keeps) await context.addInitScript(SPARING);
       if (!keeps) for (const path of scripts) await context.addInitScript({ path });
       page = await context.newPage();
       page.on("pageerror", (error) => complaints.push(`${error.stack}`));
