@@ -2,10 +2,11 @@
 
 receive_thread puts the packets that the stream brings into the events queue, and does nothing else:
 while a socket is not read a server sees a slow link. update_thread waits until a frame is due,
-decodes what came into use with it and puts it into the renderer; render_thread draws. Each stage is
-bounded and waits for the next one. An error travels down the line and rises in render_thread, which
-runs in the caller's thread, as windows and OpenGL want it. status_thread stands beside the line: it
-sends the server the state of the playback, and nothing waits for it.
+decodes what came into use with it and puts it into the renderer; render_thread, or the loop of a
+window, draws. Each stage is bounded and waits for the next one. An error travels down the line and
+rises in render_thread, which runs in the caller's thread, as windows and OpenGL want it.
+status_thread stands beside the line: it sends the server the state of the playback, and nothing
+waits for it.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """The outputs of a run beside its log and its checkpoint: streams, their order, sound and poster,
 and snapshots.
 
-Slices sent whole are ordered by contribution, summed over the views and over the frames in which a
-Gaussian shows: what is small, thin or hidden ranks low however opaque it is. The sound, a file's or
-that of the capture's videos, is encoded before training begins, so that a bad file ends the run at
-once.
+Slices sent whole are ordered by `--rank`. By contribution, which is summed over the views and over
+the frames in which a Gaussian shows, what is small, thin or hidden ranks low. The sound, a file's
+or that of the capture's videos, is encoded before training begins, so that a bad file ends the run
+at once.
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ const TURN_S = 0.05;
 
 /**
  * The sound of a player's open stream. The player's pictures determine when it begins; from then on, the
- * pictures follow the audio device's clock. A source at a place is heard through a PannerNode, which makes it
- * softer with the distance.
+ * pictures follow the audio device's clock. A source at a place is heard through a PannerNode with its
+ * defaults, softer with the distance by the law of player/sound/feed.py.
  *
  * Events: `blocked` (isBlocked), `refused` (detail: a sentence; once).
  */
