@@ -95,8 +95,8 @@ def test_an_endpoint_is_a_url(s3: S3Server, name: str, monkeypatch: pytest.Monke
     monkeypatch.delenv("AWS_ENDPOINT_URL")
     monkeypatch.setenv(name, endpoint)
     monkeypatch.delenv("AWS_ALLOW_HTTP", raising=False)
-    s3.put("x/m", b"data")
-    assert open_storage(f"s3://{BUCKET}/x").read("m", 10) == b"data"
+    s3.put("named/m", b"data")
+    assert open_storage(f"s3://{BUCKET}/named").read("m", 10) == b"data"
     for wrong in ("localhost:9000", "127.0.0.1", "", "minio"):
         monkeypatch.setenv(name, wrong)
         refused(InvalidError, rf"^{name} is '{wrong}'; set it to a URL", open_storage, "s3://b/x")

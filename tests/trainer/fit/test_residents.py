@@ -52,7 +52,7 @@ def trainer_of(
 
 @pytest.mark.parametrize("config", [SHORT, LEASED], ids=["whole slices", "leases"])
 def test_a_stopped_training_on_a_device_goes_on_as_if_it_had_not(config: FitConfig) -> None:
-    config = replace(config, genesis_iterations=40, window_iterations=20)
+    config = replace(config, genesis_iterations=30, window_iterations=10)
     kept: list[dict[str, np.ndarray[Any, Any]]] = []
 
     class Keeping(Observer):
@@ -78,7 +78,7 @@ def test_a_stopped_training_on_a_device_goes_on_as_if_it_had_not(config: FitConf
 @pytest.mark.parametrize("config", [SHORT, LEASED], ids=["whole slices", "leases"])
 def test_a_training_on_a_device_has_the_losses_and_pictures_of_numba(config: FitConfig) -> None:
     """Numba's losses are known at once, those of a device with the next report."""
-    config = replace(config, genesis_iterations=60, window_iterations=20)
+    config = replace(config, genesis_iterations=60, window_iterations=10)
     names: tuple[BackendName, ...] = ("cpu", "torch")
     losses, pictures, camera = list[list[float]](), [], ring_camera(0.05, "between")
     for name in names:

@@ -188,7 +188,7 @@ def test_only_the_changed_slice_is_uploaded(open_gl: OpenGl) -> None:
 
 
 @pytest.mark.parametrize("version", GL_VERSIONS)
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(leased_streams(slice_sizes=(1, 7, 1100)), st.booleans(), st.integers(1, 3))
 def test_changes_are_drawn_as_a_plain_replay(
     version: GlVersion, stream: LeasedStream, all_at_once: bool, step: int
