@@ -1,4 +1,5 @@
-"""Leases: which slots go on with the same decoded parameters, and what leaves the trainer.
+"""Leases: which slots go on with the same decoded parameters, in which layer each is, and what
+leaves the trainer.
 
 Most of a scene stands still, so most slots of a slice are kept: they are not trained, not sent, and
 shown with exactly the values that a player has. The active slots are chosen anew at the

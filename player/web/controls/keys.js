@@ -1,4 +1,4 @@
-/** The keys: those that move the camera, and all others. */
+/** The keys that move the camera and the playback; those of commands stand in commands.js. */
 
 /** @typedef {import("../view/cameramotion.js").CameraMotion} CameraMotion */
 /** @typedef {import("../view/cameramotion.js").Direction} Direction */
