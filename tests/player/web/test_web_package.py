@@ -22,7 +22,7 @@ from tests.support.hosted_streams import static_host, write_stream
 from tests.support.waiting import wait_until
 from tests.support.web.canvas import psnr_db
 from tests.support.web.chromium import Page, why_not
-from tests.support.web.nodeprocess import NODE, PACKAGES, packed_once
+from tests.support.web.nodeprocess import NODE, PACKAGES
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE_HOST = "https://streams.example.com"
@@ -35,7 +35,11 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if why_not() is not None:
         pytest.skip(f"{why_not()}")
     path = tmp_path_factory.mktemp("project")
-    with tarfile.open(packed_once(tmp_path_factory)) as packed:
+    npm = shutil.which("npm")
+    assert npm is not None
+    packing = [npm, "pack", "--silent", "--pack-destination", str(path)]
+    subprocess.run(packing, cwd=PACKAGES.parent, check=True, capture_output=True)
+    with tarfile.open(next(path.glob("*.tgz"))) as packed:
         packed.extractall(path / "unpacked", filter="data")
     (path / "npm").mkdir()
     shutil.move(path / "unpacked" / "package", path / "npm" / "swings-player")

@@ -11,10 +11,6 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-from tests.support.suite.once import made_once
-
 Json = Any
 
 NODE = shutil.which("node")
@@ -25,28 +21,6 @@ PACKAGES = WEB / "node_modules"
 NO_PACKAGES = "needs Node.js with npm: apt-get install npm, then scripts/setup dev"
 ANSWER_S = 240.0
 """Time after which a browser counts as hanging. A repeated test has no other time limit."""
-
-
-def run_npm(script: str) -> None:
-    """Runs a script of player/web/package.json, which must find nothing wrong. Skips the test where
-    there is no npm."""
-    npm = shutil.which("npm")
-    if npm is None or not PACKAGES.is_dir():
-        pytest.skip(NO_PACKAGES)
-    done = subprocess.run([npm, "run", script], cwd=WEB, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-def packed_once(factory: pytest.TempPathFactory) -> Path:
-    """The tarball of the npm package, which `npm run package` has checked."""
-
-    def make(folder: Path) -> None:
-        run_npm("package")
-        (tarball,) = (WEB / "dist").glob("*.tgz")
-        shutil.copy(tarball, folder)
-
-    (tarball,) = made_once(factory, "npmpackage", make).iterdir()
-    return tarball
 
 
 class NodeProcess:
