@@ -45,6 +45,14 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def thrice(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A stream of three times that length."""
+    folder = tmp_path_factory.mktemp("thrice")
+    make_stream(folder / "long", 3 * NUM_FRAMES, slice_size=200, fps=FPS)
+    return folder
+
+
 class Client:
     """Takes `rate` bytes a second, and all that a connection with little room holds."""
 
@@ -173,13 +181,12 @@ async def test_a_slow_reader_gets_fewer_layers_than_a_fast_one(
 )
 @in_virtual_time
 async def test_what_a_proxy_has_taken_is_not_taken_for_the_link(
-    tmp_path: Path, fields: dict[str, str]
+    thrice: Path, fields: dict[str, str]
 ) -> None:
     """The slow link of above: what the client says counts, not what left the server at once. A
     tunnel that adds no field to the request is known by that, once too much went into it."""
-    make_stream(tmp_path / "long", 3 * NUM_FRAMES, slice_size=200, fps=FPS)
     client = BehindProxy(260_000)
-    played = await began(tmp_path, "reports=1", client, quick_config(), **fields)
+    played = await began(thrice, "reports=1", client, quick_config(), **fields)
     reports = asyncio.ensure_future(client.report(played))
     await played.task
     await reports
