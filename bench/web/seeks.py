@@ -13,6 +13,7 @@ as the page receives them.
 from __future__ import annotations
 
 import random
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -205,7 +206,7 @@ def run(config: SeeksConfig) -> None:
         if config.stream is None:
             make_stream(long, config.num_gs, config.num_frames)
         else:
-            long.symlink_to(config.stream.resolve())
+            shutil.copytree(config.stream, long)
         make_stream(folder / "short", config.num_gs, 2 * SEGMENT_FRAMES)
         for stream in ("long", "short"):
             export_static(folder / stream, folder / f"{stream}-static")
