@@ -26,6 +26,11 @@ from trainer.step.raster import Parameters
 from .config import FitConfig
 from .mcmc import relocate
 
+UPPER_DEAD_OPACITY = 0.03
+"""Opacity at or below which a Gaussian is dead, if that is less, in layers above the first that
+spare those below them: there faint Gaussians add detail to lower layers, and splitting the few
+clear ones of a layer makes all of it faint."""
+
 
 class Lifespans:
     """Birth, start and expiry of both generations of every slot. Rows as in `Generations`.
@@ -246,7 +251,8 @@ class Generations:
         layers = self.layers if self.spares_lower_layers else np.zeros_like(self.layers)
         for birth in births[births <= last_frame]:
             logits = values.logit_opacities[: self.num_gs]
-            is_dead = logits <= np.log(dead_opacity / (1 - dead_opacity))
+            least = np.where(layers > 0, min(dead_opacity, UPPER_DEAD_OPACITY), dead_opacity)
+            is_dead = logits <= np.log(least / (1 - least))
             shows = (lifespans.starts < lifespans.expires) & slots
             dying = is_dead & shows & (lifespans.births == birth)
             # Slices that no frame of the video shows yet must not attract any.
@@ -255,7 +261,7 @@ class Generations:
             for layer in np.unique(layers[dying]):
                 dead = np.flatnonzero(dying & (layers == layer))
                 alive = np.flatnonzero(living & (layers >= layer))
-                targets = relocate(values, dead, alive, dead_opacity, rng)
+                targets = relocate(values, dead, alive, float(least[dead[0]]), rng)
                 if len(targets):
                     lifespans.starts[dead] = lifespans.starts[targets]
                     moved.append(dead)

@@ -22,8 +22,8 @@ from .test_leases import SLOTS, config, layout, trainer_of
 from .test_trainer import NEAR_M, Rendered, Telling, start
 
 LAYERS = layout(1, *SLOTS[1])
-FAINT, CLEAR = -4.0, 2.0
-"""Logits of an opacity that is dead while genesis settles, and of one that is not."""
+FAINT, HAZE, CLEAR = -4.0, -2.0, 2.0
+"""Logits of opacities: dead while genesis settles, dead then in the first layer alone, not dead."""
 
 
 def plan_of(settled: int) -> WindowPlan:
@@ -66,8 +66,10 @@ def test_no_gaussian_takes_from_a_lower_layer(settled: int, dead_share: float) -
         strategy.begin_window(plan_of(earlier))
     rng = np.random.default_rng(4)
     dead = rng.random(90) < dead_share
+    hazy = (rng.random(90) < 0.3) & ~dead
     generations.values.sh[:90] = rng.normal(size=generations.values.sh[:90].shape)  # who is whose
-    generations.values.logit_opacities[:90] = np.where(dead, FAINT, CLEAR)
+    generations.values.logit_opacities[:90] = np.where(dead, FAINT, np.where(hazy, HAZE, CLEAR))
+    dead |= hazy & (leases.layers == 0)
     leases.is_other[:] = False
     layers, shown = leases.layers.copy(), generations.lifespans.active_rows(0)
     before = [array[:90].copy() for array in generations.values.arrays]
