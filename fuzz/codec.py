@@ -68,6 +68,11 @@ def fuzz_packet(data: bytes) -> None:
     packet_content(data, MAX_PACKET_BYTES)
 
 
+def fuzz_coded_change(data: bytes) -> None:
+    """A packet of coded planes behind its first byte, with a correct checksum."""
+    change_content(sealed(bytes([FORM]) + data), MAX_PACKET_BYTES)
+
+
 def fuzz_object(data: bytes) -> None:
     """An object: its table and its packets."""
     entries = read_object_table(data)
@@ -191,6 +196,7 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "packed": fuzz_packed,
     "ksplat": fuzz_ksplat,
     "sequence": fuzz_sequence,
+    "coded_change": fuzz_coded_change,
 }
 """The parsers by name. Only append: the first byte of an input is an index in this order."""
 

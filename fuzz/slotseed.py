@@ -111,5 +111,7 @@ def slot_seeds() -> Iterator[tuple[str, str, bytes]]:
         packets = [(skip_map.birth, encode_packet(skip_map)) for skip_map in skip_maps]
         yield "object", str(number), join_packets(packets)
         yield "packet", str(number), packets[-1][1]
+        coded = encode_change_packet(told[-1], layout.sh_degree)
+        yield "coded_change", str(number), coded[1 : -CHECKSUM.size]
     yield "index", "two", made_index()
     yield "sealed_index", "two", made_index()

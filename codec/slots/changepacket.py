@@ -49,16 +49,17 @@ def encode_change_packet(chunk: bytes, sh_degree: int) -> bytes:
     )
     flags = sh_degree | header.has_start_offsets << SH_DEGREE_BITS
     head = HEAD.pack(FORM, flags, header.layer, 0, header.birth)
-    return _sealed(head + coded + chunk[longs_at:new_at] + chunk[rest_at:])
+    return sealed(head + coded + chunk[longs_at:new_at] + chunk[rest_at:])
 
 
 def renumbered_change(packet: bytes, birth: int) -> bytes:
     """`packet`, one of `encode_change_packet`, as that of another birth."""
     *fields, _ = HEAD.unpack_from(packet)
-    return _sealed(HEAD.pack(*fields, birth) + packet[HEAD.size : -CHECKSUM.size])
+    return sealed(HEAD.pack(*fields, birth) + packet[HEAD.size : -CHECKSUM.size])
 
 
-def _sealed(packet: bytes) -> bytes:
+def sealed(packet: bytes) -> bytes:
+    """`packet` with its checksum."""
     return packet + CHECKSUM.pack(zlib.crc32(packet))
 
 
