@@ -228,6 +228,8 @@ def _encode(out, at, predicted, new, rows, widths, least, ones, lengths):  # typ
         for n in range(num_planes):
             plane = predicted[rows[g, n]]
             values = plane[plane > 0].astype(np.int64) - 1
+            if values.shape[0] == 0:
+                continue
             code, _ = _cheapest(values, lengths)
             at = _append(out, at, code, CODE_BITS)
             at = _append_values(out, at, values, code, widths, least, ones)
@@ -298,6 +300,9 @@ def _decode(words, at, rows, widths, least, looks, predicted, new):  # type: ign
             held >>= LENGTH_BITS
             left -= LENGTH_BITS
         used = np.flatnonzero(lengths)
+        changing = 0
+        for s in used:
+            changing |= s
         if used.shape[0] == 1:
             patterns[:] = used[0]
         elif _pattern_codes(lengths, codes):
@@ -313,6 +318,9 @@ def _decode(words, at, rows, widths, least, looks, predicted, new):  # type: ign
             return -1, 0, 0
         for n in range(num_planes):
             plane = predicted[rows[g, n]]
+            if (changing >> n) & 1 == 0:
+                plane[:] = 0
+                continue
             held, left, word = _refilled(words, held, left, word)
             code = held & (NUM_CODES - 1)
             held >>= CODE_BITS

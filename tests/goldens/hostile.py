@@ -236,19 +236,18 @@ Fields = tuple[tuple[int, int], ...]
 """Numbers of a bit string, each with its bits."""
 
 THREE_PREDICTED: Fields = ((2, 5), (3, 2), (0, 5), (0, 5))
-UNCHANGED: Fields = ((1, 3), *((0, 3),) * 7, *((0, 5),) * 3)
+UNCHANGED: Fields = ((1, 3), *((0, 3),) * 7)
 """A group of three planes of zeros."""
 GROUPS: Fields = (
     # Patterns 0 and 9: nothing, and x with the opacity. Then 9, 0, 9.
     *((int(pattern in (0, 9)), 3) for pattern in range(16)),
     *((1, 1), (0, 1), (1, 1)),
     *((4, 5), (0, 1), (1, 1), (0, 1), (0, 1)),  # x: of code 4 the values 1 and 0
-    *((0, 5), (0, 5)),
     *((0, 5), (0, 1), (1, 1), (0, 1), (1, 1)),  # the opacity: of code 0 the values 0 and 2
     *UNCHANGED,
     *UNCHANGED,
     *((7 * (pattern == 2), 3) for pattern in range(8)),  # all have pattern 2
-    *((0, 5), (0, 5), (0, 1), (0, 1), (0, 1), (0, 5)),
+    *((0, 5), (0, 1), (0, 1), (0, 1)),
 )
 ONE_NEW: Fields = ((0, 5), (1, 5), (1, 1), (0, 5))
 PLANES: Fields = ((0, 8), (0, 5), (0, 1)) * 13
@@ -302,7 +301,7 @@ def _coded_changes() -> Iterator[Row]:
         ("a residual of 256", 256, bytes(4), CORRUPT),
     ):
         x = (*((int(pattern == 1), 3) for pattern in range(16)), (3, 5), (4095, 12))
-        group = (*x, (byte - 17, 8), *((0, 5),) * 3, *UNCHANGED * 3)
+        group = (*x, (byte - 17, 8), *UNCHANGED * 3)
         yield row(name, _coded(((1, 5), (1, 1), (0, 5), (0, 5), *group), rest), verdict)
 
 

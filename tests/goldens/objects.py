@@ -90,8 +90,11 @@ def predicted_planes(bits: Bits, count: int, k: int) -> list[bytes]:
     planes = [bytearray(count) for _ in range(10 + 3 * k)]
     colours = [(9 + n, 9 + k + n, 9 + 2 * k + n) for n in range(k)]
     for group in [(0, 1, 2, 9 + 3 * k), (3, 4, 5), (6, 7, 8), *colours]:
-        patterns = group_patterns(bits, count, [bits.take(3) for _ in range(2 ** len(group))])
+        lengths = [bits.take(3) for _ in range(2 ** len(group))]
+        patterns = group_patterns(bits, count, lengths)
         for j, plane in enumerate(group):
+            if not any(length for pattern, length in enumerate(lengths) if pattern >> j & 1):
+                continue
             c = bits.take(5)
             for i in range(count):
                 if patterns[i] >> j & 1:

@@ -89,13 +89,16 @@ class PlaneReader {
     return LEAST[first + ones] + ((word >>> used) & ((1 << width) - 1));
   }
 
-  /** Which of a group's planes are not 0, for each Gaussian. @param {number} numPlanes @param {Uint8Array} patterns */
+  /**
+   * Which of a group's planes are not 0, for each Gaussian; gives those that may be.
+   * @param {number} numPlanes @param {Uint8Array} patterns
+   */
   patterns(numPlanes, patterns) {
     const lengths = Array.from({ length: 1 << numPlanes }, () => this.take(LENGTH_BITS));
     const used = [...lengths.keys()].filter((pattern) => lengths[pattern] > 0);
     if (used.length === 1) {
       patterns.fill(used[0]);
-      return;
+      return used[0];
     }
     const { table } = this;
     let code = 0;
@@ -115,14 +118,16 @@ class PlaneReader {
       patterns[i] = found & 255;
       this.at += found >> 8;
     }
+    return used.reduce((all, pattern) => all | pattern);
   }
 
   /** @param {Uint8Array} planes (10 + 3 K, P), zeros @param {number} count P @param {number} k */
   predicted(planes, count, k) {
     const patterns = new Uint8Array(count);
     for (const group of count > 0 ? groupsOf(k) : []) {
-      this.patterns(group.length, patterns);
+      const changing = this.patterns(group.length, patterns);
       for (const [n, plane] of group.entries()) {
+        if (((changing >> n) & 1) === 0) continue;
         const first = this.take(CODE_BITS) * (MOST_ONES + 1);
         for (let i = 0, at = plane * count; i < count; i++, at++) {
           if (((patterns[i] >> n) & 1) === 0) continue;
