@@ -263,22 +263,56 @@ def _refilled(words, held, left, word):  # type: ignore[no-untyped-def]
 
 
 @kernel(nogil=True)
-def _value(held, left, code, widths, least, looks):  # type: ignore[no-untyped-def]
-    """The next value, and what is held behind it."""
-    found = np.int64(looks[code, held & ((1 << FIRST_LOOK_BITS) - 1)])
-    if found:
-        return found & 255, held >> (found >> 8), left - (found >> 8)
-    ones = 0
-    while ones < MOST_ONES and held & 1:
-        held >>= 1
-        ones += 1
-    left -= ones
-    if ones < MOST_ONES:
-        held >>= 1
-        left -= 1
-    width = widths[code, ones]
-    value = least[code, ones] + (held & ((1 << width) - 1))
-    return value, held >> width, left - width
+def _decode_values(words, held, left, word, looks, widths, least, values):  # type: ignore[no-untyped-def]
+    """Fills values by a code; gives the largest, and what is held behind them."""
+    largest = np.int64(0)
+    for i in range(values.shape[0]):
+        if left < 32:  # `_refilled`, which is too slow to call for every value
+            if word < words.shape[0]:
+                held |= np.int64(words[word]) << left
+            word += 1
+            left += 32
+        found = np.int64(looks[held & ((1 << FIRST_LOOK_BITS) - 1)])
+        if found:
+            values[i] = found & 255
+            held >>= found >> 8
+            left -= found >> 8
+        else:
+            ones = 0
+            while ones < MOST_ONES and (held >> ones) & 1:
+                ones += 1
+            taken = min(ones + 1, MOST_ONES)
+            values[i] = least[ones] + ((held >> taken) & ((1 << widths[ones]) - 1))
+            held >>= taken + widths[ones]
+            left -= taken + widths[ones]
+        largest = max(largest, values[i])
+    return largest, held, left, word
+
+
+@kernel(nogil=True)
+def _decode_patterns(words, held, left, word, lengths, patterns):  # type: ignore[no-untyped-def]
+    """Fills patterns; gives the planes that they may set, -1 if their code is not whole, and what
+    is held behind them."""
+    codes = np.zeros(lengths.shape[0], np.int64)
+    used = np.flatnonzero(lengths)
+    if used.shape[0] == 1:
+        patterns[:] = used[0]
+        return used[0], held, left, word
+    if not _pattern_codes(lengths, codes):
+        return -1, held, left, word
+    changing = 0
+    table = np.empty(1 << MOST_LENGTH, np.int64)
+    for s in used:
+        changing |= s
+        table[codes[s] :: 1 << lengths[s]] = s | lengths[s] << 8
+    for i in range(patterns.shape[0]):
+        if left < 32:
+            held, left, word = _refilled(words, held, left, word)
+        found = table[held & ((1 << MOST_LENGTH) - 1)]
+        patterns[i] = found & 255
+        held >>= found >> 8
+        left -= found >> 8
+    return changing, held, left, word
 
 
 @kernel(nogil=True)
@@ -288,67 +322,54 @@ def _decode(words, at, rows, widths, least, looks, predicted, new):  # type: ign
     held, left, word = _refilled(words, np.int64(0), np.int64(0), word)
     held >>= at & 31
     left -= at & 31
-    patterns = np.zeros(count, np.int64)
+    patterns = np.zeros(count, np.uint8)
     places = np.empty(count + 1, np.int64)
-    table = np.empty(1 << MOST_LENGTH, np.int64)
+    values = np.empty(max(count, new.shape[1]), np.int64)
     for g in range(rows.shape[0] if count else 0):
         num_planes = 4 if rows[g, 3] >= 0 else 3
-        lengths, codes = np.zeros((2, 1 << num_planes), np.int64)
+        lengths = np.zeros(1 << num_planes, np.int64)
         for s in range(lengths.shape[0]):
             held, left, word = _refilled(words, held, left, word)
             lengths[s] = held & MOST_LENGTH
             held >>= LENGTH_BITS
             left -= LENGTH_BITS
-        used = np.flatnonzero(lengths)
-        changing = 0
-        for s in used:
-            changing |= s
-        if used.shape[0] == 1:
-            patterns[:] = used[0]
-        elif _pattern_codes(lengths, codes):
-            for s in used:
-                table[codes[s] :: 1 << lengths[s]] = s | lengths[s] << 8
-            for i in range(count):
-                held, left, word = _refilled(words, held, left, word)
-                found = table[held & ((1 << MOST_LENGTH) - 1)]
-                patterns[i] = found & 255
-                held >>= found >> 8
-                left -= found >> 8
-        else:
+        changing, held, left, word = _decode_patterns(words, held, left, word, lengths, patterns)
+        if changing < 0:
             return -1, 0, 0
         for n in range(num_planes):
             plane = predicted[rows[g, n]]
+            plane[:] = 0
             if (changing >> n) & 1 == 0:
-                plane[:] = 0
                 continue
             held, left, word = _refilled(words, held, left, word)
             code = held & (NUM_CODES - 1)
             held >>= CODE_BITS
             left -= CODE_BITS
             num_places = 0
-            for i in range(count):
-                plane[i] = 0
+            for i in range(count):  # without a branch, which would often be mispredicted
                 places[num_places] = i
                 num_places += (patterns[i] >> n) & 1
+            largest, held, left, word = _decode_values(
+                words, held, left, word, looks[code], widths[code], least[code], values[:num_places]
+            )
+            if largest > 254:
+                return -1, 0, 0
             for i in range(num_places):
-                held, left, word = _refilled(words, held, left, word)
-                value, held, left = _value(held, left, code, widths, least, looks)
-                if value > 254:
-                    return -1, 0, 0
-                plane[places[i]] = value + 1
-                num_most += value == 254 and g == 0 and n < 3
+                plane[places[i]] = values[i] + 1
+            if g == 0 and n < 3 and largest == 254:
+                num_most += (values[:num_places] == 254).sum()
     for p in range(new.shape[0] if new.shape[1] else 0):
         held, left, word = _refilled(words, held, left, word)
         centre, code = held & 255, held >> CENTRE_BITS & (NUM_CODES - 1)
         held >>= CENTRE_BITS + CODE_BITS
         left -= CENTRE_BITS + CODE_BITS
+        largest, held, left, word = _decode_values(
+            words, held, left, word, looks[code], widths[code], least[code], values[: new.shape[1]]
+        )
+        if largest > 255:
+            return -1, 0, 0
         for i in range(new.shape[1]):
-            held, left, word = _refilled(words, held, left, word)
-            value, held, left = _value(held, left, code, widths, least, looks)
-            if value > 255:
-                return -1, 0, 0
-            byte = (centre + ((value >> 1) ^ -(value & 1))) & 255
+            byte = (centre + ((values[i] >> 1) ^ -(values[i] & 1))) & 255
             new[p, i] = byte
-            if p < 3 and byte:
-                num_low_bits += byte - 1
+            num_low_bits += max(byte - 1, 0) if p < 3 else 0
     return 32 * word - left, num_most, num_low_bits

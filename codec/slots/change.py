@@ -461,6 +461,8 @@ def _part_sizes(
 
 def _with_escapes(states: States, numbers: memoryview, floats: memoryview) -> Newcomers:
     escaped = np.zeros(len(states), np.bool_)
+    if not numbers:
+        return Newcomers(states, escaped, Splats.empty(states.sh_degree))
     places = np.frombuffer(numbers, UINT32).astype(np.int64)
     if len(places) and (places[-1] >= len(states) or (np.diff(places) <= 0).any()):
         raise CorruptError(f"change: its escapes do not rise, or are not below {len(states)}")
