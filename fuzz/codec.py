@@ -35,6 +35,7 @@ import zstandard
 from codec.errors import CodecError
 from codec.foreign.spz import ENTRY, HEADER_V4, decode_spz
 from codec.interop.formats import decode_any
+from codec.slots.changepacket import FORM, change_content, sealed
 from codec.slots.slotlayout import MAX_LAYERS
 from codec.stream.manifest import Manifest
 from codec.stream.packedlayout import read_layout

@@ -9,6 +9,7 @@ import numpy as np
 
 from codec.coders.coder import EncodedChunk
 from codec.lattice.lattice import States
+from codec.slots.changepacket import CHECKSUM, encode_change_packet
 from codec.slots.encoder import SlotEncoder
 from codec.slots.slotlayout import NEW, PREDICTED, SlotLayout, Update
 from codec.slots.state import ON_LATTICE

@@ -86,7 +86,8 @@ FIRST_LOOKS = _first_looks()
 def encode_planes(numbers: tuple[int, ...], predicted: Bytes, new: Bytes) -> bytes:
     """`numbers`, then (planes, P) and (planes, N) bytes, as a bit string."""
     num_bits = sum(CODE_BITS + number.bit_length() for number in numbers)
-    out = np.zeros((num_bits >> 3) + 64 * len(predicted) + 4 * (predicted.size + new.size), np.uint8)
+    most = (num_bits >> 3) + 64 * len(predicted) + 4 * (predicted.size + new.size)
+    out = np.zeros(most, np.uint8)
     at = 0
     for number in numbers:
         at = _append(out, at, number.bit_length(), CODE_BITS)
@@ -300,7 +301,7 @@ def _decode_patterns(words, held, left, word, lengths, patterns):  # type: ignor
         return used[0], held, left, word
     if not _pattern_codes(lengths, codes):
         return -1, held, left, word
-    changing = 0
+    changing = np.int64(0)
     table = np.empty(1 << MOST_LENGTH, np.int64)
     for s in used:
         changing |= s

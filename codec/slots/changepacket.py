@@ -90,7 +90,7 @@ def change_content(packet: bytes | memoryview, limit_bytes: int) -> bytes:
     counts = COUNTS.pack(num_predicted, num_new, longs, escapes, (low_bits + 7) // 8)
     head = SlotHeader(Kind.CHANGE, layer, birth, bool(flags >> SH_DEGREE_BITS)).pack()
     longs_end = 4 * longs
-    parts = head, counts, predicted.tobytes(), rest[:longs_end], new.tobytes(), rest[longs_end:]
+    parts = head, counts, predicted.data, rest[:longs_end], new.data, rest[longs_end:]
     return b"".join(parts)
 
 

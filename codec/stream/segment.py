@@ -2,7 +2,7 @@
 record in index.bin, which holds their sizes, hashes and PSNR.
 
 Rule: record n has a fixed size and describes segment n, so any reader can fetch it by byte range.
-The table of an object is a skippable zstd frame, so that the whole is one valid zstd stream.
+The table of an object is a skippable zstd frame.
 Nothing is decompressed before the packet has said how much it holds.
 """
 

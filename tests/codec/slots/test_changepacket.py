@@ -54,7 +54,7 @@ def made_chunk(seed: int, sh_degree: int, num_predicted: int, num_new: int) -> b
     has_starts = bool(rng.integers(2))
     behind = low_bit_bytes + (4 + bytes_per_gaussian(sh_degree)) * escapes + num_new * has_starts
     return b"".join([
-        SlotHeader(Kind.CHANGE, int(rng.integers(16)), int(rng.integers(-9, 99)), has_starts).pack(),
+        SlotHeader(Kind.CHANGE, int(rng.integers(16)), seed % 99 - 9, has_starts).pack(),
         struct.pack("<5I", num_predicted, num_new, longs, escapes, low_bit_bytes),
         predicted.tobytes(),
         rng.bytes(4 * longs),
