@@ -35,6 +35,7 @@ import zstandard
 from codec.errors import CodecError
 from codec.foreign.spz import ENTRY, HEADER_V4, decode_spz
 from codec.interop.formats import decode_any
+from codec.slots.changepacket import FORM, change_content, sealed
 from codec.slots.slotlayout import MAX_LAYERS
 from codec.stream.manifest import Manifest
 from codec.stream.packedlayout import read_layout
@@ -66,6 +67,11 @@ MAX_PACKET_BYTES = 1 << 20
 def fuzz_packet(data: bytes) -> None:
     """One packet."""
     packet_content(data, MAX_PACKET_BYTES)
+
+
+def fuzz_coded_change(data: bytes) -> None:
+    """A packet of coded planes behind its first byte, with a correct checksum."""
+    change_content(sealed(bytes([FORM]) + data), MAX_PACKET_BYTES)
 
 
 def fuzz_object(data: bytes) -> None:
@@ -191,6 +197,7 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "packed": fuzz_packed,
     "ksplat": fuzz_ksplat,
     "sequence": fuzz_sequence,
+    "coded_change": fuzz_coded_change,
 }
 """The parsers by name. Only append: the first byte of an input is an index in this order."""
 

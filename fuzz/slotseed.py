@@ -9,6 +9,7 @@ import numpy as np
 
 from codec.coders.coder import EncodedChunk
 from codec.lattice.lattice import States
+from codec.slots.changepacket import CHECKSUM, encode_change_packet
 from codec.slots.encoder import SlotEncoder
 from codec.slots.slotlayout import NEW, PREDICTED, SlotLayout, Update
 from codec.slots.state import ON_LATTICE
@@ -111,5 +112,7 @@ def slot_seeds() -> Iterator[tuple[str, str, bytes]]:
         packets = [(skip_map.birth, encode_packet(skip_map)) for skip_map in skip_maps]
         yield "object", str(number), join_packets(packets)
         yield "packet", str(number), packets[-1][1]
+        coded = encode_change_packet(told[-1], layout.sh_degree)
+        yield "coded_change", str(number), coded[1 : -CHECKSUM.size]
     yield "index", "two", made_index()
     yield "sealed_index", "two", made_index()

@@ -15,9 +15,9 @@ from types import ModuleType
 from typing import Any
 
 from codec import camera, slice, splats
-from codec.coders import zstd
+from codec.coders import planes, zstd
 from codec.lattice import forms, lattice
-from codec.slots import change, decoder, rangecoder, skipmap, slotlayout, state
+from codec.slots import change, changepacket, decoder, rangecoder, skipmap, slotlayout, state
 from codec.stream import (
     captions,
     integrity,
@@ -56,10 +56,12 @@ CONSTANTS: dict[ModuleType, str] = {
     rangecoder: "WHOLE_RANGE=WHOLE LEAST_RANGE=LEAST FIRST_PROBABILITY MOST_COUNTED",
     state: "UNKNOWN EMPTY ON_LATTICE ESCAPED",
     decoder: "MIN_LOG_BYTES LOG_SHARE",
-    segment: "SKIPPABLE_MAGIC TABLE_MAGIC OBJECT_HEAD OBJECT_ENTRY=ENTRY "
+    segment: "CODER SKIPPABLE_MAGIC TABLE_MAGIC OBJECT_HEAD OBJECT_ENTRY=ENTRY "
     "MAX_CHUNKS=MAX_CHUNKS_PER_OBJECT MAX_OBJECT_BYTES INDEX_HEAD=HEAD "
     "INDEX_LAYER=LAYER INDEX_SIDE=SIDE INDEX_CHECKSUM=CHECKSUM",
-    zstd: "CODER ZSTD_MAGIC=MAGIC MAX_EXPANSION",
+    zstd: "ZSTD_MAGIC=MAGIC MAX_EXPANSION",
+    planes: "NUM_CODES MOST_ONES MOST_LOW_BITS LENGTH_BITS MOST_LENGTH CODE_BITS CENTRE_BITS",
+    changepacket: "CODED=FORM CODED_HEAD=HEAD SH_DEGREE_BITS",
     integrity: "MAX_INDEX_BYTES",
     captions: "MAX_CAPTIONS MAX_CAPTIONS_BYTES",
     pictures: "MAX_PICTURE_BYTES",

@@ -15,3 +15,5 @@ class EncodedChunk:
     edges: Sequence[int]
     """Offsets in `data`, from 0 to its end, between planes or attributes; none if all of it is
     float32."""
+    sh_degree: int | None = None
+    """That of a change, whose planes a packet may code by themselves; None of other chunks."""

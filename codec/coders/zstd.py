@@ -11,9 +11,6 @@ from codec.errors import CorruptError
 
 from .blocks import Effort, divisions
 
-CODER = 1
-"""The number of this coder in the head of an object; there is no other."""
-
 MAGIC = b"\x28\xb5\x2f\xfd"
 
 PLANES_LEVEL = 19

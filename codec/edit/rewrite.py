@@ -19,7 +19,6 @@ import numpy as np
 
 from codec.coders.blocks import Effort
 from codec.coders.coder import EncodedChunk
-from codec.coders.zstd import with_start
 from codec.errors import InvalidError
 from codec.files import making_folder
 from codec.slots.change import encoded_elsewhere
@@ -32,7 +31,7 @@ from codec.stream.manifest import SKIP_MAPS, Manifest, Part, is_keyframe, keyfra
 from codec.stream.pictures import Draw
 from codec.stream.poster import POSTER_NAME, STORYBOARD_NAME, write_poster, write_storyboard
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
-from codec.stream.segment import encode_packet
+from codec.stream.segment import encode_packet, renumbered_packet
 from codec.tracks.streamtracks import Cut, copy_tracks
 
 from .filters import Crop, CropOptions, FloaterOptions, Floaters
@@ -360,9 +359,7 @@ def renumbered(found: CheckedObject, birth: int, offset: int) -> bytes:
     packet = found.packet(birth)
     if not offset:
         return packet
-    chunk = _chunk_elsewhere(found, birth, offset)
-    copied = with_start(packet, chunk.data)
-    return encode_packet(chunk) if copied is None else copied
+    return renumbered_packet(packet, _chunk_elsewhere(found, birth, offset))
 
 
 def _chunk_elsewhere(found: CheckedObject, birth: int, offset: int) -> EncodedChunk:

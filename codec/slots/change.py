@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import numpy as np
@@ -348,7 +348,8 @@ def encoded_elsewhere(layout: SlotLayout, kind: Kind, data: bytes) -> EncodedChu
     head, predicted, longs, new, *rest = _part_sizes(layout, counts, header.has_start_offsets)
     planes = layout.num_planes
     sizes = head, *[predicted // planes] * planes, longs, *[new // planes] * planes, *rest
-    return EncodedChunk(header.birth, data, _chunk_edges(first_bytes, accumulate(sizes)))
+    edges = _chunk_edges(first_bytes, accumulate(sizes))
+    return EncodedChunk(header.birth, data, edges, None if first_bytes else layout.sh_degree)
 
 
 def encode_change(
@@ -366,7 +367,7 @@ def encode_change(
     offsets = start_offsets if start_offsets.any() else None
     body, edges = encode_body(before, predicted, new, offsets)
     header = SlotHeader(Kind.CHANGE, layer, birth, offsets is not None)
-    return finish_chunk(header, b"", body, edges)
+    return replace(finish_chunk(header, b"", body, edges), sh_degree=predicted.sh_degree)
 
 
 def decode_change(
@@ -460,6 +461,8 @@ def _part_sizes(
 
 def _with_escapes(states: States, numbers: memoryview, floats: memoryview) -> Newcomers:
     escaped = np.zeros(len(states), np.bool_)
+    if not numbers:
+        return Newcomers(states, escaped, Splats.empty(states.sh_degree))
     places = np.frombuffer(numbers, UINT32).astype(np.int64)
     if len(places) and (places[-1] >= len(states) or (np.diff(places) <= 0).any()):
         raise CorruptError(f"change: its escapes do not rise, or are not below {len(states)}")

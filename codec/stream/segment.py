@@ -2,7 +2,7 @@
 record in index.bin, which holds their sizes, hashes and PSNR.
 
 Rule: record n has a fixed size and describes segment n, so any reader can fetch it by byte range.
-The table of an object is a skippable zstd frame, so that the whole is one valid zstd stream.
+The table of an object is a skippable zstd frame.
 Nothing is decompressed before the packet has said how much it holds.
 """
 
@@ -18,8 +18,14 @@ from itertools import pairwise
 
 from codec.coders.blocks import Effort
 from codec.coders.coder import EncodedChunk
-from codec.coders.zstd import CODER, MAGIC, compress, decompress
+from codec.coders.zstd import MAGIC, compress, decompress, with_start
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
+from codec.slots.changepacket import (
+    FORM,
+    change_content,
+    encode_change_packet,
+    renumbered_change,
+)
 from codec.slots.slotlayout import MAX_LAYERS
 
 from .manifest import VERSION
@@ -176,6 +182,10 @@ def parse_index(data: bytes, num_layers: int, first_segment: int = 0) -> list[Se
     return records
 
 
+CODER = 2
+"""The number of the coder in the head of an object: packets are zstd frames, and those of changes
+perhaps coded planes. The coder of older development versions was 1, zstd alone."""
+
 SKIPPABLE_MAGIC = 0x184D2A50
 TABLE_MAGIC = b"SWGO"
 
@@ -210,7 +220,20 @@ class ChunkEntry:
 
 def encode_packet(chunk: EncodedChunk, effort: Effort = Effort.USUAL) -> bytes:
     """`chunk` as one packet with content size and checksum; a chunk of no bytes as no bytes."""
-    return compress(chunk.data, chunk.edges, effort) if chunk.data else b""
+    if not chunk.data:
+        return b""
+    packet = compress(chunk.data, chunk.edges, effort)
+    if chunk.sh_degree is None:
+        return packet
+    return min(encode_change_packet(chunk.data, chunk.sh_degree), packet, key=len)
+
+
+def renumbered_packet(packet: bytes, chunk: EncodedChunk) -> bytes:
+    """The packet of `chunk`, which differs from that of `packet` in its birth alone."""
+    if packet[0] == FORM:
+        return renumbered_change(packet, chunk.birth)
+    copied = with_start(packet, chunk.data)
+    return encode_packet(chunk) if copied is None else copied
 
 
 def packet_content(packet: bytes | memoryview, limit_bytes: int) -> bytes:
@@ -218,7 +241,8 @@ def packet_content(packet: bytes | memoryview, limit_bytes: int) -> bytes:
     Raises CorruptError."""
     if not packet:
         return b""
-    content = decompress(packet, limit_bytes)
+    decode = change_content if packet[0] == FORM else decompress
+    content = decode(packet, limit_bytes)
     if not content:
         raise CorruptError("packet: its content is empty; an empty packet must have no bytes")
     return content
@@ -267,7 +291,7 @@ def read_object_table(data: bytes | memoryview) -> list[ChunkEntry]:
     if found != VERSION:
         raise UnsupportedError(f"object: version {found}; this program reads {VERSION}", 12)
     if coder != CODER:
-        message = f"object: coder {coder}; this program reads {CODER} (zstd)"
+        message = f"object: coder {coder}; this program reads {CODER}, so make the stream anew"
         raise UnsupportedError(message, CODER_OFFSET)
     if zero:
         raise CorruptError(f"object: {zero} where 0 belongs", 14)
@@ -300,8 +324,8 @@ def entry_packet(data: bytes | memoryview, entry: ChunkEntry) -> memoryview:
     packet = memoryview(data)[entry.offset : entry.offset + entry.size]
     if len(packet) < entry.size:
         raise CorruptError(f"object: ends inside the chunk of birth {entry.birth}", len(data))
-    if packet[: len(MAGIC)] != MAGIC:
-        raise error_in_object(CorruptError("packet: is not a zstd frame"), entry)
+    if packet[0] != FORM and packet[: len(MAGIC)] != MAGIC:
+        raise error_in_object(CorruptError("packet: is neither coded nor a zstd frame"), entry)
     return packet
 
 

@@ -102,6 +102,7 @@ export const MIN_LOG_BYTES = 16777216;
 export const LOG_SHARE = 6;
 
 // codec.stream.segment
+export const CODER = 2;
 export const SKIPPABLE_MAGIC = 407710288;
 export const TABLE_MAGIC = "SWGO";
 export const OBJECT_HEAD = "<II4sBBHI";
@@ -114,9 +115,22 @@ export const INDEX_SIDE = "<Q32s";
 export const INDEX_CHECKSUM = "<I";
 
 // codec.coders.zstd
-export const CODER = 1;
 export const ZSTD_MAGIC = [40, 181, 47, 253];
 export const MAX_EXPANSION = 32768;
+
+// codec.coders.planes
+export const NUM_CODES = 32;
+export const MOST_ONES = 12;
+export const MOST_LOW_BITS = 8;
+export const LENGTH_BITS = 3;
+export const MOST_LENGTH = 7;
+export const CODE_BITS = 5;
+export const CENTRE_BITS = 8;
+
+// codec.slots.changepacket
+export const CODED = 1;
+export const CODED_HEAD = "<BBBBi";
+export const SH_DEGREE_BITS = 2;
 
 // codec.stream.integrity
 export const MAX_INDEX_BYTES = 268435456;

@@ -7,7 +7,7 @@
 export { FormatError } from "./format/bytes.js";
 export { readManifest } from "./format/manifest.js";
 export { readIndex, readObject } from "./format/objects.js";
-export { packetContent } from "./format/zstd.js";
+export { packetContent } from "./format/planes.js";
 export { SlotDecoder } from "./format/slots/slotdecoder.js";
 export { Scene } from "./feed/scene.js";
 export { Playback } from "./playback/playback.js";

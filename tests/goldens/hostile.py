@@ -35,6 +35,7 @@ def hostile_rows(stream: Path) -> list[Row]:
         *_indexes(files["index"], len(json.loads(files["manifest"])["slots"]), stream.name),
         *_objects(files["object"]),
         *_packets(),
+        *_coded_changes(),
         *_records(),
     ]
 
@@ -185,7 +186,8 @@ def _objects(data: bytes) -> Iterator[Row]:
         ("another magic", 8, b"X", CORRUPT),
         ("version 2", 12, b"\2", UNSUPPORTED),
         ("version 3", 12, b"\3", UNSUPPORTED),
-        ("coder 2", 13, b"\2", UNSUPPORTED),
+        ("coder 1", 13, b"\1", UNSUPPORTED),
+        ("coder 3", 13, b"\3", UNSUPPORTED),
         ("a reserved field", 14, b"\1", CORRUPT),
         ("no chunks", 16, struct.pack("<I", 0), CORRUPT),
         ("16385 chunks", 16, struct.pack("<I", 16385), CORRUPT),
@@ -226,6 +228,81 @@ def _packets() -> Iterator[Row]:
     yield row("a gzip member", gzip.compress(content, mtime=0))
     yield row("a chunk", b"SWG1" + content)
     yield row("the first bytes alone", zstd[:4])
+
+
+# --- Section 10.5 ---
+
+Fields = tuple[tuple[int, int], ...]
+"""Numbers of a bit string, each with its bits."""
+
+THREE_PREDICTED: Fields = ((2, 5), (3, 2), (0, 5), (0, 5))
+UNCHANGED: Fields = ((1, 3), *((0, 3),) * 7)
+"""A group of three planes of zeros."""
+GROUPS: Fields = (
+    # Patterns 0 and 9: nothing, and x with the opacity. Then 9, 0, 9.
+    *((int(pattern in (0, 9)), 3) for pattern in range(16)),
+    *((1, 1), (0, 1), (1, 1)),
+    *((4, 5), (0, 1), (1, 1), (0, 1), (0, 1)),  # x: of code 4 the values 1 and 0
+    *((0, 5), (0, 1), (1, 1), (0, 1), (1, 1)),  # the opacity: of code 0 the values 0 and 2
+    *UNCHANGED,
+    *UNCHANGED,
+    *((7 * (pattern == 2), 3) for pattern in range(8)),  # all have pattern 2
+    *((0, 5), (0, 1), (0, 1), (0, 1)),
+)
+ONE_NEW: Fields = ((0, 5), (1, 5), (1, 1), (0, 5))
+PLANES: Fields = ((0, 8), (0, 5), (0, 1)) * 13
+
+
+def _coded(fields: Fields, rest: bytes = b"", flags: int = 0, zero: int = 0) -> bytes:
+    bits = at = 0
+    for value, count in fields:
+        bits |= value << at
+        at += count
+    head = struct.pack("<BBBBi", 1, flags, 0, zero, 5)
+    packet = head + bits.to_bytes((at + 7) // 8, "little") + rest
+    return packet + struct.pack("<I", zlib.crc32(packet))
+
+
+def _coded_changes() -> Iterator[Row]:
+    def row(name: str, data: bytes, verdict: str = CORRUPT, limit_bytes: int = 1 << 16) -> Row:
+        return _row("packet", f"coded: {name}", data, verdict, limit_bytes=limit_bytes)
+
+    three = (*THREE_PREDICTED, *GROUPS)
+    small = _coded(three)
+    yield row("three predicted", small, TAKEN)
+    yield row("three predicted, one byte more than may be there", small, limit_bytes=70)
+    yield row("a wrong checksum", small[:-1] + bytes([small[-1] ^ 1]))
+    yield row("too short", small[:11])
+    yield row("a reserved flag", _coded(three, flags=8), UNSUPPORTED)
+    yield row("a reserved byte", _coded(three, zero=1), UNSUPPORTED)
+    yield row("one new", _coded((*ONE_NEW, *PLANES)), TAKEN)
+    yield row("ends inside its planes", _coded((*ONE_NEW, *PLANES[:9])))
+    yield row("ends before its planes", _coded(ONE_NEW))
+    yield row("ends before its counts", _coded(()))
+    yield row("no Gaussian", _coded(((0, 5),) * 3), TAKEN)
+    yield row("a bit behind the planes", _coded((*ONE_NEW, *PLANES, (1, 1))))
+    most = ((31, 5), ((1 << 31) - 1, 31))
+    yield row("2^31 - 1 new", _coded(((0, 5), *most, (0, 5))))
+    yield row("2^31 - 1 predicted", _coded((*most, (0, 5), (0, 5))))
+    for name, length, count in (
+        ("no pattern", 0, 16),
+        ("patterns of less than a whole code", 2, 3),
+        ("patterns of more than a whole code", 1, 3),
+    ):
+        lengths = (*((length, 3),) * count, *((0, 3),) * (16 - count))
+        yield row(name, _coded((*THREE_PREDICTED, *lengths, (0, 99))))
+    # Code 3 has 16 values before those of 12 ones.
+    last = (*ONE_NEW, *PLANES[:36], (0, 8), (3, 5), (4095, 12))
+    yield row("a byte of 255", _coded((*last, (239, 8))), TAKEN)
+    yield row("a byte of 256", _coded((*last, (240, 8))))
+    for name, byte, rest, verdict in (
+        ("a long residual", 255, bytes(4), TAKEN),
+        ("a long residual that is missing", 255, b"", CORRUPT),
+        ("a residual of 256", 256, bytes(4), CORRUPT),
+    ):
+        x = (*((int(pattern == 1), 3) for pattern in range(16)), (3, 5), (4095, 12))
+        group = (*x, (byte - 17, 8), *UNCHANGED * 3)
+        yield row(name, _coded(((1, 5), (1, 1), (0, 5), (0, 5), *group), rest), verdict)
 
 
 # --- Section 12 ---

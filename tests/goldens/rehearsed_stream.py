@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,13 @@ import numpy as np
 import player
 from codec.camera import Camera
 from codec.lattice.lattice import Lattice, States, quantise
-from codec.slots.slotlayout import NEW, PREDICTED, Update
+from codec.slots.slotlayout import KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 
 FOLDER = Path(player.__file__).with_name("rehearsed")
-NUM_FRAMES, _SWIN_SIZE, _SLICE_SIZE, _SIZE_PX = 2, 2, 4, 32
+NUM_FRAMES, _SWIN_SIZE, _SLICE_SIZE, _SIZE_PX = 2, 2, 60, 32
 _CAMERA = Camera("front", _SIZE_PX, _SIZE_PX, 30.0, 30.0, 16.0, 16.0, np.eye(4))
 
 
@@ -63,7 +64,12 @@ def _manifest(lattice: Lattice) -> Manifest:
 def _update(birth: int, states: States) -> Update:
     statuses = np.full(_SLICE_SIZE, NEW, np.uint8)
     if birth > 0:
-        statuses[:] = (NEW, PREDICTED, PREDICTED, 0)
+        statuses[1:] = PREDICTED
+        statuses[-1] = KEPT
+        # A tenth of the numbers change: such planes take less if they are coded.
+        attributes = states.attributes.copy()
+        attributes[:, :-1] += np.random.default_rng(1).random(attributes[:, :-1].shape) < 0.1
+        states = replace(states, attributes=attributes)
     coded = np.flatnonzero(statuses)
     nothing = np.zeros(len(coded), np.uint8)
     return Update(

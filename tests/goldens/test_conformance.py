@@ -60,7 +60,7 @@ def test_the_writer_makes_the_chunks_of_the_streams(case: Case) -> None:
 def test_a_stream(row: dict[str, Any]) -> None:
     path, wanted = FOLDER / row["stream"], row["state_sha256"]
     assert all(
-        OBJECT_HEAD.unpack_from(p.read_bytes())[3:5] == (1, 1) for p in path.glob("segments/*/*")
+        OBJECT_HEAD.unpack_from(p.read_bytes())[3:5] == (1, 2) for p in path.glob("segments/*/*")
     )
     assert verify_stream(path).num_frames == len(wanted)
     reader = StreamReader(path)

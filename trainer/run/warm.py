@@ -21,6 +21,7 @@ from rich.console import Console
 from codec.camera import Camera
 from codec.lattice.lattice import Lattice
 from codec.progressline import waiting
+from codec.slots.changepacket import change_content, encode_change_packet
 from codec.slots.decoder import SlotDecoder
 from codec.slots.encoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
@@ -154,6 +155,9 @@ def _train_with_slots(config: FitConfig, pictures: _Noise, initial: Splats) -> N
             elif encoded is not None:
                 for change in encoded.changes:
                     encode_packet(change)
+                    if change.data:
+                        coded = encode_change_packet(change.data, layout.sh_degree)
+                        change_content(coded, len(change.data))
                 changes = [change.data for change in encoded.changes]
                 decoder.apply(update.birth, encoded.skip_map.data, changes)
     decoder.whole(update.birth)

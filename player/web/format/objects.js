@@ -1,6 +1,7 @@
 /** index.bin, a record for each finished segment, and the objects it lists (FORMAT.md, sections 5 and 6). */
 
 import {
+  CODED,
   CODER,
   INDEX_CHECKSUM,
   INDEX_HEAD,
@@ -108,7 +109,7 @@ export function readObject(bytes) {
   if (skippable !== SKIPPABLE_MAGIC || !isMagic(magic, TABLE_MAGIC))
     throw corrupt("object: does not start with a table of chunks");
   if (version !== VERSION) throw unsupported(`object: version ${version}, not ${VERSION}`);
-  if (coder !== CODER) throw unsupported(`object: unknown coder ${coder}`);
+  if (coder !== CODER) throw unsupported(`object: coder ${coder}, not ${CODER}`);
   if (count > MAX_CHUNKS || reserved !== 0)
     throw corrupt(`object: ${count} chunks or the reserved value ${reserved} is not valid`);
   if (following !== HEAD_BYTES + ENTRY_BYTES * count)
@@ -124,7 +125,7 @@ export function readObject(bytes) {
       throw corrupt(`object: a packet at byte ${offset}, but byte ${reader.at} is next`);
     if (size === 0) throw corrupt("object: a packet is empty");
     const packet = reader.take(size);
-    if (ZSTD_MAGIC.some((byte, i) => packet[i] !== byte))
+    if (packet[0] !== CODED && ZSTD_MAGIC.some((byte, i) => packet[i] !== byte))
       throw corrupt("object: a packet is not a zstd frame");
     packets.set(birth, packet);
     last = birth;

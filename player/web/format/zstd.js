@@ -1,5 +1,5 @@
 /**
- * A packet is one chunk, in a zstd frame (FORMAT.md, section 6; RFC 8878). A decoder of our own, because a hostile frame must not cost more time than
+ * Packets that are zstd frames (FORMAT.md, section 6; RFC 8878). A decoder of our own, because a hostile frame must not cost more time than
  * its content and its bytes: each copy is checked before it is made, and nothing but the content is
  * allocated.
  */
@@ -447,11 +447,11 @@ function readFrameHead(frame) {
 }
 
 /**
- * The chunk in a packet; an empty packet gives an empty chunk. Memory stays within the limit. Throws a FormatError
+ * The chunk in a zstd frame; an empty packet gives an empty chunk. Memory stays within the limit. Throws a FormatError
  * unless the content fills its stated size exactly, has the stated checksum and ends where `packet` does.
  * @param {Uint8Array} packet @param {number} limitBytes
  */
-export function packetContent(packet, limitBytes) {
+export function zstdContent(packet, limitBytes) {
   if (packet.length === 0) return packet;
   const head = readFrameHead(packet);
   if (head.size === 0) throw corrupt("packet: its content is empty");

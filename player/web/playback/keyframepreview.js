@@ -1,5 +1,5 @@
 import { keyframeOf, limitBytes } from "../format/manifest.js";
-import { packetContent } from "../format/zstd.js";
+import { zstdContent } from "../format/zstd.js";
 import { FrameAssembler } from "./frameassembler.js";
 
 /**
@@ -66,7 +66,7 @@ export class KeyframePreview {
     const { manifest, cache } = this.stream;
     const packet = cache.keyframe(segment, 0);
     if (packet === null) return;
-    const chunk = packetContent(packet, limitBytes(manifest, keyframeOf(manifest, 0)));
+    const chunk = zstdContent(packet, limitBytes(manifest, keyframeOf(manifest, 0)));
     const frame = segment * manifest.segmentFrames;
     const chunks = new FrameAssembler(manifest);
     chunks.addKeyframe(frame, 0, chunk);

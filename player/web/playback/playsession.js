@@ -1,6 +1,7 @@
+import { CODED } from "../constants.js";
 import { FormatError } from "../format/bytes.js";
 import { isKeyframe, keyframeOf, layerOf, limitBytes, skipMapsOf } from "../format/manifest.js";
-import { packetContent } from "../format/zstd.js";
+import { zstdContent } from "../format/zstd.js";
 import { FrameAssembler } from "./frameassembler.js";
 import { Playback } from "./playback.js";
 
@@ -9,6 +10,14 @@ const AHEAD_S = 1;
 const LEAST_AHEAD_FRAMES = 16;
 
 /** @typedef {import("../format/manifest.js").Part} Part */
+
+/** @type {typeof import("../format/planes.js") | null} */
+let planes = null;
+
+/** Loads what decodes the packets of changes; the first picture of a stream does not need it. */
+export async function loadPlanes() {
+  planes ??= await import("../format/planes.js");
+}
 
 /**
  * Decompresses the packets of a cache and passes them to a FrameAssembler: those of the segment where it begins,
@@ -86,8 +95,16 @@ export class ChunkFeed {
     // The first frame of the segment that is joined needs its keyframes only.
     if (packet === null || (birth === startFrame && !isKeyframe(manifest, part))) return;
     if (layer >= this.numLayers) return;
+    if (packet[0] === CODED && planes === null) {
+      loadPlanes()
+        .then(() => this.#pass(birth, part, packet))
+        .catch((error) => (this.failure ??= error))
+        .finally(() => this.onData());
+      return;
+    }
     try {
-      const chunk = packetContent(packet, limitBytes(manifest, part));
+      const decode = planes?.packetContent ?? zstdContent;
+      const chunk = decode(packet, limitBytes(manifest, part));
       if (part === skipMapsOf(manifest)) play.addSkipMap(birth, chunk);
       else if (isKeyframe(manifest, part)) play.addKeyframe(birth, layer, chunk);
       else play.addChange(birth, layer, chunk);

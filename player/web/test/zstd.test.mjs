@@ -4,7 +4,7 @@ import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { limitBytes, readManifest } from "../format/manifest.js";
 import { readObject } from "../format/objects.js";
-import { packetContent } from "../format/zstd.js";
+import { packetContent } from "../format/planes.js";
 import { xxhash } from "../format/xxhash.js";
 import { filesOf, law } from "./support.mjs";
 

@@ -220,7 +220,7 @@ def test_a_packet_holds_no_more_than_its_slots_fill(part: Part) -> None:
     """The place of the error is that of the packet, because nothing smaller is known."""
     most = MANIFEST.max_content_bytes(part)
     for size in (most, most + 1):
-        packet = encode_packet(replace(CHUNKS[4], data=bytes(size), edges=()))
+        packet = encode_packet(replace(CHUNKS[4], data=bytes(size), edges=(), sh_degree=None))
         data = join_packets([(4, packet)])
         found = CheckedObject.check("there", data, MANIFEST, record_with(data), part)
         if size == most:

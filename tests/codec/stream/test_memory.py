@@ -29,6 +29,7 @@ from codec.coders.zstd import decompress
 from codec.interop.formats import decode_any
 from codec.lattice.lattice import Lattice
 from codec.slots.change import COUNTS, decode_change
+from codec.slots.changepacket import FORM, sealed
 from codec.slots.skipmap import SkipMapHistory, decode_skip_map
 from codec.slots.slotlayout import SLOT_HEADER, Kind, SlotLayout, Update
 from codec.slots.state import decode_keyframe
@@ -74,6 +75,19 @@ def escaped_change() -> bytes:
     numbers = struct.pack(f"<{SLOTS}I", *range(SLOTS))
     body = COUNTS.pack(0, SLOTS, 0, SLOTS, 0) + bytes(58 * SLOTS) + numbers + floats
     return compress(head(Kind.CHANGE, 5) + body)
+
+
+def coded_change() -> bytes:
+    """A packet of coded planes whose predicted Gaussians all stay as they were, without a bit."""
+    count = (MOST - 4096) // 13
+    bits = count.bit_length()
+    numbers = bits | count << 5
+    at = 5 + bits + 10
+    for num_planes in (4, 3, 3, 3):
+        numbers |= 1 << at
+        at += 3 << num_planes
+    body = numbers.to_bytes((at + 7) // 8, "little") + bytes(MOST // 30_000)
+    return sealed(bytes([FORM, 0, 0, 0]) + bytes(4) + body)
 
 
 def read_change(packet: bytes) -> None:
@@ -151,7 +165,7 @@ def lying_table() -> bytes:
     """A table of the maximum number of chunks, each claiming 65000 bytes; there are no chunks."""
     count = 1 << 14
     end = OBJECT_HEAD.size + 12 * count
-    data = OBJECT_HEAD.pack(0x184D2A50, end - 8, b"SWGO", 1, 1, 0, count)
+    data = OBJECT_HEAD.pack(0x184D2A50, end - 8, b"SWGO", 1, 2, 0, count)
     return data + b"".join(struct.pack("<iII", n, end + n * 65000, 65000) for n in range(count))
 
 
@@ -198,6 +212,8 @@ CASES: dict[str, Case] = {
     "index": (bytes, in_a_stream(sparse_index), 0, "index.bin is longer than"),
     "empty": (bytes, in_a_stream(empty_slots), SLOTS * 4 * (STATE_BYTES + FLOAT_BYTES), "value"),
     "zstd": (lambda: compress(bytes(MOST)), read_packet, MOST, "value"),
+    # The planes, the chunk, and of each Gaussian its pattern, its place and a value.
+    "coded": (coded_change, read_packet, 2 * MOST + MOST // 13 * 17, "value"),
     "zstd claims": (lambda: claiming(MOST + 1), read_packet, 0, f"at most {MOST}"),
     "table": (lying_table, object_packets, 0, "196628 bytes, its table says 1065156628"),
     "manifest": (

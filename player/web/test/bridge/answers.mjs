@@ -10,7 +10,7 @@ import { layerOf, readManifest } from "../../format/manifest.js";
 import { framePly } from "../../format/ply.js";
 import { openSource } from "../../source/source.js";
 import { readIndex, readObject } from "../../format/objects.js";
-import { packetContent } from "../../format/zstd.js";
+import { packetContent } from "../../format/planes.js";
 import { RecordParser } from "../../format/playrecord.js";
 import { SlotDecoder } from "../../format/slots/slotdecoder.js";
 import { gaussiansOf } from "../../format/dequantise.js";
@@ -20,7 +20,7 @@ import { fetchRange } from "../../source/files.js";
 import { Fetcher, SourceError } from "../../source/fetcher.js";
 import { addObject } from "../../source/hosteddownload.js";
 import { SegmentCache } from "../../source/segmentcache.js";
-import { ChunkFeed } from "../../playback/playsession.js";
+import { ChunkFeed, loadPlanes } from "../../playback/playsession.js";
 import { FrameAssembler } from "../../playback/frameassembler.js";
 import { DepthOrder } from "../../playback/depthorder.js";
 import { readCaptionTracks, readCues, textAt } from "../../format/captions.js";
@@ -31,6 +31,8 @@ import { panBy, TURN_RAD_PER_PX } from "../../view/cameramotion.js";
 import { Orbit } from "../../view/orbit.js";
 import { nearOf } from "../../view/pose.js";
 import { storyboardLayout } from "../../controls/storyboard.js";
+
+await loadPlanes();
 
 /** @param {ArrayBufferView} array */
 const hex = (array) =>
