@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 import zstandard
 
-from codec.coders.zstd import decompress
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.lattice.forms import opacity_logits
 from codec.stream.captions import captions_of, check_captions, parse_webvtt
@@ -100,7 +99,7 @@ def assert_same_object(browser: BrowserCode, data: bytes) -> None:
     found = browser.ask("object", bytes=data.hex())
     assert found == [[birth, data.hex()] for birth, data in packets]
     for _, packet in packets:
-        content = decompress(packet, LIMIT).hex()
+        content = packet_content(packet, LIMIT).hex()
         assert browser.ask("packet", bytes=packet.hex(), limit=LIMIT) == content
 
 
