@@ -14,12 +14,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from codec.coders.coder import EncodedChunk
-from codec.coders.zstd import compress, decompress
 from codec.console import run_command
 from codec.slots.decoder import SlotDecoder
 from codec.slots.encoder import SlotEncoder
 from codec.slots.slotlayout import Update
+from codec.stream.segment import encode_packet, packet_content
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
 
 SWIN_SIZE = 2
@@ -48,34 +47,32 @@ def median_ms(works: Sequence[Callable[[], object]]) -> float:
     return 1e3 * float(np.median(times))
 
 
-def packet(chunk: EncodedChunk) -> bytes:
-    return compress(chunk.data, chunk.edges)
-
-
 def run(config: SlotsConfig) -> None:
     layout = trained_like_layout(config.num_slots, SWIN_SIZE, SEGMENT_FRAMES)
     updates = list(trained_like_updates(layout, NUM_FRAMES, config.active))
     encoder, decoder = SlotEncoder(layout), SlotDecoder(layout)
     for update in updates[:SWIN_SIZE]:
         encoder.append(update)
-    keyframes = [packet(chunk) for chunk in encoder.keyframes()]
+    keyframes = [encode_packet(chunk) for chunk in encoder.keyframes()]
     limits = [layout.max_keyframe_bytes(n) for n in range(layout.num_layers)]
     start = time.thread_time()
     for data, limit in zip(keyframes, limits, strict=True):
-        decoder.load(decompress(data, limit))
+        decoder.load(packet_content(data, limit))
     join_ms = 1e3 * (time.thread_time() - start)
     sent: list[tuple[bytes, list[bytes]]] = []
 
     def encode(update: Update) -> None:
         made = encoder.append(update)
         assert made is not None
-        sent.append((packet(made.skip_map), [packet(change) for change in made.changes]))
+        sent.append(
+            (encode_packet(made.skip_map), [encode_packet(change) for change in made.changes])
+        )
 
     def decode(birth: int, skip_map: bytes, changes: list[bytes]) -> None:
         decoder.apply(
             birth,
-            decompress(skip_map, layout.max_skip_map_bytes),
-            [decompress(c, layout.max_change_bytes(n)) for n, c in enumerate(changes)],
+            packet_content(skip_map, layout.max_skip_map_bytes),
+            [packet_content(c, layout.max_change_bytes(n)) for n, c in enumerate(changes)],
         )
 
     late = updates[SWIN_SIZE:]
