@@ -60,6 +60,12 @@ def calibrate(config: Calibrate, console: Console | None = None) -> str:
             show(round(100 * share), 100)
 
         synchrony = synchronise(takes, config.offsets, lambda share: advance(0.1 * share))
+        if synchrony.num_frames < config.moments:
+            raise CaptureError(
+                f"{given[0]}: {synchrony.num_frames} frames in common, where {config.moments} "
+                "moments are asked for (--moments); a rig of few moments cannot be told from a "
+                "wrong one"
+            )
         sizes, changes = write_moments(
             takes, synchrony, config.moments, config.longest_px, work,
             lambda share: advance(0.1 + 0.1 * share),

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from codec.arrays import Doubles, Longs
+from codec.arrays import Doubles, Flags, Longs
 
 JOB_NAME, RESULT_NAME, PICTURES_NAME = "job.json", "result.npz", "pictures"
 
@@ -53,6 +53,16 @@ grid over its picture; with fewer it keeps that of its kind."""
 
 LEAST_ANGLE_DEG = 1.5
 """Points whose rays meet at less are dropped."""
+
+SAME_PX = 1.0
+"""Side of the squares of a camera's picture of which each is one keypoint in all moments."""
+
+MOST_SEEN = 2
+"""Moments in which at most a keypoint is found that moves."""
+
+ERROR_PX, LEAST_FITTING = 2.0, 0.25
+"""How far a match may lie off the geometry of two cameras, at 640 pixels of width, and the share of
+matches that must fit: by chance, a tenth of them do."""
 
 LEAST_STILL, LEAST_MATCHES = 8, 30
 """So many matches of a picture with another of the same camera show what stands still, if it did;
@@ -96,6 +106,7 @@ class Mapper:
         self._folder, self._job = folder, job
         self._cameras = range(len(job.sizes_px))
         self._moments = [moment for half in job.halves for moment in half]
+        self._scale = max(1.0, max(max(size) for size in job.sizes_px) / 640)
         self._colmap.set_random_seed(job.seed)
         self._pictures = folder / "pictures.db"
         (folder / "none").mkdir()
@@ -127,7 +138,7 @@ class Mapper:
             verified = self._verified(pairs, half)
             for (a, b), matches in verified.items():
                 result[f"matches_{name}_{a}_{b}"] = matches
-                both[a, b] = np.concatenate([both[a, b], matches])
+                both[a, b] = np.unique(np.concatenate([both[a, b], matches]), axis=0)
             result |= self.rigs(name, verified)
             self._progress(0.7 if name == "first" else 0.8)
         return result | self.rigs("whole", both)
@@ -138,19 +149,27 @@ class Mapper:
         sys.stdout.flush()
 
     def _read_keypoints(self) -> None:
-        """Of each camera (N, 3) x, y and moment of the keypoints of all moments, and where those of
-        each picture begin."""
+        """Of each camera (N, 3) x, y and moment of its keypoints, and the numbers of those of each
+        picture among them. What stands still is found in every moment, and is one keypoint: else
+        wrong matches, as between patterns that repeat themselves, would bear each other out."""
         database = self._colmap.Database.open(self._pictures)
         self._ids = {image.name: image.image_id for image in database.read_all_images()}
         self.keypoints: list[Doubles] = []
-        self._first: dict[tuple[int, int], int] = {}
+        self._moves: list[Flags] = []
+        self._pooled: dict[tuple[int, int], Longs] = {}
         for camera in self._cameras:
-            parts: list[Doubles] = []
+            names = [picture_name(moment, camera) for moment in self._moments]
+            found = [np.asarray(database.read_keypoints(self._ids[n]))[:, :2] for n in names]
+            moments = np.repeat(self._moments, [len(each) for each in found])
+            xy = np.concatenate(found).astype(np.float64)
+            _, first, pooled, count = np.unique(
+                np.floor(xy / SAME_PX), axis=0,
+                return_index=True, return_inverse=True, return_counts=True,
+            )  # fmt: skip
+            self.keypoints.append(np.column_stack([xy, moments])[first])
+            self._moves.append(count <= MOST_SEEN)
             for moment in self._moments:
-                found = np.asarray(database.read_keypoints(self._ids[picture_name(moment, camera)]))
-                self._first[moment, camera] = sum(len(part) for part in parts)
-                parts.append(np.column_stack([found[:, :2], np.full(len(found), moment)]))
-            self.keypoints.append(np.concatenate(parts).astype(np.float64))
+                self._pooled[moment, camera] = pooled.ravel()[moments == moment]
         database.close()
 
     def _match(self, pairs: Sequence[tuple[tuple[int, int], tuple[int, int]]]) -> None:
@@ -169,9 +188,7 @@ class Mapper:
         """(N, 2) pooled keypoints that match in two pictures, each a moment and a camera."""
         ids = self._ids[picture_name(*one)], self._ids[picture_name(*other)]
         found = np.asarray(database.read_matches(*ids)).reshape(-1, 2).astype(np.int64)
-        start = np.array([self._first[one], self._first[other]])
-        pooled: Longs = found + start
-        return pooled
+        return np.column_stack([self._pooled[one][found[:, 0]], self._pooled[other][found[:, 1]]])
 
     def _moved(self) -> Doubles:
         """(C, M) by how many pixels the still part of a picture lies elsewhere than in the middle
@@ -197,13 +214,16 @@ class Mapper:
         colmap = self._colmap
         database = colmap.Database.open(self._pictures)
         found = {
-            (a, b): np.concatenate([self._matches(database, (m, a), (m, b)) for m in moments])
+            (a, b): np.unique(
+                np.concatenate([self._matches(database, (m, a), (m, b)) for m in moments]), axis=0
+            )
             for a, b in pairs
         }
         database.close()
         options = colmap.TwoViewGeometryOptions()
         options.ransac.random_seed = self._job.seed
         options.ransac.max_num_trials = MAX_TRIALS
+        options.ransac.max_error = ERROR_PX * self._scale
         lenses = [self._lens(camera) for camera in self._cameras]
 
         def verify(pair: Pair) -> Longs:
@@ -212,7 +232,14 @@ class Mapper:
                 lenses[a], self.keypoints[a][:, :2], lenses[b], self.keypoints[b][:, :2],
                 found[pair].astype(np.uint32), options,
             )  # fmt: skip
-            return np.asarray(geometry.inlier_matches).reshape(-1, 2).astype(np.int64)
+            fits = np.asarray(geometry.inlier_matches).reshape(-1, 2).astype(np.int64)
+            # A pattern that repeats itself, as that of a floor does, gives many wrong matches that
+            # fit each other. It stands still: what moves tells.
+            both = fits, found[pair]
+            fit, of = ((self._moves[a][m[:, 0]] & self._moves[b][m[:, 1]]).sum() for m in both)
+            if of < LEAST_SHARED:
+                fit, of = map(len, both)
+            return fits if fit >= LEAST_FITTING * of else fits[:0]
 
         with ThreadPoolExecutor(self._job.threads) as pool:
             return dict(zip(pairs, pool.map(verify, pairs), strict=True))
@@ -301,12 +328,11 @@ class Mapper:
     def _adjust(self, model: Any, lens: str) -> None:
         """Bundle adjustment with a robust loss, and without what lies off."""
         colmap = self._colmap
-        scale = max(1.0, max(max(size) for size in self._job.sizes_px) / 640)
         options = colmap.BundleAdjustmentOptions()
         options.refine_principal_point = lens != "one"
         options.print_summary = False
         options.ceres.loss_function_type = colmap.LossFunctionType.SOFT_L1
-        options.ceres.loss_function_scale = scale
+        options.ceres.loss_function_scale = self._scale
         options.ceres.solver_options.num_threads = self._job.threads
         options.ceres.solver_options.function_tolerance = 1e-6
         options.ceres.solver_options.max_num_iterations = 50
@@ -319,7 +345,9 @@ class Mapper:
         config.fix_gauge(colmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
         for limit_px in FILTER_PX:
             colmap.create_default_bundle_adjuster(options, config, model).solve()
-            colmap.ObservationManager(model).filter_all_points3D(limit_px * scale, LEAST_ANGLE_DEG)
+            colmap.ObservationManager(model).filter_all_points3D(
+                limit_px * self._scale, LEAST_ANGLE_DEG
+            )
 
     def _is_determined(self, image: Any) -> bool:
         """Whether an image's points determine a lens of its own."""

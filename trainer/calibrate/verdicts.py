@@ -191,9 +191,9 @@ def moved(moved_px: Doubles, widths_px: Sequence[int]) -> list[str]:
 
 def _why_unplaced(solution: Solution, names: Sequence[str], camera: int) -> str:
     moments = solution.keypoints[camera][:, 2].astype(int)
-    features = float(np.median(np.bincount(moments))) if len(moments) else 0.0
+    features = np.bincount(moments, minlength=1).max()
     if features < FEW_FEATURES:
-        return f"shows nothing to recognise ({features:.0f} features): blank or out of focus"
+        return f"shows nothing to recognise ({features} features): blank or out of focus"
     shared: Counter[int] = Counter()
     for matches in solution.matches.values():
         for (a, b), found in matches.items():

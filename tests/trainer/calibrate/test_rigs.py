@@ -159,6 +159,45 @@ def test_a_wrong_camera_is_named_with_the_reason(
     assert says in verdicts[3].wrong
 
 
+def unplaced(solution: Solution, features: dict[int, int]) -> Solution:
+    """What is solved where cameras show only so many features in a moment, which match
+    no others, and are in no rig."""
+    keypoints = [
+        each[np.arange(len(each)) % 60 < features.get(i, 60)]
+        for i, each in enumerate(solution.keypoints)
+    ]
+    kept = {
+        name: {p: m for p, m in found.items() if not features.keys() & p}
+        for name, found in solution.matches.items()
+    }
+    missing = np.isin(np.arange(len(NAMES)), list(features))[:, None, None]
+    rigs = {
+        key: replace(rig, poses=np.where(missing, np.nan, rig.poses))
+        for key, rig in solution.rigs.items()
+    }
+    return replace(solution, keypoints=keypoints, matches=kept, rigs=rigs)
+
+
+@pytest.mark.parametrize(
+    ("features", "says"),
+    [
+        ({3: 60}, "another room"),
+        ({3: 0}, "shows nothing to recognise (0 features): blank"),
+        ({2: 9, 5: 12}, "out of focus"),
+    ],
+    ids=["another room", "blank wall", "two of eight out of focus"],
+)
+def test_cameras_that_are_in_no_rig_are_named(features: dict[int, int], says: str) -> None:
+    true = arc()
+    solution = unplaced(solution_of(true, true, true, np.array([true, true])), features)
+    _, verdicts = judge(solution, NAMES, WIDTHS)
+    wrong = [verdict for verdict in verdicts if verdict.wrong]
+    assert [verdict.name for verdict in wrong] == [NAMES[i] for i in features]
+    assert all(says in verdict.wrong for verdict in wrong)
+    with pytest.raises(CaptureError, match="no rig was found"):
+        judge(unplaced(solution, dict.fromkeys((3, 4, 5, 6, 7), 60)), NAMES, WIDTHS)
+
+
 def test_a_rig_whose_halves_disagree_is_refused() -> None:
     true, rng = arc(), np.random.default_rng(1)
     other = np.array([turned(pose, 6, rng.normal(0, 0.4, 3)) for pose in true])
