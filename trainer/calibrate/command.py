@@ -62,9 +62,9 @@ def calibrate(config: Calibrate, console: Console | None = None) -> str:
         synchrony = synchronise(takes, config.offsets, lambda share: advance(0.1 * share))
         if synchrony.num_frames < config.moments:
             raise CaptureError(
-                f"{given[0]}: {synchrony.num_frames} frames in common, where {config.moments} "
-                "moments are asked for (--moments); a rig of few moments cannot be told from a "
-                "wrong one"
+                f"{given[0]}: frames that all cameras show: {synchrony.num_frames}, where "
+                f"{config.moments} moments are needed (--moments): a rig of few cannot be told "
+                "from a wrong one; film longer"
             )
         sizes, changes = write_moments(
             takes, synchrony, config.moments, config.longest_px, work,

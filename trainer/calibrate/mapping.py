@@ -47,9 +47,9 @@ FILTER_PX = (2.0, 1.5)
 """Reprojection errors over which observations are dropped, adjustment by adjustment, at 640 pixels
 of width."""
 
-LEAST_OBSERVATIONS, GRID, LEAST_CELLS = 80, 6, 0.4
-"""A camera gets a lens of its own if it has so many observations, in this share of the cells of a
-grid over its picture; with fewer it keeps that of its kind."""
+LEAST_OBSERVATIONS, GRID, LEAST_CELLS = {"centre": 80, "lens": 400}, 6, 0.4
+"""A camera gets a principal point, or a lens, of its own if it has so many observations, in this
+share of the cells of a grid over its picture; with fewer it keeps that of its kind."""
 
 LEAST_ANGLE_DEG = 1.5
 """Points whose rays meet at less are dropped."""
@@ -244,13 +244,19 @@ class Mapper:
         with ThreadPoolExecutor(self._job.threads) as pool:
             return dict(zip(pairs, pool.map(verify, pairs), strict=True))
 
-    def _lens(self, camera: int, number: int = 0) -> Any:
+    def _lens(self, camera: int) -> Any:
         width, height = self._job.sizes_px[camera]
         model = self._colmap.CameraModelId.SIMPLE_RADIAL
         focal_px = FOCAL_GUESS * max(width, height)
-        return self._colmap.Camera.create_from_model_id(number, model, focal_px, width, height)
+        return self._colmap.Camera.create_from_model_id(0, model, focal_px, width, height)
 
-    def _write(self, name: str, verified: Mapping[Pair, Longs], kinds: Sequence[int]) -> None:
+    def _write(
+        self,
+        name: str,
+        verified: Mapping[Pair, Longs],
+        kinds: Sequence[int],
+        guesses: Sequence[Any],
+    ) -> None:
         """Writes the database NAME.db, with an image for each camera, image N + 1 of camera N.
         Images of one kind share a lens."""
         colmap = self._colmap
@@ -258,7 +264,7 @@ class Mapper:
         lenses: dict[int, tuple[Any, int]] = {}
         for camera, kind in enumerate(kinds):
             if kind not in lenses:
-                lens_id = database.write_camera(self._lens(camera))
+                lens_id = database.write_camera(guesses[camera])
                 sensor = colmap.sensor_t(type=colmap.SensorType.CAMERA, id=lens_id)
                 rig = colmap.Rig()
                 rig.add_ref_sensor(sensor)
@@ -284,52 +290,55 @@ class Mapper:
     def rigs(self, name: str, verified: Mapping[Pair, Longs]) -> Arrays:
         """The rigs of verified matches, with each of LENSES: arrays by name, of which there are
         none where no rig was found."""
-        found: dict[str, Any] = {}
-        own = f"{name}_own"
-        self._write(name, verified, self._job.kinds)
-        self._write(own, verified, self._cameras)
-        model = self._mapped(name)
-        if model is not None:
-            self._adjust(model, "one")
-            found["one"] = self._arrays(model)
-            model = self._with_own_lenses(model)
-            self._adjust(model, "like")
-            # With other lenses other matches fit.
-            out, options = self._folder / f"{name}.points", self._options()
-            out.mkdir()
-            model = self._colmap.triangulate_points(
-                model, self._folder / f"{own}.db", self._folder / "none", out, options=options
-            )
-            self._adjust(model, "like")
-            found["like"] = self._arrays(model)
-        model = self._mapped(own)
-        if model is not None:
-            self._adjust(model, "free")
-            found["free"] = self._arrays(model)
-        return {f"{name}_{lens}_{k}": v for lens, rig in found.items() for k, v in rig.items()}
+        found: Arrays = {}
+        for lens in LENSES:
+            kinds = self._job.kinds if lens == "one" else self._cameras
+            guesses = [self._lens(camera) for camera in self._cameras]
+            if lens == "like" and found:
+                known = found[f"{name}_one_lenses"]
+                for guess, kind in zip(guesses, self._job.kinds, strict=True):
+                    of_kind = known[(np.array(self._job.kinds) == kind) & np.isfinite(known[:, 0])]
+                    guess.params = of_kind[0] if len(of_kind) else guess.params
+            model = self._mapped(f"{name}_{lens}", verified, kinds, guesses, lens == "like")
+            if model is not None:
+                for refined in ("lens",) if lens == "one" else ("centre", "lens"):
+                    self._adjust(model, refined, lens != "one")
+                rig = self._arrays(model)
+                found |= {f"{name}_{lens}_{key}": value for key, value in rig.items()}
+        return found
 
-    def _options(self) -> Any:
+    def _mapped(
+        self,
+        name: str,
+        verified: Mapping[Pair, Longs],
+        kinds: Sequence[int],
+        guesses: Sequence[Any],
+        are_right: bool,
+    ) -> Any:
+        """The largest rig; None if there is none. are_right: whether the guesses at the lenses
+        are not to be refined."""
         options = self._colmap.IncrementalPipelineOptions()
         options.extract_colors = False
         options.num_threads = self._job.threads
         options.random_seed = self._job.seed
         options.min_model_size = 3
-        return options
-
-    def _mapped(self, name: str) -> Any:
-        """The largest rig of the database NAME.db; None if there is none."""
+        options.ba_refine_focal_length = options.ba_refine_extra_params = not are_right
+        self._write(name, verified, kinds, guesses)
         out = self._folder / f"{name}.rig"
         out.mkdir()
         models = self._colmap.incremental_mapping(
-            self._folder / f"{name}.db", self._folder / "none", out, self._options()
+            self._folder / f"{name}.db", self._folder / "none", out, options
         )
         return max(models.values(), key=lambda each: each.num_reg_images(), default=None)
 
-    def _adjust(self, model: Any, lens: str) -> None:
-        """Bundle adjustment with a robust loss, and without what lies off."""
+    def _adjust(self, model: Any, refined: str, own: bool) -> None:
+        """Bundle adjustment with a robust loss, and without what lies off. refined: "centre" for
+        principal points alone, "lens" for all, or all but those where cameras have none of their
+        own."""
         colmap = self._colmap
         options = colmap.BundleAdjustmentOptions()
-        options.refine_principal_point = lens != "one"
+        options.refine_principal_point = own
+        options.refine_focal_length = options.refine_extra_params = refined == "lens"
         options.print_summary = False
         options.ceres.loss_function_type = colmap.LossFunctionType.SOFT_L1
         options.ceres.loss_function_scale = self._scale
@@ -340,7 +349,7 @@ class Mapper:
         for image_id in model.reg_image_ids():
             config.add_image(image_id)
             image = model.image(image_id)
-            if lens != "one" and not self._is_determined(image):
+            if own and not self._is_determined(image, LEAST_OBSERVATIONS[refined]):
                 config.set_constant_cam_intrinsics(image.camera_id)
         config.fix_gauge(colmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
         for limit_px in FILTER_PX:
@@ -349,30 +358,11 @@ class Mapper:
                 limit_px * self._scale, LEAST_ANGLE_DEG
             )
 
-    def _is_determined(self, image: Any) -> bool:
-        """Whether an image's points determine a lens of its own."""
+    def _is_determined(self, image: Any, least: int) -> bool:
+        """Whether an image has at least so many points, and all over it."""
         seen = np.array([p.xy for p in image.points2D if p.has_point3D()]).reshape(-1, 2)
         cells = np.unique((seen * GRID / self._job.sizes_px[int(image.name)]).astype(int), axis=0)
-        return len(seen) >= LEAST_OBSERVATIONS and len(cells) >= LEAST_CELLS * GRID * GRID
-
-    def _with_own_lenses(self, model: Any) -> Any:
-        """The same rig, in which each image has a camera of its own, with its number."""
-        colmap = self._colmap
-        copy = colmap.Reconstruction()
-        for image_id in model.reg_image_ids():
-            image = model.image(image_id)
-            lens = model.camera(image.camera_id)
-            own = self._lens(int(image.name), image_id)
-            own.params = lens.params
-            copy.add_camera_with_trivial_rig(own)
-            xy = self.keypoints[int(image.name)][:, :2]
-            fresh = colmap.Image(
-                name=image.name, camera_id=image_id, image_id=image_id, keypoints=xy
-            )
-            copy.add_image_with_trivial_frame(fresh, image.cam_from_world())
-        for point in model.points3D.values():
-            copy.add_point3D(point.xyz, point.track)
-        return copy
+        return len(seen) >= least and len(cells) >= LEAST_CELLS * GRID * GRID
 
     def _arrays(self, model: Any) -> Arrays:
         """The rig as the fields of `solution.Rig`."""

@@ -400,7 +400,7 @@ def _common_time(
     CaptureError."""
     starts = np.array(starts_s) - min(starts_s)
     duration_s = min(t.times_s[-1] - start for t, start in zip(takes, starts, strict=True))
-    if duration_s <= 0:
+    if duration_s < 0:
         raise CaptureError(
             f"the takes have no time in common: {how}, they begin up to {starts.max():.2f} s apart"
         )

@@ -266,7 +266,8 @@ FLOOR_SHARE, BELOW_SHARE, THICKNESS = 0.1, 0.04, 0.01
 """A floor has at least this share of the points, at most that share lies below it, and it is so
 thick, over the distance of the cameras."""
 
-TRIES = 500
+TRIES, MOST_POINTS = 500, 5000
+"""Planes that are tried, and points that they are compared with."""
 
 
 def world_of(
@@ -301,24 +302,21 @@ def floor_normal(points: Doubles, up: Doubles, distance: float) -> Doubles | Non
     if len(points) < 50:
         return None
     rng = np.random.default_rng(0)
+    points = rng.permutation(points)[:MOST_POINTS]
     thickness = THICKNESS * distance
-    best, most = None, FLOOR_SHARE * len(points)
-    for _ in range(TRIES):
-        a, b, c = points[rng.choice(len(points), 3, replace=False)]
-        normal = np.cross(b - a, c - a)
-        length = float(np.linalg.norm(normal))
-        if length == 0:
-            continue
-        normal *= np.sign(normal @ up) / length
-        if normal @ up < np.cos(np.radians(FLOOR_TILT_DEG)):
-            continue
-        heights = (points - a) @ normal
-        on = np.abs(heights) < thickness
-        if on.sum() > most and (heights < -3 * thickness).mean() < BELOW_SHARE:
-            best, most = on, int(on.sum())
-    if best is None:
+    a, b, c = points[rng.integers(len(points), size=(3, TRIES))]
+    normals = np.cross(b - a, c - a)
+    normals *= np.sign(normals @ up)[:, None]
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    heights = points @ normals.T - (a * normals).sum(axis=1)
+    on = np.abs(heights) < thickness
+    counts = on.sum(axis=0)
+    counts[normals @ up < np.cos(np.radians(FLOOR_TILT_DEG))] = 0
+    counts[(heights < -3 * thickness).mean(axis=0) >= BELOW_SHARE] = 0
+    best = int(np.argmax(counts))
+    if counts[best] <= FLOOR_SHARE * len(points):
         return None
-    plane = points[best]
+    plane = points[on[:, best]]
     normal = np.linalg.svd(plane - plane.mean(axis=0), full_matrices=False)[2][2]
     found: Doubles = normal * np.sign(normal @ up)
     return found

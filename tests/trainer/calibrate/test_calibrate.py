@@ -120,7 +120,10 @@ def test_a_camera_that_is_five_frames_late_is_named_and_corrected() -> None:
 def test_one_moment_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Videos in which nothing moves, and those of a single frame."""
     monkeypatch.setattr("trainer.calibrate.command.find_spec", lambda name: name)
-    for frames, says in ((12, "all 6 moments look the same"), (1, "1 frame in common")):
+    for frames, says in (
+        (12, "all 6 moments look the same"),
+        (1, "frames that all cameras show: 1"),
+    ):
         folder = tmp_path / str(frames)
         folder.mkdir()
         for i in range(4):
