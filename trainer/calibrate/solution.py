@@ -121,14 +121,17 @@ class Rig:
         found: Flags = np.isfinite(self.poses[:, 0, 0])
         return found
 
-    def straightened(self, camera: int, xy_px: Doubles) -> Doubles:
-        """(N, 2) straight positions over the focal length of pixels (N, 2)."""
+    def rays(self, camera: int, xy_px: Doubles) -> Doubles:
+        """(N, 3) directions in the world of pixels (N, 2)."""
         focal_px, cx_px, cy_px, k1 = self.lenses[camera]
         bent: Doubles = (xy_px - (cx_px, cy_px)) / focal_px
         straight = bent
         for _ in range(10):
             straight = bent / (1 + k1 * (straight**2).sum(axis=1, keepdims=True))
-        return straight
+        local = np.column_stack([straight, np.ones(len(straight))])
+        local /= np.linalg.norm(local, axis=1, keepdims=True)
+        rays: Doubles = local @ self.poses[camera, :, :3]
+        return rays
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,15 +217,11 @@ def _left_out(
     used, camera, track = used[kept], camera[kept], track[kept]
     if not len(used):
         return none
-    rays, origins = np.zeros((len(used), 3)), np.zeros((len(used), 3))
+    rays = np.zeros((len(used), 3))
     for one in np.unique(camera):
         mine = camera == one
-        xy = keypoints[one][used[mine] - starts[one], :2]
-        straight = rig.straightened(one, xy)
-        local = np.column_stack([straight, np.ones(len(straight))])
-        local /= np.linalg.norm(local, axis=1, keepdims=True)
-        rotation, offset = rig.poses[one, :, :3], rig.poses[one, :, 3]
-        rays[mine], origins[mine] = local @ rotation, -rotation.T @ offset
+        rays[mine] = rig.rays(one, keypoints[one][used[mine] - starts[one], :2])
+    origins = centres(rig.poses)[camera]
     # The place nearest to the rays of the others: sum (I - r r^T) (x - o) = 0.
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     reached = np.einsum("nij,nj->ni", across, origins)
