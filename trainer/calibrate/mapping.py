@@ -98,6 +98,29 @@ def picture_name(moment: int, camera: int) -> str:
     return f"{moment:05d}_{camera:05d}.jpg"
 
 
+def pooled(keypoints: Doubles) -> tuple[Doubles, Longs, Flags]:
+    """(K, 3) the different ones of keypoints (N, 3) x, y, moment of a camera; (N,) which of them
+    each is; and (K,) whether it moves. What stands still is found in every moment and is one
+    keypoint: else each wrong match would be there many times, and copies bear each other out."""
+    _, first, numbers, count = np.unique(
+        np.floor(keypoints[:, :2] / SAME_PX), axis=0,
+        return_index=True, return_inverse=True, return_counts=True,
+    )  # fmt: skip
+    return keypoints[first], numbers.ravel(), count <= MOST_SEEN
+
+
+def is_borne_out(found: Flags, fits: Flags) -> bool:
+    """Whether matches of two cameras are more than chance. found, fits: of all of them, and of
+    those that fit one geometry, whether each moves.
+
+    A pattern that repeats itself, as that of a floor does, gives many wrong matches that fit each
+    other. It stands still: what moves, if anything does, tells.
+    """
+    if found.sum() < LEAST_SHARED:
+        return len(fits) >= LEAST_FITTING * len(found)
+    return bool(fits.sum() >= LEAST_FITTING * found.sum())
+
+
 class Mapper:
     """Finds rigs in FOLDER."""
 
@@ -149,27 +172,23 @@ class Mapper:
         sys.stdout.flush()
 
     def _read_keypoints(self) -> None:
-        """Of each camera (N, 3) x, y and moment of its keypoints, and the numbers of those of each
-        picture among them. What stands still is found in every moment, and is one keypoint: else
-        wrong matches, as between patterns that repeat themselves, would bear each other out."""
+        """The pooled keypoints of each camera, and the numbers of those of each picture among
+        them."""
         database = self._colmap.Database.open(self._pictures)
         self._ids = {image.name: image.image_id for image in database.read_all_images()}
         self.keypoints: list[Doubles] = []
         self._moves: list[Flags] = []
-        self._pooled: dict[tuple[int, int], Longs] = {}
+        self._numbers: dict[tuple[int, int], Longs] = {}
         for camera in self._cameras:
             names = [picture_name(moment, camera) for moment in self._moments]
             found = [np.asarray(database.read_keypoints(self._ids[n]))[:, :2] for n in names]
             moments = np.repeat(self._moments, [len(each) for each in found])
             xy = np.concatenate(found).astype(np.float64)
-            _, first, pooled, count = np.unique(
-                np.floor(xy / SAME_PX), axis=0,
-                return_index=True, return_inverse=True, return_counts=True,
-            )  # fmt: skip
-            self.keypoints.append(np.column_stack([xy, moments])[first])
-            self._moves.append(count <= MOST_SEEN)
+            keypoints, numbers, moves = pooled(np.column_stack([xy, moments]))
+            self.keypoints.append(keypoints)
+            self._moves.append(moves)
             for moment in self._moments:
-                self._pooled[moment, camera] = pooled.ravel()[moments == moment]
+                self._numbers[moment, camera] = numbers[moments == moment]
         database.close()
 
     def _match(self, pairs: Sequence[tuple[tuple[int, int], tuple[int, int]]]) -> None:
@@ -188,7 +207,7 @@ class Mapper:
         """(N, 2) pooled keypoints that match in two pictures, each a moment and a camera."""
         ids = self._ids[picture_name(*one)], self._ids[picture_name(*other)]
         found = np.asarray(database.read_matches(*ids)).reshape(-1, 2).astype(np.int64)
-        return np.column_stack([self._pooled[one][found[:, 0]], self._pooled[other][found[:, 1]]])
+        return np.column_stack([self._numbers[one][found[:, 0]], self._numbers[other][found[:, 1]]])
 
     def _moved(self) -> Doubles:
         """(C, M) by how many pixels the still part of a picture lies elsewhere than in the middle
@@ -233,13 +252,8 @@ class Mapper:
                 found[pair].astype(np.uint32), options,
             )  # fmt: skip
             fits = np.asarray(geometry.inlier_matches).reshape(-1, 2).astype(np.int64)
-            # A pattern that repeats itself, as that of a floor does, gives many wrong matches that
-            # fit each other. It stands still: what moves tells.
-            both = fits, found[pair]
-            fit, of = ((self._moves[a][m[:, 0]] & self._moves[b][m[:, 1]]).sum() for m in both)
-            if of < LEAST_SHARED:
-                fit, of = map(len, both)
-            return fits if fit >= LEAST_FITTING * of else fits[:0]
+            moves = (self._moves[a][m[:, 0]] & self._moves[b][m[:, 1]] for m in (found[pair], fits))
+            return fits if is_borne_out(*moves) else fits[:0]
 
         with ThreadPoolExecutor(self._job.threads) as pool:
             return dict(zip(pairs, pool.map(verify, pairs), strict=True))

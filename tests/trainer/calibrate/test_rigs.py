@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from codec.arrays import Doubles
 from codec.camera import Camera, look_at
+from trainer.calibrate.mapping import is_borne_out, pooled
 from trainer.calibrate.solution import (
     Rig,
     Similarity,
@@ -156,6 +157,21 @@ def test_a_wrong_camera_is_named_with_the_reason(
     _, wrong = judge(solution, NAMES, WIDTHS)
     assert list(wrong) == [3]
     assert says in wrong[3]
+
+
+def test_what_stands_still_is_one_keypoint_and_does_not_bear_out_matches() -> None:
+    still = np.array([[10.4, 20.6], [300.2, 7.3]])
+    found = [[*xy, moment] for moment in range(6) for xy in (*still, [50.5 + 9 * moment, 80.5])]
+    keypoints, numbers, moves = pooled(np.array(found))
+    assert moves.sum() == 6
+    np.testing.assert_allclose(keypoints[~moves], np.column_stack([still, [0, 0]]))
+    np.testing.assert_allclose(keypoints[numbers, :2], np.array(found)[:, :2])
+    floor, walker, none = np.zeros(200, bool), np.ones(30, bool), np.zeros(0, bool)
+    both = np.concatenate([floor, walker])
+    assert is_borne_out(both, np.concatenate([floor[:60], walker[:20]]))
+    assert not is_borne_out(both, np.concatenate([floor[:160], walker[:4]]))
+    assert is_borne_out(floor, floor[:60])
+    assert not is_borne_out(floor, none)
 
 
 def unplaced(solution: Solution, features: dict[int, int]) -> Solution:
