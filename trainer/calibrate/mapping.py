@@ -265,20 +265,18 @@ class Mapper:
         return self._colmap.Camera.create_from_model_id(0, model, focal_px, width, height)
 
     def _write(
-        self,
-        name: str,
-        verified: Mapping[Pair, Longs],
-        kinds: Sequence[int],
-        guesses: Sequence[Any],
+        self, name: str, verified: Mapping[Pair, Longs], lens: str, known: Mapping[int, Doubles]
     ) -> None:
         """Writes the database NAME.db, with an image for each camera, image N + 1 of camera N.
-        Images of one kind share a lens."""
+        lens, known: see `_mapped`."""
         colmap = self._colmap
         database = colmap.Database.open(self._folder / f"{name}.db")
         lenses: dict[int, tuple[Any, int]] = {}
-        for camera, kind in enumerate(kinds):
+        for camera, kind in enumerate(self._job.kinds if lens == "one" else self._cameras):
             if kind not in lenses:
-                lens_id = database.write_camera(guesses[camera])
+                guess = self._lens(camera)
+                guess.params = known.get(self._job.kinds[camera], guess.params)
+                lens_id = database.write_camera(guess)
                 sensor = colmap.sensor_t(type=colmap.SensorType.CAMERA, id=lens_id)
                 rig = colmap.Rig()
                 rig.add_ref_sensor(sensor)
@@ -305,39 +303,32 @@ class Mapper:
         """The rigs of verified matches, with each of LENSES: arrays by name, of which there are
         none where no rig was found."""
         found: Arrays = {}
+        shared: dict[int, Doubles] = {}
         for lens in LENSES:
-            kinds = self._job.kinds if lens == "one" else self._cameras
-            guesses = [self._lens(camera) for camera in self._cameras]
-            if lens == "like" and found:
-                known = found[f"{name}_one_lenses"]
-                for guess, kind in zip(guesses, self._job.kinds, strict=True):
-                    of_kind = known[(np.array(self._job.kinds) == kind) & np.isfinite(known[:, 0])]
-                    guess.params = of_kind[0] if len(of_kind) else guess.params
-            model = self._mapped(f"{name}_{lens}", verified, kinds, guesses, lens == "like")
+            known = shared if lens == "like" else {}
+            model = self._mapped(f"{name}_{lens}", verified, lens, known)
             if model is not None:
                 for refined in ("lens",) if lens == "one" else ("centre", "lens"):
                     self._adjust(model, refined, lens != "one")
                 rig = self._arrays(model)
                 found |= {f"{name}_{lens}_{key}": value for key, value in rig.items()}
+                for kind, params in zip(self._job.kinds, rig["lenses"], strict=True):
+                    if lens == "one" and np.isfinite(params[0]):
+                        shared[kind] = params
         return found
 
     def _mapped(
-        self,
-        name: str,
-        verified: Mapping[Pair, Longs],
-        kinds: Sequence[int],
-        guesses: Sequence[Any],
-        are_right: bool,
+        self, name: str, verified: Mapping[Pair, Longs], lens: str, known: Mapping[int, Doubles]
     ) -> Any:
-        """The largest rig; None if there is none. are_right: whether the guesses at the lenses
-        are not to be refined."""
+        """The largest rig; None if there is none. lens: of LENSES; known: the lens of each kind,
+        which then stays."""
         options = self._colmap.IncrementalPipelineOptions()
         options.extract_colors = False
         options.num_threads = self._job.threads
         options.random_seed = self._job.seed
         options.min_model_size = 3
-        options.ba_refine_focal_length = options.ba_refine_extra_params = not are_right
-        self._write(name, verified, kinds, guesses)
+        options.ba_refine_focal_length = options.ba_refine_extra_params = not known
+        self._write(name, verified, lens, known)
         out = self._folder / f"{name}.rig"
         out.mkdir()
         models = self._colmap.incremental_mapping(

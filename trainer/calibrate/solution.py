@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import pdist
+from scipy.spatial.transform import Rotation
 
 from codec.arrays import Doubles, Flags, Longs
 from codec.camera import Camera
@@ -63,14 +65,11 @@ def align(poses: Doubles, onto: Doubles) -> Similarity:
     apart = angles_deg(turns[:, None], turns[None])
     best = int(np.argmin(np.median(apart, axis=1)))
     close = apart[best] <= 2 * np.median(apart[best]) + 1e-6
-    u, _, vt = np.linalg.svd(turns[close].mean(axis=0))
-    rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    rotation = Rotation.from_matrix(turns[close]).mean().as_matrix()
     a, b = centres(poses), centres(onto)
-    pairs = np.triu_indices(len(a), 1)
-    lengths = (np.linalg.norm(each[pairs[0]] - each[pairs[1]], axis=1) for each in (a, b))
-    shorter, longer = lengths
-    counts = shorter > 1e-9 * max(shorter.max(), 1e-300)
-    scale = float(np.median(longer[counts] / shorter[counts]))
+    lengths = pdist(a)
+    counts = lengths > 1e-9 * max(lengths.max(), 1e-300)
+    scale = float(np.median(pdist(b)[counts] / lengths[counts]))
     offset = np.median(b - scale * a @ rotation.T, axis=0)
     return _refined(a, b, Similarity(scale, rotation, offset))
 

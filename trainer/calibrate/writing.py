@@ -156,9 +156,8 @@ def coloured_points(
             at = keypoints[:, 2] == moment
             name = picture_name(int(moment), camera)
             picture = np.asarray(Image.open(folder / PICTURES_NAME / name).convert("RGB"))
-            height, width = picture.shape[:2]
-            columns = np.clip(keypoints[at, 0].astype(int), 0, width - 1)
-            rows = np.clip(keypoints[at, 1].astype(int), 0, height - 1)
+            last = picture.shape[1] - 1, picture.shape[0] - 1
+            columns, rows = np.clip(keypoints[at, :2].astype(int), 0, last).T
             np.add.at(total, mine[at, 0], picture[rows, columns])
             np.add.at(count, mine[at, 0], 1)
     kept = count >= 2
