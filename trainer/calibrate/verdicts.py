@@ -43,7 +43,7 @@ FEW_FEATURES = 60
 
 def judge(
     solution: Solution, names: Sequence[str], widths_px: Sequence[int]
-) -> tuple[Compared, dict[int, str]]:
+) -> tuple[Halves, dict[int, str]]:
     """The halves with the kind of lens with which the rig is best; and of each camera that is
     wrong, reason and remedy. Raises CaptureError for a rig that is wrong."""
     wrong = {i: text for i, text in enumerate(moved(solution.moved_px, widths_px)) if text}
@@ -101,7 +101,7 @@ def judge(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Compared:
+class Halves:
     """How well the halves of a take agree with each other, with one kind of lens."""
 
     lens: str
@@ -130,14 +130,14 @@ class Compared:
         return float(known.mean()) if len(known) else np.inf
 
 
-def _compared(solution: Solution, lens: str, widths_px: Sequence[int]) -> Compared:
+def _compared(solution: Solution, lens: str, widths_px: Sequence[int]) -> Halves:
     rigs = [solution.rigs[name, lens] for name in ("first", "second", "whole")]
     placed = np.all([rig.has for rig in rigs], axis=0)
     apart, apart_deg = np.full(len(placed), np.nan), np.full(len(placed), np.nan)
     errors = unseen_errors(solution, lens, widths_px)
     unseen = np.array([np.median(e) if len(e) >= LEAST_UNSEEN else np.nan for e in errors])
     if placed.sum() < 2:
-        return Compared(lens, placed, apart, apart_deg, unseen, {})
+        return Halves(lens, placed, apart, apart_deg, unseen, {})
     one, other, whole = (rig.poses[placed] for rig in rigs)
     one, other = (align(half, whole).poses(half) for half in (one, other))
     places, index = centres(whole), np.flatnonzero(placed)
@@ -147,7 +147,7 @@ def _compared(solution: Solution, lens: str, widths_px: Sequence[int]) -> Compar
     between = np.linalg.norm(places[:, None] - places[None], axis=2)
     pairs = np.argwhere(np.triu(between < TWIN_SHARE * np.median(distances), 1))
     twins = {int(index[j]): int(index[i]) for i, j in pairs}
-    return Compared(lens, placed, apart, apart_deg, unseen, twins)
+    return Halves(lens, placed, apart, apart_deg, unseen, twins)
 
 
 def moved(moved_px: Doubles, widths_px: Sequence[int]) -> list[str]:

@@ -28,7 +28,7 @@ from .offsets import Synchrony
 from .rigimport import CalibratedCamera, transforms_entry
 from .solution import Rig, Similarity, Solution
 from .takes import Take
-from .verdicts import Compared
+from .verdicts import Halves
 
 REPORT_NAME = "calibration.txt"
 
@@ -42,7 +42,7 @@ LENS_TEXT = {
 def report_lines(
     capture: Capture,
     synchrony: Synchrony,
-    halves: Compared,
+    halves: Halves,
     names: Sequence[str],
     wrong: Mapping[int, str],
     has_floor: bool,
