@@ -50,9 +50,10 @@ def write_video(
     transfer: int = 1,
     turned_deg: int = 0,
     times: Sequence[int] | None = None,
+    is_still: bool = False,
 ) -> None:
     """Writes a lossless video with B-frames and a key frame every 10 frames; times: of the frames,
-    in ticks."""
+    in ticks. is_still: all frames are one picture."""
     settings = {"qp": "0", "preset": "ultrafast", "bf": "2"}
     place = {"movflags": "faststart"} if table_in_front else {}
     container = "matroska" if path.suffix == ".mkv" else "mp4"
@@ -64,7 +65,8 @@ def write_video(
         if turned_deg:
             stream.set_display_rotation(turned_deg)
         for number, time in enumerate(times or range(0, 20 * num_frames, 20)):
-            frame = av.VideoFrame.from_ndarray(picture_of(camera_index, number), format="rgb24")
+            picture = picture_of(camera_index, number * (not is_still))
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
             frame.pts, frame.time_base = time, Fraction(1, TICKS)
             output.mux(stream.encode(frame))
         output.mux(stream.encode())

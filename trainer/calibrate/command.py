@@ -60,6 +60,12 @@ def calibrate(config: Calibrate, console: Console | None = None) -> str:
             show(round(100 * share), 100)
 
         synchrony = synchronise(takes, config.offsets, lambda share: advance(0.1 * share))
+        if synchrony.num_frames < config.moments:
+            raise CaptureError(
+                f"{given[0]}: frames that all cameras show: {synchrony.num_frames}, where "
+                f"{config.moments} moments are needed (--moments): a rig of few cannot be told "
+                "from a wrong one; film longer"
+            )
         sizes, changes = write_moments(
             takes, synchrony, config.moments, config.longest_px, work,
             lambda share: advance(0.1 + 0.1 * share),
@@ -115,12 +121,12 @@ def _write(
     folder: Path,
 ) -> str:
     names = [take.name for take in takes]
-    lens, verdicts = judge(solution, names, [size[0] for size in sizes])
-    right = [i for i, verdict in enumerate(verdicts) if not verdict.wrong]
-    for verdict in verdicts:
-        if verdict.wrong and config.metres is not None and verdict.name in config.metres:
-            raise CaptureError(f"--metres: {verdict.name} {verdict.wrong}")
-    rig = solution.rigs["whole", lens]
+    halves, wrong = judge(solution, names, [size[0] for size in sizes])
+    right = [i for i in range(len(names)) if i not in wrong]
+    for i, reason in wrong.items():
+        if config.metres is not None and names[i] in config.metres:
+            raise CaptureError(f"--metres: {names[i]} {reason}")
+    rig = solution.rigs["whole", halves.lens]
     synchrony = confirmed(takes, synchrony, rig, right)
     cameras = calibrated(rig, takes, sizes, right)
     plain = [each.camera for each in cameras]
@@ -135,6 +141,7 @@ def _write(
     write_capture(folder, placed, [takes[i] for i in right], synchrony, points)
     capture = replace(open_capture(folder), root=config.videos[-1])
     draw_capture(capture, folder / PICTURE_NAME)
-    lines = report_lines(capture, synchrony, lens, verdicts, has_floor, config.metres is not None)
+    has_unit = config.metres is not None
+    lines = report_lines(capture, synchrony, halves, names, wrong, has_floor, has_unit)
     (folder / REPORT_NAME).write_text("\n".join(lines) + "\n", encoding="utf-8")
     return "\n".join(lines)

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from codec.arrays import Doubles, Longs
+from codec.arrays import Doubles, Flags, Longs
 
 JOB_NAME, RESULT_NAME, PICTURES_NAME = "job.json", "result.npz", "pictures"
 
@@ -47,12 +47,22 @@ FILTER_PX = (2.0, 1.5)
 """Reprojection errors over which observations are dropped, adjustment by adjustment, at 640 pixels
 of width."""
 
-LEAST_OBSERVATIONS, GRID, LEAST_CELLS = 80, 6, 0.4
-"""A camera gets a lens of its own if it has so many observations, in this share of the cells of a
-grid over its picture; with fewer it keeps that of its kind."""
+LEAST_OBSERVATIONS, GRID, LEAST_CELLS = {"centre": 80, "lens": 400}, 6, 0.4
+"""A camera gets a principal point, or a lens, of its own if it has so many observations, in this
+share of the cells of a grid over its picture; with fewer it keeps that of its kind."""
 
 LEAST_ANGLE_DEG = 1.5
 """Points whose rays meet at less are dropped."""
+
+SAME_PX = 1.0
+"""Side of the squares of a camera's picture of which each is one keypoint in all moments."""
+
+MOST_SEEN = 2
+"""Moments in which at most a keypoint is found that moves."""
+
+ERROR_PX, LEAST_FITTING = 2.0, 0.25
+"""How far a match may lie off the geometry of two cameras, at 640 pixels of width, and the share of
+matches that must fit: by chance, a tenth of them do."""
 
 LEAST_STILL, LEAST_MATCHES = 8, 30
 """So many matches of a picture with another of the same camera show what stands still, if it did;
@@ -88,6 +98,29 @@ def picture_name(moment: int, camera: int) -> str:
     return f"{moment:05d}_{camera:05d}.jpg"
 
 
+def pooled(keypoints: Doubles) -> tuple[Doubles, Longs, Flags]:
+    """(K, 3) the different ones of keypoints (N, 3) x, y, moment of a camera; (N,) which of them
+    each is; and (K,) whether it moves. What stands still is found in every moment and is one
+    keypoint: else each wrong match would be there many times, and copies bear each other out."""
+    _, first, numbers, count = np.unique(
+        np.floor(keypoints[:, :2] / SAME_PX), axis=0,
+        return_index=True, return_inverse=True, return_counts=True,
+    )  # fmt: skip
+    return keypoints[first], numbers.ravel(), count <= MOST_SEEN
+
+
+def is_borne_out(found: Flags, fits: Flags) -> bool:
+    """Whether matches of two cameras are more than chance. found, fits: of all of them, and of
+    those that fit one geometry, whether each moves.
+
+    A pattern that repeats itself, as that of a floor does, gives many wrong matches that fit each
+    other. It stands still: what moves, if anything does, tells.
+    """
+    if found.sum() < LEAST_SHARED:
+        return len(fits) >= LEAST_FITTING * len(found)
+    return bool(fits.sum() >= LEAST_FITTING * found.sum())
+
+
 class Mapper:
     """Finds rigs in FOLDER."""
 
@@ -96,6 +129,7 @@ class Mapper:
         self._folder, self._job = folder, job
         self._cameras = range(len(job.sizes_px))
         self._moments = [moment for half in job.halves for moment in half]
+        self._scale = max(1.0, max(max(size) for size in job.sizes_px) / 640)
         self._colmap.set_random_seed(job.seed)
         self._pictures = folder / "pictures.db"
         (folder / "none").mkdir()
@@ -127,7 +161,7 @@ class Mapper:
             verified = self._verified(pairs, half)
             for (a, b), matches in verified.items():
                 result[f"matches_{name}_{a}_{b}"] = matches
-                both[a, b] = np.concatenate([both[a, b], matches])
+                both[a, b] = np.unique(np.concatenate([both[a, b], matches]), axis=0)
             result |= self.rigs(name, verified)
             self._progress(0.7 if name == "first" else 0.8)
         return result | self.rigs("whole", both)
@@ -138,19 +172,23 @@ class Mapper:
         sys.stdout.flush()
 
     def _read_keypoints(self) -> None:
-        """Of each camera (N, 3) x, y and moment of the keypoints of all moments, and where those of
-        each picture begin."""
+        """The pooled keypoints of each camera, and the numbers of those of each picture among
+        them."""
         database = self._colmap.Database.open(self._pictures)
         self._ids = {image.name: image.image_id for image in database.read_all_images()}
         self.keypoints: list[Doubles] = []
-        self._first: dict[tuple[int, int], int] = {}
+        self._moves: list[Flags] = []
+        self._numbers: dict[tuple[int, int], Longs] = {}
         for camera in self._cameras:
-            parts: list[Doubles] = []
+            names = [picture_name(moment, camera) for moment in self._moments]
+            found = [np.asarray(database.read_keypoints(self._ids[n]))[:, :2] for n in names]
+            moments = np.repeat(self._moments, [len(each) for each in found])
+            xy = np.concatenate(found).astype(np.float64)
+            keypoints, numbers, moves = pooled(np.column_stack([xy, moments]))
+            self.keypoints.append(keypoints)
+            self._moves.append(moves)
             for moment in self._moments:
-                found = np.asarray(database.read_keypoints(self._ids[picture_name(moment, camera)]))
-                self._first[moment, camera] = sum(len(part) for part in parts)
-                parts.append(np.column_stack([found[:, :2], np.full(len(found), moment)]))
-            self.keypoints.append(np.concatenate(parts).astype(np.float64))
+                self._numbers[moment, camera] = numbers[moments == moment]
         database.close()
 
     def _match(self, pairs: Sequence[tuple[tuple[int, int], tuple[int, int]]]) -> None:
@@ -169,9 +207,7 @@ class Mapper:
         """(N, 2) pooled keypoints that match in two pictures, each a moment and a camera."""
         ids = self._ids[picture_name(*one)], self._ids[picture_name(*other)]
         found = np.asarray(database.read_matches(*ids)).reshape(-1, 2).astype(np.int64)
-        start = np.array([self._first[one], self._first[other]])
-        pooled: Longs = found + start
-        return pooled
+        return np.column_stack([self._numbers[one][found[:, 0]], self._numbers[other][found[:, 1]]])
 
     def _moved(self) -> Doubles:
         """(C, M) by how many pixels the still part of a picture lies elsewhere than in the middle
@@ -197,13 +233,16 @@ class Mapper:
         colmap = self._colmap
         database = colmap.Database.open(self._pictures)
         found = {
-            (a, b): np.concatenate([self._matches(database, (m, a), (m, b)) for m in moments])
+            (a, b): np.unique(
+                np.concatenate([self._matches(database, (m, a), (m, b)) for m in moments]), axis=0
+            )
             for a, b in pairs
         }
         database.close()
         options = colmap.TwoViewGeometryOptions()
         options.ransac.random_seed = self._job.seed
         options.ransac.max_num_trials = MAX_TRIALS
+        options.ransac.max_error = ERROR_PX * self._scale
         lenses = [self._lens(camera) for camera in self._cameras]
 
         def verify(pair: Pair) -> Longs:
@@ -212,26 +251,32 @@ class Mapper:
                 lenses[a], self.keypoints[a][:, :2], lenses[b], self.keypoints[b][:, :2],
                 found[pair].astype(np.uint32), options,
             )  # fmt: skip
-            return np.asarray(geometry.inlier_matches).reshape(-1, 2).astype(np.int64)
+            fits = np.asarray(geometry.inlier_matches).reshape(-1, 2).astype(np.int64)
+            moves = (self._moves[a][m[:, 0]] & self._moves[b][m[:, 1]] for m in (found[pair], fits))
+            return fits if is_borne_out(*moves) else fits[:0]
 
         with ThreadPoolExecutor(self._job.threads) as pool:
             return dict(zip(pairs, pool.map(verify, pairs), strict=True))
 
-    def _lens(self, camera: int, number: int = 0) -> Any:
+    def _lens(self, camera: int) -> Any:
         width, height = self._job.sizes_px[camera]
         model = self._colmap.CameraModelId.SIMPLE_RADIAL
         focal_px = FOCAL_GUESS * max(width, height)
-        return self._colmap.Camera.create_from_model_id(number, model, focal_px, width, height)
+        return self._colmap.Camera.create_from_model_id(0, model, focal_px, width, height)
 
-    def _write(self, name: str, verified: Mapping[Pair, Longs], kinds: Sequence[int]) -> None:
+    def _write(
+        self, name: str, verified: Mapping[Pair, Longs], lens: str, known: Mapping[int, Doubles]
+    ) -> None:
         """Writes the database NAME.db, with an image for each camera, image N + 1 of camera N.
-        Images of one kind share a lens."""
+        lens, known: see `_mapped`."""
         colmap = self._colmap
         database = colmap.Database.open(self._folder / f"{name}.db")
         lenses: dict[int, tuple[Any, int]] = {}
-        for camera, kind in enumerate(kinds):
+        for camera, kind in enumerate(self._job.kinds if lens == "one" else self._cameras):
             if kind not in lenses:
-                lens_id = database.write_camera(self._lens(camera))
+                guess = self._lens(camera)
+                guess.params = known.get(self._job.kinds[camera], guess.params)
+                lens_id = database.write_camera(guess)
                 sensor = colmap.sensor_t(type=colmap.SensorType.CAMERA, id=lens_id)
                 rig = colmap.Rig()
                 rig.add_ref_sensor(sensor)
@@ -257,56 +302,51 @@ class Mapper:
     def rigs(self, name: str, verified: Mapping[Pair, Longs]) -> Arrays:
         """The rigs of verified matches, with each of LENSES: arrays by name, of which there are
         none where no rig was found."""
-        found: dict[str, Any] = {}
-        own = f"{name}_own"
-        self._write(name, verified, self._job.kinds)
-        self._write(own, verified, self._cameras)
-        model = self._mapped(name)
-        if model is not None:
-            self._adjust(model, "one")
-            found["one"] = self._arrays(model)
-            model = self._with_own_lenses(model)
-            self._adjust(model, "like")
-            # With other lenses other matches fit.
-            out, options = self._folder / f"{name}.points", self._options()
-            out.mkdir()
-            model = self._colmap.triangulate_points(
-                model, self._folder / f"{own}.db", self._folder / "none", out, options=options
-            )
-            self._adjust(model, "like")
-            found["like"] = self._arrays(model)
-        model = self._mapped(own)
-        if model is not None:
-            self._adjust(model, "free")
-            found["free"] = self._arrays(model)
-        return {f"{name}_{lens}_{k}": v for lens, rig in found.items() for k, v in rig.items()}
+        found: Arrays = {}
+        shared: dict[int, Doubles] = {}
+        for lens in LENSES:
+            known = shared if lens == "like" else {}
+            model = self._mapped(f"{name}_{lens}", verified, lens, known)
+            if model is not None:
+                for refined in ("lens",) if lens == "one" else ("centre", "lens"):
+                    self._adjust(model, refined, lens != "one")
+                rig = self._arrays(model)
+                found |= {f"{name}_{lens}_{key}": value for key, value in rig.items()}
+                for kind, params in zip(self._job.kinds, rig["lenses"], strict=True):
+                    if lens == "one" and np.isfinite(params[0]):
+                        shared[kind] = params
+        return found
 
-    def _options(self) -> Any:
+    def _mapped(
+        self, name: str, verified: Mapping[Pair, Longs], lens: str, known: Mapping[int, Doubles]
+    ) -> Any:
+        """The largest rig; None if there is none. lens: of LENSES; known: the lens of each kind,
+        which then stays."""
         options = self._colmap.IncrementalPipelineOptions()
         options.extract_colors = False
         options.num_threads = self._job.threads
         options.random_seed = self._job.seed
         options.min_model_size = 3
-        return options
-
-    def _mapped(self, name: str) -> Any:
-        """The largest rig of the database NAME.db; None if there is none."""
+        options.ba_refine_focal_length = options.ba_refine_extra_params = not known
+        self._write(name, verified, lens, known)
         out = self._folder / f"{name}.rig"
         out.mkdir()
         models = self._colmap.incremental_mapping(
-            self._folder / f"{name}.db", self._folder / "none", out, self._options()
+            self._folder / f"{name}.db", self._folder / "none", out, options
         )
         return max(models.values(), key=lambda each: each.num_reg_images(), default=None)
 
-    def _adjust(self, model: Any, lens: str) -> None:
-        """Bundle adjustment with a robust loss, and without what lies off."""
+    def _adjust(self, model: Any, refined: str, own: bool) -> None:
+        """Bundle adjustment with a robust loss, and without what lies off. refined: "centre" for
+        principal points alone, "lens" for all, or all but those where cameras have none of their
+        own."""
         colmap = self._colmap
-        scale = max(1.0, max(max(size) for size in self._job.sizes_px) / 640)
         options = colmap.BundleAdjustmentOptions()
-        options.refine_principal_point = lens != "one"
+        options.refine_principal_point = own
+        options.refine_focal_length = options.refine_extra_params = refined == "lens"
         options.print_summary = False
         options.ceres.loss_function_type = colmap.LossFunctionType.SOFT_L1
-        options.ceres.loss_function_scale = scale
+        options.ceres.loss_function_scale = self._scale
         options.ceres.solver_options.num_threads = self._job.threads
         options.ceres.solver_options.function_tolerance = 1e-6
         options.ceres.solver_options.max_num_iterations = 50
@@ -314,37 +354,20 @@ class Mapper:
         for image_id in model.reg_image_ids():
             config.add_image(image_id)
             image = model.image(image_id)
-            if lens != "one" and not self._is_determined(image):
+            if own and not self._is_determined(image, LEAST_OBSERVATIONS[refined]):
                 config.set_constant_cam_intrinsics(image.camera_id)
         config.fix_gauge(colmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
         for limit_px in FILTER_PX:
             colmap.create_default_bundle_adjuster(options, config, model).solve()
-            colmap.ObservationManager(model).filter_all_points3D(limit_px * scale, LEAST_ANGLE_DEG)
+            colmap.ObservationManager(model).filter_all_points3D(
+                limit_px * self._scale, LEAST_ANGLE_DEG
+            )
 
-    def _is_determined(self, image: Any) -> bool:
-        """Whether an image's points determine a lens of its own."""
+    def _is_determined(self, image: Any, least: int) -> bool:
+        """Whether an image has at least so many points, and all over it."""
         seen = np.array([p.xy for p in image.points2D if p.has_point3D()]).reshape(-1, 2)
         cells = np.unique((seen * GRID / self._job.sizes_px[int(image.name)]).astype(int), axis=0)
-        return len(seen) >= LEAST_OBSERVATIONS and len(cells) >= LEAST_CELLS * GRID * GRID
-
-    def _with_own_lenses(self, model: Any) -> Any:
-        """The same rig, in which each image has a camera of its own, with its number."""
-        colmap = self._colmap
-        copy = colmap.Reconstruction()
-        for image_id in model.reg_image_ids():
-            image = model.image(image_id)
-            lens = model.camera(image.camera_id)
-            own = self._lens(int(image.name), image_id)
-            own.params = lens.params
-            copy.add_camera_with_trivial_rig(own)
-            xy = self.keypoints[int(image.name)][:, :2]
-            fresh = colmap.Image(
-                name=image.name, camera_id=image_id, image_id=image_id, keypoints=xy
-            )
-            copy.add_image_with_trivial_frame(fresh, image.cam_from_world())
-        for point in model.points3D.values():
-            copy.add_point3D(point.xyz, point.track)
-        return copy
+        return len(seen) >= least and len(cells) >= LEAST_CELLS * GRID * GRID
 
     def _arrays(self, model: Any) -> Arrays:
         """The rig as the fields of `solution.Rig`."""

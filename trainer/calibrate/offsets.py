@@ -67,18 +67,15 @@ def lags_of(curves: Mapping[tuple[int, int], Curve], count: int, guard: int) -> 
     # First along the pairs that are clearest.
     tree = minimum_spanning_tree(cost)
     order, before = breadth_first_order(tree, min(min(curves)), directed=False)
+    both = {(j, i): (-shifts[::-1], alike[::-1]) for (i, j), (shifts, alike) in curves.items()}
+    both |= curves
     whole = {int(order[0]): 0}
     for i in map(int, order[1:]):
-        at = int(before[i])
-        if (at, i) in curves:
-            shifts, alike = curves[at, i]
-            whole[i] = whole[at] + int(shifts[np.argmax(alike)])
-        else:
-            shifts, alike = curves[i, at]
-            whole[i] = whole[at] - int(shifts[np.argmax(alike)])
+        shifts, alike = both[int(before[i]), i]
+        whole[i] = whole[int(before[i])] + int(shifts[np.argmax(alike)])
     for _ in range(ROUNDS):
         for i in whole:
-            shifts, total = _joined(curves, i, whole)
+            shifts, total = _joined(both, i, whole)
             best = int(np.argmax(total))
             whole[i] = int(shifts[best])
             lags[i], score[i] = shifts[best] + _peak(total, best), total[best]
@@ -89,9 +86,9 @@ def lags_of(curves: Mapping[tuple[int, int], Curve], count: int, guard: int) -> 
 def _joined(curves: Mapping[tuple[int, int], Curve], take: int, lags: Mapping[int, int]) -> Curve:
     """How alike a take is, at each lag, to all others at theirs."""
     parts = [
-        (shifts + lags[i], alike) if take == j else (lags[j] - shifts[::-1], alike[::-1])
+        (shifts + lags[i], alike)
         for (i, j), (shifts, alike) in curves.items()
-        if take in (i, j) and i in lags and j in lags
+        if take == j and i in lags
     ]
     first, last = min(s[0] for s, _ in parts), max(s[-1] for s, _ in parts)
     total = np.zeros(last - first + 1)
@@ -255,7 +252,7 @@ LEAST_SHARE, LEAST_SAMPLES = 0.25, 20
 def geometric_lags(rig: Rig, places_px: Sequence[Doubles], guard: int) -> Lags:
     """The lags of the takes of a rig. places_px: (T, 2) where something moves in each sample, NaN
     where nothing does; guard: as in `lags_of`."""
-    rays = [_rays(rig, camera, places) for camera, places in enumerate(places_px)]
+    rays = [rig.rays(camera, places) for camera, places in enumerate(places_px)]
     known = [i for i, r in enumerate(rays) if np.isfinite(r[:, 0]).sum() >= LEAST_SAMPLES]
     pairs = set()
     for i in known:
@@ -268,15 +265,6 @@ def geometric_lags(rig: Rig, places_px: Sequence[Doubles], guard: int) -> Lags:
     curves = {(i, j): _curve(places[j] - places[i], rays[i], rays[j]) for i, j in sorted(pairs)}
     found = {pair: curve for pair, curve in curves.items() if curve is not None}
     return lags_of(found, len(rays), guard)
-
-
-def _rays(rig: Rig, camera: int, xy_px: Doubles) -> Doubles:
-    """(T, 3) directions in the world."""
-    straight = rig.straightened(camera, xy_px)
-    local = np.column_stack([straight, np.ones(len(straight))])
-    local /= np.linalg.norm(local, axis=1, keepdims=True)
-    rays: Doubles = local @ rig.poses[camera, :, :3]
-    return rays
 
 
 def _curve(base: Doubles, one: Doubles, other: Doubles) -> Curve | None:
@@ -400,7 +388,7 @@ def _common_time(
     CaptureError."""
     starts = np.array(starts_s) - min(starts_s)
     duration_s = min(t.times_s[-1] - start for t, start in zip(takes, starts, strict=True))
-    if duration_s <= 0:
+    if duration_s < 0:
         raise CaptureError(
             f"the takes have no time in common: {how}, they begin up to {starts.max():.2f} s apart"
         )

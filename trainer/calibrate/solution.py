@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import pdist
+from scipy.spatial.transform import Rotation
 
 from codec.arrays import Doubles, Flags, Longs
 from codec.camera import Camera
@@ -63,14 +65,11 @@ def align(poses: Doubles, onto: Doubles) -> Similarity:
     apart = angles_deg(turns[:, None], turns[None])
     best = int(np.argmin(np.median(apart, axis=1)))
     close = apart[best] <= 2 * np.median(apart[best]) + 1e-6
-    u, _, vt = np.linalg.svd(turns[close].mean(axis=0))
-    rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    rotation = Rotation.from_matrix(turns[close]).mean().as_matrix()
     a, b = centres(poses), centres(onto)
-    pairs = np.triu_indices(len(a), 1)
-    lengths = (np.linalg.norm(each[pairs[0]] - each[pairs[1]], axis=1) for each in (a, b))
-    shorter, longer = lengths
-    counts = shorter > 1e-9 * max(shorter.max(), 1e-300)
-    scale = float(np.median(longer[counts] / shorter[counts]))
+    lengths = pdist(a)
+    counts = lengths > 1e-9 * max(lengths.max(), 1e-300)
+    scale = float(np.median(pdist(b)[counts] / lengths[counts]))
     offset = np.median(b - scale * a @ rotation.T, axis=0)
     return _refined(a, b, Similarity(scale, rotation, offset))
 
@@ -121,14 +120,17 @@ class Rig:
         found: Flags = np.isfinite(self.poses[:, 0, 0])
         return found
 
-    def straightened(self, camera: int, xy_px: Doubles) -> Doubles:
-        """(N, 2) straight positions over the focal length of pixels (N, 2)."""
+    def rays(self, camera: int, xy_px: Doubles) -> Doubles:
+        """(N, 3) directions in the world of pixels (N, 2)."""
         focal_px, cx_px, cy_px, k1 = self.lenses[camera]
         bent: Doubles = (xy_px - (cx_px, cy_px)) / focal_px
         straight = bent
         for _ in range(10):
             straight = bent / (1 + k1 * (straight**2).sum(axis=1, keepdims=True))
-        return straight
+        local = np.column_stack([straight, np.ones(len(straight))])
+        local /= np.linalg.norm(local, axis=1, keepdims=True)
+        rays: Doubles = local @ self.poses[camera, :, :3]
+        return rays
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,15 +216,11 @@ def _left_out(
     used, camera, track = used[kept], camera[kept], track[kept]
     if not len(used):
         return none
-    rays, origins = np.zeros((len(used), 3)), np.zeros((len(used), 3))
+    rays = np.zeros((len(used), 3))
     for one in np.unique(camera):
         mine = camera == one
-        xy = keypoints[one][used[mine] - starts[one], :2]
-        straight = rig.straightened(one, xy)
-        local = np.column_stack([straight, np.ones(len(straight))])
-        local /= np.linalg.norm(local, axis=1, keepdims=True)
-        rotation, offset = rig.poses[one, :, :3], rig.poses[one, :, 3]
-        rays[mine], origins[mine] = local @ rotation, -rotation.T @ offset
+        rays[mine] = rig.rays(one, keypoints[one][used[mine] - starts[one], :2])
+    origins = centres(rig.poses)[camera]
     # The place nearest to the rays of the others: sum (I - r r^T) (x - o) = 0.
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     reached = np.einsum("nij,nj->ni", across, origins)
@@ -266,7 +264,8 @@ FLOOR_SHARE, BELOW_SHARE, THICKNESS = 0.1, 0.04, 0.01
 """A floor has at least this share of the points, at most that share lies below it, and it is so
 thick, over the distance of the cameras."""
 
-TRIES = 500
+TRIES, MOST_POINTS = 500, 5000
+"""Planes that are tried, and points that they are compared with."""
 
 
 def world_of(
@@ -301,24 +300,21 @@ def floor_normal(points: Doubles, up: Doubles, distance: float) -> Doubles | Non
     if len(points) < 50:
         return None
     rng = np.random.default_rng(0)
+    points = rng.permutation(points)[:MOST_POINTS]
     thickness = THICKNESS * distance
-    best, most = None, FLOOR_SHARE * len(points)
-    for _ in range(TRIES):
-        a, b, c = points[rng.choice(len(points), 3, replace=False)]
-        normal = np.cross(b - a, c - a)
-        length = float(np.linalg.norm(normal))
-        if length == 0:
-            continue
-        normal *= np.sign(normal @ up) / length
-        if normal @ up < np.cos(np.radians(FLOOR_TILT_DEG)):
-            continue
-        heights = (points - a) @ normal
-        on = np.abs(heights) < thickness
-        if on.sum() > most and (heights < -3 * thickness).mean() < BELOW_SHARE:
-            best, most = on, int(on.sum())
-    if best is None:
+    a, b, c = points[rng.integers(len(points), size=(3, TRIES))]
+    normals = np.cross(b - a, c - a)
+    normals *= np.sign(normals @ up)[:, None]
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    heights = points @ normals.T - (a * normals).sum(axis=1)
+    on = np.abs(heights) < thickness
+    counts = on.sum(axis=0)
+    counts[normals @ up < np.cos(np.radians(FLOOR_TILT_DEG))] = 0
+    counts[(heights < -3 * thickness).mean(axis=0) >= BELOW_SHARE] = 0
+    best = int(np.argmax(counts))
+    if counts[best] <= FLOOR_SHARE * len(points):
         return None
-    plane = points[best]
+    plane = points[on[:, best]]
     normal = np.linalg.svd(plane - plane.mean(axis=0), full_matrices=False)[2][2]
     found: Doubles = normal * np.sign(normal @ up)
     return found

@@ -41,26 +41,11 @@ FEW_FEATURES = 60
 """Features in a picture, below which it is blank or out of focus."""
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """What was found out about one camera."""
-
-    name: str
-    wrong: str
-    """Reason and remedy; empty for a camera that is right."""
-    unseen_px: float
-    """Median error of points of unseen moments, placed by the other cameras."""
-    apart: float
-    """Distance between the places that the two halves give it, over its distance to the scene."""
-    apart_deg: float
-    """Angle between their views."""
-
-
 def judge(
     solution: Solution, names: Sequence[str], widths_px: Sequence[int]
-) -> tuple[str, list[Verdict]]:
-    """The kind of lens, of mapping.LENSES, with which the rig is best, and what is to be said of
-    each camera. Raises CaptureError for a rig that is wrong."""
+) -> tuple[Halves, dict[int, str]]:
+    """The halves with the kind of lens with which the rig is best; and of each camera that is
+    wrong, reason and remedy. Raises CaptureError for a rig that is wrong."""
     wrong = {i: text for i, text in enumerate(moved(solution.moved_px, widths_px)) if text}
     complete = [
         lens
@@ -112,24 +97,24 @@ def judge(
     right = len(names) - len(wrong)
     if right < max(LEAST_CAMERAS, LEAST_SHARE * len(names)):
         raise CaptureError(f"{right} of {len(names)} cameras are right{_listed(names, wrong)}")
-    return best.lens, [
-        Verdict(name, wrong.get(i, ""), float(unseen[i]), float(apart[i]), float(apart_deg[i]))
-        for i, name in enumerate(names)
-    ]
+    return best, wrong
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Compared:
+class Halves:
     """How well the halves of a take agree with each other, with one kind of lens."""
 
     lens: str
+    """Of mapping.LENSES."""
     placed: Flags
     """(C,) whether all three rigs have the camera."""
     apart: Doubles
+    """(C,) distance between the places that the halves give a camera, over that to the scene."""
     apart_deg: Doubles
-    """(C,) see Verdict."""
+    """(C,) angle between its views."""
     unseen_px: Doubles
-    """(C,) likewise; NaN where too few points tell it."""
+    """(C,) median error of points of unseen moments, placed by the other cameras; NaN where too
+    few points tell it."""
     twins: dict[int, int]
     """Of each camera that stands where an earlier one does, which that is."""
 
@@ -145,14 +130,14 @@ class _Compared:
         return float(known.mean()) if len(known) else np.inf
 
 
-def _compared(solution: Solution, lens: str, widths_px: Sequence[int]) -> _Compared:
+def _compared(solution: Solution, lens: str, widths_px: Sequence[int]) -> Halves:
     rigs = [solution.rigs[name, lens] for name in ("first", "second", "whole")]
     placed = np.all([rig.has for rig in rigs], axis=0)
     apart, apart_deg = np.full(len(placed), np.nan), np.full(len(placed), np.nan)
     errors = unseen_errors(solution, lens, widths_px)
     unseen = np.array([np.median(e) if len(e) >= LEAST_UNSEEN else np.nan for e in errors])
     if placed.sum() < 2:
-        return _Compared(lens, placed, apart, apart_deg, unseen, {})
+        return Halves(lens, placed, apart, apart_deg, unseen, {})
     one, other, whole = (rig.poses[placed] for rig in rigs)
     one, other = (align(half, whole).poses(half) for half in (one, other))
     places, index = centres(whole), np.flatnonzero(placed)
@@ -162,7 +147,7 @@ def _compared(solution: Solution, lens: str, widths_px: Sequence[int]) -> _Compa
     between = np.linalg.norm(places[:, None] - places[None], axis=2)
     pairs = np.argwhere(np.triu(between < TWIN_SHARE * np.median(distances), 1))
     twins = {int(index[j]): int(index[i]) for i, j in pairs}
-    return _Compared(lens, placed, apart, apart_deg, unseen, twins)
+    return Halves(lens, placed, apart, apart_deg, unseen, twins)
 
 
 def moved(moved_px: Doubles, widths_px: Sequence[int]) -> list[str]:
@@ -191,9 +176,9 @@ def moved(moved_px: Doubles, widths_px: Sequence[int]) -> list[str]:
 
 def _why_unplaced(solution: Solution, names: Sequence[str], camera: int) -> str:
     moments = solution.keypoints[camera][:, 2].astype(int)
-    features = float(np.median(np.bincount(moments))) if len(moments) else 0.0
+    features = np.bincount(moments, minlength=1).max()
     if features < FEW_FEATURES:
-        return f"shows nothing to recognise ({features:.0f} features): blank or out of focus"
+        return f"shows nothing to recognise ({features} features): blank or out of focus"
     shared: Counter[int] = Counter()
     for matches in solution.matches.values():
         for (a, b), found in matches.items():

@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from .offsets import Synchrony
 from .rigimport import CalibratedCamera, transforms_entry
 from .solution import Rig, Similarity, Solution
 from .takes import Take
-from .verdicts import Verdict
+from .verdicts import Halves
 
 REPORT_NAME = "calibration.txt"
 
@@ -42,23 +42,24 @@ LENS_TEXT = {
 def report_lines(
     capture: Capture,
     synchrony: Synchrony,
-    lens: str,
-    verdicts: Sequence[Verdict],
+    halves: Halves,
+    names: Sequence[str],
+    wrong: Mapping[int, str],
     has_floor: bool,
     has_unit: bool,
 ) -> list[str]:
     """The report: of the rig, then of each camera. has_floor, has_unit: whether up comes from a
     floor, and the unit from a known distance."""
-    wrong = [verdict for verdict in verdicts if verdict.wrong]
-    right = [verdict for verdict in verdicts if not verdict.wrong]
-    apart, turned, unseen = np.array([(v.apart, v.apart_deg, v.unseen_px) for v in right]).T
+    right = [i for i in range(len(names)) if i not in wrong]
+    table = np.stack([halves.apart, halves.apart_deg, halves.unseen_px])[:, right]
+    apart, turned, unseen = table
     rate = "" if synchrony.fps is None else f" at {synchrony.fps:g} per second"
     unit = "metres" if has_unit else "unknown: cameras are some 3 units from the middle (--metres)"
     lines = [
         f"capture     {capture.root}",
-        f"cameras     {len(right)} of {len(verdicts)}",
+        f"cameras     {len(right)} of {len(names)}",
         f"frames      {capture.num_frames}{rate}, synchronised {synchrony.how}",
-        f"lenses      {LENS_TEXT[lens]}",
+        f"lenses      {LENS_TEXT[halves.lens]}",
         f"halves      of the take place cameras {np.median(apart):.2%} of their distance to the "
         f"scene ({apart.max():.2%} at most) and {np.median(turned):.2f} degrees "
         f"({turned.max():.2f}) apart; the whole is better than its halves",
@@ -66,16 +67,15 @@ def report_lines(
         f"up          z, {'from the floor' if has_floor else 'as the cameras are held'}",
         f"unit        {unit}",
         *(f"note        {note}" for note in synchrony.notes),
-        *(f"left out    {verdict.name} {verdict.wrong}" for verdict in wrong),
+        *(f"left out    {names[i]} {reason}" for i, reason in wrong.items()),
         "",
         f"{'camera':16} {'from origin':>11} {'focal px':>9} {'apart':>7} {'degrees':>7} {'px':>6}",
     ]
-    cameras = {entry.camera.name: entry.camera for entry in capture.cameras}
-    for v in right:
-        camera = cameras[v.name]
+    for entry, (apart, turned, unseen) in zip(capture.cameras, table.T, strict=True):
+        camera = entry.camera
         lines.append(
-            f"{v.name:16} {np.linalg.norm(camera.position):11.2f} {camera.fx_px:9.1f} "
-            f"{v.apart:7.2%} {v.apart_deg:7.2f} {v.unseen_px:6.2f}"
+            f"{camera.name:16} {np.linalg.norm(camera.position):11.2f} {camera.fx_px:9.1f} "
+            f"{apart:7.2%} {turned:7.2f} {unseen:6.2f}"
         )
     return lines
 
@@ -92,9 +92,6 @@ def calibrated(
         focal_px, cx_px, cy_px, k1 = map(float, rig.lenses[index])
         size = sizes_px[index]
         w2c = np.vstack([rig.poses[index], [0, 0, 0, 1]])
-        # Rotations are orthonormal to rounding only.
-        u, _, vt = np.linalg.svd(w2c[:3, :3])
-        w2c[:3, :3] = u @ vt
         take = takes[index]
         camera = Camera(take.name, *size, focal_px, focal_px, cx_px, cy_px, w2c)
         full = camera.resized(take.width_px, take.height_px)
@@ -159,9 +156,8 @@ def coloured_points(
             at = keypoints[:, 2] == moment
             name = picture_name(int(moment), camera)
             picture = np.asarray(Image.open(folder / PICTURES_NAME / name).convert("RGB"))
-            height, width = picture.shape[:2]
-            columns = np.clip(keypoints[at, 0].astype(int), 0, width - 1)
-            rows = np.clip(keypoints[at, 1].astype(int), 0, height - 1)
+            last = picture.shape[1] - 1, picture.shape[0] - 1
+            columns, rows = np.clip(keypoints[at, :2].astype(int), 0, last).T
             np.add.at(total, mine[at, 0], picture[rows, columns])
             np.add.at(count, mine[at, 0], 1)
     kept = count >= 2

@@ -5,19 +5,23 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from codec.arrays import Doubles
 from tests.support.commands import environment, run
 from tests.support.tiny_capture import tiny_rig, write_video
 from tests.support.tiny_models import write_videos
 from tests.trainer.calibrate.test_rigs import FOCAL, HEIGHT, WIDTH, arc
-from trainer.calibrate.offsets import geometric_lags, lags_of, synchronise
+from trainer.calibrate.capturecommand import Calibrate
+from trainer.calibrate.command import calibrate
+from trainer.calibrate.offsets import Synchrony, confirmed, geometric_lags, lags_of, synchronise
 from trainer.calibrate.solution import Rig, align, centres
-from trainer.calibrate.takes import find_takes
+from trainer.calibrate.takes import Take, find_takes
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
 
@@ -74,10 +78,10 @@ def test_takes_are_videos_or_folders_and_offsets_may_be_given(tmp_path: Path) ->
     assert "moments 3: must be at least 6" in refused.stderr
 
 
-def test_places_of_movement_tell_the_offsets_to_the_frame() -> None:
-    """A ball that hops along a spiral seen by six cameras with noise."""
+def walk_seen(starts: list[int]) -> tuple[Rig, list[Doubles]]:
+    """Six cameras, and where each sees a ball that hops along a spiral, with noise, in 150 frames
+    from its start on."""
     rng, poses = np.random.default_rng(0), arc(6)
-    starts = [0, 17, -9, 30, 4, -21]
     turns = np.arange(-60, 220) / 30
     walk = np.column_stack(
         [np.cos(turns), np.sin(turns), 0.5 * np.sin(2.3 * turns) + 0.3 * np.sin(3.9 * turns)]
@@ -90,11 +94,43 @@ def test_places_of_movement_tell_the_offsets_to_the_frame() -> None:
         xy[rng.random(len(xy)) < 0.1] = np.nan
         places.append(xy)
     lenses = np.tile([FOCAL, WIDTH / 2, HEIGHT / 2, 0.0], (6, 1))
-    rig = Rig(lenses, poses, np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-    found = geometric_lags(rig, places, 3)
+    return Rig(lenses, poses, np.zeros((0, 3)), np.zeros((0, 3), np.int64)), places
+
+
+def test_places_of_movement_tell_the_offsets_to_the_frame() -> None:
+    starts = [0, 17, -9, 30, 4, -21]
+    found = geometric_lags(*walk_seen(starts), 3)
     np.testing.assert_allclose(found.lags - found.lags[0], starts, atol=0.7)
     assert (found.score > found.rest).all()
     assert np.isnan(lags_of({}, 3, 3).lags).all()
+
+
+def test_a_camera_that_is_five_frames_late_is_named_and_corrected() -> None:
+    rig, places = walk_seen([0, 0, 0, 5, 0, 0])
+    times_s = np.arange(150) / 30
+    takes = [Take(f"cam{i}", (Path(f"cam{i}.mp4"),), 640, 360, times_s, 30.0) for i in range(6)]
+    guess = Synchrony((0.0,) * 6, 149 / 30, 150, 30.0, "", moving_px=tuple(places))
+    found = confirmed(takes, guess, rig, range(6))
+    np.testing.assert_allclose(np.array(found.starts_s) * 30, [0, 0, 0, 5, 0, 0], atol=1e-9)
+    assert found.notes == ("out of step as filmed, and corrected: cam3 by +5 frames",)
+    blind = replace(guess, moving_px=(*places[:3], np.full((150, 2), np.nan), *places[4:]))
+    assert "nothing tells when cam3 began" in confirmed(takes, blind, rig, range(6)).notes[0]
+
+
+def test_one_moment_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Videos in which nothing moves, and those of a single frame."""
+    monkeypatch.setattr("trainer.calibrate.command.find_spec", lambda name: name)
+    for frames, says in (
+        (12, "all 6 moments look the same"),
+        (1, "frames that all cameras show: 1"),
+    ):
+        folder = tmp_path / str(frames)
+        folder.mkdir()
+        for i in range(4):
+            write_video(folder / f"cam{i}.mp4", i, frames, is_still=True)
+        with pytest.raises(CaptureError, match=says):
+            calibrate(Calibrate((folder, tmp_path / "c"), moments=6))
+        assert not (tmp_path / "c").exists()
 
 
 MAP = """

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from codec.arrays import Doubles
 from codec.camera import Camera, look_at
+from trainer.calibrate.mapping import is_borne_out, pooled
 from trainer.calibrate.solution import (
     Rig,
     Similarity,
@@ -125,8 +126,7 @@ def test_a_right_rig_is_borne_out_by_what_it_has_not_seen() -> None:
     solution = solution_of(true, true, true, np.array([true, true]))
     errors = [np.median(each) for each in unseen_errors(solution, "one", WIDTHS)]
     assert max(errors) < 2.0
-    _, verdicts = judge(solution, NAMES, WIDTHS)
-    assert not any(verdict.wrong for verdict in verdicts)
+    assert not judge(solution, NAMES, WIDTHS)[1]
 
 
 def with_third(pose: Doubles | float) -> Doubles:
@@ -154,9 +154,62 @@ def test_a_wrong_camera_is_named_with_the_reason(
     first: Doubles, second: Doubles, filmed_first: Doubles, filmed_second: Doubles, says: str
 ) -> None:
     solution = solution_of(first, second, first, np.array([filmed_first, filmed_second]))
-    _, verdicts = judge(solution, NAMES, WIDTHS)
-    assert [verdict.name for verdict in verdicts if verdict.wrong] == ["cam3"]
-    assert says in verdicts[3].wrong
+    _, wrong = judge(solution, NAMES, WIDTHS)
+    assert list(wrong) == [3]
+    assert says in wrong[3]
+
+
+def test_what_stands_still_is_one_keypoint_and_does_not_bear_out_matches() -> None:
+    still = np.array([[10.4, 20.6], [300.2, 7.3]])
+    found = [[*xy, moment] for moment in range(6) for xy in (*still, [50.5 + 9 * moment, 80.5])]
+    keypoints, numbers, moves = pooled(np.array(found))
+    assert moves.sum() == 6
+    np.testing.assert_allclose(keypoints[~moves], np.column_stack([still, [0, 0]]))
+    np.testing.assert_allclose(keypoints[numbers, :2], np.array(found)[:, :2])
+    floor, walker, none = np.zeros(200, bool), np.ones(30, bool), np.zeros(0, bool)
+    both = np.concatenate([floor, walker])
+    assert is_borne_out(both, np.concatenate([floor[:60], walker[:20]]))
+    assert not is_borne_out(both, np.concatenate([floor[:160], walker[:4]]))
+    assert is_borne_out(floor, floor[:60])
+    assert not is_borne_out(floor, none)
+
+
+def unplaced(solution: Solution, features: dict[int, int]) -> Solution:
+    """What is solved where cameras show only so many features in a moment, which match
+    no others, and are in no rig."""
+    keypoints = [
+        each[np.arange(len(each)) % 60 < features.get(i, 60)]
+        for i, each in enumerate(solution.keypoints)
+    ]
+    kept = {
+        name: {p: m for p, m in found.items() if not features.keys() & p}
+        for name, found in solution.matches.items()
+    }
+    missing = np.isin(np.arange(len(NAMES)), list(features))[:, None, None]
+    rigs = {
+        key: replace(rig, poses=np.where(missing, np.nan, rig.poses))
+        for key, rig in solution.rigs.items()
+    }
+    return replace(solution, keypoints=keypoints, matches=kept, rigs=rigs)
+
+
+@pytest.mark.parametrize(
+    ("features", "says"),
+    [
+        ({3: 60}, "another room"),
+        ({3: 0}, "shows nothing to recognise (0 features): blank"),
+        ({2: 9, 5: 12}, "out of focus"),
+    ],
+    ids=["another room", "blank wall", "two of eight out of focus"],
+)
+def test_cameras_that_are_in_no_rig_are_named(features: dict[int, int], says: str) -> None:
+    true = arc()
+    solution = unplaced(solution_of(true, true, true, np.array([true, true])), features)
+    _, wrong = judge(solution, NAMES, WIDTHS)
+    assert wrong.keys() == features.keys()
+    assert all(says in reason for reason in wrong.values())
+    with pytest.raises(CaptureError, match="no rig was found"):
+        judge(unplaced(solution, dict.fromkeys((3, 4, 5, 6, 7), 60)), NAMES, WIDTHS)
 
 
 def test_a_rig_whose_halves_disagree_is_refused() -> None:
