@@ -1,5 +1,9 @@
 /** A static host and a clock that exist only in the test: nothing takes real time. */
+import { loadPlanes } from "../playback/playsession.js";
 import { settled } from "./support.mjs";
+
+// In a page it comes while the first frames are buffered; here it would take real time.
+await loadPlanes();
 
 const STEP_MS = 10;
 
