@@ -73,10 +73,12 @@ LENGTHS: Longs = np.minimum(ONES + 1, MOST_ONES) + np.take_along_axis(WIDTHS, ON
 def _first_looks() -> npt.NDArray[np.uint16]:
     """(32, 256) for the next bits the value, and its length from bit 8 on; 0 where it is longer."""
     table = np.zeros((NUM_CODES, 1 << FIRST_LOOK_BITS), np.uint16)
-    for code, value in np.argwhere(LENGTHS <= FIRST_LOOK_BITS):
-        ones, length = ONES[code, value], LENGTHS[code, value]
+    for length in range(1, FIRST_LOOK_BITS + 1):
+        code, value = np.nonzero(LENGTHS == length)
+        ones = ONES[code, value]
         bits = (1 << ones) - 1 | (value - LEAST[code, ones]) << (ones + 1)
-        table[code, bits :: 1 << length] = value | length << 8
+        behind = np.arange(1 << (FIRST_LOOK_BITS - length)) << length
+        table[code[:, None], bits[:, None] + behind] = (value | length << 8)[:, None]
     return table
 
 
@@ -90,8 +92,8 @@ def encode_planes(numbers: tuple[int, ...], predicted: Bytes, new: Bytes) -> byt
     out = np.zeros(most, np.uint8)
     at = 0
     for number in numbers:
-        at = _append(out, at, number.bit_length(), CODE_BITS)
-        at = _append(out, at, number, number.bit_length())
+        at = append_bits(out, at, number.bit_length(), CODE_BITS)
+        at = append_bits(out, at, number, number.bit_length())
     rows = groups(len(predicted))
     at = _encode(out, at, predicted, new, rows, WIDTHS, LEAST, ONES, LENGTHS)
     return out[: (at + 7) >> 3].tobytes()
@@ -124,7 +126,7 @@ def decode_planes(
 
 
 @kernel(nogil=True)
-def _append(out, at, value, count):  # type: ignore[no-untyped-def]
+def append_bits(out, at, value, count):  # type: ignore[no-untyped-def]
     """The place behind `count` bits of `value`, lowest first."""
     while count > 0:
         taken = min(8 - (at & 7), count)
@@ -139,8 +141,8 @@ def _append(out, at, value, count):  # type: ignore[no-untyped-def]
 def _append_values(out, at, values, code, widths, least, ones):  # type: ignore[no-untyped-def]
     for value in values:
         count = ones[code, value]
-        at = _append(out, at, (1 << count) - 1, min(count + 1, MOST_ONES))
-        at = _append(out, at, value - least[code, count], widths[code, count])
+        at = append_bits(out, at, (1 << count) - 1, min(count + 1, MOST_ONES))
+        at = append_bits(out, at, value - least[code, count], widths[code, count])
     return at
 
 
@@ -222,17 +224,17 @@ def _encode(out, at, predicted, new, rows, widths, least, ones, lengths):  # typ
             counts[patterns[i]] += 1
         _pattern_lengths(counts, code_lengths)
         for s in range(size):
-            at = _append(out, at, code_lengths[s], LENGTH_BITS)
+            at = append_bits(out, at, code_lengths[s], LENGTH_BITS)
         if _pattern_codes(code_lengths, codes):
             for pattern in patterns:
-                at = _append(out, at, codes[pattern], code_lengths[pattern])
+                at = append_bits(out, at, codes[pattern], code_lengths[pattern])
         for n in range(num_planes):
             plane = predicted[rows[g, n]]
             values = plane[plane > 0].astype(np.int64) - 1
             if values.shape[0] == 0:
                 continue
             code, _ = _cheapest(values, lengths)
-            at = _append(out, at, code, CODE_BITS)
+            at = append_bits(out, at, code, CODE_BITS)
             at = _append_values(out, at, values, code, widths, least, ones)
     for p in range(new.shape[0] if new.shape[1] else 0):
         plane = new[p].astype(np.int64)
@@ -246,8 +248,8 @@ def _encode(out, at, predicted, new, rows, widths, least, ones, lengths):  # typ
             code, bits = _cheapest(zigzags, lengths)
             if bits < best:
                 best, chosen, values, centre = bits, code, zigzags, middle
-        at = _append(out, at, centre, CENTRE_BITS)
-        at = _append(out, at, chosen, CODE_BITS)
+        at = append_bits(out, at, centre, CENTRE_BITS)
+        at = append_bits(out, at, chosen, CODE_BITS)
         at = _append_values(out, at, values, chosen, widths, least, ones)
     return at
 

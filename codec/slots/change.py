@@ -16,6 +16,7 @@ import numpy as np
 
 from codec.arrays import Bytes, Flags, Ints
 from codec.coders.coder import EncodedChunk
+from codec.coders.planes import append_bits
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.kernel import kernel
 from codec.lattice.lattice import (
@@ -215,13 +216,7 @@ def _encode_new(positions, attributes, escaped, planes, packed):  # type: ignore
             while value >> length:
                 length += 1
             planes[axis, i] = length
-            left = length - 1
-            while left > 0:
-                taken = min(8 - (bit & 7), left)
-                packed[bit >> 3] |= (value & ((1 << taken) - 1)) << (bit & 7)
-                value >>= taken
-                left -= taken
-                bit += taken
+            bit = append_bits(packed, bit, value, length - 1)
         for a in range(last):
             planes[3 + a, i] = attributes[i, a] ^ 128
         planes[3 + last, i] = attributes[i, last]

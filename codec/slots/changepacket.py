@@ -95,7 +95,7 @@ def change_content(packet: bytes | memoryview, limit_bytes: int) -> bytes:
 
 
 def _rest(body: memoryview, num_bits: int) -> memoryview:
-    """What is behind the planes, which take num_bits, -1 if they are damaged."""
+    """The bytes behind the planes, which take num_bits, -1 if they are damaged."""
     end = (num_bits + 7) >> 3
     if num_bits < 0 or end > len(body):
         raise CorruptError("packet: its planes are damaged")

@@ -105,7 +105,7 @@ class Halves:
     """How well the halves of a take agree with each other, with one kind of lens."""
 
     lens: str
-    """Of mapping.LENSES."""
+    """One of mapping.LENSES."""
     placed: Flags
     """(C,) whether all three rigs have the camera."""
     apart: Doubles

@@ -1,4 +1,4 @@
-"""What is generated in the browser player's sources."""
+"""The generated parts of the browser player's sources are not stale."""
 
 from __future__ import annotations
 

@@ -175,7 +175,7 @@ def test_what_stands_still_is_one_keypoint_and_does_not_bear_out_matches() -> No
 
 
 def unplaced(solution: Solution, features: dict[int, int]) -> Solution:
-    """What is solved where cameras show only so many features in a moment, which match
+    """The solution where cameras show only so many features in a moment, which match
     no others, and are in no rig."""
     keypoints = [
         each[np.arange(len(each)) % 60 < features.get(i, 60)]
