@@ -74,7 +74,7 @@ def _first_looks() -> npt.NDArray[np.uint16]:
     """(32, 256) for the next bits the value, and its length from bit 8 on; 0 where it is longer."""
     table = np.zeros((NUM_CODES, 1 << FIRST_LOOK_BITS), np.uint16)
     for length in range(1, FIRST_LOOK_BITS + 1):
-        code, value = np.nonzero(length == LENGTHS)
+        code, value = np.nonzero(np.equal(LENGTHS, length))
         ones = ONES[code, value]
         bits = (1 << ones) - 1 | (value - LEAST[code, ones]) << (ones + 1)
         behind = np.arange(1 << (FIRST_LOOK_BITS - length)) << length
