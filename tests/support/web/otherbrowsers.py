@@ -1,4 +1,4 @@
-"""Firefox and a WebKit, as distributions ship them, with the player's pages."""
+"""Chromium, Firefox and a WebKit, as distributions ship them, with the player's pages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.screen.xserver import x_server
-from tests.support.web.chromium import Page
+from tests.support.web.chromium import CHROMIUM, Page, running_chromium, why_not
 from tests.support.web.nodeprocess import NO_PACKAGES, NODE, PACKAGES, running_script
 
 FIREFOX = shutil.which("firefox-esr") or shutil.which("firefox")
@@ -33,7 +33,13 @@ def _command(kind: str) -> list[str]:
 
 @contextmanager
 def running_browser(kind: str) -> Iterator[Page]:
-    """kind: "firefox" or "webkit". Its page can `open`, `run`, `wait`, `press` and `drag`."""
+    """kind: chromium, firefox or webkit. Its page can `open`, `run`, `wait`, `press` and `drag`."""
+    if kind == "chromium":
+        if CHROMIUM is None or why_not():
+            pytest.skip(why_not() or "needs Chromium with its window: apt-get install chromium")
+        with running_chromium() as page:
+            yield page
+        return
     command = _command(kind)
     with x_server() as display, pytest.MonkeyPatch.context() as patch:
         patch.setenv("DISPLAY", display)

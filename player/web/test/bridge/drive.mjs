@@ -15,7 +15,13 @@ import { NAMES, waitFor } from "./names.mjs";
  */
 async function launch(/** @type {"chromium"} */ kind, /** @type {string} */ executablePath) {
   const args = {
-    chromium: ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"],
+    chromium: [
+      "--use-angle=swiftshader",
+      "--enable-unsafe-swiftshader",
+      "--ignore-gpu-blocklist",
+      // Only the canvas is drawn by what stands in for a GPU: the rest of a page is dear there.
+      ...(keeps ? ["--disable-gpu-compositing", "--disable-gpu-rasterization"] : []),
+    ],
   }[kind];
   return playwright[kind].launch({ executablePath, args });
 }

@@ -101,10 +101,10 @@ def test_a_server_that_is_killed_and_comes_back(page: Page, site: Site) -> None:
         page.wait(f"state.endFrame - state.frame > 100 && {SLOW_DOWN}")
         first.kill()
         end = page.value("state.endFrame")
+        page.run("element.playbackRate = 3")
         page.wait(f"{note}.includes('trying again')")
         second = ServerProcess(root, first.port)
         try:
-            page.run("element.playbackRate = 3")
             page.wait(f"{note} === '' && state.endFrame > {end + 30}")
             page.wait(f"player.shownFrame > {end + 10}")
         finally:
