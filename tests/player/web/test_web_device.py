@@ -13,7 +13,8 @@ from tests.support.web.site import Site
 
 @pytest.fixture
 def phone(page: Page, site: Site) -> Page:
-    site.watch(page, "whole", touch=True, options={"isMobile": True})
+    motion = ["accelerometer", "gyroscope", "magnetometer"]
+    site.watch(page, "whole", touch=True, options={"isMobile": True, "permissions": motion})
     return page
 
 
