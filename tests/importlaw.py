@@ -30,7 +30,7 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
     "trainer": (
         ("trainer", "trainer/lease"),
         ("trainer/capture",),
-        ("trainer/calibration", "trainer/pictures", "trainer/seed", "trainer/synth"),
+        ("trainer/pictures", "trainer/seed", "trainer/synth"),
         ("trainer/step", "trainer/rig"),
         ("trainer/step/device",),
         ("trainer/calibrate", "trainer/fit", "trainer/score"),

@@ -1,1 +1,0 @@
-"""Calibrations of other programs, as captures."""
