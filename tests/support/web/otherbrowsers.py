@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.screen.xserver import x_server
-from tests.support.web.chromium import CHROMIUM, Page, running_chromium, why_not
+from tests.support.web.chromium import Page, running_chromium, why_not
 from tests.support.web.nodeprocess import NO_PACKAGES, NODE, PACKAGES, running_script
 
 FIREFOX = shutil.which("firefox-esr") or shutil.which("firefox")
@@ -35,8 +35,8 @@ def _command(kind: str) -> list[str]:
 def running_browser(kind: str) -> Iterator[Page]:
     """kind: chromium, firefox or webkit. Its page can `open`, `run`, `wait`, `press` and `drag`."""
     if kind == "chromium":
-        if CHROMIUM is None or why_not():
-            pytest.skip(why_not() or "needs Chromium with its window: apt-get install chromium")
+        if reason := why_not():
+            pytest.skip(reason)
         with running_chromium() as page:
             yield page
         return
