@@ -29,8 +29,10 @@
   /** The canvas, once its order is that of what is seen from where the camera is. */
   window.readCanvas = (player) =>
     new Promise((resolve) => {
-      const look = () => {
-        if (player.isSettled) resolve(window.shownPixels(player.canvas));
+      const look = (nowMs) => {
+        // Without a picture in this very frame the canvas is empty: the last one is with the browser.
+        const isDrawn = player.view.drawnMs === nowMs;
+        if (player.isSettled && isDrawn) resolve(window.shownPixels(player.canvas));
         else again();
       };
       const again = () => {
