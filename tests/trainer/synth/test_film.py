@@ -31,6 +31,7 @@ from trainer.synth.scene import (
     foot_place,
     moving_cones,
 )
+from trainer.synth.surfels import cone_surfels
 
 TINY = SynthConfig(
     Path("unset"), frames=3, cameras=4, held_out=1, width_px=64, height_px=36, points=300
@@ -168,9 +169,10 @@ def test_on_a_wide_circle_the_figure_passes_right_before_a_camera() -> None:
     depths = rig_depths(cameras)
     assert depths is not None
     nearest = {}
+    room = Scene(30.0, 22, WALK_RADIUS_M, spacing_m(256)).room().means
     for radius_m in (WALK_RADIUS_M, 2.5):
-        scene = Scene(30.0, 22, radius_m, spacing_m(256))
-        means = np.concatenate([scene.room().means, scene.moving(0).means])
+        figure = cone_surfels(moving_cones(0.0, 22, radius_m), spacing_m(256), 22).places
+        means = np.concatenate([room, figure])
         nearest[radius_m] = np.inf
         for camera in cameras:
             columns, rows, depth = camera.project(means)
