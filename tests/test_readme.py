@@ -120,7 +120,11 @@ ELSEWHERE = {
         "swings-play https://streams.example.com/my-stream.swings"
     ],
     "codec/test_fuzz.py": ["python -m fuzz"],
-    "trainer/calibrate/test_calibrate.py": ["swings-capture calibrate my-videos my-capture"],
+    "trainer/calibrate/test_calibrate.py": [
+        "swings-capture calibrate my-videos my-capture",
+        "swings-train my-videos my-stream",
+        "swings-eval my-stream my-stream-capture --sheet sheet.png",
+    ],
     "test_demo.py": ["scripts/demo", "scripts/demo --no-serve"],
     "bench/test_cuda.py": ["scripts/bench cuda"],
 }

@@ -22,6 +22,7 @@ from trainer.capture.dynerf import POINTS_NAME
 from trainer.capture.lens import Lens
 from trainer.capture.picturefiles import IMAGES_NAME
 from trainer.capture.transforms import START_KEY, TRANSFORMS_NAME
+from trainer.capture.video import VIDEOS_NAME
 
 from .mapping import PICTURES_NAME, picture_name
 from .offsets import Synchrony
@@ -78,9 +79,6 @@ def report_lines(
             f"{apart:7.2%} {turned:7.2f} {unseen:6.2f}"
         )
     return lines
-
-
-VIDEOS_NAME = "videos"
 
 
 def calibrated(

@@ -32,10 +32,9 @@ from .masks import folder_masks
 from .picturefiles import IMAGES_NAME, folder_names, natural_order, pictures_by_camera
 from .points import read_points
 from .synchrony import filmed, photographed, size_of
-from .video import VIDEO_SUFFIXES
+from .video import VIDEO_SUFFIXES, VIDEOS_NAME
 
 INTRINSICS_NAME, EXTRINSICS_NAME = "intri.yml", "extri.yml"
-VIDEOS_NAME = "videos"
 MAX_FILE_BYTES = 1 << 24
 """Largest calibration file that is read: thousands of cameras."""
 

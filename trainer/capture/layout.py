@@ -16,7 +16,7 @@ from trainer.storedfiles import by_its_name, local_folder, translated
 from .capture import ALL_CAMERAS, CameraChoice, Capture, named
 from .layouts import LAYOUTS, TABLE_SUFFIXES
 from .picturefiles import folder_names
-from .video import VIDEO_SUFFIXES
+from .video import VIDEO_SUFFIXES, VIDEOS_NAME
 
 SAME_POSE = 1e-4
 """Distance of two cameras over the widest one of the rig, and difference of the numbers of their
@@ -62,6 +62,19 @@ def twin_doubts(cameras: Sequence[Camera]) -> list[str]:
     ]
 
 
+def plain_videos(path: Path) -> Path | None:
+    """The folder that holds the videos, where `path` holds videos without any poses."""
+    if not path.is_dir():
+        return None
+    names = {entry.name for entry in path.iterdir()}
+    if any(not names.isdisjoint(layout.markers) for layout in LAYOUTS):
+        return None
+    for place in (path, path / VIDEOS_NAME):
+        if any(Path(name).suffix.lower() in VIDEO_SUFFIXES for name in folder_names(place)):
+            return place
+    return None
+
+
 def _open_folder(path: Path, choice: CameraChoice) -> Capture:
     if not path.exists():
         raise CaptureError(f"{path}: no such folder")
@@ -73,15 +86,11 @@ def _open_folder(path: Path, choice: CameraChoice) -> Capture:
     for layout in LAYOUTS:
         if not names.isdisjoint(layout.markers):
             return layout.open(path, choice)
-    for place in (path, path / "videos"):
-        videos = [
-            name for name in folder_names(place) if Path(name).suffix.lower() in VIDEO_SUFFIXES
-        ]
-        if videos:
-            raise CaptureError(
-                f"{place}: {len(videos)} videos, but no poses of their cameras; make a capture of "
-                f"them with swings-capture calibrate {place} CAPTURE: see 'From videos' in "
-                "docs/CAPTURES.md"
-            )
+    videos = plain_videos(path)
+    if videos is not None:
+        raise CaptureError(
+            f"{videos}: videos, but no poses of their cameras; make a capture of them with "
+            f"swings-capture calibrate {videos} CAPTURE: see 'From videos' in docs/CAPTURES.md"
+        )
     *others, last = (f"{layout.contents} ({layout.title})" for layout in LAYOUTS)
     raise CaptureError(f"{path}: unknown layout; expected {', '.join(others)} or {last}")

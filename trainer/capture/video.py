@@ -32,6 +32,9 @@ as a seek."""
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".mkv", ".webm", ".avi"})
 
+VIDEOS_NAME = "videos"
+"""Folder of a capture's videos, in layouts that name it."""
+
 VARIABLE_SHARE = 0.1
 """Deviation from the usual time between two frames, as a share: containers round by less."""
 

@@ -34,6 +34,7 @@ from codec.stream.manifest import Manifest
 from codec.stream.segment import SegmentRecord
 from codec.stream.writer import SHAPE
 from trainer.run.config import LOCAL, TrainConfig, config_to_json
+from trainer.run.fromvideos import with_poses
 from trainer.run.job import finish_outputs, show_finished, show_result
 from trainer.run.monitor import LOG_NAME, RunLog
 from trainer.run.outputs import CaptureSound, capture_sound, check_targets, writing_run
@@ -287,6 +288,7 @@ def _train_alone(config: TrainConfig, address: str, console: Console) -> Manifes
             show_finished(config, console)
             return finished
     check_targets(config)
+    config = with_poses(config, console)
     afresh = replace(config, resume=False)  # the config that workers get
     with console.status("reading what the cameras see"):
         prepared = prepare(afresh)

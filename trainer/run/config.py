@@ -73,7 +73,8 @@ class TrainConfig:
             target_named("CAPTURE"),
             tyro.conf.arg(
                 help="Folder of the capture, or its URL in an object store, such as "
-                f"s3://BUCKET/PATH. Its layout is that of {listed_titles()}."
+                f"s3://BUCKET/PATH. Its layout is that of {listed_titles()}; plain videos, one a "
+                "camera, become the capture STREAM-capture first."
             ),
         ]
     ]

@@ -42,6 +42,7 @@ from .checkpoint import (
     write_settings,
 )
 from .config import TrainConfig, config_to_json
+from .fromvideos import with_poses
 from .liveview import LiveView, Preview
 from .monitor import LOG_NAME, Monitor, RunLog
 from .outputs import (
@@ -175,7 +176,7 @@ def train_stream(
         begin_s = time.monotonic()
         with view or nullcontext():
             manifest = _train(start, console, [*observers, *([view] if view else [])])
-        show_result(config, time.monotonic() - begin_s, console)
+        show_result(start.config, time.monotonic() - begin_s, console)
         return manifest
 
 
@@ -213,6 +214,7 @@ def _checked(config: TrainConfig, console: Console) -> _Start:
     if bare:
         config = replace(config, resume=False)
     targets = check_targets(config, bare)
+    config = with_poses(config, console)
     with console.status("reading what the cameras see"):
         prepared = prepare(config)
         doubts = [] if config.resume else prepared.find_doubts()

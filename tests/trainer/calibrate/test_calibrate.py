@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from codec.arrays import Doubles
 from tests.support.commands import environment, run
@@ -24,6 +26,8 @@ from trainer.calibrate.solution import Rig, align, centres
 from trainer.calibrate.takes import Take, find_takes
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
+from trainer.run.config import TrainConfig
+from trainer.run.fromvideos import with_poses
 
 
 def test_a_capture_shows_the_frames_that_are_nearest_in_time(tmp_path: Path) -> None:
@@ -131,6 +135,33 @@ def test_one_moment_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         with pytest.raises(CaptureError, match=says):
             calibrate(Calibrate((folder, tmp_path / "c"), moments=6))
         assert not (tmp_path / "c").exists()
+
+
+def test_training_makes_a_capture_of_plain_videos_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    videos, made = tmp_path / "play", list[Path]()
+    videos.mkdir()
+    for i in range(3):
+        write_video(videos / f"cam{i}.mp4", i, 4)
+
+    def calibrating(asked: Calibrate, console: Console) -> str:
+        (given, target), _ = asked.videos, made.append(asked.videos[-1])
+        shutil.copytree(given, target / "videos")
+        return "3 of 3 cameras"
+
+    monkeypatch.setattr("trainer.calibrate.command.calibrate", calibrating)
+    config = TrainConfig(videos, tmp_path / "stream")
+    wanted = replace(config, capture=tmp_path / "stream-capture", title="play")
+    for _ in range(2):
+        assert with_poses(config, Console(stderr=True)) == wanted
+    assert made == [tmp_path / "stream-capture"]
+    assert capsys.readouterr().err.count("3 of 3 cameras") == 1
+    write_video(videos / "cam1.mp4", 1, 9)
+    with pytest.raises(CaptureError, match="a capture of other videos than those in"):
+        with_poses(config, Console(quiet=True))
+    (videos / "transforms.json").touch()
+    assert with_poses(config, Console(quiet=True)) is config
 
 
 MAP = """
